@@ -1,0 +1,144 @@
+"""What the filters return: immutable records with a status and a sentence."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.monitor import Settings
+
+Status = Literal["converged", "not_excited", "diverged", "no_data"]
+
+
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """One estimated parameter.
+
+    Attributes
+    ----------
+    name : ``B``, ``beta_e`` or ``L`` (leakage coefficient C_T of the joint estimator).
+    value, stddev : SI; NaN (null in JSON) when the status is ``no_data``.
+    unit : as shown to people, e.g. ``N·s/m``.
+    status : see the interface contract.
+    message : the status as a full sentence with its reason.
+    """
+
+    name: str
+    value: float
+    stddev: float
+    unit: str
+    status: Status
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """How the innovations compare with what the filter expects of them.
+
+    Attributes
+    ----------
+    samples : innovations judged.
+    nis : mean normalised innovation squared; 1 when the noise levels are right.
+    variance_ratio : largest ratio of the variance of block sums of the whitened innovations to
+        that of white noise, over block lengths; 1 when they are white.
+    block_length_s : length of the blocks where the ratio is largest, s.
+    peak_time_s : where the largest windowed excess lies, s; NaN if none.
+    consistent : the verdict.
+    message : the verdict as a sentence.
+    """
+
+    samples: int
+    nis: float
+    variance_ratio: float
+    block_length_s: float
+    peak_time_s: float
+    consistent: bool
+    message: str
+
+
+@dataclass(frozen=True)
+class StageResult:
+    """One stage over a recording.
+
+    Attributes
+    ----------
+    stage : ``one`` or ``two``.
+    estimate : the final parameter.
+    time : (n,) s, on the recording's grid; empty arrays throughout when there is no data.
+    value, stddev : (n,) the parameter as it converges, SI.
+    position, velocity, acceleration : (n,) estimated states, SI; NaN where the stage has none.
+    innovation, innovation_stddev : (n,) m; NaN where nothing was measured.
+    consistency : verdict on the innovations, or None without data.
+    """
+
+    stage: str
+    estimate: ParameterEstimate
+    time: np.ndarray
+    value: np.ndarray
+    stddev: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    innovation: np.ndarray
+    innovation_stddev: np.ndarray
+    consistency: Consistency | None
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that a stage did: converged, handed over, re-ran, saw a change, was reset."""
+
+    time_s: float
+    stage: str
+    message: str
+
+
+@dataclass(frozen=True)
+class JointResult:
+    """B, beta_e and leakage at once, from dp and omega.
+
+    ``parameters`` maps ``B``, ``beta_e``, ``L`` to estimates; ``correlation`` is (3, 3) in that
+    order.
+    """
+
+    parameters: dict[str, ParameterEstimate]
+    correlation: np.ndarray
+    message: str
+
+
+@dataclass(frozen=True)
+class ModelStatus:
+    """Whether the model explains the recording: ``consistent``, ``mismatch`` or ``unknown``."""
+
+    status: str
+    message: str
+
+
+@dataclass(frozen=True)
+class NoiseEstimate:
+    """White noise of a channel: what was assumed, SI, and whether the data told it."""
+
+    value: float
+    measured: bool
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Everything that ``estimate`` finds in one recording."""
+
+    recording: Recording
+    settings: Settings
+    stage_one: StageResult
+    stage_two: StageResult
+    joint: JointResult | None
+    model: ModelStatus
+    events: tuple[Event, ...]
+    noise: dict[str, NoiseEstimate]
+    wall_s: float = 0.0
+    warnings: tuple[str, ...] = field(default=())
+
+    @property
+    def parameters(self) -> dict[str, ParameterEstimate]:
+        """``B`` of stage one and ``beta_e`` of stage two."""
+        return {"B": self.stage_one.estimate, "beta_e": self.stage_two.estimate}

@@ -1,0 +1,100 @@
+"""The equations of the actuator, written once: force, flow and drive balance.
+
+With equal areas and volumes they are, in the pressure difference dp = p1 - p2,
+
+    force:  M x'' = A dp - B x'
+    flow:   V/(2 beta_e) dp' = D_p omega - A x' - (C_T/2) dp
+    drive:  omega = K_pos (x_d - x)
+
+from which the paper's Eq. 1 and 2 follow (they drop the small term B C_T beta_e/(M V)).
+"""
+
+from eha_monitor.compiled import njit
+from eha_monitor.physics.contributions import add_contributions
+from eha_monitor.physics.signals import (
+    AREA_1,
+    AREA_2,
+    BETA_E,
+    C_T,
+    COMPLIANCE_1,
+    COMPLIANCE_2,
+    D_P,
+    FLOW_1,
+    FLOW_2,
+    FORCE,
+    G_MAKEUP,
+    K_POS,
+    MASS,
+    OMEGA,
+    P1,
+    P2,
+    P_CHARGE,
+    SPEED,
+    V,
+    VOL_1,
+    VOL_2,
+    VOLUME_1,
+    VOLUME_2,
+    X,
+    X_D,
+    B,
+    M,
+)
+
+
+@njit
+def drive_speed(x_d, x, theta):
+    """Pump speed in rad/s: omega = K_pos (x_d - x)."""
+    return theta[K_POS] * (x_d - x)
+
+
+@njit
+def derivatives(s, theta, active, c, dy):
+    """Write d/dt (x, v, p1, p2) into ``dy`` for the signals ``s`` (OMEGA already set).
+
+    Force balance, Eq. 3 with two areas:  (M + dM) v' = A1 p1 - A2 p2 - B v - F.
+    Flow balances, one for each chamber, with L = (C_T - G)/2 across the piston and the
+    make-up path G to the charge pressure p_c, so that both together leak C_T/2 * dp:
+
+        V1 (1/beta_e + C1) p1' =  D_p omega       - A1 v - L (p1 - p2) - G (p1 - p_c) + Q1
+        V2 (1/beta_e + C2) p2' = -D_p omega A2/A1 + A2 v + L (p1 - p2) - G (p2 - p_c) + Q2
+
+    For unequal areas the circuit (valves, accumulator) is taken to balance the return flow,
+    hence A2/A1.  F, C, Q, dM come from the active effects.
+
+    Parameters
+    ----------
+    s : (N_SIGNALS,) SI signals; theta : (N_THETA,); active : (N_EFFECTS,) bool;
+    c : (N_CONTRIBUTIONS,) scratch; dy : (4,) written, in m/s, m/s^2, Pa/s, Pa/s.
+    """
+    add_contributions(s, theta, active, c)
+    v, p1, p2 = s[V], s[P1], s[P2]
+    dy[0] = v
+    dy[1] = (theta[AREA_1] * p1 - theta[AREA_2] * p2 - theta[B] * v - c[FORCE]) / (
+        theta[M] + c[MASS]
+    )
+    pumped = theta[D_P] * (s[OMEGA] + c[SPEED])
+    crossing = 0.5 * (theta[C_T] - theta[G_MAKEUP]) * (p1 - p2)
+    compliance = 1.0 / theta[BETA_E]
+    into_1 = (
+        pumped - theta[AREA_1] * v - crossing
+        - theta[G_MAKEUP] * (p1 - theta[P_CHARGE]) + c[FLOW_1]
+    )
+    into_2 = (
+        -pumped * theta[AREA_2] / theta[AREA_1] + theta[AREA_2] * v + crossing
+        - theta[G_MAKEUP] * (p2 - theta[P_CHARGE]) + c[FLOW_2]
+    )
+    dy[2] = into_1 / ((theta[VOL_1] + c[VOLUME_1]) * (compliance + c[COMPLIANCE_1]))
+    dy[3] = into_2 / ((theta[VOL_2] + c[VOLUME_2]) * (compliance + c[COMPLIANCE_2]))
+
+
+@njit
+def set_signals(s, t, y, x_d, theta):
+    """Fill the signals from the state ``y`` = (x, v, p1, p2) and close the drive loop."""
+    s[0] = t
+    s[X] = y[0]
+    s[V] = y[1]
+    s[P1] = y[2]
+    s[P2] = y[3]
+    s[X_D] = x_d
+    s[OMEGA] = drive_speed(x_d, y[0], theta)

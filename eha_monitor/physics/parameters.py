@@ -1,0 +1,49 @@
+"""From settings to the parameter vector theta that the compiled equations read."""
+
+import numpy as np
+
+from eha_monitor.errors import InputError
+from eha_monitor.physics import signals
+from eha_monitor.physics.contributions import N_EFFECTS, N_THETA
+from eha_monitor.physics.effects import CATALOGUE, NAMES
+from eha_monitor.settings.rig import Rig
+
+# Place in theta <- key of the rig section.
+BASE_KEYS = {
+    signals.AREA_1: "area_1", signals.AREA_2: "area_2",
+    signals.VOL_1: "volume_1", signals.VOL_2: "volume_2",
+    signals.M: "mass", signals.B: "viscous_damping", signals.BETA_E: "bulk_modulus",
+    signals.C_T: "leakage", signals.D_P: "pump_displacement", signals.K_POS: "position_gain",
+    signals.P_CHARGE: "charge_pressure", signals.G_MAKEUP: "makeup_conductance",
+}
+
+
+def theta_of(rig: Rig, effects: dict[str, dict[str, float]]) -> tuple[np.ndarray, np.ndarray]:
+    """Return ``theta`` (N_THETA,) and ``active`` (N_EFFECTS,) bool; null constants become NaN."""
+    theta = np.zeros(N_THETA)
+    active = np.zeros(N_EFFECTS, dtype=np.bool_)
+    for place, key in BASE_KEYS.items():
+        value = getattr(rig, key)
+        theta[place] = np.nan if value is None else value
+    for name, values in effects.items():
+        active[NAMES.index(name)] = True
+        for p in CATALOGUE[name].parameters:
+            theta[place_of(f"{name}.{p.name}")] = values[p.name]
+    return theta, active
+
+
+def place_of(parameter: str) -> int:
+    """Return the place in theta of a rig key (``bulk_modulus``) or ``<effect>.<parameter>``."""
+    for place, key in BASE_KEYS.items():
+        if key == parameter:
+            return place
+    effect, _, name = parameter.partition(".")
+    names = [p.name for p in CATALOGUE[effect].parameters]
+    return signals.N_BASE + NAMES.index(effect) * signals.MAX_PARAMETERS + names.index(name)
+
+
+def require_plant(rig: Rig, source: str) -> None:
+    """Raise InputError if a constant that the whole plant needs is null."""
+    for key in BASE_KEYS.values():
+        if getattr(rig, key) is None:
+            raise InputError(f"{source}: rig.{key}: the simulator needs a value, got null")

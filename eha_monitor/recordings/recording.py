@@ -1,0 +1,58 @@
+"""The one type that all offline work reads: aligned channels on a uniform time grid."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+# Every channel there can be, in the order in which tables show them.
+CHANNELS = ("x", "v", "x_d", "omega", "p1", "p2", "force", "temperature")
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Aligned channels of one recording, SI units, gaps as NaN.
+
+    Attributes
+    ----------
+    sample_time : spacing of the grid, s.
+    channels : name -> (n,) float64; NaN where nothing was measured.  A channel that was not
+        recorded at all is absent.
+    start_ns : absolute time of the first sample, ns since the epoch.
+    source : file that it was read from.
+    losses : sentences about everything that was lost or repaired on the way here.
+    """
+
+    sample_time: float
+    channels: dict[str, np.ndarray]
+    start_ns: int = 0
+    source: str = ""
+    losses: tuple[str, ...] = field(default=())
+
+    def __len__(self) -> int:
+        return len(next(iter(self.channels.values()))) if self.channels else 0
+
+    @property
+    def time(self) -> np.ndarray:
+        """(n,) seconds since the first sample."""
+        return np.arange(len(self)) * self.sample_time
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first to behind the last sample."""
+        return len(self) * self.sample_time
+
+    def has(self, *names: str) -> bool:
+        """Tell whether every named channel was recorded and holds a finite value."""
+        return all(name in self.channels and np.isfinite(self.channels[name]).any()
+                   for name in names)
+
+    def get(self, name: str) -> np.ndarray:
+        """Return a channel, or NaN throughout where it was not recorded; (n,)."""
+        found = self.channels.get(name)
+        return np.full(len(self), np.nan) if found is None else found
+
+    def part(self, start: int, stop: int) -> "Recording":
+        """Return samples ``start`` to ``stop`` as a recording of their own."""
+        return replace(
+            self, channels={name: values[start:stop] for name, values in self.channels.items()},
+            start_ns=self.start_ns + round(start * self.sample_time * 1e9))

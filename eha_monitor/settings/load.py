@@ -1,0 +1,118 @@
+"""Reading a config: ROS parameter file form, one-line errors."""
+
+import difflib
+from pathlib import Path
+from typing import get_args
+
+from pydantic import BaseModel, ValidationError
+
+from eha_monitor.errors import InputError
+from eha_monitor.settings.monitor import Settings
+
+_WORDS = {
+    "greater_than": "expected more than {gt:g}{unit}, got {input!r}",
+    "greater_than_equal": "expected at least {ge:g}{unit}, got {input!r}",
+    "less_than": "expected less than {lt:g}{unit}, got {input!r}",
+    "less_than_equal": "expected at most {le:g}{unit}, got {input!r}",
+    "finite_number": "expected a finite number{unit}, got {input!r}",
+    "dict_type": "expected a mapping, got {input!r}",
+    "model_type": "expected a mapping, got {input!r}",
+    "float_type": "expected a number{unit}, got {input!r}",
+    "float_parsing": "expected a number{unit}, got {input!r}",
+}
+
+
+def load_settings(path: str | Path | None) -> Settings:
+    """Return the settings of a YAML file, or the paper's EHA for None.
+
+    The file has the form of a ROS parameter file (``/**: ros__parameters: ...``); the sections
+    may also stand at the top.  A ``channels`` section replaces the default map as a whole.
+
+    Raises
+    ------
+    InputError
+        One line: file, key, what was expected.
+    """
+    if path is None:
+        return Settings()
+    from ruamel.yaml import YAML  # YAML 1.2, where 6e8 is a number
+    from ruamel.yaml.error import YAMLError
+
+    path = Path(path)
+    try:
+        tree = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
+    except OSError as problem:
+        raise InputError(f"{path}: cannot read config: {problem.strerror}") from problem
+    except UnicodeDecodeError as problem:
+        raise InputError(f"{path}: expected UTF-8 text") from problem
+    except (YAMLError, ValueError, RecursionError) as problem:
+        where = getattr(problem, "problem_mark", None)
+        line = f" at line {where.line + 1}" if where else ""
+        what = " ".join(str(getattr(problem, "problem", None) or problem).split())[:120]
+        raise InputError(f"{path}: expected YAML, cannot parse{line}: {what}") from problem
+    return settings_from_tree(tree, str(path))
+
+
+def settings_from_tree(tree, source: str) -> Settings:
+    """Validate a parsed YAML tree; ``source`` names it in errors."""
+    if tree is None:
+        tree = {}
+    if not isinstance(tree, dict):
+        raise InputError(f"{source}: expected a mapping of sections, got {type(tree).__name__}")
+    merged: dict = {}
+    for node, content in tree.items():
+        if isinstance(content, dict) and "ros__parameters" in content:
+            content = content["ros__parameters"] or {}
+            if not isinstance(content, dict):
+                raise InputError(f"{source}: {node}.ros__parameters: expected a mapping")
+            merged.update(content)
+        else:
+            merged[node] = content
+    merged = {k: v for k, v in merged.items() if k != "use_sim_time"}
+    try:
+        return Settings.model_validate(merged)
+    except ValidationError as problem:
+        raise InputError(f"{source}: {_one_line(problem)}") from None
+
+
+def _field(location: tuple):
+    """Return the declaration of the key at a location, or None."""
+    parent = _model_at(location[:-1]) if location else None
+    return parent.model_fields.get(str(location[-1])) if parent else None
+
+
+def _one_line(problem: ValidationError) -> str:
+    error = problem.errors()[0]
+    location = tuple(part for part in error["loc"] if part != "[key]")
+    key = ".".join(str(part) for part in location)
+    if error["type"] == "extra_forbidden":
+        parent = _model_at(location[:-1])
+        known = list(parent.model_fields) if parent else []
+        close = difflib.get_close_matches(str(location[-1]), known, 1)
+        hint = f"did you mean '{close[0]}'?" if close else f"expected one of {', '.join(known)}"
+        return f"{key}: unknown key, {hint}"
+    field = _field(location)
+    unit = (field.json_schema_extra or {}).get("unit", "") if field is not None else ""
+    unit = f" in {unit}" if unit and unit != "1" else ""
+    words = _WORDS.get(error["type"])
+    if words:
+        text = words.format(unit=unit, input=error["input"], **error.get("ctx", {}))
+    else:
+        text = error["msg"].removeprefix("Value error, ")
+        text = text[0].lower() + text[1:]
+        if error["type"] not in ("value_error", "number", "unit") and not isinstance(
+                error["input"], dict):
+            text += f", got {error['input']!r}"
+    return " ".join(f"{key}: {text}".split())[:400] if key else text
+
+
+def _model_at(location: tuple):
+    """Return the section at a location: a part is a key of a section or a name in a mapping."""
+    model = Settings
+    for part in location:
+        if isinstance(model, type) and issubclass(model, BaseModel):
+            field = model.model_fields.get(str(part))
+            model = field.annotation if field else None
+        else:  # dict[str, Section]: whatever the name, its value is the section
+            model = get_args(model)[1] if len(get_args(model)) == 2 else None
+    return model if isinstance(model, type) and issubclass(model, BaseModel) else None

@@ -1,0 +1,133 @@
+"""Config sections of the monitor: channels, stages, thresholds, temperature."""
+
+from typing import Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+from typing_extensions import Annotated
+
+from eha_monitor.settings.rig import Rig, Section, SensorNoise, Simulation, effects_field
+from eha_monitor.units import Si
+
+CHANNELS = ("x", "v", "x_d", "omega", "p1", "p2", "force", "temperature")
+CHANNEL_UNITS = {"x": "m", "v": "m/s", "x_d": "m", "omega": "rad/s", "p1": "Pa", "p2": "Pa",
+                 "force": "N", "temperature": "°C"}
+
+
+class Channel(Section):
+    """Where a channel comes from: SI value = scale * raw + offset, taken ``delay`` earlier."""
+
+    topic: str = Field("", description="topic (relative names get the namespace) or, for an "
+                       "import, unused")
+    name: str = Field("", description="entry of a JointState, or column of an imported table")
+    field: str = Field("", description="message field, e.g. position, velocity, effort, "
+                       "fluid_pressure, temperature, data")
+    scale: float = Field(1.0, allow_inf_nan=False, description="SI units per raw unit")
+    offset: float = Field(0.0, allow_inf_nan=False, description="SI value at raw zero")
+    delay: Si("s", "how late the stamp is against the quantity") = 0.0
+
+
+DEFAULT_CHANNELS = {
+    "x": Channel(topic="joint_states", name="piston", field="position"),
+    "v": Channel(topic="joint_states", name="piston", field="velocity"),
+    "force": Channel(topic="joint_states", name="piston", field="effort"),
+    "omega": Channel(topic="joint_states", name="pump", field="velocity"),
+    "x_d": Channel(topic="command", name="piston", field="position"),
+    "p1": Channel(topic="pressure/chamber_1", field="fluid_pressure"),
+    "p2": Channel(topic="pressure/chamber_2", field="fluid_pressure"),
+    "temperature": Channel(topic="temperature", field="temperature"),
+}
+
+
+class NoiseLevels(SensorNoise):
+    """Noise that the filters assume; measured from the data unless ``fixed``."""
+
+    fixed: bool = Field(False, description="take these levels as they are instead of "
+                        "measuring them from the recording")
+
+
+class StageOne(Section):
+    """Stage one (Eq. 3, 4): viscous damping from force and position."""
+
+    prior: Si("N·s/m", "B before any data", gt=0) = 500.0
+    prior_stddev: Si("N·s/m", "standard deviation of the prior", gt=0) = 1000.0
+    force_noise: Si("N", "unmodelled white force on each sample, beside the pressure noise",
+                    ge=0) = 0.0
+
+
+class StageTwo(Section):
+    """Stage two (Eq. 5): effective bulk modulus from demanded and measured position."""
+
+    prior: Si("Pa", "effective bulk modulus before any data", gt=0) = 5e8
+    prior_stddev: Si("Pa", "standard deviation of the prior", gt=0) = 1e9
+    damping_stddev: Si("N·s/m", "standard deviation of B where stage one gives none",
+                       gt=0) = 100.0
+    acceleration_noise: Si("m/s²", "unmodelled white acceleration on each sample", ge=0) = 0.0
+
+
+class Limits(Section):
+    """Thresholds of one parameter; null where there is none."""
+
+    low_error: Si("1", "below this: ERROR", optional=True) = None
+    low_warn: Si("1", "below this: WARN", optional=True) = None
+    high_warn: Si("1", "above this: WARN", optional=True) = None
+    high_error: Si("1", "above this: ERROR", optional=True) = None
+    hysteresis: Si("1", "relative way back before an alarm clears", ge=0, lt=1) = 0.02
+    hold_time: Si("s", "how long a limit must be passed before the alarm is raised", ge=0) = 0.5
+
+    @model_validator(mode="after")
+    def _ordered(self):
+        present = [value for value in (self.low_error, self.low_warn, self.high_warn,
+                                       self.high_error) if value is not None]
+        if present != sorted(present):
+            raise ValueError("expected low_error <= low_warn <= high_warn <= high_error")
+        return self
+
+
+class Thresholds(Section):
+    """Alarm limits on the two health parameters, in their SI units."""
+
+    viscous_damping: Limits = Field(Limits(low_error=150.0, low_warn=250.0, high_warn=1000.0,
+                                           high_error=1500.0), description="limits on B, N·s/m")
+    bulk_modulus: Limits = Field(Limits(low_error=1.5e8, low_warn=4e8),
+                                 description="limits on the effective bulk modulus, Pa")
+    confidence: Si("1", "standard deviations by which a limit must be passed", ge=0) = 2.0
+
+
+class Viscosity(Section):
+    """Viscosity law by which B is carried to the reference temperature.
+
+    B(T) = B(T_ref) exp(-k (T - T_ref)), the Reynolds law; k about 0.03 1/K for mineral oil.
+    """
+
+    reference_temperature: Si("°C", "temperature at which the thresholds of B hold") = 40.0
+    coefficient: Si("1/K", "relative fall of the viscosity with temperature, k", ge=0) = 0.03
+
+
+class Monitor(Section):
+    """How the live monitor runs."""
+
+    namespace: str = Field("/eha", description="namespace of the topics")
+    publish_rate: Si("Hz", "rate of the estimates", gt=0, le=1000) = 10.0
+    stale_after: Si("s", "data missing for this long make the health STALE", gt=0) = 1.0
+    latency: Si("s", "how long a row waits for its last channel", gt=0) = 0.02
+
+
+class Settings(Section):
+    """The whole config; every section and key has a default."""
+
+    rig: Rig = Field(Rig(), description="constants of the actuator")
+    simulation: Simulation = Field(Simulation(), description="the simulator")
+    channels: dict[Literal[CHANNELS], Channel] = Field(
+        DEFAULT_CHANNELS, description="where each channel comes from")
+    noise: NoiseLevels = Field(NoiseLevels(), description="noise levels for the filters")
+    stage_one: StageOne = Field(StageOne(), description="viscous damping")
+    stage_two: StageTwo = Field(StageTwo(), description="effective bulk modulus")
+    discretisation: Literal["exact", "euler"] = Field(
+        "exact", description="euler runs the equations as printed in the paper")
+    command_hold: Literal["continuous", "sampled"] = Field(
+        "continuous", description="sampled: the drive holds x_d and x over a sample")
+    thresholds: Thresholds = Field(Thresholds(), description="alarm limits")
+    viscosity: Viscosity = Field(Viscosity(), description="temperature compensation of B")
+    monitor: Monitor = Field(Monitor(), description="the live monitor")
+    effects: Annotated[dict[str, dict[str, float]], BeforeValidator(effects_field)] = Field(
+        {}, description="modelled physics beyond the linear model")

@@ -1,0 +1,51 @@
+"""Numbers with units in configs: SI inside, ``"20 kg"`` or a plain SI number outside."""
+
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field
+from pydantic_core import PydanticCustomError
+
+# Spelling for pint of the units that the configs name.
+_PINT = {"1": "dimensionless", "N·s/m": "N*s/m", "m³": "m**3", "m²": "m**2",
+         "m³/rad": "m**3/rad", "m³/(s·Pa)": "m**3/s/Pa", "rad/(s·m)": "rad/s/m",
+         "°C": "degC", "1/K": "1/kelvin", "m/s²": "m/s**2"}
+
+
+def to_si(value: Any, unit: str) -> Any:
+    """Return ``value`` in ``unit``: numbers pass, strings such as ``"68.5 cm^3"`` are converted.
+
+    Raises
+    ------
+    PydanticCustomError
+        If the string is no quantity, or has another dimension.
+    """
+    if isinstance(value, bool):
+        raise PydanticCustomError("number", f"expected a number in {unit}, got {value!r}")
+    if not isinstance(value, str):
+        return value
+    import pint  # slow to import, and needed only where a config writes units
+
+    registry = pint.get_application_registry()
+    try:
+        quantity = registry.Quantity(value)
+        return float(quantity.to(_PINT.get(unit, unit)).magnitude)
+    except Exception as problem:  # pint raises a dozen kinds, all of them the user's value
+        raise PydanticCustomError(
+            "unit", f"expected a number in {unit}, got {value!r}"
+        ) from problem
+
+
+def Si(unit: str, description: str, default: Any = ..., *, optional: bool = False,
+       **bounds: float) -> Any:
+    """Declare a config value: ``name: Si("kg", "moving mass", gt=0) = 20.0``.
+
+    Returns an annotated type whose field carries unit, description and range, from which the
+    documentation and the ROS parameter descriptors are made.
+    """
+    base = float | None if optional else float
+    return Annotated[
+        base,
+        BeforeValidator(lambda value: to_si(value, unit)),
+        Field(description=description, allow_inf_nan=False,
+              json_schema_extra={"unit": unit}, **bounds),
+    ]
