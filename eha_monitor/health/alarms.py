@@ -1,9 +1,23 @@
-"""Thresholds to alarms (written by the health helper; interface fixed here)."""
+"""Thresholds to alarms: what is judged, when an alarm is raised and when it clears.
 
-from dataclasses import dataclass
+A limit is passed when the value lies beyond it by ``thresholds.confidence`` standard
+deviations.  An alarm is raised when its limit was passed for the whole of ``hold_time``, and
+clears when the value itself is back inside by the relative ``hysteresis``.  A parameter that
+the motion does not excite is not judged: an alarm that was raised before is held.
+"""
+
+import math
+from dataclasses import dataclass, field
 from typing import Literal
 
+from eha_monitor.filters.results import ParameterEstimate
+from eha_monitor.settings.monitor import Limits, Settings, Viscosity
+
 Level = Literal["OK", "WARN", "ERROR", "STALE"]
+
+_RAISED: tuple[Level, ...] = ("OK", "WARN", "ERROR")
+# Sums of sample times miss the hold time by rounding.
+_TIME_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -18,3 +32,253 @@ class Alarm:
     level: Level
     message: str
     time_s: float
+
+
+@dataclass(frozen=True)
+class Watched:
+    """A parameter with alarms: symbol in the results, section of the thresholds, words."""
+
+    symbol: str
+    section: str
+    words: str
+    unit: str
+
+
+WATCHED = (Watched("B", "viscous_damping", "viscous damping", "N·s/m"),
+           Watched("beta_e", "bulk_modulus", "effective bulk modulus", "Pa"))
+ALARM_NAMES = tuple(f"{w.section}_{side}" for w in WATCHED for side in ("high", "low"))
+
+
+@dataclass
+class _Judge:
+    """One alarm: limits of one side of one parameter, and what is raised."""
+
+    watched: Watched
+    sign: float  # +1 above the limit is bad, -1 below
+    limits: tuple[float | None, float | None] = (None, None)  # WARN, ERROR
+    hysteresis: float = 0.0
+    hold_time: float = 0.0
+    raised: int = 0
+    since: list[float | None] = field(default_factory=lambda: [None, None])
+    level: Level | None = None
+    time_s: float = 0.0
+    situation: tuple = ("unjudged", "no data yet")
+
+    @property
+    def name(self) -> str:
+        return f"{self.watched.section}_{'high' if self.sign > 0 else 'low'}"
+
+    @property
+    def off(self) -> bool:
+        return self.limits == (None, None)
+
+    def configure(self, limits: Limits) -> None:
+        """Take other limits; a level that no longer has a limit falls."""
+        side = "high" if self.sign > 0 else "low"
+        self.limits = (getattr(limits, f"{side}_warn"), getattr(limits, f"{side}_error"))
+        self.hysteresis, self.hold_time = limits.hysteresis, limits.hold_time
+        self.since = [None, None]
+        while self.raised and self.limits[self.raised - 1] is None:
+            self.raised -= 1
+
+    def judge(self, time_s: float, value: float, margin: float) -> None:
+        """Raise or clear on one value; ``margin`` is confidence times standard deviation."""
+        while self.raised and self._clear(self.limits[self.raised - 1], value):
+            self.raised -= 1
+        for place in (0, 1):
+            limit = self.limits[place]
+            if limit is None or self.sign * (value - limit) <= margin:
+                self.since[place] = None
+                continue
+            if self.since[place] is None:
+                self.since[place] = time_s
+            held = time_s - self.since[place] >= self.hold_time - _TIME_TOLERANCE
+            if held and place + 1 > self.raised:
+                self.raised = place + 1
+
+    def _clear(self, limit: float | None, value: float) -> bool:
+        if limit is None:
+            return True
+        inside = limit - self.sign * self.hysteresis * abs(limit)
+        return self.sign * (value - inside) <= 0
+
+    def take(self, level: Level, time_s: float, situation: tuple) -> bool:
+        """Set the level; True when it changed."""
+        self.situation = situation
+        if level == self.level:
+            return False
+        self.level, self.time_s = level, time_s
+        return True
+
+
+class AlarmBoard:
+    """The four alarms, judged as the estimates come.
+
+    Parameters
+    ----------
+    settings : thresholds, viscosity and ``monitor.stale_after`` are read.
+
+    Attributes
+    ----------
+    history : every change of a level so far, the first one of each alarm included.
+    """
+
+    def __init__(self, settings: Settings):
+        self.history: list[Alarm] = []
+        self._judges = [_Judge(w, sign) for w in WATCHED for sign in (1.0, -1.0)]
+        self._last: float | None = None
+        self.configure(settings)
+
+    def configure(self, settings: Settings) -> None:
+        """Take other thresholds; what is raised stays raised until the next judgement."""
+        self._viscosity = settings.viscosity
+        self._confidence = settings.thresholds.confidence
+        self._longest_step = settings.monitor.stale_after
+        for judge in self._judges:
+            judge.configure(getattr(settings.thresholds, judge.watched.section))
+
+    @property
+    def alarms(self) -> tuple[Alarm, ...]:
+        """State of all four alarms now."""
+        return tuple(self._alarm(judge) for judge in self._judges)
+
+    def update(self, time_s: float, parameters: dict[str, ParameterEstimate],
+               temperature: float | None = None, tainted: str | None = None) -> list[Alarm]:
+        """Judge the estimates at one time and return the alarms whose level changed.
+
+        Parameters
+        ----------
+        time_s : s, on the clock of the recording.
+        parameters : ``B`` and ``beta_e``; an absent one counts as ``no_data``.
+        temperature : oil temperature in °C, or None where it is not measured.
+        tainted : why the values deserve doubt, e.g. a model mismatch; goes into the messages.
+        """
+        # Nothing is known about a limit while no data came: the hold time starts anew.
+        if self._last is not None and not 0 <= time_s - self._last <= self._longest_step:
+            self._forget()
+        self._last = time_s
+        changed = []
+        for judge in self._judges:
+            estimate = parameters.get(judge.watched.symbol)
+            if self._judge_one(judge, time_s, estimate, temperature, tainted):
+                changed.append(self._alarm(judge))
+        self.history += changed
+        return changed
+
+    def stale(self, time_s: float, reason: str, symbols: tuple[str, ...] | None = None,
+              ) -> list[Alarm]:
+        """Data have stopped: make the alarms of ``symbols`` (None: of all) STALE."""
+        changed = []
+        for judge in self._judges:
+            if symbols is not None and judge.watched.symbol not in symbols:
+                continue
+            judge.since = [None, None]
+            if self._take_stale(judge, time_s, reason):
+                changed.append(self._alarm(judge))
+        self.history += changed
+        return changed
+
+    def _forget(self) -> None:
+        for judge in self._judges:
+            judge.since = [None, None]
+
+    def _take_stale(self, judge: _Judge, time_s: float, reason: str) -> bool:
+        if judge.off:
+            return judge.take("OK", time_s, ("off",))
+        return judge.take("STALE", time_s, ("stale", reason, judge.raised))
+
+    def _judge_one(self, judge, time_s, estimate, temperature, tainted) -> bool:
+        if judge.off:
+            return judge.take("OK", time_s, ("off",))
+        if estimate is None or estimate.status == "no_data":
+            judge.since = [None, None]
+            reason = estimate.message if estimate else ""
+            return self._take_stale(judge, time_s, reason or "no data for this parameter")
+        known = math.isfinite(estimate.value) and math.isfinite(estimate.stddev)
+        if estimate.status != "converged" or not known:
+            judge.since = [None, None]
+            reason = estimate.message or (
+                estimate.status.replace("_", " ") if known else "the estimate is not finite")
+            return judge.take(_RAISED[judge.raised], time_s,
+                              ("held" if judge.raised else "unjudged", reason))
+        factor = 1.0
+        if judge.watched.symbol == "B" and temperature is not None and math.isfinite(temperature):
+            factor = viscosity_factor(self._viscosity, temperature)
+        else:
+            temperature = None
+        value, stddev = factor * estimate.value, factor * estimate.stddev
+        judge.judge(time_s, value, self._confidence * stddev)
+        return judge.take(_RAISED[judge.raised], time_s,
+                          ("judged", estimate.value, estimate.stddev, value, stddev,
+                           temperature, tainted))
+
+    def _alarm(self, judge: _Judge) -> Alarm:
+        return Alarm(judge.name, judge.level or "STALE", self._sentence(judge), judge.time_s)
+
+    def _sentence(self, judge: _Judge) -> str:
+        """Return the situation of an alarm in words; made only when somebody reads it."""
+        kind, *rest = judge.situation
+        if kind == "off":
+            return "no limit set"
+        if kind == "unjudged":
+            return f"not judged: {rest[0]}"
+        if kind == "held":
+            return f"{_RAISED[judge.raised]} held, not judged now: {rest[0]}"
+        if kind == "stale":
+            before = f" (was {_RAISED[rest[1]]} before)" if rest[1] else ""
+            return f"no judgement: {rest[0]}{before}"
+        raw, raw_stddev, value, stddev, temperature, tainted = rest
+        unit = judge.watched.unit
+        shown = quantity(raw, raw_stddev, unit)
+        if temperature is not None:
+            shown = (f"{shown} at {temperature:.1f} °C, which is "
+                     f"{quantity(value, stddev, unit)} at the reference temperature of "
+                     f"{self._viscosity.reference_temperature:g} °C,")
+        text = f"{judge.watched.words} {shown} {self._against_limit(judge, value)}"
+        return f"{text}; in doubt: {tainted}" if tainted else text
+
+    @staticmethod
+    def _against_limit(judge: _Judge, value: float) -> str:
+        bad, good = ("above", "below") if judge.sign > 0 else ("below", "above")
+        unit = judge.watched.unit
+        if judge.raised:
+            limit = judge.limits[judge.raised - 1]
+            level = _RAISED[judge.raised]
+            if judge.sign * (value - limit) > 0:
+                return f"is {bad} the {level} limit of {limit:g} {unit}"
+            return (f"is {good} the {level} limit of {limit:g} {unit} again, but not yet by "
+                    f"{judge.hysteresis:.3g} of it")
+        place = 0 if judge.limits[0] is not None else 1
+        limit, level = judge.limits[place], _RAISED[place + 1]
+        if judge.since[place] is not None:
+            return (f"has passed the {level} limit of {limit:g} {unit}, "
+                    f"not yet for {judge.hold_time:g} s")
+        if judge.sign * (value - limit) > 0:
+            return f"is {bad} the {level} limit of {limit:g} {unit}, within its uncertainty"
+        return f"is {good} the {level} limit of {limit:g} {unit}"
+
+
+def viscosity_factor(viscosity: Viscosity, temperature: float) -> float:
+    """Return B at the reference temperature over B at ``temperature`` (°C), Reynolds law."""
+    exponent = viscosity.coefficient * (temperature - viscosity.reference_temperature)
+    return math.exp(min(max(exponent, -50.0), 50.0))  # finite for any sensor reading
+
+
+def quantity(value: float, stddev: float, unit: str) -> str:
+    """Return ``value ± stddev unit`` with as many digits as the uncertainty supports.
+
+    >>> quantity(600.123, 2.34, "N·s/m")
+    '600.1 ± 2.3 N·s/m'
+    >>> quantity(5.9876e8, 1.2e6, "Pa")
+    '(5.988 ± 0.012)e8 Pa'
+    """
+    if not (math.isfinite(value) and math.isfinite(stddev)):
+        return f"{value:g} ± {stddev:g} {unit}"
+    size = max(abs(value), stddev)
+    power = math.floor(math.log10(size)) if size > 0 else 0
+    power = power if not -3 <= power < 5 else 0
+    scale = 10.0**power
+    digits = 1 - math.floor(math.log10(stddev / scale)) if stddev > 0 else 6
+    digits = min(max(digits, 0), 9)
+    shown = f"{value / scale:.{digits}f} ± {stddev / scale:.{digits}f}"
+    return f"({shown})e{power} {unit}" if power else f"{shown} {unit}"

@@ -1,0 +1,109 @@
+"""The alarms of a whole recording: the live board, driven at a reduced rate."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eha_monitor.filters.results import ParameterEstimate
+from eha_monitor.health.alarms import Alarm, AlarmBoard
+from eha_monitor.settings.monitor import Settings
+
+# Judgements per second; health changes over seconds, and hold times are tenths of a second.
+JUDGE_RATE = 20.0
+
+
+@dataclass(frozen=True)
+class ParameterSeries:
+    """One parameter as it converged over a recording.
+
+    Attributes
+    ----------
+    final : the estimate at the end, with its status and its reason.
+    value, stddev : (n,) SI.
+    converged : (n,) bool, where the value may be judged; None judges every finite value, which
+        is safe because a wide standard deviation passes no limit.
+    """
+
+    final: ParameterEstimate
+    value: np.ndarray
+    stddev: np.ndarray
+    converged: np.ndarray | None = None
+
+
+def judge_series(settings: Settings, time: np.ndarray, parameters: dict[str, ParameterSeries],
+                 temperature: np.ndarray | None = None, measured: np.ndarray | None = None,
+                 tainted: str | None = None) -> tuple[tuple[Alarm, ...], tuple[Alarm, ...]]:
+    """Run the alarms over a recording.
+
+    Parameters
+    ----------
+    settings : thresholds, viscosity, ``monitor.stale_after``.
+    time : (n,) s, rising.
+    parameters : ``B`` and ``beta_e`` as they converged.
+    temperature : (n,) °C with NaN where not measured (the last one counts), or None.
+    measured : (n,) bool, False in gaps of the data; None means everywhere.
+    tainted : see :meth:`AlarmBoard.update`.
+
+    Returns
+    -------
+    alarms : the four alarms at the end.
+    history : every change of a level, in order of time.
+    """
+    board = AlarmBoard(settings)
+    if len(time) == 0:
+        return tuple(board.stale(0.0, "the recording holds no samples")), tuple(board.history)
+    step = np.median(np.diff(time)) if len(time) > 1 else 1.0
+    stride = max(1, round(1.0 / (JUDGE_RATE * step)))
+    index = np.arange(len(time) - 1, -1, -stride)[::-1]  # the last sample is always judged
+    present = _recent(time, measured, settings.monitor.stale_after)[index]
+    warmth = None if temperature is None else _carried(temperature)[index].tolist()
+    columns = {symbol: _columns(series, index) for symbol, series in parameters.items()}
+    unjudged = {symbol: _unjudged(series.final) for symbol, series in parameters.items()}
+    for k, (at, here) in enumerate(zip(time[index].tolist(), present.tolist(), strict=True)):
+        if not here:
+            board.stale(at, f"no data for more than {settings.monitor.stale_after:g} s")
+            continue
+        row = {}
+        for symbol, (judged, value, stddev) in columns.items():
+            final = parameters[symbol].final
+            if final.status == "no_data":
+                row[symbol] = final
+            elif k == len(index) - 1:
+                row[symbol] = replace(final, value=value[k], stddev=stddev[k])
+            elif judged[k]:
+                row[symbol] = ParameterEstimate(symbol, value[k], stddev[k], final.unit,
+                                                "converged")
+            else:
+                row[symbol] = unjudged[symbol]
+        board.update(at, row, None if warmth is None else warmth[k], tainted)
+    return board.alarms, tuple(board.history)
+
+
+def _columns(series: ParameterSeries, index: np.ndarray) -> tuple[list, list, list]:
+    if series.final.status == "no_data" or len(series.value) == 0:
+        empty = [False] * len(index), [float("nan")] * len(index), [float("nan")] * len(index)
+        return empty
+    judged = np.isfinite(series.value) & np.isfinite(series.stddev)
+    if series.converged is not None:
+        judged &= series.converged
+    return (judged[index].tolist(), series.value[index].tolist(),
+            series.stddev[index].tolist())
+
+
+def _unjudged(final: ParameterEstimate) -> ParameterEstimate:
+    message = final.message if final.status != "converged" else "not converged yet"
+    return replace(final, status="not_excited", message=message)
+
+
+def _recent(time: np.ndarray, measured: np.ndarray | None, limit: float) -> np.ndarray:
+    """Tell for each sample whether data came within ``limit`` s before it; (n,) bool."""
+    if measured is None:
+        return np.ones(len(time), dtype=bool)
+    last = np.maximum.accumulate(np.where(measured, time, -np.inf))
+    return time - last <= limit
+
+
+def _carried(values: np.ndarray) -> np.ndarray:
+    """Fill NaN with the value before it; (n,)."""
+    place = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), 0))
+    return values[place]
