@@ -1,0 +1,68 @@
+# Needs make and a Python 3.11 or 3.12; everything else is installed into .venv from the lock.
+VENV := .venv
+PYTHON := $(VENV)/bin/python
+LOCK := requirements.lock
+PIP := $(PYTHON) -m pip install -qq --disable-pip-version-check
+# What the installation copies: a change here installs the package again (seconds).  It is a real
+# installation, not an editable one, because only that one puts the executables, configs and bags
+# where `ros2 run` and `ros2 launch` look.
+INSTALLED := setup.py setup.cfg pyproject.toml package.xml $(shell find eha_monitor config launch \
+	bags executables scripts resource -type f -not -name '*.pyc' 2>/dev/null)
+
+# ROS traffic stays on this machine, in a domain of its own, and logs stay in out/.
+export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
+export ROS_DOMAIN_ID := $(shell echo $$(( $$$$ % 90 + 10 )))
+export ROS_LOG_DIR ?= $(CURDIR)/out/ros_log
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test lint bench proof lock clean
+
+help:
+	@echo "make demo    simulator and monitor live, a replay, an HTML report (under 2 minutes)"
+	@echo "make test    the test suite"
+	@echo "make setup   .venv from requirements.lock (the other targets do it by themselves)"
+	@echo "make lint    ruff"
+	@echo "make bench   benchmarks, with their tables"
+	@echo "make proof   the concealed-effect trial"
+	@echo "make lock    requirements.lock anew from setup.py (needs uv)"
+	@echo "make clean   remove .venv and everything built"
+
+setup: $(VENV)/.package
+
+# A stamp is written only when everything before it worked, so a broken set-up is done again.
+$(VENV)/.lock: $(LOCK)
+	@PYTHON3="$(PYTHON3)" sh scripts/make_venv.sh $(VENV)
+	@echo "installing the locked packages into $(VENV) (a minute or two, once) ..."
+	@$(PIP) --require-hashes -r $(LOCK)
+	@touch $@
+
+$(VENV)/.package: $(VENV)/.lock $(INSTALLED)
+	@rm -rf build/lib build/bdist.*  # else modules that are gone would be installed again
+	@$(PIP) --no-deps --no-build-isolation --force-reinstall .
+	@touch $@
+
+demo: setup
+	@$(PYTHON) -m eha_monitor.demo
+
+test: export ROS_PYTHON_CHECK_FIELDS := 1
+test: setup
+	@$(PYTHON) -m pytest
+
+lint: setup
+	@$(PYTHON) -m ruff check .
+
+bench: setup
+	@for file in benchmarks/bench_*.py; do echo "== $$file"; $(PYTHON) $$file || exit 1; done
+
+proof: setup
+	@$(PYTHON) -m eha_monitor prove
+
+# The lock names no index, so it installs from whichever index pip is configured for.
+lock:
+	uv pip compile --quiet setup.py --extra ros --extra test --extra colcon --universal \
+		--python-version 3.11 --generate-hashes --no-emit-index-url \
+		--custom-compile-command "make lock" --output-file $(LOCK)
+
+clean:
+	rm -rf $(VENV) build install log out *.egg-info .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
