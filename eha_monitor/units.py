@@ -45,7 +45,8 @@ def Si(unit: str, description: str, default: Any = ..., *, optional: bool = Fals
     base = float | None if optional else float
     return Annotated[
         base,
-        BeforeValidator(lambda value: to_si(value, unit)),
+        # The bounds come before the validator: so pydantic asks them of a number, not of None.
         Field(description=description, allow_inf_nan=False,
               json_schema_extra={"unit": unit}, **bounds),
+        BeforeValidator(lambda value: to_si(value, unit)),
     ]
