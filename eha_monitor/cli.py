@@ -1,0 +1,95 @@
+"""The command line: the group, and what becomes of every kind of failure.
+
+Exit status: 0 done; 1 the answer is "unhealthy" or "mismatch", only with ``--exit-code``; 2 bad
+usage or bad input, told in one line; 70 a defect of this program, with its traceback; 130
+interrupted; 141 the reader of a pipe has gone.
+"""
+
+import os
+import sys
+import traceback
+
+import click
+
+from eha_monitor import __version__
+from eha_monitor.commands.estimate import estimate
+from eha_monitor.commands.files import config, import_table, simulate
+from eha_monitor.commands.live import monitor, record, replay, simulator
+from eha_monitor.errors import InputError
+
+BAD_INPUT, DEFECT, INTERRUPTED, BROKEN_PIPE = 2, 70, 130, 141
+
+
+class _InOrder(click.Group):
+    """A group that lists its commands in the order in which they were added."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(self.commands)
+
+
+@click.group(cls=_InOrder, context_settings={
+    "help_option_names": ["-h", "--help"], "max_content_width": 99})
+@click.version_option(__version__, message="%(version)s")
+@click.pass_context
+def cli(context: click.Context) -> None:
+    """Condition monitor for electrohydraulic actuators.
+
+    Estimates viscous damping B and effective bulk modulus from live ROS 2 topics or from a
+    recorded bag, and raises health alarms.
+    """
+    ros_args = context.ensure_object(list)
+    if ros_args and context.invoked_subcommand not in ("simulator", "monitor", "replay", "record"):
+        raise click.UsageError(f"{context.invoked_subcommand} is no ROS node: "
+                               "expected no --ros-args")
+
+
+for _command in (simulator, monitor, replay, record, simulate, estimate, import_table, config):
+    cli.add_command(_command)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command and return its exit status; ``sys.argv`` is read by default."""
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    own, ros_args = _split(arguments)
+    try:
+        status = cli.main(own, prog_name="eha_monitor", standalone_mode=False, obj=ros_args)
+        sys.stdout.flush()
+        return status if isinstance(status, int) else 0
+    except click.exceptions.NoArgsIsHelpError as problem:
+        click.echo(problem.ctx.get_help(), err=True)
+        return BAD_INPUT
+    except click.ClickException as problem:
+        return _complain(_usage(problem))
+    except InputError as problem:
+        return _complain(str(problem))
+    except BrokenPipeError:
+        # The interpreter flushes stdout at exit; let it flush into nothing.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
+    except OSError as problem:
+        return _complain(": ".join(str(part) for part in (
+            problem.filename, problem.strerror or problem) if part))
+    except (KeyboardInterrupt, click.Abort):
+        return INTERRUPTED
+    except Exception:  # noqa: BLE001  shown in full, with a status that no answer has
+        traceback.print_exc()
+        return DEFECT
+
+
+def _split(arguments: list[str]) -> tuple[list[str], list[str]]:
+    """Return what is ours and what is ROS's: everything from ``--ros-args`` on."""
+    if "--ros-args" not in arguments:
+        return arguments, []
+    place = arguments.index("--ros-args")
+    return arguments[:place], arguments[place:]
+
+
+def _usage(problem: click.ClickException) -> str:
+    context = getattr(problem, "ctx", None)
+    command = f"{context.info_name}: " if context and context.parent else ""
+    return f"{command}{problem.format_message()}"
+
+
+def _complain(message: str) -> int:
+    print(f"eha_monitor: {' '.join(message.split())}", file=sys.stderr)
+    return BAD_INPUT

@@ -1,0 +1,92 @@
+"""What ``estimate`` answers: the alarms of a recording, and the JSON of the contract."""
+
+import math
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from eha_monitor.filters.results import Estimate, ParameterEstimate, StageResult
+from eha_monitor.health.alarms import Alarm
+from eha_monitor.health.series import ParameterSeries, judge_series
+
+SCHEMA = "eha_monitor/estimate/1"
+
+
+def judged(found: Estimate) -> tuple[tuple[Alarm, ...], tuple[Alarm, ...]]:
+    """Return the alarms at the end of the recording, and every change of a level."""
+    recording = found.recording
+    stages = {"B": found.stage_one, "beta_e": found.stage_two}
+    series = {name: ParameterSeries(stage.estimate, stage.value, stage.stddev)
+              for name, stage in stages.items()}
+    temperature = recording.get("temperature") if recording.has("temperature") else None
+    measured = np.isfinite(recording.get("x")) if recording.has("x") else None
+    tainted = found.model.message if found.model.status == "mismatch" else None
+    return judge_series(found.settings, recording.time, series, temperature, measured, tainted)
+
+
+def unhealthy(found: Estimate, alarms: tuple[Alarm, ...]) -> bool:
+    """Tell whether an alarm stands or the model does not fit."""
+    return found.model.status == "mismatch" or any(
+        alarm.level in ("WARN", "ERROR") for alarm in alarms)
+
+
+def answer(found: Estimate, alarms: tuple[Alarm, ...], history: tuple[Alarm, ...]) -> dict:
+    """Return the JSON tree: the contract's keys, then what extends it.  NaN becomes null."""
+    recording = found.recording
+    tree = {
+        "schema": SCHEMA,
+        "bag": recording.source,
+        "samples": len(recording),
+        "duration_s": recording.duration,
+        "wall_s": found.wall_s,
+        "parameters": {name: _parameter(p) for name, p in found.parameters.items()},
+        "alarms": [asdict(alarm) for alarm in alarms],
+        "model": asdict(found.model),
+        "stages": {stage.stage: _stage(stage) for stage in (found.stage_one, found.stage_two)},
+        "joint": _joint(found),
+        "observability": _observability(found),
+        "noise": {name: asdict(level) for name, level in found.noise.items()},
+        "channels": {name: int(np.isfinite(values).sum())
+                     for name, values in recording.channels.items()},
+        "events": [asdict(event) for event in found.events],
+        "alarm_history": [asdict(alarm) for alarm in history],
+        "losses": list(recording.losses),
+        "warnings": list(found.warnings),
+    }
+    return finite(tree)
+
+
+def _parameter(p: ParameterEstimate) -> dict:
+    return {"value": p.value, "stddev": p.stddev, "unit": p.unit, "status": p.status,
+            "message": p.message}
+
+
+def _stage(stage: StageResult) -> dict:
+    return {"parameter": stage.estimate.name,
+            "consistency": asdict(stage.consistency) if stage.consistency else None}
+
+
+def _joint(found: Estimate) -> dict | None:
+    if found.joint is None:
+        return None
+    return {"parameters": {n: _parameter(p) for n, p in found.joint.parameters.items()},
+            "correlation": np.asarray(found.joint.correlation).tolist(),
+            "message": found.joint.message}
+
+
+def _observability(found: Estimate) -> Any:
+    return None
+
+
+def finite(tree: Any) -> Any:
+    """Return the tree in plain types, with null for every number that is not finite."""
+    if isinstance(tree, dict):
+        return {str(key): finite(value) for key, value in tree.items()}
+    if isinstance(tree, (list, tuple)):
+        return [finite(value) for value in tree]
+    if isinstance(tree, np.generic):
+        tree = tree.item()
+    if isinstance(tree, float) and not math.isfinite(tree):
+        return None
+    return tree

@@ -1,0 +1,72 @@
+"""What the commands share: options, progress, output files."""
+
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+
+from eha_monitor.errors import InputError
+
+config_option = click.option(
+    "--config", "config", type=click.Path(path_type=Path), metavar="FILE",
+    help="Config (YAML); without it the paper's EHA.")
+
+
+def ros_module(name: str):
+    """Import a module of ``eha_monitor.ros``, or say in one line that ROS is missing."""
+    import importlib
+
+    try:
+        import rclpy  # noqa: F401  only to tell a missing ROS from a defect of ours
+    except ImportError as problem:
+        raise InputError(f"this command needs ROS 2, and rclpy cannot be imported ({problem}); "
+                         "install eha_monitor[ros] or source a ROS 2 set-up") from problem
+    return importlib.import_module(f"eha_monitor.ros.{name}")
+
+
+def on_terminal() -> bool:
+    """Tell whether somebody watches; progress is shown there only."""
+    return sys.stderr.isatty()
+
+
+@contextmanager
+def working(what: str) -> Iterator[None]:
+    """Show on a terminal that something of unknown length is going on."""
+    if not on_terminal():
+        yield
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status(what):
+        yield
+
+
+def check_target(path: Path | None) -> None:
+    """Refuse, before the work, an output file that could not be written after it."""
+    if path is None:
+        return
+    if path.is_dir():
+        raise InputError(f"{path}: expected a file to write, found a folder")
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: the folder {path.parent} does not exist")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file whole or not at all: to a temporary name beside it, then renamed."""
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        umask = os.umask(0)
+        os.umask(umask)
+        Path(name).chmod(0o666 & ~umask)  # mkstemp makes it private
+        Path(name).replace(path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise

@@ -1,0 +1,52 @@
+"""``estimate``: the monitor's pipeline on a bag, as fast as it goes."""
+
+import json
+from pathlib import Path
+
+import click
+
+from eha_monitor.commands.common import check_target, config_option, working, write_text
+
+
+@click.command()
+@click.argument("bag", type=click.Path(path_type=Path))
+@config_option
+@click.option("--json", "json_file", type=click.Path(path_type=Path), metavar="FILE",
+              help="Write the answer as JSON.")
+@click.option("--report", "report_file", type=click.Path(path_type=Path), metavar="FILE.html",
+              help="Write a self-contained HTML report.")
+@click.option("--exit-code", is_flag=True,
+              help="Exit with 1 if an alarm stands or the model does not fit.")
+def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file: Path | None,
+             exit_code: bool) -> int:
+    """Estimate B and the bulk modulus from BAG, and judge them against the thresholds."""
+    check_target(json_file)
+    check_target(report_file)
+
+    from eha_monitor.commands.answer import answer, judged, unhealthy
+    from eha_monitor.compiled import announce_first_compilation
+    from eha_monitor.filters.pipeline import estimate as run
+    from eha_monitor.recordings.read import read_recording
+    from eha_monitor.settings import load_settings
+
+    settings = load_settings(config)
+    announce_first_compilation()
+    with working(f"reading {bag}"):
+        recording = read_recording(bag, settings)
+    with working("estimating"):
+        found = run(recording, settings)
+        alarms, history = judged(found)
+    if json_file is not None:
+        tree = answer(found, alarms, history)
+        write_text(json_file, json.dumps(tree, indent=1, ensure_ascii=False, allow_nan=False)
+                   + "\n")
+    if report_file is not None:
+        from eha_monitor.reports.estimate_report import write_report
+
+        with working(f"drawing {report_file}"):
+            write_report(found, alarms, history, report_file)
+
+    from eha_monitor.commands.table import show
+
+    show(found, alarms, [path for path in (json_file, report_file) if path])
+    return int(exit_code and unhealthy(found, alarms))

@@ -1,0 +1,60 @@
+"""Commands that run as ROS nodes; what stands after ``--ros-args`` goes to ROS unread."""
+
+from pathlib import Path
+
+import click
+
+from eha_monitor.commands.common import config_option, ros_module
+
+_SECONDS = click.FloatRange(min=0, min_open=True)
+
+duration_option = click.option("--duration", type=_SECONDS, metavar="SECONDS",
+                               help="Stop by itself after this time.")
+
+
+@click.command()
+@config_option
+@duration_option
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of the sensor noise.")
+@click.pass_obj
+def simulator(ros_args: list[str], config: Path | None, duration: float | None,
+              seed: int | None) -> None:
+    """Publish the simulated EHA: plant, effects, faults, noise and motion from the config."""
+    ros_module("simulator_node").run_simulator(config, ros_args, duration, seed)
+
+
+@click.command()
+@config_option
+@duration_option
+@click.pass_obj
+def monitor(ros_args: list[str], config: Path | None, duration: float | None) -> None:
+    """Run the two stages on live topics; publish estimates and health."""
+    ros_module("monitor_node").run_monitor(config, ros_args, duration)
+
+
+@click.command()
+@click.argument("bag", type=click.Path(path_type=Path))
+@click.option("--rate", type=click.FloatRange(min=0, min_open=True), default=1.0,
+              show_default=True, help="Times real time.")
+@click.option("--clock", is_flag=True, help="Publish /clock from the bag's own time.")
+@click.option("--loop", is_flag=True, help="Start again at the end.")
+@click.option("--start-paused", is_flag=True, help="Wait for the resume service.")
+@click.pass_obj
+def replay(ros_args: list[str], bag: Path, rate: float, clock: bool, loop: bool,
+           start_paused: bool) -> None:
+    """Publish the messages of BAG with its own timing."""
+    ros_module("replay_node").run_replay(bag, ros_args, rate, clock, loop, start_paused)
+
+
+@click.command()
+@click.option("--out", required=True, type=click.Path(path_type=Path), metavar="BAG",
+              help="Folder of the new bag.")
+@click.option("--topic", "topics", multiple=True, metavar="TOPIC",
+              help="Record this topic; may be given again.  Without it: those of the config.")
+@config_option
+@duration_option
+@click.pass_obj
+def record(ros_args: list[str], out: Path, topics: tuple[str, ...], config: Path | None,
+           duration: float | None) -> None:
+    """Write the topics to a rosbag2-compatible mcap bag."""
+    ros_module("record_node").run_record(out, ros_args, topics, duration, config)

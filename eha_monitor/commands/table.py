@@ -1,0 +1,68 @@
+"""The answer of ``estimate`` as a person reads it on a terminal."""
+
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from eha_monitor.filters.results import Estimate
+from eha_monitor.health.alarms import Alarm
+
+_COLOURS = {"OK": "green", "WARN": "yellow", "ERROR": "red", "STALE": "dim",
+            "converged": "green", "not_excited": "yellow", "diverged": "red", "no_data": "dim",
+            "consistent": "green", "mismatch": "red", "unknown": "dim"}
+_PIPE_WIDTH = 120  # where there is no terminal whose width could be asked for
+
+
+def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path]) -> None:
+    """Print parameters, alarms, model status, losses and events."""
+    console = Console(highlight=False, soft_wrap=False)
+    if not console.is_terminal:
+        console = Console(highlight=False, width=_PIPE_WIDTH)
+    recording = found.recording
+    speed = f", {recording.duration / found.wall_s:.0f} times real time" if found.wall_s else ""
+    console.print(f"{escape(recording.source)}: {recording.duration:.3f} s, {len(recording)} "
+                  f"samples, channels {', '.join(recording.channels)}"
+                  f" (estimated in {found.wall_s:.2f} s{speed})")
+    console.print(_parameters(found))
+    for name, parameter in found.parameters.items():
+        if parameter.message:
+            console.print(f"{name}: {escape(parameter.message)}")
+    console.print(_alarms(alarms))
+    console.print(f"model: {_coloured(found.model.status)}: {escape(found.model.message)}")
+    for title, sentences in (("lost", recording.losses), ("note", found.warnings)):
+        for sentence in sentences:
+            console.print(f"[yellow]{title}[/]: {escape(sentence)}")
+    for event in found.events:
+        console.print(f"{event.time_s:9.3f} s  stage {event.stage}: {escape(event.message)}")
+    for path in written:
+        console.print(f"written: {escape(str(path))}", soft_wrap=True)
+
+
+def _coloured(word: str) -> str:
+    colour = _COLOURS.get(word)
+    return f"[{colour}]{word}[/]" if colour else word
+
+
+def _parameters(found: Estimate) -> Table:
+    table = Table("estimator", "parameter", "value", "± stddev", "unit", "status", box=None,
+                  header_style="bold", padding=(0, 2, 0, 0))
+    rows = [(f"stage {stage.stage}", stage.estimate)
+            for stage in (found.stage_one, found.stage_two)]
+    if found.joint is not None:
+        rows += [("joint", parameter) for parameter in found.joint.parameters.values()]
+    for estimator, p in rows:
+        known = p.value == p.value
+        table.add_row(estimator, p.name, f"{p.value:.5g}" if known else "–",
+                      f"{p.stddev:.2g}" if known else "–", p.unit, _coloured(p.status))
+    return table
+
+
+def _alarms(alarms: tuple[Alarm, ...]) -> Table:
+    table = Table("alarm", "level", "since", "why", box=None, header_style="bold",
+                  padding=(0, 2, 0, 0))
+    for alarm in alarms:
+        table.add_row(alarm.name, _coloured(alarm.level), f"{alarm.time_s:.2f} s",
+                      escape(alarm.message))
+    return table
