@@ -1,0 +1,86 @@
+"""Are the innovations what the filter expects: right size, and white at every time scale?"""
+
+import numpy as np
+
+from eha_monitor.filters.results import Consistency
+
+LENGTHS = (1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1024)  # samples in a block
+# Verdict: a ratio must be beyond what chance gives AND large enough to matter.
+SIGNIFICANCE = 6.0  # standard deviations of the ratio under white noise
+TOLERANCE = 1.6  # ratio of variances: the filters' own approximations stay below (measured)
+SMALLEST_SAMPLES = 200
+WINDOW = 100  # samples of the windows in which the worst place is sought
+LOCAL = 25.0  # NIS of a window that is a mismatch by itself, however short (white: 1 +- 0.14)
+
+
+def whitened(innovation: np.ndarray, stddev: np.ndarray) -> np.ndarray:
+    """Return innovation/stddev with NaN where there is none; (n,)."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return innovation / stddev
+
+
+def variance_ratios(e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return block lengths and the variance of block sums over that of white noise.
+
+    For white e of unit variance the sum over m samples has variance m; the ratio's standard
+    deviation with k blocks is sqrt(2/k).
+
+    Parameters
+    ----------
+    e : (n,) whitened innovations without NaN.
+    """
+    sums = np.concatenate([[0.0], np.cumsum(e)])
+    lengths, ratios = [], []
+    for m in LENGTHS:
+        blocks = len(e) // m
+        if blocks < 8:
+            break
+        edges = sums[: blocks * m + 1 : m]
+        lengths.append(m)
+        ratios.append(np.mean(np.diff(edges) ** 2) / m)
+    return np.array(lengths), np.array(ratios)
+
+
+def judge(innovation: np.ndarray, stddev: np.ndarray, dt: float, stage: str,
+          missing: str) -> Consistency | None:
+    """Judge one stage's innovations.
+
+    Parameters
+    ----------
+    innovation, stddev : (n,) in the measurement's unit, NaN where nothing was measured.
+    dt : sample time, s.
+    stage, missing : words for the sentence: which stage, and what a mismatch points to.
+
+    Returns
+    -------
+    Consistency or None
+        None with fewer than 200 innovations: too few to judge.
+    """
+    e = whitened(innovation, stddev)
+    index = np.flatnonzero(np.isfinite(e))
+    if len(index) < SMALLEST_SAMPLES:
+        return None
+    values = e[index]
+    nis = float(np.mean(values**2))
+    lengths, ratios = variance_ratios(values)
+    chance = np.sqrt(2.0 / (len(values) // lengths))
+    excess = (ratios - 1.0) / chance
+    judged = np.where((excess > SIGNIFICANCE) & (ratios > TOLERANCE), ratios, 0.0)
+    worst = int(np.argmax(judged if judged.any() else ratios))
+    ratio, length = float(ratios[worst]), int(lengths[worst])
+
+    windows = len(values) // WINDOW
+    local = (values[: windows * WINDOW] ** 2).reshape(windows, WINDOW).mean(axis=1)
+    peak = int(np.argmax(local))
+    peak_time = float(index[min(peak * WINDOW + WINDOW // 2, len(index) - 1)] * dt)
+    consistent = not judged.any() and local[peak] < LOCAL
+    if consistent:
+        message = (f"{stage}: innovations are as expected: NIS {nis:.2f}, white at all scales "
+                   f"(largest variance ratio {ratio:.2f})")
+    elif judged.any():
+        message = (f"{stage}: innovations over {length * dt:.3g} s are {np.sqrt(ratio):.3g} times "
+                   f"too large (NIS {nis:.3g}), worst near t = {peak_time:.2f} s: {missing}")
+    else:
+        message = (f"{stage}: innovations near t = {peak_time:.2f} s are "
+                   f"{np.sqrt(local[peak]):.3g} times too large: {missing}")
+    return Consistency(len(values), nis, ratio, length * dt, peak_time, bool(consistent), message)

@@ -1,0 +1,154 @@
+"""From a recording to what the stages take: force, drive input, noise, constants, reasons."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from eha_monitor.filters.noise import noise_levels
+from eha_monitor.filters.phi import smooth_hold
+from eha_monitor.filters.results import NoiseEstimate
+from eha_monitor.filters.stage_two import hydraulics
+from eha_monitor.physics import signals as s
+from eha_monitor.physics.effects.entrained_air import compliance as air_compliance
+from eha_monitor.physics.parameters import theta_of
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.rig import Rig
+
+
+@dataclass(frozen=True)
+class RigModel:
+    """Constants of the two stages that do not depend on the recording."""
+
+    settings: Settings
+    theta: np.ndarray
+    active: np.ndarray
+    beta_0: float
+    loop: bool
+    hydraulics: np.ndarray | None
+    leak: float
+
+    @classmethod
+    def of(cls, settings: Settings, mean_pressure: float | None = None) -> "RigModel":
+        """Collect the constants; ``mean_pressure`` (Pa) sets the compliance of modelled air."""
+        theta, active = theta_of(settings.rig, settings.effects)
+        beta_0 = settings.stage_two.prior
+        rig = settings.rig
+        known = None not in (rig.area_1, rig.area_2, rig.volume_1, rig.volume_2,
+                             rig.pump_displacement)
+        loop = rig.position_gain is not None and settings.command_hold == "continuous"
+        air = settings.effects.get("entrained_air")
+        pressure = rig.charge_pressure if mean_pressure is None else mean_pressure
+        extra = air_compliance(pressure, air["alpha"], air["n"]) if air else 0.0
+        constants = hydraulics(theta, beta_0, extra, loop) if known else None
+        leak = 0.0
+        if known:
+            leak = 0.5 * theta[s.C_T] * (1 / theta[s.VOL_1] + 1 / theta[s.VOL_2])
+        return cls(settings, theta, active, beta_0, loop, constants, leak)
+
+
+def force_of(rig: Rig, row: dict) -> np.ndarray | float | None:
+    """Return A1 p1 - A2 p2, or the measured force where pressures are not at hand; N."""
+    if "p1" in row and "p2" in row and rig.area_1 is not None and rig.area_2 is not None:
+        return rig.area_1 * row["p1"] - rig.area_2 * row["p2"]
+    return row.get("force")
+
+
+def force_missing(rig: Rig, names) -> str | None:
+    """Say why stage one has no input, or None where it has."""
+    if "x" not in names:
+        return "stage one needs the position channel x"
+    if "force" in names or ("p1" in names and "p2" in names and rig.area_1 and rig.area_2):
+        return None
+    if "p1" in names and "p2" in names:
+        return "stage one needs rig.area_1 and rig.area_2 for the pressure force"
+    return "stage one needs the channels p1 and p2, or force"
+
+
+def drive_missing(settings: Settings, names) -> str | None:
+    """Say why stage two has no input, or None where it has."""
+    if "x" not in names:
+        return "stage two needs the position channel x"
+    rig = settings.rig
+    for key in ("area_1", "area_2", "volume_1", "volume_2", "pump_displacement"):
+        if getattr(rig, key) is None:
+            return f"stage two needs rig.{key}, which the config leaves null"
+    if rig.position_gain is not None and "x_d" in names:
+        return None
+    if "omega" in names:
+        return None
+    return "stage two needs the channel x_d with rig.position_gain, or the channel omega"
+
+
+def force_variance(rig: Rig, noise: dict[str, NoiseEstimate], extra: float) -> float:
+    """Return the variance of the force on a sample from the sensors' noise, N^2."""
+    if "p1" in noise and "p2" in noise and rig.area_1 is not None and rig.area_2 is not None:
+        measured = (rig.area_1 * noise["p1"].value) ** 2 + (rig.area_2 * noise["p2"].value) ** 2
+    else:
+        measured = noise["force"].value ** 2 if "force" in noise else 0.0
+    return measured + extra**2
+
+
+@dataclass(frozen=True)
+class StageInputs:
+    """Everything the two kernels take from one recording.
+
+    ``force`` and ``drive`` are smooth holds; the reasons are None where the stage can run.
+    """
+
+    model: RigModel
+    dt: float
+    x: np.ndarray
+    force: np.ndarray
+    drive: np.ndarray
+    p1: np.ndarray
+    p2: np.ndarray
+    noise: dict[str, NoiseEstimate]
+    position_variance: float
+    force_variance: float
+    drive_variance: float
+    sampled: bool
+    no_force: str | None
+    no_drive: str | None
+
+    @classmethod
+    def of(cls, recording: Recording, settings: Settings) -> "StageInputs":
+        """Collect the inputs of a recording."""
+        names = [name for name in recording.channels if recording.has(name)]
+        channels = {name: recording.channels[name] for name in names}
+        noise = noise_levels(recording, settings.noise)
+        rig = settings.rig
+        both = "p1" in channels and "p2" in channels
+        mean = float(np.nanmedian(0.5 * (channels["p1"] + channels["p2"]))) if both else None
+        model = RigModel.of(settings, mean)
+        no_force = force_missing(rig, channels)
+        no_drive = drive_missing(settings, channels)
+        empty = np.full(len(recording), np.nan)
+        force = smooth_hold(force_of(rig, channels)) if no_force is None else empty
+        drive, drive_variance = empty, 0.0
+        sampled = settings.command_hold == "sampled"
+        if no_drive is None:
+            drive, drive_variance = drive_input(model, channels, noise)
+        charge = np.array([rig.charge_pressure])
+        return cls(
+            model, recording.sample_time, recording.get("x"), force, drive,
+            channels["p1"] if both else charge, channels["p2"] if both else charge, noise,
+            noise["x"].value ** 2 if "x" in noise else np.nan,
+            force_variance(rig, noise, settings.stage_one.force_noise), drive_variance,
+            sampled and "x_d" in channels and rig.position_gain is not None,
+            no_force, no_drive)
+
+
+def drive_input(model: RigModel, channels: dict, noise: dict) -> tuple[np.ndarray, float]:
+    """Return stage two's input and its variance on a sample.
+
+    x_d in m where the loop is part of the model; the pump speed in rad/s where it is not: the
+    one that a sampled drive makes of x_d - x, or the measured one.
+    """
+    rig = model.settings.rig
+    if rig.position_gain is not None and "x_d" in channels:
+        if model.loop:
+            return smooth_hold(channels["x_d"]), 0.0
+        speed = rig.position_gain * (channels["x_d"] - channels["x"])
+        return speed, 0.0  # the drive reads the same noisy x
+    return smooth_hold(channels["omega"]), noise["omega"].value ** 2

@@ -1,0 +1,165 @@
+"""Stage one over a whole recording, compiled."""
+
+import math
+
+from eha_monitor.compiled import njit
+from eha_monitor.filters.stage_one import predict_one, predict_one_euler
+from eha_monitor.filters.supervision import BLOCK, INFORMATION, SCORE, honest_factor, look
+from eha_monitor.physics.contributions import add_contributions
+from eha_monitor.physics.signals import FORCE, P1, P2, V, X
+
+GATE = 1e4  # squared standard deviations: a spike, not a mismatch
+SPIKES = 3  # so many in a row are no spike
+BROAD = 1e3  # fresh velocity: uncertain by this many position sigmas a sample
+
+
+@njit
+def effect_force(x, v, p1, p2, theta, active, s, c):
+    """Return the modelled extra force f and df/dv at (x, v); s, c are scratch."""
+    h = 1e-6 * max(1.0, abs(v))
+    s[X], s[V], s[P1], s[P2] = x, v, p1, p2
+    add_contributions(s, theta, active, c)
+    here = c[FORCE]
+    s[V] = v + h
+    add_contributions(s, theta, active, c)
+    ahead = c[FORCE]
+    s[V] = v - h
+    add_contributions(s, theta, active, c)
+    return here, (ahead - c[FORCE]) / (2.0 * h)
+
+
+@njit
+def start_one(m, p, x, r, dt, keep):
+    """(Re)start (x, v) at a measurement; ``keep`` leaves B and its variance as they are.
+
+    m : (3,) x, v, B;  p : (6,) xx, xv, xb, vv, vb, bb.
+    """
+    m[0] = x
+    m[1] = 0.0
+    p[0], p[1], p[2], p[4] = r, 0.0, 0.0, 0.0
+    p[3] = BROAD * BROAD * r / (dt * dt)
+    if not keep:
+        p[5] = 0.0
+
+
+@njit
+def run_one(x, u, p1, p2, dt, mass, r, q, prior_variance, euler, theta, active, any_active,
+            m, p, w, out, events):
+    """Run the stage over all samples.
+
+    Parameters
+    ----------
+    x, u : (n,) position m and force N (already a smooth hold); NaN where missing.
+    p1, p2 : (n,) or (1,) absolute pressures for pressure-dependent effects, Pa.
+    r, q : variances of the position (m^2) and of the force on a sample (N^2).
+    euler : run Eq. 4 as printed.
+    theta, active, any_active : modelled effects.
+    m, p : state (3,) and covariance (6,), updated; m[0] NaN asks for a fresh start.
+    w : supervision, updated.
+    out : (6, n) written: x, v, B, sigma_B, innovation, innovation sigma.
+    events : (k, 3) written: sample, B before, B after of each detected change.
+
+    Returns
+    -------
+    int
+        Number of events (may exceed k; those beyond are counted only).
+    """
+    n = x.shape[0]
+    q_x, q_v = 0.5 * dt * dt / mass, dt / mass
+    s_scratch = theta[:7].copy()
+    s_scratch[:] = 0.0
+    c_scratch = theta[:9].copy()
+    spikes = 0
+    found = 0
+    nan = math.nan
+    factor = honest_factor(w)
+    for k in range(n):
+        lost = math.isnan(m[0])
+        if not lost and k > 0:
+            u0, u1 = u[k - 1], u[k]
+            if math.isnan(u0) or math.isnan(u1):
+                lost = True
+            else:
+                b = m[2]
+                if any_active:
+                    i = k - 1 if p1.shape[0] > 1 else 0
+                    f, slope = effect_force(m[0], m[1], p1[i], p2[i], theta, active,
+                                            s_scratch, c_scratch)
+                    b += slope
+                    u0 -= f - slope * m[1]
+                    u1 -= f - slope * m[1]
+                if euler:
+                    x1, v1, fxv, fxb, fvv, fvb = predict_one_euler(m[0], m[1], b, u0, dt, mass)
+                else:
+                    x1, v1, fxv, fxb, fvv, fvb = predict_one(m[0], m[1], b, u0, u1, dt, mass)
+                m[0], m[1] = x1, v1
+                # P = F P F' + Q with F = [[1, fxv, fxb], [0, fvv, fvb], [0, 0, 1]]
+                bb = p[5]
+                xb = p[2] + fxv * p[4] + fxb * bb
+                vb = fvv * p[4] + fvb * bb
+                xv_x = p[1] + fxv * p[3] + fxb * p[4]
+                xx = (p[0] + fxv * p[1] + fxb * p[2]) + fxv * xv_x + fxb * xb
+                xv = fvv * xv_x + fvb * xb
+                vv = fvv * (fvv * p[3] + fvb * p[4]) + fvb * vb
+                p[0] = xx + q * q_x * q_x
+                p[1] = xv + q * q_x * q_v
+                p[2] = xb
+                p[3] = vv + q * q_v * q_v
+                p[4] = vb
+        z = x[k]
+        nu, sd = nan, nan
+        if not math.isnan(z):
+            if lost:
+                start_one(m, p, z, r, dt, True)
+            else:
+                s = p[0] + r
+                nu = z - m[0]
+                sd = math.sqrt(s)
+                if nu * nu > GATE * s and spikes < SPIKES:
+                    spikes += 1
+                else:
+                    spikes = 0
+                    h = p[2] / p[5]
+                    w[SCORE] += h * nu / s
+                    w[INFORMATION] += h * h / s
+                    kx, kv, kb = p[0] / s, p[1] / s, p[2] / s
+                    m[0] += kx * nu
+                    m[1] += kv * nu
+                    m[2] += kb * nu
+                    p[5] -= kb * p[2]
+                    p[4] -= kv * p[2]
+                    p[3] -= kv * p[1]
+                    p[2] -= kx * p[2]
+                    p[1] -= kx * p[1]
+                    p[0] -= kx * p[0]
+        elif lost:
+            m[0] = nan
+        if k % BLOCK == BLOCK - 1:
+            delta, information = look(w, m[2], p[5], prior_variance)
+            if information > 0.0:
+                if found < events.shape[0]:
+                    events[found, 0], events[found, 1] = k, m[2]
+                    events[found, 2] = m[2] + delta
+                found += 1
+                jump_one(m, p, delta, information)
+            factor = honest_factor(w)
+        out[0, k], out[1, k], out[2, k] = m[0], m[1], m[2]
+        out[3, k] = factor * math.sqrt(p[5])
+        out[4, k], out[5, k] = nu, sd
+    return found
+
+
+@njit
+def jump_one(m, p, delta, information):
+    """Move B by ``delta`` and forget: variance 4/information, states moved with h = P_sB/P_BB."""
+    h_x, h_v = p[2] / p[5], p[4] / p[5]
+    grown = max(4.0 / information, p[5]) - p[5]
+    m[0] += h_x * delta
+    m[1] += h_v * delta
+    m[2] += delta
+    p[0] += h_x * h_x * grown
+    p[1] += h_x * h_v * grown
+    p[3] += h_v * h_v * grown
+    p[5] += grown
+    p[2] = h_x * p[5]
+    p[4] = h_v * p[5]

@@ -1,0 +1,291 @@
+"""Stage two over a whole recording, compiled."""
+
+import math
+
+import numpy as np
+
+from eha_monitor.compiled import njit
+from eha_monitor.filters.kernel_one import BROAD, GATE, SPIKES, effect_force
+from eha_monitor.filters.stage_two import BETA_0, MASS, discretise, discretise_at
+from eha_monitor.filters.supervision import BLOCK, INFORMATION, SCORE, honest_factor, look
+
+REFRESH = 5e-3  # relative change of c that asks for a new exact step; between, second order
+
+
+@njit
+def start_two(m, p, x, r, dt, mass):
+    """(Re)start (x, v, F) at a measurement; the compliance and its variance stay.
+
+    m : (4,) x, v, F, c;  p : (4, 4).
+    """
+    m[0], m[1], m[2] = x, 0.0, 0.0
+    broad_v = BROAD * math.sqrt(r) / dt
+    for i in range(3):
+        for j in range(4):
+            p[i, j] = 0.0
+            p[j, i] = 0.0
+    p[0, 0] = r
+    p[1, 1] = broad_v * broad_v
+    p[2, 2] = (mass * broad_v / dt) ** 2
+
+
+@njit
+def predict_two(m, p, sens, step, b_step, d_b, u0, u1, force, flow, q_f, q_u):
+    """Predict state, covariance and the sensitivity to B over one sample.
+
+    Parameters
+    ----------
+    m : (4,) x, v, F, c;  p : (4, 4) covariance;  sens : (4,) d m/d B.
+    step : (3, 7) transition at the present (B, c); b_step : (3, 7) its derivative to c;
+    d_b : (3, 7) its derivative to B.
+    u0, u1 : drive input at the two ends; force, flow : modelled extra force (N), flow (N/Pa/s).
+    q_f, q_u : variances of an unmodelled force (N^2) and of the drive input on a sample.
+    """
+    x, v, f = m[0], m[1], m[2]
+    f_c0 = f_c1 = f_c2 = 0.0
+    for i in range(3):
+        new = (step[i, 0] * x + step[i, 1] * v + step[i, 2] * f + step[i, 3] * u0
+               + step[i, 4] * u1 + step[i, 5] * force + step[i, 6] * flow)
+        slope = (b_step[i, 0] * x + b_step[i, 1] * v + b_step[i, 2] * f + b_step[i, 3] * u0
+                 + b_step[i, 4] * u1 + b_step[i, 5] * force + b_step[i, 6] * flow)
+        m[i] = new
+        if i == 0:
+            f_c0 = slope
+        elif i == 1:
+            f_c1 = slope
+        else:
+            f_c2 = slope
+    s0, s1, s2, s3 = sens[0], sens[1], sens[2], sens[3]
+    for i in range(3):
+        from_b = (d_b[i, 0] * x + d_b[i, 1] * v + d_b[i, 2] * f + d_b[i, 3] * u0
+                  + d_b[i, 4] * u1)
+        f_c = f_c0 if i == 0 else (f_c1 if i == 1 else f_c2)
+        sens[i] = step[i, 0] * s0 + step[i, 1] * s1 + step[i, 2] * s2 + f_c * s3 + from_b
+    # P = [[Phi, f_c], [0, 1]] P [..]' + Q, upper triangle then mirrored.
+    cc = p[3, 3]
+    g0 = step[0, 0] * p[0, 3] + step[0, 1] * p[1, 3] + step[0, 2] * p[2, 3] + f_c0 * cc
+    g1 = step[1, 0] * p[0, 3] + step[1, 1] * p[1, 3] + step[1, 2] * p[2, 3] + f_c1 * cc
+    g2 = step[2, 0] * p[0, 3] + step[2, 1] * p[1, 3] + step[2, 2] * p[2, 3] + f_c2 * cc
+    for j in range(3):  # rows of Phi P_ss + f_c P_cs, one column j at a time, kept in p[:, j]
+        c0, c1, c2, c3 = p[0, j], p[1, j], p[2, j], p[j, 3]
+        p[0, j] = step[0, 0] * c0 + step[0, 1] * c1 + step[0, 2] * c2 + f_c0 * c3
+        p[1, j] = step[1, 0] * c0 + step[1, 1] * c1 + step[1, 2] * c2 + f_c1 * c3
+        p[2, j] = step[2, 0] * c0 + step[2, 1] * c1 + step[2, 2] * c2 + f_c2 * c3
+    for i in range(3):
+        a0, a1, a2 = p[i, 0], p[i, 1], p[i, 2]
+        g = g0 if i == 0 else (g1 if i == 1 else g2)
+        gu = step[i, 3] + step[i, 4]
+        for j in range(i, 3):
+            f_c = f_c0 if j == 0 else (f_c1 if j == 1 else f_c2)
+            p[i, j] = (step[j, 0] * a0 + step[j, 1] * a1 + step[j, 2] * a2 + g * f_c
+                       + q_f * step[i, 5] * step[j, 5] + q_u * gu * (step[j, 3] + step[j, 4]))
+    p[1, 0], p[2, 0], p[2, 1] = p[0, 1], p[0, 2], p[1, 2]
+    p[0, 3], p[1, 3], p[2, 3] = g0, g1, g2
+    p[3, 0], p[3, 1], p[3, 2] = g0, g1, g2
+
+
+@njit
+def correct_two(m, p, sens, z, r, w):
+    """Update with a position and its variance; the caller has gated it."""
+    s = p[0, 0] + r
+    nu = z - m[0]
+    h = p[0, 3] / p[3, 3]
+    w[SCORE] += h * nu / s
+    w[INFORMATION] += h * h / s
+    k0, k1, k2, k3 = p[0, 0] / s, p[1, 0] / s, p[2, 0] / s, p[3, 0] / s
+    lead = sens[0]
+    m[0] += k0 * nu
+    m[1] += k1 * nu
+    m[2] += k2 * nu
+    m[3] += k3 * nu
+    sens[0] -= k0 * lead
+    sens[1] -= k1 * lead
+    sens[2] -= k2 * lead
+    sens[3] -= k3 * lead
+    a0, a1, a2, a3 = p[0, 0], p[0, 1], p[0, 2], p[0, 3]
+    p[0, 0] -= k0 * a0
+    p[0, 1] -= k0 * a1
+    p[0, 2] -= k0 * a2
+    p[0, 3] -= k0 * a3
+    p[1, 1] -= k1 * a1
+    p[1, 2] -= k1 * a2
+    p[1, 3] -= k1 * a3
+    p[2, 2] -= k2 * a2
+    p[2, 3] -= k2 * a3
+    p[3, 3] -= k3 * a3
+    p[1, 0], p[2, 0], p[2, 1] = p[0, 1], p[0, 2], p[1, 2]
+    p[3, 0], p[3, 1], p[3, 2] = p[0, 3], p[1, 3], p[2, 3]
+
+
+@njit
+def run_two(x, d, b, b_variance, constants, leak, dt, r, q_f, q_u, prior_variance,
+            sampled, p1, p2, theta, active, any_active, m, p, sens, w, out, events):
+    """Run the stage over all samples.
+
+    Parameters
+    ----------
+    x, d : (n,) position m, drive input (x_d in m, or omega in rad/s); NaN where missing.
+    b, b_variance : (n,) damping of stage one and its variance.
+    constants, leak : lumped hydraulics of :func:`stage_two.hydraulics`.
+    r, q_f, q_u : variances of position, of an unmodelled force and of the drive input.
+    sampled : the drive input is held over the sample instead of running linearly.
+    p1, p2 : (n,) or (1,) absolute pressures for pressure-dependent effects, Pa.
+    m, p, sens : (4,) x, v, F, c; (4, 4); (4,) sensitivity to B; updated.  m[0] NaN: fresh start.
+    w : supervision, updated.
+    out : (8, n) written: x, v, a, beta_e, sigma of the filter, sigma with the uncertainty of B,
+        innovation, innovation sigma.
+    events : (k, 3) written: sample, beta before, beta after.
+
+    Returns
+    -------
+    int
+        Number of events.
+    """
+    n = x.shape[0]
+    work = np.empty((10, 3, 3))
+    base, d_c, d_cc = np.empty((3, 7)), np.empty((3, 7)), np.empty((3, 7))
+    d_b, d_leak = np.empty((3, 7)), np.empty((3, 7))
+    step, slope = np.empty((3, 7)), np.empty((3, 7))
+    at_c, at_b = math.nan, math.nan
+    s_scratch, c_scratch = np.zeros(7), np.zeros(9)
+    mass = constants[MASS]
+    spikes, found = 0, 0
+    nan = math.nan
+    factor = honest_factor(w)
+    last_c = nan
+    for k in range(n):
+        lost = math.isnan(m[0])
+        force = 0.0
+        if not lost and k > 0:
+            u0, u1 = d[k - 1], d[k - 1] if sampled else d[k]
+            if math.isnan(u0) or math.isnan(u1) or math.isnan(b[k]):
+                lost = True
+            else:
+                damping = b[k]
+                flow = 0.0
+                if any_active:
+                    i = k - 1 if p1.shape[0] > 1 else 0
+                    f, df = effect_force(m[0], m[1], p1[i], p2[i], theta, active,
+                                         s_scratch, c_scratch)
+                    damping += df
+                    force = f - df * m[1]
+                    flow = effect_flow(theta, c_scratch)
+                c = max(m[3], 1e-3)
+                if not (abs(c - at_c) <= REFRESH * at_c and abs(damping - at_b)
+                        <= 1e-6 * abs(at_b)):
+                    at_c, at_b = c, damping
+                    discretise(constants, damping, c, leak, dt, work, base, d_c, d_cc, d_b,
+                               d_leak)
+                    last_c = nan
+                if not abs(c - last_c) <= 1e-6 * c:
+                    e = c - at_c
+                    for i in range(3):
+                        for j in range(7):
+                            step[i, j] = base[i, j] + e * (d_c[i, j] + 0.5 * e * d_cc[i, j])
+                            slope[i, j] = d_c[i, j] + e * d_cc[i, j]
+                    last_c = c
+                predict_two(m, p, sens, step, slope, d_b, u0, u1, force, flow, q_f, q_u)
+        z = x[k]
+        nu, sd = nan, nan
+        if not math.isnan(z):
+            if lost:
+                start_two(m, p, z, r, dt, mass)
+                sens[0], sens[1], sens[2] = 0.0, 0.0, 0.0
+            else:
+                s = p[0, 0] + r
+                nu = z - m[0]
+                sd = math.sqrt(s)
+                if nu * nu > GATE * s and spikes < SPIKES:
+                    spikes += 1
+                else:
+                    spikes = 0
+                    correct_two(m, p, sens, z, r, w)
+        elif lost:
+            m[0] = nan
+        if k % BLOCK == BLOCK - 1:
+            delta, information = look(w, m[3], p[3, 3], prior_variance)
+            if information > 0.0:
+                before = constants[BETA_0] / m[3]
+                jump_two(m, p, delta, information)
+                if found < events.shape[0]:
+                    events[found, 0], events[found, 1] = k, before
+                    events[found, 2] = constants[BETA_0] / m[3]
+                found += 1
+            factor = honest_factor(w)
+        c = m[3]
+        out[0, k], out[1, k] = m[0], m[1]
+        out[2, k] = (m[2] - b[k] * m[1] - force) / mass
+        beta = constants[BETA_0] / max(c, 1e-9)
+        per_c = beta / max(c, 1e-9)
+        out[3, k] = beta
+        out[4, k] = per_c * factor * math.sqrt(p[3, 3])
+        out[5, k] = per_c * math.sqrt(factor * factor * p[3, 3]
+                                      + sens[3] * sens[3] * b_variance[k])
+        out[6, k], out[7, k] = nu, sd
+    return found
+
+
+@njit
+def effect_flow(theta, c):
+    """Return A1/V1 Q1 - A2/V2 Q2 of the modelled effects, N/Pa/s per unit of bulk modulus."""
+    return theta[0] / theta[2] * c[1] - theta[1] / theta[3] * c[2]
+
+
+@njit
+def jump_two(m, p, delta, information):
+    """Move c by ``delta`` and forget, as :func:`kernel_one.jump_one`."""
+    h0, h1, h2 = p[0, 3] / p[3, 3], p[1, 3] / p[3, 3], p[2, 3] / p[3, 3]
+    grown = max(4.0 / information, p[3, 3]) - p[3, 3]
+    h = (h0, h1, h2, 1.0)
+    for i in range(4):
+        m[i] += h[i] * delta
+        for j in range(4):
+            p[i, j] += h[i] * h[j] * grown
+    m[3] = max(m[3], 1e-3)
+
+
+@njit
+def log_likelihood_two(x, d, b, c, constants, leak, dt, r, q_f, q_u, sampled):
+    """Return the log likelihood of a stretch under a fixed compliance ``c`` (no effects).
+
+    The resonance makes the likelihood of beta_e many-peaked: an extended filter that starts
+    more than a few per cent away may lock on a wrong peak while the oil column rings.  A bank
+    of these linear filters finds the right one.  Arguments as :func:`run_two`; ``b`` is one
+    number.
+    """
+    work = np.empty((10, 3, 3))
+    step, zero = np.empty((3, 7)), np.zeros((3, 7))
+    discretise_at(constants, b, c, leak, dt, work, step)
+    m, p, sens, w = np.zeros(4), np.zeros((4, 4)), np.zeros(4), np.zeros(2)
+    lost = True
+    total = 0.0
+    for k in range(x.shape[0]):
+        if not lost:
+            u0, u1 = d[k - 1], d[k - 1] if sampled else d[k]
+            if math.isnan(u0) or math.isnan(u1):
+                lost = True
+            else:
+                p[3, 3] = 1e-30  # c is fixed here
+                predict_two(m, p, sens, step, zero, zero, u0, u1, 0.0, 0.0, q_f, q_u)
+        if math.isnan(x[k]):
+            continue
+        if lost:
+            start_two(m, p, x[k], r, dt, constants[MASS])
+            p[3, 3] = 1e-30
+            lost = False
+            continue
+        s = p[0, 0] + r
+        nu = x[k] - m[0]
+        total -= 0.5 * (nu * nu / s + math.log(s))
+        correct_two(m, p, sens, x[k], r, w)
+    return total
+
+
+@njit
+def bank_two(x, d, b, grid, constants, leak, dt, r, q_f, q_u, sampled):
+    """Return the log likelihood at each compliance of ``grid``; (len(grid),)."""
+    out = np.empty(grid.shape[0])
+    for i in range(grid.shape[0]):
+        out[i] = log_likelihood_two(x, d, b, grid[i], constants, leak, dt, r, q_f, q_u,
+                                    sampled)
+    return out

@@ -1,0 +1,87 @@
+"""How noisy each channel is, measured from the recording itself."""
+
+from math import comb
+
+import numpy as np
+
+from eha_monitor.filters.results import NoiseEstimate
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.monitor import NoiseLevels
+
+ORDERS = (1, 2, 3, 5, 7)
+NEAR = 1.03  # an order whose answer is this close to the smallest is as good, and steadier
+KEPT = 0.9  # share of the smallest squares that is averaged: reversals and spikes fall out
+# Mean of the smallest 90 % of squared normal deviates.
+KEPT_MEAN = 0.6230155
+SMALLEST_SAMPLES = 64
+
+_LEVEL_OF = {"x": "position", "v": "velocity", "p1": "pressure", "p2": "pressure",
+             "omega": "pump_speed", "force": "force", "temperature": "temperature"}
+
+
+def quantum(values: np.ndarray) -> float:
+    """Return the step of a quantised channel, or 0 where it is continuous.
+
+    Parameters
+    ----------
+    values : (n,) finite samples.
+    """
+    steps = np.abs(np.diff(values[:20000]))
+    scale = np.abs(values).max(initial=0.0)
+    steps = steps[steps > 1e-12 * scale]
+    if len(steps) < 8:
+        return 0.0
+    smallest = steps.min()
+    if steps.max() > 1e6 * smallest:
+        return 0.0
+    off = np.abs(steps / smallest - np.round(steps / smallest))
+    return float(smallest) if (off < 0.02).all() and (steps < 1.5 * smallest).any() else 0.0
+
+
+def white_noise(values: np.ndarray) -> float:
+    """Return the standard deviation of the white part of a channel, in its unit.
+
+    Differences of rising order suppress the motion (a wave of omega T rad a sample falls by
+    (omega T)^d) and add the noise up to sqrt(binomial(2d, d)); the first
+    order that comes near the smallest answer is taken.  A trimmed mean keeps reversals and spikes out.
+
+    Parameters
+    ----------
+    values : (n,) samples, NaN where missing.
+    """
+    answers = []
+    for order in ORDERS:
+        d = np.diff(values, order)
+        d = d[np.isfinite(d)]
+        if len(d) < SMALLEST_SAMPLES - order:
+            continue
+        squares = d * d
+        kept = max(1, int(KEPT * len(squares)))
+        mean = np.partition(squares, kept - 1)[:kept].mean()
+        answers.append(np.sqrt(mean / KEPT_MEAN / comb(2 * order, order)))
+    if not answers:
+        return np.nan
+    best = next(answer for answer in answers if answer <= NEAR * min(answers))
+    step = quantum(values[np.isfinite(values)])
+    return float(max(best, step / np.sqrt(12.0)))
+
+
+def noise_levels(recording: Recording, levels: NoiseLevels) -> dict[str, NoiseEstimate]:
+    """Return the noise of each recorded channel, measured unless the config says ``fixed``.
+
+    Where a recording is noise-free, a millionth of the channel's range stands in, so that the
+    filters stay regular.
+    """
+    found = {}
+    for name, values in recording.channels.items():
+        if name not in _LEVEL_OF:
+            continue
+        level = getattr(levels, _LEVEL_OF[name])
+        measured = np.nan if levels.fixed else white_noise(values)
+        if np.isfinite(measured):
+            span = np.nanmax(values) - np.nanmin(values)
+            floor = 1e-6 * span if span > 0 else level
+            found[name] = NoiseEstimate(max(measured, floor, 1e-300), True)
+        else:
+            found[name] = NoiseEstimate(level if level > 0 else 1e-12, False)
+    return found

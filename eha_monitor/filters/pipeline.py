@@ -1,0 +1,257 @@
+"""The monitor's pipeline over a whole recording: stage one, hand-over, stage two, verdicts."""
+
+import time
+
+import numpy as np
+
+from eha_monitor.filters import kernel_one, kernel_two
+from eha_monitor.filters.consistency import judge
+from eha_monitor.filters.inputs import RigModel, StageInputs
+from eha_monitor.filters.results import (
+    Estimate,
+    Event,
+    ModelStatus,
+    ParameterEstimate,
+    StageResult,
+)
+from eha_monitor.filters.status import judge_parameter, no_data, units_of
+from eha_monitor.filters.supervision import new_supervision
+from eha_monitor.physics.signals import V
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.monitor import Settings
+
+MISSING_ONE = "the force balance M x'' = F - B x' leaves something out, or a sensor is wrong"
+MISSING_TWO = ("the flow balance or the drive leaves something out, a sensor is late or wrong, or "
+               "B is not what acts here")
+BANK_RATIO = 1.06  # spacing of the bulk moduli tried; half a ring's phase over its life
+BANK_SPAN = 30.0  # times below and above the prior
+BANK_SECONDS = 2.0
+MOST_EVENTS = 200
+
+
+def estimate(recording: Recording, settings: Settings) -> Estimate:
+    """Run both stages over a recording.
+
+    Stage one runs first; its damping, piecewise constant between detected changes and each piece
+    with the value that it had at its end, is handed to stage two, which runs over the whole
+    recording again (``Estimate.events`` tells each step).
+
+    Parameters
+    ----------
+    recording : aligned channels.
+    settings : config.
+    """
+    started = time.perf_counter()
+    inputs = StageInputs.of(recording, settings)
+    events: list[Event] = []
+    one, changes = run_stage_one(inputs, recording, settings, events)
+    damping, damping_variance = hand_over(one, changes, settings, recording, events, inputs)
+    two = run_stage_two(inputs, recording, settings, damping, damping_variance, events)
+    from eha_monitor.filters.joint import run_joint  # here: it takes the stages' answers
+
+    joint = run_joint(inputs, recording, settings, one, two)
+    return Estimate(
+        recording, settings, one, two, joint, model_status(one, two),
+        tuple(sorted(events, key=lambda event: event.time_s)), inputs.noise,
+        time.perf_counter() - started, tuple(warnings_of(inputs, recording)))
+
+
+def empty_stage(stage: str, estimate: ParameterEstimate) -> StageResult:
+    """Return a stage that had no data."""
+    none = np.empty(0)
+    return StageResult(stage, estimate, none, none, none, none, none, none, none, none, None)
+
+
+def run_stage_one(inputs: StageInputs, recording: Recording, settings: Settings,
+                  events: list[Event]) -> tuple[StageResult, np.ndarray]:
+    """Run stage one; also return its detected changes as rows (sample, before, after)."""
+    unit = units_of(settings.rig.motion)["B"]
+    if inputs.no_force:
+        return empty_stage("one", no_data("B", unit, inputs.no_force)), np.empty((0, 3))
+    prior, spread = settings.stage_one.prior, settings.stage_one.prior_stddev
+    n = len(recording)
+    m = np.array([np.nan, 0.0, prior])
+    p = np.zeros(6)
+    p[5] = spread**2
+    w = new_supervision()
+    out, changes = np.empty((6, n)), np.empty((MOST_EVENTS, 3))
+    model = inputs.model
+    found = kernel_one.run_one(
+        inputs.x, inputs.force, inputs.p1, inputs.p2, inputs.dt, settings.rig.mass,
+        inputs.position_variance, inputs.force_variance, spread**2,
+        settings.discretisation == "euler", model.theta, model.active,
+        bool(model.active.any()), m, p, w, out, changes)
+    if not np.isfinite(out[4]).any():
+        return empty_stage("one", no_data(
+            "B", unit, "stage one found no stretch with position and force together"
+        )), np.empty((0, 3))
+    verdict = judge(out[4], out[5], inputs.dt, "stage one", MISSING_ONE)
+    result = StageResult(
+        "one", judge_parameter("B", out[2, -1], out[3, -1], unit, prior, spread),
+        recording.time, out[2], out[3], out[0], out[1],
+        (inputs.force - out[2] * out[1]) / settings.rig.mass, out[4], out[5], verdict)
+    changes = changes[: min(found, MOST_EVENTS)]
+    first = first_converged(out[2], out[3], spread)
+    if first is not None:
+        events.append(Event(first * inputs.dt, "one",
+                            f"B converged at {out[2, first]:.4g} ± {out[3, first]:.2g} {unit}"))
+    for sample, before, after in changes:
+        events.append(Event(sample * inputs.dt, "one",
+                            f"B changed from {before:.4g} to {after:.4g} {unit}"))
+    if found > MOST_EVENTS:
+        events.append(Event(float(changes[-1, 0] * inputs.dt), "one",
+                            f"{found - MOST_EVENTS} further changes of B are not listed"))
+    return result, changes
+
+
+def first_converged(value: np.ndarray, stddev: np.ndarray, prior_stddev: float) -> int | None:
+    """Return the first sample at which a parameter counts as converged."""
+    good = (stddev < 0.1 * np.abs(value)) & (stddev < 0.5 * prior_stddev)
+    return int(np.argmax(good)) if good.any() else None
+
+
+def hand_over(one: StageResult, changes: np.ndarray, settings: Settings, recording: Recording,
+              events: list[Event], inputs: StageInputs) -> tuple[np.ndarray, np.ndarray]:
+    """Return the damping that stage two takes at each sample and its variance, (n,) each."""
+    n = len(recording)
+    unit = units_of(settings.rig.motion)["B"]
+    if one.estimate.status != "converged":
+        nominal, spread = settings.rig.viscous_damping, settings.stage_two.damping_stddev
+        if inputs.no_drive is None:
+            events.append(Event(0.0, "two", f"stage one gives no B ({one.estimate.status}): "
+                                f"stage two takes {nominal:.4g} ± {spread:.3g} {unit}"))
+        return np.full(n, nominal), np.full(n, spread**2)
+    damping, variance = np.empty(n), np.empty(n)
+    edges = [0, *(int(row[0]) + 1 for row in changes), n]
+    for start, stop in zip(edges[:-1], edges[1:], strict=True):
+        if stop > start:
+            damping[start:stop] = one.value[stop - 1]
+            variance[start:stop] = one.stddev[stop - 1] ** 2
+            if inputs.no_drive is None:
+                events.append(Event(
+                    start * inputs.dt, "two",
+                    f"{'runs' if start == 0 else 're-run'} with B = {one.value[stop - 1]:.5g} ± "
+                    f"{one.stddev[stop - 1]:.2g} {unit} handed over by stage one"))
+    return damping, variance
+
+
+def most_telling(drive: np.ndarray, x: np.ndarray, length: int) -> int:
+    """Return the start of the stretch of ``length`` samples where the drive moves most."""
+    moved = np.abs(np.diff(drive, prepend=drive[:1]))
+    moved[~(np.isfinite(moved) & np.isfinite(x))] = 0.0
+    total = np.concatenate([[0.0], np.cumsum(moved**2)])
+    if len(moved) <= length:
+        return 0
+    return int(np.argmax(total[length:] - total[:-length]))
+
+
+def start_compliance(inputs: StageInputs, settings: Settings,
+                     damping: np.ndarray) -> tuple[float, float]:
+    """Return where stage two's compliance starts and its variance, from a bank of filters.
+
+    The variance is 25 times what the bank says, so that the stretch which is then filtered
+    again is not counted twice (4 % of its information at most).
+    """
+    prior = settings.stage_two
+    broad = (prior.prior_stddev / prior.prior) ** 2
+    length = min(len(inputs.x), round(BANK_SECONDS / inputs.dt))
+    start = most_telling(inputs.drive, inputs.x, length)
+    part = slice(start, start + length)
+    grid = BANK_RATIO ** np.arange(-round(np.log(BANK_SPAN) / np.log(BANK_RATIO)),
+                                   round(np.log(BANK_SPAN) / np.log(BANK_RATIO)) + 1)
+    model = inputs.model
+    likelihood = kernel_two.bank_two(
+        inputs.x[part], inputs.drive[part], damping[start + length // 2], grid,
+        model.hydraulics, model.leak, inputs.dt, inputs.position_variance,
+        force_noise_variance(inputs, settings), inputs.drive_variance, inputs.sampled)
+    likelihood = np.where(np.isfinite(likelihood), likelihood, -np.inf)
+    if not np.isfinite(likelihood).any():
+        return 1.0, broad
+    weight = np.exp(likelihood - likelihood.max()) * grid  # even in c on a logarithmic grid
+    weight /= weight.sum()
+    mean = float(weight @ grid)
+    variance = float(weight @ (grid - mean) ** 2) + (BANK_RATIO - 1.0) ** 2 * mean**2 / 12.0
+    if variance > 0.1 * broad:
+        return 1.0, broad
+    return mean, min(broad, 25.0 * variance)
+
+
+def force_noise_variance(inputs: StageInputs, settings: Settings) -> float:
+    """Variance of an unmodelled force on a sample in stage two, N^2."""
+    return (settings.rig.mass * settings.stage_two.acceleration_noise) ** 2
+
+
+def run_stage_two(inputs: StageInputs, recording: Recording, settings: Settings,
+                  damping: np.ndarray, damping_variance: np.ndarray,
+                  events: list[Event]) -> StageResult:
+    """Run stage two with the damping handed over."""
+    unit = units_of(settings.rig.motion)["beta_e"]
+    if inputs.no_drive:
+        return empty_stage("two", no_data("beta_e", unit, inputs.no_drive))
+    if settings.discretisation == "euler":
+        from eha_monitor.filters.euler import run_printed
+
+        out, changes = run_printed(inputs, settings, damping), np.empty((0, 3))
+    else:
+        out, changes = run_exact(inputs, settings, damping, damping_variance)
+    if not np.isfinite(out[6]).any():
+        return empty_stage("two", no_data(
+            "beta_e", unit, "stage two found no stretch with position and drive together"))
+    prior = settings.stage_two
+    verdict = judge(out[6], out[7], inputs.dt, "stage two", MISSING_TWO)
+    first = first_converged(out[3], out[5], prior.prior_stddev)
+    if first is not None:
+        events.append(Event(first * inputs.dt, "two",
+                            f"beta_e converged at {out[3, first]:.4g} ± {out[5, first]:.2g} Pa"))
+    for sample, before, after in changes:
+        events.append(Event(sample * inputs.dt, "two",
+                            f"beta_e changed from {before:.4g} to {after:.4g} Pa"))
+    return StageResult(
+        "two", judge_parameter("beta_e", out[3, -1], out[5, -1], unit, prior.prior,
+                               prior.prior_stddev),
+        recording.time, out[3], out[5], out[0], out[1], out[2], out[6], out[7], verdict)
+
+
+def run_exact(inputs: StageInputs, settings: Settings, damping: np.ndarray,
+              damping_variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Run the compiled stage two from the bank's start; (8, n) output and detected changes."""
+    start, variance = start_compliance(inputs, settings, damping)
+    broad = (settings.stage_two.prior_stddev / settings.stage_two.prior) ** 2
+    m = np.array([np.nan, 0.0, 0.0, start])
+    p = np.zeros((4, 4))
+    p[3, 3] = variance
+    model = inputs.model
+    out, changes = np.empty((8, len(inputs.x))), np.empty((MOST_EVENTS, 3))
+    found = kernel_two.run_two(
+        inputs.x, inputs.drive, damping, damping_variance, model.hydraulics, model.leak,
+        inputs.dt, inputs.position_variance, force_noise_variance(inputs, settings),
+        inputs.drive_variance, broad, inputs.sampled, inputs.p1, inputs.p2, model.theta,
+        model.active, bool(model.active.any()), m, p, np.zeros(4), new_supervision(), out,
+        changes)
+    return out, changes[: min(found, MOST_EVENTS)]
+
+
+def model_status(*stages: StageResult) -> ModelStatus:
+    """Return one verdict from the stages' innovations."""
+    judged = [stage.consistency for stage in stages if stage.consistency is not None]
+    wrong = [verdict for verdict in judged if not verdict.consistent]
+    if wrong:
+        return ModelStatus("mismatch", "; ".join(verdict.message for verdict in wrong))
+    if not judged:
+        return ModelStatus("not_judged", "no stage had enough data to test the model")
+    return ModelStatus("consistent", "; ".join(verdict.message for verdict in judged))
+
+
+def warnings_of(inputs: StageInputs, recording: Recording) -> list[str]:
+    """Return what a user should know about the recording beyond the estimates."""
+    notes = []
+    for name, level in inputs.noise.items():
+        if not level.measured and name in ("x", "p1", "p2", "omega", "force"):
+            notes.append(f"{name}: too few samples to measure the noise, the config's level is "
+                         "assumed")
+    if recording.has("v") and inputs.no_force is None:
+        pass  # a measured velocity is shown in the report; the stages do not need it
+    return notes
+
+
+__all__ = ["RigModel", "V", "estimate"]

@@ -1,0 +1,114 @@
+"""Stage two (Eq. 5): effective bulk modulus from demanded and measured position.
+
+Eq. 5 has the states (x, v, a, beta_e).  Here the third state is the hydraulic force
+F = A1 p1 - A2 p2 instead of the acceleration (M a = F - B v, so it is the same system, with the
+small term B C_T beta_e/(M V) kept), and the parameter is the relative compliance
+c = beta_0/beta_e: the equations are nearly linear in c, so that the filter converges from a
+guess that is ten times off, where it overshoots in beta_e.  ``discretisation: euler`` runs
+Eq. 5 as printed, in its own states.
+"""
+
+import math
+
+import numpy as np
+
+from eha_monitor.compiled import njit
+from eha_monitor.filters.phi import STATES, matrix_phi
+
+# Places in the constants vector of the two-sided hydraulics.
+(MASS, STIFF, LEAK, GAIN, LOOP, BETA_0, EXTRA_C) = range(7)
+
+
+def hydraulics(theta, beta_0: float, extra_compliance: float, loop: bool) -> np.ndarray:
+    """Return the (7,) constants of the lumped flow balance of two chambers.
+
+    With both chambers at one bulk modulus beta the flow balances give for the force F
+
+        F' = beta [ S2/A1 D_p omega - S2 v ] - beta C_T/2 (1/V1 + 1/V2) F,
+        S2 = A1^2/V1 + A2^2/V2,
+
+    which for equal areas and volumes is Eq. 1's flow balance.
+
+    Parameters
+    ----------
+    theta : (N_THETA,) parameters.
+    beta_0 : Pa, scale of the compliance state c = beta_0/beta_e.
+    extra_compliance : 1/Pa of modelled effects (entrained air), kept out of beta_e.
+    loop : True where omega = K_pos (x_d - x) closes the loop, False where omega is the input.
+    """
+    from eha_monitor.physics import signals as s
+
+    stiff = theta[s.AREA_1] ** 2 / theta[s.VOL_1] + theta[s.AREA_2] ** 2 / theta[s.VOL_2]
+    leak = 0.5 * theta[s.C_T] * (1.0 / theta[s.VOL_1] + 1.0 / theta[s.VOL_2])
+    gain = stiff / theta[s.AREA_1] * theta[s.D_P]
+    return np.array([theta[s.M], stiff, leak, gain, theta[s.K_POS] if loop else 0.0, beta_0,
+                     extra_compliance * beta_0])
+
+
+@njit
+def system_matrix(k, b, c, leak, dt, a):
+    """Write A(B, c, leak) dt for the state (x, v, F) and return the bound of its eigenvalues."""
+    beta = k[BETA_0] / max(c + k[EXTRA_C], 1e-9)
+    a[0, 0], a[0, 1], a[0, 2] = 0.0, dt, 0.0
+    a[1, 0], a[1, 1], a[1, 2] = 0.0, -b / k[MASS] * dt, dt / k[MASS]
+    a[2, 0] = -beta * k[GAIN] * k[LOOP] * dt
+    a[2, 1] = -beta * k[STIFF] * dt
+    a[2, 2] = -beta * leak * dt
+    return max(
+        max(abs(b) / k[MASS], beta * leak) * dt,
+        math.sqrt(beta * k[STIFF] / k[MASS]) * dt,
+        (beta * k[GAIN] * k[LOOP] / k[MASS]) ** (1.0 / 3.0) * dt,
+    )
+
+
+@njit
+def discretise_at(k, b, c, leak, dt, work, out):
+    """Write the exact step of (x, v, F): out (3, 7) = [Phi | Gamma_0 | Gamma_1 | Gamma_f | Gamma_q].
+
+    Gamma_0, Gamma_1 act on the drive input (x_d or omega) at the sample's two ends, between
+    which it runs linearly; Gamma_f on a force (N, against positive motion) and Gamma_q on the
+    rate of force beta*(A1/V1 Q1 - A2/V2 Q2) per beta, both held over the sample.
+    """
+    a, phi0, phi1, phi2 = work[0], work[1], work[2], work[3]
+    rate = system_matrix(k, b, c, leak, dt, a)
+    matrix_phi(a, rate, phi0, phi1, phi2, work[4:7])
+    beta = k[BETA_0] / max(c + k[EXTRA_C], 1e-9)
+    drive = beta * k[GAIN] * (k[LOOP] if k[LOOP] > 0.0 else 1.0) * dt
+    for i in range(STATES):
+        for j in range(STATES):
+            out[i, j] = phi0[i, j]
+        out[i, 4] = phi2[i, 2] * drive
+        out[i, 3] = phi1[i, 2] * drive - out[i, 4]
+        out[i, 5] = -phi1[i, 1] * dt / k[MASS]
+        out[i, 6] = phi1[i, 2] * beta * dt
+
+
+@njit
+def discretise(k, b, c, leak, dt, work, step, d_c, d_cc, d_b, d_leak):
+    """Write the step at (B, c, leak) and its derivatives to c (first, second), B and leak.
+
+    Central differences of the exact step; all arrays (3, 7).  ``work`` is (10, 3, 3).
+    """
+    lower = np.empty((3, 7))
+    upper = np.empty((3, 7))
+    discretise_at(k, b, c, leak, dt, work, step)
+    h = 1e-3 * max(c, 1e-3)
+    discretise_at(k, b, c - h, leak, dt, work, lower)
+    discretise_at(k, b, c + h, leak, dt, work, upper)
+    for i in range(3):
+        for j in range(7):
+            d_c[i, j] = (upper[i, j] - lower[i, j]) / (2.0 * h)
+            d_cc[i, j] = (upper[i, j] - 2.0 * step[i, j] + lower[i, j]) / (h * h)
+    h = 1e-3 * max(abs(b), 1e-2 * k[MASS] / dt)
+    discretise_at(k, b - h, c, leak, dt, work, lower)
+    discretise_at(k, b + h, c, leak, dt, work, upper)
+    for i in range(3):
+        for j in range(7):
+            d_b[i, j] = (upper[i, j] - lower[i, j]) / (2.0 * h)
+    beta = k[BETA_0] / max(c + k[EXTRA_C], 1e-9)
+    h = 1e-3 * max(leak, 1e-2 / (beta * dt))
+    discretise_at(k, b, c, leak - h, dt, work, lower)
+    discretise_at(k, b, c, leak + h, dt, work, upper)
+    for i in range(3):
+        for j in range(7):
+            d_leak[i, j] = (upper[i, j] - lower[i, j]) / (2.0 * h)

@@ -1,0 +1,44 @@
+"""Words and verdicts on a parameter: converged, not excited, diverged."""
+
+import math
+
+from eha_monitor.filters.results import ParameterEstimate
+
+CONVERGED = 0.10  # relative standard deviation
+NEGATIVE = 3.0  # standard deviations below zero that no physical coefficient can be
+HUGE = 1e4  # times the prior and its sigma: no longer a coefficient of this rig
+
+
+def units_of(motion: str) -> dict[str, str]:
+    """Return the units of B, beta_e and L as people write them."""
+    damping = "N·m·s/rad" if motion == "rotary" else "N·s/m"
+    return {"B": damping, "beta_e": "Pa", "L": "m³/(s·Pa)"}
+
+
+def no_data(name: str, unit: str, reason: str) -> ParameterEstimate:
+    """Return an estimate without a number."""
+    return ParameterEstimate(name, math.nan, math.nan, unit, "no_data", reason)
+
+
+def judge_parameter(name: str, value: float, stddev: float, unit: str, prior: float,
+                    prior_stddev: float) -> ParameterEstimate:
+    """Give a value its status from the information that it gained against its prior.
+
+    The gain in nats is ln(prior_stddev/stddev).
+    """
+    if not (math.isfinite(value) and math.isfinite(stddev)):
+        return ParameterEstimate(name, math.nan, math.nan, unit, "diverged",
+                                 f"{name} is no longer a finite number")
+    if value < -NEGATIVE * stddev or abs(value) > HUGE * (prior + prior_stddev):
+        return ParameterEstimate(
+            name, value, stddev, unit, "diverged",
+            f"{name} = {value:.4g} {unit} is not physical; the model or a sign is wrong")
+    gain = math.log(prior_stddev / stddev) if stddev > 0 else math.inf
+    if stddev > CONVERGED * abs(value) or gain < math.log(2.0):
+        return ParameterEstimate(
+            name, value, stddev, unit, "not_excited",
+            f"the motion tells too little about {name}: ±{stddev:.3g} {unit} on {value:.4g}, "
+            f"{max(gain, 0.0):.2g} nats gained on the prior")
+    return ParameterEstimate(name, value, stddev, unit, "converged",
+                             f"{name} = {value:.5g} ± {stddev:.2g} {unit}, "
+                             f"{gain:.2g} nats gained on the prior")

@@ -1,0 +1,90 @@
+"""Watching a parameter that is held constant: has it changed, and how far to trust its sigma.
+
+An extended Kalman filter with a constant parameter forgets nothing, so it reaches the
+Cramer-Rao bound, and it would also never follow a change.  Its own innovations tell when to
+forget: with h = P_sp/P_pp, the sensitivity of the state error to the parameter error, the score
+U = sum h nu/S and the information J = sum h^2/S of a window estimate a local change delta = U/J
+with variance 1/J (generalised likelihood ratio over windows, Willsky and Jones 1976).
+"""
+
+import math
+
+import numpy as np
+
+from eha_monitor.compiled import njit
+
+BLOCK = 100  # samples between two looks
+HISTORY = 64  # blocks that a window may span
+DETECTION = 6.0  # standard deviations; 1e-9 a look under the model
+SMALLEST = 0.01  # relative change worth an event
+TRUST = 1.5  # score variance ratio below which sigma stands as it is
+
+# Places in the supervision vector.
+(SCORE, INFORMATION, BLOCKS, RATIO_SUM, RATIO_COUNT, CHANGES) = range(6)
+N_SUPERVISION = 6 + 2 * HISTORY
+
+
+def new_supervision() -> np.ndarray:
+    """Return the (N_SUPERVISION,) state of a fresh watch."""
+    return np.zeros(N_SUPERVISION)
+
+
+@njit
+def score_ratio(w):
+    """Mean square of the normalised block scores; 1 where the model and its noise are right."""
+    if w[RATIO_COUNT] < 5.0:
+        return 1.0
+    return w[RATIO_SUM] / w[RATIO_COUNT]
+
+
+@njit
+def honest_factor(w):
+    """Factor on the filter's sigma that its own score asks for (1 while the ratio is < TRUST)."""
+    ratio = score_ratio(w)
+    return math.sqrt(ratio) if ratio > TRUST else 1.0
+
+
+@njit
+def look(w, value, variance, prior_variance):
+    """Close a block; return (delta, information) of a detected change, or (0, 0).
+
+    Parameters
+    ----------
+    w : (N_SUPERVISION,) updated.
+    value, variance : the parameter and its filter variance.
+    prior_variance : before any data; a change is sought only once nine tenths of it are gone.
+    """
+    score, information = w[SCORE], w[INFORMATION]
+    w[SCORE] = 0.0
+    w[INFORMATION] = 0.0
+    if variance > 0.1 * prior_variance or information <= 0.0:
+        return 0.0, 0.0
+    blocks = int(w[BLOCKS])
+    for i in range(min(blocks, HISTORY - 1), 0, -1):  # newest block first
+        w[6 + i] = w[6 + i - 1]
+        w[6 + HISTORY + i] = w[6 + HISTORY + i - 1]
+    w[6] = score
+    w[6 + HISTORY] = information
+    w[BLOCKS] = min(blocks + 1, HISTORY)
+
+    ratio = max(1.0, score_ratio(w))
+    total_score, total_information = 0.0, 0.0
+    for i in range(int(w[BLOCKS])):
+        total_score += w[6 + i]
+        total_information += w[6 + HISTORY + i]
+        if (i & (i + 1)) != 0:  # windows of 1, 2, 4, ... blocks
+            continue
+        spread = total_information * (1.0 + total_information * variance) * ratio
+        delta = total_score / total_information
+        if total_score * total_score > DETECTION * DETECTION * spread and abs(
+            delta
+        ) > SMALLEST * abs(value):
+            w[BLOCKS] = 0.0
+            w[CHANGES] += 1.0
+            return delta, total_information
+    if w[RATIO_COUNT] >= 300.0:  # forget slowly: half a minute at 1 kHz
+        w[RATIO_SUM] *= 0.5
+        w[RATIO_COUNT] *= 0.5
+    w[RATIO_SUM] += score * score / (information * (1.0 + information * variance))
+    w[RATIO_COUNT] += 1.0
+    return 0.0, 0.0
