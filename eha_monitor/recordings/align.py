@@ -1,0 +1,214 @@
+"""Channels with stamps of their own onto one uniform grid."""
+
+import numpy as np
+
+from eha_monitor.errors import InputError
+from eha_monitor.recordings.recording import CHANNELS, Recording
+from eha_monitor.recordings.stamps import GAP, JITTER, Grid, fit_grid, period_of, repair
+from eha_monitor.recordings.topics import Series
+from eha_monitor.settings.monitor import Settings
+
+ABSURD = 1e300  # no physical quantity; squares of it overflow
+CLOCKS = 2**61  # ns; stamps are held within this range, so that differences do not overflow
+SPARSE = 1000  # grid points for each sample, beyond which a recording is refused
+TOLD = 3  # gaps named one by one
+
+
+def align(series: dict[str, tuple[Series, str]], settings: Settings, *, source: str = "",
+          losses: list[str] | tuple[str, ...] = ()) -> Recording:
+    """Put channels on one grid; gaps stay NaN, and what was repaired is said.
+
+    The grid is that of ``x``, or of the channel with the most samples where there is no ``x``.
+
+    Parameters
+    ----------
+    series : channel -> (series in SI, topic or "").
+    settings : ``rig.sample_time`` is the sample time where the stamps agree within 5 %.
+    source : file, for errors.
+    losses : sentences to begin with.
+
+    Raises
+    ------
+    InputError
+        If the stamps are too sparse for a grid.
+    """
+    said = list(losses)
+    series = {name: (_within_range(found, name, said), topic)
+              for name, (found, topic) in series.items()}
+    if not series:
+        raise InputError(f"{source}: no channel to align")
+    reference = "x" if "x" in series else max(series, key=lambda name: len(series[name][0].values))
+    leader, topic = series[reference]
+    label = topic or reference
+    if topic and not leader.stamped:
+        said.append(f"{label}: no header stamps, log times are used")
+    notes: list[str] = []
+    keep = repair(leader.stamp_ns, label, notes)
+    said += notes
+    origin = int(leader.stamp_ns[keep[0]])
+    t = (leader.stamp_ns[keep] - origin) * 1e-9
+    grid = fit_grid(t, leader.values[keep], settings.rig.sample_time)
+    _tell_grid(grid, label, settings.rig.sample_time, said)
+    points = (int(grid.index[-1]) + 1 if grid.mode != "instants"
+              else int((t[-1] - t[0]) / grid.step + JITTER) + 1)
+    if points > SPARSE * len(t) + 1000:
+        raise InputError(f"{source}: {label}: {len(t)} samples over {t[-1]:.6g} s are too sparse "
+                         f"for a sample time of {grid.step:g} s")
+    window = _window(leader, keep) if any("clock jumps" in note for note in notes) else None
+
+    axes: dict[tuple, tuple] = {}
+    columns: dict[str, np.ndarray] = {}
+    for name in sorted(series, key=lambda name: (name != reference, CHANNELS.index(name))):
+        found, topic = series[name]
+        key = (topic or name, found.stamp_ns.tobytes())
+        if key not in axes:
+            shared = len(axes) == 0  # the reference comes first
+            axes[key] = ((keep, t, grid) if shared else
+                         _axis(found, topic or name, leader, keep, origin, grid, window, said))
+        columns[name] = _place(found.values, axes[key], grid, points)
+    columns = {name: columns[name] for name in CHANNELS
+               if name in columns and (name == reference or np.isfinite(columns[name]).any())}
+    _tell_gaps(columns, reference, grid.step, said)
+    return Recording(sample_time=grid.step, channels=columns,
+                     start_ns=origin + round(grid.start * 1e9), source=source,
+                     losses=tuple(dict.fromkeys(said)))
+
+
+def _within_range(found: Series, name: str, said: list[str]) -> Series:
+    """Blank absurd values and stamps that would overflow; count NaN."""
+    values = np.asarray(found.values, dtype=float)
+    missing = int(np.sum(np.isnan(values)))
+    if missing:
+        said.append(f"{name}: {missing} of {len(values)} values are NaN")
+    absurd = ~np.isnan(values) & ~(np.abs(values) <= ABSURD)
+    if absurd.any():
+        values = np.where(absurd, np.nan, values)
+        said.append(f"{name}: {int(absurd.sum())} values are infinite or above 1e300, left out")
+    return Series(np.clip(found.stamp_ns, -CLOCKS, CLOCKS), np.clip(found.log_ns, 0, CLOCKS),
+                  values, found.stamped)
+
+
+def _window(leader: Series, keep: np.ndarray) -> tuple[int, int]:
+    """Log times between which the kept stretch of the reference was recorded."""
+    return int(leader.log_ns[keep].min()), int(leader.log_ns[keep].max())
+
+
+def _axis(found: Series, label: str, leader: Series, led, origin: int, grid: Grid, window, said):
+    """Return (kept samples, their times, their grid) of a topic other than the reference."""
+    stamps = found.stamp_ns
+    chosen = np.arange(len(stamps))
+    if window is not None:
+        margin = 1_000_000_000 * grid.step
+        inside = (found.log_ns >= window[0] - margin) & (found.log_ns <= window[1] + margin)
+        if inside.any():
+            chosen = chosen[inside]
+    chosen = chosen[repair(stamps[chosen], label, said)]
+    first, last = int(leader.stamp_ns[led[0]]), int(leader.stamp_ns[led[-1]])
+    if stamps[chosen[0]] > last or stamps[chosen[-1]] < first:
+        # Another clock (sim time, a controller's own): the recorder's log times join them.
+        offset = int(np.median(leader.stamp_ns[led] - leader.log_ns[led])
+                     - np.median(stamps[chosen] - found.log_ns[chosen]))
+        if abs(offset) > 1_000_000_000:
+            said.append(f"{label}: its clock is {-offset * 1e-9:.6g} s off, aligned by log time")
+            stamps = stamps + offset
+    t = (stamps[chosen] - origin) * 1e-9
+    own = fit_grid(t, found.values[chosen], grid.step)
+    if own.mode != "exact":
+        _tell_grid(own, label, own.step, said)
+    return chosen, t, own
+
+
+def _place(values: np.ndarray, axis: tuple, grid: Grid, points: int) -> np.ndarray:
+    """Put one channel on the grid: direct where its times fall on it, else interpolated."""
+    keep, t, own = axis
+    column = np.full(points, np.nan)
+    times = own.times(t)
+    place = (times - grid.start) / grid.step
+    index = np.round(place)
+    if (np.abs(place - index) <= JITTER).all() and (np.diff(index) > 0).all():
+        inside = (index >= 0) & (index < points)
+        column[index[inside].astype(np.int64)] = values[keep[inside]]
+        return column
+    return interpolate(times, values[keep], grid.start + np.arange(points) * grid.step,
+                       cubic=own is grid)
+
+
+def interpolate(t: np.ndarray, values: np.ndarray, at: np.ndarray,
+                cubic: bool = False) -> np.ndarray:
+    """Interpolate between neighbours, never across a gap of more than GAP periods.
+
+    Parameters
+    ----------
+    t, values : (n,) rising times in s, and values.
+    at : (m,) times wanted, s.
+    cubic : through four neighbours where they are close together; smooths noise less.
+    """
+    out = np.full(len(at), np.nan)
+    if len(t) == 0:
+        return out
+    period = period_of(t)
+    near = np.clip(np.searchsorted(t, at), 0, len(t) - 1)
+    before = np.clip(near - 1, 0, None)
+    near = np.where(np.abs(t[before] - at) < np.abs(t[near] - at), before, near)
+    same = np.abs(t[near] - at) <= JITTER * (period or 1.0)
+    if len(t) > 1:
+        left = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
+        width = t[left + 1] - t[left]
+        inside = (at >= t[0]) & (at <= t[-1]) & (width <= GAP * period)
+        part = (at - t[left]) / width
+        linear = values[left] * (1 - part) + values[left + 1] * part
+        out[inside] = linear[inside]
+        if cubic and len(t) > 3:
+            four = np.clip(left, 1, len(t) - 3)[:, None] + np.arange(-1, 3)
+            nodes, heights = t[four], values[four]
+            apart = nodes[:, :, None] - nodes[:, None, :]
+            away = at[:, None, None] - np.broadcast_to(nodes[:, None, :], apart.shape)
+            one = np.eye(4, dtype=bool)[None]
+            ratio = np.where(one, 1.0, away / np.where(one, 1.0, apart))
+            curve = (ratio.prod(axis=2) * heights).sum(axis=1)
+            close = inside & (np.diff(nodes, axis=1) <= GAP * period).all(axis=1)
+            close &= np.isfinite(curve)
+            out[close] = curve[close]
+    out[same] = values[near[same]]
+    return out
+
+
+def _tell_grid(grid: Grid, label: str, nominal: float, said: list[str]) -> None:
+    if grid.mode == "snapped":
+        said.append(f"{label}: stamps jitter by {grid.jitter * 1e3:.3g} ms rms about an even "
+                    f"sampling of {grid.step * 1e3:.6g} ms; the even times are used")
+    elif grid.mode == "instants":
+        said.append(f"{label}: sampled unevenly ({grid.jitter * 1e3:.3g} ms rms off the grid); "
+                    f"interpolated to {grid.step * 1e3:.6g} ms")
+    elif abs(grid.step / nominal - 1) > 1e-6:
+        said.append(f"{label}: the stamps say a sample time of {grid.step * 1e3:.6g} ms, "
+                    f"the config {nominal * 1e3:.6g} ms; the stamps are used")
+
+
+def _tell_gaps(columns: dict[str, np.ndarray], reference: str, step: float, said: list) -> None:
+    """Say where rows are missing: of everything, then of single channels beyond that."""
+    seen = np.isfinite(np.stack(list(columns.values()))).any(axis=0)
+    _tell_spans(~seen, "no data", step, said)
+    for name, column in columns.items():
+        missing = ~np.isfinite(column) & seen
+        starts, stops = spans(missing)
+        long = (stops - starts) * step > max(GAP * step, 0.01)  # single NaN have been counted
+        hidden = np.zeros(len(column), dtype=bool)
+        for start, stop in zip(starts[long], stops[long], strict=True):
+            hidden[start:stop] = True
+        _tell_spans(hidden, f"{name}: no data", step, said)
+
+
+def _tell_spans(missing: np.ndarray, what: str, step: float, said: list[str]) -> None:
+    starts, stops = spans(missing)
+    for start, stop in list(zip(starts, stops, strict=True))[:TOLD]:
+        said.append(f"{what} from {start * step:.3f} s for {(stop - start) * step:.3f} s")
+    if len(starts) > TOLD:
+        rest = np.sum(stops[TOLD:] - starts[TOLD:]) * step
+        said.append(f"{what} in {len(starts) - TOLD} more gaps, {rest:.3f} s in all")
+
+
+def spans(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return first and behind-last index of each stretch of True."""
+    edges = np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8))
+    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)

@@ -1,0 +1,220 @@
+"""Bags to recordings: which topic is which channel, and what was lost."""
+
+from pathlib import Path
+
+import numpy as np
+
+from eha_monitor.errors import InputError
+from eha_monitor.recordings import cdr
+from eha_monitor.recordings.align import align
+from eha_monitor.recordings.bag import Bag
+from eha_monitor.recordings.cdr import Want
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.recordings.topics import Series, TopicReader, types_of
+from eha_monitor.settings.monitor import Channel, Settings
+
+BATCH_BYTES = 8_000_000  # small chunks are joined, so that the work for each is paid once
+
+
+def read_recording(path: str | Path, settings: Settings) -> Recording:
+    """Read a rosbag2 mcap bag through the channel map of the config.
+
+    Parameters
+    ----------
+    path : folder with metadata.yaml and .mcap files, or one .mcap file; whole or cut off.
+    settings : ``channels``, ``monitor.namespace`` and ``rig.sample_time`` are read.
+
+    Raises
+    ------
+    InputError
+        If there is no bag, or none of its messages gives a channel.
+    """
+    bag = Bag(path)
+    collector = _Collector(settings)
+    for file, block in bag.blocks():
+        collector.take(file, block)
+    collector.flush()
+    losses = bag.damage()
+    series = collector.channels(str(path), losses)
+    recording = align(series, settings, source=str(path), losses=losses)
+    if any(file.truncated_at is not None for file in bag.files):
+        recording = _tell_recovered(recording)
+    return recording
+
+
+def _tell_recovered(recording: Recording) -> Recording:
+    from dataclasses import replace
+
+    told = tuple(f"{text}: {recording.duration:.3f} s recovered" if "truncated at byte" in text
+                 else text for text in recording.losses)
+    return replace(recording, losses=told)
+
+
+class _Collector:
+    """Sorts the messages of a bag into the topics that channels may come from."""
+
+    def __init__(self, settings: Settings):
+        self.channels_wanted = settings.channels
+        self.namespace = "/" + settings.monitor.namespace.strip("/")
+        self.readers: dict[str, TopicReader] = {}
+        self.unfit: dict[str, str] = {}  # topic -> why no channel can be read from it
+        self.notes: list[str] = []
+        self.known: dict[tuple, TopicReader | None] = {}
+        self.topics_seen: dict[str, str] = {}
+        self.pending: list[tuple] = []
+        self.pending_bytes = 0
+
+    def take(self, file, block) -> None:
+        """Keep the messages of wanted topics, to be decoded by the batch."""
+        wanted = []
+        for channel_id in np.flatnonzero(np.bincount(block.ids, minlength=1)).tolist():
+            reader = self._reader(file, channel_id)
+            if reader is not None:
+                wanted.append((channel_id, reader))
+        if wanted:
+            self.pending.append((block, wanted))
+            self.pending_bytes += int(np.sum(block.lengths))
+        if self.pending_bytes > BATCH_BYTES or len(self.pending) > 4096:
+            self.flush()
+
+    def flush(self) -> None:
+        """Decode what is pending: all of one topic's messages of several chunks at once."""
+        if not self.pending:
+            return
+        if len(self.pending) == 1:
+            data, start = self.pending[0][0].data, [0]
+        else:
+            pieces = [block.data for block, _ in self.pending]
+            if all(piece is pieces[0] for piece in pieces):  # batches of one unchunked file
+                data, start = pieces[0], [0] * len(pieces)
+            else:
+                data = np.concatenate(pieces)
+                start = np.cumsum([0] + [len(piece) for piece in pieces]).tolist()
+        parts: dict[str, list] = {}
+        for (block, wanted), shift in zip(self.pending, start, strict=False):
+            for channel_id, reader in wanted:
+                mask = block.ids == channel_id
+                parts.setdefault(reader.topic, []).append(
+                    (block.times[mask], block.begins[mask] + shift, block.lengths[mask]))
+        for topic, pieces in parts.items():
+            columns = [np.concatenate(column) for column in zip(*pieces, strict=True)]
+            self.readers[topic].add(data, *columns)
+        self.pending, self.pending_bytes = [], 0
+
+    def _reader(self, file, channel_id: int) -> TopicReader | None:
+        """Return who collects a channel of the file, or None if nobody wants it."""
+        channel = file.channels.get(channel_id)
+        if channel is None:
+            return None
+        schema = file.schemas.get(channel.schema_id)
+        msgtype = schema.name if schema else "unknown"
+        key = (channel.topic, msgtype)
+        if key not in self.known:
+            self.topics_seen[channel.topic] = msgtype
+            wants = self._wants(channel.topic)
+            self.known[key] = self._new_reader(channel.topic, msgtype, schema, wants)
+        return self.known[key]
+
+    def _new_reader(self, topic, msgtype, schema, wants) -> TopicReader | None:
+        if not wants:
+            return None
+        if topic in self.readers:
+            self.notes.append(f"{topic}: messages of a second type {msgtype} are left out")
+            return None
+        try:
+            types = types_of(msgtype, schema.encoding if schema else "",
+                             schema.data if schema else b"")
+        except ValueError as problem:
+            self.unfit[topic] = f"{topic}: {problem}"
+            return None
+        good = []
+        for want in dict.fromkeys(wants):
+            problem = cdr.missing_field(types, msgtype, want)
+            if problem is None and want.name and not cdr.has_names(types, msgtype):
+                problem = f"expected a type with joint names for '{want.name}'"
+            if problem is None:
+                good.append(want)
+            else:
+                self.unfit[topic] = f"{topic}: type is {msgtype}: {problem}"
+        if not good:
+            return None
+        reader = TopicReader(topic, msgtype, types, tuple(good))
+        self.readers[topic] = reader
+        return reader
+
+    def _wants(self, topic: str) -> list[Want]:
+        return [Want(channel.field or "data", channel.name)
+                for channel in self.channels_wanted.values() if self._matches(channel, topic)]
+
+    def _matches(self, channel: Channel, topic: str) -> bool:
+        if channel.topic.startswith("/"):
+            return topic == channel.topic
+        return bool(channel.topic) and (topic == channel.topic
+                                        or topic.endswith("/" + channel.topic))
+
+    def _exact(self, channel: Channel) -> str:
+        return (channel.topic if channel.topic.startswith("/")
+                else f"{self.namespace.rstrip('/')}/{channel.topic}")
+
+    def channels(self, source: str, losses: list[str]) -> dict[str, tuple[Series, str]]:
+        """Return channel -> series in SI and its topic; sentences go to ``losses``."""
+        losses.extend(self.notes)
+        found: dict[str, tuple[Series, str]] = {}
+        unfit: list[str] = []
+        for name, channel in self.channels_wanted.items():
+            topic = self._topic(source, name, channel)
+            if topic is None:
+                continue
+            want = Want(channel.field or "data", channel.name)
+            reader = self.readers.get(topic)
+            if reader is None or want not in reader.wants:
+                if topic in self.unfit and self.unfit[topic] not in unfit:
+                    unfit.append(self.unfit[topic])
+                continue
+            series = reader.series(want)
+            if series is not None:
+                shift = round(channel.delay * 1e9)
+                with np.errstate(over="ignore", invalid="ignore"):
+                    values = channel.scale * series.values + channel.offset
+                found[name] = (Series(series.stamp_ns - shift, series.log_ns, values,
+                                      series.stamped), topic)
+        for reader in self.readers.values():
+            if reader.unreadable:
+                losses.append(f"{reader.topic}: {reader.unreadable} of {reader.count} messages "
+                              f"could not be decoded as {reader.msgtype}")
+        if not found:
+            raise InputError(self._nothing(source, unfit, losses))
+        losses.extend(unfit)
+        return found
+
+    def _topic(self, source: str, name: str, channel: Channel) -> str | None:
+        exact = self._exact(channel)
+        if exact in self.topics_seen:
+            return exact
+        close = [topic for topic in self.topics_seen if self._matches(channel, topic)]
+        if len(close) > 1:
+            raise InputError(
+                f"{source}: channels.{name}: topic '{channel.topic}' could be "
+                f"{' or '.join(sorted(close))}, set monitor.namespace or the full name")
+        return close[0] if close else None
+
+    def _nothing(self, source: str, unfit: list[str], losses: list[str]) -> str:
+        if unfit:
+            return f"{source}: no channel can be read: {unfit[0]}"
+        wanted = sorted({self._exact(c) for c in self.channels_wanted.values() if c.topic})
+        seen = sorted(self.topics_seen)
+        if not seen:
+            lost = f" ({losses[0]})" if losses else ""
+            return f"{source}: the bag holds no message{lost}, expected {', '.join(wanted)}"
+        read = [topic for topic in self.readers]
+        if read:
+            reader = self.readers[read[0]]
+            if reader.count == reader.unreadable:
+                return (f"{source}: {read[0]}: no message could be decoded as "
+                        f"{reader.msgtype}")
+            wants = ", ".join(f"{w.name}.{w.field}" if w.name else w.field
+                              for w in reader.wants)
+            return f"{source}: {read[0]}: no finite value in any message, expected {wants}"
+        more = f" and {len(seen) - 6} more" if len(seen) > 6 else ""
+        return (f"{source}: expected one of the topics {', '.join(wanted)}; the bag has "
+                f"{', '.join(seen[:6])}{more}")

@@ -1,0 +1,280 @@
+"""Recordings to rosbag2 mcap bags, all at once or message by message."""
+
+import os
+import shutil
+from dataclasses import dataclass
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability
+from rosbags.interfaces import QosTime
+from rosbags.rosbag2.metadata import dump_qos_v9
+from rosbags.typesys import Stores, get_typestore
+
+from eha_monitor.errors import InputError
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.recordings.serialise import messages_of
+from eha_monitor.settings.monitor import Settings
+
+FOREVER = QosTime(9223372036, 854775807)
+COMPRESSIONS = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4,
+                "none": CompressionType.NONE}
+
+
+def offered_qos(latched: bool = False, depth: int = 10) -> list[Qos]:
+    """Return the QoS that a recorded topic declares: reliable, transient local if latched."""
+    return [Qos(QosHistory.KEEP_LAST, depth, QosReliability.RELIABLE,
+                QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
+                FOREVER, FOREVER, QosLiveliness.AUTOMATIC, FOREVER, False)]
+
+
+@dataclass(frozen=True)
+class TopicType:
+    """What a bag declares of a topic.
+
+    Without a definition, the one of ROS 2 Jazzy is taken; ``qos`` is YAML text as rosbag2
+    writes it.
+    """
+
+    msgtype: str
+    latched: bool = False
+    definition: str = ""
+    encoding: str = "ros2msg"
+    qos: str = ""
+
+
+class BagWriter:
+    """Writes serialised messages to a bag; a context manager.
+
+    The bag grows under a temporary name next to the target and is renamed when it is closed.
+    After a crash or an exception the temporary file stays: what was written up to the last
+    chunk can be read as a truncated bag.
+
+    Parameters
+    ----------
+    path : ``BAG`` becomes ``BAG/metadata.yaml`` and ``BAG/BAG_0.mcap``; a path that ends in
+        ``.mcap`` becomes that one file.
+    topics : name -> message type, or :class:`TopicType`; more may follow by :meth:`add_topic`.
+    compression : ``zstd``, ``lz4`` or ``none``, chunk by chunk.
+    overwrite : replace an existing bag.
+
+    Raises
+    ------
+    InputError
+        If the target exists or cannot be written, or a message type is not known.
+    """
+
+    def __init__(self, path: str | Path, topics: dict[str, str | TopicType], *,
+                 compression: str = "zstd", overwrite: bool = False, distro: str = "jazzy"):
+        self.path, self.overwrite, self.distro = Path(path), overwrite, distro
+        if compression not in COMPRESSIONS:
+            raise InputError(f"{path}: compression: expected {', '.join(COMPRESSIONS)}, got "
+                             f"{compression!r}")
+        if self.path.exists() and not overwrite:
+            raise InputError(f"{path}: exists already, expected a new bag")
+        self.single = self.path.suffix == ".mcap"
+        self.temporary = self.path.with_name(
+            f".{self.path.stem if self.single else self.path.name}.{os.getpid()}.tmp"
+            + (".mcap" if self.single else ""))
+        self.counts: dict[str, int] = {}
+        self.first, self.last = 2**63 - 1, 0
+        self._declared: dict[str, dict] = {}
+        self._ids: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._store = None
+        self._stream = None
+        try:
+            self.temporary.parent.mkdir(parents=True, exist_ok=True)
+            self._stream = self._file().open("wb")
+        except OSError as problem:
+            raise InputError(f"{path}: cannot write bag: {problem.strerror}") from problem
+        self._writer = Writer(self._stream, chunk_size=786_432,
+                              compression=COMPRESSIONS[compression])
+        self._writer.start("ros2", "eha_monitor")
+        try:
+            for topic, kind in topics.items():
+                self.add_topic(topic, kind)
+        except InputError:
+            self._stream.close()
+            self._remove(self.temporary)
+            raise
+
+    def _file(self) -> Path:
+        if self.single:
+            return self.temporary
+        self._remove(self.temporary)
+        self.temporary.mkdir()
+        return self.temporary / f"{self.path.name}_0.mcap"
+
+    def add_topic(self, topic: str, kind: str | TopicType) -> None:
+        """Declare a topic; names are absolute.  Declaring it again changes nothing."""
+        if topic in self._ids:
+            return
+        kind = TopicType(kind) if isinstance(kind, str) else kind
+        digest, definition = "", kind.definition
+        if not definition:
+            self._store = self._store or get_typestore(Stores.ROS2_JAZZY)
+            if kind.msgtype not in self._store.fielddefs:
+                raise InputError(f"{self.path}: {topic}: message type {kind.msgtype} is not "
+                                 "known, expected one of ROS 2 Jazzy or a definition")
+            definition = self._store.generate_msgdef(kind.msgtype, ros_version=2)[0]
+            digest = self._store.hash_rihs01(kind.msgtype)
+        profiles = dump_qos_v9(offered_qos(kind.latched))
+        # rosbags drops a topic whose QoS differs between file and metadata: one source for both.
+        qos = kind.qos or _yaml(profiles).strip()
+        if kind.msgtype not in self._schemas:
+            self._schemas[kind.msgtype] = self._writer.register_schema(
+                kind.msgtype, kind.encoding, definition.encode())
+        self._ids[topic] = self._writer.register_channel(
+            topic, "cdr", self._schemas[kind.msgtype],
+            {"offered_qos_profiles": qos, "topic_type_hash": digest})
+        self.counts[topic] = 0
+        self._declared[topic] = {
+            "name": topic, "type": kind.msgtype, "serialization_format": "cdr",
+            "offered_qos_profiles": kind.qos or profiles, "type_description_hash": digest}
+
+    def write_raw(self, topic: str, stamp_ns: int, data: bytes) -> None:
+        """Append one serialised message; ``stamp_ns`` is its log time."""
+        self._writer.add_message(self._ids[topic], stamp_ns, data, stamp_ns)
+        self.counts[topic] += 1
+        if stamp_ns < self.first:
+            self.first = stamp_ns
+        if stamp_ns > self.last:
+            self.last = stamp_ns
+
+    def flush(self) -> None:
+        """Put everything written so far on disk as a finished chunk."""
+        self._writer.flush()
+
+    def close(self) -> None:
+        """Write index and metadata, and give the bag its name."""
+        if self._stream is None:
+            return
+        try:
+            metadata = self._metadata()
+            self._writer.add_metadata("rosbag2", {"serialized_metadata": _yaml(metadata)})
+            self._writer.finish()
+            self._stream.flush()
+            os.fsync(self._stream.fileno())
+            self._stream.close()
+            self._stream = None
+            if not self.single:
+                (self.temporary / "metadata.yaml").write_text(
+                    _yaml({"rosbag2_bagfile_information": metadata}), encoding="utf-8")
+            if self.path.exists():
+                if not self.overwrite:
+                    raise InputError(f"{self.path}: exists already, the bag is left as "
+                                     f"{self.temporary}")
+                old = self.temporary.with_name(self.temporary.name + ".old")
+                self.path.rename(old)
+                self.temporary.rename(self.path)
+                self._remove(old)
+            else:
+                self.temporary.rename(self.path)
+        except OSError as problem:
+            raise InputError(f"{self.path}: cannot write bag: {problem.strerror}; what was "
+                             f"written is in {self.temporary}") from problem
+
+    def abort(self) -> None:
+        """Stop without index and name; the temporary file keeps what was written."""
+        stream, self._stream = self._stream, None
+        if stream is not None:
+            try:
+                self._writer.flush()
+            finally:
+                stream.close()
+
+    def __enter__(self) -> "BagWriter":
+        return self
+
+    def __exit__(self, kind, value, traceback) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.abort()
+
+    @staticmethod
+    def _remove(path: Path) -> None:
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
+
+    def _metadata(self) -> dict:
+        count = sum(self.counts.values())
+        start = {"nanoseconds_since_epoch": self.first if count else 0}
+        duration = {"nanoseconds": max(0, self.last - self.first) if count else 0}
+        name = self.path.name if self.single else f"{self.path.name}_0.mcap"
+        return {
+            "version": 9, "storage_identifier": "mcap", "duration": duration,
+            "starting_time": start, "message_count": count,
+            "topics_with_message_count": [
+                {"topic_metadata": self._declared[topic], "message_count": number}
+                for topic, number in self.counts.items()],
+            "compression_format": "", "compression_mode": "",
+            "relative_file_paths": [name],
+            "files": [{"path": name, "starting_time": start, "duration": duration,
+                       "message_count": count}],
+            "custom_data": None, "ros_distro": self.distro}
+
+
+def _yaml(tree) -> str:
+    from ruamel.yaml import YAML
+
+    yaml, text = YAML(typ="safe"), StringIO()
+    yaml.default_flow_style = False
+    yaml.representer.ignore_aliases = lambda data: True
+    yaml.dump(tree, text)
+    return text.getvalue()
+
+
+def write_recording(path: str | Path, recording: Recording | dict[str, np.ndarray],
+                    settings: Settings, *, compression: str = "zstd", overwrite: bool = False,
+                    start_ns: int | None = None) -> Path:
+    """Write channels as a bag with the topics of the interface contract.
+
+    Header stamps and log times are ``start_ns`` plus the grid; a row in which a topic has no
+    finite value is left out.
+
+    Parameters
+    ----------
+    path : see :class:`BagWriter`.
+    recording : a recording, or channel -> (n,) SI values on the config's sample time.
+    settings : ``monitor.namespace``, and ``rig.sample_time`` where arrays are given.
+    start_ns : time of the first sample; by default the recording's own.
+
+    Raises
+    ------
+    InputError
+        If the target exists or cannot be written, or there is nothing to write.
+    """
+    if isinstance(recording, dict):
+        lengths = {len(values) for values in recording.values()}
+        if len(lengths) > 1:
+            raise InputError(f"{path}: channels differ in length: {sorted(lengths)}")
+        recording = Recording(settings.rig.sample_time, recording)
+    if len(recording) == 0:
+        raise InputError(f"{path}: nothing to write, the recording has no samples")
+    start = recording.start_ns if start_ns is None else start_ns
+    stamps = start + np.round(np.arange(len(recording)) * recording.sample_time * 1e9).astype(
+        np.int64)
+    if stamps[0] < 0 or stamps[-1] >= 2**31 * 1_000_000_000:
+        raise InputError(f"{path}: stamps from {stamps[0]} to {stamps[-1]} ns do not fit a header")
+    streams = messages_of(recording, stamps, settings.monitor.namespace)
+    if not streams:
+        raise InputError(f"{path}: nothing to write, no channel has a finite value")
+    with BagWriter(path, {s.topic: s.msgtype for s in streams}, compression=compression,
+                   overwrite=overwrite) as writer:
+        # In order of time over all topics, as a recorder would have met them.
+        times = np.concatenate([s.stamps for s in streams])
+        which = np.concatenate([np.full(len(s.stamps), i) for i, s in enumerate(streams)])
+        place = np.concatenate([np.arange(len(s.stamps)) for s in streams])
+        order = np.lexsort((which, times))
+        for stamp, i, row in zip(times[order].tolist(), which[order].tolist(),
+                                 place[order].tolist(), strict=True):
+            stream = streams[i]
+            writer.write_raw(stream.topic, stamp,
+                             stream.data[row * stream.length:(row + 1) * stream.length])
+    return Path(path)
