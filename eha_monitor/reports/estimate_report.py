@@ -1,0 +1,71 @@
+"""The HTML report of ``estimate``: verdict, the paper's figures, innovations, alarms."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from eha_monitor.filters.results import Estimate
+from eha_monitor.health.alarms import Alarm
+from eha_monitor.reports import tables
+from eha_monitor.reports.alarm_figures import alarm_block
+from eha_monitor.reports.innovation_figures import innovation_block
+from eha_monitor.reports.motion_figures import motion_blocks
+from eha_monitor.reports.page import render, write_page
+from eha_monitor.reports.parameter_figures import parameter_block
+from eha_monitor.reports.quantities import number
+from eha_monitor.reports.verdict import verdict
+
+if TYPE_CHECKING:
+    from eha_monitor.filters.observability import ObservabilityTable
+
+
+def write_estimate_report(path: str | Path, estimate: Estimate, alarms: tuple[Alarm, ...],
+                          history: tuple[Alarm, ...],
+                          observability: "ObservabilityTable | None" = None) -> None:
+    """Write the report of one recording as a single HTML file.
+
+    Parameters
+    ----------
+    path : file to write; an existing one is replaced at once when the new one is complete.
+    estimate : what the pipeline found.
+    alarms : state of each alarm at the end of the recording.
+    history : every change of a level, in order of time.
+    observability : standard deviations that each combination of channels would reach, or None.
+
+    Raises
+    ------
+    InputError
+        If ``path`` cannot be written.
+    """
+    write_page(path, estimate_page(estimate, alarms, history, observability))
+
+
+def estimate_page(estimate: Estimate, alarms: tuple[Alarm, ...], history: tuple[Alarm, ...],
+                  observability: "ObservabilityTable | None" = None) -> str:
+    """Return the report as HTML text."""
+    recording = estimate.recording
+    name = Path(recording.source).name or estimate.settings.rig.name
+    return render(
+        "estimate.html.j2",
+        title=f"EHA monitor: {name}",
+        name=name,
+        heading=tables.heading(estimate),
+        verdict=verdict(estimate, alarms),
+        parameters=tables.parameter_rows(estimate),
+        model=estimate.model,
+        warnings=estimate.warnings,
+        losses=recording.losses,
+        motion=motion_blocks(estimate),
+        convergence=[parameter_block(estimate, "B"), parameter_block(estimate, "beta_e")],
+        innovations=[innovation_block(estimate, estimate.stage_one),
+                     innovation_block(estimate, estimate.stage_two)],
+        timeline=alarm_block(alarms, history, estimate.events, recording.duration),
+        alarms=tables.alarm_rows(alarms),
+        history=tables.alarm_rows(history),
+        events=[{"time": f"{number(e.time_s)} s", "stage": e.stage, "message": e.message}
+                for e in estimate.events],
+        joint=tables.joint_table(estimate.joint),
+        observability=tables.observability_table(observability, recording),
+        noise=tables.noise_rows(estimate),
+        config=tables.config_sections(estimate.settings),
+        rotary=estimate.settings.rig.motion == "rotary",
+    )

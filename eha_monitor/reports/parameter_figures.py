@@ -1,0 +1,152 @@
+"""B and beta_e as they converge, with their band and the alarm limits."""
+
+import numpy as np
+
+from eha_monitor.filters.results import Estimate, StageResult
+from eha_monitor.reports.drawing import (
+    ERROR_LINE,
+    INK,
+    STAGE_ONE,
+    STAGE_TWO,
+    WARN_LINE,
+    Block,
+    draw,
+    legend_above,
+    mark_window,
+    new_figure,
+    pad_limits,
+    picture,
+)
+from eha_monitor.reports.quantities import quantity, readable, time_scale
+from eha_monitor.reports.traces import envelope
+from eha_monitor.settings.monitor import Limits
+
+SYMBOLS = {"B": "B", "beta_e": "βₑ", "L": "C_T"}
+NAMES = {"B": "viscous damping", "beta_e": "effective bulk modulus", "L": "leakage"}
+_LIMITS = (("low_error", "ERROR below"), ("low_warn", "WARN below"),
+           ("high_warn", "WARN above"), ("high_error", "ERROR above"))
+
+
+def parameter_block(estimate: Estimate, name: str) -> Block:
+    """Return the convergence of ``B`` or ``beta_e``: all of it with the limits, and its end."""
+    stage, limits, colour, paper = {
+        "B": (estimate.stage_one, estimate.settings.thresholds.viscous_damping, STAGE_ONE,
+              "the paper's Fig. 6 and 11"),
+        "beta_e": (estimate.stage_two, estimate.settings.thresholds.bulk_modulus, STAGE_TWO,
+                   "the paper's Fig. 15 and 20")}[name]
+    key, title = f"parameter-{name}", f"{NAMES[name].capitalize()} {SYMBOLS[name]}"
+    value, stddev = stage.value, stage.stddev
+    if not len(value) or not np.isfinite(value).any():
+        reason = stage.estimate.message or "the stage had no data"
+        return Block(key, title, paper, notes=(f"No curve: {reason}",))
+    unit = stage.estimate.unit
+    notes = []
+    lines = [(getattr(limits, which), words) for which, words in _LIMITS
+             if getattr(limits, which) is not None]
+    low, high = core_range(stage, 0.4)
+    near = [limit for limit, _ in lines if _is_near(limit, low, high)]
+    far = [f"{words} {quantity(limit, unit)}" for limit, words in lines if limit not in near]
+    if far:
+        notes.append(f"Beyond the picture: {', '.join(far)}.")
+    view = (min([low, *near]), max([high, *near]))
+    margin = 0.08 * (view[1] - view[0])
+    early = value[np.isfinite(value)]
+    if early.min() < view[0] - margin or early.max() > view[1] + margin:
+        notes.append("The way from the prior leaves the picture at the start.")
+    begin = _settled(stage)
+    pictures = [_picture(stage, name, slice(None), view, lines, colour, "whole record", begin)]
+    if 0 < begin < len(value) - 10:
+        tail = core_range(stage, begin / len(value))
+        pictures.append(_picture(stage, name, slice(begin, None), tail, lines, colour,
+                                 "after convergence, enlarged"))
+    if name == "B" and estimate.recording.has("temperature"):
+        notes.append("A temperature was recorded: the limits hold at "
+                     f"{estimate.settings.viscosity.reference_temperature:g} °C, to which B is "
+                     "carried by the viscosity law before it is judged; the curve shows B as "
+                     "it is.")
+    return Block(key, title, paper, tuple(pictures), tuple(notes))
+
+
+def core_range(stage: StageResult, from_share: float) -> tuple[float, float]:
+    """Return the range of the curve and its band behind a share of the record, SI.
+
+    Percentiles and medians keep single jumps from hiding the rest.
+    """
+    start = int(from_share * len(stage.value))
+    value, stddev = stage.value[start:], stage.stddev[start:]
+    if not np.isfinite(value).any():
+        value, stddev = stage.value, stage.stddev
+    finite = np.isfinite(value)
+    value = value[finite]
+    spread = 2 * np.nan_to_num(stddev[finite], nan=0.0, posinf=0.0)
+    half = len(value) // 2
+    low, high = np.percentile(value, (0.5, 99.5))
+    late, wide = value[half:], spread[half:]
+    return (float(min(low, np.median(late - 1.5 * wide))),
+            float(max(high, np.median(late + 1.5 * wide))))
+
+
+def _is_near(limit: float, low: float, high: float) -> bool:
+    """Whether a limit can share the picture without squeezing the curve flat."""
+    size = max(abs(low), abs(high), 3 * (high - low))
+    return low - 2.5 * size <= limit <= high + 2.5 * size
+
+
+def _settled(stage: StageResult) -> int:
+    """Return the sample from which the curve is worth enlarging."""
+    finite = np.flatnonzero(np.isfinite(stage.value))
+    last = finite[len(finite) // 2:]
+    centre, width = np.median(stage.value[last]), np.ptp(np.percentile(
+        stage.value[last], (1, 99)))
+    width = max(4 * width, 8 * float(np.nanmedian(stage.stddev[last])), 1e-9 * abs(centre))
+    outside = finite[np.abs(stage.value[finite] - centre) > width]
+    first = outside[-1] + 1 if len(outside) else finite[0]
+    return int(min(max(first, finite[0] + len(finite) // 10), last[0]))
+
+
+def _picture(stage: StageResult, name: str, part: slice, view: tuple[float, float],
+             lines: list[tuple[float, str]], colour: str, words: str, begin: int = 0):
+    """Draw the curve, its band and the limits that fall into ``view``."""
+    whole = stage.time
+    clock = time_scale(float(whole[-1] - whole[0]))
+    scale = readable(max(map(abs, view)), stage.estimate.unit)
+    t, value = whole[part] * clock.factor, stage.value[part] * scale.factor
+    spread = 2 * stage.stddev[part] * scale.factor
+    figure, (axis,) = new_figure()
+    pad_limits(axis, view[0] * scale.factor, view[1] * scale.factor, 0.09)
+    bottom, top = axis.get_ylim()
+    band_t, lower = envelope(t, np.clip(value - spread, bottom - 9 * (top - bottom), None), 400)
+    also_t, upper = envelope(t, np.clip(value + spread, None, top + 9 * (top - bottom)), 400)
+    if len(band_t) == len(also_t) and len(band_t):
+        axis.fill_between(band_t, lower, upper, color=colour, alpha=0.22, linewidth=0,
+                          label="± 2σ")
+    draw(axis, t, value, color=colour, linewidth=1.8, label=f"{SYMBOLS[name]} estimated")
+    for limit, label in lines:
+        place = limit * scale.factor
+        if not bottom < place < top:
+            continue
+        line = ERROR_LINE if label.startswith("ERROR") else WARN_LINE
+        axis.axhline(place, color=line, linewidth=1.3,
+                     linestyle=(0, (2, 2)) if line == ERROR_LINE else (0, (6, 3)))
+        axis.annotate(f"{label} {quantity(limit, stage.estimate.unit)}", (1.0, place),
+                      xycoords=("axes fraction", "data"), xytext=(-3, 2),
+                      textcoords="offset points", ha="right", va="bottom", fontsize=9,
+                      color=line, bbox={"facecolor": "white", "edgecolor": "none",
+                                        "pad": 0.8, "alpha": 0.75})
+    if part == slice(None) and 0 < begin:
+        mark_window(axis, whole[begin] * clock.factor, t[-1])
+    if len(t) > 1 and t[-1] > t[0]:
+        axis.set_xlim(t[0], t[-1])
+    axis.set_xlabel(f"time, {clock.unit} — {words}", color=INK)
+    axis.set_ylabel(f"{SYMBOLS[name]}, {scale.unit}")
+    legend_above(axis)
+    last = stage.value[np.isfinite(stage.value)][-1]
+    return picture(figure, f"{NAMES[name]} against time with its two-sigma band and limits, "
+                           f"{words}; last value {quantity(last, stage.estimate.unit)}")
+
+
+def limits_in_words(limits: Limits, unit: str) -> str:
+    """Return the limits of a parameter as one phrase."""
+    words = [f"{words} {quantity(getattr(limits, which), unit)}" for which, words in _LIMITS
+             if getattr(limits, which) is not None]
+    return ", ".join(words) or "no limits configured"

@@ -1,0 +1,164 @@
+"""Rows of the report's tables, in words and readable units; plain data for the template."""
+
+import math
+from collections.abc import Iterator
+from datetime import datetime, timezone
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+from eha_monitor.filters.results import Estimate, JointResult, ParameterEstimate
+from eha_monitor.health.alarms import Alarm
+from eha_monitor.reports.alarm_figures import alarm_words
+from eha_monitor.reports.parameter_figures import NAMES, SYMBOLS, limits_in_words
+from eha_monitor.reports.quantities import number, quantity, with_uncertainty
+from eha_monitor.reports.verdict import STATUS_WORDS
+from eha_monitor.settings.monitor import CHANNEL_UNITS, Settings
+
+CHANNEL_WORDS = {"x": "position x", "v": "velocity v", "x_d": "demanded position x_d",
+                 "omega": "pump speed ω", "p1": "pressure p₁", "p2": "pressure p₂",
+                 "force": "force", "temperature": "temperature"}
+_ROTARY_UNITS = {"m": "rad", "m/s": "rad/s", "N": "N·m"}
+
+
+def parameter_row(estimate: ParameterEstimate) -> dict[str, Any]:
+    """Return the row of one parameter; ``value`` and ``stddev`` stay exact SI numbers."""
+    return {"name": NAMES.get(estimate.name, estimate.name),
+            "symbol": SYMBOLS.get(estimate.name, estimate.name),
+            "value": None if not math.isfinite(estimate.value) else float(estimate.value),
+            "stddev": None if not math.isfinite(estimate.stddev) else float(estimate.stddev),
+            "unit": estimate.unit,
+            "shown": with_uncertainty(estimate.value, estimate.stddev, estimate.unit),
+            "status": estimate.status,
+            "status_words": STATUS_WORDS.get(estimate.status, estimate.status),
+            "message": estimate.message}
+
+
+def parameter_rows(estimate: Estimate) -> list[dict[str, Any]]:
+    """Return the rows of B and beta_e with the limits that judge them."""
+    thresholds = estimate.settings.thresholds
+    limits = {"B": thresholds.viscous_damping, "beta_e": thresholds.bulk_modulus}
+    return [parameter_row(p) | {"limits": limits_in_words(limits[name], p.unit)}
+            for name, p in estimate.parameters.items()]
+
+
+def joint_table(joint: JointResult | None) -> dict[str, Any] | None:
+    """Return parameters and correlations of the joint estimator, or None."""
+    if joint is None:
+        return None
+    correlation = np.asarray(joint.correlation, dtype=float)
+    names = list(joint.parameters)
+    strong = [f"{SYMBOLS.get(names[i], names[i])} and {SYMBOLS.get(names[j], names[j])}"
+              for i in range(len(names)) for j in range(i)
+              if max(i, j) < len(correlation) and abs(correlation[i, j]) > 0.9]
+    return {"rows": [parameter_row(p) for p in joint.parameters.values()],
+            "symbols": [SYMBOLS.get(name, name) for name in names],
+            "correlation": [[{"text": f"{v:+.2f}".replace("-", "−") if math.isfinite(v) else "—",
+                              "strong": i != j and abs(v) > 0.9}
+                             for j, v in enumerate(row)] for i, row in enumerate(correlation)],
+            "strong": strong, "message": joint.message}
+
+
+def observability_table(table: Any, recording: Any) -> dict[str, Any] | None:
+    """Return the observability of channel combinations, or None.
+
+    Parameters
+    ----------
+    table : has ``rows``, each with ``channels`` and ``relative_stddev`` (name -> ratio).
+    recording : its channels mark the rows that this recording can answer.
+    """
+    if table is None or not table.rows:
+        return None
+    names = list(dict.fromkeys(name for row in table.rows for name in row.relative_stddev))
+    rows = [{"channels": ", ".join(row.channels),
+             "here": recording.has(*row.channels) if row.channels else False,
+             "cells": [_relative(row.relative_stddev.get(name)) for name in names]}
+            for row in table.rows]
+    return {"symbols": [SYMBOLS.get(name, name) for name in names], "rows": rows,
+            "message": getattr(table, "message", "")}
+
+
+def _relative(ratio: float | None) -> dict[str, str]:
+    """Return the text and the class of a relative standard deviation."""
+    if ratio is None or not math.isfinite(ratio):
+        return {"text": "not observable", "kind": "none"}
+    kind = "good" if ratio <= 0.05 else "fair" if ratio <= 0.5 else "poor"
+    return {"text": f"± {number(200 * ratio, 2)} %", "kind": kind}
+
+
+def noise_rows(estimate: Estimate) -> list[dict[str, str]]:
+    """Return the noise level of each channel and where it comes from."""
+    rotary = estimate.settings.rig.motion == "rotary"
+    rows = []
+    for name, noise in estimate.noise.items():
+        unit = CHANNEL_UNITS.get(name, "")
+        unit = _ROTARY_UNITS.get(unit, unit) if rotary else unit
+        rows.append({"channel": CHANNEL_WORDS.get(name, name),
+                     "level": quantity(noise.value, unit, 3),
+                     "source": "measured from this recording" if noise.measured
+                     else "taken from the config"})
+    return rows
+
+
+def alarm_rows(alarms: tuple[Alarm, ...]) -> list[dict[str, str]]:
+    """Return one row for each alarm, or for each change of one."""
+    return [{"name": alarm_words(a.name), "level": a.level, "message": a.message,
+             "time": f"{number(a.time_s)} s"} for a in alarms]
+
+
+def config_sections(settings: Settings) -> list[dict[str, Any]]:
+    """Return the values of the config that shaped this estimate, section by section."""
+    sections = [("rig", settings.rig), ("noise", settings.noise),
+                ("stage_one", settings.stage_one), ("stage_two", settings.stage_two),
+                ("thresholds", settings.thresholds), ("viscosity", settings.viscosity)]
+    found = [{"name": name, "rows": list(_config_rows(section))} for name, section in sections]
+    general = [{"key": key, "value": getattr(settings, key), "unit": "",
+                "description": Settings.model_fields[key].description or ""}
+               for key in ("discretisation", "command_hold")]
+    found.append({"name": "general", "rows": general})
+    effects = [{"key": f"{effect}.{name}", "value": number(value, 6), "unit": "",
+                "description": ""} for effect, values in settings.effects.items()
+               for name, value in values.items()]
+    if effects:
+        found.append({"name": "effects", "rows": effects})
+    return found
+
+
+def _config_rows(section: BaseModel, prefix: str = "", unit: str = "") -> Iterator[dict]:
+    for key, declared in type(section).model_fields.items():
+        value = getattr(section, key)
+        own = (declared.json_schema_extra or {}).get("unit", "") \
+            if isinstance(declared.json_schema_extra, dict) else ""
+        if isinstance(value, BaseModel):
+            inner = {"viscous_damping": "N·s/m", "bulk_modulus": "Pa"}.get(key, "")
+            yield from _config_rows(value, f"{prefix}{key}.", inner)
+            continue
+        shown = number(value, 6) if isinstance(value, float) else \
+            "null" if value is None else str(value)
+        if unit and own == "1" and key.endswith(("warn", "error")):
+            own = unit
+        yield {"key": prefix + key, "value": shown, "unit": "" if own == "1" else own,
+               "description": declared.description or ""}
+
+
+def heading(estimate: Estimate) -> list[tuple[str, str]]:
+    """Return the facts at the head of the page as (label, text)."""
+    recording = estimate.recording
+    facts = [("Recording", recording.source or "no file"),
+             ("Rig", estimate.settings.rig.name),
+             ("Duration", quantity(recording.duration, "s") if recording.duration < 120 else
+              f"{recording.duration:.0f} s ({recording.duration / 60:.1f} min)"),
+             ("Samples", f"{len(recording):,}".replace(",", " ")
+              + f" at {number(1 / recording.sample_time)} Hz"),
+             ("Channels", ", ".join(name for name in recording.channels
+                                    if recording.has(name)) or "none with a value")]
+    if recording.start_ns > 0:
+        try:
+            start = datetime.fromtimestamp(recording.start_ns // 10**9, tz=timezone.utc)
+            facts.append(("Start", start.strftime("%Y-%m-%d %H:%M:%S UTC")))
+        except (ValueError, OverflowError, OSError):
+            pass  # a stamp that is no calendar date is not worth a word
+    if estimate.wall_s > 0:
+        facts.append(("Computed in", f"{quantity(estimate.wall_s, 's', 3)}"))
+    return facts

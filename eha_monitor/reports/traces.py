@@ -1,0 +1,214 @@
+"""Curves made fit for a picture: envelopes, derivatives, windows, limits, correlations."""
+
+import numpy as np
+
+
+def envelope(time: np.ndarray, values: np.ndarray, bins: int = 1000
+             ) -> tuple[np.ndarray, np.ndarray]:
+    """Return at most a few points per bin that draw the same line: peaks and gaps survive.
+
+    Each bin keeps its first, lowest, highest and last sample, which is what a line drawn
+    through all of them would show at that width.  A gap longer than three times the usual
+    spacing of the finite samples becomes a NaN; shorter ones are joined, so that a channel
+    slower than the grid is still a line.
+
+    Parameters
+    ----------
+    time : (n,) rising.
+    values : (n,) NaN or infinite where there is nothing.
+    bins : columns of the picture.
+    """
+    index = np.flatnonzero(np.isfinite(values))
+    if not index.size:
+        return np.empty(0), np.empty(0)
+    steps = np.diff(index)
+    gap_after = steps > 3 * np.median(steps) if steps.size else np.zeros(0, dtype=bool)
+    t, v = time[index], values[index]
+    if len(index) <= 4 * bins:
+        breaks = np.flatnonzero(gap_after) + 1
+        return np.insert(t, breaks, t[breaks - 1]), np.insert(v, breaks, np.nan)
+    column = (index * bins) // len(values)
+    starts = np.flatnonzero(np.r_[True, (np.diff(column) > 0) | gap_after])
+    ends = np.r_[starts[1:], len(index)] - 1
+    middle = 0.5 * (t[starts] + t[ends])
+    gap = np.r_[gap_after[ends[:-1]], False]
+    out_t = np.column_stack([t[starts], middle, middle, t[ends], t[ends]])
+    out_v = np.column_stack([v[starts], np.minimum.reduceat(v, starts),
+                             np.maximum.reduceat(v, starts), v[ends],
+                             np.where(gap, np.nan, v[ends])])
+    return out_t.ravel(), out_v.ravel()
+
+
+def smoothed_derivative(values: np.ndarray, dt: float, order: int
+                        ) -> tuple[np.ndarray, float]:
+    """Return the derivative of a measured channel and the length of the smoothing, s.
+
+    A cubic is fitted over a sliding window (Savitzky-Golay), the shortest of a few whose noise
+    stays below 3 % of the derivative itself.  Short gaps are bridged, long ones stay NaN.
+
+    Parameters
+    ----------
+    values : (n,) SI.
+    dt : sample time, s.
+    order : 1 or 2.
+    """
+    from scipy.signal import savgol_coeffs, savgol_filter  # slow to import
+
+    filled = _bridged(values, longest=15)
+    best, length = np.full(len(values), np.nan), 0.0
+    for window in (7, 11, 17, 25, 41, 65, 101):
+        if window > len(values):
+            break
+        smooth = savgol_filter(filled, window, 3, mode="constant", cval=np.nan)
+        slope = savgol_filter(filled, window, 3, deriv=order, delta=dt, mode="constant",
+                              cval=np.nan)
+        finite = np.isfinite(slope)
+        if not finite.any():
+            break
+        best, length = slope, window * dt
+        # The median is deaf to the reversals, where a cubic does not fit.
+        noise = 1.48 * np.median(np.abs(values - smooth)[finite & np.isfinite(values)])
+        weights = savgol_coeffs(window, 3, deriv=order, delta=dt)
+        if noise * np.linalg.norm(weights) < 0.03 * np.percentile(np.abs(slope[finite]), 95):
+            break
+    return best, length
+
+
+def _bridged(values: np.ndarray, longest: int) -> np.ndarray:
+    """Fill gaps of at most ``longest`` samples linearly; (n,)."""
+    finite = np.isfinite(values)
+    index = np.flatnonzero(finite)
+    if index.size < 2 or finite.all():
+        return np.where(finite, values, np.nan)
+    every = np.arange(len(values))
+    filled = np.interp(every, index, values[index], left=np.nan, right=np.nan)
+    after = np.searchsorted(index, every).clip(1, len(index) - 1)
+    too_long = (index[after] - index[after - 1] > longest + 1) & ~finite
+    filled[too_long] = np.nan
+    return filled
+
+
+def reversals(values: np.ndarray) -> np.ndarray:
+    """Return the indices where a motion turns by more than a tenth of its range."""
+    index = np.flatnonzero(np.isfinite(values))
+    if index.size < 5:
+        return np.empty(0, dtype=int)
+    thin = index[:: max(1, index.size // 200_000)]
+    v = values[thin]
+    threshold = 0.1 * (np.percentile(v, 99) - np.percentile(v, 1))
+    if not threshold > 0:
+        return np.empty(0, dtype=int)
+    found, extreme, direction = [], 0, 0
+    for i, value in enumerate(v.tolist()):
+        ahead = value - v[extreme]
+        if direction == 0:
+            if abs(ahead) > threshold:
+                direction, extreme = (1 if ahead > 0 else -1), i
+        elif ahead * direction >= 0:
+            extreme = i
+        elif -ahead * direction > threshold:
+            found.append(extreme)
+            direction, extreme = -direction, i
+    return thin[np.array(found, dtype=int)]
+
+
+def telling_window(motion: np.ndarray, dt: float, near: float | None = None
+                   ) -> tuple[int, int, str]:
+    """Return a window worth a closer look: (start, stop, what it shows).
+
+    Fast motions show three periods, slow ones the surroundings of a reversal.
+
+    Parameters
+    ----------
+    motion : (n,) measured or demanded position, NaN in gaps.
+    dt : sample time, s.
+    near : time that the window should be close to, s; by default three fifths into the record,
+        where filters have converged.
+    """
+    n = len(motion)
+    if near is None or not np.isfinite(near):
+        near = 0.6 * n * dt
+    turns = reversals(motion)
+    if len(turns) >= 2:
+        half_period = float(np.median(np.diff(turns))) * dt
+        if half_period <= 0.5:
+            length, words = 6 * half_period, "three periods"
+        else:
+            length, words = max(1.0, 0.5 * half_period), "a reversal"
+    else:
+        length, words = max(0.05 * n * dt, 20 * dt), "a part"
+        if len(turns):
+            words = "a reversal"
+    width = int(min(n, max(round(length / dt), 20)))
+    centres = turns if len(turns) else np.array([int(near / dt)])
+    for centre in centres[np.argsort(np.abs(centres * dt - near))][:50]:
+        start = int(np.clip(centre - width // 2, 0, n - width))
+        if np.isfinite(motion[start:start + width]).mean() > 0.98:
+            return start, start + width, words
+    centre = int(centres[np.argmin(np.abs(centres * dt - near))])
+    start = int(np.clip(centre - width // 2, 0, n - width))
+    return start, start + width, words
+
+
+def robust_peak(values: np.ndarray) -> tuple[float, float]:
+    """Return a half-height for a plot about zero and the true peak; both positive or zero.
+
+    The half-height is the peak itself unless a few samples tower over the rest.
+    """
+    size = np.abs(values[np.isfinite(values)])
+    if not size.size:
+        return 0.0, 0.0
+    peak, usual = float(size.max()), float(np.percentile(size, 99))
+    return (3 * usual if usual > 0 and peak > 8 * usual else peak), peak
+
+
+def autocorrelation(values: np.ndarray, lags: int, most: int = 500_000
+                    ) -> tuple[np.ndarray, int]:
+    """Return the autocorrelation at lags 1 to ``lags`` and the number of samples used.
+
+    The mean is not taken off, since innovations are expected to have none.  NaN are left out;
+    of a long record the last ``most`` samples are used.
+    """
+    z = values[-most:]
+    finite = np.isfinite(z)
+    z = np.where(finite, z, 0.0)
+    power = float(z @ z) / max(finite.sum(), 1)
+    if not power > 0:
+        return np.empty(0), int(finite.sum())
+    lags = min(lags, len(z) - 1)
+    size = 1 << int(np.ceil(np.log2(len(z) + lags + 1)))
+    spectrum, present = np.fft.rfft(z, size), np.fft.rfft(finite.astype(float), size)
+    products = np.fft.irfft(np.abs(spectrum) ** 2, size)[1:lags + 1]
+    pairs = np.fft.irfft(np.abs(present) ** 2, size)[1:lags + 1]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(pairs > 0.5, products / pairs / power, np.nan), int(finite.sum())
+
+
+def block_variance(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return block lengths (samples) and the variance of block sums over that of white noise.
+
+    Lengths double from 1 until fewer than 20 blocks remain.  A block sum of white noise of
+    unit variance has the variance of its length, so the ratio is then 1.
+    """
+    z = values[np.isfinite(values)]
+    lengths, ratios = [], []
+    length = 1
+    while len(z) // length >= 20:
+        blocks = z[: len(z) // length * length].reshape(-1, length).sum(axis=1)
+        lengths.append(length)
+        ratios.append(float(np.mean(blocks**2)) / length)
+        length *= 2
+    return np.array(lengths), np.array(ratios)
+
+
+def running_rms(values: np.ndarray, windows: int = 120) -> tuple[np.ndarray, np.ndarray]:
+    """Return the middle index of up to ``windows`` windows and the RMS in each; NaN in gaps."""
+    n = len(values)
+    windows = max(1, min(windows, n // 10))
+    edges = np.linspace(0, n, windows + 1).astype(int)
+    finite = np.isfinite(values)
+    squares = np.where(finite, values, 0.0) ** 2
+    count = np.add.reduceat(finite.astype(float), edges[:-1])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rms = np.sqrt(np.add.reduceat(squares, edges[:-1]) / count)
+    return 0.5 * (edges[:-1] + edges[1:]), np.where(count >= 3, rms, np.nan)

@@ -1,0 +1,80 @@
+"""The answer in one plain sentence."""
+
+from dataclasses import dataclass
+
+from eha_monitor.filters.results import Estimate
+from eha_monitor.health.alarms import Alarm
+from eha_monitor.reports.parameter_figures import NAMES, SYMBOLS
+from eha_monitor.reports.quantities import with_uncertainty
+
+STATUS_WORDS = {"converged": "converged", "not_excited": "not excited by this motion",
+                "diverged": "diverged", "no_data": "no data"}
+_ALARM_WORDS = {"viscous_damping_high": "the viscous damping B is too high",
+                "viscous_damping_low": "the viscous damping B is too low",
+                "bulk_modulus_high": "the effective bulk modulus βₑ is too high",
+                "bulk_modulus_low": "the effective bulk modulus βₑ is too low"}
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """``kind`` is ``ok``, ``warn``, ``error`` or ``unknown`` and sets the colour."""
+
+    kind: str
+    headline: str
+    sentence: str
+
+
+def verdict(estimate: Estimate, alarms: tuple[Alarm, ...]) -> Verdict:
+    """Return what the recording says about the actuator, and what it does not say."""
+    errors = [a for a in alarms if a.level == "ERROR"]
+    warnings = [a for a in alarms if a.level == "WARN"]
+    told = [p for p in estimate.parameters.values() if p.status == "converged"]
+    untold = [p for p in estimate.parameters.values() if p.status != "converged"]
+    parts = []
+    if errors or warnings:
+        parts.append(" and ".join(_alarm_phrase(alarm) for alarm in (*errors, *warnings)))
+    elif told:
+        values = " and ".join(f"{SYMBOLS[p.name]} = "
+                              f"{with_uncertainty(p.value, p.stddev, p.unit)}" for p in told)
+        if all(any(a.name.startswith(_PREFIX[p.name]) for a in alarms) for p in told):
+            verb = "is" if len(told) == 1 else "are"
+            parts.append(f"{values} {verb} within the limits")
+        else:
+            parts.append(f"{values}, without limits to judge by")
+    if untold:
+        parts.append("nothing can be told about " + " and ".join(
+            f"{NAMES[p.name]} {SYMBOLS[p.name]} ({STATUS_WORDS.get(p.status, p.status)})"
+            for p in untold))
+    mismatch = estimate.model.status == "mismatch"
+    if mismatch:
+        parts.append("the model does not explain this recording, so its numbers are those of a "
+                     "wrong model" if told else "the model does not explain this recording")
+    elif estimate.model.status == "consistent":
+        parts.append("the model explains the recording")
+    elif told:
+        parts.append("whether the model explains the recording could not be told")
+    kind, headline = _head(errors, warnings, mismatch, told, untold, estimate.model.status)
+    sentence = "; ".join(parts)
+    return Verdict(kind, headline, f"{headline}: {sentence}.")
+
+
+_PREFIX = {"B": "viscous_damping", "beta_e": "bulk_modulus"}
+
+
+def _head(errors, warnings, mismatch, told, untold, model) -> tuple[str, str]:
+    """Return colour and first words: the gravest thing leads."""
+    if errors or warnings:
+        words = "Alarm" if errors else "Warning"
+        return ("error" if errors else "warn"), words + (" and mismatch" if mismatch else "")
+    if mismatch:
+        return "warn", "Mismatch"
+    if not told:
+        return "unknown", "No answer"
+    if untold or model != "consistent":
+        return ("ok" if model == "consistent" else "unknown"), "Healthy as far as can be told"
+    return "ok", "Healthy"
+
+
+def _alarm_phrase(alarm: Alarm) -> str:
+    words = _ALARM_WORDS.get(alarm.name, alarm.name.replace("_", " "))
+    return f"{words} ({alarm.level})"
