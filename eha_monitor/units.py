@@ -35,8 +35,7 @@ def to_si(value: Any, unit: str) -> Any:
         ) from problem
 
 
-def Si(unit: str, description: str, default: Any = ..., *, optional: bool = False,
-       **bounds: float) -> Any:
+def Si(unit: str, description: str, *, optional: bool = False, **bounds: float) -> Any:
     """Declare a config value: ``name: Si("kg", "moving mass", gt=0) = 20.0``.
 
     Returns an annotated type whose field carries unit, description and range, from which the

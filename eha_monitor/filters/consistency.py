@@ -9,6 +9,8 @@ LENGTHS = (1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1024)  # samples in a block
 SIGNIFICANCE = 6.0  # standard deviations of the ratio under white noise
 TOLERANCE = 1.6  # ratio of variances: the filters' own approximations stay below (measured)
 SMALLEST_SAMPLES = 200
+AROUND = 500  # samples beside a detected change that may still lag behind it
+RESOLVED = 0.6  # quanta: a rounding error that stays the same for a while is this large
 WINDOW = 100  # samples of the windows in which the worst place is sought
 LOCAL = 25.0  # NIS of a window that is a mismatch by itself, however short (white: 1 +- 0.14)
 
@@ -41,8 +43,20 @@ def variance_ratios(e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.array(lengths), np.array(ratios)
 
 
+def while_changing(n: int, changes: np.ndarray | None) -> np.ndarray:
+    """Return (n,) bool, True on the samples that showed a change of the parameter."""
+    mask = np.zeros(n, dtype=bool)
+    if changes is None:
+        return mask
+    for sample, _, _, window in changes:
+        around = max(window, AROUND)
+        mask[max(0, int(sample - 2 * around)) : int(sample + around) + 1] = True
+    return mask if mask.mean() <= 1.0 / 3.0 else np.zeros(n, dtype=bool)
+
+
 def judge(innovation: np.ndarray, stddev: np.ndarray, dt: float, stage: str,
-          missing: str) -> Consistency | None:
+          missing: str, changes: np.ndarray | None = None,
+          quantum: float = 0.0) -> Consistency | None:
     """Judge one stage's innovations.
 
     Parameters
@@ -50,6 +64,9 @@ def judge(innovation: np.ndarray, stddev: np.ndarray, dt: float, stage: str,
     innovation, stddev : (n,) in the measurement's unit, NaN where nothing was measured.
     dt : sample time, s.
     stage, missing : words for the sentence: which stage, and what a mismatch points to.
+    changes : (k, 4) detected changes of the parameter; the samples that showed them are left
+        out, unless that would be more than a third of the record.
+    quantum : resolution of the measurement; slow errors below it are no mismatch.
 
     Returns
     -------
@@ -57,7 +74,7 @@ def judge(innovation: np.ndarray, stddev: np.ndarray, dt: float, stage: str,
         None with fewer than 200 innovations: too few to judge.
     """
     e = whitened(innovation, stddev)
-    index = np.flatnonzero(np.isfinite(e))
+    index = np.flatnonzero(np.isfinite(e) & ~while_changing(len(e), changes))
     if len(index) < SMALLEST_SAMPLES:
         return None
     values = e[index]
@@ -65,7 +82,9 @@ def judge(innovation: np.ndarray, stddev: np.ndarray, dt: float, stage: str,
     lengths, ratios = variance_ratios(values)
     chance = np.sqrt(2.0 / (len(values) // lengths))
     excess = (ratios - 1.0) / chance
-    judged = np.where((excess > SIGNIFICANCE) & (ratios > TOLERANCE), ratios, 0.0)
+    size = np.sqrt(ratios / lengths) * float(np.median(stddev[index]))  # rms of block means
+    judged = np.where((excess > SIGNIFICANCE) & (ratios > TOLERANCE)
+                      & (size > RESOLVED * quantum), ratios, 0.0)
     worst = int(np.argmax(judged if judged.any() else ratios))
     ratio, length = float(ratios[worst]), int(lengths[worst])
 

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.filters.noise import noise_levels
-from eha_monitor.filters.phi import smooth_hold
+from eha_monitor.filters.hold import Hold, hold_of
+from eha_monitor.filters.noise import noise_levels, quantum
 from eha_monitor.filters.results import NoiseEstimate
 from eha_monitor.filters.stage_two import hydraulics
 from eha_monitor.physics import signals as s
@@ -93,21 +93,20 @@ def force_variance(rig: Rig, noise: dict[str, NoiseEstimate], extra: float) -> f
 class StageInputs:
     """Everything the two kernels take from one recording.
 
-    ``force`` and ``drive`` are smooth holds; the reasons are None where the stage can run.
+    The holds' variances include the sensors' noise; the reasons are None where the stage can run.
+    ``quantum`` is the position's resolution in m, 0 where it is continuous.
     """
 
     model: RigModel
     dt: float
     x: np.ndarray
-    force: np.ndarray
-    drive: np.ndarray
+    force: Hold
+    drive: Hold
     p1: np.ndarray
     p2: np.ndarray
     noise: dict[str, NoiseEstimate]
     position_variance: float
-    force_variance: float
-    drive_variance: float
-    sampled: bool
+    quantum: float
     no_force: str | None
     no_drive: str | None
 
@@ -123,32 +122,38 @@ class StageInputs:
         model = RigModel.of(settings, mean)
         no_force = force_missing(rig, channels)
         no_drive = drive_missing(settings, channels)
-        empty = np.full(len(recording), np.nan)
-        force = smooth_hold(force_of(rig, channels)) if no_force is None else empty
-        drive, drive_variance = empty, 0.0
-        sampled = settings.command_hold == "sampled"
+        nothing = hold_of(np.full(len(recording), np.nan), 0.0)
+        force = drive = nothing
+        if no_force is None:
+            variance = force_variance(rig, noise, settings.stage_one.force_noise)
+            force = with_noise(hold_of(force_of(rig, channels), variance**0.5), variance)
         if no_drive is None:
-            drive, drive_variance = drive_input(model, channels, noise)
+            drive = drive_input(model, channels, noise)
         charge = np.array([rig.charge_pressure])
+        x = recording.get("x")
         return cls(
-            model, recording.sample_time, recording.get("x"), force, drive,
+            model, recording.sample_time, x, force, drive,
             channels["p1"] if both else charge, channels["p2"] if both else charge, noise,
             noise["x"].value ** 2 if "x" in noise else np.nan,
-            force_variance(rig, noise, settings.stage_one.force_noise), drive_variance,
-            sampled and "x_d" in channels and rig.position_gain is not None,
-            no_force, no_drive)
+            quantum(x[np.isfinite(x)]), no_force, no_drive)
 
 
-def drive_input(model: RigModel, channels: dict, noise: dict) -> tuple[np.ndarray, float]:
-    """Return stage two's input and its variance on a sample.
+def with_noise(hold: Hold, variance: float) -> Hold:
+    """Add the sensor's variance to that of the interpolation."""
+    return Hold(hold.start, hold.end, hold.variance + variance)
+
+
+def drive_input(model: RigModel, channels: dict, noise: dict) -> Hold:
+    """Return stage two's input.
 
     x_d in m where the loop is part of the model; the pump speed in rad/s where it is not: the
-    one that a sampled drive makes of x_d - x, or the measured one.
+    one that a sampled drive makes of x_d - x (the drive reads the same noisy x, so this has no
+    noise of its own), or the measured one.
     """
     rig = model.settings.rig
     if rig.position_gain is not None and "x_d" in channels:
         if model.loop:
-            return smooth_hold(channels["x_d"]), 0.0
-        speed = rig.position_gain * (channels["x_d"] - channels["x"])
-        return speed, 0.0  # the drive reads the same noisy x
-    return smooth_hold(channels["omega"]), noise["omega"].value ** 2
+            return hold_of(channels["x_d"], 0.0)
+        return hold_of(rig.position_gain * (channels["x_d"] - channels["x"]), 0.0, sampled=True)
+    sigma = noise["omega"].value
+    return with_noise(hold_of(channels["omega"], sigma), sigma**2)

@@ -9,6 +9,7 @@ from eha_monitor.physics.contributions import add_contributions
 from eha_monitor.physics.signals import FORCE, P1, P2, V, X
 
 GATE = 1e4  # squared standard deviations: a spike, not a mismatch
+UNSEEN = 16.0  # squared sigmas below which a regressor is taken for noise
 SPIKES = 3  # so many in a row are no spike
 BROAD = 1e3  # fresh velocity: uncertain by this many position sigmas a sample
 
@@ -43,21 +44,23 @@ def start_one(m, p, x, r, dt, keep):
 
 
 @njit
-def run_one(x, u, p1, p2, dt, mass, r, q, prior_variance, euler, theta, active, any_active,
+def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta, active, any_active,
             m, p, w, out, events):
     """Run the stage over all samples.
 
     Parameters
     ----------
-    x, u : (n,) position m and force N (already a smooth hold); NaN where missing.
+    x : (n,) position, m; NaN where missing.
+    start, end, q : (n,) force hold, N (:class:`filters.hold.Hold`), and the force's variance over
+        the sample before each, N^2.
     p1, p2 : (n,) or (1,) absolute pressures for pressure-dependent effects, Pa.
-    r, q : variances of the position (m^2) and of the force on a sample (N^2).
+    r : variance of the position, m^2.
     euler : run Eq. 4 as printed.
     theta, active, any_active : modelled effects.
     m, p : state (3,) and covariance (6,), updated; m[0] NaN asks for a fresh start.
     w : supervision, updated.
     out : (6, n) written: x, v, B, sigma_B, innovation, innovation sigma.
-    events : (k, 3) written: sample, B before, B after of each detected change.
+    events : (k, 4) written: sample, B before, B after, samples in the window that showed it.
 
     Returns
     -------
@@ -76,7 +79,7 @@ def run_one(x, u, p1, p2, dt, mass, r, q, prior_variance, euler, theta, active, 
     for k in range(n):
         lost = math.isnan(m[0])
         if not lost and k > 0:
-            u0, u1 = u[k - 1], u[k]
+            u0, u1 = start[k - 1], end[k]
             if math.isnan(u0) or math.isnan(u1):
                 lost = True
             else:
@@ -92,6 +95,8 @@ def run_one(x, u, p1, p2, dt, mass, r, q, prior_variance, euler, theta, active, 
                     x1, v1, fxv, fxb, fvv, fvb = predict_one_euler(m[0], m[1], b, u0, dt, mass)
                 else:
                     x1, v1, fxv, fxb, fvv, fvb = predict_one(m[0], m[1], b, u0, u1, dt, mass)
+                if m[1] * m[1] < UNSEEN * p[3]:
+                    fxb, fvb = 0.0, 0.0  # the velocity is noise: it tells nothing about B
                 m[0], m[1] = x1, v1
                 # P = F P F' + Q with F = [[1, fxv, fxb], [0, fvv, fvb], [0, 0, 1]]
                 bb = p[5]
@@ -101,10 +106,10 @@ def run_one(x, u, p1, p2, dt, mass, r, q, prior_variance, euler, theta, active, 
                 xx = (p[0] + fxv * p[1] + fxb * p[2]) + fxv * xv_x + fxb * xb
                 xv = fvv * xv_x + fvb * xb
                 vv = fvv * (fvv * p[3] + fvb * p[4]) + fvb * vb
-                p[0] = xx + q * q_x * q_x
-                p[1] = xv + q * q_x * q_v
+                p[0] = xx + q[k] * q_x * q_x
+                p[1] = xv + q[k] * q_x * q_v
                 p[2] = xb
-                p[3] = vv + q * q_v * q_v
+                p[3] = vv + q[k] * q_v * q_v
                 p[4] = vb
         z = x[k]
         nu, sd = nan, nan
@@ -135,11 +140,11 @@ def run_one(x, u, p1, p2, dt, mass, r, q, prior_variance, euler, theta, active, 
         elif lost:
             m[0] = nan
         if k % BLOCK == BLOCK - 1:
-            delta, information = look(w, m[2], p[5], prior_variance)
+            delta, information, window = look(w, m[2], p[5], prior_variance)
             if information > 0.0:
                 if found < events.shape[0]:
                     events[found, 0], events[found, 1] = k, m[2]
-                    events[found, 2] = m[2] + delta
+                    events[found, 2], events[found, 3] = m[2] + delta, window
                 found += 1
                 jump_one(m, p, delta, information)
             factor = honest_factor(w)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.filters.kernel_one import BROAD, GATE, SPIKES, effect_force
+from eha_monitor.filters.kernel_one import BROAD, GATE, SPIKES, UNSEEN, effect_force
 from eha_monitor.filters.stage_two import BETA_0, MASS, discretise, discretise_at
 from eha_monitor.filters.supervision import BLOCK, INFORMATION, SCORE, honest_factor, look
 
@@ -55,6 +55,13 @@ def predict_two(m, p, sens, step, b_step, d_b, u0, u1, force, flow, q_f, q_u):
             f_c1 = slope
         else:
             f_c2 = slope
+    # Where the slope is no larger than what the states' own uncertainty makes of it, it is noise
+    # and tells nothing about c; a filter that takes it for information drifts at rest.
+    w0 = b_step[2, 0] * p[0, 0] + b_step[2, 1] * p[1, 0] + b_step[2, 2] * p[2, 0]
+    w1 = b_step[2, 0] * p[0, 1] + b_step[2, 1] * p[1, 1] + b_step[2, 2] * p[2, 1]
+    w2 = b_step[2, 0] * p[0, 2] + b_step[2, 1] * p[1, 2] + b_step[2, 2] * p[2, 2]
+    if f_c2 * f_c2 < UNSEEN * (b_step[2, 0] * w0 + b_step[2, 1] * w1 + b_step[2, 2] * w2):
+        f_c0 = f_c1 = f_c2 = 0.0
     s0, s1, s2, s3 = sens[0], sens[1], sens[2], sens[3]
     for i in range(3):
         from_b = (d_b[i, 0] * x + d_b[i, 1] * v + d_b[i, 2] * f + d_b[i, 3] * u0
@@ -118,23 +125,24 @@ def correct_two(m, p, sens, z, r, w):
 
 
 @njit
-def run_two(x, d, b, b_variance, constants, leak, dt, r, q_f, q_u, prior_variance,
-            sampled, p1, p2, theta, active, any_active, m, p, sens, w, out, events):
+def run_two(x, start, end, q_u, b, b_variance, constants, leak, dt, r, q_f, prior_variance,
+            p1, p2, theta, active, any_active, m, p, sens, w, out, events):
     """Run the stage over all samples.
 
     Parameters
     ----------
-    x, d : (n,) position m, drive input (x_d in m, or omega in rad/s); NaN where missing.
+    x : (n,) position, m; NaN where missing.
+    start, end, q_u : (n,) hold of the drive input (x_d in m, or omega in rad/s) and its variance
+        over the sample before each.
     b, b_variance : (n,) damping of stage one and its variance.
     constants, leak : lumped hydraulics of :func:`stage_two.hydraulics`.
-    r, q_f, q_u : variances of position, of an unmodelled force and of the drive input.
-    sampled : the drive input is held over the sample instead of running linearly.
+    r, q_f : variances of the position (m^2) and of an unmodelled force (N^2).
     p1, p2 : (n,) or (1,) absolute pressures for pressure-dependent effects, Pa.
     m, p, sens : (4,) x, v, F, c; (4, 4); (4,) sensitivity to B; updated.  m[0] NaN: fresh start.
     w : supervision, updated.
     out : (8, n) written: x, v, a, beta_e, sigma of the filter, sigma with the uncertainty of B,
         innovation, innovation sigma.
-    events : (k, 3) written: sample, beta before, beta after.
+    events : (k, 4) written: sample, beta before, beta after, samples in the window.
 
     Returns
     -------
@@ -157,7 +165,7 @@ def run_two(x, d, b, b_variance, constants, leak, dt, r, q_f, q_u, prior_varianc
         lost = math.isnan(m[0])
         force = 0.0
         if not lost and k > 0:
-            u0, u1 = d[k - 1], d[k - 1] if sampled else d[k]
+            u0, u1 = start[k - 1], end[k]
             if math.isnan(u0) or math.isnan(u1) or math.isnan(b[k]):
                 lost = True
             else:
@@ -184,7 +192,7 @@ def run_two(x, d, b, b_variance, constants, leak, dt, r, q_f, q_u, prior_varianc
                             step[i, j] = base[i, j] + e * (d_c[i, j] + 0.5 * e * d_cc[i, j])
                             slope[i, j] = d_c[i, j] + e * d_cc[i, j]
                     last_c = c
-                predict_two(m, p, sens, step, slope, d_b, u0, u1, force, flow, q_f, q_u)
+                predict_two(m, p, sens, step, slope, d_b, u0, u1, force, flow, q_f, q_u[k])
         z = x[k]
         nu, sd = nan, nan
         if not math.isnan(z):
@@ -203,13 +211,14 @@ def run_two(x, d, b, b_variance, constants, leak, dt, r, q_f, q_u, prior_varianc
         elif lost:
             m[0] = nan
         if k % BLOCK == BLOCK - 1:
-            delta, information = look(w, m[3], p[3, 3], prior_variance)
+            delta, information, window = look(w, m[3], p[3, 3], prior_variance)
             if information > 0.0:
                 before = constants[BETA_0] / m[3]
                 jump_two(m, p, delta, information)
                 if found < events.shape[0]:
                     events[found, 0], events[found, 1] = k, before
                     events[found, 2] = constants[BETA_0] / m[3]
+                    events[found, 3] = window
                 found += 1
             factor = honest_factor(w)
         c = m[3]
@@ -245,7 +254,7 @@ def jump_two(m, p, delta, information):
 
 
 @njit
-def log_likelihood_two(x, d, b, c, constants, leak, dt, r, q_f, q_u, sampled):
+def log_likelihood_two(x, start, end, q_u, b, c, constants, leak, dt, r, q_f):
     """Return the log likelihood of a stretch under a fixed compliance ``c`` (no effects).
 
     The resonance makes the likelihood of beta_e many-peaked: an extended filter that starts
@@ -261,12 +270,13 @@ def log_likelihood_two(x, d, b, c, constants, leak, dt, r, q_f, q_u, sampled):
     total = 0.0
     for k in range(x.shape[0]):
         if not lost:
-            u0, u1 = d[k - 1], d[k - 1] if sampled else d[k]
+            u0, u1 = start[k - 1], end[k]
             if math.isnan(u0) or math.isnan(u1):
                 lost = True
             else:
                 p[3, 3] = 1e-30  # c is fixed here
-                predict_two(m, p, sens, step, zero, zero, u0, u1, 0.0, 0.0, q_f, q_u)
+                predict_two(m, p, sens, step, zero, zero, u0, u1, 0.0, 0.0, q_f,
+                            q_u[k])
         if math.isnan(x[k]):
             continue
         if lost:
@@ -282,10 +292,10 @@ def log_likelihood_two(x, d, b, c, constants, leak, dt, r, q_f, q_u, sampled):
 
 
 @njit
-def bank_two(x, d, b, grid, constants, leak, dt, r, q_f, q_u, sampled):
+def bank_two(x, start, end, q_u, b, grid, constants, leak, dt, r, q_f):
     """Return the log likelihood at each compliance of ``grid``; (len(grid),)."""
     out = np.empty(grid.shape[0])
     for i in range(grid.shape[0]):
-        out[i] = log_likelihood_two(x, d, b, grid[i], constants, leak, dt, r, q_f, q_u,
-                                    sampled)
+        out[i] = log_likelihood_two(x, start, end, q_u, b, grid[i], constants, leak, dt, r,
+                                    q_f)
     return out

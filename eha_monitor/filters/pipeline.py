@@ -6,7 +6,7 @@ import numpy as np
 
 from eha_monitor.filters import kernel_one, kernel_two
 from eha_monitor.filters.consistency import judge
-from eha_monitor.filters.inputs import RigModel, StageInputs
+from eha_monitor.filters.inputs import StageInputs
 from eha_monitor.filters.results import (
     Estimate,
     Event,
@@ -14,9 +14,8 @@ from eha_monitor.filters.results import (
     ParameterEstimate,
     StageResult,
 )
-from eha_monitor.filters.status import judge_parameter, no_data, units_of
+from eha_monitor.filters.status import CONVERGED, judge_parameter, no_data, units_of
 from eha_monitor.filters.supervision import new_supervision
-from eha_monitor.physics.signals import V
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
@@ -53,7 +52,7 @@ def estimate(recording: Recording, settings: Settings) -> Estimate:
     return Estimate(
         recording, settings, one, two, joint, model_status(one, two),
         tuple(sorted(events, key=lambda event: event.time_s)), inputs.noise,
-        time.perf_counter() - started, tuple(warnings_of(inputs, recording)))
+        time.perf_counter() - started, tuple(warnings_of(inputs)))
 
 
 def empty_stage(stage: str, estimate: ParameterEstimate) -> StageResult:
@@ -67,35 +66,36 @@ def run_stage_one(inputs: StageInputs, recording: Recording, settings: Settings,
     """Run stage one; also return its detected changes as rows (sample, before, after)."""
     unit = units_of(settings.rig.motion)["B"]
     if inputs.no_force:
-        return empty_stage("one", no_data("B", unit, inputs.no_force)), np.empty((0, 3))
+        return empty_stage("one", no_data("B", unit, inputs.no_force)), np.empty((0, 4))
     prior, spread = settings.stage_one.prior, settings.stage_one.prior_stddev
     n = len(recording)
     m = np.array([np.nan, 0.0, prior])
     p = np.zeros(6)
     p[5] = spread**2
     w = new_supervision()
-    out, changes = np.empty((6, n)), np.empty((MOST_EVENTS, 3))
+    out, changes = np.empty((6, n)), np.empty((MOST_EVENTS, 4))
     model = inputs.model
     found = kernel_one.run_one(
-        inputs.x, inputs.force, inputs.p1, inputs.p2, inputs.dt, settings.rig.mass,
-        inputs.position_variance, inputs.force_variance, spread**2,
+        inputs.x, inputs.force.start, inputs.force.end, inputs.force.variance, inputs.p1,
+        inputs.p2, inputs.dt, settings.rig.mass, inputs.position_variance, spread**2,
         settings.discretisation == "euler", model.theta, model.active,
         bool(model.active.any()), m, p, w, out, changes)
     if not np.isfinite(out[4]).any():
         return empty_stage("one", no_data(
             "B", unit, "stage one found no stretch with position and force together"
-        )), np.empty((0, 3))
-    verdict = judge(out[4], out[5], inputs.dt, "stage one", MISSING_ONE)
+        )), np.empty((0, 4))
+    changes = changes[: min(found, MOST_EVENTS)]
+    verdict = judge(out[4], out[5], inputs.dt, "stage one", MISSING_ONE, changes,
+                    inputs.quantum)
     result = StageResult(
         "one", judge_parameter("B", out[2, -1], out[3, -1], unit, prior, spread),
         recording.time, out[2], out[3], out[0], out[1],
-        (inputs.force - out[2] * out[1]) / settings.rig.mass, out[4], out[5], verdict)
-    changes = changes[: min(found, MOST_EVENTS)]
+        (inputs.force.start - out[2] * out[1]) / settings.rig.mass, out[4], out[5], verdict)
     first = first_converged(out[2], out[3], spread)
     if first is not None:
         events.append(Event(first * inputs.dt, "one",
                             f"B converged at {out[2, first]:.4g} ± {out[3, first]:.2g} {unit}"))
-    for sample, before, after in changes:
+    for sample, before, after, _ in changes:
         events.append(Event(sample * inputs.dt, "one",
                             f"B changed from {before:.4g} to {after:.4g} {unit}"))
     if found > MOST_EVENTS:
@@ -122,16 +122,24 @@ def hand_over(one: StageResult, changes: np.ndarray, settings: Settings, recordi
                                 f"stage two takes {nominal:.4g} ± {spread:.3g} {unit}"))
         return np.full(n, nominal), np.full(n, spread**2)
     damping, variance = np.empty(n), np.empty(n)
-    edges = [0, *(int(row[0]) + 1 for row in changes), n]
-    for start, stop in zip(edges[:-1], edges[1:], strict=True):
-        if stop > start:
-            damping[start:stop] = one.value[stop - 1]
-            variance[start:stop] = one.stddev[stop - 1] ** 2
-            if inputs.no_drive is None:
-                events.append(Event(
-                    start * inputs.dt, "two",
-                    f"{'runs' if start == 0 else 're-run'} with B = {one.value[stop - 1]:.5g} ± "
-                    f"{one.stddev[stop - 1]:.2g} {unit} handed over by stage one"))
+    # A change is dated to the start of the window that showed it; what B was before it is read
+    # another window earlier, where the change had not yet pulled at it.
+    starts = [0, *(max(0, int(row[0] - row[3]) + 1) for row in changes)]
+    ends = [*(max(0, int(row[0] - 2 * row[3])) for row in changes), n - 1]
+    handed = False
+    for i, (start, last) in enumerate(zip(starts, ends, strict=True)):
+        last = max(last, min(int(changes[i - 1, 0]) if i else 0, n - 1))
+        if one.stddev[last] > CONVERGED * abs(one.value[last]):
+            continue  # before stage one knew: the next piece's value serves backwards too
+        start = 0 if not handed else start
+        handed = True
+        damping[start:] = one.value[last]
+        variance[start:] = one.stddev[last] ** 2
+        if inputs.no_drive is None:
+            events.append(Event(
+                start * inputs.dt, "two",
+                f"{'re-run' if start else 'runs'} with B = {one.value[last]:.5g} ± "
+                f"{one.stddev[last]:.2g} {unit} handed over by stage one"))
     return damping, variance
 
 
@@ -155,15 +163,16 @@ def start_compliance(inputs: StageInputs, settings: Settings,
     prior = settings.stage_two
     broad = (prior.prior_stddev / prior.prior) ** 2
     length = min(len(inputs.x), round(BANK_SECONDS / inputs.dt))
-    start = most_telling(inputs.drive, inputs.x, length)
+    start = most_telling(inputs.drive.start, inputs.x, length)
     part = slice(start, start + length)
     grid = BANK_RATIO ** np.arange(-round(np.log(BANK_SPAN) / np.log(BANK_RATIO)),
                                    round(np.log(BANK_SPAN) / np.log(BANK_RATIO)) + 1)
     model = inputs.model
     likelihood = kernel_two.bank_two(
-        inputs.x[part], inputs.drive[part], damping[start + length // 2], grid,
+        inputs.x[part], inputs.drive.start[part], inputs.drive.end[part],
+        inputs.drive.variance[part], damping[start + length // 2], grid,
         model.hydraulics, model.leak, inputs.dt, inputs.position_variance,
-        force_noise_variance(inputs, settings), inputs.drive_variance, inputs.sampled)
+        force_noise_variance(settings))
     likelihood = np.where(np.isfinite(likelihood), likelihood, -np.inf)
     if not np.isfinite(likelihood).any():
         return 1.0, broad
@@ -176,7 +185,7 @@ def start_compliance(inputs: StageInputs, settings: Settings,
     return mean, min(broad, 25.0 * variance)
 
 
-def force_noise_variance(inputs: StageInputs, settings: Settings) -> float:
+def force_noise_variance(settings: Settings) -> float:
     """Variance of an unmodelled force on a sample in stage two, N^2."""
     return (settings.rig.mass * settings.stage_two.acceleration_noise) ** 2
 
@@ -191,19 +200,20 @@ def run_stage_two(inputs: StageInputs, recording: Recording, settings: Settings,
     if settings.discretisation == "euler":
         from eha_monitor.filters.euler import run_printed
 
-        out, changes = run_printed(inputs, settings, damping), np.empty((0, 3))
+        out, changes = run_printed(inputs, settings, damping), np.empty((0, 4))
     else:
         out, changes = run_exact(inputs, settings, damping, damping_variance)
     if not np.isfinite(out[6]).any():
         return empty_stage("two", no_data(
             "beta_e", unit, "stage two found no stretch with position and drive together"))
     prior = settings.stage_two
-    verdict = judge(out[6], out[7], inputs.dt, "stage two", MISSING_TWO)
+    verdict = judge(out[6], out[7], inputs.dt, "stage two", MISSING_TWO, changes,
+                    inputs.quantum)
     first = first_converged(out[3], out[5], prior.prior_stddev)
     if first is not None:
         events.append(Event(first * inputs.dt, "two",
                             f"beta_e converged at {out[3, first]:.4g} ± {out[5, first]:.2g} Pa"))
-    for sample, before, after in changes:
+    for sample, before, after, _ in changes:
         events.append(Event(sample * inputs.dt, "two",
                             f"beta_e changed from {before:.4g} to {after:.4g} Pa"))
     return StageResult(
@@ -216,18 +226,21 @@ def run_exact(inputs: StageInputs, settings: Settings, damping: np.ndarray,
               damping_variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Run the compiled stage two from the bank's start; (8, n) output and detected changes."""
     start, variance = start_compliance(inputs, settings, damping)
-    broad = (settings.stage_two.prior_stddev / settings.stage_two.prior) ** 2
-    m = np.array([np.nan, 0.0, 0.0, start])
-    p = np.zeros((4, 4))
-    p[3, 3] = variance
     model = inputs.model
-    out, changes = np.empty((8, len(inputs.x))), np.empty((MOST_EVENTS, 3))
-    found = kernel_two.run_two(
-        inputs.x, inputs.drive, damping, damping_variance, model.hydraulics, model.leak,
-        inputs.dt, inputs.position_variance, force_noise_variance(inputs, settings),
-        inputs.drive_variance, broad, inputs.sampled, inputs.p1, inputs.p2, model.theta,
-        model.active, bool(model.active.any()), m, p, np.zeros(4), new_supervision(), out,
-        changes)
+    effects = bool(model.active.any())
+    broad = (settings.stage_two.prior_stddev / settings.stage_two.prior) ** 2
+    out, changes = np.empty((8, len(inputs.x))), np.empty((MOST_EVENTS, 4))
+    for _ in range(2 if effects else 1):  # the bank knows no effects: start again where it led
+        m = np.array([np.nan, 0.0, 0.0, start])
+        p = np.zeros((4, 4))
+        p[3, 3] = variance
+        found = kernel_two.run_two(
+            inputs.x, inputs.drive.start, inputs.drive.end, inputs.drive.variance, damping,
+            damping_variance, model.hydraulics, model.leak, inputs.dt, inputs.position_variance,
+            force_noise_variance(settings), broad, inputs.p1, inputs.p2, model.theta,
+            model.active, effects, m, p, np.zeros(4), new_supervision(), out, changes)
+        if np.isfinite(m[3]) and p[3, 3] < 0.1 * broad:
+            start, variance = m[3], min(broad, max(variance, 25.0 * p[3, 3]))
     return out, changes[: min(found, MOST_EVENTS)]
 
 
@@ -242,16 +255,11 @@ def model_status(*stages: StageResult) -> ModelStatus:
     return ModelStatus("consistent", "; ".join(verdict.message for verdict in judged))
 
 
-def warnings_of(inputs: StageInputs, recording: Recording) -> list[str]:
+def warnings_of(inputs: StageInputs) -> list[str]:
     """Return what a user should know about the recording beyond the estimates."""
     notes = []
     for name, level in inputs.noise.items():
         if not level.measured and name in ("x", "p1", "p2", "omega", "force"):
             notes.append(f"{name}: too few samples to measure the noise, the config's level is "
                          "assumed")
-    if recording.has("v") and inputs.no_force is None:
-        pass  # a measured velocity is shown in the report; the stages do not need it
     return notes
-
-
-__all__ = ["RigModel", "V", "estimate"]

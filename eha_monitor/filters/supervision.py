@@ -46,7 +46,7 @@ def honest_factor(w):
 
 @njit
 def look(w, value, variance, prior_variance):
-    """Close a block; return (delta, information) of a detected change, or (0, 0).
+    """Close a block; return (delta, information, samples) of a detected change, or zeros.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def look(w, value, variance, prior_variance):
     w[SCORE] = 0.0
     w[INFORMATION] = 0.0
     if variance > 0.1 * prior_variance or information <= 0.0:
-        return 0.0, 0.0
+        return 0.0, 0.0, 0
     blocks = int(w[BLOCKS])
     for i in range(min(blocks, HISTORY - 1), 0, -1):  # newest block first
         w[6 + i] = w[6 + i - 1]
@@ -81,10 +81,10 @@ def look(w, value, variance, prior_variance):
         ) > SMALLEST * abs(value):
             w[BLOCKS] = 0.0
             w[CHANGES] += 1.0
-            return delta, total_information
+            return delta, total_information, (i + 1) * BLOCK
     if w[RATIO_COUNT] >= 300.0:  # forget slowly: half a minute at 1 kHz
         w[RATIO_SUM] *= 0.5
         w[RATIO_COUNT] *= 0.5
     w[RATIO_SUM] += score * score / (information * (1.0 + information * variance))
     w[RATIO_COUNT] += 1.0
-    return 0.0, 0.0
+    return 0.0, 0.0, 0

@@ -1,9 +1,8 @@
 """Config sections of the monitor: channels, stages, thresholds, temperature."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
-from typing_extensions import Annotated
 
 from eha_monitor.settings.rig import Rig, Section, SensorNoise, Simulation, effects_field
 from eha_monitor.units import Si

@@ -139,7 +139,8 @@ def effects_field(value):
         if not isinstance(given, dict):
             raise ValueError(f"{name}: expected its parameters {', '.join(known)}")
         if extra := set(given) - set(known):
-            raise ValueError(f"{name}.{sorted(extra)[0]}: unknown key, expected {', '.join(known)}")
+            raise ValueError(f"{name}.{sorted(extra)[0]}: unknown key, "
+                             f"expected {', '.join(known)}")
         checked[name] = {}
         for p in effect.parameters:
             number = to_si(given.get(p.name, p.default), p.unit.replace("^2", "²")

@@ -1,0 +1,70 @@
+"""What a sampled input did between its samples, and how uncertain that is."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+JUMP = 20.0  # times the neighbouring steps: a jump, held until its stamp
+KINK = 4.0  # times the neighbouring bends: a corner, which linear interpolation already meets
+REMAINDER = 1.0 / 20.0  # of the fourth difference: interpolation error at corners (1/24) and
+# on waves (11/720), so that the filters know where their input is uncertain
+VISIBLE = 6.0  # standard deviations by which a fourth difference must rise above the noise
+
+
+@dataclass(frozen=True)
+class Hold:
+    """An input that runs linearly from ``start[k-1]`` to ``end[k]`` in the sample before k.
+
+    ``variance`` (n,) is that of the input over this sample beyond the sensor's noise.
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+    variance: np.ndarray
+
+
+def largest_neighbour(values: np.ndarray, reach: int) -> np.ndarray:
+    """Return the largest absolute value within ``reach`` samples, itself left out; (n,)."""
+    size = np.abs(np.nan_to_num(values))
+    padded = np.pad(size, reach)
+    n = len(size)
+    shifted = [padded[reach + d : reach + d + n] for d in range(-reach, reach + 1) if d]
+    return np.max(shifted, axis=0)
+
+
+def hold_of(u: np.ndarray, sigma: float, sampled: bool = False) -> Hold:
+    """Return the hold of a sampled input.
+
+    Linear interpolation of a sampled wave loses (omega T)^2/12 of it; adding minus a twelfth of
+    the second difference makes the hold fourth order: at 472 rad/s and 1 ms 0.07 % is lost
+    instead of 1.9 %.  Corners stay as they are.  A jump is held until its stamp.
+
+    Parameters
+    ----------
+    u : (n,) samples, NaN where missing.
+    sigma : standard deviation of the sensor's noise on u.
+    sampled : the input is held over each sample (a digital drive).
+    """
+    n = len(u)
+    if n < 5:
+        return Hold(u, np.roll(u, 1) if sampled else u, np.zeros(n))
+    if sampled:
+        end = np.concatenate([u[:1], u[:-1]])
+        return Hold(u, end, np.zeros(n))
+    step = np.diff(u, prepend=u[:1])
+    jump = np.abs(step) > JUMP * largest_neighbour(step, 2) + VISIBLE * 2.0 * sigma
+    bend = np.zeros(n)
+    bend[1:-1] = u[2:] - 2 * u[1:-1] + u[:-2]
+    fourth = np.zeros(n)
+    fourth[2:-2] = u[4:] - 4 * u[3:-1] + 6 * u[2:-2] - 4 * u[1:-3] + u[:-4]
+    rough = np.abs(np.nan_to_num(fourth)) > VISIBLE * np.sqrt(70.0) * sigma
+    corner = (np.abs(bend) > KINK * largest_neighbour(bend, 2)) & rough
+    beside = jump | np.roll(jump, -1) | np.roll(jump, 1)
+    correction = np.where(corner | beside | ~np.isfinite(bend), 0.0, bend / 12.0)
+    start = u - correction
+    end = np.where(jump, np.concatenate([start[:1], start[:-1]]), start)
+    unsure = np.where(rough, REMAINDER * np.abs(np.nan_to_num(fourth)), 0.0)
+    unsure[1:] = np.maximum(unsure[1:], unsure[:-1])
+    unsure[beside] = 0.0
+    unsure[jump] = 0.3 * np.abs(step[jump])
+    return Hold(start, end, unsure**2)
