@@ -55,6 +55,12 @@ def check_target(path: Path | None) -> None:
         raise InputError(f"{path}: the folder {path.parent} does not exist")
 
 
+def check_new(bag: Path, overwrite: bool) -> None:
+    """Refuse, before the work, a bag that is there already."""
+    if bag.exists() and not overwrite:
+        raise InputError(f"{bag}: exists already, expected a new bag or --overwrite")
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a file whole or not at all: to a temporary name beside it, then renamed."""
     handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)

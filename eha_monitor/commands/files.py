@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from eha_monitor.commands.common import config_option, on_terminal, working
+from eha_monitor.commands.common import check_new, config_option, on_terminal, working
 
 _BATCH_S = 1.0  # simulated between two moves of the progress bar
 
@@ -24,17 +24,18 @@ def simulate(out: Path, config: Path | None, seed: int | None, duration: float |
     from eha_monitor.physics.excitation import total_duration
     from eha_monitor.physics.simulator import Simulator
     from eha_monitor.recordings.recording import Recording
-    from eha_monitor.recordings.write import check_free, write_recording
+    from eha_monitor.recordings.write import write_recording
     from eha_monitor.settings import load_settings
 
-    check_free(out, overwrite)
+    check_new(out, overwrite)  # before the work, not after it
     settings = load_settings(config)
     plant = Simulator(settings, seed, source=str(config or "config"))
     seconds = duration or total_duration(settings.simulation.excitation)
     channels = _simulated(plant, max(1, round(seconds / plant.dt)))
     recording = Recording(plant.dt, channels, source=str(out))
     with working(f"writing {out}"):
-        write_recording(recording, out, settings, compress=not plain, overwrite=overwrite)
+        write_recording(out, recording, settings, compression="none" if plain else "zstd",
+                        overwrite=overwrite)
     click.echo(f"{out}: {recording.duration:g} s, {len(recording)} samples, "
                f"channels {', '.join(channels)}")
 

@@ -24,11 +24,11 @@ def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path]) -> Non
     speed = f", {recording.duration / found.wall_s:.0f} times real time" if found.wall_s else ""
     console.print(f"{escape(recording.source)}: {recording.duration:.3f} s, {len(recording)} "
                   f"samples, channels {', '.join(recording.channels)}"
-                  f" (estimated in {found.wall_s:.2f} s{speed})")
+                  f" (read and estimated in {found.wall_s:.2f} s{speed})")
     console.print(_parameters(found))
-    for name, parameter in found.parameters.items():
+    for parameter in found.parameters.values():
         if parameter.message:
-            console.print(f"{name}: {escape(parameter.message)}")
+            console.print(escape(parameter.message))
     console.print(_alarms(alarms))
     console.print(f"model: {_coloured(found.model.status)}: {escape(found.model.message)}")
     for title, sentences in (("lost", recording.losses), ("note", found.warnings)):

@@ -1,0 +1,65 @@
+"""Which room may use which: held on the import statements of the source."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "eha_monitor"
+FILES = sorted(PACKAGE.rglob("*.py"))
+
+# Room -> rooms and libraries that it must not import.
+FORBIDDEN = {
+    "physics": ("rclpy", "eha_monitor.recordings", "eha_monitor.filters", "eha_monitor.health",
+                "eha_monitor.mismatch", "eha_monitor.reports", "eha_monitor.ros"),
+    "filters": ("rclpy", "eha_monitor.ros", "eha_monitor.mismatch", "eha_monitor.reports",
+                "eha_monitor.commands"),
+    "health": ("rclpy", "eha_monitor.ros", "eha_monitor.mismatch", "eha_monitor.reports"),
+    "recordings": ("rclpy", "eha_monitor.ros", "eha_monitor.filters", "eha_monitor.mismatch"),
+    "mismatch": ("rclpy", "eha_monitor.ros", "eha_monitor.commands"),
+    "reports": ("rclpy", "eha_monitor.ros", "eha_monitor.commands"),
+}
+ROS_PACKAGES = ("rclpy", "rcl_interfaces", "sensor_msgs", "std_msgs", "std_srvs",
+                "diagnostic_msgs", "rosgraph_msgs", "builtin_interfaces")
+# The one place that asks whether ROS is there, to say so in one line.
+MAY_ASK_FOR_ROS = {"commands/common.py"}
+
+
+def imported(path: Path) -> set[str]:
+    """Return every module that a file imports, wherever the statement stands."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            names.update(f"{node.module}.{alias.name}" for alias in node.names)
+    return names
+
+
+def uses(names: set[str], prefix: str) -> list[str]:
+    return sorted(name for name in names if name == prefix or name.startswith(prefix + "."))
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_rooms_import_only_what_they_may(path):
+    relative = path.relative_to(PACKAGE)
+    names = imported(path)
+    for forbidden in FORBIDDEN.get(relative.parts[0], ()):
+        assert not uses(names, forbidden)
+    if relative.parts[0] != "ros" and str(relative) not in MAY_ASK_FOR_ROS:
+        for package in ROS_PACKAGES:
+            assert not uses(names, package), "ROS is imported only in eha_monitor/ros/"
+
+
+def test_physics_names_nothing_of_the_diagnosis():
+    for path in (PACKAGE / "physics").rglob("*.py"):
+        code = ast.unparse(ast.parse(path.read_text(encoding="utf-8")))
+        assert not re.search(r"\bmismatch\b", code), path
+
+
+def test_files_stay_one_room():
+    long = {str(path.relative_to(PACKAGE)): count for path in FILES
+            if (count := len(path.read_text(encoding="utf-8").splitlines())) > 400}
+    assert not long
