@@ -64,6 +64,7 @@ class RowAligner:
     ----------
     rows, incomplete : rows given out, and those among them that lacked a channel of a source
         that was not silent.
+    reset_reason : why the rows start anew, until :meth:`take_reset` is called; else None.
     """
 
     def __init__(self, sources: list[Source], latency: float):
@@ -73,7 +74,7 @@ class RowAligner:
         self._span_ns = round(latency * 1e9)
         self._leader = next(s for s in sources if "x" in s.channels)
         self._followers = [s for s in sources if s is not self._leader]
-        self._reset_reason: str | None = None
+        self.reset_reason: str | None = None
 
     def push(self, source: Source, stamp_ns: int, values: tuple[float, ...],
              now: float) -> None:
@@ -105,7 +106,7 @@ class RowAligner:
 
     def take_reset(self) -> str | None:
         """Return why the rows start anew since the last call, or None."""
-        reason, self._reset_reason = self._reset_reason, None
+        reason, self.reset_reason = self.reset_reason, None
         return reason
 
     def _row(self, stamp: int, values: tuple[float, ...], now: float) -> dict[str, float]:
@@ -166,7 +167,7 @@ class RowAligner:
         return True
 
     def _restart(self, stamp: int, reason: str) -> None:
-        self._reset_reason = reason
+        self.reset_reason = reason
         for source in self.sources:
             source.buffer.clear()
             source.last_ns = None

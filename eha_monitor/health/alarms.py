@@ -165,13 +165,10 @@ class AlarmBoard:
         self.history += changed
         return changed
 
-    def stale(self, time_s: float, reason: str, symbols: tuple[str, ...] | None = None,
-              ) -> list[Alarm]:
-        """Data have stopped: make the alarms of ``symbols`` (None: of all) STALE."""
+    def stale(self, time_s: float, reason: str) -> list[Alarm]:
+        """Data have stopped: make all alarms STALE; returns those whose level changed."""
         changed = []
         for judge in self._judges:
-            if symbols is not None and judge.watched.symbol not in symbols:
-                continue
             judge.since = [None, None]
             if self._take_stale(judge, time_s, reason):
                 changed.append(self._alarm(judge))

@@ -1,0 +1,87 @@
+"""What the monitor knows, as lines of the diagnostics; names and keys are stable."""
+
+import math
+from dataclasses import dataclass, field
+
+from eha_monitor.filters.results import Consistency, Event, ModelStatus, ParameterEstimate
+from eha_monitor.health.alarms import WATCHED, AlarmBoard
+from eha_monitor.ros.messages import Finding, alarm_finding
+from eha_monitor.settings.monitor import Settings
+
+STAGES = {"one": WATCHED[0], "two": WATCHED[1]}
+# Keys of the values that dashboards plot.
+KEYS = {"B": "viscous_damping_Ns_per_m", "beta_e": "bulk_modulus_Pa"}
+_STATUS_LEVEL = {"converged": "OK", "not_excited": "OK", "diverged": "ERROR", "no_data": "STALE"}
+_MODEL_LEVEL = {"consistent": "OK", "mismatch": "WARN"}
+
+
+@dataclass
+class DataState:
+    """How the data come.
+
+    Attributes
+    ----------
+    stopped : why there are no rows now, or None.
+    problems : sentences about missing channels and the like.
+    values : numbers for the diagnostics: rates, counts, latencies, CPU share.
+    """
+
+    stopped: str | None = "no data yet"
+    problems: list[str] = field(default_factory=list)
+    values: dict[str, float | int | str] = field(default_factory=dict)
+
+
+def all_findings(settings: Settings, board: AlarmBoard,
+                 parameters: dict[str, ParameterEstimate],
+                 consistency: dict[str, Consistency | None], model: ModelStatus,
+                 events: dict[str, Event], data: DataState) -> list[Finding]:
+    """Return the alarms, the two stages, the model and the data, in this order.
+
+    Parameters
+    ----------
+    parameters, consistency : by symbol and by stage; empty before the first row.
+    events : the last event of each stage, ``one`` and ``two``.
+    """
+    found = []
+    for alarm in board.alarms:
+        watched = next(w for w in WATCHED if alarm.name.startswith(w.section))
+        side = alarm.name.removeprefix(f"{watched.section}_")
+        limits = getattr(settings.thresholds, watched.section)
+        values = _numbers(parameters.get(watched.symbol))
+        for degree in ("warn", "error"):
+            limit = getattr(limits, f"{side}_{degree}")
+            values[f"limit_{degree}"] = math.nan if limit is None else float(limit)
+        found.append(alarm_finding(alarm, values))
+    for stage, watched in STAGES.items():
+        found.append(_stage(stage, parameters.get(watched.symbol), consistency.get(stage),
+                            events.get(stage), data))
+    level = "STALE" if data.stopped else _MODEL_LEVEL.get(model.status, "OK")
+    found.append(Finding("model", level, data.stopped or model.message or model.status,
+                         {"status": model.status}))
+    level = "STALE" if data.stopped else "WARN" if data.problems else "OK"
+    message = data.stopped or "; ".join(data.problems) or "all channels come"
+    found.append(Finding("data", level, message, data.values))
+    return found
+
+
+def _numbers(estimate: ParameterEstimate | None) -> dict[str, float | int | str]:
+    if estimate is None:
+        return {}
+    key = KEYS[estimate.name]
+    return {key: estimate.value, f"{key}_stddev": estimate.stddev}
+
+
+def _stage(stage: str, estimate: ParameterEstimate | None, consistency: Consistency | None,
+           event: Event | None, data: DataState) -> Finding:
+    name = f"stage_{stage}"
+    if estimate is None:
+        return Finding(name, "STALE", data.stopped or "no data yet")
+    values = {"status": estimate.status, **_numbers(estimate)}
+    if consistency is not None:
+        values |= {"innovation_nis": consistency.nis,
+                   "innovation_variance_ratio": consistency.variance_ratio,
+                   "innovation_samples": consistency.samples}
+    if event is not None:
+        values |= {"last_event": event.message, "last_event_s": event.time_s}
+    level = "STALE" if data.stopped else _STATUS_LEVEL[estimate.status]
+    return Finding(name, level, data.stopped or estimate.message or estimate.status, values)

@@ -1,0 +1,178 @@
+"""Which topics carry which channels, and numbers out of their messages."""
+
+import importlib
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from eha_monitor.errors import InputError
+from eha_monitor.filters.rows import Source
+from eha_monitor.settings.monitor import Channel, Settings
+
+# Type of a topic that nobody publishes yet, told by the field that is read from it.
+DEFAULT_TYPES = {"position": "sensor_msgs/msg/JointState",
+                 "velocity": "sensor_msgs/msg/JointState",
+                 "effort": "sensor_msgs/msg/JointState",
+                 "fluid_pressure": "sensor_msgs/msg/FluidPressure",
+                 "temperature": "sensor_msgs/msg/Temperature", "data": "std_msgs/msg/Float64"}
+# The oil's temperature is slow: its last value counts.
+HELD = frozenset({"temperature"})
+_STEP = re.compile(r"(\w+)(?:\[(\d+)\])?")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Channels that one entry (name) of one topic gives, with one delay: one stream."""
+
+    source: Source
+    name: str
+    delay_ns: int
+    channels: tuple[tuple[str, Channel], ...]
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One topic to subscribe to, and the streams it carries."""
+
+    name: str
+    entries: tuple[Entry, ...]
+
+    @property
+    def default_type(self) -> str | None:
+        """Type to expect where the graph tells none, or None if the fields do not say."""
+        kinds = {DEFAULT_TYPES.get(channel.field) for entry in self.entries
+                 for _, channel in entry.channels}
+        return kinds.pop() if len(kinds) == 1 else None
+
+
+def topics_of(settings: Settings, source: str = "config") -> list[Topic]:
+    """Return the topics of the channel map with their streams.
+
+    Raises
+    ------
+    InputError
+        If the map has no position, or a channel without topic or field.
+    """
+    if "x" not in settings.channels:
+        raise InputError(f"{source}: channels.x: expected the position's topic, it stamps the "
+                         "rows")
+    streams: dict[str, dict[tuple, list]] = {}
+    for name, channel in settings.channels.items():
+        for key in ("topic", "field"):
+            if not getattr(channel, key):
+                raise InputError(f"{source}: channels.{name}.{key}: expected a {key} to "
+                                 "subscribe to")
+        if not all(_STEP.fullmatch(part) for part in channel.field.split(".")):
+            raise InputError(f"{source}: channels.{name}.field: expected a field path such as "
+                             f"position or wrench.force.x, got {channel.field!r}")
+        key = (channel.name, round(channel.delay * 1e9), name in HELD)
+        streams.setdefault(channel.topic, {}).setdefault(key, []).append((name, channel))
+    topics = []
+    for topic, found in streams.items():
+        entries = [Entry(Source(f"{topic} ({name})" if name else topic,
+                                tuple(channel for channel, _ in channels), held),
+                         name, delay, tuple(channels))
+                   for (name, delay, held), channels in found.items()]
+        topics.append(Topic(topic, tuple(entries)))
+    return topics
+
+
+def message_class(type_name: str) -> type:
+    """Return the class of a message type such as ``sensor_msgs/msg/JointState``.
+
+    Raises
+    ------
+    InputError
+        If its package is not installed.
+    """
+    parts = type_name.split("/")
+    try:
+        if len(parts) != 3:
+            raise ValueError(type_name)
+        return getattr(importlib.import_module(f"{parts[0]}.{parts[1]}"), parts[2])
+    except (ImportError, AttributeError, ValueError) as problem:
+        raise InputError(f"message type {type_name} is not installed") from problem
+
+
+def has_stamp(kind: type) -> bool:
+    """Tell whether messages of a class carry a header."""
+    return kind.get_fields_and_field_types().get("header") == "std_msgs/Header"
+
+
+class Decoder:
+    """Reads the channels of one entry out of a message.
+
+    The place of the entry among the message's names is kept until the names change, so that
+    JointStates may order their joints as they like.
+
+    Attributes
+    ----------
+    problem : why the last message gave nothing, as a sentence, or None.
+    """
+
+    def __init__(self, entry: Entry):
+        self.problem: str | None = None
+        self._entry = entry
+        self._names: list[str] | None = None
+        self._index = 0
+        self._fields = [(_reader(channel.field), channel.scale, channel.offset)
+                        for _, channel in entry.channels]
+
+    def __call__(self, message: Any) -> tuple[float, ...] | None:
+        """Return one SI value for each channel (NaN where there is none), or None for none."""
+        names = getattr(message, "name", None)
+        if names is not None and names != self._names:
+            self._find(names)
+        if self._index < 0:
+            return None
+        values = tuple([scale * read(message, self._index) + offset
+                        for read, scale, offset in self._fields])
+        for value in values:
+            if math.isfinite(value):
+                self.problem = None
+                return values
+        fields = ", ".join(channel.field for _, channel in self._entry.channels)
+        self.problem = f"{self._entry.source.name} holds no number in {fields}"
+        return None
+
+    def _find(self, names: list[str]) -> None:
+        self._names = list(names)
+        wanted = self._entry.name
+        if not wanted:
+            self._index = 0
+        elif wanted in self._names:
+            self._index = self._names.index(wanted)
+        else:
+            self._index = -1
+            self.problem = (f"{self._entry.source.name}: no entry named {wanted!r}, the message "
+                            f"has {', '.join(self._names) or 'none'}")
+
+
+def _reader(path: str) -> Callable[[Any, int], float]:
+    """Return a function (message, index of the entry) -> number, NaN where there is none."""
+    steps = [_STEP.fullmatch(part).groups() for part in path.split(".")]
+    if len(steps) == 1 and steps[0][1] is None:  # the hot path: position, fluid_pressure, data
+        name = steps[0][0]
+
+        def simple(message, index):
+            value = getattr(message, name, math.nan)
+            if isinstance(value, float | int):
+                return value
+            try:
+                return float(value[index])
+            except (IndexError, TypeError, ValueError):
+                return math.nan
+        return simple
+
+    def deep(message, index):
+        try:
+            for name, place in steps:
+                message = getattr(message, name)
+                if place is not None:
+                    message = message[int(place)]
+            return float(message if isinstance(message, float | int) else message[index])
+        except (AttributeError, IndexError, TypeError, ValueError):
+            return math.nan
+    return deep

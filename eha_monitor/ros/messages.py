@@ -1,0 +1,86 @@
+"""The one module that fills messages: plain floats, level constants, stamps."""
+
+import math
+from dataclasses import dataclass, field
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+
+from eha_monitor.health.alarms import Alarm
+
+LEVELS = {"OK": DiagnosticStatus.OK, "WARN": DiagnosticStatus.WARN,
+          "ERROR": DiagnosticStatus.ERROR, "STALE": DiagnosticStatus.STALE}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the diagnostics before it is a message.
+
+    Attributes
+    ----------
+    name : stable, without the hardware's name.
+    level : ``OK``, ``WARN``, ``ERROR`` or ``STALE``.
+    message : a sentence.
+    values : key -> number or text; numbers are written so that plotting tools read them.
+    """
+
+    name: str
+    level: str
+    message: str
+    values: dict[str, float | int | str] = field(default_factory=dict)
+
+
+def stamp(time_ns: int) -> Time:
+    """Return a stamp; ``time_ns`` since the epoch, in the range that the type holds."""
+    seconds, nanoseconds = divmod(int(time_ns), 1_000_000_000)
+    return Time(sec=min(max(seconds, -2**31), 2**31 - 1), nanosec=nanoseconds)
+
+
+def number(value: float) -> Float64:
+    """Return a number as a message."""
+    return Float64(data=float(value))
+
+
+def joint_state(time_ns: int, name: str, position: float, velocity: float) -> JointState:
+    """Return the estimated state of one joint, m and m/s; an unknown velocity is left out."""
+    message = JointState(name=[name], position=[float(position)])
+    if math.isfinite(velocity):
+        message.velocity = [float(velocity)]
+    message.header.stamp = stamp(time_ns)
+    return message
+
+
+def plain(value: float | int | str) -> str:
+    """Return a value of the diagnostics; a number is nothing but a number.
+
+    >>> plain(600.12345678), plain(6e8), plain(3), plain("text"), plain(float("nan"))
+    ('600.123', '6e+08', '3', 'text', '')
+    """
+    if isinstance(value, str):
+        return value
+    if not math.isfinite(value):
+        return ""
+    return str(value) if isinstance(value, int) else f"{float(value):.6g}"
+
+
+def status(finding: Finding, hardware: str) -> DiagnosticStatus:
+    """Return one status; name and hardware_id stay the same, dashboards match on them."""
+    return DiagnosticStatus(
+        level=LEVELS[finding.level], name=f"{hardware}: {finding.name}",
+        message=finding.message, hardware_id=hardware,
+        values=[KeyValue(key=key, value=plain(value)) for key, value in finding.values.items()])
+
+
+def diagnostics(time_ns: int, findings: list[Finding], hardware: str) -> DiagnosticArray:
+    """Return all findings as one message."""
+    message = DiagnosticArray(status=[status(finding, hardware) for finding in findings])
+    message.header.stamp = stamp(time_ns)
+    return message
+
+
+def alarm_finding(alarm: Alarm, values: dict[str, float]) -> Finding:
+    """Return an alarm as a finding, with the numbers that it was judged on."""
+    return Finding(alarm.name, alarm.level, alarm.message,
+                   {**values, "since_s": float(alarm.time_s)})

@@ -1,0 +1,298 @@
+"""The monitor node: live topics in, estimates and health out."""
+
+import gc
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+
+from eha_monitor.filters.results import Event, ModelStatus
+from eha_monitor.filters.rows import RowAligner
+from eha_monitor.health.alarms import WATCHED, Alarm, AlarmBoard
+from eha_monitor.health.latency import LatencyMeter, ProcessorMeter
+from eha_monitor.ros import messages, running
+from eha_monitor.ros.findings import DataState, all_findings
+from eha_monitor.ros.inputs import topics_of
+from eha_monitor.ros.parameters import MONITOR_KEYS, declare, settings_of_node
+from eha_monitor.ros.subscriptions import TopicInput
+from eha_monitor.settings import Settings, load_settings
+
+LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
+                     durability=DurabilityPolicy.TRANSIENT_LOCAL)
+# Channels that a parameter needs, besides the position: one of these sets.
+NEEDS = {"B": (("force",), ("p1", "p2")), "beta_e": (("x_d",),)}
+# Health is judged at this spacing of the data's own time, so that a replay at ten times the
+# rate is judged as densely as the original.
+JUDGE_EVERY_NS = 100_000_000
+WATCH_PERIOD = 0.1
+DIAGNOSTICS_PERIOD = 1.0
+# Stamps further than this from the wall clock are on another clock (a bag, a simulation).
+SAME_CLOCK_S = 5.0
+
+
+class Monitor:
+    """Estimator, alarms and their topics on a node.
+
+    Parameters
+    ----------
+    node : node in the namespace of the topics.
+    settings : validated config.
+    estimator_factory : makes the estimator from the settings.
+    source : name of the config in errors.
+    """
+
+    def __init__(self, node: Node, settings: Settings,
+                 estimator_factory: Callable[[Settings], object] | None = None,
+                 source: str = "config"):
+        if estimator_factory is None:
+            from eha_monitor.filters.live import LiveEstimator as estimator_factory
+        self.node, self.settings = node, settings
+        self.board = AlarmBoard(settings)
+        self.latency, self.processor = LatencyMeter(), ProcessorMeter()
+        self.data = DataState()
+        self.missing_samples = 0
+        topics = topics_of(settings, source)
+        self.aligner = RowAligner([e.source for t in topics for e in t.entries],
+                                  settings.monitor.latency)
+        self._topic_of = {channel: t.name for t in topics for e in t.entries
+                          for channel, _ in e.channels}
+        self._estimator = estimator_factory(settings)
+        self._snapshot = None
+        self._model = ModelStatus("unknown", "no data yet")
+        self._events: dict[str, Event] = {}
+        self._origin_ns: int | None = None
+        self._row_ns = self._judged_ns = 0
+        self._row_came: float | None = None
+        self._seen: dict[str, int] = {}
+        self._wall_clock: bool | None = None
+        self._levels: list | None = None
+        self._fresh = False
+        self._make_publishers()
+        self._note_stop(time.monotonic())
+        self.inputs = [TopicInput(node, topic, self.aligner, self.process) for topic in topics]
+        wall = Clock(clock_type=ClockType.STEADY_TIME)  # health must not stop with /clock
+        for period, callback in ((1.0 / settings.monitor.publish_rate, self._publish_estimates),
+                                 (WATCH_PERIOD, self._watch),
+                                 (DIAGNOSTICS_PERIOD, self._every_second)):
+            node.create_timer(period, callback, clock=wall)
+        self._publish_health()
+
+    def _make_publishers(self) -> None:
+        make = self.node.create_publisher
+        self._numbers = {}
+        for watched in WATCHED:
+            topic = f"monitor/{watched.section}"
+            self._numbers[watched.symbol] = (make(Float64, topic, 10),
+                                             make(Float64, f"{topic}_stddev", 10))
+        self._state = make(JointState, "monitor/joint_states", 10)
+        self._health = make(DiagnosticArray, "monitor/health", LATCHED)
+        self._diagnostics = make(DiagnosticArray, "/diagnostics", 10)
+
+    def reconfigure(self, settings: Settings) -> None:
+        """Take other thresholds while running."""
+        self.settings = settings
+        self.board.configure(settings)
+        self._judge()
+
+    def process(self, now: float) -> None:
+        """Give the rows that are complete at ``now`` (s, monotonic) to the estimator."""
+        for stamp_ns, row, came in self.aligner.pop(now):
+            if self._origin_ns is None:
+                self._origin_ns = stamp_ns
+            else:
+                self._count_missing(stamp_ns)
+            self._row_ns, self._row_came = stamp_ns, came
+            # Since the first row: seconds since 1970 leave a double 0.2 µs of resolution.
+            self._estimator.push((stamp_ns - self._origin_ns) * 1e-9, row)
+            for name in row:
+                self._seen[name] = stamp_ns
+            self._fresh = True
+            self._measure_latency(stamp_ns, came)
+            if not 0 <= stamp_ns - self._judged_ns < JUDGE_EVERY_NS:
+                self._judge()
+        if self.aligner.reset_reason is not None:
+            self._reset(self.aligner.take_reset())
+
+    def _count_missing(self, stamp_ns: int) -> None:
+        steps = (stamp_ns - self._row_ns) * 1e-9 / self.settings.rig.sample_time
+        if steps > 1.5:
+            self.missing_samples += round(steps) - 1
+
+    def _measure_latency(self, stamp_ns: int, came: float) -> None:
+        late = (time.time_ns() - stamp_ns) * 1e-9
+        wall_clock = abs(late) < SAME_CLOCK_S
+        if wall_clock != self._wall_clock:
+            self._wall_clock = wall_clock
+            self.latency.clear()
+        self.latency.add(late if wall_clock else time.monotonic() - came)
+
+    def _reset(self, reason: str) -> None:
+        self.node.get_logger().warning(f"estimator reset: {reason}")
+        self._estimator.reset(reason)
+        self._origin_ns = None
+        self._seen.clear()
+
+    def _judge(self) -> None:
+        """Bring snapshot and alarms up to the last row; publish health if a level changed."""
+        if self._origin_ns is None:
+            return
+        self._judged_ns = self._row_ns
+        self.data.stopped = None
+        snapshot = self._snapshot = self._estimator.snapshot()
+        self._model = snapshot.model
+        for event in snapshot.events:
+            self._events[event.stage] = event
+            self.node.get_logger().info(f"stage {event.stage}: {event.message}")
+        parameters = {}
+        for symbol, estimate in snapshot.parameters.items():
+            reason = self._unfed(symbol)
+            parameters[symbol] = estimate if reason is None else replace(
+                estimate, status="no_data", message=reason)
+        doubt = self._model.message if self._model.status == "mismatch" else None
+        self._announce(self.board.update(self._seconds(), parameters, snapshot.temperature,
+                                         doubt))
+        self._publish_health(only_changes=True)
+
+    def _seconds(self) -> float:
+        return (self._row_ns - (self._origin_ns or self._row_ns)) * 1e-9
+
+    def _unfed(self, symbol: str) -> str | None:
+        """Return why a parameter has no data now, or None if its channels come."""
+        limit = self.settings.monitor.stale_after * 1e9
+        lacking = []
+        for choice in NEEDS.get(symbol, ()):
+            missing = [name for name in ("x", *choice)
+                       if self._row_ns - self._seen.get(name, -limit * 2) > limit]
+            if not missing:
+                return None
+            lacking.append(" and ".join(
+                f"{name} (topic {self._topic_of.get(name, 'not configured')})"
+                for name in missing))
+        return f"no data for {', or '.join(lacking)}" if lacking else None
+
+    def _announce(self, changes: list[Alarm]) -> None:
+        log = self.node.get_logger()
+        for alarm in changes:
+            say = {"ERROR": log.error, "WARN": log.warning}.get(alarm.level, log.info)
+            say(f"{alarm.name} {alarm.level}: {alarm.message}")
+
+    def _watch(self) -> None:
+        now = time.monotonic()
+        self.process(now)
+        self._note_stop(now)
+
+    def _note_stop(self, now: float) -> None:
+        """Make the health STALE when rows have stopped; wall time, as /clock may stop too."""
+        limit = self.settings.monitor.stale_after
+        topic = self._topic_of["x"]
+        if self._row_came is None:
+            reason = f"no data yet: nothing received on {topic}"
+        elif now - self._row_came > limit:
+            reason = f"data stopped: nothing on {topic} for more than {limit:g} s"
+        else:
+            return
+        self.data.stopped = reason
+        silence = 0.0 if self._row_came is None else now - self._row_came
+        self._announce(self.board.stale(self._seconds() + silence, reason))
+        self._publish_health(only_changes=True)
+
+    def _publish_estimates(self) -> None:
+        self.process(time.monotonic())
+        if not self._fresh:
+            return  # nothing new: an old number is not published again
+        self._fresh = False
+        self._judge()
+        snapshot = self._snapshot
+        for symbol, (value, stddev) in self._numbers.items():
+            estimate = snapshot.parameters.get(symbol)
+            if estimate is not None and estimate.status != "no_data":
+                value.publish(messages.number(estimate.value))
+                stddev.publish(messages.number(estimate.stddev))
+        if snapshot.position == snapshot.position:  # not NaN
+            name = self.settings.channels["x"].name or "piston"
+            self._state.publish(messages.joint_state(
+                self._row_ns, name, snapshot.position, snapshot.velocity))
+
+    def _every_second(self) -> None:
+        for topic_input in self.inputs:
+            topic_input.follow_graph()
+        self._update_data()
+        self._publish_health()
+
+    def _update_data(self) -> None:
+        now = time.monotonic()
+        limit = self.settings.monitor.stale_after
+        self.data.problems = [problem for topic_input in self.inputs
+                              for problem in topic_input.problems(now, limit)]
+        values: dict[str, float | int | str] = {"rows": self.aligner.rows}
+        for topic_input in self.inputs:
+            key = topic_input.topic.name.strip("/").replace("/", "_")
+            values[f"rate_{key}_Hz"] = topic_input.rate(now)
+        values |= self.counts()
+        for key, value in self.latency.percentiles().items():
+            values[f"latency_{key}_ms"] = value
+        values["latency_counts_from"] = "stamp" if self._wall_clock else "receipt"
+        values["cpu_share_percent"] = 100.0 * self.processor.share()
+        self.data.values = values
+
+    def counts(self) -> dict[str, int]:
+        """Return how much was lost or dropped since the start."""
+        sources = self.aligner.sources
+        return {"lost_messages": sum(i.lost for i in self.inputs),
+                "missing_samples": self.missing_samples,
+                "incomplete_rows": self.aligner.incomplete,
+                "late_or_repeated_stamps": sum(s.late for s in sources),
+                "jumped_stamps": sum(s.jumped for s in sources)}
+
+    def _publish_health(self, only_changes: bool = False) -> None:
+        snapshot = self._snapshot
+        found = all_findings(self.settings, self.board,
+                             snapshot.parameters if snapshot else {},
+                             snapshot.consistency if snapshot else {},
+                             self._model, self._events, self.data)
+        levels = [finding.level for finding in found]
+        if only_changes and levels == self._levels:
+            return
+        self._levels = levels
+        message = messages.diagnostics(self.node.get_clock().now().nanoseconds, found,
+                                       self.settings.rig.name)
+        self._health.publish(message)
+        self._diagnostics.publish(message)
+
+    def summary(self) -> str:
+        """Return what was processed, lost and how late, in one line."""
+        counts = ", ".join(f"{key.replace('_', ' ')} {value}"
+                           for key, value in self.counts().items())
+        late = self.latency.percentiles()
+        since = "stamp" if self._wall_clock else "receipt"
+        shown = ", ".join(f"{key} {value:.2f} ms" for key, value in late.items())
+        return (f"rows {self.aligner.rows}; {counts}; latency from {since} to processed "
+                f"{shown or 'not measured'}; CPU share {100 * self.processor.total():.1f} %")
+
+
+def run_monitor(config: Path | None, ros_args: list[str], duration: float | None = None) -> int:
+    """Run the monitor until a signal or for ``duration`` s; returns the exit status.
+
+    Raises
+    ------
+    InputError
+        If the config, a parameter or a ROS argument is wrong.
+    """
+    settings = load_settings(config)
+    with (running.ros_session(ros_args),
+          running.node("monitor", settings.monitor.namespace) as node):
+        settings = settings_of_node(node, settings)
+        monitor = Monitor(node, settings, source=str(config or "default config"))
+        declare(node, settings, MONITOR_KEYS, monitor.reconfigure)
+        gc.collect()
+        gc.freeze()  # what is loaded stays: collections then cost microseconds, not 50 ms
+        running.spin(node, duration)
+        print(monitor.summary(), flush=True)
+    return 0

@@ -1,0 +1,96 @@
+"""Starting and ending a node: arguments, signals, the executor."""
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+
+import rclpy
+from rclpy.exceptions import InvalidNamespaceException, InvalidParameterException
+from rclpy.executors import ExternalShutdownException
+from rclpy.experimental import EventsExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.utilities import remove_ros_args
+
+from eha_monitor.errors import InputError
+
+# So often the loop looks up whether it is to end; the executor itself is deaf to signals.
+_LOOK_UP = 1.0
+
+
+@contextlib.contextmanager
+def ros_session(arguments: list[str]) -> Iterator[None]:
+    """Keep ROS running for a block; SIGINT and SIGTERM end the block quietly.
+
+    Parameters
+    ----------
+    arguments : ROS arguments, with or without a leading ``--ros-args``.
+
+    Raises
+    ------
+    InputError
+        If ROS does not understand the arguments.
+    """
+    arguments = list(arguments)
+    if arguments and "--ros-args" not in arguments:
+        arguments.insert(0, "--ros-args")
+    with _ros_problem("ROS arguments"):
+        unknown = remove_ros_args(["eha_monitor", *arguments])[1:]
+        if unknown:
+            raise InputError(f"{unknown[0]}: unknown argument, expected options or --ros-args")
+        rclpy.init(args=arguments)
+    try:
+        yield
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        rclpy.try_shutdown()
+
+
+@contextlib.contextmanager
+def _ros_problem(what: str) -> Iterator[None]:
+    """Turn what rcl says about arguments, names and parameter files into one line."""
+    try:
+        yield
+    except (rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError,
+            InvalidNamespaceException, InvalidParameterException) as problem:
+        text = " ".join(str(problem).split())
+        text = text.split(", at ./src")[0].split(", at /")[0]
+        raise InputError(f"{what}: {text[:300]}") from problem
+
+
+@contextlib.contextmanager
+def node(name: str, namespace: str = "", **options) -> Iterator[Node]:
+    """Make a node whose parameter overrides are all declared, and destroy it at the end.
+
+    Raises
+    ------
+    InputError
+        If a parameter file or the namespace is wrong.
+    """
+    with _ros_problem(f"node {name}"):
+        made = Node(name, namespace=namespace,
+                    automatically_declare_parameters_from_overrides=True, **options)
+    try:
+        yield made
+    finally:
+        made.destroy_node()
+
+
+def spin(made: Node, duration: float | None = None,
+         finished: Callable[[], bool] = lambda: False) -> None:
+    """Run the callbacks of a node until a signal, ``duration`` s, or ``finished()``."""
+    executor = EventsExecutor()
+    executor.add_node(made)
+    end = None if duration is None else time.monotonic() + duration
+    try:
+        while rclpy.ok() and not finished():
+            left = _LOOK_UP if end is None else min(_LOOK_UP, end - time.monotonic())
+            if left <= 0:
+                break
+            executor.spin_once(timeout_sec=left)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        executor.remove_node(made)
+        executor.shutdown()

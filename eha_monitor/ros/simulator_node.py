@@ -1,0 +1,168 @@
+"""The simulator node: the simulated actuator on the topics of the channel map."""
+
+import gc
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+from eha_monitor.errors import InputError
+from eha_monitor.physics.simulator import Simulator
+from eha_monitor.ros import running
+from eha_monitor.ros.inputs import HELD, Entry, message_class, topics_of
+from eha_monitor.ros.parameters import SIMULATOR_KEYS, declare, settings_of_node
+from eha_monitor.settings import Settings, load_settings
+
+# Reliable suits subscribers of either kind.
+OUTPUT_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+# Samples go out in bursts of this spacing: fewer wake-ups, and little against 20 ms of latency.
+BURST = 0.002
+# The plant is simulated in blocks, as one call costs as much as a hundred samples.
+BLOCK = 100
+# Temperature is a slow sensor.
+SLOW_PERIOD = 0.1
+
+
+@dataclass
+class _Stream:
+    """One message of one topic, reused: where the values of each channel go."""
+
+    publisher: Publisher
+    message: Any
+    places: list[tuple[str, Any, int | str, float, float]]
+    delay_ns: int
+    every: int
+    stamped: bool
+
+    def publish(self, stamp_ns: int, k: int, block: dict[str, list[float]]) -> None:
+        """Publish sample ``k`` of a block."""
+        if self.stamped:
+            now = self.message.header.stamp
+            now.sec, now.nanosec = divmod(stamp_ns + self.delay_ns, 1_000_000_000)
+        for channel, holder, place, scale, offset in self.places:
+            raw = (block[channel][k] - offset) / scale
+            if isinstance(place, int):
+                holder[place] = raw
+            else:
+                setattr(holder, place, raw)
+        self.publisher.publish(self.message)
+
+
+class SimulatorNode:
+    """Publishes samples in real time, each with its exact stamp.
+
+    Parameters
+    ----------
+    node : node in the namespace of the topics.
+    settings : validated config.
+    seed : seed of the sensor noise; None takes the config's.
+    source : name of the config in errors.
+    """
+
+    def __init__(self, node: Node, settings: Settings, seed: int | None = None,
+                 source: str = "config"):
+        self.samples = self.messages = 0
+        self._simulator = Simulator(settings, seed, source)
+        self._streams = _streams(node, settings, source)
+        self._step_ns = settings.rig.sample_time * 1e9
+        self._block: dict[str, list[float]] = {}
+        self._begin = self._end = 0  # samples that the block holds
+        self._advance()  # before the clock starts: the first call compiles or loads the plant
+        self._start_ns = node.get_clock().now().nanoseconds
+        self._start = time.monotonic()
+        node.create_timer(BURST, self._burst, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _advance(self) -> None:
+        shown = self._simulator.advance(BLOCK)
+        self._block = {name: values.tolist() for name, values in shown.items()}
+        self._begin, self._end = self._end, self._end + BLOCK
+
+    def _burst(self) -> None:
+        """Publish every sample whose time has come: timers skip ticks, samples do not."""
+        due = int((time.monotonic() - self._start) * 1e9 / self._step_ns) + 1
+        while self.samples < due:
+            if self.samples >= self._end:
+                self._advance()
+            stamp_ns = self._start_ns + round(self.samples * self._step_ns)
+            for stream in self._streams:
+                if self.samples % stream.every == 0:
+                    stream.publish(stamp_ns, self.samples - self._begin, self._block)
+                    self.messages += 1
+            self.samples += 1
+
+    def summary(self) -> str:
+        """Return what was published, in one line."""
+        return f"published {self.samples} samples in {self.messages} messages"
+
+
+def _streams(node: Node, settings: Settings, source: str) -> list[_Stream]:
+    published = set(settings.simulation.publish)
+    if unmapped := sorted(published - set(settings.channels)):
+        raise InputError(f"{source}: simulation.publish: {unmapped[0]} has no entry in channels")
+    slow = max(1, round(SLOW_PERIOD / settings.rig.sample_time))
+    streams = []
+    for topic in topics_of(settings, source):
+        if topic.default_type is None:
+            raise InputError(f"{source}: channels on {topic.name}: the simulator publishes the "
+                             "fields position, velocity, effort, fluid_pressure, temperature, "
+                             "data; one kind to a topic")
+        kind = message_class(topic.default_type)
+        publisher = None
+        for delay_ns in sorted({entry.delay_ns for entry in topic.entries}):
+            entries = [entry for entry in topic.entries if entry.delay_ns == delay_ns
+                       and published & {channel for channel, _ in entry.channels}]
+            if not entries:
+                continue
+            publisher = publisher or node.create_publisher(kind, topic.name, OUTPUT_QOS)
+            message = kind()
+            every = slow if all(HELD & {c for c, _ in e.channels} for e in entries) else 1
+            streams.append(_Stream(publisher, message, _places(message, entries, published),
+                                   delay_ns, every, hasattr(message, "header")))
+    return streams
+
+
+def _places(message: Any, entries: list[Entry], published: set[str]) -> list[tuple]:
+    """Give the message its names and return where each published channel goes."""
+    places = []
+    named = hasattr(message, "name")
+    if named:
+        message.name = [entry.name for entry in entries]
+    for row, entry in enumerate(entries):
+        for channel, declared in entry.channels:
+            if channel not in published:
+                continue
+            holder, place = message, declared.field
+            if named:
+                if not len(getattr(message, declared.field)):
+                    setattr(message, declared.field, [math.nan] * len(entries))
+                holder, place = getattr(message, declared.field), row
+            places.append((channel, holder, place, declared.scale, declared.offset))
+    return places
+
+
+def run_simulator(config: Path | None, ros_args: list[str], duration: float | None = None,
+                  seed: int | None = None) -> int:
+    """Publish the simulated actuator until a signal or for ``duration`` s.
+
+    Raises
+    ------
+    InputError
+        If the config, a parameter or a ROS argument is wrong.
+    """
+    settings = load_settings(config)
+    with (running.ros_session(ros_args),
+          running.node("simulator", settings.monitor.namespace) as node):
+        settings = settings_of_node(node, settings)
+        declare(node, settings, SIMULATOR_KEYS)
+        simulator = SimulatorNode(node, settings, seed, str(config or "default config"))
+        gc.collect()
+        gc.freeze()  # a collection of everything loaded would hold up the samples
+        running.spin(node, duration)
+        print(simulator.summary(), flush=True)
+    return 0

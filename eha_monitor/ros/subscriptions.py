@@ -1,0 +1,119 @@
+"""Subscriptions of the channel map: messages in, stamped samples into the row aligner."""
+
+import time
+from collections.abc import Callable
+
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+
+from eha_monitor.errors import InputError
+from eha_monitor.filters.rows import RowAligner
+from eha_monitor.ros.inputs import Decoder, Topic, has_stamp, message_class
+
+# Best effort takes from every publisher; the depth holds a second of a stalled process at 1 kHz.
+INPUT_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+class TopicInput:
+    """One topic: its subscription, its decoders, what is wrong with it.
+
+    Parameters
+    ----------
+    node : node to subscribe with.
+    topic : topic and the streams it carries.
+    aligner : takes the samples.
+    on_sample : called after each message with the time of receipt (s, monotonic).
+    """
+
+    def __init__(self, node: Node, topic: Topic, aligner: RowAligner,
+                 on_sample: Callable[[float], None]):
+        self.topic = topic
+        self.lost = 0
+        self.messages = 0
+        self._node, self._aligner, self._on_sample = node, aligner, on_sample
+        self._decoders = [Decoder(entry) for entry in topic.entries]
+        self._type: str | None = None
+        self._subscription: Subscription | None = None
+        self._type_problem: str | None = None
+        self._zero_stamps = 0
+        self._counted = (0, time.monotonic())
+        self.follow_graph()
+
+    def follow_graph(self) -> None:
+        """Subscribe with the type that is published, or the usual one while nobody does."""
+        full_name = self._node.resolve_topic_name(self.topic.name)
+        published = {info.topic_type for info in
+                     self._node.get_publishers_info_by_topic(full_name)}
+        if self._type in published:
+            self._type_problem = None
+            return
+        wanted = min(published) if published else self._type or self.topic.default_type
+        if wanted is None or wanted == self._type:
+            return
+        try:
+            kind = message_class(wanted)
+        except InputError as problem:
+            self._type_problem = f"{self.topic.name}: {problem}"
+            return
+        if self._subscription is not None:
+            self._node.destroy_subscription(self._subscription)
+        self._type, self._type_problem = wanted, None
+        self._subscription = self._node.create_subscription(
+            kind, self.topic.name, self._callback(has_stamp(kind)), INPUT_QOS,
+            event_callbacks=SubscriptionEventCallbacks(message_lost=self._count_lost))
+
+    def problems(self, now: float, silent_after: float) -> list[str]:
+        """Return what is wrong with the topic at ``now`` (s, monotonic), in sentences."""
+        found = [self._type_problem] if self._type_problem else []
+        for decoder, entry in zip(self._decoders, self.topic.entries, strict=True):
+            silent = now - entry.source.heard_s > silent_after
+            channels = ", ".join(channel for channel, _ in entry.channels)
+            if decoder.problem is not None:
+                found.append(decoder.problem)
+            elif silent and not self.messages:
+                found.append(f"{entry.source.name}: nothing received, so no {channels}")
+            elif silent and not entry.source.held:
+                found.append(f"{entry.source.name}: nothing new for {silent_after:g} s, "
+                             f"so no {channels}")
+        if self._zero_stamps > 1:
+            found.append(f"{self.topic.name}: stamps are zero, the time of receipt is taken")
+        return found
+
+    def rate(self, now: float) -> float:
+        """Return the messages per second since the last call; ``now`` in s, monotonic."""
+        (count, since), self._counted = self._counted, (self.messages, now)
+        return (self.messages - count) / max(now - since, 1e-9)
+
+    def _count_lost(self, event) -> None:
+        self.lost = event.total_count
+
+    def _callback(self, stamped: bool) -> Callable:
+        pairs = [(decoder, entry.source, entry.delay_ns) for decoder, entry in
+                 zip(self._decoders, self.topic.entries, strict=True)]
+        push, done, monotonic = self._aligner.push, self._on_sample, time.monotonic
+
+        def on_message(message):
+            now = monotonic()
+            self.messages += 1
+            if stamped:
+                stamp = message.header.stamp
+                time_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
+                if time_ns == 0:
+                    # One zero may be the start of simulated time, two are no stamps at all.
+                    self._zero_stamps += 1
+                    if self._zero_stamps == 1:
+                        return
+                    time_ns = self._now_ns()
+            else:
+                time_ns = self._now_ns()
+            for decoder, source, delay_ns in pairs:
+                values = decoder(message)
+                if values is not None:
+                    push(source, time_ns - delay_ns, values, now)
+            done(now)
+        return on_message
+
+    def _now_ns(self) -> int:
+        return self._node.get_clock().now().nanoseconds
