@@ -7,6 +7,7 @@ import click
 from eha_monitor.commands.common import check_new, config_option, on_terminal, working
 
 _BATCH_S = 1.0  # simulated between two moves of the progress bar
+_START_NS = 1_000_000_000  # always the same, and not zero, which ROS takes for "no time"
 
 
 @click.command()
@@ -32,7 +33,7 @@ def simulate(out: Path, config: Path | None, seed: int | None, duration: float |
     plant = Simulator(settings, seed, source=str(config or "config"))
     seconds = duration or total_duration(settings.simulation.excitation)
     channels = _simulated(plant, max(1, round(seconds / plant.dt)))
-    recording = Recording(plant.dt, channels, source=str(out))
+    recording = Recording(plant.dt, channels, _START_NS, str(out))
     with working(f"writing {out}"):
         write_recording(out, recording, settings, compression="none" if plain else "zstd",
                         overwrite=overwrite)

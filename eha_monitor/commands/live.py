@@ -18,18 +18,18 @@ duration_option = click.option("--duration", type=_SECONDS, metavar="SECONDS",
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the sensor noise.")
 @click.pass_obj
 def simulator(ros_args: list[str], config: Path | None, duration: float | None,
-              seed: int | None) -> None:
+              seed: int | None) -> int:
     """Publish the simulated EHA: plant, effects, faults, noise and motion from the config."""
-    ros_module("simulator_node").run_simulator(config, ros_args, duration, seed)
+    return ros_module("simulator_node").run_simulator(config, ros_args, duration, seed)
 
 
 @click.command()
 @config_option
 @duration_option
 @click.pass_obj
-def monitor(ros_args: list[str], config: Path | None, duration: float | None) -> None:
+def monitor(ros_args: list[str], config: Path | None, duration: float | None) -> int:
     """Run the two stages on live topics; publish estimates and health."""
-    ros_module("monitor_node").run_monitor(config, ros_args, duration)
+    return ros_module("monitor_node").run_monitor(config, ros_args, duration)
 
 
 @click.command()
@@ -41,9 +41,9 @@ def monitor(ros_args: list[str], config: Path | None, duration: float | None) ->
 @click.option("--start-paused", is_flag=True, help="Wait for the resume service.")
 @click.pass_obj
 def replay(ros_args: list[str], bag: Path, rate: float, clock: bool, loop: bool,
-           start_paused: bool) -> None:
+           start_paused: bool) -> int:
     """Publish the messages of BAG with its own timing."""
-    ros_module("replay_node").run_replay(bag, ros_args, rate, clock, loop, start_paused)
+    return ros_module("replay_node").run_replay(bag, ros_args, rate, clock, loop, start_paused)
 
 
 @click.command()
@@ -55,6 +55,6 @@ def replay(ros_args: list[str], bag: Path, rate: float, clock: bool, loop: bool,
 @duration_option
 @click.pass_obj
 def record(ros_args: list[str], out: Path, topics: tuple[str, ...], config: Path | None,
-           duration: float | None) -> None:
+           duration: float | None) -> int:
     """Write the topics to a rosbag2-compatible mcap bag."""
-    ros_module("record_node").run_record(out, ros_args, topics, duration, config)
+    return ros_module("record_node").run_record(out, ros_args, topics, duration, config)

@@ -1,0 +1,166 @@
+"""``make demo``: live, replayed and recorded, each step checked for what it should show."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from eha_monitor.errors import InputError
+
+NAMESPACE = "/eha"
+BOTH_ALARMS = frozenset({"viscous_damping_high", "bulk_modulus_low"})
+LIVE_SECONDS, REPLAY_SECONDS = 40.0, 25.0  # at most; it goes on when the alarms have come
+REPLAY_RATE = 2.0
+_GRACE = 5.0  # s that a child has to end by itself
+
+
+class DemoFailed(Exception):
+    """A step did not show what it should; the message is one line."""
+
+
+class Children:
+    """Child processes of one step; all of them are ended with it, by their ids."""
+
+    def __init__(self, logs: Path):
+        self._logs = logs
+        self._running: dict[str, subprocess.Popen] = {}
+
+    def __enter__(self) -> "Children":
+        return self
+
+    def __exit__(self, *_) -> None:
+        for ask in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+            for child in self._running.values():
+                if child.poll() is None:
+                    child.send_signal(ask)
+            end = time.monotonic() + _GRACE
+            for child in self._running.values():
+                try:
+                    child.wait(max(0.0, end - time.monotonic()))
+                except subprocess.TimeoutExpired:
+                    continue  # the next signal is stronger
+            if all(child.poll() is not None for child in self._running.values()):
+                return
+
+    def start(self, *arguments: str) -> None:
+        """Start ``eha_monitor <arguments>`` with this very Python; it writes to a log."""
+        name = arguments[0]
+        with (self._logs / f"{name}.log").open("w") as log:
+            self._running[name] = subprocess.Popen(
+                [sys.executable, "-m", "eha_monitor", *arguments], stdout=log, stderr=log,
+                stdin=subprocess.DEVNULL)
+
+    def check(self) -> None:
+        """Raise DemoFailed if a child has ended badly."""
+        for name, child in self._running.items():
+            if child.poll():
+                raise DemoFailed(f"{name} ended with status {child.returncode}: "
+                                 f"{_last_line(self._logs / f'{name}.log')}")
+
+
+def _last_line(path: Path) -> str:
+    lines = path.read_text(errors="replace").strip().splitlines()
+    return lines[-1] if lines else "it said nothing"
+
+
+def resource(name: str) -> str:
+    """Return a file or folder of the checkout, or else of the installation."""
+    roots = (Path(__file__).parents[1], Path(sys.prefix) / "share" / "eha_monitor")
+    for root in roots:
+        if (root / name).exists():
+            return str(root / name)
+    raise DemoFailed(f"{name} is neither in {roots[0]} nor in {roots[1]}")
+
+
+def watched(children: Children, seconds: float, alarms: frozenset[str]) -> None:
+    """Show what the monitor publishes until ``alarms`` are raised; else raise DemoFailed."""
+    from eha_monitor.ros.watch import watch
+
+    def finished(seen) -> bool:
+        children.check()
+        return alarms <= seen.raised
+
+    seen = watch(NAMESPACE, seconds, lambda line: print(f"  {line}", flush=True), finished)
+    children.check()
+    for symbol in ("B", "beta_e"):
+        if not seen.estimates.get(symbol):
+            raise DemoFailed(f"the monitor published no estimate of {symbol}")
+    if missing := sorted(alarms - seen.raised):
+        raise DemoFailed(f"expected the alarm {missing[0]} within {seconds:g} s, it did not come")
+
+
+def run(*arguments: str, show: bool = True) -> None:
+    """Run one command to its end."""
+    done = subprocess.run([sys.executable, "-m", "eha_monitor", *arguments], text=True,
+                          stdout=None if show else subprocess.DEVNULL, check=False)
+    if done.returncode:
+        raise DemoFailed(f"{arguments[0]} ended with status {done.returncode}")
+
+
+def live(logs: Path) -> None:
+    """Run the real simulator and the real monitor; B rises, then air enters."""
+    print("1. Simulator and monitor, live.  B rises from 600 to 1300 N·s/m from 10 s on,\n"
+          "   air enters the oil from 18 s on.", flush=True)
+    with Children(logs) as children:
+        config = resource("config/demo.yaml")
+        children.start("monitor", "--config", config)
+        children.start("simulator", "--config", config)
+        watched(children, LIVE_SECONDS, BOTH_ALARMS)
+
+
+def replayed(logs: Path) -> None:
+    """Replay the bundled bag through another monitor, faster than it was recorded."""
+    print(f"2. The bundled bag air_ingress through a monitor, {REPLAY_RATE:g} times as fast.",
+          flush=True)
+    with Children(logs) as children:
+        children.start("monitor")
+        children.start("replay", resource("bags/air_ingress"), "--rate", str(REPLAY_RATE))
+        watched(children, REPLAY_SECONDS, frozenset({"bulk_modulus_low"}))
+
+
+def reported(out: Path) -> Path:
+    """Estimate from the bundled bag at once, and write the report."""
+    print("3. The same bag at once, with a report.", flush=True)
+    report, answer = out / "report.html", out / "report.json"
+    run("estimate", resource("bags/air_ingress"), "--report", str(report), "--json", str(answer))
+    found = json.loads(answer.read_text())["parameters"]
+    if any(found[name]["status"] != "converged" for name in ("B", "beta_e")):
+        raise DemoFailed(f"estimate did not converge: {found}")
+    return report.resolve()
+
+
+def main() -> int:
+    """Run the three steps; returns the exit status."""
+    started = time.monotonic()
+    # A graph of our own on this machine: nobody else's topics, and ours in nobody's way.
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    os.environ["ROS_DOMAIN_ID"] = str(10 + os.getpid() % 90)
+    out = Path("out")
+    logs = out / "demo"
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # ends the children on its way out
+    try:
+        logs.mkdir(parents=True, exist_ok=True)
+        os.environ.setdefault("ROS_LOG_DIR", str(logs.resolve()))
+        with tempfile.TemporaryDirectory() as scratch:
+            print("Compiling the model (the first time only) ...", flush=True)
+            bag = str(Path(scratch) / "bag")
+            run("simulate", "--out", bag, "--duration", "1", show=False)
+            run("estimate", bag, show=False)
+        live(logs)
+        replayed(logs)
+        report = reported(out)
+    except (DemoFailed, InputError, OSError) as problem:
+        print(f"demo failed: {problem} (logs in {logs})", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    print(f"Done in {time.monotonic() - started:.0f} s.  Report: {report}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

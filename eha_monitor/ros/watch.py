@@ -1,0 +1,95 @@
+"""Looking on: what a monitor publishes, as lines of text."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Float64
+
+from eha_monitor.health.alarms import ALARM_NAMES, WATCHED, quantity
+from eha_monitor.ros import running
+
+LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
+                     durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_LEVELS = {DiagnosticStatus.OK: "OK", DiagnosticStatus.WARN: "WARN",
+           DiagnosticStatus.ERROR: "ERROR", DiagnosticStatus.STALE: "STALE"}
+_LINE_EVERY = 1.0  # s
+
+
+@dataclass
+class Seen:
+    """What came from the monitor.
+
+    Attributes
+    ----------
+    estimates : number of estimates of ``B`` and ``beta_e``.
+    raised : names of the alarms that reached WARN or ERROR.
+    """
+
+    estimates: dict[str, int] = field(default_factory=dict)
+    raised: set[str] = field(default_factory=set)
+
+
+class Watcher:
+    """Subscribes to the estimates and the health of one monitor and says what comes."""
+
+    def __init__(self, node: Node, say: Callable[[str], None]):
+        self.seen = Seen()
+        self._say = say
+        self._started = time.monotonic()
+        self._latest: dict[str, float] = {}
+        self._levels: dict[str, str] = {}
+        for watched in WATCHED:
+            for suffix in ("", "_stddev"):
+                node.create_subscription(
+                    Float64, f"monitor/{watched.section}{suffix}",
+                    self._keep(watched.symbol + suffix), 10)
+        node.create_subscription(DiagnosticArray, "monitor/health", self._take_health, LATCHED)
+        node.create_timer(_LINE_EVERY, self._tell)
+
+    def _keep(self, key: str) -> Callable[[Float64], None]:
+        def keep(message: Float64) -> None:
+            self._latest[key] = message.data
+            self.seen.estimates[key] = self.seen.estimates.get(key, 0) + 1
+        return keep
+
+    def _tell(self) -> None:
+        parts = [f"{watched.words} "
+                 f"{quantity(self._latest[key], self._latest[f'{key}_stddev'], watched.unit)}"
+                 for watched in WATCHED
+                 if {key := watched.symbol, f"{watched.symbol}_stddev"} <= self._latest.keys()]
+        if parts:
+            self._say(f"{self._clock()}  {',  '.join(parts)}")
+
+    def _clock(self) -> str:
+        return f"{time.monotonic() - self._started:5.1f} s"
+
+    def _take_health(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            name = status.name.rpartition(": ")[2]
+            level = _LEVELS.get(status.level)
+            if name not in ALARM_NAMES or level is None:
+                continue
+            if self._levels.get(name, "STALE") != level and level != "STALE":
+                self._say(f"{self._clock()}  {level:5} {name}: {status.message}")
+            self._levels[name] = level
+            if level in ("WARN", "ERROR"):
+                self.seen.raised.add(name)
+
+
+def watch(namespace: str, duration: float, say: Callable[[str], None],
+          finished: Callable[[Seen], bool] = lambda seen: False) -> Seen:
+    """Look on for ``duration`` s, or until ``finished(seen)``, which is asked each second.
+
+    Parameters
+    ----------
+    namespace : of the monitor's topics.
+    say : called with each line: the estimates once a second, an alarm when its level changes.
+    """
+    with running.ros_session([]), running.node("watch", namespace) as node:
+        watcher = Watcher(node, say)
+        running.spin(node, duration, finished=lambda: finished(watcher.seen))
+        return watcher.seen
