@@ -70,7 +70,7 @@ def align(series: dict[str, tuple[Series, str]], settings: Settings, *, source: 
                if name in columns and (name == reference or np.isfinite(columns[name]).any())}
     _tell_gaps(columns, reference, grid.step, said)
     return Recording(sample_time=grid.step, channels=columns,
-                     start_ns=origin + round(grid.start * 1e9), source=source,
+                     start_ns=max(0, origin + round(grid.start * 1e9)), source=source,
                      losses=tuple(dict.fromkeys(said)))
 
 
@@ -178,7 +178,7 @@ def _tell_grid(grid: Grid, label: str, nominal: float, said: list[str]) -> None:
         said.append(f"{label}: stamps jitter by {grid.jitter * 1e3:.3g} ms rms about an even "
                     f"sampling of {grid.step * 1e3:.6g} ms; the even times are used")
     elif grid.mode == "instants":
-        said.append(f"{label}: sampled unevenly ({grid.jitter * 1e3:.3g} ms rms off the grid); "
+        said.append(f"{label}: sampled unevenly (steps off by {grid.jitter * 1e3:.3g} ms rms); "
                     f"interpolated to {grid.step * 1e3:.6g} ms")
     elif abs(grid.step / nominal - 1) > 1e-6:
         said.append(f"{label}: the stamps say a sample time of {grid.step * 1e3:.6g} ms, "

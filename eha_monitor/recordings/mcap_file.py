@@ -164,8 +164,7 @@ def _walk(data: np.ndarray, start: int):
 
 
 def _content(chunk: mcap.records.Chunk, whole: bool) -> np.ndarray:
-    """Return the records in a chunk, checked against its checksum; of a cut chunk what is there.
-    """
+    """Return the records in a chunk, checksum checked; of a cut chunk, what is there."""
     if chunk.compression not in ("", "zstd", "lz4"):
         raise ValueError(f"compression {chunk.compression!r}, expected zstd, lz4 or none")
     if chunk.uncompressed_size > LARGEST_CHUNK:

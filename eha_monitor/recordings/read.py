@@ -206,7 +206,7 @@ class _Collector:
         if not seen:
             lost = f" ({losses[0]})" if losses else ""
             return f"{source}: the bag holds no message{lost}, expected {', '.join(wanted)}"
-        read = [topic for topic in self.readers]
+        read = list(self.readers)
         if read:
             reader = self.readers[read[0]]
             if reader.count == reader.unreadable:

@@ -22,7 +22,8 @@ class Grid:
         ``instants``.
     mode : ``exact`` (stamps on the grid), ``snapped`` (stamps jitter about it), ``instants``
         (samples were taken at their uneven stamps).
-    jitter : root mean square distance of the stamps from the grid, s.
+    jitter : root mean square of the stamps' distance from the grid, or of the steps' distance
+        from whole samples where the mode is ``instants``, s.
     """
 
     start: float
@@ -42,8 +43,7 @@ def lower_median(values: np.ndarray) -> float:
 
 
 def period_of(stamps: np.ndarray) -> float:
-    """Return the usual spacing of stamps in recorded order, in their unit; 0 if there is none.
-    """
+    """Return the usual spacing of stamps in recorded order; 0 if there is none."""
     steps = np.diff(stamps)
     steps = steps[steps > 0]
     return float(lower_median(steps)) if len(steps) else 0.0
@@ -133,8 +133,8 @@ def fit_grid(t: np.ndarray, values: np.ndarray, nominal: float) -> Grid:
     """Find the uniform grid of rising stamps and decide what their jitter means.
 
     Stamps off the grid are either jitter of the clock about an even sampling, or true instants
-    of an uneven one.  The wrong choice puts false accelerations into a moving quantity, so the
-    one with the smaller scaled fourth difference is taken.
+    of an uneven one.  The wrong choice puts false accelerations into a moving quantity; the
+    motion itself tells which it is.
 
     Parameters
     ----------
@@ -158,9 +158,11 @@ def fit_grid(t: np.ndarray, values: np.ndarray, nominal: float) -> Grid:
         index = _count(t, nominal)
     start = float(np.median(t - index * slope))
     jitter = float(np.sqrt(np.mean((t - start - index * slope) ** 2)))
-    if _roughness(index * slope, values, slope) <= 1.1 * _roughness(t, values, slope):
+    if _share_of_jitter(t, index, values, float(slope)) < 0.5:
         return Grid(start, float(slope), index, "snapped", jitter)
-    return Grid(float(t[0]), nominal if near else float(slope), index, "instants", jitter)
+    uneven = np.diff(t) - np.diff(index) * slope
+    return Grid(float(t[0]), nominal if near else float(slope), index, "instants",
+                float(np.sqrt(np.mean(uneven ** 2))))
 
 
 def _exact(t: np.ndarray, step: float) -> Grid | None:
@@ -186,22 +188,32 @@ def _count(t: np.ndarray, step: float) -> np.ndarray:
     return np.arange(len(t)) + missing.astype(np.int64)
 
 
-def _roughness(t: np.ndarray, values: np.ndarray, step: float) -> float:
-    """Mean fourth divided difference at these times, scaled to equal gain for white noise."""
-    if len(t) < 5:
+def _share_of_jitter(t: np.ndarray, index: np.ndarray, values: np.ndarray,
+                     step: float) -> float:
+    """Return how much of the stamps' unevenness the quantity took part in: 1 all, 0 none.
+
+    Where a step in time is longer by dt - n step, a quantity that moves at speed v goes further
+    by v (dt - n step) if the stamp is the true instant, and no further if only the stamp was
+    late.  The regression of the one on the other tells, with white noise in the values
+    averaged out.  0 where the motion is too slow to tell.
+    """
+    reach = 4
+    if len(t) < 4 * reach:
         return 0.0
-    window = np.lib.stride_tricks.sliding_window_view
-    some = slice(None, None, max(1, len(t) // 100_000))
-    times, samples = window(t, 5)[some] / step, window(values, 5)[some]
-    whole = (times[:, -1] - times[:, 0] < 8) & np.isfinite(samples).all(axis=1)
-    times, samples = times[whole], samples[whole]
-    if not len(times):
+    wide = slice(reach, len(t) - reach - 1)
+    ahead, behind = slice(2 * reach + 1, None), slice(None, -2 * reach - 1)
+    speed = (values[ahead] - values[behind]) / (t[ahead] - t[behind])
+    count = np.diff(index)[wide]
+    uneven = speed * (np.diff(t)[wide] - count * step)
+    further = np.diff(values)[wide] - speed * count * step
+    good = (count <= GAP) & np.isfinite(uneven) & np.isfinite(further)
+    uneven, further = uneven[good], further[good]
+    power = float(np.sum(uneven ** 2))
+    if len(uneven) < 10 or power == 0:
         return 0.0
-    apart = times[:, :, None] - times[:, None, :] + np.eye(5)
-    weights = 1.0 / np.maximum(np.abs(apart), 1e-3).prod(axis=2) * np.sign(apart).prod(axis=2)
-    samples = samples - samples[:, :1]
-    return float(np.mean(np.abs((weights * samples).sum(axis=1))
-                         / np.sqrt((weights ** 2).sum(axis=1))))
+    share = float(np.sum(uneven * further)) / power
+    error = np.sqrt(np.mean((further - share * uneven) ** 2) / power)
+    return share if abs(share) > 4 * error else 0.0
 
 
 def _samples(count: int) -> str:

@@ -23,8 +23,9 @@ from eha_monitor.recordings.walk import gather, same_structure
 TEMPLATES = 8  # layouts tried for messages of one length before going one by one
 STAMP = (Want("header.stamp.sec"), Want("header.stamp.nanosec"))
 # What a hostile message or definition makes rosbags and the walker raise.
-UNREADABLE = (SerdeError, TypesysError, ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError,
-              MemoryError, RecursionError, struct.error, zstandard.ZstdError)
+UNREADABLE = (SerdeError, TypesysError, ValueError, KeyError, IndexError, TypeError,
+              AttributeError, OverflowError, MemoryError, RecursionError, struct.error,
+              zstandard.ZstdError)
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from eha_monitor.settings.rig import Rig, Section, SensorNoise, Simulation, effects_field
+from eha_monitor.settings.table import Table
 from eha_monitor.units import Si
 
 CHANNELS = ("x", "v", "x_d", "omega", "p1", "p2", "force", "temperature")
@@ -118,6 +119,8 @@ class Settings(Section):
     simulation: Simulation = Field(Simulation(), description="the simulator")
     channels: dict[Literal[CHANNELS], Channel] = Field(
         DEFAULT_CHANNELS, description="where each channel comes from")
+    table: Table = Field(Table(), description="which column of a CSV or MAT file is which "
+                         "channel, for import")
     noise: NoiseLevels = Field(NoiseLevels(), description="noise levels for the filters")
     stage_one: StageOne = Field(StageOne(), description="viscous damping")
     stage_two: StageTwo = Field(StageTwo(), description="effective bulk modulus")

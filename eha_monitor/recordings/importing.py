@@ -1,0 +1,82 @@
+"""CSV and MAT files to bags, through the ``table`` section of a config."""
+
+from pathlib import Path
+
+import numpy as np
+
+from eha_monitor.errors import InputError
+from eha_monitor.recordings.align import align
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.recordings.tables import read_columns
+from eha_monitor.recordings.topics import Series
+from eha_monitor.recordings.write import write_recording
+from eha_monitor.settings import Settings, load_settings
+
+
+def import_file(file: str | Path, map_file: str | Path, out: str | Path, *,
+                overwrite: bool = False) -> Recording:
+    """Turn a CSV or MAT file into a bag.
+
+    Parameters
+    ----------
+    file : the table.
+    map_file : config with a ``table`` section; its rig gives the sample time.
+    out : the new bag, a folder or an .mcap file.
+
+    Raises
+    ------
+    InputError
+        One line: file or key, and what was expected.
+    """
+    return import_table(file, load_settings(map_file), out, map_source=str(map_file),
+                        overwrite=overwrite)
+
+
+def import_table(file: str | Path, settings: Settings, out: str | Path, *,
+                 map_source: str = "config", overwrite: bool = False) -> Recording:
+    """Turn a table into a bag with settings at hand; see :func:`import_file`."""
+    recording = read_table(file, settings, map_source=map_source)
+    write_recording(out, recording, settings, overwrite=overwrite)
+    return recording
+
+
+def read_table(file: str | Path, settings: Settings, *, map_source: str = "config") -> Recording:
+    """Read a table onto a uniform grid, SI units.
+
+    Pressures stay what the source has, absolute or gauge; the offset of a column turns one into
+    the other.
+    """
+    path, table = Path(file), settings.table
+    if not table.columns:
+        raise InputError(f"{map_source}: table.columns: expected at least one channel, such as "
+                         "x: {column: position, scale: 0.001}")
+    wanted = [column.column for column in table.columns.values()]
+    cells = read_columns(path, table, list(dict.fromkeys(
+        ([table.time] if table.time else []) + wanted)))
+    rows = len(next(iter(cells.values())))
+    if rows == 0:
+        raise InputError(f"{path}: expected rows of numbers, found none")
+    losses: list[str] = []
+    if table.time:
+        time = cells[table.time] * table.time_scale
+        good = np.isfinite(time) & (np.abs(time) < 2**31)
+        if not good.any():
+            raise InputError(f"{path}: column '{table.time}' holds no time in seconds")
+        if not good.all():
+            losses.append(f"{int(np.sum(~good))} of {rows} rows have no time and are left out")
+        stamps = np.round(np.where(good, time, 0.0) * 1e9).astype(np.int64)
+    else:
+        good = np.ones(rows, dtype=bool)
+        stamps = np.round(np.arange(rows) * settings.rig.sample_time * 1e9).astype(np.int64)
+    series = {}
+    for name, column in table.columns.items():
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = column.scale * cells[column.column][good] + column.offset
+        if not np.isfinite(values).any():
+            losses.append(f"{name}: column '{column.column}' holds no number")
+            continue
+        taken = stamps[good] - round(column.delay * 1e9)
+        series[name] = (Series(taken, stamps[good], values, True), path.name)
+    if not series:
+        raise InputError(f"{path}: expected numbers in columns {', '.join(wanted)}, found none")
+    return align(series, settings, source=str(path), losses=losses)
