@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from eha_monitor.filters.results import Estimate
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.reports import tables
-from eha_monitor.reports.alarm_figures import alarm_block
+from eha_monitor.reports.alarm_timeline import alarm_timeline
 from eha_monitor.reports.innovation_figures import innovation_block
 from eha_monitor.reports.motion_figures import motion_blocks
 from eha_monitor.reports.page import render, write_page
@@ -58,7 +58,7 @@ def estimate_page(estimate: Estimate, alarms: tuple[Alarm, ...], history: tuple[
         convergence=[parameter_block(estimate, "B"), parameter_block(estimate, "beta_e")],
         innovations=[innovation_block(estimate, estimate.stage_one),
                      innovation_block(estimate, estimate.stage_two)],
-        timeline=alarm_block(alarms, history, estimate.events, recording.duration),
+        timeline=alarm_timeline(alarms, history, estimate.events, recording.duration),
         alarms=tables.alarm_rows(alarms),
         history=tables.alarm_rows(history),
         events=[{"time": f"{number(e.time_s)} s", "stage": e.stage, "message": e.message}

@@ -1,7 +1,9 @@
 """Whether the innovations are what the filter expects: small, and without memory."""
 
 import numpy as np
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from eha_monitor.filters.consistency import variance_ratios, whitened
 from eha_monitor.filters.results import Estimate, StageResult
 from eha_monitor.reports.drawing import (
     HEIGHT,
@@ -17,13 +19,12 @@ from eha_monitor.reports.drawing import (
     picture,
 )
 from eha_monitor.reports.quantities import number, quantity, time_scale
-from eha_monitor.reports.traces import autocorrelation, block_variance, running_rms
+from eha_monitor.reports.traces import autocorrelation, running_rms
 
 
 def standardised(stage: StageResult) -> np.ndarray:
     """Return innovation over its expected standard deviation; (n,), NaN where there is none."""
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        z = stage.innovation / stage.innovation_stddev
+    z = whitened(stage.innovation, stage.innovation_stddev)
     return np.where(np.isfinite(z), z, np.nan)
 
 
@@ -95,7 +96,8 @@ def _over_time(stage: StageResult, z: np.ndarray, colour: str) -> Picture:
 def _memory(stage: StageResult, z: np.ndarray, colour: str, dt: float) -> Picture | None:
     """Autocorrelation with its 95 % bounds, and the variance of block sums."""
     correlation, used = autocorrelation(z, min(200, len(z) // 4))
-    lengths, ratios = block_variance(z)
+    judged = z[np.isfinite(z)]
+    lengths, ratios = variance_ratios(judged)
     if not len(correlation) or len(lengths) < 2:
         return None
     figure, (top, bottom) = new_figure(2, (1.0, 1.0), HEIGHT + 40, share=False)
@@ -112,18 +114,24 @@ def _memory(stage: StageResult, z: np.ndarray, colour: str, dt: float) -> Pictur
     top.set_xlabel("lag, ms")
     legend_above(top)
     block = lengths * dt
-    blocks = np.array([len(z) / length for length in lengths])
-    bottom.fill_between(block, np.maximum(1 - 2 * np.sqrt(2 / blocks), 1e-3),
-                        1 + 2 * np.sqrt(2 / blocks), color=OTHER, alpha=0.25, linewidth=0,
-                        label="white noise, 95 %")
+    blocks = len(judged) // lengths
+    chance = 2 * np.sqrt(2 / blocks)
+    bottom.fill_between(block, np.maximum(1 - chance, 1e-3), 1 + chance, color=OTHER, alpha=0.25,
+                        linewidth=0, label="95 % of white noise")
     bottom.plot(block, ratios, color=colour, marker="o", markersize=4, linewidth=1.4)
     bottom.set_xscale("log")
     bottom.set_yscale("log")
     positive = ratios[ratios > 0]
     bottom.set_ylim(min(0.3, 0.7 * positive.min(initial=1.0)),
                     max(3.0, 1.5 * positive.max(initial=1.0)))
+    for side, many in ((bottom.xaxis, 4), (bottom.yaxis, 3)):
+        low, high = side.get_view_interval()
+        short = high / max(low, 1e-300) < 10**many
+        side.set_major_locator(LogLocator(10, (1.0, 3.0) if short else (1.0,), numticks=8))
+        side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        side.set_minor_formatter(NullFormatter())
     bottom.set_xlim(block[0], block[-1])
-    bottom.set_ylabel("variance of block\nsums / white noise")
+    bottom.set_ylabel("block variance /\nwhite noise")
     bottom.set_xlabel("length of a block, s")
     legend_above(bottom)
     return picture(figure, f"autocorrelation and block variance of the innovations of stage "

@@ -1,6 +1,6 @@
 """The paper's curves for one recording: pressure, position, velocity, acceleration."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,7 +9,6 @@ from eha_monitor.reports.drawing import (
     HEIGHT,
     INK,
     MEASURED,
-    OTHER,
     STAGE_ONE,
     STAGE_TWO,
     Block,
@@ -22,7 +21,7 @@ from eha_monitor.reports.drawing import (
     picture,
 )
 from eha_monitor.reports.quantities import quantity, readable, scale_of, time_scale
-from eha_monitor.reports.traces import robust_peak, smoothed_derivative, telling_window
+from eha_monitor.reports.traces import choose_smoother, robust_peak, telling_window
 
 
 @dataclass(frozen=True)
@@ -74,55 +73,51 @@ def find_window(estimate: Estimate) -> Window:
     return Window(start, stop, words)
 
 
-def compare(estimate: Estimate, window: Window, measured: Curve, estimated: list[Curve],
-            name: str, unit: str, residual_unit: str) -> tuple[Picture, ...]:
-    """Return two pictures, whole record and window, each with curves and their residuals.
+def draw_curves(estimate: Estimate, window: Window, curves: list[Curve],
+                residuals: list[Curve], name: str, unit: str) -> tuple[Picture, ...]:
+    """Return two pictures, whole record and window, each with curves above their residuals.
 
     Parameters
     ----------
-    measured : the reference; the residual is measured minus estimated.
-    estimated : curves to compare; those without a finite value are left out.
+    curves : SI values in ``unit``, drawn in this order.
+    residuals : measured minus estimated in the colours of the estimates; may be empty.
     name : quantity on the axis, e.g. ``position``.
-    unit : SI unit of the curves; residual_unit : SI unit of their difference.
     """
-    time = estimate.recording.time
-    curves = [curve for curve in [measured, *estimated] if curve.drawable]
-    residuals = [Curve(f"− {curve.label}" if len(estimated) > 1 else "", measured.values
-                       - curve.values, curve.colour, 1.1, "-")
-                 for curve in estimated if measured.drawable and curve.drawable]
-    residuals = [curve for curve in residuals if curve.drawable]
-    shown = np.concatenate([curve.values for curve in curves]) if curves else np.empty(0)
+    n = len(estimate.recording)
+    curves = [curve for curve in curves if curve.drawable]
+    residuals = sorted((curve for curve in residuals if curve.drawable), reverse=True,
+                       key=lambda curve: float(np.nanstd(curve.values)))  # small ones on top
+    shown = np.concatenate([curve.values for curve in curves])
     scale = scale_of(shown, unit)
-    pictures = []
-    for part, words in ((slice(None), "whole record"),
-                        (slice(window.start, window.stop), window.words)):
-        if part != slice(None) and window.stop - window.start >= len(time):
-            continue
-        clock = time_scale(estimate.recording.duration) if part == slice(None) else \
-            time_scale(0)
-        t = time[part] * clock.factor
-        rows = 2 if residuals else 1
-        figure, axes = new_figure(rows, (2.0, 1.0) if rows == 2 else None,
-                                  HEIGHT + (60 if rows == 2 else -60))
-        for curve in curves:
-            draw(axes[0], t, curve.values[part] * scale.factor, color=curve.colour,
-                 linewidth=curve.width, linestyle=curve.dashes, label=curve.label)
-        axes[0].set_ylabel(f"{name}, {scale.unit}")
-        legend_above(axes[0])
-        if residuals:
-            _draw_residuals(axes[1], t, [(c, c.values[part]) for c in residuals],
-                            residual_unit)
-        if part == slice(None):
-            mark_window(axes[0], time[window.start], time[window.stop - 1])\
-                if clock.unit == "s" else mark_window(
-                    axes[0], time[window.start] * clock.factor,
-                    time[window.stop - 1] * clock.factor)
-        if len(t) > 1:
-            axes[-1].set_xlim(t[0], t[-1])
-        axes[-1].set_xlabel(f"time, {clock.unit} — {words}")
-        pictures.append(picture(figure, f"{name} against time, {words}: "
-                                + ", ".join(curve.label for curve in curves)))
-    return tuple(pictures)
+    parts = [(0, n, "whole record")]
+    if window.stop - window.start < n:
+        parts.append((window.start, window.stop, window.words))
+    return tuple(_part(estimate, part, window, curves, residuals, name, unit, scale)
+                 for part in parts)
+
+
+def _part(estimate, part, window, curves, residuals, name, unit, scale) -> Picture:
+    """Draw one picture: samples ``part[0]`` to ``part[1]``."""
+    start, stop, words = part
+    whole = stop - start == len(estimate.recording)
+    clock = time_scale(estimate.recording.duration if whole else 0.0)
+    t = estimate.recording.time[start:stop] * clock.factor
+    figure, axes = new_figure(2 if residuals else 1, (2.0, 1.0) if residuals else None,
+                              HEIGHT + (60 if residuals else -60))
+    for curve in curves:
+        draw(axes[0], t, curve.values[start:stop] * scale.factor, color=curve.colour,
+             linewidth=curve.width, linestyle=curve.dashes, label=curve.label)
+    axes[0].set_ylabel(f"{name}, {scale.unit}")
+    legend_above(axes[0])
+    if residuals:
+        _draw_residuals(axes[1], t, [(c, c.values[start:stop]) for c in residuals], unit)
+    if whole and window.stop - window.start < len(t):
+        mark_window(axes[0], t[window.start], t[window.stop - 1])
+    if len(t) > 1:
+        axes[-1].set_xlim(t[0], t[-1])
+    axes[-1].set_xlabel(f"time, {clock.unit} — {words}")
+    return picture(figure, f"{name} against time, {words}: "
+                           + ", ".join(curve.label for curve in curves))
 
 
 def _draw_residuals(axis, t, curves, unit) -> None:
@@ -130,10 +125,10 @@ def _draw_residuals(axis, t, curves, unit) -> None:
     half, peak = robust_peak(np.concatenate([values for _, values in curves]))
     scale = readable(half or 1.0, unit)
     for curve, values in curves:
-        draw(axis, t, values * scale.factor, color=curve.colour, linewidth=curve.width)
+        draw(axis, t, values * scale.factor, color=curve.colour, linewidth=1.0)
     axis.axhline(0, color=INK, linewidth=0.8)
     pad_limits(axis, -half * scale.factor, half * scale.factor)
-    axis.set_ylabel(f"measured −\nestimated, {scale.unit}")
+    axis.set_ylabel(f"residual, {scale.unit}")
     if peak > 1.01 * half:
         axis.text(0.995, 0.97, f"peak {quantity(peak, unit, 2)} cut off",
                   transform=axis.transAxes, ha="right", va="top", fontsize=9,
@@ -144,8 +139,8 @@ def _stage_curves(estimate: Estimate, attribute: str) -> list[Curve]:
     """Return the states of both stages that have data."""
     found = []
     for stage, label, colour, dashes in (
-            (estimate.stage_one, "estimated, stage one", STAGE_ONE, "-"),
-            (estimate.stage_two, "estimated, stage two", STAGE_TWO, "--")):
+            (estimate.stage_one, "stage one", STAGE_ONE, "-"),
+            (estimate.stage_two, "stage two", STAGE_TWO, "--")):
         values = getattr(stage, attribute)
         if len(values) == len(estimate.recording):
             curve = Curve(label, values, colour, 1.5, dashes)
@@ -158,81 +153,73 @@ def pressure_block(estimate: Estimate, window: Window) -> Block:
     """Return the pressure difference, or the measured force where there is no pressure."""
     recording, rig = estimate.recording, estimate.settings.rig
     key, paper = "pressure", "the paper's Fig. 3 and 8"
-    if recording.has("p1", "p2"):
-        p1, p2 = recording.get("p1"), recording.get("p2")
-        curve = Curve("p₁ − p₂, measured", p1 - p2, STAGE_ONE)
-        others, notes = [], ()
+    p1, p2 = recording.get("p1"), recording.get("p2")
+    curves, notes = [Curve("p₁ − p₂, measured", p1 - p2, STAGE_ONE)], ()
+    if curves[0].drawable:
         if rig.area_1 and rig.area_2 and abs(rig.area_2 / rig.area_1 - 1) > 1e-3:
             load = p1 - p2 * rig.area_2 / rig.area_1
-            others = [Curve("load pressure p₁ − p₂·A₂/A₁", load, OTHER, 1.3, "--")]
+            curves.append(Curve("load pressure p₁ − p₂·A₂/A₁", load, STAGE_TWO))
             notes = ("The areas differ, so the load pressure is what moves the piston.",)
-        if curve.drawable:
-            return Block(key, "Pressure difference", paper, _plain(
-                estimate, window, [curve, *others], "pressure difference", "Pa"), notes)
+        return Block(key, "Pressure difference", paper, draw_curves(
+            estimate, window, curves, [], "pressure difference", "Pa"), notes)
     if recording.has("force"):
         unit, word = ("N·m", "torque") if rig.motion == "rotary" else ("N", "force")
         curve = Curve(f"measured {word}", recording.get("force"), STAGE_ONE)
-        return Block(key, f"Driving {word}", paper, _plain(
-            estimate, window, [curve], word, unit),
-            (f"No pressures were recorded; the measured {word} takes the place of A·Δp.",))
+        return Block(key, f"Driving {word}", paper, draw_curves(
+            estimate, window, [curve], [], word, unit),
+            (f"No pair of pressures was recorded; the measured {word} takes the place of "
+             "A·Δp.",))
     return Block(key, "Pressure difference", paper, notes=(
         "No pair of pressures and no force was recorded, so there is nothing to show.",))
 
 
-def _plain(estimate, window, curves, name, unit) -> tuple[Picture, ...]:
-    """Pictures of curves that are compared with nothing."""
-    return compare(estimate, window, curves[0], [], name, unit, unit) if len(curves) == 1 \
-        else compare_all(estimate, window, curves, name, unit)
-
-
-def compare_all(estimate, window, curves, name, unit) -> tuple[Picture, ...]:
-    """Pictures of several curves without residuals."""
-    nothing = Curve("", np.full(len(estimate.recording), np.nan), MEASURED)
-    return compare(estimate, window, nothing, curves, name, unit, unit)
-
-
 def position_block(estimate: Estimate, window: Window) -> Block:
-    """Return position measured and estimated, with the demand where stage two has none."""
+    """Return position measured and estimated."""
     unit = motion_unit(estimate, 0)
     word = "angle" if unit == "rad" else "position"
-    measured = Curve(f"measured {word}", estimate.recording.get("x"), MEASURED, 4.0)
+    title, paper = word.capitalize(), "the paper's Fig. 4, 9 and 12"
+    measured = Curve("measured", estimate.recording.get("x"), MEASURED, 4.0)
     estimated = _stage_curves(estimate, "position")
-    title, paper = f"{word.capitalize()}", "the paper's Fig. 4, 9 and 12"
     if not measured.drawable and not estimated:
         return Block("position", title, paper,
                      notes=("No position was recorded and none was estimated.",))
+    residuals = [replace(curve, values=measured.values - curve.values) for curve in estimated]
     notes = () if estimated else ("No stage had data, so there is no estimate to compare.",)
-    return Block("position", title, paper,
-                 compare(estimate, window, measured, estimated, word, unit, unit), notes)
+    return Block("position", title, paper, draw_curves(
+        estimate, window, [measured, *estimated], residuals, word, unit), notes)
 
 
 def derivative_block(estimate: Estimate, window: Window, order: int) -> Block:
     """Return velocity (order 1) or acceleration (order 2), measured and estimated."""
     name = ("velocity", "acceleration")[order - 1]
-    key, title = name, name.capitalize()
     paper = ("the paper's Fig. 5, 10 and 13", "the paper's Fig. 14 and 19")[order - 1]
-    recording, unit = estimate.recording, motion_unit(estimate, order)
-    notes: tuple[str, ...] = ()
+    recording, estimated = estimate.recording, _stage_curves(estimate, name)
+    smoother = None
     if order == 1 and recording.has("v"):
-        measured = Curve("measured velocity", recording.get("v"), MEASURED, 4.0)
+        measured = Curve("measured", recording.get("v"), MEASURED, 4.0)
     else:
-        values, length = smoothed_derivative(recording.get("x"), recording.sample_time, order)
+        smoother = choose_smoother(recording.get("x"), recording.sample_time, order)
         which = ("derivative", "second derivative")[order - 1]
-        measured = Curve(f"{which} of the measured position, smoothed over "
-                         f"{quantity(length, 's', 2)}", values, MEASURED, 4.0)
-        if measured.drawable:
-            notes = (f"The {name} was not measured: the grey line is the numerical {which} of "
-                     "the position. Smoothing rounds its corners, so residuals at sharp "
-                     "reversals are partly its own.",)
-    estimated = _stage_curves(estimate, name)
+        values = smoother.of(recording.get("x")) if smoother else recording.get("none")
+        length = quantity(smoother.length, "s", 2) if smoother else ""
+        measured = Curve(f"{which} of measured position, over {length}", values, MEASURED,
+                         4.0)
     if not measured.drawable and not estimated:
-        return Block(key, title, paper, notes=(
+        return Block(name, name.capitalize(), paper, notes=(
             f"No {name} was measured or estimated, and there is too little position to "
             "differentiate.",))
+    notes: tuple[str, ...] = ()
+    if smoother:
+        notes = (f"The {name} was not measured: the grey line is the numerical {which} of the "
+                 f"position, smoothed over {length}. For the residual the estimate is smoothed in "
+                 "the same way.",)
     if not estimated:
         notes += (f"No stage had data to estimate the {name}.",)
-    return Block(key, title, paper,
-                 compare(estimate, window, measured, estimated, name, unit, unit), notes)
+    residuals = [replace(curve, values=measured.values - (
+        smoother.alike(curve.values) if smoother else curve.values)) for curve in estimated]
+    return Block(name, name.capitalize(), paper, draw_curves(
+        estimate, window, [measured, *estimated], residuals, name,
+        motion_unit(estimate, order)), notes)
 
 
 def motion_blocks(estimate: Estimate) -> list[Block]:

@@ -36,7 +36,8 @@ def write_page(path: str | Path, html: str) -> None:
     try:
         # File names may hold bytes that are no text; they must not cost the report.
         temporary.write_bytes(html.encode("utf-8", errors="replace"))
-        os.replace(temporary, path)
+        temporary.replace(path)
     except OSError as problem:
-        temporary.unlink(missing_ok=True) if temporary.parent.is_dir() else None
+        if temporary.is_file():
+            temporary.unlink()
         raise InputError(f"{path}: cannot write the report: {problem.strerror}") from problem

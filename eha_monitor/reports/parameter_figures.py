@@ -12,7 +12,6 @@ from eha_monitor.reports.drawing import (
     Block,
     draw,
     legend_above,
-    mark_window,
     new_figure,
     pad_limits,
     picture,
@@ -35,7 +34,7 @@ def parameter_block(estimate: Estimate, name: str) -> Block:
         "beta_e": (estimate.stage_two, estimate.settings.thresholds.bulk_modulus, STAGE_TWO,
                    "the paper's Fig. 15 and 20")}[name]
     key, title = f"parameter-{name}", f"{NAMES[name].capitalize()} {SYMBOLS[name]}"
-    value, stddev = stage.value, stage.stddev
+    value = stage.value
     if not len(value) or not np.isfinite(value).any():
         reason = stage.estimate.message or "the stage had no data"
         return Block(key, title, paper, notes=(f"No curve: {reason}",))
@@ -54,7 +53,7 @@ def parameter_block(estimate: Estimate, name: str) -> Block:
     if early.min() < view[0] - margin or early.max() > view[1] + margin:
         notes.append("The way from the prior leaves the picture at the start.")
     begin = _settled(stage)
-    pictures = [_picture(stage, name, slice(None), view, lines, colour, "whole record", begin)]
+    pictures = [_picture(stage, name, slice(None), view, lines, colour, "whole record")]
     if 0 < begin < len(value) - 10:
         tail = core_range(stage, begin / len(value))
         pictures.append(_picture(stage, name, slice(begin, None), tail, lines, colour,
@@ -105,7 +104,7 @@ def _settled(stage: StageResult) -> int:
 
 
 def _picture(stage: StageResult, name: str, part: slice, view: tuple[float, float],
-             lines: list[tuple[float, str]], colour: str, words: str, begin: int = 0):
+             lines: list[tuple[float, str]], colour: str, words: str):
     """Draw the curve, its band and the limits that fall into ``view``."""
     whole = stage.time
     clock = time_scale(float(whole[-1] - whole[0]))
@@ -118,8 +117,9 @@ def _picture(stage: StageResult, name: str, part: slice, view: tuple[float, floa
     band_t, lower = envelope(t, np.clip(value - spread, bottom - 9 * (top - bottom), None), 400)
     also_t, upper = envelope(t, np.clip(value + spread, None, top + 9 * (top - bottom)), 400)
     if len(band_t) == len(also_t) and len(band_t):
+        thin = 2 * np.nanmedian(spread) < 0.006 * (top - bottom)
         axis.fill_between(band_t, lower, upper, color=colour, alpha=0.22, linewidth=0,
-                          label="± 2σ")
+                          label="± 2σ (mostly thinner than the line)" if thin else "± 2σ")
     draw(axis, t, value, color=colour, linewidth=1.8, label=f"{SYMBOLS[name]} estimated")
     for limit, label in lines:
         place = limit * scale.factor
@@ -128,13 +128,14 @@ def _picture(stage: StageResult, name: str, part: slice, view: tuple[float, floa
         line = ERROR_LINE if label.startswith("ERROR") else WARN_LINE
         axis.axhline(place, color=line, linewidth=1.3,
                      linestyle=(0, (2, 2)) if line == ERROR_LINE else (0, (6, 3)))
+        # Labels stand apart where a WARN and an ERROR limit lie close together.
+        above = label in ("WARN below", "ERROR above")
         axis.annotate(f"{label} {quantity(limit, stage.estimate.unit)}", (1.0, place),
-                      xycoords=("axes fraction", "data"), xytext=(-3, 2),
-                      textcoords="offset points", ha="right", va="bottom", fontsize=9,
+                      xycoords=("axes fraction", "data"), xytext=(-3, 2 if above else -2),
+                      textcoords="offset points", ha="right",
+                      va="bottom" if above else "top", fontsize=9,
                       color=line, bbox={"facecolor": "white", "edgecolor": "none",
                                         "pad": 0.8, "alpha": 0.75})
-    if part == slice(None) and 0 < begin:
-        mark_window(axis, whole[begin] * clock.factor, t[-1])
     if len(t) > 1 and t[-1] > t[0]:
         axis.set_xlim(t[0], t[-1])
     axis.set_xlabel(f"time, {clock.unit} — {words}", color=INK)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from pydantic import BaseModel
 
 from eha_monitor.filters.results import Estimate, JointResult, ParameterEstimate
 from eha_monitor.health.alarms import Alarm
-from eha_monitor.reports.alarm_figures import alarm_words
+from eha_monitor.reports.alarm_timeline import alarm_words
 from eha_monitor.reports.parameter_figures import NAMES, SYMBOLS, limits_in_words
 from eha_monitor.reports.quantities import number, quantity, with_uncertainty
 from eha_monitor.reports.verdict import STATUS_WORDS
@@ -155,7 +155,7 @@ def heading(estimate: Estimate) -> list[tuple[str, str]]:
                                     if recording.has(name)) or "none with a value")]
     if recording.start_ns > 0:
         try:
-            start = datetime.fromtimestamp(recording.start_ns // 10**9, tz=timezone.utc)
+            start = datetime.fromtimestamp(recording.start_ns // 10**9, tz=UTC)
             facts.append(("Start", start.strftime("%Y-%m-%d %H:%M:%S UTC")))
         except (ValueError, OverflowError, OSError):
             pass  # a stamp that is no calendar date is not worth a word

@@ -1,5 +1,7 @@
 """Curves made fit for a picture: envelopes, derivatives, windows, limits, correlations."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 
@@ -39,39 +41,79 @@ def envelope(time: np.ndarray, values: np.ndarray, bins: int = 1000
     return out_t.ravel(), out_v.ravel()
 
 
-def smoothed_derivative(values: np.ndarray, dt: float, order: int
-                        ) -> tuple[np.ndarray, float]:
-    """Return the derivative of a measured channel and the length of the smoothing, s.
+@dataclass(frozen=True)
+class Smoother:
+    """A cubic fitted over a sliding window (Savitzky-Golay), read off as a derivative.
 
-    A cubic is fitted over a sliding window (Savitzky-Golay), the shortest of a few whose noise
-    stays below 3 % of the derivative itself.  Short gaps are bridged, long ones stay NaN.
+    ``window`` samples of ``dt`` seconds; ``order`` 1 or 2.
+    """
+
+    window: int
+    dt: float
+    order: int
+
+    @property
+    def length(self) -> float:
+        """Length of the window, s."""
+        return self.window * self.dt
+
+    def of(self, values: np.ndarray) -> np.ndarray:
+        """Return the derivative of (n,) values; NaN at the ends and beside long gaps."""
+        return _fitted(_bridged(values, longest=15), self.window, self.order, self.dt)
+
+    def alike(self, derivative: np.ndarray) -> np.ndarray:
+        """Return a known derivative, (n,), smoothed exactly as :meth:`of` smooths.
+
+        It is summed up ``order`` times first; the constants of summation drop out again.
+        """
+        finite = np.isfinite(derivative)
+        total = np.where(finite, derivative, 0.0)
+        for _ in range(self.order):
+            total = np.concatenate([[0.0], np.cumsum(0.5 * (total[1:] + total[:-1]))]) * self.dt
+        return _fitted(np.where(finite, total, np.nan), self.window, self.order, self.dt)
+
+
+def choose_smoother(values: np.ndarray, dt: float, order: int) -> Smoother | None:
+    """Return the shortest of a few windows that keeps the noise below 3 % of the derivative.
 
     Parameters
     ----------
-    values : (n,) SI.
+    values : (n,) measured, SI.
     dt : sample time, s.
     order : 1 or 2.
+
+    Returns
+    -------
+    Smoother or None
+        None where no window fits into the data.
     """
-    from scipy.signal import savgol_coeffs, savgol_filter  # slow to import
+    from scipy.signal import savgol_coeffs  # slow to import
 
     filled = _bridged(values, longest=15)
-    best, length = np.full(len(values), np.nan), 0.0
+    best = None
     for window in (7, 11, 17, 25, 41, 65, 101):
         if window > len(values):
             break
-        smooth = savgol_filter(filled, window, 3, mode="constant", cval=np.nan)
-        slope = savgol_filter(filled, window, 3, deriv=order, delta=dt, mode="constant",
-                              cval=np.nan)
+        slope = _fitted(filled, window, order, dt)
         finite = np.isfinite(slope)
         if not finite.any():
             break
-        best, length = slope, window * dt
+        best = Smoother(window, dt, order)
         # The median is deaf to the reversals, where a cubic does not fit.
-        noise = 1.48 * np.median(np.abs(values - smooth)[finite & np.isfinite(values)])
-        weights = savgol_coeffs(window, 3, deriv=order, delta=dt)
-        if noise * np.linalg.norm(weights) < 0.03 * np.percentile(np.abs(slope[finite]), 95):
+        rest = np.abs(filled - _fitted(filled, window, 0, dt))[finite]
+        noise = 1.48 * np.median(rest) * np.linalg.norm(
+            savgol_coeffs(window, 3, deriv=order, delta=dt))
+        if noise < 0.03 * np.percentile(np.abs(slope[finite]), 95):
             break
-    return best, length
+    return best
+
+
+def _fitted(values: np.ndarray, window: int, order: int, dt: float) -> np.ndarray:
+    from scipy.signal import savgol_filter
+
+    if window > len(values):
+        return np.full(len(values), np.nan)
+    return savgol_filter(values, window, 3, deriv=order, delta=dt, mode="constant", cval=np.nan)
 
 
 def _bridged(values: np.ndarray, longest: int) -> np.ndarray:
@@ -182,23 +224,6 @@ def autocorrelation(values: np.ndarray, lags: int, most: int = 500_000
     pairs = np.fft.irfft(np.abs(present) ** 2, size)[1:lags + 1]
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(pairs > 0.5, products / pairs / power, np.nan), int(finite.sum())
-
-
-def block_variance(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return block lengths (samples) and the variance of block sums over that of white noise.
-
-    Lengths double from 1 until fewer than 20 blocks remain.  A block sum of white noise of
-    unit variance has the variance of its length, so the ratio is then 1.
-    """
-    z = values[np.isfinite(values)]
-    lengths, ratios = [], []
-    length = 1
-    while len(z) // length >= 20:
-        blocks = z[: len(z) // length * length].reshape(-1, length).sum(axis=1)
-        lengths.append(length)
-        ratios.append(float(np.mean(blocks**2)) / length)
-        length *= 2
-    return np.array(lengths), np.array(ratios)
 
 
 def running_rms(values: np.ndarray, windows: int = 120) -> tuple[np.ndarray, np.ndarray]:

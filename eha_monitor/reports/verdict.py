@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from eha_monitor.filters.results import Estimate
+from eha_monitor.filters.results import Estimate, ParameterEstimate
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.reports.parameter_figures import NAMES, SYMBOLS
 from eha_monitor.reports.quantities import with_uncertainty
@@ -30,32 +30,34 @@ def verdict(estimate: Estimate, alarms: tuple[Alarm, ...]) -> Verdict:
     warnings = [a for a in alarms if a.level == "WARN"]
     told = [p for p in estimate.parameters.values() if p.status == "converged"]
     untold = [p for p in estimate.parameters.values() if p.status != "converged"]
+    mismatch = estimate.model.status == "mismatch"
     parts = []
     if errors or warnings:
         parts.append(" and ".join(_alarm_phrase(alarm) for alarm in (*errors, *warnings)))
-    elif told:
-        values = " and ".join(f"{SYMBOLS[p.name]} = "
-                              f"{with_uncertainty(p.value, p.stddev, p.unit)}" for p in told)
-        if all(any(a.name.startswith(_PREFIX[p.name]) for a in alarms) for p in told):
-            verb = "is" if len(told) == 1 else "are"
-            parts.append(f"{values} {verb} within the limits")
-        else:
-            parts.append(f"{values}, without limits to judge by")
+    if mismatch:
+        parts.append("the model does not explain this recording" + (
+            ", so the numbers are those of a wrong model" if told else ""))
+    if told and not (errors or warnings):
+        parts.append(_values(told, alarms))
     if untold:
         parts.append("nothing can be told about " + " and ".join(
             f"{NAMES[p.name]} {SYMBOLS[p.name]} ({STATUS_WORDS.get(p.status, p.status)})"
             for p in untold))
-    mismatch = estimate.model.status == "mismatch"
-    if mismatch:
-        parts.append("the model does not explain this recording, so its numbers are those of a "
-                     "wrong model" if told else "the model does not explain this recording")
-    elif estimate.model.status == "consistent":
+    if estimate.model.status == "consistent":
         parts.append("the model explains the recording")
-    elif told:
+    elif told and not mismatch:
         parts.append("whether the model explains the recording could not be told")
     kind, headline = _head(errors, warnings, mismatch, told, untold, estimate.model.status)
-    sentence = "; ".join(parts)
-    return Verdict(kind, headline, f"{headline}: {sentence}.")
+    return Verdict(kind, headline, f"{headline}: {'; '.join(parts)}.")
+
+
+def _values(told: list[ParameterEstimate], alarms: tuple[Alarm, ...]) -> str:
+    """Return the values that no alarm complains about, and whether one could have."""
+    values = " and ".join(f"{SYMBOLS[p.name]} = {with_uncertainty(p.value, p.stddev, p.unit)}"
+                          for p in told)
+    if all(any(a.name.startswith(_PREFIX[p.name]) for a in alarms) for p in told):
+        return f"{values} {'is' if len(told) == 1 else 'are'} within the limits"
+    return f"{values}, without limits to judge by"
 
 
 _PREFIX = {"B": "viscous_damping", "beta_e": "bulk_modulus"}

@@ -1,0 +1,123 @@
+"""The alarm timeline: one lane for each alarm, events as numbered marks.
+
+Lanes are HTML, not a picture, so that they fill a wide screen and stay readable on a phone.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.ticker import MaxNLocator
+
+from eha_monitor.filters.results import Event
+from eha_monitor.health.alarms import Alarm
+from eha_monitor.reports.quantities import number, time_scale
+
+ALARM_WORDS = {"viscous_damping_high": "B high", "viscous_damping_low": "B low",
+               "bulk_modulus_high": "βₑ high", "bulk_modulus_low": "βₑ low"}
+_OVERLAP = 5.5  # percent of the width within which two marks share a label
+
+
+@dataclass(frozen=True)
+class Span:
+    """A level that an alarm had from ``start`` to ``stop``, s."""
+
+    start: float
+    stop: float
+    level: str
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A span as it is drawn: percent of the width, and whether its name fits inside."""
+
+    left: float
+    width: float
+    level: str
+    title: str
+    named: bool
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A place on the time axis in percent of the width, with its label."""
+
+    left: float
+    label: str
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """What the page draws; without lanes and marks ``note`` says why."""
+
+    lanes: tuple[tuple[str, tuple[Bar, ...]], ...] = ()
+    marks: tuple[Mark, ...] = ()
+    ticks: tuple[Mark, ...] = ()
+    unit: str = "s"
+    note: str = ""
+
+
+def alarm_words(name: str) -> str:
+    """Return an alarm's name as people say it."""
+    return ALARM_WORDS.get(name, name.replace("_", " "))
+
+
+def spans(name: str, alarms: tuple[Alarm, ...], history: tuple[Alarm, ...], duration: float
+          ) -> list[Span]:
+    """Return the levels of one alarm over the record, from its changes.
+
+    Before the first known change nothing is claimed.
+    """
+    changes = sorted((a for a in (*history, *alarms) if a.name == name
+                      and np.isfinite(a.time_s)), key=lambda a: a.time_s)
+    found: list[Span] = []
+    for i, change in enumerate(changes):
+        stop = changes[i + 1].time_s if i + 1 < len(changes) else duration
+        start = float(np.clip(change.time_s, 0, duration))
+        stop = float(np.clip(stop, start, duration))
+        if found and found[-1].level == change.level and found[-1].stop >= start:
+            found[-1] = Span(found[-1].start, stop, change.level)
+        elif stop > start or i + 1 == len(changes):
+            found.append(Span(start, stop, change.level))
+    return found
+
+
+def alarm_timeline(alarms: tuple[Alarm, ...], history: tuple[Alarm, ...],
+                   events: tuple[Event, ...], duration: float) -> Timeline:
+    """Return the timeline of a recording of ``duration`` seconds."""
+    names = list(dict.fromkeys(alarm.name for alarm in (*alarms, *history)))
+    if not names and not events:
+        return Timeline(note="No alarm is configured and no event happened.")
+    if not duration > 0:
+        return Timeline(note="The recording has no duration, so there is no timeline.")
+    clock = time_scale(duration)
+    end = duration * clock.factor
+    ticks = MaxNLocator(8, steps=[1, 2, 2.5, 3, 5, 6, 10]).tick_values(0, end)
+    return Timeline(
+        tuple((alarm_words(name), tuple(_bar(span, duration) for span in
+                                        spans(name, alarms, history, duration)))
+              for name in names),
+        _marks(events, duration),
+        tuple(Mark(100 * tick / end, f"{tick:g}") for tick in ticks if 0 <= tick <= 1.0001 * end),
+        clock.unit)
+
+
+def _bar(span: Span, duration: float) -> Bar:
+    width = max(100 * (span.stop - span.start) / duration, 0.3)  # the last may have no length
+    left = min(100 * span.start / duration, 100 - width)
+    return Bar(round(left, 3), round(width, 3), span.level,
+               f"{span.level} from {number(span.start)} s to {number(span.stop)} s", width > 14)
+
+
+def _marks(events: tuple[Event, ...], duration: float) -> tuple[Mark, ...]:
+    """Return places and labels; marks that would overlap share a label such as ``2–4``."""
+    groups: list[tuple[float, list[int]]] = []
+    for i, event in enumerate(events, start=1):
+        if not np.isfinite(event.time_s):
+            continue
+        place = float(np.clip(100 * event.time_s / duration, 0, 100))
+        if groups and place - groups[-1][0] < _OVERLAP:
+            groups[-1][1].append(i)
+        else:
+            groups.append((place, [i]))
+    return tuple(Mark(round(place, 3), str(numbers[0]) if len(numbers) == 1
+                      else f"{numbers[0]}–{numbers[-1]}") for place, numbers in groups)
