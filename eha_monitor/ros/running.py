@@ -40,11 +40,22 @@ def ros_session(arguments: list[str]) -> Iterator[None]:
             raise InputError(f"{unknown[0]}: unknown argument, expected options or --ros-args")
         rclpy.init(args=arguments)
     try:
+        with until_shutdown():
+            yield
+    finally:
+        rclpy.try_shutdown()
+
+
+@contextlib.contextmanager
+def until_shutdown() -> Iterator[None]:
+    """Run a block that a signal may end anywhere; what follows the block is still done."""
+    try:
         yield
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
-    finally:
-        rclpy.try_shutdown()
+    except (rclpy_implementation.RCLError, rclpy_implementation.InvalidHandle):
+        if rclpy.ok():  # else a signal came between two lines, and publishing has ended
+            raise
 
 
 @contextlib.contextmanager
@@ -84,13 +95,12 @@ def spin(made: Node, duration: float | None = None,
     executor.add_node(made)
     end = None if duration is None else time.monotonic() + duration
     try:
-        while rclpy.ok() and not finished():
-            left = _LOOK_UP if end is None else min(_LOOK_UP, end - time.monotonic())
-            if left <= 0:
-                break
-            executor.spin_once(timeout_sec=left)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+        with until_shutdown():
+            while rclpy.ok() and not finished():
+                left = _LOOK_UP if end is None else min(_LOOK_UP, end - time.monotonic())
+                if left <= 0:
+                    break
+                executor.spin_once(timeout_sec=left)
     finally:
         executor.remove_node(made)
         executor.shutdown()
