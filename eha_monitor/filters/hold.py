@@ -15,12 +15,30 @@ VISIBLE = 6.0  # standard deviations by which a fourth difference must rise abov
 class Hold:
     """An input that runs linearly from ``start[k-1]`` to ``end[k]`` in the sample before k.
 
-    ``variance`` (n,) is that of the input over this sample beyond the sensor's noise.
+    ``variance`` (n,) is that of the input over this sample beyond the sensor's noise;
+    ``instrument`` (n,) is the input as its neighbours tell it, free of the sample's own noise.
     """
 
     start: np.ndarray
     end: np.ndarray
     variance: np.ndarray
+    instrument: np.ndarray
+
+
+def instrument_of(u: np.ndarray) -> np.ndarray:
+    """Return each sample as a parabola through its neighbours at +-3, 4, 5 tells it; (n,).
+
+    Where a noisy input multiplies a parameter, the noise is in the regressor and in the
+    innovation alike, and the parameter is drawn towards zero effect.  A regressor made without
+    the samples at hand is an instrument: its noise is independent (Soderstrom 2007).
+    """
+    n = len(u)
+    if n < 11:
+        return u
+    reach = np.array([-5, -4, -3, 3, 4, 5])
+    weights = np.linalg.pinv(np.vander(reach, 3, increasing=True).astype(float))[0]
+    padded = np.pad(u, 5, mode="edge")
+    return sum(w * padded[5 + d : 5 + d + n] for w, d in zip(weights, reach, strict=True))
 
 
 def largest_neighbour(values: np.ndarray, reach: int) -> np.ndarray:
@@ -47,10 +65,10 @@ def hold_of(u: np.ndarray, sigma: float, sampled: bool = False) -> Hold:
     """
     n = len(u)
     if n < 5:
-        return Hold(u, np.roll(u, 1) if sampled else u, np.zeros(n))
+        return Hold(u, np.roll(u, 1) if sampled else u, np.zeros(n), u)
     if sampled:
         end = np.concatenate([u[:1], u[:-1]])
-        return Hold(u, end, np.zeros(n))
+        return Hold(u, end, np.zeros(n), u)
     step = np.diff(u, prepend=u[:1])
     jump = np.abs(step) > JUMP * largest_neighbour(step, 2) + VISIBLE * 2.0 * sigma
     bend = np.zeros(n)
@@ -67,4 +85,4 @@ def hold_of(u: np.ndarray, sigma: float, sampled: bool = False) -> Hold:
     unsure[1:] = np.maximum(unsure[1:], unsure[:-1])
     unsure[beside] = 0.0
     unsure[jump] = 0.3 * np.abs(step[jump])
-    return Hold(start, end, unsure**2)
+    return Hold(start, end, unsure**2, start if sigma == 0 else instrument_of(u))

@@ -1,6 +1,6 @@
 """From a recording to what the stages take: force, drive input, noise, constants, reasons."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -140,7 +140,7 @@ class StageInputs:
 
 def with_noise(hold: Hold, variance: float) -> Hold:
     """Add the sensor's variance to that of the interpolation."""
-    return Hold(hold.start, hold.end, hold.variance + variance)
+    return replace(hold, variance=hold.variance + variance)
 
 
 def drive_input(model: RigModel, channels: dict, noise: dict) -> Hold:

@@ -1,6 +1,95 @@
-"""B, beta_e and leakage at once (being written)."""
+"""B, beta_e and leakage at once where pressure and drive are recorded.
+
+The paper found both parameters together not observable; that holds for the position alone under
+one tone.  With the force and the drive input measured they are, and the covariance says so.
+"""
+
+import numpy as np
+
+from eha_monitor.filters import kernel_joint
+from eha_monitor.filters.hold import Hold, hold_of
+from eha_monitor.filters.inputs import StageInputs, force_of, with_noise
+from eha_monitor.filters.results import JointResult, ParameterEstimate, StageResult
+from eha_monitor.filters.status import judge_parameter, units_of
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.monitor import Settings
+
+LEAKAGE_SPREAD = 20.0  # prior standard deviation of C_T over its configured value
+HONEST = 1.5  # NIS above which the standard deviations grow with its root
 
 
-def run_joint(inputs, recording, settings, one, two):
-    """Return None until the joint estimator stands."""
-    return None
+def prior_of(settings: Settings, leak: float) -> np.ndarray:
+    """Return the prior variances of (B, c, leak)."""
+    one, two = settings.stage_one, settings.stage_two
+    return np.array([one.prior_stddev, two.prior_stddev / two.prior,
+                     LEAKAGE_SPREAD * max(leak, 1e-12)]) ** 2
+
+
+def speed_hold(recording: Recording, settings: Settings, inputs: StageInputs) -> Hold | None:
+    """Return the hold of the measured pump speed, or None."""
+    if not recording.has("omega"):
+        return None
+    sigma = inputs.noise["omega"].value
+    return with_noise(hold_of(recording.channels["omega"], sigma), sigma**2)
+
+
+def run_joint(inputs: StageInputs, recording: Recording, settings: Settings, one: StageResult,
+              two: StageResult) -> JointResult | None:
+    """Estimate B, beta_e and C_T together, or return None where pressure or omega is missing.
+
+    Starts from the two stages' answers, with the priors' full variance.
+    """
+    model = inputs.model
+    hold = speed_hold(recording, settings, inputs)
+    if (hold is None or model.hydraulics is None or inputs.no_force is not None
+            or not recording.has("p1", "p2") or model.active.any()):
+        return None
+    rig = settings.rig
+    constants = model.hydraulics.copy()
+    constants[4] = 0.0  # the measured speed is the input: the loop is open
+    start = [settings.stage_one.prior, 1.0]
+    if one.estimate.status == "converged":
+        start[0] = one.estimate.value
+    if two.estimate.status == "converged":
+        start[1] = model.beta_0 / two.estimate.value
+    m = np.array([np.nan, 0.0, 0.0, *start, model.leak, 0.0])
+    p = np.diag([0.0, 0.0, 0.0, *prior_of(settings, model.leak), 0.0])
+    out = np.empty((7, len(recording)))
+    force = force_of(rig, recording.channels)
+    r_f = ((rig.area_1 * inputs.noise["p1"].value) ** 2
+           + (rig.area_2 * inputs.noise["p2"].value) ** 2)
+    kernel_joint.run_joint(
+        inputs.x, force, hold.start, hold.end, hold.variance, hold.instrument,
+        constants, inputs.dt,
+        inputs.position_variance, r_f, 0.0, False, m, p, out)
+    with np.errstate(invalid="ignore"):
+        nis = np.nanmean([(out[3] / out[4]) ** 2, (out[5] / out[6]) ** 2]) if np.isfinite(
+            out[3]).any() else np.nan
+    if not np.isfinite(nis):
+        return None
+    return joint_result(m, p, float(nis), settings, model.beta_0, model.leak)
+
+
+def joint_result(m: np.ndarray, p: np.ndarray, nis: float, settings: Settings, beta_0: float,
+                 leak: float) -> JointResult:
+    """Turn the filter's parameters (B, c, leak) into estimates of B, beta_e and C_T."""
+    rig = settings.rig
+    per_volume = 0.5 * (1 / rig.volume_1 + 1 / rig.volume_2)
+    factor = np.sqrt(nis) if nis > HONEST else 1.0
+    c = max(m[4], 1e-9)
+    scale = np.array([1.0, -beta_0 / c**2, 1.0 / per_volume])
+    covariance = p[3:6, 3:6] * np.outer(scale, scale)
+    sigma = factor * np.sqrt(np.diag(covariance))
+    values = {"B": m[3], "beta_e": beta_0 / c, "L": m[5] / per_volume}
+    units = units_of(rig.motion)
+    priors = {"B": (settings.stage_one.prior, settings.stage_one.prior_stddev),
+              "beta_e": (settings.stage_two.prior, settings.stage_two.prior_stddev),
+              "L": (rig.leakage, LEAKAGE_SPREAD * max(rig.leakage, 1e-15))}
+    estimates: dict[str, ParameterEstimate] = {
+        name: judge_parameter(name, float(value), float(sigma[i]), units[name], *priors[name])
+        for i, (name, value) in enumerate(values.items())}
+    root = np.sqrt(np.diag(covariance))
+    return JointResult(estimates, covariance / np.outer(root, root),
+                       f"position, pressure force and pump speed together, NIS {nis:.2f}")
+
+

@@ -30,7 +30,7 @@ def start_two(m, p, x, r, dt, mass):
 
 
 @njit
-def predict_two(m, p, sens, step, b_step, d_b, u0, u1, force, flow, q_f, q_u):
+def predict_two(m, p, sens, step, b_step, d_b, u0, u1, i0, i1, force, flow, q_f, q_u):
     """Predict state, covariance and the sensitivity to B over one sample.
 
     Parameters
@@ -38,7 +38,7 @@ def predict_two(m, p, sens, step, b_step, d_b, u0, u1, force, flow, q_f, q_u):
     m : (4,) x, v, F, c;  p : (4, 4) covariance;  sens : (4,) d m/d B.
     step : (3, 7) transition at the present (B, c); b_step : (3, 7) its derivative to c;
     d_b : (3, 7) its derivative to B.
-    u0, u1 : drive input at the two ends; force, flow : modelled extra force (N), flow (N/Pa/s).
+    u0, u1 : drive input at the two ends; i0, i1 : its instrument there; force, flow : modelled extra force (N), flow (N/Pa/s).
     q_f, q_u : variances of an unmodelled force (N^2) and of the drive input on a sample.
     """
     x, v, f = m[0], m[1], m[2]
@@ -46,8 +46,8 @@ def predict_two(m, p, sens, step, b_step, d_b, u0, u1, force, flow, q_f, q_u):
     for i in range(3):
         new = (step[i, 0] * x + step[i, 1] * v + step[i, 2] * f + step[i, 3] * u0
                + step[i, 4] * u1 + step[i, 5] * force + step[i, 6] * flow)
-        slope = (b_step[i, 0] * x + b_step[i, 1] * v + b_step[i, 2] * f + b_step[i, 3] * u0
-                 + b_step[i, 4] * u1 + b_step[i, 5] * force + b_step[i, 6] * flow)
+        slope = (b_step[i, 0] * x + b_step[i, 1] * v + b_step[i, 2] * f + b_step[i, 3] * i0
+                 + b_step[i, 4] * i1 + b_step[i, 5] * force + b_step[i, 6] * flow)
         m[i] = new
         if i == 0:
             f_c0 = slope
@@ -60,7 +60,8 @@ def predict_two(m, p, sens, step, b_step, d_b, u0, u1, force, flow, q_f, q_u):
     w0 = b_step[2, 0] * p[0, 0] + b_step[2, 1] * p[1, 0] + b_step[2, 2] * p[2, 0]
     w1 = b_step[2, 0] * p[0, 1] + b_step[2, 1] * p[1, 1] + b_step[2, 2] * p[2, 1]
     w2 = b_step[2, 0] * p[0, 2] + b_step[2, 1] * p[1, 2] + b_step[2, 2] * p[2, 2]
-    if f_c2 * f_c2 < UNSEEN * (b_step[2, 0] * w0 + b_step[2, 1] * w1 + b_step[2, 2] * w2):
+    if f_c2 * f_c2 < UNSEEN * (b_step[2, 0] * w0 + b_step[2, 1] * w1 + b_step[2, 2] * w2
+                               + q_u * (b_step[2, 3] + b_step[2, 4]) ** 2):
         f_c0 = f_c1 = f_c2 = 0.0
     s0, s1, s2, s3 = sens[0], sens[1], sens[2], sens[3]
     for i in range(3):
@@ -125,15 +126,15 @@ def correct_two(m, p, sens, z, r, w):
 
 
 @njit
-def run_two(x, start, end, q_u, b, b_variance, constants, leak, dt, r, q_f, prior_variance,
+def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, dt, r, q_f, prior_variance,
             p1, p2, theta, active, any_active, m, p, sens, w, out, events):
     """Run the stage over all samples.
 
     Parameters
     ----------
     x : (n,) position, m; NaN where missing.
-    start, end, q_u : (n,) hold of the drive input (x_d in m, or omega in rad/s) and its variance
-        over the sample before each.
+    start, end, q_u, instrument : (n,) hold of the drive input (x_d in m, or omega in rad/s),
+        :class:`hold.Hold`.
     b, b_variance : (n,) damping of stage one and its variance.
     constants, leak : lumped hydraulics of :func:`stage_two.hydraulics`.
     r, q_f : variances of the position (m^2) and of an unmodelled force (N^2).
@@ -166,7 +167,7 @@ def run_two(x, start, end, q_u, b, b_variance, constants, leak, dt, r, q_f, prio
         force = 0.0
         if not lost and k > 0:
             u0, u1 = start[k - 1], end[k]
-            if math.isnan(u0) or math.isnan(u1) or math.isnan(b[k]):
+            if math.isnan(u0 + u1 + instrument[k - 1] + instrument[k] + b[k]):
                 lost = True
             else:
                 damping = b[k]
@@ -192,7 +193,8 @@ def run_two(x, start, end, q_u, b, b_variance, constants, leak, dt, r, q_f, prio
                             step[i, j] = base[i, j] + e * (d_c[i, j] + 0.5 * e * d_cc[i, j])
                             slope[i, j] = d_c[i, j] + e * d_cc[i, j]
                     last_c = c
-                predict_two(m, p, sens, step, slope, d_b, u0, u1, force, flow, q_f, q_u[k])
+                predict_two(m, p, sens, step, slope, d_b, u0, u1, instrument[k - 1],
+                            instrument[k], force, flow, q_f, q_u[k])
         z = x[k]
         nu, sd = nan, nan
         if not math.isnan(z):
@@ -275,7 +277,7 @@ def log_likelihood_two(x, start, end, q_u, b, c, constants, leak, dt, r, q_f):
                 lost = True
             else:
                 p[3, 3] = 1e-30  # c is fixed here
-                predict_two(m, p, sens, step, zero, zero, u0, u1, 0.0, 0.0, q_f,
+                predict_two(m, p, sens, step, zero, zero, u0, u1, 0.0, 0.0, 0.0, 0.0, q_f,
                             q_u[k])
         if math.isnan(x[k]):
             continue

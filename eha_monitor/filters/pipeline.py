@@ -95,13 +95,25 @@ def run_stage_one(inputs: StageInputs, recording: Recording, settings: Settings,
     if first is not None:
         events.append(Event(first * inputs.dt, "one",
                             f"B converged at {out[2, first]:.4g} ± {out[3, first]:.2g} {unit}"))
-    for sample, before, after, _ in changes:
-        events.append(Event(sample * inputs.dt, "one",
-                            f"B changed from {before:.4g} to {after:.4g} {unit}"))
-    if found > MOST_EVENTS:
-        events.append(Event(float(changes[-1, 0] * inputs.dt), "one",
-                            f"{found - MOST_EVENTS} further changes of B are not listed"))
+    events += change_events(changes, found, inputs.dt, "one", "B", unit)
     return result, changes
+
+
+def change_events(changes: np.ndarray, found: int, dt: float, stage: str, name: str,
+                  unit: str) -> list[Event]:
+    """Return one event for each run of changes that follow one another within a second."""
+    events = []
+    runs = np.split(changes, np.flatnonzero(np.diff(changes[:, 0]) * dt > 1.0) + 1)
+    for run in runs:
+        if len(run):
+            since = "" if len(run) == 1 else f" in {len(run)} steps from t = {run[0, 0] * dt:.2f} s"
+            events.append(Event(float(run[-1, 0] * dt), stage,
+                                f"{name} changed from {run[0, 1]:.4g} to {run[-1, 2]:.4g} "
+                                f"{unit}{since}"))
+    if found > len(changes):
+        events.append(Event(float(changes[-1, 0] * dt), stage,
+                            f"{found - len(changes)} further changes of {name} are not listed"))
+    return events
 
 
 def first_converged(value: np.ndarray, stddev: np.ndarray, prior_stddev: float) -> int | None:
@@ -135,7 +147,8 @@ def hand_over(one: StageResult, changes: np.ndarray, settings: Settings, recordi
         handed = True
         damping[start:] = one.value[last]
         variance[start:] = one.stddev[last] ** 2
-        if inputs.no_drive is None:
+        if inputs.no_drive is None and (i == len(starts) - 1
+                                        or starts[i + 1] - start > 1.0 / inputs.dt):
             events.append(Event(
                 start * inputs.dt, "two",
                 f"{'re-run' if start else 'runs'} with B = {one.value[last]:.5g} ± "
@@ -213,9 +226,7 @@ def run_stage_two(inputs: StageInputs, recording: Recording, settings: Settings,
     if first is not None:
         events.append(Event(first * inputs.dt, "two",
                             f"beta_e converged at {out[3, first]:.4g} ± {out[5, first]:.2g} Pa"))
-    for sample, before, after, _ in changes:
-        events.append(Event(sample * inputs.dt, "two",
-                            f"beta_e changed from {before:.4g} to {after:.4g} Pa"))
+    events += change_events(changes, len(changes), inputs.dt, "two", "beta_e", unit)
     return StageResult(
         "two", judge_parameter("beta_e", out[3, -1], out[5, -1], unit, prior.prior,
                                prior.prior_stddev),
@@ -235,8 +246,8 @@ def run_exact(inputs: StageInputs, settings: Settings, damping: np.ndarray,
         p = np.zeros((4, 4))
         p[3, 3] = variance
         found = kernel_two.run_two(
-            inputs.x, inputs.drive.start, inputs.drive.end, inputs.drive.variance, damping,
-            damping_variance, model.hydraulics, model.leak, inputs.dt, inputs.position_variance,
+            inputs.x, inputs.drive.start, inputs.drive.end, inputs.drive.variance,
+            inputs.drive.instrument, damping, damping_variance, model.hydraulics, model.leak, inputs.dt, inputs.position_variance,
             force_noise_variance(settings), broad, inputs.p1, inputs.p2, model.theta,
             model.active, effects, m, p, np.zeros(4), new_supervision(), out, changes)
         if np.isfinite(m[3]) and p[3, 3] < 0.1 * broad:

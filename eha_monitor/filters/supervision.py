@@ -16,7 +16,7 @@ from eha_monitor.compiled import njit
 BLOCK = 100  # samples between two looks
 HISTORY = 64  # blocks that a window may span
 DETECTION = 6.0  # standard deviations; 1e-9 a look under the model
-SMALLEST = 0.01  # relative change worth an event
+SMALLEST = 0.002  # relative change worth an event
 TRUST = 1.5  # score variance ratio below which sigma stands as it is
 
 # Places in the supervision vector.
