@@ -52,9 +52,13 @@ def main(arguments: list[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     own, ros_args = _split(arguments)
     try:
-        status = cli.main(own, prog_name="eha_monitor", standalone_mode=False, obj=ros_args)
+        # Not cli.main(), which gives interruptions and broken pipes meanings of its own.
+        with cli.make_context("eha_monitor", own, obj=ros_args) as context:
+            status = cli.invoke(context)
         sys.stdout.flush()
         return status if isinstance(status, int) else 0
+    except click.exceptions.Exit as done:  # --help and --version
+        return done.exit_code
     except click.exceptions.NoArgsIsHelpError as problem:
         click.echo(problem.ctx.get_help(), err=True)
         return BAD_INPUT

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from eha_monitor.filters.observability import ObservabilityTable
 from eha_monitor.filters.results import Estimate, ParameterEstimate, StageResult
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.health.series import ParameterSeries, judge_series
@@ -31,7 +32,8 @@ def unhealthy(found: Estimate, alarms: tuple[Alarm, ...]) -> bool:
         alarm.level in ("WARN", "ERROR") for alarm in alarms)
 
 
-def answer(found: Estimate, alarms: tuple[Alarm, ...], history: tuple[Alarm, ...]) -> dict:
+def answer(found: Estimate, alarms: tuple[Alarm, ...], history: tuple[Alarm, ...],
+           observable: ObservabilityTable | None = None) -> dict:
     """Return the JSON tree: the contract's keys, then what extends it.  NaN becomes null."""
     recording = found.recording
     tree = {
@@ -45,7 +47,8 @@ def answer(found: Estimate, alarms: tuple[Alarm, ...], history: tuple[Alarm, ...
         "model": asdict(found.model),
         "stages": {stage.stage: _stage(stage) for stage in (found.stage_one, found.stage_two)},
         "joint": _joint(found),
-        "observability": _observability(found),
+        "observability": None if observable is None else [
+            asdict(row) for row in observable.rows],
         "noise": {name: asdict(level) for name, level in found.noise.items()},
         "channels": {name: int(np.isfinite(values).sum())
                      for name, values in recording.channels.items()},
@@ -73,10 +76,6 @@ def _joint(found: Estimate) -> dict | None:
     return {"parameters": {n: _parameter(p) for n, p in found.joint.parameters.items()},
             "correlation": np.asarray(found.joint.correlation).tolist(),
             "message": found.joint.message}
-
-
-def _observability(found: Estimate) -> Any:
-    return None
 
 
 def finite(tree: Any) -> Any:

@@ -27,6 +27,7 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
 
     from eha_monitor.commands.answer import answer, judged, unhealthy
     from eha_monitor.compiled import announce_first_compilation
+    from eha_monitor.filters.observability import observability
     from eha_monitor.filters.pipeline import estimate as run
     from eha_monitor.recordings.read import read_recording
     from eha_monitor.settings import load_settings
@@ -41,15 +42,18 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
         alarms, history = judged(found)
     # What a user waits for: the bag is read within this time.
     found = replace(found, wall_s=time.perf_counter() - started)
-    if json_file is not None:
-        tree = answer(found, alarms, history)
+    if json_file or report_file:
+        with working("asking what each combination of channels could tell"):
+            observable = observability(found)
+    if json_file:
+        tree = answer(found, alarms, history, observable)
         write_text(json_file, json.dumps(tree, indent=1, ensure_ascii=False, allow_nan=False)
                    + "\n")
-    if report_file is not None:
+    if report_file:
         from eha_monitor.reports.estimate_report import write_estimate_report
 
         with working(f"drawing {report_file}"):
-            write_estimate_report(report_file, found, alarms, history)
+            write_estimate_report(report_file, found, alarms, history, observable)
 
     from eha_monitor.commands.table import show
 

@@ -36,7 +36,8 @@ def monitor(ros_args: list[str], config: Path | None, duration: float | None) ->
 @click.argument("bag", type=click.Path(path_type=Path))
 @click.option("--rate", type=click.FloatRange(min=0, min_open=True), default=1.0,
               show_default=True, help="Times real time.")
-@click.option("--clock", is_flag=True, help="Publish /clock from the bag's own time.")
+@click.option("--clock/--no-clock", default=True, show_default=True,
+              help="Publish /clock from the bag's own time.")
 @click.option("--loop", is_flag=True, help="Start again at the end.")
 @click.option("--start-paused", is_flag=True, help="Wait for the resume service.")
 @click.pass_obj

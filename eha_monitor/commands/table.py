@@ -21,10 +21,10 @@ def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path]) -> Non
     if not console.is_terminal:
         console = Console(highlight=False, width=_PIPE_WIDTH)
     recording = found.recording
-    speed = f", {recording.duration / found.wall_s:.0f} times real time" if found.wall_s else ""
+    speed = f", {recording.duration / found.wall_s:.0f}x real time" if found.wall_s else ""
     console.print(f"{escape(recording.source)}: {recording.duration:.3f} s, {len(recording)} "
                   f"samples, channels {', '.join(recording.channels)}"
-                  f" (read and estimated in {found.wall_s:.2f} s{speed})")
+                  f" (answered in {found.wall_s:.2f} s{speed})")
     console.print(_parameters(found))
     for parameter in found.parameters.values():
         if parameter.message:

@@ -45,6 +45,8 @@ def _section(model: BaseModel, indent: int, explain: bool = True) -> Iterator[st
             empty = not isinstance(value, BaseModel) and not value
             yield f"{margin}{_UNSET if _unset(value, field) else ''}{key}:{' {}' * empty}"
             yield from _inside(value, indent + 2, explain)
+            if empty and explain:
+                yield from _pattern(field.annotation, margin)
         else:
             yield from _entry(f"{key}: {_scalar(value)}", about, margin, _unset(value, field))
 
@@ -61,6 +63,17 @@ def _inside(value: BaseModel | dict, indent: int, explain: bool) -> Iterator[str
             yield from _inside(item, indent + 2, explain and place == 0)
         else:
             yield f"{margin}{name}: {_scalar(item)}"
+
+
+def _pattern(annotation: Any, margin: str) -> Iterator[str]:
+    """Yield, as comments, the keys of one entry of a mapping that has none yet."""
+    kind = get_args(annotation)[-1]
+    if not (isinstance(kind, type) and issubclass(kind, BaseModel)):
+        return
+    yield f"{margin}#   <name>:"
+    for key, field in kind.model_fields.items():
+        value = "..." if field.is_required() else _scalar(field.default)
+        yield from _comment(f"    {key}: {value}  # {_about(field)}", margin)
 
 
 def _catalogue(indent: int) -> Iterator[str]:

@@ -1,0 +1,229 @@
+"""The command line: one line for every failure, and the contract's JSON for every answer."""
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eha_monitor.cli import cli, main
+from eha_monitor.commands.answer import finite
+from eha_monitor.commands.common import write_text
+
+ROOT = Path(__file__).parents[1]
+BAG = ROOT / "bags" / "air_ingress"
+
+
+def complaint(capsys, *arguments) -> str:
+    """Run a command that must fail with status 2, and return its one line."""
+    assert main([str(a) for a in arguments]) == 2
+    out, err = capsys.readouterr()
+    assert err.startswith("eha_monitor: ")
+    assert err.count("\n") == 1, err
+    assert "Traceback" not in out + err
+    return err
+
+
+def start(*arguments, **options) -> subprocess.Popen:
+    return subprocess.Popen([sys.executable, "-m", "eha_monitor", *map(str, arguments)],
+                            text=True, stderr=subprocess.PIPE, cwd=ROOT, **options)
+
+
+@pytest.mark.parametrize("name", list(cli.commands))
+def test_help_of_each_command_imports_nothing_heavy(name):
+    code = (f"import sys; from eha_monitor.cli import main; status = main([{name!r}, '--help']);"
+            "heavy = {'numba', 'numpy', 'pydantic', 'rclpy', 'matplotlib'} & set(sys.modules);"
+            "sys.exit(status or bool(heavy) and str(heavy))")
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True,
+                           timeout=60, cwd=ROOT)
+    assert shown.returncode == 0, shown.stderr
+    assert "Usage: eha_monitor " + name in shown.stdout
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    (["nonsense"], "No such command 'nonsense'"),
+    (["estimate"], "Missing argument 'BAG'"),
+    (["estimate", BAG, "--jsn", "x"], "No such option '--jsn'"),
+    (["estimate", BAG, "--config", "missing.yaml"], "missing.yaml: cannot read config"),
+    (["estimate", "missing_bag"], "missing_bag: no such bag"),
+    (["estimate", BAG, "--json", "missing/x.json"], "the folder missing does not exist"),
+    (["estimate", BAG, "--report", ROOT / "test"], "expected a file to write, found a folder"),
+    (["estimate", BAG, "--ros-args", "-r", "a:=b"], "is no ROS node"),
+    (["simulate", "--out", BAG], "exists already"),
+    (["simulate", "--out", "x", "--duration", "-1"], "-1"),
+    (["simulate", "--out", "x", "--seed", "1.5"], "1.5"),
+    (["simulate"], "Missing option '--out'"),
+    (["import", "missing.csv", "--map", "missing.yaml", "--out", "x"], "missing"),
+    (["replay", BAG, "--rate", "0"], "0"),
+    (["simulator", "--duration", "soon"], "soon"),
+])
+def test_bad_usage_is_one_line(capsys, arguments, words):
+    assert words in complaint(capsys, *arguments)
+
+
+def test_config_errors_name_file_and_key(capsys, tmp_path):
+    config = tmp_path / "rig.yaml"
+    for text, words in (("rig: {mas: 3}", "rig.mas: unknown key, did you mean 'mass'?"),
+                        ("rig: {mass: -3}", "rig.mass: expected more than 0 in kg, got -3"),
+                        ("rig: {mass: 3 m}", "rig.mass: expected a number in kg, got '3 m'")):
+        config.write_text(text)
+        told = complaint(capsys, "estimate", BAG, "--config", config)
+        assert f"{config}: {words}" in told
+
+
+def test_no_arguments_show_the_help(capsys):
+    assert main([]) == 2
+    assert "Commands:" in capsys.readouterr().err
+
+
+def test_estimate_answers_as_in_the_contract(capsys, tmp_path):
+    answer, report = tmp_path / "a.json", tmp_path / "a.html"
+    arguments = ["estimate", str(BAG), "--json", str(answer), "--report", str(report)]
+    assert main(arguments) == 0
+    tree = json.loads(answer.read_text(encoding="utf-8"))
+    assert tree["schema"] == "eha_monitor/estimate/1"
+    assert tree["bag"] == str(BAG)
+    assert tree["samples"] == 16000
+    assert tree["duration_s"] == pytest.approx(16.0)
+    assert tree["wall_s"] > 0
+    units = {"B": "N·s/m", "beta_e": "Pa"}
+    for name, unit in units.items():
+        parameter = tree["parameters"][name]
+        assert parameter["unit"] == unit
+        assert parameter["status"] == "converged"
+        assert parameter["stddev"] > 0
+    assert tree["parameters"]["B"]["value"] == pytest.approx(600, rel=0.01)
+    alarms = {alarm["name"]: alarm for alarm in tree["alarms"]}
+    assert set(alarms) == {"viscous_damping_high", "viscous_damping_low", "bulk_modulus_high",
+                           "bulk_modulus_low"}
+    assert alarms["bulk_modulus_low"]["level"] == "WARN"  # air came in after 8 s
+    assert 8.0 < alarms["bulk_modulus_low"]["time_s"] < 12.0
+    assert alarms["viscous_damping_high"]["level"] == "OK"
+    assert tree["model"]["status"] in ("consistent", "mismatch")
+    channels = {tuple(row["channels"]) for row in tree["observability"]}
+    assert ("x", "x_d") in channels
+    for key in ("stages", "joint", "noise", "events", "alarm_history", "losses", "warnings"):
+        assert key in tree
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.html", "a.json"]
+    page = report.read_text(encoding="utf-8")
+    assert page.lstrip().lower().startswith("<!doctype html")
+    assert "bulk_modulus_low" in capsys.readouterr().out
+
+
+def test_exit_code_tells_health_only_where_asked(tmp_path):
+    assert main(["estimate", str(BAG)]) == 0
+    assert main(["estimate", str(BAG), "--exit-code"]) == 1
+    healthy = tmp_path / "healthy"
+    assert main(["simulate", "--out", str(healthy), "--duration", "8"]) == 0
+    assert main(["estimate", str(healthy), "--exit-code"]) == 0
+
+
+def test_what_cannot_be_answered_is_null(tmp_path):
+    config, bag, answer = tmp_path / "c.yaml", tmp_path / "bag", tmp_path / "a.json"
+    config.write_text("simulation: {publish: [x, x_d]}")
+    assert main(["simulate", "--out", str(bag), "--config", str(config), "--duration", "2"]) == 0
+    assert main(["estimate", str(bag), "--json", str(answer)]) == 0
+    damping = json.loads(answer.read_text())["parameters"]["B"]
+    assert damping["status"] == "no_data"
+    assert damping["value"] is None
+    assert damping["stddev"] is None
+
+
+def test_simulate_is_reproducible_by_its_seed(tmp_path):
+    bags = {}
+    for name, seed in (("a", 3), ("b", 3), ("c", 4)):
+        bag = tmp_path / name / "bag.mcap"  # the file holds its own name
+        bag.parent.mkdir()
+        assert main(["simulate", "--out", str(bag), "--duration", "0.5",
+                     "--seed", str(seed)]) == 0
+        bags[name] = bag.read_bytes()
+    assert bags["a"] == bags["b"]
+    assert bags["a"] != bags["c"]
+
+
+def test_plain_bags_are_larger_and_overwrite_replaces(tmp_path):
+    bag = tmp_path / "x.mcap"
+    common = ["simulate", "--out", str(bag), "--duration", "1"]
+    assert main(common) == 0
+    small = bag.stat().st_size
+    assert main([*common, "--plain"]) == 2
+    assert bag.stat().st_size == small
+    assert main([*common, "--plain", "--overwrite"]) == 0
+    assert bag.stat().st_size > small
+    assert [path.name for path in tmp_path.iterdir()] == ["x.mcap"]
+
+
+def test_a_reader_that_leaves_is_no_traceback():
+    child = start("config", stdout=subprocess.PIPE)
+    child.stdout.close()
+    with child:
+        error = child.stderr.read()
+    assert child.returncode == 141
+    assert error == ""
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
+def test_a_full_disk_is_one_line():
+    with Path("/dev/full").open("w") as full:
+        child = start("config", stdout=full)
+        _, error = child.communicate(timeout=60)
+    assert child.returncode == 2
+    assert error == "eha_monitor: No space left on device\n"
+
+
+def test_ctrl_c_ends_quietly(tmp_path):
+    pipe = tmp_path / "config.yaml"
+    os.mkfifo(pipe)
+    child = start("config", "--config", pipe, stdout=subprocess.PIPE)
+    with pipe.open("w"):  # opens when the child reads: it is in the middle of its work
+        child.send_signal(signal.SIGINT)
+        out, error = child.communicate(timeout=60)
+    assert (child.returncode, out, error) == (130, "", "")
+
+
+def test_a_defect_shows_its_traceback_and_a_status_of_its_own(capsys, monkeypatch):
+    @click.command()
+    def broken():
+        raise RuntimeError("a defect")
+
+    monkeypatch.setitem(cli.commands, "broken", broken)
+    assert main(["broken"]) == 70
+    assert "RuntimeError: a defect" in capsys.readouterr().err
+
+
+def test_a_missing_ros_is_one_line(tmp_path):
+    code = ("import sys; sys.modules['rclpy'] = None; from eha_monitor.cli import main;"
+            "sys.exit(main(['monitor']))")
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True,
+                           timeout=60, cwd=ROOT)
+    assert shown.returncode == 2
+    assert shown.stderr.startswith("eha_monitor: this command needs ROS 2")
+    assert shown.stderr.count("\n") == 1
+
+
+trees = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner,
+                                                                max_size=3))
+
+
+@given(trees)
+def test_json_never_holds_a_number_that_is_none(tree):
+    text = json.dumps(finite(tree), allow_nan=False)
+    assert not isinstance(tree, float) or math.isfinite(tree) or text == "null"
+
+
+def test_a_file_is_written_whole_or_not_at_all(tmp_path):
+    target = tmp_path / "answer.json"
+    write_text(target, "old")
+    with pytest.raises(UnicodeEncodeError):
+        write_text(target, "new \ud800")
+    assert target.read_text() == "old"
+    assert [path.name for path in tmp_path.iterdir()] == ["answer.json"]
