@@ -272,10 +272,10 @@ def quantity(value: float, stddev: float, unit: str) -> str:
     if not (math.isfinite(value) and math.isfinite(stddev)):
         return f"{value:g} ± {stddev:g} {unit}"
     size = max(abs(value), stddev)
-    power = math.floor(math.log10(size)) if size > 0 else 0
+    power = math.floor(math.log10(size)) if size > 1e-300 else 0
     power = power if not -3 <= power < 5 else 0
     scale = 10.0**power
-    digits = 1 - math.floor(math.log10(stddev / scale)) if stddev > 0 else 6
+    digits = 1 + power - math.floor(math.log10(stddev)) if stddev > 0 else 6
     digits = min(max(digits, 0), 9)
     shown = f"{value / scale:.{digits}f} ± {stddev / scale:.{digits}f}"
     return f"({shown})e{power} {unit}" if power else f"{shown} {unit}"

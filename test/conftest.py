@@ -1,0 +1,69 @@
+"""ROS for the tests: loopback only, a domain of their own, strict field checks, logs aside.
+
+The environment is set before anything imports rclpy, and child processes inherit it.
+"""
+
+import os
+import tempfile
+import time
+
+import pytest
+
+_LOGS = tempfile.TemporaryDirectory(prefix="eha_monitor_ros_")
+os.environ.update({
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    "ROS_DOMAIN_ID": str(1 + os.getpid() % 100),
+    "ROS_PYTHON_CHECK_FIELDS": "1",  # a wrong Python type is an error, not garbage bytes
+    "ROS_LOG_DIR": _LOGS.name,
+})
+
+
+def pytest_unconfigure():
+    """Remove the logs of the session."""
+    _LOGS.cleanup()
+
+
+class Graph:
+    """Nodes of one test on one executor; everything waits for messages, never for time."""
+
+    def __init__(self):
+        import rclpy
+        from rclpy.experimental import EventsExecutor
+
+        rclpy.init()
+        self._rclpy = rclpy
+        self.executor = EventsExecutor()
+        self.nodes = []
+
+    def node(self, name, namespace="", parameters=()):
+        """Make a node as the commands make theirs."""
+        made = self._rclpy.node.Node(
+            name, namespace=namespace, parameter_overrides=list(parameters),
+            automatically_declare_parameters_from_overrides=True)
+        self.executor.add_node(made)
+        self.nodes.append(made)
+        return made
+
+    def until(self, condition, timeout=20.0):
+        """Spin until ``condition()`` holds; fail after ``timeout`` s."""
+        end = time.monotonic() + timeout
+        while not (found := condition()):
+            assert time.monotonic() < end, f"not within {timeout:g} s: {condition}"
+            self.executor.spin_once(timeout_sec=0.05)
+        return found
+
+    def close(self):
+        """Destroy the nodes and end ROS."""
+        for made in self.nodes:
+            self.executor.remove_node(made)
+            made.destroy_node()
+        self.executor.shutdown()
+        self._rclpy.try_shutdown()
+
+
+@pytest.fixture
+def graph():
+    """Nodes over DDS on loopback, within this process."""
+    made = Graph()
+    yield made
+    made.close()

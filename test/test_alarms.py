@@ -1,0 +1,206 @@
+"""When an alarm is raised, held, cleared, and what it says."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eha_monitor.filters.results import ParameterEstimate
+from eha_monitor.health.alarms import ALARM_NAMES, AlarmBoard, quantity, viscosity_factor
+from eha_monitor.settings import Settings, settings_from_tree
+
+LIMIT = 1000.0
+STEP = 0.05
+
+
+def settings(**limits) -> Settings:
+    base = {"low_error": None, "low_warn": None, "high_warn": LIMIT, "high_error": 1500.0,
+            "hysteresis": 0.02, "hold_time": 0.5}
+    return settings_from_tree({"thresholds": {
+        "viscous_damping": {**base, **limits}, "confidence": 2.0}}, "test")
+
+
+def damping(value, stddev=1.0, status="converged", message=""):
+    return {"B": ParameterEstimate("B", value, stddev, "N·s/m", status, message),
+            "beta_e": ParameterEstimate("beta_e", 6e8, 1e6, "Pa", "converged")}
+
+
+def high(board):
+    return next(a for a in board.alarms if a.name == "viscous_damping_high")
+
+
+def drive(board, values, start=0.0, stddev=1.0):
+    """Judge values at STEP; returns the level after each."""
+    levels = []
+    for k, value in enumerate(values):
+        board.update(start + k * STEP, damping(value, stddev))
+        levels.append(high(board).level)
+    return levels
+
+
+def test_before_any_data_every_alarm_is_stale_or_off():
+    board = AlarmBoard(settings())
+    assert tuple(a.name for a in board.alarms) == ALARM_NAMES
+    assert {a.level for a in board.alarms} == {"STALE"}
+    board.update(0.0, damping(600.0))
+    assert {a.level for a in board.alarms} == {"OK"}
+
+
+@pytest.mark.parametrize("hold", [0.0, 0.1, 0.5, 1.0])
+def test_raised_exactly_when_the_hold_time_is_over(hold):
+    board = AlarmBoard(settings(hold_time=hold))
+    levels = drive(board, [600.0] * 5 + [1200.0] * 40)
+    assert levels.index("WARN") == 5 + math.ceil(round(hold / STEP, 9))
+    assert high(board).time_s == pytest.approx(5 * STEP + hold)
+
+
+def test_a_moment_inside_starts_the_hold_time_anew():
+    board = AlarmBoard(settings())
+    assert "WARN" not in drive(board, ([1200.0] * 9 + [900.0]) * 5)
+
+
+def test_a_gap_in_the_data_starts_the_hold_time_anew():
+    board = AlarmBoard(settings())
+    board.update(0.0, damping(1200.0))
+    board.update(5.0, damping(1200.0))
+    assert high(board).level == "OK"
+
+
+def test_within_the_uncertainty_nothing_is_raised():
+    board = AlarmBoard(settings())
+    assert "WARN" not in drive(board, [1099.0] * 100, stddev=50.0)
+    assert "within its uncertainty" in high(board).message
+    assert drive(board, [1101.0] * 100, start=100.0, stddev=50.0)[-1] == "WARN"
+
+
+def test_uncertainty_alone_does_not_clear():
+    board = AlarmBoard(settings())
+    drive(board, [1200.0] * 20)
+    assert drive(board, [1010.0] * 20, start=1.0, stddev=500.0)[-1] == "WARN"
+
+
+def test_clears_on_the_value_beyond_the_hysteresis():
+    board = AlarmBoard(settings())
+    levels = drive(board, [1200.0] * 20 + [990.0] * 20 + [981.0] * 3 + [980.0])
+    assert levels[-2:] == ["WARN", "OK"]
+    assert high(board).message.endswith("is below the WARN limit of 1000 N·s/m")
+
+
+def test_error_falls_to_warning_then_to_ok():
+    board = AlarmBoard(settings())
+    drive(board, [1600.0] * 20 + [1200.0] + [900.0])
+    assert [a.level for a in board.history if a.name == "viscous_damping_high"] == [
+        "OK", "ERROR", "WARN", "OK"]
+
+
+def test_low_limits_mirror_high_ones():
+    board = AlarmBoard(settings(high_warn=None, high_error=None, low_warn=400.0,
+                                low_error=200.0))
+    for k in range(20):
+        board.update(k * STEP, damping(390.0))
+    low = next(a for a in board.alarms if a.name == "viscous_damping_low")
+    assert low.level == "WARN" and "is below the WARN limit of 400 N·s/m" in low.message
+    assert high(board).level == "OK" and high(board).message == "no limit set"
+    board.update(1.0, damping(407.0))
+    assert board.alarms[1].level == "WARN"
+    board.update(1.05, damping(408.0))
+    assert board.alarms[1].level == "OK"
+
+
+@given(st.lists(st.floats(LIMIT * 0.981, LIMIT * 3), max_size=200))
+def test_above_the_hysteresis_the_level_never_falls_to_ok(values):
+    board = AlarmBoard(settings(high_error=None, hold_time=0.0))
+    drive(board, [1200.0])
+    assert "OK" not in drive(board, values, start=STEP)
+
+
+@given(st.lists(st.floats(0, 2500), max_size=300), st.floats(0, 0.3),
+       st.sampled_from([0.0, 0.1, 0.5]))
+def test_no_two_changes_without_crossing_the_hysteresis(values, hysteresis, hold):
+    """Between a clearing and the next raising the value went all the way through the band."""
+    board = AlarmBoard(settings(high_error=None, hysteresis=hysteresis, hold_time=hold))
+    levels = drive(board, values)
+    before, passed_since = "OK", None
+    for k, (value, level) in enumerate(zip(values, levels, strict=True)):
+        if value - LIMIT > 2.0:
+            passed_since = k if passed_since is None else passed_since
+        else:
+            passed_since = None
+        if before == "OK" and level == "WARN":
+            assert passed_since is not None
+            assert (k - passed_since) * STEP >= hold - 1e-6
+        if before == "WARN" and level == "OK":
+            assert value <= LIMIT * (1 - hysteresis)
+        if before == level == "OK":
+            assert passed_since is None or (k - passed_since) * STEP < hold - 1e-9
+        before = level
+
+
+def test_an_unexcited_parameter_is_not_judged():
+    board = AlarmBoard(settings())
+    board.update(0.0, damping(5000.0, 1.0, "not_excited", "the piston rests"))
+    assert (high(board).level, high(board).message) == ("OK", "not judged: the piston rests")
+
+
+def test_a_raised_alarm_is_held_while_not_excited_and_across_silence():
+    board = AlarmBoard(settings())
+    drive(board, [1200.0] * 20)
+    board.update(1.0, damping(600.0, 1.0, "not_excited", "the piston rests"))
+    assert high(board).level == "WARN" and "held" in high(board).message
+    assert [a.name for a in board.stale(3.0, "data stopped")] == [
+        "viscous_damping_high", "bulk_modulus_low"]
+    assert high(board).level == "STALE" and "was WARN before" in high(board).message
+    board.update(4.0, damping(600.0, 1.0, "not_excited", "the piston rests"))
+    assert high(board).level == "WARN"
+
+
+def test_no_data_is_stale_and_says_why():
+    board = AlarmBoard(settings())
+    board.update(0.0, damping(math.nan, math.nan, "no_data", "no pressure was recorded"))
+    assert (high(board).level, high(board).message) == (
+        "STALE", "no judgement: no pressure was recorded")
+
+
+def test_a_value_that_is_no_number_is_not_judged():
+    board = AlarmBoard(settings())
+    assert set(drive(board, [math.nan] * 20)) == {"OK"}
+    assert "not finite" in high(board).message
+
+
+def test_cold_oil_is_no_wear():
+    board = AlarmBoard(settings(hold_time=0.0))
+    cold = 600.0 * math.exp(0.03 * 25.0)  # at 15 °C, the reference is 40 °C
+    assert cold > LIMIT
+    board.update(0.0, damping(cold), temperature=15.0)
+    assert high(board).level == "OK"
+    assert "at 15.0 °C" in high(board).message and "600.0" in high(board).message
+    board.update(0.1, damping(cold), temperature=math.nan)
+    assert high(board).level == "WARN"
+
+
+@given(st.floats(-1e6, 1e6))
+def test_the_viscosity_factor_is_finite(temperature):
+    assert 0 < viscosity_factor(Settings().viscosity, temperature) < math.inf
+
+
+def test_doubt_goes_into_the_message():
+    board = AlarmBoard(settings())
+    board.update(0.0, damping(600.0), tainted="the model does not explain the data")
+    assert high(board).message.endswith("in doubt: the model does not explain the data")
+
+
+def test_other_thresholds_take_effect_at_once():
+    board = AlarmBoard(settings(hold_time=0.0))
+    drive(board, [1200.0] * 3)
+    board.configure(settings(high_warn=1300.0, hold_time=0.0))
+    board.update(1.0, damping(1200.0))
+    assert high(board).level == "OK"
+    board.configure(settings(high_warn=None, high_error=None))
+    board.update(1.1, damping(1200.0))
+    assert high(board).message == "no limit set"
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False), st.floats(0, 1e300))
+def test_any_number_can_be_shown(value, stddev):
+    assert "±" in quantity(value, stddev, "Pa")
