@@ -81,7 +81,7 @@ def new_figure(rows: int = 1, ratios: tuple[float, ...] | None = None, height: i
     for axis in axes:
         for side in (axis.xaxis, axis.yaxis):
             plain = ScalarFormatter(useOffset=False)
-            plain.set_powerlimits((-4, 6))
+            plain.set_powerlimits((-9, 9))
             side.set_major_formatter(plain)
         axis.yaxis.set_major_locator(MaxNLocator(6, steps=_STEPS))
         axis.xaxis.set_major_locator(MaxNLocator(8, steps=_STEPS))
@@ -111,10 +111,20 @@ def _arrange(figure: Figure) -> None:
         top -= over + size
         axis.set_position((left / width, top / height, (width - left - 14) / width,
                            size / height))
+        _thin_ticks(axis, width - left - 14)
         middle = 4 + 8.5 * (axis.get_ylabel().count("\n") + 1)
         axis.yaxis.set_label_coords(-(left - middle) / (width - left - 14), 0.5)
         axis.yaxis.label.set_verticalalignment("center")
         top -= under
+
+
+def _thin_ticks(axis: Axes, width: float) -> None:
+    """Leave out time ticks where their labels would run into each other."""
+    locator = axis.xaxis.get_major_locator()
+    if isinstance(locator, MaxNLocator):
+        ticks = axis.xaxis.get_major_formatter().format_ticks(axis.get_xticks())
+        locator.set_params(nbins=int(np.clip(
+            width / (_DIGIT * max(map(len, ticks), default=1) + 16), 2, 8)))
 
 
 def picture(figure: Figure, alt: str) -> Picture:
@@ -165,6 +175,13 @@ def pad_limits(axis: Axes, low: float, high: float, share: float = 0.06) -> None
         span = 0.2 * max(abs(low), abs(high)) or 1.0
         low, high = low - 0.5 * span, high + 0.5 * span
     axis.set_ylim(low - share * span, high + share * span)
+
+
+def note_cut(axis: Axes, peak: str) -> None:
+    """Say in a corner that single samples leave the picture."""
+    axis.text(0.995, 0.97, f"peak {peak} cut off", transform=axis.transAxes, ha="right",
+              va="top", fontsize=9,
+              bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.5, "alpha": 0.85})
 
 
 def mark_window(axis: Axes, start: float, stop: float) -> None:

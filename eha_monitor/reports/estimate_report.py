@@ -1,7 +1,10 @@
 """The HTML report of ``estimate``: verdict, the paper's figures, innovations, alarms."""
 
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from eha_monitor.filters.results import Estimate
 from eha_monitor.health.alarms import Alarm
@@ -16,6 +19,8 @@ from eha_monitor.reports.verdict import verdict
 
 if TYPE_CHECKING:
     from eha_monitor.filters.observability import ObservabilityTable
+
+_LARGEST = 1e60  # SI; beyond it squares and matplotlib's own sums overflow
 
 
 def write_estimate_report(path: str | Path, estimate: Estimate, alarms: tuple[Alarm, ...],
@@ -42,6 +47,7 @@ def write_estimate_report(path: str | Path, estimate: Estimate, alarms: tuple[Al
 def estimate_page(estimate: Estimate, alarms: tuple[Alarm, ...], history: tuple[Alarm, ...],
                   observability: "ObservabilityTable | None" = None) -> str:
     """Return the report as HTML text."""
+    estimate = _presentable(estimate)
     recording = estimate.recording
     name = Path(recording.source).name or estimate.settings.rig.name
     return render(
@@ -69,3 +75,19 @@ def estimate_page(estimate: Estimate, alarms: tuple[Alarm, ...], history: tuple[
         config=tables.config_sections(estimate.settings),
         rotary=estimate.settings.rig.motion == "rotary",
     )
+
+
+def _presentable(estimate: Estimate) -> Estimate:
+    """Return the estimate with NaN for infinities and for sizes that no picture can show."""
+    recording = replace(estimate.recording, channels={
+        name: _tame(values) for name, values in estimate.recording.channels.items()})
+    one, two = (replace(stage, **{f.name: _tame(getattr(stage, f.name)) for f in fields(stage)
+                                  if isinstance(getattr(stage, f.name), np.ndarray)})
+                for stage in (estimate.stage_one, estimate.stage_two))
+    return replace(estimate, recording=recording, stage_one=one, stage_two=two)
+
+
+def _tame(values: np.ndarray) -> np.ndarray:
+    with np.errstate(invalid="ignore"):
+        wild = ~(np.abs(values) < _LARGEST)
+    return np.where(wild, np.nan, values) if wild.any() else values

@@ -17,11 +17,18 @@ from eha_monitor.reports.drawing import (
     legend_above,
     mark_window,
     new_figure,
+    note_cut,
     pad_limits,
     picture,
 )
-from eha_monitor.reports.quantities import quantity, readable, scale_of, time_scale
-from eha_monitor.reports.traces import choose_smoother, robust_peak, telling_window
+from eha_monitor.reports.quantities import axis_scale, quantity, scale_of, time_scale
+from eha_monitor.reports.traces import (
+    choose_smoother,
+    in_gap,
+    robust_peak,
+    robust_range,
+    telling_window,
+)
 
 
 @dataclass(frozen=True)
@@ -100,13 +107,17 @@ def _part(estimate, part, window, curves, residuals, name, unit, scale) -> Pictu
     """Draw one picture: samples ``part[0]`` to ``part[1]``."""
     start, stop, words = part
     whole = stop - start == len(estimate.recording)
-    clock = time_scale(estimate.recording.duration if whole else 0.0)
+    clock = time_scale(estimate.recording.duration if whole else 1.0)
     t = estimate.recording.time[start:stop] * clock.factor
     figure, axes = new_figure(2 if residuals else 1, (2.0, 1.0) if residuals else None,
                               HEIGHT + (60 if residuals else -60))
     for curve in curves:
         draw(axes[0], t, curve.values[start:stop] * scale.factor, color=curve.colour,
              linewidth=curve.width, linestyle=curve.dashes, label=curve.label)
+    low, high, peak = robust_range([curve.values[start:stop] for curve in curves])
+    pad_limits(axes[0], low * scale.factor, high * scale.factor)
+    if peak:
+        note_cut(axes[0], quantity(peak, unit, 2))
     axes[0].set_ylabel(f"{name}, {scale.unit}")
     legend_above(axes[0])
     if residuals:
@@ -123,27 +134,26 @@ def _part(estimate, part, window, curves, residuals, name, unit, scale) -> Pictu
 def _draw_residuals(axis, t, curves, unit) -> None:
     """Draw measured minus estimated about zero; say so where single peaks are cut off."""
     half, peak = robust_peak(np.concatenate([values for _, values in curves]))
-    scale = readable(half or 1.0, unit)
+    scale = axis_scale(half or 1.0, unit)
     for curve, values in curves:
         draw(axis, t, values * scale.factor, color=curve.colour, linewidth=1.0)
     axis.axhline(0, color=INK, linewidth=0.8)
     pad_limits(axis, -half * scale.factor, half * scale.factor)
     axis.set_ylabel(f"residual, {scale.unit}")
     if peak > 1.01 * half:
-        axis.text(0.995, 0.97, f"peak {quantity(peak, unit, 2)} cut off",
-                  transform=axis.transAxes, ha="right", va="top", fontsize=9,
-                  bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.5, "alpha": 0.85})
+        note_cut(axis, quantity(peak, unit, 2))
 
 
 def _stage_curves(estimate: Estimate, attribute: str) -> list[Curve]:
-    """Return the states of both stages that have data."""
+    """Return the states of both stages that have data; nothing where the data have a gap."""
     found = []
+    gap = in_gap(estimate.recording.get("x"))
     for stage, label, colour, dashes in (
             (estimate.stage_one, "stage one", STAGE_ONE, "-"),
             (estimate.stage_two, "stage two", STAGE_TWO, "--")):
         values = getattr(stage, attribute)
         if len(values) == len(estimate.recording):
-            curve = Curve(label, values, colour, 1.5, dashes)
+            curve = Curve(label, np.where(gap, np.nan, values), colour, 1.5, dashes)
             if curve.drawable:
                 found.append(curve)
     return found
@@ -216,7 +226,8 @@ def derivative_block(estimate: Estimate, window: Window, order: int) -> Block:
     if not estimated:
         notes += (f"No stage had data to estimate the {name}.",)
     residuals = [replace(curve, values=measured.values - (
-        smoother.alike(curve.values) if smoother else curve.values)) for curve in estimated]
+        smoother.alike(curve.values, recording.get("x")) if smoother else curve.values))
+        for curve in estimated]
     return Block(name, name.capitalize(), paper, draw_curves(
         estimate, window, [measured, *estimated], residuals, name,
         motion_unit(estimate, order)), notes)

@@ -16,7 +16,7 @@ from eha_monitor.reports.drawing import (
     pad_limits,
     picture,
 )
-from eha_monitor.reports.quantities import quantity, readable, time_scale
+from eha_monitor.reports.quantities import axis_scale, quantity, time_scale
 from eha_monitor.reports.traces import envelope
 from eha_monitor.settings.monitor import Limits
 
@@ -108,11 +108,11 @@ def _picture(stage: StageResult, name: str, part: slice, view: tuple[float, floa
     """Draw the curve, its band and the limits that fall into ``view``."""
     whole = stage.time
     clock = time_scale(float(whole[-1] - whole[0]))
-    scale = readable(max(map(abs, view)), stage.estimate.unit)
+    scale = axis_scale(max(map(abs, view)), stage.estimate.unit)
     t, value = whole[part] * clock.factor, stage.value[part] * scale.factor
     spread = 2 * stage.stddev[part] * scale.factor
     figure, (axis,) = new_figure()
-    pad_limits(axis, view[0] * scale.factor, view[1] * scale.factor, 0.09)
+    pad_limits(axis, view[0] * scale.factor, view[1] * scale.factor, 0.12)
     bottom, top = axis.get_ylim()
     band_t, lower = envelope(t, np.clip(value - spread, bottom - 9 * (top - bottom), None), 400)
     also_t, upper = envelope(t, np.clip(value + spread, None, top + 9 * (top - bottom)), 400)
@@ -121,6 +121,7 @@ def _picture(stage: StageResult, name: str, part: slice, view: tuple[float, floa
         axis.fill_between(band_t, lower, upper, color=colour, alpha=0.22, linewidth=0,
                           label="± 2σ (mostly thinner than the line)" if thin else "± 2σ")
     draw(axis, t, value, color=colour, linewidth=1.8, label=f"{SYMBOLS[name]} estimated")
+    taken: list[float] = []  # heights of labels, share of the picture
     for limit, label in lines:
         place = limit * scale.factor
         if not bottom < place < top:
@@ -130,6 +131,10 @@ def _picture(stage: StageResult, name: str, part: slice, view: tuple[float, floa
                      linestyle=(0, (2, 2)) if line == ERROR_LINE else (0, (6, 3)))
         # Labels stand apart where a WARN and an ERROR limit lie close together.
         above = label in ("WARN below", "ERROR above")
+        height = (place - bottom) / (top - bottom) + (0.025 if above else -0.025)
+        if any(abs(height - other) < 0.045 for other in taken):
+            continue
+        taken.append(height)
         axis.annotate(f"{label} {quantity(limit, stage.estimate.unit)}", (1.0, place),
                       xycoords=("axes fraction", "data"), xytext=(-3, 2 if above else -2),
                       textcoords="offset points", ha="right",

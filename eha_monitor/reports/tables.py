@@ -76,6 +76,7 @@ def observability_table(table: Any, recording: Any) -> dict[str, Any] | None:
              "cells": [_relative(row.relative_stddev.get(name)) for name in names]}
             for row in table.rows]
     return {"symbols": [SYMBOLS.get(name, name) for name in names], "rows": rows,
+            "mixed": not all(row["here"] for row in rows),
             "message": getattr(table, "message", "")}
 
 

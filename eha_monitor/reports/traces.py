@@ -59,18 +59,20 @@ class Smoother:
 
     def of(self, values: np.ndarray) -> np.ndarray:
         """Return the derivative of (n,) values; NaN at the ends and beside long gaps."""
-        return _fitted(_bridged(values, longest=15), self.window, self.order, self.dt)
+        return _fitted(_bridged(values), self.window, self.order, self.dt)
 
-    def alike(self, derivative: np.ndarray) -> np.ndarray:
-        """Return a known derivative, (n,), smoothed exactly as :meth:`of` smooths.
+    def alike(self, derivative: np.ndarray, measured: np.ndarray) -> np.ndarray:
+        """Return a known derivative, (n,), treated exactly as :meth:`of` treats ``measured``.
 
-        It is summed up ``order`` times first; the constants of summation drop out again.
+        It is summed up ``order`` times first (the constants of summation drop out again) and
+        seen only where the measured values are.
         """
         finite = np.isfinite(derivative)
         total = np.where(finite, derivative, 0.0)
         for _ in range(self.order):
             total = np.concatenate([[0.0], np.cumsum(0.5 * (total[1:] + total[:-1]))]) * self.dt
-        return _fitted(np.where(finite, total, np.nan), self.window, self.order, self.dt)
+        seen = np.where(finite & np.isfinite(measured), total, np.nan)
+        return _fitted(_bridged(seen), self.window, self.order, self.dt)
 
 
 def choose_smoother(values: np.ndarray, dt: float, order: int) -> Smoother | None:
@@ -89,9 +91,11 @@ def choose_smoother(values: np.ndarray, dt: float, order: int) -> Smoother | Non
     """
     from scipy.signal import savgol_coeffs  # slow to import
 
-    filled = _bridged(values, longest=15)
+    filled = _bridged(values)
     best = None
-    for window in (7, 11, 17, 25, 41, 65, 101):
+    spacing = usual_spacing(values)
+    for samples in (7, 11, 17, 25, 41, 65, 101):
+        window = samples * spacing | 1  # odd
         if window > len(values):
             break
         slope = _fitted(filled, window, order, dt)
@@ -116,8 +120,29 @@ def _fitted(values: np.ndarray, window: int, order: int, dt: float) -> np.ndarra
     return savgol_filter(values, window, 3, deriv=order, delta=dt, mode="constant", cval=np.nan)
 
 
-def _bridged(values: np.ndarray, longest: int) -> np.ndarray:
-    """Fill gaps of at most ``longest`` samples linearly; (n,)."""
+def usual_spacing(values: np.ndarray) -> int:
+    """Return the usual distance of finite samples; more than 1 if slower than the grid."""
+    steps = np.diff(np.flatnonzero(np.isfinite(values)))
+    return int(np.median(steps)) if steps.size else 1
+
+
+def in_gap(values: np.ndarray) -> np.ndarray:
+    """Return where (n,) values are missing for longer than three usual spacings; (n,) bool."""
+    index = np.flatnonzero(np.isfinite(values))
+    if not index.size:
+        return np.ones(len(values), dtype=bool)
+    every = np.arange(len(values))
+    place = np.searchsorted(index, every)
+    after = index[place.clip(max=len(index) - 1)]
+    before = index[(place - 1).clip(min=0)]
+    distance = np.where(place == 0, after - every, np.where(
+        place == len(index), every - before, after - before))
+    return (distance > 3 * usual_spacing(values)) & ~np.isfinite(values)
+
+
+def _bridged(values: np.ndarray) -> np.ndarray:
+    """Fill gaps of at most fifteen samples, or three usual spacings, linearly; (n,)."""
+    longest = max(15, 3 * usual_spacing(values))
     finite = np.isfinite(values)
     index = np.flatnonzero(finite)
     if index.size < 2 or finite.all():
@@ -168,6 +193,8 @@ def telling_window(motion: np.ndarray, dt: float, near: float | None = None
         where filters have converged.
     """
     n = len(motion)
+    if n == 0:
+        return 0, 0, "nothing"
     if near is None or not np.isfinite(near):
         near = 0.6 * n * dt
     turns = reversals(motion)
@@ -190,6 +217,26 @@ def telling_window(motion: np.ndarray, dt: float, near: float | None = None
     centre = int(centres[np.argmin(np.abs(centres * dt - near))])
     start = int(np.clip(centre - width // 2, 0, n - width))
     return start, start + width, words
+
+
+def robust_range(curves: list[np.ndarray]) -> tuple[float, float, float]:
+    """Return limits for a plot, and the size of the largest sample that they cut off (or 0).
+
+    The limits hold everything unless a few samples tower over the rest.
+    """
+    finite = [curve[np.isfinite(curve)] for curve in curves]
+    finite = [curve for curve in finite if curve.size]
+    if not finite:
+        return 0.0, 0.0, 0.0
+    low, high = min(map(np.min, finite)), max(map(np.max, finite))
+    ends = [np.percentile(curve, (0.2, 99.8)) for curve in finite]
+    inner_low, inner_high = min(end[0] for end in ends), max(end[1] for end in ends)
+    span = inner_high - inner_low
+    if not span > 0 or high - low <= 4 * span:
+        return float(low), float(high), 0.0
+    inner_low, inner_high = max(low, inner_low - 0.5 * span), min(high, inner_high + 0.5 * span)
+    beyond = low if inner_low - low > high - inner_high else high
+    return float(inner_low), float(inner_high), float(abs(beyond))
 
 
 def robust_peak(values: np.ndarray) -> tuple[float, float]:
