@@ -98,7 +98,7 @@ def _axis(found: Series, label: str, leader: Series, led, origin: int, grid: Gri
     stamps = found.stamp_ns
     chosen = np.arange(len(stamps))
     if window is not None:
-        margin = 1_000_000_000 * grid.step
+        margin = 0.5e9 * grid.step
         inside = (found.log_ns >= window[0] - margin) & (found.log_ns <= window[1] + margin)
         if inside.any():
             chosen = chosen[inside]
@@ -125,7 +125,8 @@ def _place(values: np.ndarray, axis: tuple, grid: Grid, points: int) -> np.ndarr
     times = own.times(t)
     place = (times - grid.start) / grid.step
     index = np.round(place)
-    if (np.abs(place - index) <= JITTER).all() and (np.diff(index) > 0).all():
+    level = abs(own.step / grid.step - 1) < 0.1  # a slower one is interpolated in between
+    if level and (np.abs(place - index) <= JITTER).all() and (np.diff(index) > 0).all():
         inside = (index >= 0) & (index < points)
         column[index[inside].astype(np.int64)] = values[keep[inside]]
         return column
@@ -169,6 +170,7 @@ def interpolate(t: np.ndarray, values: np.ndarray, at: np.ndarray,
             close = inside & (np.diff(nodes, axis=1) <= GAP * period).all(axis=1)
             close &= np.isfinite(curve)
             out[close] = curve[close]
+    same &= np.isnan(out)  # at the edge of a gap, or beside a NaN
     out[same] = values[near[same]]
     return out
 

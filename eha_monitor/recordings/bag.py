@@ -177,6 +177,6 @@ def iter_raw(path: str | Path) -> Iterator[tuple[str, str, int, bytes]]:
             if raw[:4] == ZSTD_MAGIC:
                 try:
                     raw = unpack.decompress(raw, max_output_size=2**24)
-                except zstandard.ZstdError:
+                except (zstandard.ZstdError, MemoryError):
                     continue
             yield *names[channel_id], time, raw

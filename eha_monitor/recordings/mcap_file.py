@@ -74,9 +74,15 @@ class McapFile:
         position, ending = len(MAGIC), FULL
         while ending == FULL:
             block, records, position, ending = _walk(self.data, position)
+            records.sort(key=lambda record: record[0] == Opcode.CHUNK)  # channels come first
+            for opcode, begin, length in records:
+                if opcode == Opcode.CHUNK:
+                    break
+                self._declare(opcode, self.data[begin:begin + length])
             yield from self._count(block)
             for opcode, begin, length in records:
-                yield from self._record(opcode, self.data[begin:begin + length])
+                if opcode == Opcode.CHUNK:
+                    yield from self._chunk(self.data[begin:begin + length], whole=True)
         if ending == FOOTER:
             return
         self.truncated_at = len(self.data) if ending == AT_END else position
@@ -89,10 +95,8 @@ class McapFile:
             self.found += len(block.ids)
             yield block
 
-    def _record(self, opcode: int, data: np.ndarray) -> Iterator[Block]:
-        if opcode == Opcode.CHUNK:
-            yield from self._chunk(data, whole=True)
-            return
+    def _declare(self, opcode: int, data: np.ndarray) -> None:
+        """Take note of a schema, a channel or the statistics."""
         try:
             if opcode == Opcode.SCHEMA:
                 schema = mcap.records.Schema.read(_stream(data))
@@ -116,9 +120,8 @@ class McapFile:
         position, ending = 0, FULL
         while ending == FULL:
             block, records, position, ending = _walk(content, position)
-            for opcode, begin, length in records:  # channels stand before their messages
-                if opcode != Opcode.CHUNK:
-                    yield from self._record(opcode, content[begin:begin + length])
+            for opcode, begin, length in records:
+                self._declare(opcode, content[begin:begin + length])
             yield from self._count(block)
         if whole and ending != AT_END:
             self.damaged_chunks += 1

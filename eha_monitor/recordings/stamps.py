@@ -8,7 +8,9 @@ JITTER = 0.02  # of the sample time; below it stamps count as exact
 SNAP = 0.05  # the config's sample time is taken when the stamps agree this well
 GAP = 2.5  # periods across which nothing is interpolated
 FILTER = 21  # samples of the running median that counts missing samples under jitter
-CROWDED = 3  # sorted stamps closer than half a sample that still count as a reorder
+LATEST = 1e9  # ns; a message is late by less, a clock jumps by more
+CLOSE = 0.6  # of the sample time; stamps are crowded when closer
+CROWDED = 3  # crowded stamps that still count as late messages
 
 
 @dataclass(frozen=True)
@@ -91,9 +93,11 @@ def _put_in_order(stamps, keep, step, label, said):
     if not len(back):
         return keep
     order = keep[np.argsort(stamps[keep], kind="stable")]
-    crowded = (np.sum(np.diff(stamps[order]) < 0.5 * step)
-               - np.sum((steps > 0) & (steps < 0.5 * step)))
-    if crowded <= max(CROWDED, 0.05 * len(keep) * (len(back) > 0.02 * len(keep))):
+    # Late messages fill holes; after a jump two stretches lie between one another.
+    crowded = (np.sum(np.diff(stamps[order]) < CLOSE * step)
+               - np.sum((steps > 0) & (steps < CLOSE * step)))
+    late = -steps.min() <= max(LATEST, 5 * step)
+    if late and crowded <= max(CROWDED, 0.05 * len(keep) * (len(back) > 0.02 * len(keep))):
         fresh = np.concatenate([[True], np.diff(stamps[order]) > 0])
         said.append(f"{label}: {len(back)} reversed stamp{'s' * (len(back) > 1)} put in order"
                     + (f", {_samples(int(np.sum(~fresh)))} at a taken stamp dropped"
@@ -147,7 +151,7 @@ def fit_grid(t: np.ndarray, values: np.ndarray, nominal: float) -> Grid:
     step = float(np.mean(steps[steps < 1.5 * usual]))
     near = abs(step / nominal - 1) <= SNAP
     for candidate in ([nominal] if near else []) + [usual, step]:
-        grid = _exact(t, float(candidate))
+        grid = _exact(t, float(candidate), refine=candidate != nominal)
         if grid is not None:
             return grid
     index = _count(t, step)
@@ -165,8 +169,11 @@ def fit_grid(t: np.ndarray, values: np.ndarray, nominal: float) -> Grid:
                 float(np.sqrt(np.mean(uneven ** 2))))
 
 
-def _exact(t: np.ndarray, step: float) -> Grid | None:
-    """Return the grid of this spacing if the stamps keep to it over the whole recording."""
+def _exact(t: np.ndarray, step: float, refine: bool) -> Grid | None:
+    """Return the grid of this spacing if the stamps keep to it over the whole recording.
+
+    ``refine`` takes the spacing from end to end where whole nanoseconds hide a part of it.
+    """
     if step <= 0:
         return None
     place = (t - t[0]) / step
@@ -175,6 +182,9 @@ def _exact(t: np.ndarray, step: float) -> Grid | None:
     phase = np.median(off)
     if np.quantile(np.abs(off - phase), 0.999) > JITTER or (np.diff(index) <= 0).any():
         return None
+    whole = float(t[-1] - t[0]) / index[-1]
+    if refine and abs(whole - step) * index[-1] > 2e-9:
+        step = whole
     return Grid(float(t[0] + phase * step), step, index.astype(np.int64), "exact")
 
 
