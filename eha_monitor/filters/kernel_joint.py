@@ -44,7 +44,8 @@ def update_scalar(m, p, index, z, r, frozen, k):
 
 
 @njit
-def run_joint(x, force, start, end, q_u, instrument, constants, dt, r_x, r_f, q_f, frozen, m, p, out):
+def run_joint(x, force, start, end, q_u, instrument, constants, dt, r_x, r_f, q_f, frozen,
+              m, p, out):
     """Run the filter over all samples.
 
     Parameters

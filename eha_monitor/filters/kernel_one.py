@@ -44,8 +44,8 @@ def start_one(m, p, x, r, dt, keep):
 
 
 @njit
-def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta, active, any_active,
-            m, p, w, out, events):
+def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta, active,
+            any_active, m, p, w, out, events):
     """Run the stage over all samples.
 
     Parameters

@@ -38,7 +38,8 @@ def predict_two(m, p, sens, step, b_step, d_b, u0, u1, i0, i1, force, flow, q_f,
     m : (4,) x, v, F, c;  p : (4, 4) covariance;  sens : (4,) d m/d B.
     step : (3, 7) transition at the present (B, c); b_step : (3, 7) its derivative to c;
     d_b : (3, 7) its derivative to B.
-    u0, u1 : drive input at the two ends; i0, i1 : its instrument there; force, flow : modelled extra force (N), flow (N/Pa/s).
+    u0, u1 : drive input at the two ends; i0, i1 : its instrument there.
+    force, flow : modelled extra force (N) and flow (N/Pa/s).
     q_f, q_u : variances of an unmodelled force (N^2) and of the drive input on a sample.
     """
     x, v, f = m[0], m[1], m[2]
@@ -126,8 +127,8 @@ def correct_two(m, p, sens, z, r, w):
 
 
 @njit
-def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, dt, r, q_f, prior_variance,
-            p1, p2, theta, active, any_active, m, p, sens, w, out, events):
+def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, dt, r, q_f,
+            prior_variance, p1, p2, theta, active, any_active, m, p, sens, w, out, events):
     """Run the stage over all samples.
 
     Parameters

@@ -42,8 +42,8 @@ def white_noise(values: np.ndarray) -> float:
     """Return the standard deviation of the white part of a channel, in its unit.
 
     Differences of rising order suppress the motion (a wave of omega T rad a sample falls by
-    (omega T)^d) and add the noise up to sqrt(binomial(2d, d)); the first
-    order that comes near the smallest answer is taken.  A trimmed mean keeps reversals and spikes out.
+    (omega T)^d) and add the noise up to sqrt(binomial(2d, d)); the first order that comes near
+    the smallest answer is taken.  A trimmed mean keeps reversals and spikes out.
 
     Parameters
     ----------

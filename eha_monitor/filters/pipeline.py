@@ -1,6 +1,7 @@
 """The monitor's pipeline over a whole recording: stage one, hand-over, stage two, verdicts."""
 
 import time
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -106,7 +107,8 @@ def change_events(changes: np.ndarray, found: int, dt: float, stage: str, name: 
     runs = np.split(changes, np.flatnonzero(np.diff(changes[:, 0]) * dt > 1.0) + 1)
     for run in runs:
         if len(run):
-            since = "" if len(run) == 1 else f" in {len(run)} steps from t = {run[0, 0] * dt:.2f} s"
+            since = ("" if len(run) == 1
+                     else f" in {len(run)} steps from t = {run[0, 0] * dt:.2f} s")
             events.append(Event(float(run[-1, 0] * dt), stage,
                                 f"{name} changed from {run[0, 1]:.4g} to {run[-1, 2]:.4g} "
                                 f"{unit}{since}"))
@@ -215,7 +217,8 @@ def run_stage_two(inputs: StageInputs, recording: Recording, settings: Settings,
 
         out, changes = run_printed(inputs, settings, damping), np.empty((0, 4))
     else:
-        out, changes = run_exact(inputs, settings, damping, damping_variance)
+        result = run_stage_two_kernel(inputs, settings, damping, damping_variance)
+        out, changes = result.out, result.changes
     if not np.isfinite(out[6]).any():
         return empty_stage("two", no_data(
             "beta_e", unit, "stage two found no stretch with position and drive together"))
@@ -233,9 +236,21 @@ def run_stage_two(inputs: StageInputs, recording: Recording, settings: Settings,
         recording.time, out[3], out[5], out[0], out[1], out[2], out[6], out[7], verdict)
 
 
-def run_exact(inputs: StageInputs, settings: Settings, damping: np.ndarray,
-              damping_variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Run the compiled stage two from the bank's start; (8, n) output and detected changes."""
+@dataclass(frozen=True)
+class KernelTwoResult:
+    """What the compiled stage two leaves: (8, n) output, changes, and the state to go on from."""
+
+    out: np.ndarray
+    changes: np.ndarray
+    state: np.ndarray
+    covariance: np.ndarray
+    sensitivity: np.ndarray
+    watch: np.ndarray
+
+
+def run_stage_two_kernel(inputs: StageInputs, settings: Settings, damping: np.ndarray,
+                         damping_variance: np.ndarray) -> KernelTwoResult:
+    """Run the compiled stage two from where the bank of filters says it should start."""
     start, variance = start_compliance(inputs, settings, damping)
     model = inputs.model
     effects = bool(model.active.any())
@@ -245,14 +260,16 @@ def run_exact(inputs: StageInputs, settings: Settings, damping: np.ndarray,
         m = np.array([np.nan, 0.0, 0.0, start])
         p = np.zeros((4, 4))
         p[3, 3] = variance
+        sens, watch = np.zeros(4), new_supervision()
+        drive = inputs.drive
         found = kernel_two.run_two(
-            inputs.x, inputs.drive.start, inputs.drive.end, inputs.drive.variance,
-            inputs.drive.instrument, damping, damping_variance, model.hydraulics, model.leak, inputs.dt, inputs.position_variance,
+            inputs.x, drive.start, drive.end, drive.variance, drive.instrument, damping,
+            damping_variance, model.hydraulics, model.leak, inputs.dt, inputs.position_variance,
             force_noise_variance(settings), broad, inputs.p1, inputs.p2, model.theta,
-            model.active, effects, m, p, np.zeros(4), new_supervision(), out, changes)
+            model.active, effects, m, p, sens, watch, out, changes)
         if np.isfinite(m[3]) and p[3, 3] < 0.1 * broad:
             start, variance = m[3], min(broad, max(variance, 25.0 * p[3, 3]))
-    return out, changes[: min(found, MOST_EVENTS)]
+    return KernelTwoResult(out, changes[: min(found, MOST_EVENTS)], m, p, sens, watch)
 
 
 def model_status(*stages: StageResult) -> ModelStatus:

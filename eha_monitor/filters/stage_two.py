@@ -63,7 +63,7 @@ def system_matrix(k, b, c, leak, dt, a):
 
 @njit
 def discretise_at(k, b, c, leak, dt, work, out):
-    """Write the exact step of (x, v, F): out (3, 7) = [Phi | Gamma_0 | Gamma_1 | Gamma_f | Gamma_q].
+    """Write the exact step of (x, v, F): out = [Phi | Gamma_0 | Gamma_1 | Gamma_f | Gamma_q].
 
     Gamma_0, Gamma_1 act on the drive input (x_d or omega) at the sample's two ends, between
     which it runs linearly; Gamma_f on a force (N, against positive motion) and Gamma_q on the

@@ -17,11 +17,13 @@ BLOCK = 100  # samples between two looks
 HISTORY = 64  # blocks that a window may span
 DETECTION = 6.0  # standard deviations; 1e-9 a look under the model
 SMALLEST = 0.002  # relative change worth an event
+RECENT = 10  # blocks before a detected change that may owe their size to it
+OUTLYING = 9.0  # normalised square of such a block
 TRUST = 1.5  # score variance ratio below which sigma stands as it is
 
 # Places in the supervision vector.
 (SCORE, INFORMATION, BLOCKS, RATIO_SUM, RATIO_COUNT, CHANGES) = range(6)
-N_SUPERVISION = 6 + 2 * HISTORY
+N_SUPERVISION = 6 + 3 * HISTORY  # then scores, informations, normalised squares of past blocks
 
 
 def new_supervision() -> np.ndarray:
@@ -45,6 +47,16 @@ def honest_factor(w):
 
 
 @njit
+def forgive_recent(w):
+    """Take out of the ratio what a change, seen only now, has put into the last blocks."""
+    for j in range(1, min(int(w[BLOCKS]), RECENT)):
+        square = w[6 + 2 * HISTORY + j]
+        if square > OUTLYING:
+            w[RATIO_SUM] = max(w[RATIO_SUM] - square, 0.0)
+            w[RATIO_COUNT] = max(w[RATIO_COUNT] - 1.0, 0.0)
+
+
+@njit
 def look(w, value, variance, prior_variance):
     """Close a block; return (delta, information, samples) of a detected change, or zeros.
 
@@ -63,8 +75,11 @@ def look(w, value, variance, prior_variance):
     for i in range(min(blocks, HISTORY - 1), 0, -1):  # newest block first
         w[6 + i] = w[6 + i - 1]
         w[6 + HISTORY + i] = w[6 + HISTORY + i - 1]
+        w[6 + 2 * HISTORY + i] = w[6 + 2 * HISTORY + i - 1]
+    square = score * score / (information * (1.0 + information * variance))
     w[6] = score
     w[6 + HISTORY] = information
+    w[6 + 2 * HISTORY] = square
     w[BLOCKS] = min(blocks + 1, HISTORY)
 
     ratio = max(1.0, score_ratio(w))
@@ -79,12 +94,13 @@ def look(w, value, variance, prior_variance):
         if total_score * total_score > DETECTION * DETECTION * spread and abs(
             delta
         ) > SMALLEST * abs(value):
+            forgive_recent(w)
             w[BLOCKS] = 0.0
             w[CHANGES] += 1.0
             return delta, total_information, (i + 1) * BLOCK
     if w[RATIO_COUNT] >= 300.0:  # forget slowly: half a minute at 1 kHz
         w[RATIO_SUM] *= 0.5
         w[RATIO_COUNT] *= 0.5
-    w[RATIO_SUM] += score * score / (information * (1.0 + information * variance))
+    w[RATIO_SUM] += square
     w[RATIO_COUNT] += 1.0
     return 0.0, 0.0, 0

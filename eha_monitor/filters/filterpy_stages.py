@@ -1,0 +1,287 @@
+"""The two stages on ``filterpy.kalman.ExtendedKalmanFilter``: the filters that run live.
+
+They call the same compiled model functions and the same supervision as the kernels that run
+over recordings; a test holds both to the same numbers.
+"""
+
+import math
+
+import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
+
+from eha_monitor.filters import kernel_one, kernel_two
+from eha_monitor.filters.stage_one import predict_one, predict_one_euler
+from eha_monitor.filters.stage_two import BETA_0, MASS, discretise
+from eha_monitor.filters.supervision import (
+    BLOCK,
+    BLOCKS,
+    INFORMATION,
+    SCORE,
+    honest_factor,
+    look,
+    new_supervision,
+)
+
+_H3 = np.array([[1.0, 0.0, 0.0]])
+_H4 = np.array([[1.0, 0.0, 0.0, 0.0]])
+
+
+def _first(state: np.ndarray) -> np.ndarray:
+    return state[:1]
+
+
+class _Stage:
+    """What both stages share: gating, scoring, closing a block.
+
+    Attributes
+    ----------
+    ekf : the filterpy filter; ``ekf.x`` is (n,), ``ekf.P`` (n, n), the parameter comes last.
+    innovation, innovation_stddev : of the last sample, m; NaN where nothing was measured.
+    changes : detected changes as (value before, value after) since the last look.
+    """
+
+    def __init__(self, size: int, h: np.ndarray, r: float, prior_variance: float):
+        self.ekf = ExtendedKalmanFilter(dim_x=size, dim_z=1)
+        self.ekf.x = np.zeros(size)
+        self.ekf.P = np.zeros((size, size))
+        self.ekf.R = np.array([[r]])
+        self._h = h
+        self.prior_variance = prior_variance
+        self.watch = new_supervision()
+        self.samples = 0
+        self.spikes = 0
+        self.lost = True
+        self.innovation = math.nan
+        self.innovation_stddev = math.nan
+
+    def _predict(self, f: np.ndarray, state: np.ndarray, q: np.ndarray) -> None:
+        ekf = self.ekf
+        ekf.F, ekf.Q = f, q
+        ekf.predict_x = lambda u=0: setattr(ekf, "x", state)  # the model's own step, not F x
+        ekf.predict()
+
+    def _correct(self, z: float) -> bool:
+        """Update unless the measurement is a lone spike; tell whether it was taken."""
+        ekf = self.ekf
+        s = ekf.P[0, 0] + ekf.R[0, 0]
+        nu = z - ekf.x[0]
+        self.innovation, self.innovation_stddev = nu, math.sqrt(s)
+        if nu * nu > kernel_one.GATE * s and self.spikes < kernel_one.SPIKES:
+            self.spikes += 1
+            return False
+        self.spikes = 0
+        h = ekf.P[0, -1] / ekf.P[-1, -1]
+        self.watch[SCORE] += h * nu / s
+        self.watch[INFORMATION] += h * h / s
+        ekf.update(np.array([z]), lambda x: self._h, _first)
+        return True
+
+    def _close_block(self) -> tuple[float, float, int] | None:
+        """At the end of a block look for a change; return (delta, information, samples) of one."""
+        self.samples += 1
+        if self.samples % BLOCK:
+            return None
+        delta, information, window = look(self.watch, self.ekf.x[-1], self.ekf.P[-1, -1],
+                                          self.prior_variance)
+        return (delta, information, window) if information > 0 else None
+
+    def forget_scores(self) -> None:
+        """Look for changes only in what comes from now on."""
+        self.watch[SCORE] = self.watch[INFORMATION] = self.watch[BLOCKS] = 0.0
+
+    @property
+    def factor(self) -> float:
+        """Factor on sigma that the scores ask for."""
+        return honest_factor(self.watch)
+
+
+class FilterpyStageOne(_Stage):
+    """Stage one, sample by sample.
+
+    Parameters
+    ----------
+    mass, dt : kg, s.
+    r : variance of the position, m^2.
+    prior, prior_stddev : of B, N·s/m.
+    theta, active : modelled effects.
+    euler : run Eq. 4 as printed.
+    """
+
+    def __init__(self, mass: float, dt: float, r: float, prior: float, prior_stddev: float,
+                 theta: np.ndarray, active: np.ndarray, euler: bool = False):
+        super().__init__(3, _H3, r, prior_stddev**2)
+        self.mass, self.dt, self.euler = mass, dt, euler
+        self.theta, self.active, self.any_active = theta, active, bool(active.any())
+        self.ekf.x[2] = prior
+        self.ekf.P[2, 2] = prior_stddev**2
+        self._scratch = np.zeros(7), np.zeros(9)
+
+    def step(self, x: float, u0: float, u1: float, q: float, p1: float, p2: float
+             ) -> tuple[float, float, int] | None:
+        """Take one sample: position, force at the step's two ends and its variance, pressures.
+
+        NaN where missing.  Returns (B before, B after, samples that showed it) of a change.
+        """
+        ekf = self.ekf
+        self.innovation = self.innovation_stddev = math.nan
+        if not self.lost:
+            if math.isnan(u0 + u1):
+                self.lost = True
+            else:
+                self._advance(u0, u1, q, p1, p2)
+        if not math.isnan(x):
+            if self.lost:
+                packed = np.array([*ekf.P[0], ekf.P[1, 1], ekf.P[1, 2], ekf.P[2, 2]])
+                kernel_one.start_one(ekf.x, packed, x, ekf.R[0, 0], self.dt, True)
+                ekf.P = _unpack(packed)
+                self.lost = False
+            else:
+                self._correct(x)
+        change = self._close_block()
+        if change is None:
+            return None
+        before = float(ekf.x[2])
+        packed = np.array([*ekf.P[0], ekf.P[1, 1], ekf.P[1, 2], ekf.P[2, 2]])
+        kernel_one.jump_one(ekf.x, packed, *change[:2])
+        ekf.P = _unpack(packed)
+        return before, float(ekf.x[2]), change[2]
+
+    def _advance(self, u0, u1, q, p1, p2):
+        x, v, b = self.ekf.x
+        damping = b
+        if self.any_active:
+            f, slope = kernel_one.effect_force(x, v, p1, p2, self.theta, self.active,
+                                               *self._scratch)
+            damping += slope
+            u0 -= f - slope * v
+            u1 -= f - slope * v
+        if self.euler:
+            x1, v1, fxv, fxb, fvv, fvb = predict_one_euler(x, v, damping, u0, self.dt, self.mass)
+        else:
+            x1, v1, fxv, fxb, fvv, fvb = predict_one(x, v, damping, u0, u1, self.dt, self.mass)
+        if v * v < kernel_one.UNSEEN * self.ekf.P[1, 1]:
+            fxb, fvb = 0.0, 0.0
+        f = np.array([[1.0, fxv, fxb], [0.0, fvv, fvb], [0.0, 0.0, 1.0]])
+        g = np.array([0.5 * self.dt**2 / self.mass, self.dt / self.mass, 0.0])
+        self._predict(f, np.array([x1, v1, b]), q * np.outer(g, g))
+
+    @property
+    def value(self) -> float:
+        """B, N·s/m."""
+        return float(self.ekf.x[2])
+
+    @property
+    def stddev(self) -> float:
+        """Its standard deviation, N·s/m."""
+        return self.factor * math.sqrt(self.ekf.P[2, 2])
+
+
+def _unpack(p: np.ndarray) -> np.ndarray:
+    return np.array([[p[0], p[1], p[2]], [p[1], p[3], p[4]], [p[2], p[4], p[5]]])
+
+
+class FilterpyStageTwo(_Stage):
+    """Stage two, sample by sample, from a state that :func:`kernel_two.run_two` left.
+
+    Parameters
+    ----------
+    constants, leak : :func:`stage_two.hydraulics`.
+    dt, r, q_f : s, m^2, N^2.
+    prior_variance : of c = beta_0/beta_e.
+    m, p, sens, watch : state (4,), covariance (4, 4), sensitivity (4,), supervision.
+    theta, active : modelled effects.
+    """
+
+    def __init__(self, constants: np.ndarray, leak: float, dt: float, r: float, q_f: float,
+                 prior_variance: float, m: np.ndarray, p: np.ndarray, sens: np.ndarray,
+                 watch: np.ndarray, theta: np.ndarray, active: np.ndarray):
+        super().__init__(4, _H4, r, prior_variance)
+        self.constants, self.leak, self.dt, self.q_f = constants, leak, dt, q_f
+        self.ekf.x, self.ekf.P = m.copy(), p.copy()
+        self.sens, self.watch = sens.copy(), watch.copy()
+        self.lost = bool(np.isnan(m[0]))
+        self.theta, self.active, self.any_active = theta, active, bool(active.any())
+        self._scratch = np.zeros(7), np.zeros(9)
+        self._at = (math.nan, math.nan)
+        self._steps = [np.zeros((3, 7)) for _ in range(5)]
+        self._work = np.empty((10, 3, 3))
+        self._damping, self._force = math.nan, 0.0
+        self._b_variance = 0.0
+
+    def step(self, x: float, u0: float, u1: float, i0: float, i1: float, q_u: float, b: float,
+             b_variance: float, p1: float, p2: float) -> tuple[float, float, int] | None:
+        """Take one sample; arguments as the kernel's.  Returns (before, after, samples), Pa."""
+        ekf = self.ekf
+        self.innovation = self.innovation_stddev = math.nan
+        self._damping, self._b_variance, self._force = b, b_variance, 0.0
+        if not self.lost:
+            if math.isnan(u0 + u1 + i0 + i1 + b):
+                self.lost = True
+            else:
+                self._advance(u0, u1, i0, i1, q_u, b, p1, p2)
+        if not math.isnan(x):
+            if self.lost:
+                kernel_two.start_two(ekf.x, ekf.P, x, ekf.R[0, 0], self.dt, self.constants[MASS])
+                self.sens[:3] = 0.0
+                self.lost = False
+            elif self._correct(x):
+                self.sens = self.sens - ekf.K[:, 0] * self.sens[0]
+        change = self._close_block()
+        if change is None:
+            return None
+        before = self.value
+        kernel_two.jump_two(ekf.x, ekf.P, *change[:2])
+        return before, self.value, change[2]
+
+    def _advance(self, u0, u1, i0, i1, q_u, b, p1, p2):
+        ekf = self.ekf
+        damping, force, flow = b, 0.0, 0.0
+        if self.any_active:
+            f, slope = kernel_one.effect_force(ekf.x[0], ekf.x[1], p1, p2, self.theta,
+                                               self.active, *self._scratch)
+            damping += slope
+            force = f - slope * ekf.x[1]
+            flow = kernel_two.effect_flow(self.theta, self._scratch[1])
+        self._force = force
+        c = max(ekf.x[3], 1e-3)
+        base, d_c, d_cc, d_b, d_leak = self._steps
+        if not (abs(c - self._at[0]) <= kernel_two.REFRESH * self._at[0]
+                and abs(damping - self._at[1]) <= 1e-6 * abs(self._at[1])):
+            self._at = (c, damping)
+            discretise(self.constants, damping, c, self.leak, self.dt, self._work, base, d_c,
+                       d_cc, d_b, d_leak)
+        e = c - self._at[0]
+        step = base + e * (d_c + 0.5 * e * d_cc)
+        slope = d_c + e * d_cc
+        new, covariance, sens = ekf.x.copy(), ekf.P.copy(), self.sens.copy()
+        kernel_two.predict_two(new, covariance, sens, step, slope, d_b, u0, u1, i0, i1, force,
+                               flow, self.q_f, q_u)
+        f = np.eye(4)
+        f[:3, :3] = step[:, :3]
+        told = np.array([*ekf.x[:3], i0, i1, force, flow])
+        f[:3, 3] = slope @ told
+        noise = slope[2, :3] @ ekf.P[:3, :3] @ slope[2, :3] + q_u * (slope[2, 3] + slope[2, 4])**2
+        if f[2, 3] ** 2 < kernel_one.UNSEEN * noise:
+            f[:3, 3] = 0.0
+        g_u, g_f = np.zeros(4), np.zeros(4)
+        g_u[:3], g_f[:3] = step[:, 3] + step[:, 4], step[:, 5]
+        self.sens = sens
+        self._predict(f, new, q_u * np.outer(g_u, g_u) + self.q_f * np.outer(g_f, g_f))
+
+    @property
+    def value(self) -> float:
+        """Effective bulk modulus, Pa."""
+        return float(self.constants[BETA_0] / max(self.ekf.x[3], 1e-9))
+
+    @property
+    def stddev(self) -> float:
+        """Its standard deviation with the uncertainty of B, Pa."""
+        per_c = self.value / max(self.ekf.x[3], 1e-9)
+        return float(per_c) * math.sqrt(self.factor**2 * self.ekf.P[3, 3]
+                                 + self.sens[3] ** 2 * self._b_variance)
+
+    @property
+    def acceleration(self) -> float:
+        """m/s^2 from the force balance."""
+        x = self.ekf.x
+        return float((x[2] - self._damping * x[1] - self._force) / self.constants[MASS])

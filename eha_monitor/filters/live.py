@@ -1,0 +1,377 @@
+"""Both stages on a stream of rows: the offline pipeline's decisions, sample by sample.
+
+filterpy runs the filters.  Hand-over and re-run go over the buffered seconds with the compiled
+kernels, whose final state filterpy then carries on from.  Rows are taken in batches with a lag
+of a few samples, because the hold of an input looks at its neighbours on both sides.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from eha_monitor.filters.consistency import judge
+from eha_monitor.filters.filterpy_stages import FilterpyStageOne, FilterpyStageTwo
+from eha_monitor.filters.hold import hold_of
+from eha_monitor.filters.inputs import (
+    RigModel,
+    StageInputs,
+    drive_input,
+    drive_missing,
+    force_missing,
+    force_of,
+    force_variance,
+    with_noise,
+)
+from eha_monitor.filters.live_buffer import LiveBuffer
+from eha_monitor.filters.noise import noise_levels
+from eha_monitor.filters.pipeline import (
+    MISSING_ONE,
+    MISSING_TWO,
+    force_noise_variance,
+    run_stage_two_kernel,
+)
+from eha_monitor.filters.results import Consistency, Event, ModelStatus, ParameterEstimate
+from eha_monitor.filters.status import CONVERGED, judge_parameter, no_data, units_of
+from eha_monitor.settings.monitor import Settings
+
+WARM_UP = 256  # rows from which the sample time and the noise are first measured
+BATCH = 10  # rows taken at a time
+LAG = 8  # rows that the hold looks ahead
+CONTEXT = 16  # rows that it looks back
+BUFFER_S = 20.0
+NOISE_AGAIN_S = (1.0, 4.0, 10.0)  # after the start; then every 10 s
+JUDGED_S = 10.0  # the model is tested over the last so many seconds
+PATIENCE_S = 2.0  # wait for stage one before stage two takes the nominal damping
+SETTLED_S = 0.5  # B counts as changing for so long after it was seen to change
+CHANGING_STDDEV = 0.05  # relative, while it does
+LONG_GAP_S = 0.5  # a longer gap starts the buffer anew
+
+
+@dataclass(frozen=True)
+class LiveSnapshot:
+    """What the live estimator knows now; ``events`` are those since the last snapshot."""
+
+    time_s: float
+    parameters: dict[str, ParameterEstimate]
+    position: float
+    velocity: float
+    model: ModelStatus
+    events: tuple[Event, ...]
+    temperature: float | None
+    consistency: dict[str, Consistency | None]
+
+
+class LiveEstimator:
+    """The monitor's pipeline on live rows; knows nothing of ROS."""
+
+    def __init__(self, settings: Settings):
+        self.settings = settings
+        self._events: list[Event] = []
+        self.reset("")
+
+    def reset(self, reason: str) -> None:
+        """Forget everything, estimates included; ``reason`` goes into the events."""
+        self.dt = self.settings.rig.sample_time
+        self._early: list[tuple[float, dict[str, float]]] = []
+        self._buffer: LiveBuffer | None = None
+        self._one: FilterpyStageOne | None = None
+        self._two: FilterpyStageTwo | None = None
+        self._model: RigModel | None = None
+        self._taken = 0
+        self._origin = 0.0
+        self._now = 0.0
+        self._temperature: float | None = None
+        self._handed: tuple[float, float] | None = None
+        self._handed_at = -math.inf
+        self._damping = (math.nan, math.nan)
+        self._piece = 0  # first row that the present damping holds for
+        self._stale_piece = False  # B has changed since stage two was run over the buffer
+        self._changes: dict[str, list[tuple[int, float, float, int]]] = {"one": [], "two": []}
+        self._verdicts: dict[str, Consistency | None] = {"one": None, "two": None}
+        self._judged_at = 0
+        self._noise_at = list(NOISE_AGAIN_S)
+        self._announced: set[str] = set()
+        if reason:
+            self._events.append(Event(self._now, "monitor", f"estimates reset: {reason}"))
+
+    # ---- rows in -------------------------------------------------------------------------
+
+    def push(self, time_s: float, row: dict[str, float]) -> None:
+        """Take one aligned row at a rising time; missing channels are absent or NaN."""
+        self._now = time_s
+        temperature = row.get("temperature", math.nan)
+        if temperature == temperature:
+            self._temperature = temperature
+        if self._buffer is None:
+            self._early.append((time_s, row))
+            if len(self._early) >= WARM_UP:
+                self._start()
+            return
+        self._place(time_s, row)
+        if self._buffer.end - self._taken >= BATCH + LAG:
+            self._take()
+
+    def _place(self, time_s: float, row: dict[str, float]) -> None:
+        number = round((time_s - self._origin) / self.dt)
+        if number < self._buffer.end:
+            return  # the same grid place again: the first one stands
+        if number - self._buffer.end > LONG_GAP_S / self.dt:
+            self._after_gap(time_s)
+            number = self._buffer.end
+        self._buffer.append(number, row)
+
+    def _after_gap(self, time_s: float) -> None:
+        """Go on after a long gap: parameters stay, states and buffered rows do not."""
+        gap = time_s - self._origin - self._buffer.end * self.dt
+        self._events.append(Event(time_s, "monitor", f"no data for {gap:.2f} s"))
+        self._take(everything=True)
+        self._buffer = LiveBuffer(BUFFER_S, self.dt)
+        self._origin, self._taken, self._piece, self._judged_at = time_s, 0, 0, 0
+        self._changes = {"one": [], "two": []}
+        for stage in (self._one, self._two):
+            if stage is not None:
+                stage.lost = True
+
+    def _start(self) -> None:
+        """Measure the sample time and the noise on the first rows, then take them."""
+        times = np.array([t for t, _ in self._early])
+        spacing = float(np.median(np.diff(times)))
+        if not abs(spacing / self.dt - 1.0) < 0.05 and spacing > 0:
+            self._events.append(Event(self._now, "monitor", f"rows come every {spacing * 1e3:.3g} "
+                                      f"ms, not every {self.dt * 1e3:.3g} ms as configured"))
+            self.dt = spacing
+        self._buffer = LiveBuffer(BUFFER_S, self.dt)
+        self._origin = float(times[0])
+        early, self._early = self._early, []
+        for time_s, row in early:
+            self._place(time_s, row)
+        self._set_up()
+        self._take()
+
+    def _set_up(self) -> None:
+        settings, rig = self.settings, self.settings.rig
+        names = self._buffer.seen
+        self._no_force = force_missing(rig, names)
+        self._no_drive = drive_missing(settings, names)
+        channels = self._buffer.channels(0, self._buffer.end)
+        mean = None
+        if "p1" in channels and "p2" in channels:
+            mean = float(np.nanmedian(0.5 * (channels["p1"] + channels["p2"])))
+        self._model = RigModel.of(settings, mean)
+        self._measure_noise()
+        if self._no_force is None:
+            self._one = FilterpyStageOne(
+                rig.mass, self.dt, self._r, settings.stage_one.prior,
+                settings.stage_one.prior_stddev, self._model.theta, self._model.active,
+                settings.discretisation == "euler")
+
+    def _measure_noise(self) -> None:
+        recording = self._buffer.recording(self._buffer.first, self._buffer.end)
+        self._noise = noise_levels(recording, self.settings.noise)
+        self._r = self._noise["x"].value ** 2 if "x" in self._noise else math.nan
+        self._q = force_variance(self.settings.rig, self._noise,
+                                 self.settings.stage_one.force_noise)
+        for stage in (self._one, self._two):
+            if stage is not None:
+                stage.ekf.R[0, 0] = self._r
+
+    # ---- batches through the filters --------------------------------------------------------
+
+    def _take(self, everything: bool = False) -> None:
+        """Filter the rows whose neighbours have come."""
+        buffer = self._buffer
+        stop = buffer.end if everything else buffer.end - LAG
+        if stop <= self._taken:
+            return
+        context = max(self._taken - CONTEXT, buffer.first)
+        channels = buffer.channels(context, buffer.end)
+        x = buffer.column("x", context, buffer.end)
+        charge = self.settings.rig.charge_pressure
+        p1, p2 = channels.get("p1"), channels.get("p2")
+        force = drive = None
+        if self._no_force is None:
+            force = with_noise(hold_of(force_of(self.settings.rig, channels), self._q**0.5),
+                               self._q)
+        if self._two is not None:
+            drive = drive_input(self._model, channels, self._noise)
+        self._damping = self._follow()
+        for number in range(self._taken, stop):
+            i = number - context
+            pressures = (charge, charge) if p1 is None or p2 is None else (p1[i], p2[i])
+            if self._one is not None:
+                u0 = force.start[i - 1] if i else math.nan
+                change = self._one.step(x[i], u0, force.end[i], force.variance[i], *pressures)
+                self._note(number, "one", self._one, change)
+            if self._two is not None:
+                u0, i0 = (drive.start[i - 1], drive.instrument[i - 1]) if i else (math.nan,) * 2
+                change = self._two.step(
+                    x[i], u0, drive.end[i], i0, drive.instrument[i], drive.variance[i],
+                    *self._damping, *pressures)
+                self._note(number, "two", self._two, change)
+        if self._two is not None:
+            buffer.column("b", self._taken, stop)[:] = self._damping[0]
+            buffer.column("b_variance", self._taken, stop)[:] = self._damping[1]
+        self._taken = stop
+        self._supervise()
+
+    def _follow(self) -> tuple[float, float]:
+        """Return the damping that stage two takes now, and its variance.
+
+        Once handed over it follows stage one from batch to batch.  While B is seen to change,
+        it lags by up to a block; its variance says so, and stage two does not look for changes
+        of its own.
+        """
+        if self._handed is None:
+            return math.nan, math.nan
+        value, stddev = self._handed
+        if self._one is not None and self._parameters()["B"].status == "converged":
+            value, stddev = self._one.value, self._one.stddev
+        if self._changing() and self._two is not None:
+            stddev = max(stddev, CHANGING_STDDEV * abs(value))
+            self._two.forget_scores()
+        return value, stddev**2
+
+    def _changing(self) -> bool:
+        """Tell whether B was seen to change within the last moments."""
+        changes = self._changes["one"]
+        return bool(changes) and (self._taken - changes[-1][0]) * self.dt < SETTLED_S
+
+    def _note(self, number: int, which: str, stage, change) -> None:
+        self._buffer.column(f"nu_{which}", number, number + 1)[:] = stage.innovation
+        self._buffer.column(f"sd_{which}", number, number + 1)[:] = stage.innovation_stddev
+        if change is not None:
+            name = "B" if which == "one" else "beta_e"
+            unit = units_of(self.settings.rig.motion)[name]
+            self._changes[which].append((number, *change))
+            del self._changes[which][:-200]
+            self._events.append(Event(self._time_of(number), which, f"{name} changed from "
+                                      f"{change[0]:.4g} to {change[1]:.4g} {unit}"))
+            if which == "one":
+                self._piece = max(number - change[2], self._buffer.first)
+                self._stale_piece = True
+
+    def _time_of(self, number: int) -> float:
+        return self._origin + number * self.dt
+
+    # ---- decisions between batches ----------------------------------------------------------
+
+    def _supervise(self) -> None:
+        since_start = self._taken * self.dt
+        if self._noise_at and since_start >= self._noise_at[0]:
+            self._measure_noise()
+            last = self._noise_at.pop(0)
+            if not self._noise_at:
+                self._noise_at.append(last + 10.0)
+        if self._no_drive is None:
+            self._hand_over(since_start)
+        if (self._taken - self._judged_at) * self.dt >= 1.0:
+            self._judged_at = self._taken
+            self._judge()
+        for name, estimate in self._parameters().items():
+            if estimate.status == "converged" and name not in self._announced:
+                self._announced.add(name)
+                stage = "one" if name == "B" else "two"
+                self._events.append(Event(self._time_of(self._taken), stage,
+                                          f"{name} converged at {estimate.value:.4g} ± "
+                                          f"{estimate.stddev:.2g} {estimate.unit}"))
+
+    def _hand_over(self, since_start: float) -> None:
+        """Give stage two a damping, and run it again when that damping has changed."""
+        now = self._taken * self.dt
+        b = self._parameters()["B"]
+        if b.status == "converged":
+            if self._two is not None and not self._worth_a_rerun(b, now):
+                return
+            self._stale_piece = False
+            handed, why = (b.value, b.stddev), "handed over by stage one"
+        elif self._handed is None and (b.status == "no_data" or since_start > PATIENCE_S):
+            handed = (self.settings.rig.viscous_damping, self.settings.stage_two.damping_stddev)
+            why = f"nominal, stage one gives none ({b.status})"
+        else:
+            return
+        again = "runs" if self._two is None else "re-run"
+        self._handed, self._handed_at = handed, now
+        self._run_two_again()
+        self._events.append(Event(self._time_of(self._taken), "two",
+                                  f"{again} with B = {handed[0]:.5g} ± {handed[1]:.2g} {why}"))
+
+    def _worth_a_rerun(self, b: ParameterEstimate, now: float) -> bool:
+        """Tell whether stage two's past was run with a damping that is now known better."""
+        if self._changing() or now - self._handed_at < PATIENCE_S:
+            return False
+        sharper = b.stddev < 0.5 * self._handed[1]
+        weak = self._two.stddev > CONVERGED * self._two.value
+        return self._stale_piece or sharper or weak
+
+    def _run_two_again(self) -> None:
+        """Run stage two over the buffer with the present damping; filterpy goes on from there."""
+        buffer = self._buffer
+        start, stop = buffer.first, self._taken
+        b, variance = buffer.column("b", start, stop), buffer.column("b_variance", start, stop)
+        edge = max(self._piece - start, 0)  # from where the last change was first at work
+        b[edge:], variance[edge:] = self._handed[0], self._handed[1] ** 2
+        b[np.isnan(b)], variance[np.isnan(variance)] = self._handed[0], self._handed[1] ** 2
+        inputs = StageInputs.of(buffer.recording(start, stop), self.settings)
+        result = run_stage_two_kernel(inputs, self.settings, b, variance)
+        broad = (self.settings.stage_two.prior_stddev / self.settings.stage_two.prior) ** 2
+        self._two = FilterpyStageTwo(
+            self._model.hydraulics, self._model.leak, self.dt, self._r,
+            force_noise_variance(self.settings), broad, result.state, result.covariance,
+            result.sensitivity, result.watch, self._model.theta, self._model.active)
+        buffer.column("nu_two", start, stop)[:] = result.out[6]
+        buffer.column("sd_two", start, stop)[:] = result.out[7]
+        self._changes["two"] = [(start + int(row[0]), row[1], row[2], int(row[3]))
+                                for row in result.changes]
+
+    def _judge(self) -> None:
+        """Test the model on the last seconds' innovations."""
+        buffer = self._buffer
+        start = max(buffer.first, self._taken - round(JUDGED_S / self.dt))
+        for which, words, missing in (("one", "stage one", MISSING_ONE),
+                                      ("two", "stage two", MISSING_TWO)):
+            seen = list(self._changes["one"])
+            if which == "two":
+                seen += self._changes["two"]
+            changes = np.array([(n - start, a, b, w) for n, a, b, w in seen
+                                if n + w + 500 >= start]).reshape(-1, 4)
+            self._verdicts[which] = judge(
+                buffer.column(f"nu_{which}", start, self._taken).copy(),
+                buffer.column(f"sd_{which}", start, self._taken).copy(), self.dt, words, missing,
+                changes, start=self._time_of(start))
+
+    # ---- what is known ---------------------------------------------------------------------
+
+    def _parameters(self) -> dict[str, ParameterEstimate]:
+        units = units_of(self.settings.rig.motion)
+        waiting = "no data yet"
+        one, two = self.settings.stage_one, self.settings.stage_two
+        if self._one is not None:
+            b = judge_parameter("B", self._one.value, self._one.stddev, units["B"], one.prior,
+                                one.prior_stddev)
+        else:
+            reason = waiting if self._buffer is None else self._no_force or waiting
+            b = no_data("B", units["B"], reason)
+        if self._two is not None:
+            beta = judge_parameter("beta_e", self._two.value, self._two.stddev, units["beta_e"],
+                                   two.prior, two.prior_stddev)
+        else:
+            reason = waiting if self._buffer is None else self._no_drive or "waits for stage one"
+            beta = no_data("beta_e", units["beta_e"], reason)
+        return {"B": b, "beta_e": beta}
+
+    def snapshot(self) -> LiveSnapshot:
+        """Return the present estimates; the events are handed out once."""
+        events, self._events = tuple(self._events), []
+        verdicts = [v for v in self._verdicts.values() if v is not None]
+        wrong = [v for v in verdicts if not v.consistent]
+        if wrong:
+            model = ModelStatus("mismatch", "; ".join(v.message for v in wrong))
+        elif verdicts:
+            model = ModelStatus("consistent", "; ".join(v.message for v in verdicts))
+        else:
+            model = ModelStatus("not_judged", "too few samples yet to test the model")
+        state = self._one or self._two
+        position, velocity = (state.ekf.x[0], state.ekf.x[1]) if state else (math.nan, math.nan)
+        return LiveSnapshot(self._now, self._parameters(), float(position), float(velocity),
+                            model, events, self._temperature, dict(self._verdicts))

@@ -1,0 +1,58 @@
+"""The last seconds of aligned rows, on a uniform grid, for the live estimator."""
+
+import numpy as np
+
+from eha_monitor.recordings.recording import CHANNELS, Recording
+
+# Columns beside the channels: damping in force and its variance, both stages' innovations.
+EXTRA = ("b", "b_variance", "nu_one", "sd_one", "nu_two", "sd_two")
+
+
+class LiveBuffer:
+    """Rows ``first`` to ``end`` (absolute numbers) of the grid, NaN where nothing came.
+
+    Parameters
+    ----------
+    seconds : how much is kept at least.
+    dt : sample time, s.
+    """
+
+    def __init__(self, seconds: float, dt: float):
+        self.dt = dt
+        self.kept = round(seconds / dt)
+        self._columns = {name: np.full(2 * self.kept, np.nan) for name in (*CHANNELS, *EXTRA)}
+        self.first = 0
+        self.end = 0
+        self.seen: set[str] = set()
+
+    def append(self, number: int, row: dict[str, float]) -> None:
+        """Write row ``number`` (not before ``end``); rows between stay NaN."""
+        if number - self.first >= 2 * self.kept:
+            self._compact(number)
+        place = number - self.first
+        for name, value in row.items():
+            if value == value:  # not NaN
+                self._columns[name][place] = value
+                self.seen.add(name)
+        self.end = number + 1
+
+    def _compact(self, number: int) -> None:
+        new_first = max(number - self.kept + 1, 0)
+        shift = new_first - self.first
+        for column in self._columns.values():
+            column[:-shift] = column[shift:]
+            column[-shift:] = np.nan
+        self.first = new_first
+
+    def column(self, name: str, start: int, stop: int) -> np.ndarray:
+        """Return a view of rows ``start`` to ``stop`` (absolute, clipped to what is held)."""
+        return self._columns[name][max(start - self.first, 0) : stop - self.first]
+
+    def channels(self, start: int, stop: int) -> dict[str, np.ndarray]:
+        """Return the recorded channels of a stretch."""
+        return {name: self.column(name, start, stop) for name in CHANNELS if name in self.seen}
+
+    def recording(self, start: int, stop: int) -> Recording:
+        """Return a stretch as a recording."""
+        return Recording(self.dt, {name: values.copy()
+                                   for name, values in self.channels(start, stop).items()})
