@@ -39,6 +39,8 @@ $(VENV)/.lock: $(LOCK)
 $(VENV)/.package: $(VENV)/.lock $(INSTALLED)
 	@rm -rf build/lib build/bdist.*  # else modules that are gone would be installed again
 	@$(PIP) --no-deps --no-build-isolation --force-reinstall .
+	@echo "compiling the model (half a minute, for each new source) ..."
+	@$(PYTHON) -m eha_monitor.demo --compile-only
 	@touch $@
 
 demo: setup

@@ -9,12 +9,15 @@ import tempfile
 import time
 from pathlib import Path
 
+import click
+
 from eha_monitor.errors import InputError
 
 NAMESPACE = "/eha"
 BOTH_ALARMS = frozenset({"viscous_damping_high", "bulk_modulus_low"})
 LIVE_SECONDS, REPLAY_SECONDS = 40.0, 25.0  # at most; it goes on when the alarms have come
 REPLAY_RATE = 2.0
+_COLOURS = {"WARN": "yellow", "ERROR": "red", "OK": "green"}
 _GRACE = 5.0  # s that a child has to end by itself
 
 
@@ -80,11 +83,14 @@ def watched(children: Children, seconds: float, alarms: frozenset[str]) -> None:
     """Show what the monitor publishes until ``alarms`` are raised; else raise DemoFailed."""
     from eha_monitor.ros.watch import watch
 
+    def say(line: str, level: str | None) -> None:
+        click.secho(f"  {line}", fg=_COLOURS.get(level), bold=level is not None)
+
     def finished(seen) -> bool:
         children.check()
         return alarms <= seen.raised
 
-    seen = watch(NAMESPACE, seconds, lambda line: print(f"  {line}", flush=True), finished)
+    seen = watch(NAMESPACE, seconds, say, finished)
     children.check()
     for symbol in ("B", "beta_e"):
         if not seen.estimates.get(symbol):
@@ -99,6 +105,14 @@ def run(*arguments: str, show: bool = True) -> None:
                           stdout=None if show else subprocess.DEVNULL, check=False)
     if done.returncode:
         raise DemoFailed(f"{arguments[0]} ended with status {done.returncode}")
+
+
+def compiled() -> None:
+    """Run every compiled function once, so that no step waits for the compiler."""
+    with tempfile.TemporaryDirectory() as scratch:
+        bag = str(Path(scratch) / "bag")
+        run("simulate", "--out", bag, "--duration", "1", show=False)
+        run("estimate", bag, show=False)
 
 
 def live(logs: Path) -> None:
@@ -141,23 +155,22 @@ def main() -> int:
     os.environ["ROS_DOMAIN_ID"] = str(10 + os.getpid() % 90)
     out = Path("out")
     logs = out / "demo"
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # ends the children on its way out
+    for number in (signal.SIGINT, signal.SIGTERM):
+        # SystemExit runs every `finally` and, unlike KeyboardInterrupt, no spin() keeps it.
+        signal.signal(number, lambda number, _: sys.exit(128 + number))
     try:
+        if "--compile-only" in sys.argv[1:]:
+            compiled()
+            return 0
         logs.mkdir(parents=True, exist_ok=True)
         os.environ.setdefault("ROS_LOG_DIR", str(logs.resolve()))
-        with tempfile.TemporaryDirectory() as scratch:
-            print("Compiling the model (the first time only) ...", flush=True)
-            bag = str(Path(scratch) / "bag")
-            run("simulate", "--out", bag, "--duration", "1", show=False)
-            run("estimate", bag, show=False)
+        compiled()
         live(logs)
         replayed(logs)
         report = reported(out)
     except (DemoFailed, InputError, OSError) as problem:
         print(f"demo failed: {problem} (logs in {logs})", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        return 130
     print(f"Done in {time.monotonic() - started:.0f} s.  Report: {report}")
     return 0
 

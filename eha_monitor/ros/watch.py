@@ -9,14 +9,18 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64
 
-from eha_monitor.health.alarms import ALARM_NAMES, WATCHED, quantity
+from eha_monitor.health.alarms import ALARM_NAMES, WATCHED, Watched, quantity
 from eha_monitor.ros import running
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
                      durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _LEVELS = {DiagnosticStatus.OK: "OK", DiagnosticStatus.WARN: "WARN",
            DiagnosticStatus.ERROR: "ERROR", DiagnosticStatus.STALE: "STALE"}
+_SYMBOLS = {"B": "B", "beta_e": "βe"}
 _LINE_EVERY = 1.0  # s
+
+# Takes a line, and the level of the alarm that it tells of or None.
+Say = Callable[[str, str | None], None]
 
 
 @dataclass
@@ -36,7 +40,7 @@ class Seen:
 class Watcher:
     """Subscribes to the estimates and the health of one monitor and says what comes."""
 
-    def __init__(self, node: Node, say: Callable[[str], None]):
+    def __init__(self, node: Node, say: Say):
         self.seen = Seen()
         self._say = say
         self._started = time.monotonic()
@@ -57,12 +61,17 @@ class Watcher:
         return keep
 
     def _tell(self) -> None:
-        parts = [f"{watched.words} "
-                 f"{quantity(self._latest[key], self._latest[f'{key}_stddev'], watched.unit)}"
-                 for watched in WATCHED
-                 if {key := watched.symbol, f"{watched.symbol}_stddev"} <= self._latest.keys()]
-        if parts:
-            self._say(f"{self._clock()}  {',  '.join(parts)}")
+        if self._latest:
+            parts = "   ".join(self._shown(watched) for watched in WATCHED)
+            self._say(f"{self._clock()}  {parts}", None)
+
+    def _shown(self, watched: Watched) -> str:
+        symbol = _SYMBOLS[watched.symbol]
+        value = self._latest.get(watched.symbol)
+        stddev = self._latest.get(f"{watched.symbol}_stddev")
+        if value is None or stddev is None or not stddev < abs(value):
+            return f"{symbol} not known yet"
+        return f"{symbol} = {quantity(value, stddev, watched.unit)}"
 
     def _clock(self) -> str:
         return f"{time.monotonic() - self._started:5.1f} s"
@@ -73,21 +82,23 @@ class Watcher:
             level = _LEVELS.get(status.level)
             if name not in ALARM_NAMES or level is None:
                 continue
-            if self._levels.get(name, "STALE") != level and level != "STALE":
-                self._say(f"{self._clock()}  {level:5} {name}: {status.message}")
+            before = self._levels.get(name, "OK")
             self._levels[name] = level
+            if level != before and {level, before} & {"WARN", "ERROR"}:
+                self._say(f"{self._clock()}  {level:5} {name}: {status.message}", level)
             if level in ("WARN", "ERROR"):
                 self.seen.raised.add(name)
 
 
-def watch(namespace: str, duration: float, say: Callable[[str], None],
+def watch(namespace: str, duration: float, say: Say,
           finished: Callable[[Seen], bool] = lambda seen: False) -> Seen:
     """Look on for ``duration`` s, or until ``finished(seen)``, which is asked each second.
 
     Parameters
     ----------
     namespace : of the monitor's topics.
-    say : called with each line: the estimates once a second, an alarm when its level changes.
+    say : called with each line: the estimates once a second, an alarm when it is raised, falls
+        or clears.
     """
     with running.ros_session([]), running.node("watch", namespace) as node:
         watcher = Watcher(node, say)

@@ -1,0 +1,43 @@
+"""The demo's child processes: none survives its step, and a failed one is told."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from eha_monitor.demo import Children, DemoFailed, resource
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_children_end_with_their_step(tmp_path, monkeypatch):
+    pytest.importorskip("rclpy")
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
+    with pytest.raises(ZeroDivisionError), Children(tmp_path) as children:
+        children.start("monitor")
+        children.start("simulator")
+        numbers = [child.pid for child in children._running.values()]
+        raise ZeroDivisionError
+    for number in numbers:
+        with pytest.raises(ProcessLookupError):
+            os.kill(number, 0)
+
+
+def test_a_child_that_fails_is_told(tmp_path):
+    with Children(tmp_path) as children:
+        children.start("estimate", "missing_bag")
+        children._running["estimate"].wait(60)
+        with pytest.raises(DemoFailed, match="status 2: eha_monitor: missing_bag: no such bag"):
+            children.check()
+
+
+def test_resources_of_the_demo_are_there():
+    for name in ("config/demo.yaml", "bags/air_ingress"):
+        assert Path(resource(name)).exists()
+    with pytest.raises(DemoFailed, match="bags/nothing"):
+        resource("bags/nothing")
+
+
+def test_bundled_bag_is_small():
+    size = sum(path.stat().st_size for path in (ROOT / "bags").rglob("*") if path.is_file())
+    assert size < 3_000_000
