@@ -28,6 +28,7 @@ class Graph:
 
     def __init__(self):
         import rclpy
+        import rclpy.node
         from rclpy.experimental import EventsExecutor
 
         rclpy.init()

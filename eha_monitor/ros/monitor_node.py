@@ -33,6 +33,8 @@ NEEDS = {"B": (("force",), ("p1", "p2")), "beta_e": (("x_d",),)}
 JUDGE_EVERY_NS = 100_000_000
 WATCH_PERIOD = 0.1
 DIAGNOSTICS_PERIOD = 1.0
+# Past the first second, when stage two is run and the model is tested.
+WARM_UP_ROWS = 3000
 # Stamps further than this from the wall clock are on another clock (a bag, a simulation).
 SAME_CLOCK_S = 5.0
 
@@ -180,8 +182,13 @@ class Monitor:
     def _announce(self, changes: list[Alarm]) -> None:
         log = self.node.get_logger()
         for alarm in changes:
-            say = {"ERROR": log.error, "WARN": log.warning}.get(alarm.level, log.info)
-            say(f"{alarm.name} {alarm.level}: {alarm.message}")
+            text = f"{alarm.name} {alarm.level}: {alarm.message}"
+            if alarm.level == "ERROR":  # rclpy wants a line of code of its own for each severity
+                log.error(text)
+            elif alarm.level == "WARN":
+                log.warning(text)
+            else:
+                log.info(text)
 
     def _watch(self) -> None:
         now = time.monotonic()
@@ -277,6 +284,24 @@ class Monitor:
                 f"{shown or 'not measured'}; CPU share {100 * self.processor.total():.1f} %")
 
 
+def warm_up() -> None:
+    """Run the estimator once through all it does, so that compiled code is loaded.
+
+    Otherwise the first hand-over stops the node for a second while messages come.
+    """
+    from eha_monitor.compiled import announce_first_compilation
+    from eha_monitor.filters.live import LiveEstimator
+    from eha_monitor.physics.simulator import Simulator
+
+    announce_first_compilation()
+    settings = Settings()
+    estimator, simulator = LiveEstimator(settings), Simulator(settings)
+    shown = simulator.advance(WARM_UP_ROWS)
+    for k, values in enumerate(zip(*(shown[name].tolist() for name in shown), strict=True)):
+        estimator.push(k * simulator.dt, dict(zip(shown, values, strict=True)))
+    estimator.snapshot()
+
+
 def run_monitor(config: Path | None, ros_args: list[str], duration: float | None = None) -> int:
     """Run the monitor until a signal or for ``duration`` s; returns the exit status.
 
@@ -289,6 +314,7 @@ def run_monitor(config: Path | None, ros_args: list[str], duration: float | None
     with (running.ros_session(ros_args),
           running.node("monitor", settings.monitor.namespace) as node):
         settings = settings_of_node(node, settings)
+        warm_up()
         monitor = Monitor(node, settings, source=str(config or "default config"))
         declare(node, settings, MONITOR_KEYS, monitor.reconfigure)
         gc.collect()

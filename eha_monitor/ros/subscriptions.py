@@ -12,8 +12,8 @@ from eha_monitor.errors import InputError
 from eha_monitor.filters.rows import RowAligner
 from eha_monitor.ros.inputs import Decoder, Topic, has_stamp, message_class
 
-# Best effort takes from every publisher; the depth holds a second of a stalled process at 1 kHz.
-INPUT_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+# Best effort takes from every publisher; the depth holds some seconds of a stalled process.
+INPUT_QOS = QoSProfile(depth=4000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class TopicInput:

@@ -1,0 +1,287 @@
+"""The monitor's node in this process, fed over DDS on loopback."""
+
+import math
+import time
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import FluidPressure, JointState
+from std_msgs.msg import Float32, Float64
+
+from eha_monitor.errors import InputError
+from eha_monitor.filters.results import Event, ModelStatus, ParameterEstimate
+from eha_monitor.ros import messages
+from eha_monitor.ros.inputs import topics_of
+from eha_monitor.ros.monitor_node import LATCHED, Monitor
+from eha_monitor.ros.parameters import (
+    MONITOR_KEYS,
+    declare,
+    overridden,
+    parameter_table,
+    settings_of_node,
+)
+from eha_monitor.settings import Settings, settings_from_tree
+
+MS = 1_000_000
+BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+START_NS = 1_700_000_000 * 1_000_000_000
+STATUSES = ["viscous_damping_high", "viscous_damping_low", "bulk_modulus_high",
+            "bulk_modulus_low", "stage_one", "stage_two", "model", "data"]
+
+
+class Recorder:
+    """Stands where the estimator stands and keeps what the node gave it."""
+
+    def __init__(self, settings):
+        self.rows, self.resets, self.damping = [], [], 600.0
+
+    def push(self, time_s, row):
+        self.rows.append((time_s, row))
+
+    def reset(self, reason):
+        self.resets.append(reason)
+
+    def snapshot(self):
+        from eha_monitor.filters.live import LiveSnapshot
+        make = ParameterEstimate
+        return LiveSnapshot(
+            time_s=self.rows[-1][0], position=0.01, velocity=0.02, temperature=None,
+            parameters={"B": make("B", self.damping, 2.0, "N·s/m", "converged"),
+                        "beta_e": make("beta_e", 6e8, 5e6, "Pa", "converged")},
+            model=ModelStatus("consistent", "the model explains the data"),
+            events=(Event(0.0, "one", "converged"),), consistency={"one": None, "two": None})
+
+
+class Feeder:
+    """Publishes the contract's inputs, sample by sample."""
+
+    def __init__(self, graph, namespace="/eha", names=("piston", "pump")):
+        node = graph.node("feeder", namespace)
+        self.graph, self.names = graph, names
+        self.joints = node.create_publisher(JointState, "joint_states", BEST_EFFORT)
+        self.command = node.create_publisher(JointState, "command", BEST_EFFORT)
+        self.pressures = [node.create_publisher(FluidPressure, f"pressure/chamber_{i}",
+                                                BEST_EFFORT) for i in (1, 2)]
+
+    def matched(self):
+        return all(p.get_subscription_count()
+                   for p in (self.joints, self.command, *self.pressures))
+
+    def send(self, first, count, start_ns=START_NS):
+        """Send samples 1 ms apart, and spin between bursts as a real sender would."""
+        for k in range(first, first + count):
+            stamp = messages.stamp(start_ns + k * MS)
+            values = {"piston": (0.001 * k, 0.5), "pump": (math.nan, 100.0 + k)}
+            joints = JointState(name=list(self.names),
+                                position=[values[n][0] for n in self.names],
+                                velocity=[values[n][1] for n in self.names])
+            command = JointState(name=["piston"], position=[0.002 * k])
+            for publisher, message in ((self.joints, joints), (self.command, command)):
+                message.header.stamp = stamp
+                publisher.publish(message)
+            for publisher, pressure in zip(self.pressures, (2e6, 1e6), strict=False):
+                message = FluidPressure(fluid_pressure=pressure + k)
+                message.header.stamp = stamp
+                publisher.publish(message)
+            self.graph.executor.spin_once(timeout_sec=0)
+
+
+def start(graph, tree=None, **feeder):
+    settings = settings_from_tree(tree or {}, "test")
+    monitor = Monitor(graph.node("monitor", settings.monitor.namespace), settings, Recorder)
+    sender = Feeder(graph, **feeder)
+    graph.until(sender.matched)
+    return monitor, monitor._estimator, sender
+
+
+def listen(graph, kind, topic, qos=10):
+    heard = []
+    graph.node(f"listener_{len(graph.nodes)}").create_subscription(kind, topic, heard.append, qos)
+    return heard
+
+
+def levels(array):
+    return {status.name: status.level for status in array.status}
+
+
+def test_rows_estimates_and_health(graph):
+    monitor, estimator, sender = start(graph)
+    damping = listen(graph, Float64, "/eha/monitor/viscous_damping")
+    stddev = listen(graph, Float64, "/eha/monitor/bulk_modulus_stddev")
+    state = listen(graph, JointState, "/eha/monitor/joint_states")
+    sender.send(0, 300)
+    graph.until(lambda: damping and stddev and state and len(estimator.rows) == 300)
+    assert [round(t, 9) for t, _ in estimator.rows] == [round(k * 1e-3, 9) for k in range(300)]
+    assert estimator.rows[7][1] == pytest.approx(
+        {"x": 0.007, "v": 0.5, "omega": 107.0, "x_d": 0.014, "p1": 2e6 + 7, "p2": 1e6 + 7})
+    assert (damping[0].data, stddev[0].data) == (600.0, 5e6)
+    assert (state[0].name, list(state[0].position)) == (["piston"], [0.01])
+    assert monitor.counts() == dict.fromkeys(monitor.counts(), 0)
+
+    late = listen(graph, DiagnosticArray, "/eha/monitor/health", LATCHED)
+    graph.until(lambda: late)
+    assert [s.name for s in late[0].status] == [f"eha: {name}" for name in STATUSES]
+    assert {s.hardware_id for s in late[0].status} == {"eha"}
+    values = {v.key: v.value for v in late[0].status[0].values}
+    assert float(values["viscous_damping_Ns_per_m"]) == 600.0
+    assert values["limit_warn"] == "1000" and "600.0 ± 2.0 N·s/m" in late[0].status[0].message
+
+
+def test_an_alarm_is_published_when_it_is_raised(graph):
+    _, estimator, sender = start(graph, {"thresholds": {"viscous_damping": {
+        "high_warn": 1000.0, "high_error": 1500.0, "hold_time": 0.2}}})
+    health = listen(graph, DiagnosticArray, "/eha/monitor/health", LATCHED)
+    diagnostics = listen(graph, DiagnosticArray, "/diagnostics")
+    estimator.damping = 1600.0
+    sender.send(0, 500)
+    name = "eha: viscous_damping_high"
+    for heard in (health, diagnostics):
+        graph.until(lambda heard=heard: levels(heard[-1])[name] == DiagnosticStatus.ERROR
+                    if heard else False)
+
+
+def test_data_that_stop_make_everything_stale_in_time(graph):
+    monitor, estimator, sender = start(graph, {"monitor": {"stale_after": 0.4}})
+    health = listen(graph, DiagnosticArray, "/eha/monitor/health", LATCHED)
+    graph.until(lambda: health)
+    assert "no data yet" in health[0].status[0].message
+    sender.send(0, 300)
+    graph.until(lambda: len(estimator.rows) == 300)
+    graph.until(lambda: levels(health[-1])["eha: data"] == DiagnosticStatus.OK)
+    stopped = monitor._row_came
+    graph.until(lambda: levels(health[-1])["eha: data"] == DiagnosticStatus.STALE)
+    assert time.monotonic() - stopped < 0.4 + 0.5
+    assert levels(health[-1])["eha: viscous_damping_high"] == DiagnosticStatus.STALE
+    assert "data stopped: nothing on joint_states" in health[-1].status[0].message
+    sender.send(300, 200)
+    graph.until(lambda: levels(health[-1])["eha: viscous_damping_high"] == DiagnosticStatus.OK)
+
+
+def test_joints_may_come_in_any_order(graph):
+    _, estimator, sender = start(graph, names=("pump", "piston"))
+    sender.send(0, 20)
+    graph.until(lambda: len(estimator.rows) == 20)
+    assert estimator.rows[3][1]["omega"] == 103.0
+    assert estimator.rows[3][1]["x"] == pytest.approx(0.003)
+
+
+def test_a_missing_joint_is_diagnosed_and_the_rest_goes_on(graph):
+    monitor, estimator, sender = start(graph, names=("piston",))
+    sender.send(0, 20)
+    graph.until(lambda: len(estimator.rows) == 20)
+    assert "omega" not in estimator.rows[-1][1] and "p1" in estimator.rows[-1][1]
+    graph.until(lambda: any("no entry named 'pump', the message has piston" in problem
+                            for problem in monitor.data.problems))
+
+
+def test_a_missing_pressure_makes_only_damping_stale(graph):
+    monitor, estimator, sender = start(graph, {"monitor": {"stale_after": 0.3}})
+    sender.pressures.clear()
+    sender.send(0, 500)
+    graph.until(lambda: len(estimator.rows) == 500)
+    by_name = {alarm.name: alarm for alarm in monitor.board.alarms}
+    assert by_name["viscous_damping_high"].level == "STALE"
+    assert "p1 (topic pressure/chamber_1)" in by_name["viscous_damping_high"].message
+    assert by_name["bulk_modulus_low"].level == "OK"
+
+
+def test_a_clock_that_jumps_back_resets_the_estimator(graph):
+    monitor, estimator, sender = start(graph)
+    sender.send(5000, 100)
+    sender.send(0, 100)
+    graph.until(lambda: estimator.resets)
+    graph.until(lambda: len(estimator.rows) >= 190)
+    assert len(estimator.resets) == 1 and "jumped back by" in estimator.resets[0]
+    assert estimator.rows[-1][0] < 0.1
+    assert monitor.counts()["missing_samples"] == 0
+
+
+def test_the_type_is_taken_from_the_graph(graph):
+    tree = {"channels": {"x": {"topic": "joint_states", "name": "piston", "field": "position"},
+                         "p1": {"topic": "gauge", "field": "data", "scale": 1e5}}}
+    settings = settings_from_tree(tree, "test")
+    publisher = graph.node("gauge", "/eha").create_publisher(Float32, "gauge", 10)
+    monitor = Monitor(graph.node("monitor", "/eha"), settings, Recorder)
+    graph.until(publisher.get_subscription_count)
+    gauge = next(i for i in monitor.inputs if i.topic.name == "gauge")
+    publisher.publish(Float32(data=20.0))
+    graph.until(lambda: gauge.messages)
+    assert gauge._aligner.sources[1].buffer[-1][1] == (2e6,)
+
+
+def test_scale_offset_and_delay(graph):
+    channel = {"topic": "joint_states", "name": "piston", "field": "position", "scale": 2.0,
+               "offset": 1.0, "delay": 0.5}
+    tree = {"channels": {"x": channel}}
+    monitor = Monitor(graph.node("monitor", "/eha"), settings_from_tree(tree, "t"), Recorder)
+    publisher = graph.node("p", "/eha").create_publisher(JointState, "joint_states", 10)
+    graph.until(publisher.get_subscription_count)
+    publisher.publish(messages.joint_state(START_NS, "piston", 3.0, math.nan))
+    graph.until(lambda: monitor._estimator.rows)
+    assert monitor._row_ns == START_NS - 500 * MS
+    assert monitor._estimator.rows[0][1] == {"x": 7.0}
+
+
+@pytest.mark.parametrize(("channels", "words"), [
+    ({"p1": {"topic": "a", "field": "data"}}, "channels.x"),
+    ({"x": {"topic": "", "field": "data"}}, "channels.x.topic"),
+    ({"x": {"topic": "a", "field": ""}}, "channels.x.field"),
+    ({"x": {"topic": "a", "field": "a..b"}}, "field path"),
+])
+def test_a_channel_map_that_cannot_work_is_refused(channels, words):
+    with pytest.raises(InputError, match=words):
+        topics_of(settings_from_tree({"channels": channels}, "test"))
+
+
+def test_every_key_is_a_parameter_with_its_declaration():
+    table = {entry.name: entry for entry in parameter_table(Settings(), MONITOR_KEYS)}
+    assert all(entry.description for entry in table.values())
+    mass = table["rig.mass"]
+    assert (mass.value, mass.unit, mass.lower, mass.read_only) == (20.0, "kg", 0, True)
+    assert "[kg]" in mass.descriptor().description
+    assert mass.descriptor().floating_point_range[0].from_value == 0.0
+    assert {e.name for e in table.values() if not e.read_only} == {
+        name for name in table if name.startswith("thresholds.")}
+
+
+def test_overrides_are_validated_like_a_config(graph):
+    node = graph.node("a", "/eha", [Parameter("rig.mass", value=25),
+                                    Parameter("thresholds.confidence", value=3.0)])
+    found = settings_of_node(node, Settings())
+    assert (found.rig.mass, found.thresholds.confidence) == (25.0, 3.0)
+    for name, value, words in (("rig.mas", 2.0, "did you mean 'mass'"),
+                               ("rig.mass", -2.0, "more than 0 in kg"),
+                               ("rig.mass.heavy", 1.0, "no keys of its own"),
+                               ("monitor.namespace", "/other", "__ns:=/other")):
+        node = graph.node(f"b{len(graph.nodes)}", "/eha", [Parameter(name, value=value)])
+        with pytest.raises(InputError, match=words) as caught:
+            settings_of_node(node, Settings())
+        assert "\n" not in str(caught.value)
+    assert overridden(Settings(), {"thresholds.viscous_damping.high_warn": math.nan},
+                      "t").thresholds.viscous_damping.high_warn is None
+
+
+def test_thresholds_change_at_run_time_and_bad_ones_are_refused(graph):
+    node = graph.node("monitor", "/eha")
+    monitor = Monitor(node, Settings(), Recorder)
+    declare(node, Settings(), MONITOR_KEYS, monitor.reconfigure)
+
+    def put(name, value):
+        return node.set_parameters([Parameter(name, value=value)])[0]
+
+    limit = "thresholds.viscous_damping.high_warn"
+    assert put(limit, 1200.0).successful
+    assert monitor.settings.thresholds.viscous_damping.high_warn == 1200.0
+    refused = put(limit, 5000.0)
+    assert not refused.successful and "high_warn <= high_error" in refused.reason
+    assert monitor.settings.thresholds.viscous_damping.high_warn == 1200.0
+    assert put("thresholds.bulk_modulus.high_warn", 5e9).successful
+    assert put("thresholds.bulk_modulus.high_warn", math.nan).successful
+    assert monitor.settings.thresholds.bulk_modulus.high_warn is None
+    assert not put("rig.mass", 21.0).successful
+
+
+def test_late_joiners_match_the_latched_topic():
+    assert LATCHED.durability == DurabilityPolicy.TRANSIENT_LOCAL and LATCHED.depth == 1

@@ -1,0 +1,163 @@
+"""The commands as processes: simulator, monitor, record, replay, and how they end."""
+
+import os
+import py_compile
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+from std_srvs.srv import SetBool
+
+from eha_monitor.recordings.bag import iter_raw, topics
+from eha_monitor.recordings.write import BagWriter, TopicType
+from eha_monitor.ros import messages
+
+REPOSITORY = Path(__file__).parents[1]
+INPUT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+# The first run after a change of the sources compiles the model.
+PATIENCE = 90.0
+
+
+@contextmanager
+def command(*arguments):
+    """Run a command of the package; it is ended with SIGTERM if the test has not done so."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "eha_monitor", *map(str, arguments)], cwd=REPOSITORY,
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY)}, text=True,
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def end(process, how=signal.SIGTERM):
+    """End a command with a signal; returns its stdout.  It must end cleanly."""
+    process.send_signal(how)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 0, err
+    assert "Traceback" not in err, err
+    return out
+
+
+def listen(graph, kind, topic, qos=INPUT):
+    heard = []
+    graph.node(f"listener_{len(graph.nodes)}").create_subscription(kind, topic, heard.append, qos)
+    return heard
+
+
+def bag_of_joint_states(path, count, start_ns=5_000_000_000, extra=None):
+    """Write positions 1 ms apart, and on request a topic of a type that is not installed."""
+    from rclpy.serialization import serialize_message
+
+    with BagWriter(path, {"/eha/joint_states": "sensor_msgs/msg/JointState"}) as writer:
+        if extra:
+            writer.add_topic("/strange", TopicType(extra, definition="float64 data"))
+        for k in range(count):
+            time_ns = start_ns + k * 1_000_000
+            state = messages.joint_state(time_ns, "piston", 1e-3 * k, 0.0)
+            writer.write_raw("/eha/joint_states", time_ns, serialize_message(state))
+            if extra:
+                writer.write_raw("/strange", time_ns, b"\0\1\0\0" + bytes(8))
+
+
+def test_simulator_monitor_record_replay(graph, tmp_path):
+    """From the simulated piston to B near 600, health for a late subscriber, and a bag of it."""
+    damping = listen(graph, Float64, "/eha/monitor/viscous_damping")
+    stddev = listen(graph, Float64, "/eha/monitor/viscous_damping_stddev")
+    bag = tmp_path / "bag"
+    with command("record", "--out", bag) as record, command("monitor") as monitor, \
+            command("simulator", "--seed", "1") as simulator:
+        graph.until(lambda: damping and stddev and stddev[-1].data < 6.0, PATIENCE)
+        assert damping[-1].data == pytest.approx(600.0, rel=0.05)
+        health = listen(graph, DiagnosticArray, "/eha/monitor/health", QoSProfile(
+            depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+        graph.until(lambda: health)
+        assert "published" in end(simulator)
+        assert "latency from stamp" in end(monitor, signal.SIGINT)
+        assert "on 11 topics" in end(record, signal.SIGINT)
+    found = topics(bag)
+    assert found["/eha/joint_states"].count > 500
+    assert found["/eha/monitor/health"].count >= 1
+    stamps = [log for topic, _, log, _ in iter_raw(bag) if topic == "/eha/joint_states"]
+    assert stamps == sorted(stamps)
+
+
+def test_replay_feeds_a_monitor_on_simulated_time(graph, tmp_path):
+    from eha_monitor.physics.simulator import Simulator
+    from eha_monitor.recordings.write import write_recording
+    from eha_monitor.settings import Settings
+
+    bag = tmp_path / "bag"
+    write_recording(bag, Simulator(Settings(), 1).advance(4000), Settings(),
+                    start_ns=1_000_000_000)
+    damping = listen(graph, Float64, "/eha/monitor/viscous_damping")
+    clock = listen(graph, Clock, "/clock")
+    health = listen(graph, DiagnosticArray, "/eha/monitor/health", QoSProfile(
+        depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+    with command("monitor", "--ros-args", "-p", "use_sim_time:=true") as monitor:
+        graph.until(lambda: health, PATIENCE)  # the monitor is there before the bag begins
+        with command("replay", bag, "--clock", "--rate", "2") as replay:
+            graph.until(lambda: replay.poll() is not None, PATIENCE)
+            assert replay.returncode == 0
+            assert "published 16000 messages" in replay.communicate()[0]
+        graph.until(lambda: damping and abs(damping[-1].data - 600.0) < 30.0)
+        times = [c.clock.sec + c.clock.nanosec * 1e-9 for c in clock]
+        assert times == sorted(times) and len(times) > 100  # 100 Hz of wall time at least
+        assert "rows 4000;" in end(monitor)
+
+
+def test_replay_pauses_and_resumes_by_service(graph, tmp_path):
+    bag_of_joint_states(tmp_path / "bag", 100)
+    heard = listen(graph, JointState, "/eha/joint_states")
+    client = graph.node("client").create_client(SetBool, "/replay/pause")
+    with command("replay", tmp_path / "bag", "--start-paused") as replay:
+        graph.until(client.service_is_ready, PATIENCE)
+        answer = client.call_async(SetBool.Request(data=True))
+        graph.until(answer.done)
+        assert answer.result().message == "paused" and not heard
+        client.call_async(SetBool.Request(data=False))
+        graph.until(lambda: len(heard) == 100)
+        graph.until(lambda: replay.poll() == 0)
+
+
+def test_replay_loops_and_leaves_out_what_it_does_not_know(graph, tmp_path):
+    bag_of_joint_states(tmp_path / "bag", 100, extra="strange_msgs/msg/Strange")
+    heard = listen(graph, JointState, "/eha/joint_states")
+    with command("replay", tmp_path / "bag", "--loop") as replay:
+        graph.until(lambda: len(heard) > 250, PATIENCE)
+        replay.send_signal(signal.SIGINT)
+        _, err = replay.communicate(timeout=30)
+    assert replay.returncode == 0 and "Traceback" not in err
+    assert err.count("/strange is left out: message type strange_msgs/msg/Strange is not "
+                     "installed") == 1
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    (("monitor", "--ros-args", "-p", "rig.mas:=3"), "did you mean 'mass'"),
+    (("simulator", "--ros-args", "--params-file", "nowhere.yaml"), "nowhere.yaml"),
+])
+def test_bad_input_is_one_line_and_status_2(arguments, words):
+    with command(*arguments) as process:
+        _, err = process.communicate(timeout=PATIENCE)
+    lines = [line for line in err.splitlines() if not line.startswith("[")]
+    assert process.returncode == 2
+    assert len(lines) == 1 and words in lines[0], err
+
+
+def test_launch_files_compile(tmp_path):
+    """launch_ros comes with a full ROS installation only; here the files are compiled."""
+    files = sorted((REPOSITORY / "launch").glob("*.launch.py"))
+    assert [f.name for f in files] == ["demo.launch.py", "live.launch.py", "replay.launch.py"]
+    for file in files:
+        py_compile.compile(str(file), cfile=str(tmp_path / "compiled"), doraise=True)
