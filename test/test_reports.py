@@ -1,0 +1,306 @@
+"""The HTML report of ``estimate``: complete in itself, true to the numbers, hard to break."""
+
+import base64
+import os
+import struct
+import warnings
+from dataclasses import dataclass, replace
+from html.parser import HTMLParser
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from eha_monitor.errors import InputError
+from eha_monitor.filters.pipeline import estimate
+from eha_monitor.filters.results import Event, ModelStatus
+from eha_monitor.health.alarms import Alarm
+from eha_monitor.health.series import ParameterSeries, judge_series
+from eha_monitor.physics.simulator import Simulator
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.reports.estimate_report import estimate_page, write_estimate_report
+from eha_monitor.reports.verdict import verdict
+from eha_monitor.settings import settings_from_tree
+
+FIGURES = {"parameter-B", "parameter-beta_e", "timeline", "pressure", "position", "velocity",
+           "acceleration", "innovations-one", "innovations-two"}
+
+
+class Page(HTMLParser):
+    """What the tests look at: text, ids, pictures of each figure, exact values, references."""
+
+    def __init__(self, html: str):
+        super().__init__()
+        self.text, self.ids, self.values, self.references, self.tags = "", set(), [], [], set()
+        self.pictures: dict[str, list[dict]] = {}
+        self._figure = ""
+        self.feed(html)
+
+    def handle_starttag(self, tag, attributes):
+        found = dict(attributes)
+        self.tags.add(tag)
+        if "id" in found:
+            self.ids.add(found["id"])
+        if tag == "figure":
+            self._figure = found["id"]
+        if tag == "img":
+            self.pictures.setdefault(self._figure, []).append(found)
+        if tag == "data":
+            self.values.append(float(found["value"]))
+        self.references += [found[name] for name in ("src", "href", "action", "data", "srcset",
+                                                     "poster") if name in found]
+
+    def handle_data(self, data):
+        self.text += data
+
+
+@dataclass(frozen=True)
+class Case:
+    """An estimate with its alarms, ready for the report."""
+
+    estimate: object
+    alarms: tuple
+    history: tuple
+
+    def page(self, observability=None) -> str:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            return estimate_page(self.estimate, self.alarms, self.history, observability)
+
+
+def case_of(recording: Recording, settings) -> Case:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the filters on data from beyond the world
+        found = estimate(recording, settings)
+        series = {name: ParameterSeries(stage.estimate, stage.value, stage.stddev)
+                  for name, stage in (("B", found.stage_one), ("beta_e", found.stage_two))}
+        alarms, history = judge_series(settings, recording.time, series)
+    return Case(found, alarms, history)
+
+
+def simulated(tree: dict, samples: int, source: str = "bags/triangle.mcap"):
+    settings = settings_from_tree(tree, "test")
+    plant = Simulator(settings, seed=1)
+    return Recording(plant.dt, plant.advance(samples), 10**18, source), settings
+
+
+@pytest.fixture(scope="module")
+def triangle() -> Case:
+    return case_of(*simulated({}, 8000))
+
+
+@pytest.fixture(scope="module")
+def triangle_html(triangle) -> str:
+    return triangle.page()
+
+
+@pytest.fixture(scope="module")
+def short() -> tuple[Recording, object]:
+    """One second and a half of the triangle, with a reversal in it."""
+    return simulated({}, 1500)
+
+
+def test_page_is_complete_in_itself(triangle_html):
+    html, page = triangle_html, Page(triangle_html)
+    assert page.references and all(r.startswith("data:image/png;base64,")
+                                   for r in page.references)
+    assert not page.tags & {"script", "link", "iframe", "object", "embed", "base"}
+    assert "http:" not in html and "https:" not in html and "url(" not in html
+    assert "@import" not in html
+    assert len(html.encode()) < 4e6
+
+
+def test_every_figure_is_there_at_twice_its_size(triangle_html):
+    page = Page(triangle_html)
+    assert page.ids >= FIGURES
+    assert set(page.pictures) == FIGURES - {"timeline"}
+    for pictures in page.pictures.values():
+        assert len(pictures) == 2  # the whole record, and a closer look
+        for one in pictures:
+            png = base64.b64decode(one["src"].split(",", 1)[1])
+            width, height = struct.unpack(">II", png[16:24])
+            assert (width, height) == (2 * int(one["width"]), 2 * int(one["height"]))
+            assert one["alt"]
+
+
+def test_numbers_are_those_of_the_estimate(triangle, triangle_html):
+    page = Page(triangle_html)
+    found = triangle.estimate
+    exact = [p.value for p in found.parameters.values()]
+    if found.joint is not None:
+        exact += [p.value for p in found.joint.parameters.values()]
+    assert page.values == exact
+    b, beta = found.parameters["B"], found.parameters["beta_e"]
+    assert f"{2 * b.stddev:.2f} N·s/m" in page.text
+    assert f"{beta.value / 1e6:.1f} ± {2 * beta.stddev / 1e6:.1f} MPa" in page.text
+    assert found.model.message in page.text
+    for event in found.events:
+        assert event.message in page.text
+    for alarm in triangle.alarms:
+        assert alarm.message in page.text
+
+
+def test_healthy_verdict(triangle, triangle_html):
+    said = verdict(triangle.estimate, triangle.alarms)
+    assert (said.kind, said.headline) == ("ok", "Healthy")
+    assert said.sentence in Page(triangle_html).text
+    assert "within the limits" in said.sentence
+
+
+def test_verdict_leads_with_the_gravest(triangle):
+    found, alarms = triangle.estimate, list(triangle.alarms)
+    wrong = replace(found, model=ModelStatus("mismatch", "m"))
+    assert verdict(wrong, triangle.alarms).headline == "Mismatch"
+    assert "wrong model" in verdict(wrong, triangle.alarms).sentence
+    alarms[0] = replace(alarms[0], level="ERROR")
+    assert verdict(found, alarms).headline == "Alarm"
+    assert "viscous damping B is too high (ERROR)" in verdict(found, alarms).sentence
+    assert verdict(wrong, alarms).headline == "Alarm and mismatch"
+    alarms[0] = replace(alarms[0], level="WARN")
+    assert verdict(found, alarms).kind == "warn"
+    silent = replace(found, stage_two=replace(found.stage_two, estimate=replace(
+        found.stage_two.estimate, status="not_excited")))
+    assert verdict(silent, triangle.alarms).headline == "Healthy as far as can be told"
+    assert "nothing can be told about effective bulk modulus" in verdict(
+        silent, triangle.alarms).sentence
+
+
+def test_a_rising_damping_shows_as_an_alarm():
+    tree = {"simulation": {"faults": {"wear": {"parameter": "viscous_damping", "start": 2.0,
+                                               "duration": 2.0, "value": 1800.0}}}}
+    case = case_of(*simulated(tree, 8000))
+    said = verdict(case.estimate, case.alarms)
+    assert said.kind == "error"
+    page = Page(case.page())
+    assert "B high" in page.text
+    assert "ERROR" in page.text
+
+
+@pytest.mark.parametrize("channels, missing", [
+    (("x", "force"), "effective bulk modulus"),
+    (("x", "x_d"), "viscous damping"),
+    (("x",), "viscous damping"),
+    (("p1", "p2"), "viscous damping"),
+])
+def test_missing_channels_are_said_not_drawn(short, channels, missing):
+    recording, settings = short
+    rig = settings.rig
+    given = recording.channels | {
+        "force": rig.area_1 * recording.get("p1") - rig.area_2 * recording.get("p2")}
+    case = case_of(replace(recording, channels={n: given[n] for n in channels}), settings)
+    page = Page(case.page())
+    assert page.ids >= FIGURES
+    assert f"nothing can be told about {missing}" in page.text
+    assert ("No curve:" in page.text) or len(page.pictures) == 8
+    if "p1" not in channels and "force" not in channels:
+        assert "pressure" not in page.pictures
+        assert "nothing to show" in page.text
+
+
+def altered(short, change) -> Case:
+    recording, settings = short
+    return case_of(replace(recording, channels={
+        name: change(values.copy()) for name, values in recording.channels.items()}), settings)
+
+
+def with_gap(values):
+    values[600:900] = np.nan
+    return values
+
+
+def with_infinities(values):
+    values[::400] = np.inf
+    return values
+
+
+@pytest.mark.parametrize("change", [
+    lambda v: np.full(len(v), np.nan), lambda v: v[:3], lambda v: v[:1], lambda v: v[:0],
+    lambda v: v * 1e9, lambda v: v * 1e-12, lambda v: v * 1e200, np.ones_like, np.zeros_like,
+    with_gap, with_infinities,
+], ids=["nan", "three", "one", "none", "huge", "tiny", "beyond", "constant", "zero", "gap",
+        "infinite"])
+def test_whatever_the_data_a_page_comes(short, change):
+    page = Page(altered(short, change).page())
+    assert page.ids >= FIGURES
+    assert "verdict" in page.ids
+    assert "nan" not in page.text.lower().replace("nanos", "").split()
+
+
+def test_no_channel_at_all(short):
+    _, settings = short
+    page = Page(case_of(Recording(1e-3, {}), settings).page())
+    assert page.ids >= FIGURES and not page.pictures
+    assert "No answer" in page.text
+
+
+def test_rotary_rig_has_rotary_units(short):
+    recording, _ = short
+    settings = settings_from_tree({"rig": {
+        "motion": "rotary", "area_1": None, "area_2": None, "volume_1": None, "volume_2": None,
+        "pump_displacement": None, "position_gain": None, "mass": 20.0}}, "test")
+    force = 5.05e-4 * (recording.get("p1") - recording.get("p2"))
+    case = case_of(replace(recording, channels={"x": recording.get("x"), "force": force}),
+                   settings)
+    page = Page(case.page())
+    assert "Angle" in page.text and "torque" in page.text and "N·m" in page.text
+    assert any("angle" in one["alt"] for one in page.pictures["position"])
+
+
+def test_names_are_escaped(short):
+    recording, settings = short
+    nasty = "<script>alert('1')</script>&\"\udcff"
+    named = settings.model_copy(update={"rig": settings.rig.model_copy(update={"name": nasty})})
+    case = case_of(replace(recording, source=f"bags/{nasty}.mcap", losses=(nasty,),
+                           channels={"x": recording.get("x")[:50]}), named)
+    case = replace(case, alarms=(Alarm(nasty, "WARN", nasty, 0.0),),
+                   estimate=replace(case.estimate, events=(Event(0.0, "one", nasty),),
+                                    warnings=(nasty,), model=ModelStatus("mismatch", nasty)))
+    html = case.page()
+    assert "<script" not in html
+    assert "&lt;script&gt;" in html
+    assert nasty in Page(html).text
+
+
+def test_observability_is_a_table(short):
+    recording, settings = short
+    case = case_of(recording.part(0, 3), settings)
+    rows = (SimpleNamespace(channels=("x", "p1", "p2"),
+                            relative_stddev={"B": 0.002, "beta_e": np.inf, "L": np.nan}),
+            SimpleNamespace(channels=("x", "temperature"),
+                            relative_stddev={"B": 0.4, "beta_e": 0.03, "L": 7.0}))
+    page = Page(case.page(SimpleNamespace(rows=rows)))
+    assert "observability" in page.ids
+    assert "x, p1, p2" in page.text and "± 0.4 %" in page.text
+    assert page.text.count("not observable") == 2
+    assert "observability" not in Page(case.page(SimpleNamespace(rows=()))).ids
+
+
+def test_written_at_once_and_refused_in_one_line(short, tmp_path, monkeypatch):
+    recording, settings = short
+    case = case_of(recording.part(0, 3), settings)
+    target = tmp_path / "report.html"
+    target.write_text("older")
+    write_estimate_report(target, case.estimate, case.alarms, case.history)
+    assert target.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    assert os.listdir(tmp_path) == ["report.html"]
+    for bad in (tmp_path / "absent" / "r.html", tmp_path):
+        with pytest.raises(InputError, match="cannot write the report") as refused:
+            write_estimate_report(bad, case.estimate, case.alarms, case.history)
+        assert str(bad) in str(refused.value) and "\n" not in str(refused.value)
+    assert os.listdir(tmp_path) == ["report.html"]
+
+
+def test_a_long_recording_stays_small(short):
+    """An hour at 100 Hz, from a result made by hand: the drawing is what is tested."""
+    recording, settings = short
+    n = 360_000
+    time = np.arange(n) * 0.01
+    x = 0.04 * np.sin(0.5 * time) + 1e-6 * np.random.default_rng(0).standard_normal(n)
+    case = case_of(recording, settings)
+    stretched = {name: np.resize(getattr(case.estimate.stage_one, name), n) for name in (
+        "value", "stddev", "velocity", "acceleration", "innovation", "innovation_stddev")}
+    stage = replace(case.estimate.stage_one, time=time, position=x, **stretched)
+    found = replace(case.estimate, recording=Recording(0.01, {"x": x}), stage_one=stage)
+    html = Case(found, case.alarms, case.history).page()
+    assert len(html) < 4e6
+    assert "3600 s (60.0 min)" in html

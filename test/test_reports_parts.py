@@ -1,0 +1,194 @@
+"""The parts of reports: units, envelopes, smoothing, windows, correlations, timelines."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eha_monitor.filters.results import Event
+from eha_monitor.health.alarms import Alarm
+from eha_monitor.reports.alarm_timeline import alarm_timeline, spans
+from eha_monitor.reports.quantities import quantity, readable, time_scale, with_uncertainty
+from eha_monitor.reports.traces import (
+    autocorrelation,
+    choose_smoother,
+    envelope,
+    in_gap,
+    reversals,
+    robust_range,
+    running_rms,
+    telling_window,
+)
+
+
+@pytest.mark.parametrize("value, unit, text", [
+    (6e8, "Pa", "600 MPa"), (1.4e9, "Pa", "1400 MPa"), (0.04, "m", "40 mm"),
+    (600.0, "N·s/m", "600 N·s/m"), (159e3, "N·s/m", "159 kN·s/m"), (25e-6, "m", "25 µm"),
+    (7.03e-5, "N·m·s/rad", "70.3 µN·m·s/rad"), (5e-13, "m³/(s·Pa)", "30 mL/(min·MPa)"),
+    (-0.04, "m/s", "−40 mm/s"), (0.0, "m", "0 m"), (float("nan"), "m", "—"),
+    (3600.0, "s", "3600 s"), (1e30, "Pa", "1·10³⁰ Pa"),
+])
+def test_quantity_in_engineering_units(value, unit, text):
+    assert quantity(value, unit) == text
+
+
+@pytest.mark.parametrize("value, stddev, unit, text", [
+    (600.087, 0.0649, "N·s/m", "600.09 ± 0.13 N·s/m"),
+    (6.002e8, 1.1e6, "Pa", "600.2 ± 2.2 MPa"),
+    (500.0, 1000.0, "N·s/m", "500 ± 2000 N·s/m"),
+    (float("nan"), 1.0, "Pa", "—"),
+    (600.0, float("inf"), "N·s/m", "600 N·s/m, uncertainty unknown"),
+    (0.0, 0.0, "m", "0 ± 0 m"),
+])
+def test_uncertainty_sets_the_digits(value, stddev, unit, text):
+    assert with_uncertainty(value, stddev, unit) == text
+
+
+@given(st.floats(allow_nan=True, allow_infinity=True),
+       st.floats(allow_nan=True, allow_infinity=True),
+       st.sampled_from(["Pa", "N·s/m", "m³/(s·Pa)", "1", ""]))
+def test_any_number_can_be_written(value, stddev, unit):
+    assert quantity(value, unit)
+    assert with_uncertainty(value, stddev, unit)
+    assert readable(value, unit).factor > 0
+
+
+def test_time_in_the_unit_of_the_record():
+    assert [time_scale(d).unit for d in (0.01, 30, 1200, 86400)] == ["ms", "s", "min", "h"]
+
+
+def test_envelope_keeps_peaks_and_ends():
+    values = np.random.default_rng(1).standard_normal(300_000)
+    values[123_456], values[7] = 50.0, -40.0
+    time = np.arange(len(values)) * 1e-3
+    t, v = envelope(time, values, bins=500)
+    assert len(t) <= 5 * 500 and (np.diff(t) >= 0).all()
+    assert v.max() == 50.0 and v.min() == -40.0
+    assert (t[0], v[0], t[-1], v[-1]) == (time[0], values[0], time[-1], values[-1])
+    at = t[np.argmax(v)]
+    assert abs(at - time[123_456]) < 300 / 500
+
+
+@pytest.mark.parametrize("n", [1000, 100_000])
+def test_envelope_leaves_gaps_open_and_joins_slow_channels(n):
+    time = np.arange(n) * 1e-3
+    values = np.sin(time)
+    values[n // 2: n // 2 + n // 10] = np.nan
+    t, v = envelope(time, values, bins=200)
+    assert np.isnan(v).sum() == 1
+    assert t[np.flatnonzero(np.isnan(v))[0]] == pytest.approx(time[n // 2 - 1], abs=n / 200 * 1e-3)
+    slow = np.where(np.arange(n) % 20 == 0, np.sin(time), np.nan)
+    assert not np.isnan(envelope(time, slow, bins=200)[1]).any()
+
+
+def test_envelope_of_nothing():
+    for values in (np.empty(0), np.full(5, np.nan), np.full(5, np.inf)):
+        assert len(envelope(np.arange(len(values)), values)[0]) == 0
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_smoothed_derivative_and_its_double(order):
+    dt = 1e-3
+    t = np.arange(8000) * dt
+    w = 2 * np.pi * 4
+    x = 3e-3 * np.sin(w * t) + 1e-6 * np.random.default_rng(2).standard_normal(len(t))
+    truth = 3e-3 * (w * np.cos(w * t) if order == 1 else -w**2 * np.sin(w * t))
+    smoother = choose_smoother(x, dt, order)
+    error = smoother.of(x) - truth
+    assert np.nanstd(error) < 0.04 * np.std(truth)
+    # The known derivative, treated alike, differs from it by noise alone, without a bias.
+    alike = smoother.alike(truth, x)
+    assert np.nanstd(smoother.of(x) - alike) < 0.04 * np.std(truth)
+    assert np.nanstd(alike - truth) < 0.02 * np.std(truth)
+
+
+def test_smoothing_alike_sees_what_a_slow_channel_saw():
+    t = np.arange(6000) * 1e-3
+    v = np.cos(60 * t)  # nearly too fast for one sample in ten
+    x = np.where(np.arange(6000) % 10 == 0, np.sin(60 * t) / 60, np.nan)
+    smoother = choose_smoother(x, 1e-3, 1)
+    assert smoother.length >= 0.07
+    assert np.nanmax(np.abs(smoother.of(x) - smoother.alike(v, x))) < 0.02
+
+
+def test_no_smoother_without_data():
+    assert choose_smoother(np.full(100, np.nan), 1e-3, 1) is None
+    assert choose_smoother(np.zeros(3), 1e-3, 2) is None
+
+
+def test_gaps_are_found():
+    values = np.zeros(50)
+    values[[10, 11]] = np.nan  # two lost samples are no gap
+    values[20:30] = np.nan
+    values[45:] = np.nan
+    assert np.flatnonzero(in_gap(values)).tolist() == [*range(20, 30), 48, 49]
+    assert in_gap(np.full(4, np.nan)).all()
+
+
+def test_windows_show_what_tells():
+    dt = 1e-3
+    t = np.arange(24_000) * dt
+    triangle = 0.04 * (1 - 4 * np.abs(np.mod(0.25 * t + 0.25, 1) - 0.5))
+    assert np.allclose(reversals(triangle) * dt, np.arange(1, 24, 2), atol=2 * dt)
+    start, stop, words = telling_window(triangle, dt)
+    assert words == "a reversal" and start < 15_000 < stop and stop - start == 1000
+    start, stop, _ = telling_window(triangle, dt, near=3.2)
+    assert start < 3000 < stop
+    start, stop, words = telling_window(np.sin(2 * np.pi * 4 * t), dt)
+    assert words == "three periods" and stop - start == pytest.approx(750, abs=5)
+    gap = triangle.copy()
+    gap[14_900:15_100] = np.nan  # the favourite is not there
+    start, stop, _ = telling_window(gap, dt)
+    assert np.isfinite(gap[start:stop]).all()
+    for n in (0, 1, 3):
+        assert telling_window(np.zeros(n), dt)[1] <= n
+
+
+def test_single_samples_do_not_set_the_limits():
+    values = np.sin(np.arange(10_000) / 50)
+    assert robust_range([values])[2] == 0.0
+    values[77] = -500.0
+    low, high, peak = robust_range([values])
+    assert -3 < low < -1 and high == pytest.approx(1, abs=0.01) and peak == 500.0
+
+
+def test_autocorrelation_of_known_noise():
+    rng = np.random.default_rng(3)
+    e = rng.standard_normal(100_000)
+    r, used = autocorrelation(e, 50)
+    assert used == 100_000 and np.abs(r).max() < 5 / np.sqrt(used)
+    moving = e[1:] + 0.5 * e[:-1]  # r1 = 0.5/1.25
+    moving[::7] = np.nan
+    r, _ = autocorrelation(moving, 5)
+    assert r[0] == pytest.approx(0.4, abs=0.02) and np.abs(r[1:]).max() < 0.02
+    assert len(autocorrelation(np.full(9, np.nan), 5)[0]) == 0
+
+
+def test_running_rms_leaves_gaps():
+    values = np.r_[np.ones(500), np.full(500, np.nan), 2 * np.ones(500)]
+    _, rms = running_rms(values, 15)
+    assert rms[0] == 1 and rms[-1] == 2 and np.isnan(rms[7])
+
+
+def test_spans_follow_the_changes():
+    history = (Alarm("a", "OK", "", 1.0), Alarm("a", "WARN", "", 4.0),
+               Alarm("a", "ERROR", "", 6.0), Alarm("b", "OK", "", 0.0))
+    found = spans("a", (Alarm("a", "ERROR", "", 6.0),), history, 10.0)
+    assert [(s.start, s.stop, s.level) for s in found] == [
+        (1.0, 4.0, "OK"), (4.0, 6.0, "WARN"), (6.0, 10.0, "ERROR")]
+    late = spans("a", (Alarm("a", "STALE", "", 99.0),), (), 10.0)
+    assert [(s.start, s.level) for s in late] == [(10.0, "STALE")]
+
+
+def test_timeline_in_percent_with_marks_that_do_not_overlap():
+    alarms = (Alarm("viscous_damping_high", "WARN", "", 5.0),)
+    history = (Alarm("viscous_damping_high", "OK", "", 0.0), *alarms)
+    events = tuple(Event(time, "one", "") for time in (0.0, 0.1, 0.2, 8.0))
+    timeline = alarm_timeline(alarms, history, events, 10.0)
+    (name, bars), = timeline.lanes
+    assert name == "B high"
+    assert [(bar.left, bar.width, bar.level) for bar in bars] == [(0, 50, "OK"), (50, 50, "WARN")]
+    assert [(mark.left, mark.label) for mark in timeline.marks] == [(0, "1–3"), (80, "4")]
+    assert all(0 <= tick.left <= 100.01 for tick in timeline.ticks)
+    assert alarm_timeline((), (), (), 10.0).note
+    assert alarm_timeline(alarms, history, (), 0.0).note
