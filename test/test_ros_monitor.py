@@ -118,6 +118,8 @@ def test_rows_estimates_and_health(graph):
         {"x": 0.007, "v": 0.5, "omega": 107.0, "x_d": 0.014, "p1": 2e6 + 7, "p2": 1e6 + 7})
     assert (damping[0].data, stddev[0].data) == (600.0, 5e6)
     assert (state[0].name, list(state[0].position)) == (["piston"], [0.01])
+    graph.until(lambda: "rows" in monitor.data.values)
+    assert monitor.data.problems == []  # no temperature is no fault
     assert monitor.counts() == dict.fromkeys(monitor.counts(), 0)
 
     late = listen(graph, DiagnosticArray, "/eha/monitor/health", LATCHED)

@@ -40,7 +40,7 @@ def all_findings(settings: Settings, board: AlarmBoard,
     Parameters
     ----------
     parameters, consistency : by symbol and by stage; empty before the first row.
-    events : the last event of each stage, ``one`` and ``two``.
+    events : the last event of each stage, ``one`` and ``two``, and of the ``monitor``.
     """
     found = []
     for alarm in board.alarms:
@@ -59,8 +59,8 @@ def all_findings(settings: Settings, board: AlarmBoard,
     found.append(Finding("model", level, data.stopped or model.message or model.status,
                          {"status": model.status}))
     level = "STALE" if data.stopped else "WARN" if data.problems else "OK"
-    message = data.stopped or "; ".join(data.problems) or "all channels come"
-    found.append(Finding("data", level, message, data.values))
+    message = data.stopped or "; ".join(data.problems) or "data come"
+    found.append(Finding("data", level, message, {**data.values, **_last(events.get("monitor"))}))
     return found
 
 
@@ -69,6 +69,12 @@ def _numbers(estimate: ParameterEstimate | None) -> dict[str, float | int | str]
         return {}
     key = KEYS[estimate.name]
     return {key: estimate.value, f"{key}_stddev": estimate.stddev}
+
+
+def _last(event: Event | None) -> dict[str, float | str]:
+    if event is None:
+        return {}
+    return {"last_event": event.message, "last_event_s": float(event.time_s)}
 
 
 def _stage(stage: str, estimate: ParameterEstimate | None, consistency: Consistency | None,
@@ -81,7 +87,6 @@ def _stage(stage: str, estimate: ParameterEstimate | None, consistency: Consiste
         values |= {"innovation_nis": consistency.nis,
                    "innovation_variance_ratio": consistency.variance_ratio,
                    "innovation_samples": consistency.samples}
-    if event is not None:
-        values |= {"last_event": event.message, "last_event_s": event.time_s}
+    values |= _last(event)
     level = "STALE" if data.stopped else _STATUS_LEVEL[estimate.status]
     return Finding(name, level, data.stopped or estimate.message or estimate.status, values)

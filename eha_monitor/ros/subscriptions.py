@@ -16,6 +16,10 @@ from eha_monitor.ros.inputs import Decoder, Topic, has_stamp, message_class
 INPUT_QOS = QoSProfile(depth=4000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
+# Neither stage needs these; that a rig does not have them is no fault.
+OPTIONAL = frozenset({"temperature", "v", "omega", "force"})
+
+
 class TopicInput:
     """One topic: its subscription, its decoders, what is wrong with it.
 
@@ -73,7 +77,8 @@ class TopicInput:
             if decoder.problem is not None:
                 found.append(decoder.problem)
             elif silent and not self.messages:
-                found.append(f"{entry.source.name}: nothing received, so no {channels}")
+                if not OPTIONAL.issuperset(entry.source.channels):
+                    found.append(f"{entry.source.name}: nothing received, so no {channels}")
             elif silent and not entry.source.held:
                 found.append(f"{entry.source.name}: nothing new for {silent_after:g} s, "
                              f"so no {channels}")
