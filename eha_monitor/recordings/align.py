@@ -42,9 +42,7 @@ def align(series: dict[str, tuple[Series, str]], settings: Settings, *, source: 
     label = topic or reference
     if topic and not leader.stamped:
         said.append(f"{label}: no header stamps, log times are used")
-    notes: list[str] = []
-    keep = repair(leader.stamp_ns, label, notes)
-    said += notes
+    keep, jumped = repair(leader.stamp_ns, label, said)
     origin = int(leader.stamp_ns[keep[0]])
     t = (leader.stamp_ns[keep] - origin) * 1e-9
     grid = fit_grid(t, leader.values[keep], settings.rig.sample_time)
@@ -54,7 +52,7 @@ def align(series: dict[str, tuple[Series, str]], settings: Settings, *, source: 
     if points > SPARSE * len(t) + 1000:
         raise InputError(f"{source}: {label}: {len(t)} samples over {t[-1]:.6g} s are too sparse "
                          f"for a sample time of {grid.step:g} s")
-    window = _window(leader, keep) if any("clock jumps" in note for note in notes) else None
+    window = _window(leader, keep) if jumped else None
 
     axes: dict[tuple, tuple] = {}
     columns: dict[str, np.ndarray] = {}
@@ -102,7 +100,7 @@ def _axis(found: Series, label: str, leader: Series, led, origin: int, grid: Gri
         inside = (found.log_ns >= window[0] - margin) & (found.log_ns <= window[1] + margin)
         if inside.any():
             chosen = chosen[inside]
-    chosen = chosen[repair(stamps[chosen], label, said)]
+    chosen = chosen[repair(stamps[chosen], label, said)[0]]
     first, last = int(leader.stamp_ns[led[0]]), int(leader.stamp_ns[led[-1]])
     if stamps[chosen[0]] > last or stamps[chosen[-1]] < first:
         # Another clock (sim time, a controller's own): the recorder's log times join them.

@@ -7,6 +7,7 @@ import numpy as np
 JITTER = 0.02  # of the sample time; below it stamps count as exact
 SNAP = 0.05  # the config's sample time is taken when the stamps agree this well
 GAP = 2.5  # periods across which nothing is interpolated
+BLOCK = 100_000  # samples worked on at once where memory would grow with the recording
 FILTER = 21  # samples of the running median that counts missing samples under jitter
 LATEST = 1e9  # ns; a message is late by less, a clock jumps by more
 CLOSE = 0.6  # of the sample time; stamps are crowded when closer
@@ -51,8 +52,8 @@ def period_of(stamps: np.ndarray) -> float:
     return float(lower_median(steps)) if len(steps) else 0.0
 
 
-def repair(stamps: np.ndarray, label: str, said: list[str]) -> np.ndarray:
-    """Return which samples to keep, in order of time.
+def repair(stamps: np.ndarray, label: str, said: list[str]) -> tuple[np.ndarray, bool]:
+    """Return which samples to keep, in order of time, and whether the clock had jumped back.
 
     Parameters
     ----------
@@ -66,19 +67,20 @@ def repair(stamps: np.ndarray, label: str, said: list[str]) -> np.ndarray:
         said.append(f"{label}: {_samples(len(repeated))} with a repeated stamp dropped")
     step = period_of(stamps[keep])
     if len(keep) < 2 or step == 0:
-        return keep[:1]
+        return keep[:1], False
+    jumped = False
     if (np.diff(stamps[keep]) < 0).any():
         keep = _drop_wild(stamps, keep, step, label, said)
-        keep = _put_in_order(stamps, keep, step, label, said)
-    return _drop_far(stamps, keep, label, said)
+        keep, jumped = _put_in_order(stamps, keep, step, label, said)
+    return _drop_far(stamps, keep, label, said), jumped
 
 
 def _drop_wild(stamps, keep, step, label, said):
     """Drop single stamps that lie far from their neighbours on both sides."""
     if len(keep) < 5:
         return keep
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(stamps[keep], 2, "edge"), 5)
-    far = np.abs(stamps[keep] - np.median(windows, axis=1)) > max(1e9, 100 * step)
+    shifted = (stamps[keep] - stamps[keep[0]]).astype(float)
+    far = np.abs(shifted - _running_median(shifted, 5)) > max(1e9, 100 * step)
     if far.any() and far.sum() < 0.1 * len(keep):
         said.append(f"{label}: {_samples(int(far.sum()))} with a stamp far off its neighbours' "
                     "dropped")
@@ -91,7 +93,7 @@ def _put_in_order(stamps, keep, step, label, said):
     steps = np.diff(stamps[keep])
     back = np.flatnonzero(steps < 0)
     if not len(back):
-        return keep
+        return keep, False
     order = keep[np.argsort(stamps[keep], kind="stable")]
     # Late messages fill holes; after a jump two stretches lie between one another.
     crowded = (np.sum(np.diff(stamps[order]) < CLOSE * step)
@@ -102,7 +104,7 @@ def _put_in_order(stamps, keep, step, label, said):
         said.append(f"{label}: {len(back)} reversed stamp{'s' * (len(back) > 1)} put in order"
                     + (f", {_samples(int(np.sum(~fresh)))} at a taken stamp dropped"
                        if not fresh.all() else ""))
-        return order[fresh]
+        return order[fresh], False
     jumps = back[steps[back] < -2 * step]
     if not len(jumps):
         jumps = back
@@ -114,7 +116,7 @@ def _put_in_order(stamps, keep, step, label, said):
                 f"(up to {jump:.3f} s): the longest stretch of {_samples(len(longest))} kept, "
                 f"{_samples(lost)} dropped")
     inside = longest[np.argsort(stamps[longest], kind="stable")]
-    return inside[np.concatenate([[True], np.diff(stamps[inside]) > 0])]
+    return inside[np.concatenate([[True], np.diff(stamps[inside]) > 0])], True
 
 
 def _drop_far(stamps, keep, label, said):
@@ -192,10 +194,16 @@ def _count(t: np.ndarray, step: float) -> np.ndarray:
     """Number the samples on a grid under jitter: one on, plus whole samples at each gap."""
     ahead = (t - t[0]) / step - np.arange(len(t))
     if len(t) >= FILTER:
-        padded = np.pad(ahead, FILTER // 2, "edge")
-        ahead = np.median(np.lib.stride_tricks.sliding_window_view(padded, FILTER), axis=1)
+        ahead = _running_median(ahead, FILTER)
     missing = np.maximum.accumulate(np.round(ahead - ahead[0]))
     return np.arange(len(t)) + missing.astype(np.int64)
+
+
+def _running_median(values: np.ndarray, width: int) -> np.ndarray:
+    """Median over ``width`` neighbours, in blocks, since the windows are copied; (n,)."""
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(values, width // 2, "edge"), width)
+    return np.concatenate([np.median(windows[start:start + BLOCK], axis=1)
+                           for start in range(0, len(values), BLOCK)])
 
 
 def _share_of_jitter(t: np.ndarray, index: np.ndarray, values: np.ndarray,
@@ -212,6 +220,8 @@ def _share_of_jitter(t: np.ndarray, index: np.ndarray, values: np.ndarray,
         return 0.0
     wide = slice(reach, len(t) - reach - 1)
     ahead, behind = slice(2 * reach + 1, None), slice(None, -2 * reach - 1)
+    # Only ratios count; scaled, no square overflows.
+    values = values / (np.nanmax(np.abs(values), initial=0.0) or 1.0)
     speed = (values[ahead] - values[behind]) / (t[ahead] - t[behind])
     count = np.diff(index)[wide]
     uneven = speed * (np.diff(t)[wide] - count * step)

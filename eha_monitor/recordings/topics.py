@@ -72,8 +72,9 @@ def types_of(msgtype: str, encoding: str, definition: bytes) -> dict:
 
 
 def _complete(types: dict, msgtype: str) -> bool:
-    """Tell whether every type that a type is made of is there."""
-    if msgtype not in types:
+    """Tell whether a type has fields and every type that it is made of is there."""
+    if msgtype not in types or not any(
+            name != "structure_needs_at_least_one_member" for name, _ in types[msgtype][1]):
         return False
     for _, kind in types[msgtype][1]:
         if kind[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
