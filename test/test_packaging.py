@@ -91,7 +91,9 @@ def test_pip_layout(tmp_path):
     source = copy_of_the_source(tmp_path / "source")
     prefix = tmp_path / "prefix"
     made = run([sys.executable, "-m", "pip", "install", "--quiet", "--no-deps",
-                "--no-build-isolation", "--disable-pip-version-check", "--prefix", prefix,
+                "--no-build-isolation", "--disable-pip-version-check",
+                "--ignore-installed",  # else pip removes the one in this environment
+                "--prefix", prefix,
                 source], cwd=tmp_path)
     assert made.returncode == 0, made.stderr
     check_layout(prefix)

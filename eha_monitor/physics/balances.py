@@ -30,15 +30,15 @@ from eha_monitor.physics.signals import (
     P2,
     P_CHARGE,
     SPEED,
-    V,
     VOL_1,
     VOL_2,
     VOLUME_1,
     VOLUME_2,
-    X,
     X_D,
     B,
     M,
+    V,
+    X,
 )
 
 
