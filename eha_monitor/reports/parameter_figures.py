@@ -54,7 +54,7 @@ def parameter_block(estimate: Estimate, name: str) -> Block:
         notes.append("The way from the prior leaves the picture at the start.")
     begin = _settled(stage)
     pictures = [_picture(stage, name, slice(None), view, lines, colour, "whole record")]
-    if 0 < begin < len(value) - 10:
+    if stage.estimate.status == "converged" and 0 < begin < len(value) - 10:
         tail = core_range(stage, begin / len(value))
         pictures.append(_picture(stage, name, slice(begin, None), tail, lines, colour,
                                  "after convergence, enlarged"))
@@ -135,9 +135,12 @@ def _picture(stage: StageResult, name: str, part: slice, view: tuple[float, floa
         if any(abs(height - other) < 0.045 for other in taken):
             continue
         taken.append(height)
-        axis.annotate(f"{label} {quantity(limit, stage.estimate.unit)}", (1.0, place),
-                      xycoords=("axes fraction", "data"), xytext=(-3, 2 if above else -2),
-                      textcoords="offset points", ha="right",
+        left = not _clear(value, place, top - bottom, -1) and _clear(value, place, top - bottom, 1)
+        axis.annotate(f"{label} {quantity(limit, stage.estimate.unit)}",
+                      (0.0 if left else 1.0, place),
+                      xycoords=("axes fraction", "data"),
+                      xytext=(3 if left else -3, 2 if above else -2),
+                      textcoords="offset points", ha="left" if left else "right",
                       va="bottom" if above else "top", fontsize=9,
                       color=line, bbox={"facecolor": "white", "edgecolor": "none",
                                         "pad": 0.8, "alpha": 0.75})
@@ -149,6 +152,13 @@ def _picture(stage: StageResult, name: str, part: slice, view: tuple[float, floa
     last = stage.value[np.isfinite(stage.value)][-1]
     return picture(figure, f"{NAMES[name]} against time with its two-sigma band and limits, "
                            f"{words}; last value {quantity(last, stage.estimate.unit)}")
+
+
+def _clear(value: np.ndarray, place: float, height: float, end: int) -> bool:
+    """Whether the curve leaves room for a label at a limit, at the start (1) or the end (-1)."""
+    part = value[::end][: len(value) * 2 // 5]
+    part = part[np.isfinite(part)]
+    return not (np.abs(part - place) < 0.07 * height).mean() > 0.02 if part.size else True
 
 
 def limits_in_words(limits: Limits, unit: str) -> str:

@@ -103,9 +103,10 @@ def choose_smoother(values: np.ndarray, dt: float, order: int) -> Smoother | Non
         if not finite.any():
             break
         best = Smoother(window, dt, order)
-        # The median is deaf to the reversals, where a cubic does not fit.
+        # The mean is little moved by the reversals, where a cubic does not fit, and unlike the
+        # median it hears the steps of a coarse encoder that stands still most of the time.
         rest = np.abs(filled - _fitted(filled, window, 0, dt))[finite]
-        noise = 1.48 * np.median(rest) * np.linalg.norm(
+        noise = 1.25 * np.mean(rest) * np.linalg.norm(
             savgol_coeffs(window, 3, deriv=order, delta=dt))
         if noise < 0.03 * np.percentile(np.abs(slope[finite]), 95):
             break
