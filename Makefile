@@ -54,7 +54,7 @@ lint: setup
 	@$(PYTHON) -m ruff check .
 
 bench: setup
-	@for file in benchmarks/bench_*.py; do echo "== $$file"; $(PYTHON) $$file || exit 1; done
+	@for file in benchmarks/*.py; do echo "== $$file"; $(PYTHON) $$file || exit 1; done
 
 proof: setup
 	@$(PYTHON) -m eha_monitor prove

@@ -37,3 +37,9 @@ def test_five_steps_from_csv_to_estimate(tmp_path, monkeypatch):
 def test_every_command_is_in_the_table():
     for name in cli.commands:
         assert re.search(rf"^\| `{name}[ `]", README, re.MULTILINE), name
+
+
+def test_links_lead_somewhere():
+    root = Path(__file__).parents[1]
+    for target in re.findall(r"\]\(([^)#:]+)\)", README):
+        assert (root / target).exists(), target
