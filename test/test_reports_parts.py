@@ -10,6 +10,7 @@ from eha_monitor.health.alarms import Alarm
 from eha_monitor.reports.alarm_timeline import alarm_timeline, spans
 from eha_monitor.reports.quantities import quantity, readable, time_scale, with_uncertainty
 from eha_monitor.reports.traces import (
+    Smoother,
     autocorrelation,
     choose_smoother,
     envelope,
@@ -109,6 +110,19 @@ def test_smoothing_alike_sees_what_a_slow_channel_saw():
     smoother = choose_smoother(x, 1e-3, 1)
     assert smoother.length >= 0.07
     assert np.nanmax(np.abs(smoother.of(x) - smoother.alike(v, x))) < 0.02
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_smoothing_is_savitzky_and_golays(order):
+    from scipy.signal import savgol_filter
+
+    x = np.cumsum(np.random.default_rng(4).standard_normal(500))
+    theirs = savgol_filter(x, 25, 3, deriv=order, delta=0.01, mode="constant", cval=np.nan)
+    ours = Smoother(25, 0.01, order).of(x)
+    assert np.allclose(ours[12:-12], theirs[12:-12], rtol=1e-9, atol=1e-7)
+    x[100:200] = np.nan
+    assert np.flatnonzero(np.isnan(Smoother(25, 0.01, order).of(x)))[[12, -13]].tolist() == [
+        88, 211]
 
 
 def test_no_smoother_without_data():

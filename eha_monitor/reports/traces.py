@@ -1,5 +1,6 @@
 """Curves made fit for a picture: envelopes, derivatives, windows, limits, correlations."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,8 +90,6 @@ def choose_smoother(values: np.ndarray, dt: float, order: int) -> Smoother | Non
     Smoother or None
         None where no window fits into the data.
     """
-    from scipy.signal import savgol_coeffs  # slow to import
-
     filled = _bridged(values)
     best = None
     spacing = usual_spacing(values)
@@ -107,18 +106,30 @@ def choose_smoother(values: np.ndarray, dt: float, order: int) -> Smoother | Non
         # median it hears the steps of a coarse encoder that stands still most of the time.
         rest = np.abs(filled - _fitted(filled, window, 0, dt))[finite]
         noise = 1.25 * np.mean(rest) * np.linalg.norm(
-            savgol_coeffs(window, 3, deriv=order, delta=dt))
+            _weights(window, order, dt))
         if noise < 0.03 * np.percentile(np.abs(slope[finite]), 95):
             break
     return best
 
 
 def _fitted(values: np.ndarray, window: int, order: int, dt: float) -> np.ndarray:
-    from scipy.signal import savgol_filter
+    """Return the ``order``-th derivative of the sliding cubic; (n,), NaN where it has no data."""
+    fitted = np.full(len(values), np.nan)
+    if window <= len(values):
+        inside = slice(window // 2, len(values) - window // 2)
+        fitted[inside] = np.correlate(values, _weights(window, order, dt), mode="valid")
+    return fitted
 
-    if window > len(values):
-        return np.full(len(values), np.nan)
-    return savgol_filter(values, window, 3, deriv=order, delta=dt, mode="constant", cval=np.nan)
+
+def _weights(window: int, order: int, dt: float) -> np.ndarray:
+    """Return the weights of the samples in that derivative: least squares about the middle.
+
+    scipy.signal has the same (a test compares), but its import would cost more time than all
+    pictures of a page.
+    """
+    place = np.arange(-(window // 2), window // 2 + 1)
+    solution = np.linalg.pinv(np.vander(place, 4, increasing=True).astype(float))
+    return solution[order] * math.factorial(order) / dt**order
 
 
 def usual_spacing(values: np.ndarray) -> int:
