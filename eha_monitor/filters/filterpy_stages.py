@@ -10,13 +10,20 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
 from eha_monitor.filters import kernel_one, kernel_two
-from eha_monitor.filters.stage_one import predict_one, predict_one_euler
+from eha_monitor.filters.stage_one import (
+    MEMORY,
+    UNSEEN,
+    predict_one,
+    predict_one_euler,
+    slopes_one,
+)
 from eha_monitor.filters.stage_two import BETA_0, MASS, discretise
 from eha_monitor.filters.supervision import (
     BLOCK,
     BLOCKS,
     INFORMATION,
     SCORE,
+    SLOW,
     honest_factor,
     look,
     new_supervision,
@@ -111,6 +118,7 @@ class FilterpyStageOne(_Stage):
                  theta: np.ndarray, active: np.ndarray, euler: bool = False):
         super().__init__(3, _H3, r, prior_stddev**2)
         self.mass, self.dt, self.euler = mass, dt, euler
+        self._lowest = -kernel_one.NEGATIVE * mass / dt
         self.theta, self.active, self.any_active = theta, active, bool(active.any())
         self.ekf.x[2] = prior
         self.ekf.P[2, 2] = prior_stddev**2
@@ -137,12 +145,14 @@ class FilterpyStageOne(_Stage):
                 self.lost = False
             else:
                 self._correct(x)
+                ekf.x[2] = max(ekf.x[2], self._lowest)
         change = self._close_block()
         if change is None:
             return None
         before = float(ekf.x[2])
         packed = np.array([*ekf.P[0], ekf.P[1, 1], ekf.P[1, 2], ekf.P[2, 2]])
         kernel_one.jump_one(ekf.x, packed, *change[:2])
+        ekf.x[2] = max(ekf.x[2], self._lowest)
         ekf.P = _unpack(packed)
         return before, float(ekf.x[2]), change[2]
 
@@ -156,13 +166,18 @@ class FilterpyStageOne(_Stage):
             u0 -= f - slope * v
             u1 -= f - slope * v
         if self.euler:
-            x1, v1, fxv, fxb, fvv, fvb = predict_one_euler(x, v, damping, u0, self.dt, self.mass)
+            x1, v1, fxv, fxb, fvv, fvb, *g = predict_one_euler(x, v, damping, u0, self.dt,
+                                                               self.mass)
         else:
-            x1, v1, fxv, fxb, fvv, fvb = predict_one(x, v, damping, u0, u1, self.dt, self.mass)
-        if v * v < kernel_one.UNSEEN * self.ekf.P[1, 1]:
-            fxb, fvb = 0.0, 0.0
+            x1, v1, fxv, fxb, fvv, fvb, *g = predict_one(x, v, damping, u0, u1, self.dt,
+                                                         self.mass)
+        self.watch[SLOW] += MEMORY * (v - self.watch[SLOW])
+        if not self.euler:
+            p = self.ekf.P
+            fxb, fvb = slopes_one(v, self.watch[SLOW], p[1, 1] - p[1, 2] ** 2 / p[2, 2], damping,
+                                  fxb, fvb, self.dt, self.mass)
         f = np.array([[1.0, fxv, fxb], [0.0, fvv, fvb], [0.0, 0.0, 1.0]])
-        g = np.array([0.5 * self.dt**2 / self.mass, self.dt / self.mass, 0.0])
+        g = np.array([*g, 0.0])
         self._predict(f, np.array([x1, v1, b]), q * np.outer(g, g))
 
     @property
@@ -226,6 +241,7 @@ class FilterpyStageTwo(_Stage):
                 self.lost = False
             elif self._correct(x):
                 self.sens = self.sens - ekf.K[:, 0] * self.sens[0]
+                ekf.x[3] = max(ekf.x[3], kernel_two.STIFFEST)
         change = self._close_block()
         if change is None:
             return None
@@ -243,7 +259,7 @@ class FilterpyStageTwo(_Stage):
             force = f - slope * ekf.x[1]
             flow = kernel_two.effect_flow(self.theta, self._scratch[1])
         self._force = force
-        c = max(ekf.x[3], 1e-3)
+        c = max(ekf.x[3], kernel_two.STIFFEST)
         base, d_c, d_cc, d_b, d_leak = self._steps
         if not (abs(c - self._at[0]) <= kernel_two.REFRESH * self._at[0]
                 and abs(damping - self._at[1]) <= 1e-6 * abs(self._at[1])):
@@ -260,8 +276,10 @@ class FilterpyStageTwo(_Stage):
         f[:3, :3] = step[:, :3]
         told = np.array([*ekf.x[:3], i0, i1, force, flow])
         f[:3, 3] = slope @ told
-        noise = slope[2, :3] @ ekf.P[:3, :3] @ slope[2, :3] + q_u * (slope[2, 3] + slope[2, 4])**2
-        if f[2, 3] ** 2 < kernel_one.UNSEEN * noise:
+        lean = slope[2, :3] @ ekf.P[:3, 3]
+        noise = (slope[2, :3] @ ekf.P[:3, :3] @ slope[2, :3] - lean**2 / ekf.P[3, 3]
+                 + q_u * (slope[2, 3] + slope[2, 4]) ** 2)
+        if f[2, 3] ** 2 < UNSEEN * noise:
             f[:3, 3] = 0.0
         g_u, g_f = np.zeros(4), np.zeros(4)
         g_u[:3], g_f[:3] = step[:, 3] + step[:, 4], step[:, 5]

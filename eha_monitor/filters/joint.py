@@ -10,11 +10,14 @@ from eha_monitor.filters import kernel_joint
 from eha_monitor.filters.hold import Hold, hold_of
 from eha_monitor.filters.inputs import StageInputs, force_of, with_noise
 from eha_monitor.filters.results import JointResult, ParameterEstimate, StageResult
+from eha_monitor.filters.stage_two import LOOP
 from eha_monitor.filters.status import judge_parameter, units_of
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
 LEAKAGE_SPREAD = 20.0  # prior standard deviation of C_T over its configured value
+IDEAL = 1.5  # variance over that of the noise, sample by sample and in means of 64
+WRONG = 10.0  # NIS above which the joint answer is none
 HONEST = 1.5  # NIS above which the standard deviations grow with its root
 
 
@@ -33,6 +36,25 @@ def speed_hold(recording: Recording, settings: Settings, inputs: StageInputs) ->
     return with_noise(hold_of(recording.channels["omega"], sigma), sigma**2)
 
 
+def drive_is_ideal(recording: Recording, settings: Settings, inputs: StageInputs) -> bool:
+    """Tell whether the measured pump speed is K_pos (x_d - x) to within the sensors' noise.
+
+    Then x_d is an input without noise and says far more than the speed sensor; a drive with lag
+    or limits fails this, and the measured speed is taken.
+    """
+    gain = settings.rig.position_gain
+    if gain is None or not recording.has("x_d", "omega") or not inputs.model.loop:
+        return False
+    residual = recording.channels["omega"] - gain * (recording.channels["x_d"] - inputs.x)
+    sigma = np.hypot(inputs.noise["omega"].value, gain * inputs.noise["x"].value)
+    residual = residual[np.isfinite(residual)] / sigma
+    blocks = len(residual) // 64
+    if not blocks:
+        return False
+    means = residual[: blocks * 64].reshape(blocks, 64).mean(axis=1) * 8.0
+    return bool(np.mean(residual**2) < IDEAL and np.mean(means**2) < IDEAL)
+
+
 def run_joint(inputs: StageInputs, recording: Recording, settings: Settings, one: StageResult,
               two: StageResult) -> JointResult | None:
     """Estimate B, beta_e and C_T together, or return None where pressure or omega is missing.
@@ -46,7 +68,12 @@ def run_joint(inputs: StageInputs, recording: Recording, settings: Settings, one
         return None
     rig = settings.rig
     constants = model.hydraulics.copy()
-    constants[4] = 0.0  # the measured speed is the input: the loop is open
+    words = "pump speed"
+    if drive_is_ideal(recording, settings, inputs):
+        hold = hold_of(recording.channels["x_d"], 0.0)
+        words = "demanded position (the drive follows it within the noise)"
+    else:
+        constants[LOOP] = 0.0  # the measured speed is the input: the loop is open
     start = [settings.stage_one.prior, 1.0]
     if one.estimate.status == "converged":
         start[0] = one.estimate.value
@@ -67,11 +94,11 @@ def run_joint(inputs: StageInputs, recording: Recording, settings: Settings, one
             out[3]).any() else np.nan
     if not np.isfinite(nis):
         return None
-    return joint_result(m, p, float(nis), settings, model.beta_0, model.leak)
+    return joint_result(m, p, float(nis), settings, model.beta_0, words)
 
 
 def joint_result(m: np.ndarray, p: np.ndarray, nis: float, settings: Settings, beta_0: float,
-                 leak: float) -> JointResult:
+                 words: str) -> JointResult:
     """Turn the filter's parameters (B, c, leak) into estimates of B, beta_e and C_T."""
     rig = settings.rig
     per_volume = 0.5 * (1 / rig.volume_1 + 1 / rig.volume_2)
@@ -88,8 +115,12 @@ def joint_result(m: np.ndarray, p: np.ndarray, nis: float, settings: Settings, b
     estimates: dict[str, ParameterEstimate] = {
         name: judge_parameter(name, float(value), float(sigma[i]), units[name], *priors[name])
         for i, (name, value) in enumerate(values.items())}
+    if nis > WRONG:
+        estimates = {name: ParameterEstimate(name, np.nan, np.nan, units[name], "diverged",
+                                             f"the joint model does not fit: NIS {nis:.3g}")
+                     for name in estimates}
     root = np.sqrt(np.diag(covariance))
     return JointResult(estimates, covariance / np.outer(root, root),
-                       f"position, pressure force and pump speed together, NIS {nis:.2f}")
+                       f"position, pressure force and {words} together, NIS {nis:.2f}")
 
 

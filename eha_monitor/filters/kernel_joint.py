@@ -5,7 +5,8 @@ import math
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.filters.kernel_one import BROAD, UNSEEN
+from eha_monitor.filters.kernel_one import BROAD
+from eha_monitor.filters.stage_one import UNSEEN
 from eha_monitor.filters.stage_two import BETA_0, MASS, discretise
 
 # x, v, F, B, c = beta_0/beta_e, leak = C_T/2 (1/V1 + 1/V2), and the present sample's error of the
@@ -139,9 +140,11 @@ def predict(m, p, step, d_b, d_c, d_leak, u0, u1, i0, i1, q_u, q_f, f, temp):
     for i in range(3):
         for j in range(3):
             noise += d_c[2, i] * p[i, j] * d_c[2, j]
-    seen_b = m[1] * m[1] >= UNSEEN * p[1, 1]
+    lean = d_c[2, 0] * p[0, 4] + d_c[2, 1] * p[1, 4] + d_c[2, 2] * p[2, 4]
+    noise -= lean * lean / p[4, 4]  # what the parameter's own uncertainty makes is no noise
+    seen_b = m[1] * m[1] >= UNSEEN * (p[1, 1] - p[1, 3] * p[1, 3] / p[3, 3])
     seen_c = f[2, 4] * f[2, 4] >= UNSEEN * noise
-    seen_l = m[2] * m[2] >= UNSEEN * p[2, 2]
+    seen_l = m[2] * m[2] >= UNSEEN * (p[2, 2] - p[2, 5] * p[2, 5] / p[5, 5])
     for i in range(3):
         if not seen_b:
             f[i, 3] = 0.0

@@ -3,13 +3,13 @@
 import math
 
 from eha_monitor.compiled import njit
-from eha_monitor.filters.stage_one import predict_one, predict_one_euler
-from eha_monitor.filters.supervision import BLOCK, INFORMATION, SCORE, honest_factor, look
+from eha_monitor.filters.stage_one import MEMORY, predict_one, predict_one_euler, slopes_one
+from eha_monitor.filters.supervision import BLOCK, INFORMATION, SCORE, SLOW, honest_factor, look
 from eha_monitor.physics.contributions import add_contributions
 from eha_monitor.physics.signals import FORCE, P1, P2, V, X
 
 GATE = 1e4  # squared standard deviations: a spike, not a mismatch
-UNSEEN = 16.0  # squared sigmas below which a regressor is taken for noise
+NEGATIVE = 0.02  # growth a sample that a damping below zero may make, before it is held
 SPIKES = 3  # so many in a row are no spike
 BROAD = 1e3  # fresh velocity: uncertain by this many position sigmas a sample
 
@@ -68,7 +68,6 @@ def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta,
         Number of events (may exceed k; those beyond are counted only).
     """
     n = x.shape[0]
-    q_x, q_v = 0.5 * dt * dt / mass, dt / mass
     s_scratch = theta[:7].copy()
     s_scratch[:] = 0.0
     c_scratch = theta[:9].copy()
@@ -92,11 +91,15 @@ def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta,
                     u0 -= f - slope * m[1]
                     u1 -= f - slope * m[1]
                 if euler:
-                    x1, v1, fxv, fxb, fvv, fvb = predict_one_euler(m[0], m[1], b, u0, dt, mass)
+                    x1, v1, fxv, fxb, fvv, fvb, q_x, q_v = predict_one_euler(
+                        m[0], m[1], b, u0, dt, mass)
                 else:
-                    x1, v1, fxv, fxb, fvv, fvb = predict_one(m[0], m[1], b, u0, u1, dt, mass)
-                if m[1] * m[1] < UNSEEN * p[3]:
-                    fxb, fvb = 0.0, 0.0  # the velocity is noise: it tells nothing about B
+                    x1, v1, fxv, fxb, fvv, fvb, q_x, q_v = predict_one(
+                        m[0], m[1], b, u0, u1, dt, mass)
+                w[SLOW] += MEMORY * (m[1] - w[SLOW])
+                if not euler:
+                    p_vv = p[3] - p[4] * p[4] / p[5]
+                    fxb, fvb = slopes_one(m[1], w[SLOW], p_vv, b, fxb, fvb, dt, mass)
                 m[0], m[1] = x1, v1
                 # P = F P F' + Q with F = [[1, fxv, fxb], [0, fvv, fvb], [0, 0, 1]]
                 bb = p[5]
@@ -130,7 +133,7 @@ def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta,
                     kx, kv, kb = p[0] / s, p[1] / s, p[2] / s
                     m[0] += kx * nu
                     m[1] += kv * nu
-                    m[2] += kb * nu
+                    m[2] = max(m[2] + kb * nu, -NEGATIVE * mass / dt)
                     p[5] -= kb * p[2]
                     p[4] -= kv * p[2]
                     p[3] -= kv * p[1]
@@ -147,6 +150,7 @@ def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta,
                     events[found, 2], events[found, 3] = m[2] + delta, window
                 found += 1
                 jump_one(m, p, delta, information)
+                m[2] = max(m[2], -NEGATIVE * mass / dt)
             factor = honest_factor(w)
         out[0, k], out[1, k], out[2, k] = m[0], m[1], m[2]
         out[3, k] = factor * math.sqrt(p[5])

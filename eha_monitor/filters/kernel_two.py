@@ -5,10 +5,12 @@ import math
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.filters.kernel_one import BROAD, GATE, SPIKES, UNSEEN, effect_force
+from eha_monitor.filters.kernel_one import BROAD, GATE, SPIKES, effect_force
+from eha_monitor.filters.stage_one import UNSEEN
 from eha_monitor.filters.stage_two import BETA_0, MASS, discretise, discretise_at
 from eha_monitor.filters.supervision import BLOCK, INFORMATION, SCORE, honest_factor, look
 
+STIFFEST = 1e-3  # smallest compliance beta_0/beta_e: a thousand times stiffer than the prior
 REFRESH = 5e-3  # relative change of c that asks for a new exact step; between, second order
 
 
@@ -61,7 +63,9 @@ def predict_two(m, p, sens, step, b_step, d_b, u0, u1, i0, i1, force, flow, q_f,
     w0 = b_step[2, 0] * p[0, 0] + b_step[2, 1] * p[1, 0] + b_step[2, 2] * p[2, 0]
     w1 = b_step[2, 0] * p[0, 1] + b_step[2, 1] * p[1, 1] + b_step[2, 2] * p[2, 1]
     w2 = b_step[2, 0] * p[0, 2] + b_step[2, 1] * p[1, 2] + b_step[2, 2] * p[2, 2]
+    lean = b_step[2, 0] * p[0, 3] + b_step[2, 1] * p[1, 3] + b_step[2, 2] * p[2, 3]
     if f_c2 * f_c2 < UNSEEN * (b_step[2, 0] * w0 + b_step[2, 1] * w1 + b_step[2, 2] * w2
+                               - lean * lean / p[3, 3]
                                + q_u * (b_step[2, 3] + b_step[2, 4]) ** 2):
         f_c0 = f_c1 = f_c2 = 0.0
     s0, s1, s2, s3 = sens[0], sens[1], sens[2], sens[3]
@@ -106,7 +110,7 @@ def correct_two(m, p, sens, z, r, w):
     m[0] += k0 * nu
     m[1] += k1 * nu
     m[2] += k2 * nu
-    m[3] += k3 * nu
+    m[3] = max(m[3] + k3 * nu, STIFFEST)
     sens[0] -= k0 * lead
     sens[1] -= k1 * lead
     sens[2] -= k2 * lead
@@ -180,7 +184,7 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, dt, 
                     damping += df
                     force = f - df * m[1]
                     flow = effect_flow(theta, c_scratch)
-                c = max(m[3], 1e-3)
+                c = max(m[3], STIFFEST)
                 if not (abs(c - at_c) <= REFRESH * at_c and abs(damping - at_b)
                         <= 1e-6 * abs(at_b)):
                     at_c, at_b = c, damping
@@ -253,7 +257,7 @@ def jump_two(m, p, delta, information):
         m[i] += h[i] * delta
         for j in range(4):
             p[i, j] += h[i] * h[j] * grown
-    m[3] = max(m[3], 1e-3)
+    m[3] = max(m[3], STIFFEST)
 
 
 @njit

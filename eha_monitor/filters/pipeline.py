@@ -16,7 +16,7 @@ from eha_monitor.filters.results import (
     StageResult,
 )
 from eha_monitor.filters.status import CONVERGED, judge_parameter, no_data, units_of
-from eha_monitor.filters.supervision import new_supervision
+from eha_monitor.filters.supervision import hops, new_supervision
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
@@ -69,23 +69,15 @@ def run_stage_one(inputs: StageInputs, recording: Recording, settings: Settings,
     if inputs.no_force:
         return empty_stage("one", no_data("B", unit, inputs.no_force)), np.empty((0, 4))
     prior, spread = settings.stage_one.prior, settings.stage_one.prior_stddev
-    n = len(recording)
-    m = np.array([np.nan, 0.0, prior])
-    p = np.zeros(6)
-    p[5] = spread**2
-    w = new_supervision()
-    out, changes = np.empty((6, n)), np.empty((MOST_EVENTS, 4))
-    model = inputs.model
-    found = kernel_one.run_one(
-        inputs.x, inputs.force.start, inputs.force.end, inputs.force.variance, inputs.p1,
-        inputs.p2, inputs.dt, settings.rig.mass, inputs.position_variance, spread**2,
-        settings.discretisation == "euler", model.theta, model.active,
-        bool(model.active.any()), m, p, w, out, changes)
+    out, changes, found, watch = run_one_kernel(inputs, settings, new_supervision())
+    if hops(watch):  # the model does not fit: an average with an honest sigma, not a chase
+        out, changes, found, watch = run_one_kernel(inputs, settings, new_supervision(True))
+        events.append(Event(0.0, "one", "B follows the motion to and fro, which is no change: "
+                            "held constant over the record"))
     if not np.isfinite(out[4]).any():
         return empty_stage("one", no_data(
             "B", unit, "stage one found no stretch with position and force together"
         )), np.empty((0, 4))
-    changes = changes[: min(found, MOST_EVENTS)]
     verdict = judge(out[4], out[5], inputs.dt, "stage one", MISSING_ONE, changes,
                     inputs.quantum)
     result = StageResult(
@@ -98,6 +90,23 @@ def run_stage_one(inputs: StageInputs, recording: Recording, settings: Settings,
                             f"B converged at {out[2, first]:.4g} ± {out[3, first]:.2g} {unit}"))
     events += change_events(changes, found, inputs.dt, "one", "B", unit)
     return result, changes
+
+
+def run_one_kernel(inputs: StageInputs, settings: Settings, watch: np.ndarray
+                   ) -> tuple[np.ndarray, np.ndarray, int, np.ndarray]:
+    """Run the compiled stage one; (6, n) output, changes, their number, the watch."""
+    spread = settings.stage_one.prior_stddev
+    m = np.array([np.nan, 0.0, settings.stage_one.prior])
+    p = np.zeros(6)
+    p[5] = spread**2
+    out, changes = np.empty((6, len(inputs.x))), np.empty((MOST_EVENTS, 4))
+    model, force = inputs.model, inputs.force
+    found = kernel_one.run_one(
+        inputs.x, force.start, force.end, force.variance, inputs.p1, inputs.p2, inputs.dt,
+        settings.rig.mass, inputs.position_variance, spread**2,
+        settings.discretisation == "euler", model.theta, model.active,
+        bool(model.active.any()), m, p, watch, out, changes)
+    return out, changes[: min(found, MOST_EVENTS)], found, watch
 
 
 def change_events(changes: np.ndarray, found: int, dt: float, stage: str, name: str,
@@ -256,11 +265,13 @@ def run_stage_two_kernel(inputs: StageInputs, settings: Settings, damping: np.nd
     effects = bool(model.active.any())
     broad = (settings.stage_two.prior_stddev / settings.stage_two.prior) ** 2
     out, changes = np.empty((8, len(inputs.x))), np.empty((MOST_EVENTS, 4))
-    for _ in range(2 if effects else 1):  # the bank knows no effects: start again where it led
+    frozen = False
+    # The bank knows no effects: start again where it led.  A modulus that hops is held.
+    for again in range(3):
         m = np.array([np.nan, 0.0, 0.0, start])
         p = np.zeros((4, 4))
         p[3, 3] = variance
-        sens, watch = np.zeros(4), new_supervision()
+        sens, watch = np.zeros(4), new_supervision(frozen)
         drive = inputs.drive
         found = kernel_two.run_two(
             inputs.x, drive.start, drive.end, drive.variance, drive.instrument, damping,
@@ -269,6 +280,10 @@ def run_stage_two_kernel(inputs: StageInputs, settings: Settings, damping: np.nd
             model.active, effects, m, p, sens, watch, out, changes)
         if np.isfinite(m[3]) and p[3, 3] < 0.1 * broad:
             start, variance = m[3], min(broad, max(variance, 25.0 * p[3, 3]))
+        if hops(watch):
+            frozen = True
+        elif not (effects and again == 0):
+            break
     return KernelTwoResult(out, changes[: min(found, MOST_EVENTS)], m, p, sens, watch)
 
 

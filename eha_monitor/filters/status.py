@@ -6,7 +6,7 @@ from eha_monitor.filters.results import ParameterEstimate
 
 CONVERGED = 0.10  # relative standard deviation
 NEGATIVE = 3.0  # standard deviations below zero that no physical coefficient can be
-HUGE = 1e4  # times the prior and its sigma: no longer a coefficient of this rig
+HUGE = 100.0  # times the prior and its sigma: no longer a coefficient of this rig
 
 
 def units_of(motion: str) -> dict[str, str]:
@@ -31,8 +31,9 @@ def judge_parameter(name: str, value: float, stddev: float, unit: str, prior: fl
                                  f"{name} is no longer a finite number")
     if value < -NEGATIVE * stddev or abs(value) > HUGE * (prior + prior_stddev):
         return ParameterEstimate(
-            name, value, stddev, unit, "diverged",
-            f"{name} = {value:.4g} {unit} is not physical; the model or a sign is wrong")
+            name, math.nan, math.nan, unit, "diverged",
+            f"{name} went to {value:.3g} {unit}, which is not physical; the model, the config or "
+            "a sign is wrong")
     gain = math.log(prior_stddev / stddev) if stddev > 0 else math.inf
     if stddev > CONVERGED * abs(value) or gain < math.log(2.0):
         return ParameterEstimate(

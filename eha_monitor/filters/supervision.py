@@ -17,18 +17,33 @@ BLOCK = 100  # samples between two looks
 HISTORY = 64  # blocks that a window may span
 DETECTION = 6.0  # standard deviations; 1e-9 a look under the model
 SMALLEST = 0.002  # relative change worth an event
+HOPS = 6  # changes from which on hopping to and fro is told from a fault that grows
 RECENT = 10  # blocks before a detected change that may owe their size to it
 OUTLYING = 9.0  # normalised square of such a block
 TRUST = 1.5  # score variance ratio below which sigma stands as it is
 
 # Places in the supervision vector.
-(SCORE, INFORMATION, BLOCKS, RATIO_SUM, RATIO_COUNT, CHANGES) = range(6)
-N_SUPERVISION = 6 + 3 * HISTORY  # then scores, informations, normalised squares of past blocks
+(SCORE, INFORMATION, BLOCKS, RATIO_SUM, RATIO_COUNT, CHANGES, NET, TRAVEL, FROZEN,
+ SLOW) = range(10)  # SLOW: running mean of the velocity, stage one's instrument
+HEAD = 10
+N_SUPERVISION = HEAD + 3 * HISTORY  # then scores, informations, normalised squares of past blocks
 
 
-def new_supervision() -> np.ndarray:
-    """Return the (N_SUPERVISION,) state of a fresh watch."""
-    return np.zeros(N_SUPERVISION)
+def new_supervision(frozen: bool = False) -> np.ndarray:
+    """Return the (N_SUPERVISION,) state of a fresh watch; a frozen one sees no changes."""
+    w = np.zeros(N_SUPERVISION)
+    w[FROZEN] = 1.0 if frozen else 0.0
+    return w
+
+
+@njit
+def hops(w):
+    """Tell whether the changes seen go to and fro: not a fault but a model that does not fit.
+
+    A wrong model makes the parameter follow the motion.  To chase that is worse than an average
+    with an honest sigma, so no changes are looked for any more.
+    """
+    return w[CHANGES] >= HOPS and abs(w[NET]) < 0.5 * w[TRAVEL]
 
 
 @njit
@@ -50,7 +65,7 @@ def honest_factor(w):
 def forgive_recent(w):
     """Take out of the ratio what a change, seen only now, has put into the last blocks."""
     for j in range(1, min(int(w[BLOCKS]), RECENT)):
-        square = w[6 + 2 * HISTORY + j]
+        square = w[HEAD + 2 * HISTORY + j]
         if square > OUTLYING:
             w[RATIO_SUM] = max(w[RATIO_SUM] - square, 0.0)
             w[RATIO_COUNT] = max(w[RATIO_COUNT] - 1.0, 0.0)
@@ -73,30 +88,34 @@ def look(w, value, variance, prior_variance):
         return 0.0, 0.0, 0
     blocks = int(w[BLOCKS])
     for i in range(min(blocks, HISTORY - 1), 0, -1):  # newest block first
-        w[6 + i] = w[6 + i - 1]
-        w[6 + HISTORY + i] = w[6 + HISTORY + i - 1]
-        w[6 + 2 * HISTORY + i] = w[6 + 2 * HISTORY + i - 1]
+        w[HEAD + i] = w[HEAD + i - 1]
+        w[HEAD + HISTORY + i] = w[HEAD + HISTORY + i - 1]
+        w[HEAD + 2 * HISTORY + i] = w[HEAD + 2 * HISTORY + i - 1]
     square = score * score / (information * (1.0 + information * variance))
-    w[6] = score
-    w[6 + HISTORY] = information
-    w[6 + 2 * HISTORY] = square
+    w[HEAD] = score
+    w[HEAD + HISTORY] = information
+    w[HEAD + 2 * HISTORY] = square
     w[BLOCKS] = min(blocks + 1, HISTORY)
 
     ratio = max(1.0, score_ratio(w))
     total_score, total_information = 0.0, 0.0
     for i in range(int(w[BLOCKS])):
-        total_score += w[6 + i]
-        total_information += w[6 + HISTORY + i]
+        total_score += w[HEAD + i]
+        total_information += w[HEAD + HISTORY + i]
         if (i & (i + 1)) != 0:  # windows of 1, 2, 4, ... blocks
             continue
         spread = total_information * (1.0 + total_information * variance) * ratio
         delta = total_score / total_information
-        if total_score * total_score > DETECTION * DETECTION * spread and abs(
+        if w[FROZEN] == 0.0 and total_score * total_score > DETECTION * DETECTION * spread and abs(
             delta
         ) > SMALLEST * abs(value):
             forgive_recent(w)
             w[BLOCKS] = 0.0
             w[CHANGES] += 1.0
+            w[NET] += delta
+            w[TRAVEL] += abs(delta)
+            if hops(w):
+                w[FROZEN] = 1.0
             return delta, total_information, (i + 1) * BLOCK
     if w[RATIO_COUNT] >= 300.0:  # forget slowly: half a minute at 1 kHz
         w[RATIO_SUM] *= 0.5
