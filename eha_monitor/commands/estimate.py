@@ -26,7 +26,7 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
     check_target(report_file)
 
     from eha_monitor.commands.answer import answer, judged, unhealthy
-    from eha_monitor.compiled import announce_first_compilation
+    from eha_monitor.compiled import announce_first_compilation, load_runtime
     from eha_monitor.filters.observability import observability
     from eha_monitor.filters.pipeline import estimate as run
     from eha_monitor.recordings.read import read_recording
@@ -34,6 +34,7 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
 
     settings = load_settings(config)
     announce_first_compilation()
+    load_runtime()
     started = time.perf_counter()
     with working(f"reading {bag}"):
         recording = read_recording(bag, settings)

@@ -9,6 +9,7 @@ LENGTHS = (1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1024)  # samples in a block
 SIGNIFICANCE = 6.0  # standard deviations of the ratio under white noise
 TOLERANCE = 1.6  # ratio of variances: the filters' own approximations stay below (measured)
 SMALLEST_SAMPLES = 200
+MOST_HOPPING, MOST_GROWING = 1.0 / 3.0, 0.7  # share of a record that may be left out
 AROUND = 500  # samples beside a detected change that may still lag behind it
 RESOLVED = 0.6  # quanta: a rounding error that stays the same for a while is this large
 WINDOW = 100  # samples of the windows in which the worst place is sought
@@ -46,8 +47,8 @@ def variance_ratios(e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def while_changing(n: int, changes: np.ndarray | None) -> np.ndarray:
     """Return (n,) bool, True on the samples that showed a change of the parameter.
 
-    A parameter that hops to and fro for more than a third of the record is no fault that grows
-    but a model that does not fit: then nothing is left out.
+    A parameter that hops to and fro for more than a third of the record, or that never settles,
+    is no fault that grows but a model that does not fit: then nothing is left out.
     """
     mask = np.zeros(n, dtype=bool)
     if changes is None or not len(changes):
@@ -57,7 +58,8 @@ def while_changing(n: int, changes: np.ndarray | None) -> np.ndarray:
         mask[max(0, int(sample - 2 * around)) : max(0, int(sample + around) + 1)] = True
     moves = changes[:, 2] - changes[:, 1]
     one_way = abs(moves.sum()) > 0.5 * np.abs(moves).sum()
-    return mask if mask.mean() <= 1.0 / 3.0 or one_way else np.zeros(n, dtype=bool)
+    allowed = MOST_GROWING if one_way else MOST_HOPPING
+    return mask if mask.mean() <= allowed else np.zeros(n, dtype=bool)
 
 
 def judge(innovation: np.ndarray, stddev: np.ndarray, dt: float, stage: str,

@@ -16,6 +16,7 @@ from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
 LEAKAGE_SPREAD = 20.0  # prior standard deviation of C_T over its configured value
+SHORTEST = 200  # samples
 IDEAL = 1.5  # variance over that of the noise, sample by sample and in means of 64
 WRONG = 10.0  # NIS above which the joint answer is none
 HONEST = 1.5  # NIS above which the standard deviations grow with its root
@@ -56,15 +57,18 @@ def drive_is_ideal(recording: Recording, settings: Settings, inputs: StageInputs
 
 
 def run_joint(inputs: StageInputs, recording: Recording, settings: Settings, one: StageResult,
-              two: StageResult) -> JointResult | None:
+              two: StageResult, since: int = 0) -> JointResult | None:
     """Estimate B, beta_e and C_T together, or return None where pressure or omega is missing.
 
-    Starts from the two stages' answers, with the priors' full variance.
+    Starts from the two stages' answers, with the priors' full variance, and takes what came
+    after the last change that a stage saw (sample ``since``): its parameters are constant.
     """
     model = inputs.model
     hold = speed_hold(recording, settings, inputs)
     if (hold is None or model.hydraulics is None or inputs.no_force is not None
             or not recording.has("p1", "p2") or model.active.any()):
+        return None
+    if len(recording) - since < SHORTEST:
         return None
     rig = settings.rig
     constants = model.hydraulics.copy()
@@ -81,19 +85,23 @@ def run_joint(inputs: StageInputs, recording: Recording, settings: Settings, one
         start[1] = model.beta_0 / two.estimate.value
     m = np.array([np.nan, 0.0, 0.0, *start, model.leak, 0.0])
     p = np.diag([0.0, 0.0, 0.0, *prior_of(settings, model.leak), 0.0])
-    out = np.empty((7, len(recording)))
+    out = np.empty((7, len(recording) - since))
     force = force_of(rig, recording.channels)
     r_f = ((rig.area_1 * inputs.noise["p1"].value) ** 2
            + (rig.area_2 * inputs.noise["p2"].value) ** 2)
+    part = slice(since, None)
     kernel_joint.run_joint(
-        inputs.x, force, hold.start, hold.end, hold.variance, hold.instrument,
-        constants, inputs.dt,
-        inputs.position_variance, r_f, 0.0, False, m, p, out)
+        inputs.x[part], force[part], hold.start[part], hold.end[part], hold.variance[part],
+        hold.instrument[part], constants, inputs.dt, inputs.position_variance, r_f, 0.0, False,
+        m, p, out)
     with np.errstate(invalid="ignore"):
         nis = np.nanmean([(out[3] / out[4]) ** 2, (out[5] / out[6]) ** 2]) if np.isfinite(
             out[3]).any() else np.nan
     if not np.isfinite(nis):
         return None
+    if not (np.isfinite(p).all() and (np.diag(p)[3:6] > 0).all()):
+        nis = np.inf  # the covariance broke down: the model is far off
+        p = np.eye(len(p))
     return joint_result(m, p, float(nis), settings, model.beta_0, words)
 
 
@@ -102,7 +110,7 @@ def joint_result(m: np.ndarray, p: np.ndarray, nis: float, settings: Settings, b
     """Turn the filter's parameters (B, c, leak) into estimates of B, beta_e and C_T."""
     rig = settings.rig
     per_volume = 0.5 * (1 / rig.volume_1 + 1 / rig.volume_2)
-    factor = np.sqrt(nis) if nis > HONEST else 1.0
+    factor = np.sqrt(nis) if HONEST < nis < WRONG else 1.0
     c = max(m[4], 1e-9)
     scale = np.array([1.0, -beta_0 / c**2, 1.0 / per_volume])
     covariance = p[3:6, 3:6] * np.outer(scale, scale)
@@ -110,7 +118,8 @@ def joint_result(m: np.ndarray, p: np.ndarray, nis: float, settings: Settings, b
     values = {"B": m[3], "beta_e": beta_0 / c, "L": m[5] / per_volume}
     units = units_of(rig.motion)
     priors = {"B": (settings.stage_one.prior, settings.stage_one.prior_stddev),
-              "beta_e": (settings.stage_two.prior, settings.stage_two.prior_stddev),
+              "beta_e": (settings.stage_two.prior, settings.stage_two.prior_stddev,
+                         settings.stage_two.largest),
               "L": (rig.leakage, LEAKAGE_SPREAD * max(rig.leakage, 1e-15))}
     estimates: dict[str, ParameterEstimate] = {
         name: judge_parameter(name, float(value), float(sigma[i]), units[name], *priors[name])

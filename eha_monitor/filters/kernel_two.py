@@ -10,7 +10,7 @@ from eha_monitor.filters.stage_one import UNSEEN
 from eha_monitor.filters.stage_two import BETA_0, MASS, discretise, discretise_at
 from eha_monitor.filters.supervision import BLOCK, INFORMATION, SCORE, honest_factor, look
 
-STIFFEST = 1e-3  # smallest compliance beta_0/beta_e: a thousand times stiffer than the prior
+STIFFEST = 1e-2  # smallest compliance beta_0/beta_e: a hundred times stiffer than the prior
 REFRESH = 5e-3  # relative change of c that asks for a new exact step; between, second order
 
 

@@ -354,7 +354,7 @@ class LiveEstimator:
             b = no_data("B", units["B"], reason)
         if self._two is not None:
             beta = judge_parameter("beta_e", self._two.value, self._two.stddev, units["beta_e"],
-                                   two.prior, two.prior_stddev)
+                                   two.prior, two.prior_stddev, two.largest)
         else:
             reason = waiting if self._buffer is None else self._no_drive or "waits for stage one"
             beta = no_data("beta_e", units["beta_e"], reason)

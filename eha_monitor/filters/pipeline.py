@@ -27,6 +27,7 @@ BANK_RATIO = 1.06  # spacing of the bulk moduli tried; half a ring's phase over 
 BANK_SPAN = 30.0  # times below and above the prior
 BANK_SECONDS = 2.0
 MOST_EVENTS = 200
+NO_CHANGES = np.empty((0, 4))
 
 
 def estimate(recording: Recording, settings: Settings) -> Estimate:
@@ -46,10 +47,11 @@ def estimate(recording: Recording, settings: Settings) -> Estimate:
     events: list[Event] = []
     one, changes = run_stage_one(inputs, recording, settings, events)
     damping, damping_variance = hand_over(one, changes, settings, recording, events, inputs)
-    two = run_stage_two(inputs, recording, settings, damping, damping_variance, events)
+    two, later = run_stage_two(inputs, recording, settings, damping, damping_variance, events)
     from eha_monitor.filters.joint import run_joint  # here: it takes the stages' answers
 
-    joint = run_joint(inputs, recording, settings, one, two)
+    since = max((int(row[0]) + 1 for row in (*changes, *later)), default=0)
+    joint = run_joint(inputs, recording, settings, one, two, since)
     return Estimate(
         recording, settings, one, two, joint, model_status(one, two),
         tuple(sorted(events, key=lambda event: event.time_s)), inputs.noise,
@@ -67,7 +69,7 @@ def run_stage_one(inputs: StageInputs, recording: Recording, settings: Settings,
     """Run stage one; also return its detected changes as rows (sample, before, after)."""
     unit = units_of(settings.rig.motion)["B"]
     if inputs.no_force:
-        return empty_stage("one", no_data("B", unit, inputs.no_force)), np.empty((0, 4))
+        return empty_stage("one", no_data("B", unit, inputs.no_force)), NO_CHANGES
     prior, spread = settings.stage_one.prior, settings.stage_one.prior_stddev
     out, changes, found, watch = run_one_kernel(inputs, settings, new_supervision())
     if hops(watch):  # the model does not fit: an average with an honest sigma, not a chase
@@ -77,7 +79,7 @@ def run_stage_one(inputs: StageInputs, recording: Recording, settings: Settings,
     if not np.isfinite(out[4]).any():
         return empty_stage("one", no_data(
             "B", unit, "stage one found no stretch with position and force together"
-        )), np.empty((0, 4))
+        )), NO_CHANGES
     verdict = judge(out[4], out[5], inputs.dt, "stage one", MISSING_ONE, changes,
                     inputs.quantum)
     result = StageResult(
@@ -216,21 +218,22 @@ def force_noise_variance(settings: Settings) -> float:
 
 def run_stage_two(inputs: StageInputs, recording: Recording, settings: Settings,
                   damping: np.ndarray, damping_variance: np.ndarray,
-                  events: list[Event]) -> StageResult:
-    """Run stage two with the damping handed over."""
+                  events: list[Event]) -> tuple[StageResult, np.ndarray]:
+    """Run stage two with the damping handed over; also return its detected changes."""
     unit = units_of(settings.rig.motion)["beta_e"]
     if inputs.no_drive:
-        return empty_stage("two", no_data("beta_e", unit, inputs.no_drive))
+        return empty_stage("two", no_data("beta_e", unit, inputs.no_drive)), NO_CHANGES
     if settings.discretisation == "euler":
         from eha_monitor.filters.euler import run_printed
 
-        out, changes = run_printed(inputs, settings, damping), np.empty((0, 4))
+        out, changes = run_printed(inputs, settings, damping), NO_CHANGES
     else:
         result = run_stage_two_kernel(inputs, settings, damping, damping_variance)
         out, changes = result.out, result.changes
     if not np.isfinite(out[6]).any():
         return empty_stage("two", no_data(
-            "beta_e", unit, "stage two found no stretch with position and drive together"))
+            "beta_e", unit, "stage two found no stretch with position and drive together"
+        )), NO_CHANGES
     prior = settings.stage_two
     verdict = judge(out[6], out[7], inputs.dt, "stage two", MISSING_TWO, changes,
                     inputs.quantum)
@@ -239,10 +242,11 @@ def run_stage_two(inputs: StageInputs, recording: Recording, settings: Settings,
         events.append(Event(first * inputs.dt, "two",
                             f"beta_e converged at {out[3, first]:.4g} ± {out[5, first]:.2g} Pa"))
     events += change_events(changes, len(changes), inputs.dt, "two", "beta_e", unit)
-    return StageResult(
+    result = StageResult(
         "two", judge_parameter("beta_e", out[3, -1], out[5, -1], unit, prior.prior,
-                               prior.prior_stddev),
+                               prior.prior_stddev, prior.largest),
         recording.time, out[3], out[5], out[0], out[1], out[2], out[6], out[7], verdict)
+    return result, changes
 
 
 @dataclass(frozen=True)

@@ -21,15 +21,16 @@ def no_data(name: str, unit: str, reason: str) -> ParameterEstimate:
 
 
 def judge_parameter(name: str, value: float, stddev: float, unit: str, prior: float,
-                    prior_stddev: float) -> ParameterEstimate:
+                    prior_stddev: float, largest: float = math.inf) -> ParameterEstimate:
     """Give a value its status from the information that it gained against its prior.
 
-    The gain in nats is ln(prior_stddev/stddev).
+    The gain in nats is ln(prior_stddev/stddev); ``largest`` is more than the parameter can be.
     """
     if not (math.isfinite(value) and math.isfinite(stddev)):
         return ParameterEstimate(name, math.nan, math.nan, unit, "diverged",
                                  f"{name} is no longer a finite number")
-    if value < -NEGATIVE * stddev or abs(value) > HUGE * (prior + prior_stddev):
+    if value < -NEGATIVE * stddev or abs(value) > min(HUGE * (prior + prior_stddev),
+                                                              largest):
         return ParameterEstimate(
             name, math.nan, math.nan, unit, "diverged",
             f"{name} went to {value:.3g} {unit}, which is not physical; the model, the config or "

@@ -59,6 +59,8 @@ class StageTwo(Section):
 
     prior: Si("Pa", "effective bulk modulus before any data", gt=0) = 5e8
     prior_stddev: Si("Pa", "standard deviation of the prior", gt=0) = 1e9
+    largest: Si("Pa", "more than the oil itself has; a larger estimate counts as diverged",
+                gt=0) = 5e9
     damping_stddev: Si("N·s/m", "standard deviation of B where stage one gives none",
                        gt=0) = 100.0
     acceleration_noise: Si("m/s²", "unmodelled white acceleration on each sample", ge=0) = 0.0
@@ -83,14 +85,34 @@ class Limits(Section):
         return self
 
 
+LIMITS = ("low_error", "low_warn", "high_warn", "high_error")
+
+
 class Thresholds(Section):
-    """Alarm limits on the two health parameters, in their SI units."""
+    """Alarm limits on the two health parameters, in their SI units.
+
+    A section that gives none of the four limits keeps the default ones; one that gives any has
+    just those.
+    """
 
     viscous_damping: Limits = Field(Limits(low_error=150.0, low_warn=250.0, high_warn=1000.0,
                                            high_error=1500.0), description="limits on B, N·s/m")
     bulk_modulus: Limits = Field(Limits(low_error=1.5e8, low_warn=4e8),
                                  description="limits on the effective bulk modulus, Pa")
     confidence: Si("1", "standard deviations by which a limit must be passed", ge=0) = 2.0
+
+    @model_validator(mode="before")
+    @classmethod
+    def _keep_default_limits(cls, given):
+        if not isinstance(given, dict):
+            return given
+        filled = dict(given)
+        for name in ("viscous_damping", "bulk_modulus"):
+            section = filled.get(name)
+            if isinstance(section, dict) and not any(key in section for key in LIMITS):
+                defaults = cls.model_fields[name].default
+                filled[name] = {**{key: getattr(defaults, key) for key in LIMITS}, **section}
+        return filled
 
 
 class Viscosity(Section):

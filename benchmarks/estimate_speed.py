@@ -1,0 +1,137 @@
+"""Speed of `estimate` on a 60 s, 1 kHz bag with four topics, and of the filters alone.
+
+    python benchmarks/estimate_speed.py [--rounds 7]
+
+Everything is measured in one run: the whole command as a process of its own (Python's start and
+imports included), reading plus estimating inside a warm process, the two compiled stages, and
+the plain filterpy loop over the same samples.  Medians with the smallest and the largest.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from eha_monitor.filters import kernel_one, kernel_two
+from eha_monitor.filters.filterpy_stages import FilterpyStageOne, FilterpyStageTwo
+from eha_monitor.filters.inputs import StageInputs
+from eha_monitor.filters.pipeline import estimate, start_compliance
+from eha_monitor.filters.supervision import new_supervision
+from eha_monitor.physics.simulator import Simulator
+from eha_monitor.recordings.read import read_recording
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.recordings.write import write_recording
+from eha_monitor.settings import Settings
+
+SECONDS = 60.0
+FILTERPY_SAMPLES = 3000
+
+
+def timed(run: Callable[[], None], rounds: int) -> np.ndarray:
+    """Return ``rounds`` wall times in s after one run that is not counted."""
+    run()
+    times = []
+    for _ in range(rounds):
+        started = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - started)
+    return np.array(times)
+
+
+class Stages:
+    """Both stages over one recording, compiled and on filterpy."""
+
+    def __init__(self, recording: Recording, settings: Settings):
+        self.settings = settings
+        self.inputs = StageInputs.of(recording, settings)
+        n = len(recording)
+        self.b, self.b_variance = np.full(n, 600.0), np.full(n, 0.01)
+        self.start = start_compliance(self.inputs, settings, self.b)
+        self.out_one, self.out_two = np.empty((6, n)), np.empty((8, n))
+        self.events = np.empty((200, 4))
+
+    def compiled(self) -> None:
+        """Run stage one, then stage two, over all samples."""
+        i, s = self.inputs, self.settings
+        model, force, drive = i.model, i.force, i.drive
+        p = np.zeros(6)
+        p[5] = s.stage_one.prior_stddev**2
+        kernel_one.run_one(
+            i.x, force.start, force.end, force.variance, i.p1, i.p2, i.dt, s.rig.mass,
+            i.position_variance, p[5], False, model.theta, model.active, False,
+            np.array([np.nan, 0.0, s.stage_one.prior]), p, new_supervision(), self.out_one,
+            self.events)
+        q = np.zeros((4, 4))
+        q[3, 3] = self.start[1]
+        kernel_two.run_two(
+            i.x, drive.start, drive.end, drive.variance, drive.instrument, self.b,
+            self.b_variance, model.hydraulics, model.leak, i.dt, i.position_variance, 0.0, 4.0,
+            i.p1, i.p2, model.theta, model.active, False,
+            np.array([np.nan, 0.0, 0.0, self.start[0]]), q, np.zeros(4), new_supervision(),
+            self.out_two, self.events)
+
+    def filterpy(self) -> None:
+        """Run both stages on filterpy over the first samples."""
+        i, s = self.inputs, self.settings
+        model, force, drive = i.model, i.force, i.drive
+        one = FilterpyStageOne(s.rig.mass, i.dt, i.position_variance, s.stage_one.prior,
+                               s.stage_one.prior_stddev, model.theta, model.active)
+        q = np.zeros((4, 4))
+        q[3, 3] = self.start[1]
+        two = FilterpyStageTwo(
+            model.hydraulics, model.leak, i.dt, i.position_variance, 0.0, 4.0,
+            np.array([np.nan, 0.0, 0.0, self.start[0]]), q, np.zeros(4), new_supervision(),
+            model.theta, model.active)
+        for k in range(1, FILTERPY_SAMPLES):
+            one.step(i.x[k], force.start[k - 1], force.end[k], force.variance[k], 0.0, 0.0)
+            two.step(i.x[k], drive.start[k - 1], drive.end[k], drive.instrument[k - 1],
+                     drive.instrument[k], drive.variance[k], 600.0, 0.01, 0.0, 0.0)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rounds", type=int, default=7)
+    rounds = parser.parse_args().rounds
+    settings = Settings()
+    recording = Recording(1e-3, Simulator(settings).advance(round(SECONDS * 1e3)))
+    with tempfile.TemporaryDirectory() as folder:
+        bag, answer = Path(folder) / "bag", Path(folder) / "answer.json"
+        write_recording(bag, recording, settings)
+        command = [sys.executable, "-m", "eha_monitor", "estimate", str(bag)]
+        rows = [
+            ("estimate, whole process", SECONDS,
+             timed(lambda: subprocess.run(command, check=True, capture_output=True), rounds)),
+            ("read the bag + estimate, in a process", SECONDS,
+             timed(lambda: estimate(read_recording(bag, settings), settings), rounds)),
+        ]
+        subprocess.run([*command, "--json", str(answer)], check=True, capture_output=True)
+        reported = json.loads(answer.read_text())["wall_s"]
+    stages = Stages(recording, settings)
+    rows.append(("both stages, compiled", SECONDS, timed(stages.compiled, 4 * rounds)))
+    rows.append(("both stages, filterpy", FILTERPY_SAMPLES * 1e-3, timed(stages.filterpy, 3)))
+    table = Table(title="60 s, 1 kHz, joint_states + command + two pressures (240 000 messages)")
+    for head in ("what", "median s", "min", "max", "times real time"):
+        table.add_column(head, justify="left" if head == "what" else "right")
+    for what, seconds, times in rows:
+        middle = np.median(times)
+        table.add_row(what, f"{middle:.4f}", f"{times.min():.4f}", f"{times.max():.4f}",
+                      f"{seconds / middle:,.0f}")
+    console = Console(width=110)
+    console.print(table)
+    compiled = np.median(rows[2][2]) / SECONDS
+    plain = np.median(rows[3][2]) / (FILTERPY_SAMPLES * 1e-3)
+    console.print(f"compiled against filterpy: {plain / compiled:,.0f} times faster; "
+                  f"wall_s that the command reports of itself: {reported:.2f} s")
+
+
+if __name__ == "__main__":
+    main()
