@@ -14,6 +14,7 @@ KEPT = 0.9  # share of the smallest squares that is averaged: reversals and spik
 # Mean of the smallest 90 % of squared normal deviates.
 KEPT_MEAN = 0.6230155
 SMALLEST_SAMPLES = 64
+FLOOR = 5e-6
 
 _LEVEL_OF = {"x": "position", "v": "velocity", "p1": "pressure", "p2": "pressure",
              "omega": "pump_speed", "force": "force", "temperature": "temperature"}
@@ -69,8 +70,8 @@ def white_noise(values: np.ndarray) -> float:
 def noise_levels(recording: Recording, levels: NoiseLevels) -> dict[str, NoiseEstimate]:
     """Return the noise of each recorded channel, measured unless the config says ``fixed``.
 
-    Where a recording is noise-free, a millionth of the channel's range stands in, so that the
-    filters stay regular.
+    No channel is taken to be better than ``FLOOR`` of its range (17.6 bits): a noise-free
+    recording of a simulator would make every nanometre of difference a mismatch.
     """
     found = {}
     for name, values in recording.channels.items():
@@ -80,7 +81,7 @@ def noise_levels(recording: Recording, levels: NoiseLevels) -> dict[str, NoiseEs
         measured = np.nan if levels.fixed else white_noise(values)
         if np.isfinite(measured):
             span = np.nanmax(values) - np.nanmin(values)
-            floor = 1e-6 * span if span > 0 else level
+            floor = FLOOR * span if span > 0 else level
             found[name] = NoiseEstimate(max(measured, floor, 1e-300), True)
         else:
             found[name] = NoiseEstimate(level if level > 0 else 1e-12, False)
