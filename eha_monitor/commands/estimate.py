@@ -7,7 +7,8 @@ from pathlib import Path
 
 import click
 
-from eha_monitor.commands.common import check_target, config_option, working, write_text
+from eha_monitor.commands.common import check_target, config_option, working
+from eha_monitor.output import write_text
 
 
 @click.command()

@@ -7,10 +7,11 @@ the motion does not excite is not judged: an alarm that was raised before is hel
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from eha_monitor.filters.results import ParameterEstimate
+from eha_monitor.filters.status import units_of
 from eha_monitor.settings.monitor import Limits, Settings, Viscosity
 
 Level = Literal["OK", "WARN", "ERROR", "STALE"]
@@ -125,7 +126,9 @@ class AlarmBoard:
 
     def __init__(self, settings: Settings):
         self.history: list[Alarm] = []
-        self._judges = [_Judge(w, sign) for w in WATCHED for sign in (1.0, -1.0)]
+        units = units_of(settings.rig.motion)
+        watched = [replace(w, unit=units[w.symbol]) for w in WATCHED]
+        self._judges = [_Judge(w, sign) for w in watched for sign in (1.0, -1.0)]
         self._last: float | None = None
         self.configure(settings)
 

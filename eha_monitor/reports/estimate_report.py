@@ -8,11 +8,12 @@ import numpy as np
 
 from eha_monitor.filters.results import Estimate
 from eha_monitor.health.alarms import Alarm
+from eha_monitor.output import write_text
 from eha_monitor.reports import tables
 from eha_monitor.reports.alarm_timeline import alarm_timeline
 from eha_monitor.reports.innovation_figures import innovation_block
 from eha_monitor.reports.motion_figures import motion_blocks
-from eha_monitor.reports.page import render, write_page
+from eha_monitor.reports.page import render
 from eha_monitor.reports.parameter_figures import parameter_block
 from eha_monitor.reports.quantities import number
 from eha_monitor.reports.verdict import verdict
@@ -41,7 +42,7 @@ def write_estimate_report(path: str | Path, estimate: Estimate, alarms: tuple[Al
     InputError
         If ``path`` cannot be written.
     """
-    write_page(path, estimate_page(estimate, alarms, history, observability))
+    write_text(path, estimate_page(estimate, alarms, history, observability))
 
 
 def estimate_page(estimate: Estimate, alarms: tuple[Alarm, ...], history: tuple[Alarm, ...],

@@ -29,6 +29,8 @@ SLACK = 0.0005
 CLOCK_PERIOD = 0.005
 # How long to wait for subscribers before the first message.
 DISCOVERY = 1.0
+# A publisher sees its match before the subscriber does; what is sent in between is lost.
+SETTLE = 0.3
 # Topics on which many nodes publish side by side.
 SHARED = ("/diagnostics", "/rosout", "/parameter_events", "/tf", "/tf_static")
 
@@ -125,6 +127,9 @@ class Replay:
         while rclpy.ok() and (left := end - time.monotonic()) > 0 and not all(
                 p.get_subscription_count() for p in self._publishers.values()):
             self._executor.spin_once(timeout_sec=min(left, 0.05))
+        end = time.monotonic() + SETTLE
+        while rclpy.ok() and (left := end - time.monotonic()) > 0:
+            self._executor.spin_once(timeout_sec=left)
         for name in list(self._publishers):
             if name not in SHARED and rclpy.ok() and self.node.count_publishers(name) > 1:
                 self._warn(f"{name} is left out: another node publishes it")

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ValidationError
 from eha_monitor.errors import InputError
 from eha_monitor.settings.monitor import Settings
 
+LARGEST = 1024 * 1024  # bytes of a config
 _WORDS = {
     "greater_than": "expected more than {gt:g}{unit}, got {input!r}",
     "greater_than_equal": "expected at least {ge:g}{unit}, got {input!r}",
@@ -40,7 +41,11 @@ def load_settings(path: str | Path | None) -> Settings:
 
     path = Path(path)
     try:
-        tree = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
+        with path.open("rb") as file:  # a device or a recording given by mistake never ends
+            content = file.read(LARGEST + 1)
+        if len(content) > LARGEST:
+            raise InputError(f"{path}: expected a config of at most {LARGEST // 1024} KiB")
+        tree = YAML(typ="safe").load(content.decode("utf-8"))
     except OSError as problem:
         raise InputError(f"{path}: cannot read config: {problem.strerror}") from problem
     except UnicodeDecodeError as problem:

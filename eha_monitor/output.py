@@ -1,0 +1,35 @@
+"""Writing a file whole or not at all."""
+
+import os
+import tempfile
+from pathlib import Path
+
+from eha_monitor.errors import InputError
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write ``text`` to a temporary name beside ``path``, then rename it.
+
+    Raises
+    ------
+    InputError
+        If the place cannot be written; an older file there is untouched.
+    """
+    path = Path(path)
+    name = None
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
+        # File names in the text may hold bytes that are no text; they must not cost the answer.
+        with os.fdopen(handle, "w", encoding="utf-8", errors="replace") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        umask = os.umask(0)
+        os.umask(umask)
+        Path(name).chmod(0o666 & ~umask)  # mkstemp makes it private
+        Path(name).replace(path)
+    except OSError as problem:
+        raise InputError(f"{path}: cannot write: {problem.strerror}") from problem
+    finally:
+        if name is not None:
+            Path(name).unlink(missing_ok=True)  # gone already after the rename
