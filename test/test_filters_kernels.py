@@ -32,6 +32,8 @@ CASES = {
     "gaps": ({"gaps": True}, {}),
     "effects": ({"effects": {"coulomb_friction": {"F_c": 15.0}, "constant_load": {"F_0": 20.0},
                              "cross_port_leakage": {"L": 1e-12}}}, {}),
+    "effects and gaps": ({"gaps": True, "effects": {
+        "cross_port_leakage": {"L": 1e-12}, "coulomb_friction": {"F_c": 5.0}}}, {}),
     "change": ({"faults": {"b": {"parameter": "viscous_damping", "start": 1.5, "value": 900.0},
                            "air": {"parameter": "bulk_modulus", "start": 2.5, "value": 3e8}}},
                {}),
@@ -87,7 +89,7 @@ def test_filterpy_runs_stage_one_to_the_same_numbers(name):
     for k in range(n):
         before = inputs.force.start[k - 1] if k else np.nan
         change = live.step(inputs.x[k], before, inputs.force.end[k], inputs.force.variance[k],
-                           inputs.p1[max(k - 1, 0)], inputs.p2[max(k - 1, 0)])
+                           inputs.p1[k], inputs.p2[k])
         if change is not None:
             changes.append((k, *change))
         # The compiled filter calls a state that is lost NaN; filterpy keeps the old one.
@@ -125,8 +127,7 @@ def test_filterpy_runs_stage_two_to_the_same_numbers(name):
     for k in range(n):
         u0, i0 = (drive.start[k - 1], drive.instrument[k - 1]) if k else (np.nan, np.nan)
         change = live.step(inputs.x[k], u0, drive.end[k], i0, drive.instrument[k],
-                           drive.variance[k], b[k], b_variance[k], inputs.p1[max(k - 1, 0)],
-                           inputs.p2[max(k - 1, 0)])
+                           drive.variance[k], b[k], b_variance[k], inputs.p1[k], inputs.p2[k])
         if change is not None:
             changes.append((k, *change))
         beta = model.beta_0 / live.ekf.x[3]

@@ -258,6 +258,9 @@ class FilterpyStageTwo(_Stage):
             damping += slope
             force = f - slope * ekf.x[1]
             flow = kernel_two.effect_flow(self.theta, self._scratch[1])
+            if math.isnan(force + flow):  # a pressure is missing that an effect needs
+                self.lost = True
+                return
         self._force = force
         c = max(ekf.x[3], kernel_two.STIFFEST)
         base, d_c, d_cc, d_b, d_leak = self._steps

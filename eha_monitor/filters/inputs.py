@@ -29,14 +29,20 @@ class RigModel:
     leak: float
 
     @classmethod
-    def of(cls, settings: Settings, mean_pressure: float | None = None) -> "RigModel":
-        """Collect the constants; ``mean_pressure`` (Pa) sets the compliance of modelled air."""
+    def of(cls, settings: Settings, mean_pressure: float | None = None,
+           commanded: bool = True) -> "RigModel":
+        """Collect the constants.
+
+        ``mean_pressure`` (Pa) sets the compliance of modelled air; without ``commanded`` (no x_d)
+        the pump speed is the input and the loop is open.
+        """
         theta, active = theta_of(settings.rig, settings.effects)
         beta_0 = settings.stage_two.prior
         rig = settings.rig
         known = None not in (rig.area_1, rig.area_2, rig.volume_1, rig.volume_2,
                              rig.pump_displacement)
-        loop = rig.position_gain is not None and settings.command_hold == "continuous"
+        loop = (commanded and rig.position_gain is not None
+                and settings.command_hold == "continuous")
         air = settings.effects.get("entrained_air")
         pressure = rig.charge_pressure if mean_pressure is None else mean_pressure
         extra = air_compliance(pressure, air["alpha"], air["n"]) if air else 0.0
@@ -94,6 +100,7 @@ class StageInputs:
     """Everything the two kernels take from one recording.
 
     The holds' variances include the sensors' noise; the reasons are None where the stage can run.
+    ``p1``, ``p2`` are the mean pressures of the sample before each, or one charge pressure.
     ``quantum`` is the position's resolution in m, 0 where it is continuous.
     """
 
@@ -119,7 +126,7 @@ class StageInputs:
         rig = settings.rig
         both = "p1" in channels and "p2" in channels
         mean = float(np.nanmedian(0.5 * (channels["p1"] + channels["p2"]))) if both else None
-        model = RigModel.of(settings, mean)
+        model = RigModel.of(settings, mean, "x_d" in channels)
         no_force = force_missing(rig, channels)
         no_drive = drive_missing(settings, channels)
         nothing = hold_of(np.full(len(recording), np.nan), 0.0)
@@ -133,9 +140,21 @@ class StageInputs:
         x = recording.get("x")
         return cls(
             model, recording.sample_time, x, force, drive,
-            channels["p1"] if both else charge, channels["p2"] if both else charge, noise,
+            between(channels["p1"]) if both else charge,
+            between(channels["p2"]) if both else charge, noise,
             noise["x"].value ** 2 if "x" in noise else np.nan,
             quantum(x[np.isfinite(x)]), no_force, no_drive)
+
+
+def between(values: np.ndarray) -> np.ndarray:
+    """Return the mean over the sample before each; at one end alone where the other is missing.
+
+    A pressure taken from one end would be half a sample late or early, which a modelled leakage
+    shows as a change of beta_e.
+    """
+    before = np.concatenate([values[:1], values[:-1]])
+    mean = 0.5 * (before + values)
+    return np.where(np.isnan(mean), np.where(np.isnan(values), before, values), mean)
 
 
 def with_noise(hold: Hold, variance: float) -> Hold:

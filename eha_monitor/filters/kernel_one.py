@@ -53,7 +53,8 @@ def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta,
     x : (n,) position, m; NaN where missing.
     start, end, q : (n,) force hold, N (:class:`filters.hold.Hold`), and the force's variance over
         the sample before each, N^2.
-    p1, p2 : (n,) or (1,) absolute pressures for pressure-dependent effects, Pa.
+    p1, p2 : (n,) or (1,) absolute pressures over the sample before each, for
+        pressure-dependent effects, Pa.
     r : variance of the position, m^2.
     euler : run Eq. 4 as printed.
     theta, active, any_active : modelled effects.
@@ -84,7 +85,7 @@ def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta,
             else:
                 b = m[2]
                 if any_active:
-                    i = k - 1 if p1.shape[0] > 1 else 0
+                    i = k if p1.shape[0] > 1 else 0
                     f, slope = effect_force(m[0], m[1], p1[i], p2[i], theta, active,
                                             s_scratch, c_scratch)
                     b += slope

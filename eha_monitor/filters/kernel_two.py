@@ -143,7 +143,8 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, dt, 
     b, b_variance : (n,) damping of stage one and its variance.
     constants, leak : lumped hydraulics of :func:`stage_two.hydraulics`.
     r, q_f : variances of the position (m^2) and of an unmodelled force (N^2).
-    p1, p2 : (n,) or (1,) absolute pressures for pressure-dependent effects, Pa.
+    p1, p2 : (n,) or (1,) absolute pressures over the sample before each, for
+        pressure-dependent effects, Pa.
     m, p, sens : (4,) x, v, F, c; (4, 4); (4,) sensitivity to B; updated.  m[0] NaN: fresh start.
     w : supervision, updated.
     out : (8, n) written: x, v, a, beta_e, sigma of the filter, sigma with the uncertainty of B,
@@ -178,12 +179,15 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, dt, 
                 damping = b[k]
                 flow = 0.0
                 if any_active:
-                    i = k - 1 if p1.shape[0] > 1 else 0
+                    i = k if p1.shape[0] > 1 else 0
                     f, df = effect_force(m[0], m[1], p1[i], p2[i], theta, active,
                                          s_scratch, c_scratch)
                     damping += df
                     force = f - df * m[1]
                     flow = effect_flow(theta, c_scratch)
+                if math.isnan(force + flow):  # a pressure is missing that an effect needs
+                    lost, force = True, 0.0
+            if not lost:
                 c = max(m[3], STIFFEST)
                 if not (abs(c - at_c) <= REFRESH * at_c and abs(damping - at_b)
                         <= 1e-6 * abs(at_b)):

@@ -16,6 +16,7 @@ from eha_monitor.filters.hold import hold_of
 from eha_monitor.filters.inputs import (
     RigModel,
     StageInputs,
+    between,
     drive_input,
     drive_missing,
     force_missing,
@@ -158,7 +159,7 @@ class LiveEstimator:
         mean = None
         if "p1" in channels and "p2" in channels:
             mean = float(np.nanmedian(0.5 * (channels["p1"] + channels["p2"])))
-        self._model = RigModel.of(settings, mean)
+        self._model = RigModel.of(settings, mean, "x_d" in names)
         self._measure_noise()
         if self._no_force is None:
             self._one = FilterpyStageOne(
@@ -188,7 +189,7 @@ class LiveEstimator:
         channels = buffer.channels(context, buffer.end)
         x = buffer.column("x", context, buffer.end)
         charge = self.settings.rig.charge_pressure
-        p1, p2 = channels.get("p1"), channels.get("p2")
+        p1, p2 = (between(channels[name]) if name in channels else None for name in ("p1", "p2"))
         force = drive = None
         if self._no_force is None:
             force = with_noise(hold_of(force_of(self.settings.rig, channels), self._q**0.5),

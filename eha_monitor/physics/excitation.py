@@ -1,5 +1,6 @@
 """Demanded positions: triangle, sine, multisine, chirp, steps, rest, a file."""
 
+import warnings
 from functools import lru_cache
 from pathlib import Path
 
@@ -72,7 +73,9 @@ def multisine(segment: Segment, t: np.ndarray) -> np.ndarray:
 def read_motion(path: str) -> np.ndarray:
     """Return (n, 2) time in s and position in m from a CSV with columns ``t`` and ``x_d``."""
     try:
-        table = np.genfromtxt(Path(path), delimiter=",", names=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # numpy warns of an empty file; the error tells it
+            table = np.genfromtxt(Path(path), delimiter=",", names=True)
         motion = np.column_stack([table["t"], table["x_d"]])
     except (OSError, ValueError, IndexError, TypeError, KeyError) as problem:
         raise InputError(f"{path}: expected a CSV with columns t (s) and x_d (m)") from problem
