@@ -8,6 +8,7 @@ so changed physics is always compiled anew, and a read-only installation works t
 import hashlib
 import os
 import sys
+import tempfile
 import warnings
 from pathlib import Path
 
@@ -28,7 +29,14 @@ def cache_directory() -> Path:
     base = os.environ.get("EHA_MONITOR_CACHE") or os.path.join(
         os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "eha_monitor"
     )
-    return Path(base) / f"numba-{_source_hash()}"
+    wanted = Path(base) / f"numba-{_source_hash()}"
+    try:
+        Path(base).mkdir(parents=True, exist_ok=True)
+        if os.access(base, os.W_OK):
+            return wanted
+    except OSError:
+        pass
+    return Path(tempfile.gettempdir()) / "eha_monitor" / wanted.name  # no home to write to
 
 
 CACHE = cache_directory()
