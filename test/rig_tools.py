@@ -7,6 +7,7 @@ config's defaults cannot change what the tests expect.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import expm
 
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.recording import Recording
@@ -22,8 +23,32 @@ MULTISINE = {"kind": "multisine", "amplitude": 0.02, "frequency": 0.3, "frequenc
 CHIRP = {"kind": "chirp", "amplitude": 0.005, "frequency": 0.5, "frequency_end": 12.0}
 STEPS = {"kind": "steps", "amplitude": 0.002, "frequency": 2.0, "seed": 1}
 REST = {"kind": "rest"}
+SENSORS = ("x", "v", "x_d", "omega", "p1", "p2", "force", "temperature")
+LOUD = {"position": 1e-5, "pressure": 5e3, "pump_speed": 1.0}
 SILENT = dict.fromkeys(("position", "velocity", "pressure", "pump_speed", "force",
                         "temperature"), 0.0)
+
+
+def closed_loop(b=B, beta=BETA):
+    """A and the input column of (x, v, dp) from the three lines of the paper's page."""
+    stiff = 2 * beta / V0
+    a = np.array([[0, 1, 0],
+                  [0, -b / M, A / M],
+                  [-stiff * D_P * K_POS, -stiff * A, -stiff * C_T / 2]])
+    return a, np.array([0, 0, stiff * D_P * K_POS])
+
+
+def linear_response(x_d, dt, b=B, beta=BETA):
+    """(n, 3) states for a piecewise linear x_d, by the exponential of the augmented matrix."""
+    a, g = closed_loop(b, beta)
+    big = np.zeros((5, 5))  # states, input, slope of the input
+    big[:3, :3], big[:3, 3], big[3, 4] = a, g, 1.0
+    e = expm(big * dt)
+    y = np.zeros((len(x_d), 3))
+    for k in range(len(x_d) - 1):
+        slope = (x_d[k + 1] - x_d[k]) / dt
+        y[k + 1] = (e @ np.array([*y[k], x_d[k], slope]))[:3]
+    return y
 
 
 def settings(**tree) -> Settings:

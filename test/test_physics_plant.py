@@ -2,7 +2,22 @@
 
 import numpy as np
 import pytest
-from rig_tools import BETA, C_T, D_P, K_POS, SINE, T_S, TRIANGLE, V0, A, B, M, settings, simulated
+from rig_tools import (
+    BETA,
+    C_T,
+    D_P,
+    K_POS,
+    SINE,
+    T_S,
+    TRIANGLE,
+    V0,
+    A,
+    B,
+    M,
+    linear_response,
+    settings,
+    simulated,
+)
 from scipy.integrate import simpson
 from scipy.linalg import expm
 
@@ -13,29 +28,6 @@ from eha_monitor.physics.parameters import require_plant, theta_of
 from eha_monitor.physics.simulator import Simulator
 
 CHARGE, MAKEUP = 2e6, 1e-13
-
-
-def closed_loop(b=B, beta=BETA):
-    """A and the input column of (x, v, dp) from the three lines of the paper's page."""
-    stiff = 2 * beta / V0
-    a = np.array([[0, 1, 0],
-                  [0, -b / M, A / M],
-                  [-stiff * D_P * K_POS, -stiff * A, -stiff * C_T / 2]])
-    return a, np.array([0, 0, stiff * D_P * K_POS])
-
-
-def linear_response(x_d, dt, b=B, beta=BETA, start=0.0):
-    """(n, 3) states for a piecewise linear x_d, by the exponential of the augmented matrix."""
-    a, g = closed_loop(b, beta)
-    big = np.zeros((5, 5))  # states, input, slope of the input
-    big[:3, :3], big[:3, 3], big[3, 4] = a, g, 1.0
-    e = expm(big * dt)
-    y = np.zeros((len(x_d), 3))
-    y[0, 0] = start
-    for k in range(len(x_d) - 1):
-        slope = (x_d[k + 1] - x_d[k]) / dt
-        y[k + 1] = (e @ np.array([*y[k], x_d[k], slope]))[:3]
-    return y
 
 
 @pytest.mark.parametrize("b, beta", [(600.0, 6e8), (300.0, 6e8), (1800.0, 6e8), (600.0, 6e7),
