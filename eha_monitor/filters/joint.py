@@ -92,8 +92,8 @@ def run_joint(inputs: StageInputs, recording: Recording, settings: Settings, one
     part = slice(since, None)
     kernel_joint.run_joint(
         inputs.x[part], force[part], hold.start[part], hold.end[part], hold.variance[part],
-        hold.instrument[part], constants, inputs.dt, inputs.position_variance, r_f, 0.0, False,
-        m, p, out)
+        hold.instrument[part], constants, inputs.dt, inputs.position_variance, r_f, 0.0,
+        kernel_joint.FREE, m, p, out)
     with np.errstate(invalid="ignore"):
         nis = np.nanmean([(out[3] / out[4]) ** 2, (out[5] / out[6]) ** 2]) if np.isfinite(
             out[3]).any() else np.nan

@@ -13,6 +13,7 @@ from eha_monitor.filters.stage_two import BETA_0, MASS, discretise
 # input: it acts in this step and the next, so it must be a state for the innovations to be white.
 STATES = 7
 
+FREE, PARAMETERS_FROZEN, ALL_FROZEN = range(3)
 REFRESH_C, REFRESH_B, REFRESH_LEAK = 5e-3, 1e-2, 1e-3
 
 
@@ -20,14 +21,14 @@ REFRESH_C, REFRESH_B, REFRESH_LEAK = 5e-3, 1e-2, 1e-3
 def update_scalar(m, p, index, z, r, frozen, k):
     """Update with a scalar measurement of state ``index``; return innovation and variance.
 
-    ``frozen`` moves the states but not the parameters (their covariance still learns).
+    ``frozen``: see :func:`run_joint`.
     """
     s = p[index, index] + r
     nu = z - m[index]
     for i in range(STATES):
         k[i] = p[i, index] / s
     for i in range(STATES):
-        if not (frozen and 3 <= i < 6):
+        if frozen == FREE or (frozen == PARAMETERS_FROZEN and not 3 <= i < 6):
             m[i] += k[i] * nu
     for i in range(STATES):
         row = p[index, i]
@@ -56,7 +57,9 @@ def run_joint(x, force, start, end, q_u, instrument, constants, dt, r_x, r_f, q_
     constants : lumped hydraulics (:func:`stage_two.hydraulics`).
     r_x, r_f : variances of the measurements; r_f infinite leaves the force out.
     q_f : variance of an unmodelled force, N^2.
-    frozen : parameters stay; P then is the inverse of prior plus Fisher information.
+    frozen : FREE moves everything; PARAMETERS_FROZEN keeps the parameters, ALL_FROZEN the states
+        as well (the model's own motion under the drive input).  P learns in each case, so with
+        frozen parameters it ends as the inverse of prior plus Fisher information.
     m, p : (7,), (7, 7) updated; m[0] NaN asks for a fresh start.
     out : (7, n) written: B, beta_e, leak, innovation and sigma of x, of the force.
     """

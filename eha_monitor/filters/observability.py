@@ -13,6 +13,7 @@ from eha_monitor.filters.results import Estimate
 COMBINATIONS = (("x", "x_d"), ("x", "omega"), ("x", "p1", "p2"), ("x", "x_d", "p1", "p2"),
                 ("x", "omega", "p1", "p2"))
 VAGUE = 1e3  # prior standard deviation over the value: what stays near it is not observable
+STILL = 3.0  # rms of the pump speed over its noise
 UNKNOWN_SPEED = 1e4  # rad/s, an unmeasured drive input
 
 
@@ -40,7 +41,9 @@ def observability(estimate: Estimate) -> ObservabilityTable:
 
     The joint filter runs with its parameters frozen at the estimates (nominal values where
     there are none) and a vague prior; its covariance then is the inverse Fisher information,
-    unknown initial state included.
+    unknown initial state included.  The states are the model's own motion under the recorded
+    drive input, so that a recording which the model does not fit cannot pretend to tell more;
+    where no drive input is among the channels they follow the measurements.
     """
     recording, settings = estimate.recording, estimate.settings
     inputs = StageInputs.of(recording, settings)
@@ -54,6 +57,11 @@ def observability(estimate: Estimate) -> ObservabilityTable:
     return ObservabilityTable(tuple(rows))
 
 
+def stands_still(omega: np.ndarray, inputs: StageInputs) -> bool:
+    """Tell whether the pump speed is nothing but its sensor's noise."""
+    return bool(np.nanmean(omega**2) < STILL**2 * inputs.noise["omega"].value ** 2)
+
+
 def bound(channels: tuple[str, ...], estimate: Estimate, inputs: StageInputs) -> dict[str, float]:
     """Return the relative standard deviation of B, beta_e and L from these channels."""
     recording, settings = estimate.recording, estimate.settings
@@ -64,6 +72,7 @@ def bound(channels: tuple[str, ...], estimate: Estimate, inputs: StageInputs) ->
     beta = modulus.value if modulus.status == "converged" else rig.bulk_modulus
     values = np.array([max(abs(b), 1e-9), model.beta_0 / beta, max(model.leak, 1e-15)])
     constants = model.hydraulics.copy()
+    frozen = kernel_joint.ALL_FROZEN
     if "x_d" in channels:
         constants[4] = rig.position_gain
         hold = hold_of(recording.channels["x_d"], 0.0)
@@ -72,7 +81,10 @@ def bound(channels: tuple[str, ...], estimate: Estimate, inputs: StageInputs) ->
         constants[4] = 0.0
         hold = speed_hold(recording, settings, inputs)
         variance = hold.variance if hold is not None else None
+        if hold is not None and stands_still(recording.channels["omega"], inputs):
+            hold = hold_of(np.zeros(len(recording)), 0.0)  # its noise is no motion
         if "omega" not in channels:
+            frozen = kernel_joint.PARAMETERS_FROZEN
             zero = np.zeros(len(recording))
             hold, variance = hold_of(zero, 0.0), zero + UNKNOWN_SPEED**2
     force, r_f = np.full(len(recording), np.nan), np.inf
@@ -85,7 +97,7 @@ def bound(channels: tuple[str, ...], estimate: Estimate, inputs: StageInputs) ->
     out = np.empty((7, len(recording)))
     kernel_joint.run_joint(inputs.x, force, hold.start, hold.end, variance,
                            hold.instrument, constants, inputs.dt,
-                           inputs.position_variance, r_f, 0.0, True, m, p, out)
+                           inputs.position_variance, r_f, 0.0, frozen, m, p, out)
     relative = np.sqrt(np.maximum(np.diag(p)[3:6], 0.0)) / values
     relative = np.where(relative > 0.1 * VAGUE, np.inf, relative)
     return dict(zip(("B", "beta_e", "L"), (float(value) for value in relative), strict=True))
