@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.filters.kernel_one import BROAD
+from eha_monitor.filters.kernel_one import BROAD, GATE, SPIKES
 from eha_monitor.filters.stage_one import UNSEEN
 from eha_monitor.filters.stage_two import BETA_0, MASS, discretise
 
@@ -73,6 +73,7 @@ def run_joint(x, force, start, end, q_u, instrument, constants, dt, r_x, r_f, q_
     at_b, at_c, at_l = math.nan, math.nan, math.nan
     mass = constants[MASS]
     nan = math.nan
+    spikes = 0
     for k in range(x.shape[0]):
         lost = math.isnan(m[0])
         if not lost and k > 0:
@@ -100,8 +101,13 @@ def run_joint(x, force, start, end, q_u, instrument, constants, dt, r_x, r_f, q_
         elif lost:
             m[0] = nan
         elif not math.isnan(x[k]):
-            nu_x, s = update_scalar(m, p, 0, x[k], r_x, frozen, gain)
-            sd_x = math.sqrt(s)
+            far = (x[k] - m[0]) ** 2 > GATE * (p[0, 0] + r_x)
+            if far and frozen == FREE and spikes < SPIKES:  # as the stages do
+                spikes += 1
+            else:
+                spikes = 0
+                nu_x, s = update_scalar(m, p, 0, x[k], r_x, frozen, gain)
+                sd_x = math.sqrt(s)
         if not math.isnan(m[0]) and r_f < math.inf and not math.isnan(force[k]):
             nu_f, s = update_scalar(m, p, 2, force[k], r_f, frozen, gain)
             sd_f = math.sqrt(s)

@@ -278,6 +278,7 @@ def log_likelihood_two(x, start, end, q_u, b, c, constants, leak, dt, r, q_f):
     discretise_at(constants, b, c, leak, dt, work, step)
     m, p, sens, w = np.zeros(4), np.zeros((4, 4)), np.zeros(4), np.zeros(2)
     lost = True
+    spikes = 0
     total = 0.0
     for k in range(x.shape[0]):
         if not lost:
@@ -297,6 +298,11 @@ def log_likelihood_two(x, start, end, q_u, b, c, constants, leak, dt, r, q_f):
             continue
         s = p[0, 0] + r
         nu = x[k] - m[0]
+        if nu * nu > GATE * s and spikes < SPIKES:  # as in run_two, and no prize for it
+            spikes += 1
+            total -= 0.5 * (GATE + math.log(s))
+            continue
+        spikes = 0
         total -= 0.5 * (nu * nu / s + math.log(s))
         correct_two(m, p, sens, x[k], r, w)
     return total

@@ -1,0 +1,209 @@
+"""The live estimator against the offline pipeline, and what streams do to it."""
+
+import math
+
+import numpy as np
+import pytest
+from rig_tools import BETA, LOUD, SINE, TRIANGLE, settings, simulated, with_channels, without
+
+from eha_monitor.filters.live import LiveEstimator
+from eha_monitor.filters.pipeline import estimate
+
+FIXED = {"noise": {"fixed": True}}
+
+
+def rows_of(recording, start=0.0):
+    """Yield (time, row) as the aligner hands them on: what is missing is absent."""
+    names, columns = list(recording.channels), list(recording.channels.values())
+    for k, values in enumerate(zip(*columns, strict=True)):
+        yield start + k * recording.sample_time, {
+            name: float(value) for name, value in zip(names, values, strict=True)
+            if math.isfinite(value)}
+
+
+class Stream:
+    """A live estimator that is looked at ten times a second, as the monitor does."""
+
+    def __init__(self, **config):
+        self.live = LiveEstimator(settings(**config))
+        self.events = []
+        self.history = []
+
+    def push(self, rows):
+        for count, (time, row) in enumerate(rows):
+            self.live.push(time, row)
+            if count % 100 == 99:
+                self.look()
+        return self.look()
+
+    def look(self):
+        snapshot = self.live.snapshot()
+        self.events += snapshot.events
+        self.history.append(snapshot)
+        return snapshot
+
+    def told(self, word):
+        return [event for event in self.events if word in event.message]
+
+
+@pytest.fixture(scope="module")
+def run():
+    return simulated(SINE, 6.0)
+
+
+@pytest.fixture(scope="module")
+def stream(run):
+    made = Stream(**FIXED)
+    made.push(rows_of(run.recording(0)))
+    return made
+
+
+def test_live_and_offline_agree(run, stream):
+    # The last rows wait for their neighbours: the same stretch for both.
+    offline = estimate(run.recording(0).part(0, 5990), settings(**FIXED)).parameters
+    live = stream.history[-1].parameters
+    for name, tolerance in (("B", 0.1), ("beta_e", 1.0)):
+        assert live[name].status == offline[name].status == "converged"
+        assert live[name].stddev == pytest.approx(offline[name].stddev, rel=0.1)
+        assert abs(live[name].value - offline[name].value) < tolerance * offline[name].stddev
+    assert stream.history[-1].model.status == "consistent"
+
+
+def test_estimates_come_within_a_second_and_their_story_is_told(stream):
+    at_one = next(s for s in stream.history if s.time_s >= 1.0)
+    assert at_one.parameters["B"].status == at_one.parameters["beta_e"].status == "converged"
+    assert stream.history[0].parameters["B"].status == "no_data"
+    assert stream.history[0].model.status == "not_judged"
+    assert len(stream.told("B converged")) == len(stream.told("beta_e converged")) == 1
+    first, *again = stream.told("handed over by stage one")
+    assert first.message.startswith("runs with") and first.time_s < 0.5
+    assert again and all(event.message.startswith("re-run") for event in again)
+    assert not stream.told("changed")
+    times = [event.time_s for event in stream.events]
+    assert times == sorted(times)
+
+
+def test_position_and_velocity_follow(run, stream):
+    last = stream.history[-1]
+    assert last.position == pytest.approx(run.truth[-10, 1], abs=1e-3)
+    assert abs(last.velocity) < 0.3 and last.temperature is None
+
+
+def test_measured_noise_serves_as_well(run):
+    end = Stream().push(rows_of(run.recording(1, **LOUD)))
+    b = end.parameters["B"]
+    assert b.status == "converged" and abs(b.value - 600) < 4 * b.stddev
+    assert b.stddev == pytest.approx(10 * 0.09, rel=0.3)
+
+
+def test_gaps_duplicates_and_late_rows_do_no_harm(run):
+    rows = list(rows_of(run.recording(0)))
+    rng = np.random.default_rng(0)
+    broken = []
+    for k, (time, row) in enumerate(rows):
+        if 2000 <= k < 2200 or k in (3000, 3001, 3500):
+            continue
+        broken.append((time, row))
+        if k % 50 == 7:
+            broken.append((time, {**row, "x": 1.0}))  # the same stamp again: the first stands
+        if k % 90 == 11:
+            broken[-1] = (time, {n: v for n, v in row.items() if rng.random() < 0.8})
+    made = Stream()
+    end = made.push(broken)
+    assert end.parameters["B"].value == pytest.approx(600, rel=0.01)
+    assert end.parameters["beta_e"].value == pytest.approx(BETA, rel=0.02)
+    assert end.model.status == "consistent" and not made.told("changed")
+
+
+def test_after_a_long_gap_parameters_stay_and_states_start_anew(run):
+    rows = list(rows_of(run.recording(0)))
+    made = Stream()
+    before = made.push(rows[:3000])
+    end = made.push((time + 30.0, row) for time, row in rows[3000:])
+    gap, = made.told("no data for 30.0")
+    assert gap.time_s == pytest.approx(33.0, abs=0.01)
+    for name, truth in (("B", 600.0), ("beta_e", BETA)):
+        a, b = before.parameters[name], end.parameters[name]
+        assert b.status == "converged" and b.stddev < a.stddev
+        assert abs(b.value - truth) < 4.5 * b.stddev
+    assert end.time_s == pytest.approx(35.999, abs=0.01)
+    assert end.model.status == "consistent" and not made.told("changed")
+
+
+def test_reset_forgets_and_says_why(run):
+    rows = list(rows_of(run.recording(0)))
+    made = Stream()
+    made.push(rows[:2000])
+    made.live.reset("stamps jumped back by 2.000 s")
+    fresh = made.look()
+    assert {p.status for p in fresh.parameters.values()} == {"no_data"}
+    assert made.told("estimates reset: stamps jumped back by 2.000 s")
+    end = made.push(rows[:2000])
+    assert end.parameters["B"].value == pytest.approx(600, rel=0.01)
+    assert end.parameters["beta_e"].value == pytest.approx(BETA, rel=0.02)
+
+
+def test_a_ramp_of_b_is_followed_without_a_false_change_of_the_modulus():
+    fault = {"b": {"parameter": "viscous_damping", "start": 2.0, "duration": 3.0,
+                   "value": 1400.0}}
+    made = Stream()
+    end = made.push(rows_of(simulated(SINE, 7.5, faults=fault).recording(0)))
+    assert end.parameters["B"].value == pytest.approx(1400, rel=0.01)
+    assert end.parameters["beta_e"].value == pytest.approx(BETA, rel=0.02)
+    assert made.told("B changed") and not made.told("beta_e changed")
+    for snapshot in made.history[5:]:
+        truth = 600 + 800 * np.clip((snapshot.time_s - 2) / 3, 0, 1)
+        assert snapshot.parameters["B"].value == pytest.approx(truth, abs=70)
+        assert snapshot.parameters["beta_e"].value == pytest.approx(BETA, rel=0.05)
+
+
+def test_air_that_enters_is_followed_while_b_stays():
+    fault = {"air": {"parameter": "bulk_modulus", "start": 2.0, "value": 3e8}}
+    made = Stream()
+    end = made.push(rows_of(simulated(SINE, 5.0, faults=fault).recording(0)))
+    assert end.parameters["beta_e"].value == pytest.approx(3e8, rel=0.02)
+    assert end.parameters["B"].value == pytest.approx(600, rel=0.01)
+    assert made.told("beta_e changed") and not made.told("B changed")
+
+
+@pytest.mark.parametrize("sample_time", [2e-3, 5e-4])
+def test_another_rate_than_configured(sample_time):
+    recording = simulated(SINE, 3.0, rig={"sample_time": sample_time}).recording(0)
+    made = Stream()
+    end = made.push(rows_of(recording))
+    assert made.told(f"rows come every {sample_time * 1e3:g} ms, not every 1 ms")
+    assert end.parameters["B"].value == pytest.approx(600, rel=0.01)
+    assert end.parameters["beta_e"].value == pytest.approx(BETA, rel=0.02)
+
+
+@pytest.mark.parametrize("missing, name, words", [
+    (("p1",), "B", "stage one needs the channels p1 and p2, or force"),
+    (("x_d", "omega"), "beta_e", "stage two needs the channel x_d")])
+def test_a_missing_channel_is_named(run, missing, name, words):
+    end = Stream().push(rows_of(without(run.recording(0).part(0, 2500), *missing)))
+    parameter = end.parameters[name]
+    assert parameter.status == "no_data" and words in parameter.message
+    assert math.isnan(parameter.value)
+    other = end.parameters["beta_e" if name == "B" else "B"]
+    assert other.status == "converged"
+
+
+def test_without_the_command_the_pump_speed_is_the_input(run):
+    end = Stream().push(rows_of(without(run.recording(0).part(0, 3000), "x_d")))
+    assert end.parameters["beta_e"].value == pytest.approx(BETA, rel=0.02)
+
+
+def test_temperature_passes_through_and_rows_of_nothing_do_no_harm(run):
+    recording = with_channels(run.recording(0).part(0, 1000), temperature=np.full(1000, 41.5))
+    made = Stream()
+    made.push([(k * 1e-3, {}) for k in range(400)])
+    assert {p.status for p in made.history[-1].parameters.values()} == {"no_data"}
+    end = made.push(rows_of(recording, start=0.4))
+    assert end.temperature == 41.5
+
+
+def test_dry_friction_is_a_mismatch_live_as_well():
+    run = simulated(TRIANGLE, 6.0, effects={"coulomb_friction": {"F_c": 10.0}})
+    end = Stream().push(rows_of(run.recording(0)))
+    assert end.model.status == "mismatch"
+    assert end.parameters["B"].value > 750
