@@ -29,18 +29,18 @@ SILENT = dict.fromkeys(("position", "velocity", "pressure", "pump_speed", "force
                         "temperature"), 0.0)
 
 
-def closed_loop(b=B, beta=BETA):
+def closed_loop(b=B, beta=BETA, c_t=C_T):
     """A and the input column of (x, v, dp) from the three lines of the paper's page."""
     stiff = 2 * beta / V0
     a = np.array([[0, 1, 0],
                   [0, -b / M, A / M],
-                  [-stiff * D_P * K_POS, -stiff * A, -stiff * C_T / 2]])
+                  [-stiff * D_P * K_POS, -stiff * A, -stiff * c_t / 2]])
     return a, np.array([0, 0, stiff * D_P * K_POS])
 
 
-def linear_response(x_d, dt, b=B, beta=BETA):
+def linear_response(x_d, dt, b=B, beta=BETA, c_t=C_T):
     """(n, 3) states for a piecewise linear x_d, by the exponential of the augmented matrix."""
-    a, g = closed_loop(b, beta)
+    a, g = closed_loop(b, beta, c_t)
     big = np.zeros((5, 5))  # states, input, slope of the input
     big[:3, :3], big[:3, 3], big[3, 4] = a, g, 1.0
     e = expm(big * dt)

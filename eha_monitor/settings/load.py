@@ -69,7 +69,8 @@ def settings_from_tree(tree, source: str) -> Settings:
         if isinstance(content, dict) and "ros__parameters" in content:
             content = content["ros__parameters"] or {}
             if not isinstance(content, dict):
-                raise InputError(f"{source}: {node}.ros__parameters: expected a mapping")
+                name = " ".join(str(node).split())[:100]
+                raise InputError(f"{source}: {name}.ros__parameters: expected a mapping")
             merged.update(content)
         else:
             merged[node] = content
@@ -77,7 +78,8 @@ def settings_from_tree(tree, source: str) -> Settings:
     try:
         return Settings.model_validate(merged)
     except ValidationError as problem:
-        raise InputError(f"{source}: {_one_line(problem)}") from None
+        line = " ".join(_one_line(problem).split())[:400]  # keys may hold line breaks
+        raise InputError(f"{source}: {line}") from None
 
 
 def _field(location: tuple):

@@ -1,0 +1,124 @@
+"""Settings as a property: what is written is read again, junk is one line."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+
+from eha_monitor.errors import InputError
+from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.settings import Settings, settings_from_tree
+
+KEYS = [*Settings.model_fields, *(key for section in ("rig", "simulation", "stage_one", "noise",
+                                                      "thresholds", "monitor")
+                                  for key in type(getattr(Settings(), section)).model_fields),
+        *CATALOGUE, "F_c", "v_e", "L", "alpha", "triangle", "kind", "ros__parameters", "/**", ""]
+SCALARS = (st.none() | st.booleans() | st.integers(-10**20, 10**20) | st.floats()
+           | st.sampled_from(["20 kg", "1 ms", "68.5 cm^3", "kg", "1e400 kg", "0.25 Hz", "sine",
+                              "50 °C", "nan", "-inf", "1/0", "a\nb", "{", "x" * 500])
+           | st.text(max_size=12))
+TREES = st.recursive(SCALARS, lambda inner: st.lists(inner, max_size=3)
+                     | st.dictionaries(st.sampled_from(KEYS) | st.text(max_size=6), inner,
+                                       max_size=4), max_leaves=12)
+
+
+def read(tree):
+    """Settings, or None after one line; anything else is an error of the code."""
+    try:
+        return settings_from_tree(tree, "my.yaml")
+    except InputError as problem:
+        text = str(problem)
+        assert text.startswith("my.yaml: ") and "\n" not in text and 12 < len(text) < 600
+        return None
+
+
+@given(st.dictionaries(st.sampled_from(list(Settings.model_fields)), TREES, max_size=3) | TREES)
+@hypothesis_settings(max_examples=250, deadline=None)
+def test_any_tree_is_settings_or_one_line(tree):
+    found = read(tree)
+    assert found is None or isinstance(found, Settings)
+
+
+@given(st.data())
+@hypothesis_settings(max_examples=150, deadline=None)
+def test_any_value_at_a_known_key_is_settings_or_one_line(data):
+    section = data.draw(st.sampled_from(["rig", "simulation", "noise", "stage_one", "stage_two",
+                                         "viscosity", "monitor", "thresholds"]))
+    key = data.draw(st.sampled_from(list(type(getattr(Settings(), section)).model_fields)))
+    value = data.draw(SCALARS)
+    found = read({section: {key: value}})
+    if found is not None:
+        kept = getattr(getattr(found, section), key)
+        if isinstance(kept, float):
+            assert math.isfinite(kept)
+
+
+def test_settings_survive_being_written_and_read():
+    assert settings_from_tree(Settings().model_dump(), "x") == Settings()
+    other = settings_from_tree({
+        "rig": {"mass": "33 kg", "position_gain": None, "volume_1": "70 cm^3"},
+        "effects": {"coulomb_friction": {"F_c": "12 N"}, "entrained_air": {"alpha": 0.01}},
+        "simulation": {"faults": {"f": {"parameter": "leakage", "value": 1e-12}},
+                       "excitation": {"a": {"kind": "sine"}, "b": {"kind": "rest"}}},
+    }, "x")
+    assert settings_from_tree(other.model_dump(), "x") == other
+    wrapped = {"/eha/monitor": {"ros__parameters": {**other.model_dump(), "use_sim_time": True}}}
+    assert settings_from_tree(wrapped, "x") == other
+
+
+@given(mass=st.floats(1e-6, 1e6), area=st.floats(1e-8, 1.0), beta=st.floats(1e5, 1e12))
+@hypothesis_settings(max_examples=60, deadline=None)
+def test_numbers_survive_exactly(mass, area, beta):
+    found = settings_from_tree({"rig": {"mass": mass, "area_1": area, "bulk_modulus": beta}}, "x")
+    again = settings_from_tree(found.model_dump(), "x")
+    assert (again.rig.mass, again.rig.area_1, again.rig.bulk_modulus) == (mass, area, beta)
+
+
+@pytest.mark.parametrize("key, text, value", [
+    ("mass", "20 kg", 20.0), ("mass", "20000 g", 20.0), ("area_1", "5.05 cm^2", 5.05e-4),
+    ("volume_1", "68.5 cm^3", 6.85e-5), ("volume_2", "0.0685 liter", 6.85e-5),
+    ("bulk_modulus", "600 MPa", 6e8), ("bulk_modulus", "6000 bar", 6e8),
+    ("charge_pressure", "20 bar", 2e6), ("sample_time", "1 ms", 1e-3),
+    ("viscous_damping", "0.6 kN*s/m", 600.0), ("leakage", "0.5 mm^3/(s*kPa)", 5e-13),
+    ("pump_displacement", "1.6925e-7 m^3/rad", 1.6925e-7),
+    ("position_gain", "23 rad/s/mm", 23000.0)])
+def test_units(key, text, value):
+    found = settings_from_tree({"rig": {key: text}}, "x")
+    assert getattr(found.rig, key) == pytest.approx(value, rel=1e-9)
+
+
+@pytest.mark.parametrize("key, value, words", [
+    ("mass", "20 m", "expected a number in kg, got '20 m'"),
+    ("mass", -1, "expected more than 0 in kg, got -1"),
+    ("mass", "-20 kg", "expected more than 0 in kg"),
+    ("mass", None, "expected a number in kg"),
+    ("mass", True, "expected a number in kg, got True"),
+    ("mass", float("nan"), "expected a finite number in kg"),
+    ("sample_time", "2 s", "expected at most 1 in s"),
+    ("weight", 3, "unknown key"), ("mas", 3, "did you mean 'mass'?"),
+    ("makeup_conductance", 1e-9, "must not exceed")])
+def test_what_is_wrong_is_said(key, value, words):
+    with pytest.raises(InputError) as caught:
+        settings_from_tree({"rig": {key: value}}, "my.yaml")
+    assert str(caught.value).startswith("my.yaml: rig") and words in str(caught.value)
+
+
+@pytest.mark.parametrize("effects, words", [
+    ({"friction": {}}, "unknown effect 'friction'"),
+    ({"coulomb_friction": {}}, "coulomb_friction.F_c: expected a number in N"),
+    ({"coulomb_friction": {"F_c": -1}}, "from 0 to"),
+    ({"coulomb_friction": {"F_c": "3 Pa"}}, "expected a number in N"),
+    ({"coulomb_friction": {"F_c": 1, "g": 2}}, "coulomb_friction.g: unknown key"),
+    ({"coulomb_friction": 3}, "expected its parameters F_c, v_e"),
+    (["coulomb_friction"], "expected a mapping")])
+def test_effects_are_checked_against_the_catalogue(effects, words):
+    with pytest.raises(InputError) as caught:
+        settings_from_tree({"effects": effects}, "my.yaml")
+    assert words in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_effects_take_their_defaults():
+    found = settings_from_tree({"effects": {"entrained_air": {"alpha": "2 %"}}}, "x")
+    assert found.effects == {"entrained_air": {"alpha": 0.02, "n": 1.4}}
