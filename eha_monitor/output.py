@@ -10,6 +10,8 @@ from eha_monitor.errors import InputError
 def write_text(path: str | Path, text: str) -> None:
     """Write ``text`` to a temporary name beside ``path``, then rename it.
 
+    What is there and no regular file (a device, a pipe) is written into, never replaced.
+
     Raises
     ------
     InputError
@@ -18,6 +20,10 @@ def write_text(path: str | Path, text: str) -> None:
     path = Path(path)
     name = None
     try:
+        if path.exists() and not path.is_file():
+            with path.open("w", encoding="utf-8", errors="replace") as stream:
+                stream.write(text)
+            return
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
         # File names in the text may hold bytes that are no text; they must not cost the answer.
         with os.fdopen(handle, "w", encoding="utf-8", errors="replace") as file:

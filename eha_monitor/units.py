@@ -11,6 +11,9 @@ _PINT = {"1": "dimensionless", "N·s/m": "N*s/m", "m³": "m**3", "m²": "m**2",
          "°C": "degC", "1/K": "1/kelvin", "m/s²": "m/s**2"}
 
 
+LARGEST = 1e18  # no quantity of a rig in SI units is larger; squares stay finite
+
+
 def to_si(value: Any, unit: str) -> Any:
     """Return ``value`` in ``unit``: numbers pass, strings such as ``"68.5 cm^3"`` are converted.
 
@@ -21,6 +24,9 @@ def to_si(value: Any, unit: str) -> Any:
     """
     if isinstance(value, bool):
         raise PydanticCustomError("number", f"expected a number in {unit}, got {value!r}")
+    if isinstance(value, int | float) and abs(value) > LARGEST:
+        raise PydanticCustomError("number",
+                                  f"expected at most {LARGEST:g} in {unit}, got {value!r}")
     if not isinstance(value, str):
         return value
     import pint  # slow to import, and needed only where a config writes units

@@ -43,14 +43,17 @@ def working(what: str) -> Iterator[None]:
         yield
 
 
-def check_target(path: Path | None) -> None:
-    """Refuse, before the work, an output file that could not be written after it."""
+def check_target(path: Path | None, bag: Path | None = None) -> None:
+    """Refuse, before the work, an output that could not be written or lies in the bag."""
     if path is None:
         return
     if path.is_dir():
         raise InputError(f"{path}: expected a file to write, found a folder")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist")
+    if bag is not None and bag.resolve() in (path.resolve(), path.resolve().parent) and (
+            bag.resolve() == path.resolve() or path.suffix in (".mcap", ".yaml")):
+        raise InputError(f"{path}: is part of the bag {bag} that is read, expected another file")
 
 
 def check_new(bag: Path, overwrite: bool) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from eha_monitor.commands.common import check_target, config_option, working
+from eha_monitor.errors import InputError
 from eha_monitor.output import write_text
 
 
@@ -23,8 +24,10 @@ from eha_monitor.output import write_text
 def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file: Path | None,
              exit_code: bool) -> int:
     """Estimate B and the bulk modulus from BAG, and judge them against the thresholds."""
-    check_target(json_file)
-    check_target(report_file)
+    check_target(json_file, bag)
+    check_target(report_file, bag)
+    if json_file and report_file and json_file.resolve() == report_file.resolve():
+        raise InputError(f"{json_file}: --json and --report name the same file")
 
     from eha_monitor.commands.answer import answer, judged, unhealthy
     from eha_monitor.compiled import announce_first_compilation, load_runtime

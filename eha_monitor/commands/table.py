@@ -15,11 +15,18 @@ _COLOURS = {"OK": "green", "WARN": "yellow", "ERROR": "red", "STALE": "dim",
 _PIPE_WIDTH = 120  # where there is no terminal whose width could be asked for
 
 
+class _Console(Console):
+    """Leaves a broken pipe to the command line, which knows its exit status."""
+
+    def on_broken_pipe(self) -> None:
+        raise BrokenPipeError
+
+
 def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path]) -> None:
     """Print parameters, alarms, model status, losses and events."""
-    console = Console(highlight=False, soft_wrap=False)
+    console = _Console(highlight=False, soft_wrap=False)
     if not console.is_terminal:
-        console = Console(highlight=False, width=_PIPE_WIDTH)
+        console = _Console(highlight=False, width=_PIPE_WIDTH)
     recording = found.recording
     speed = f", {recording.duration / found.wall_s:.0f}x real time" if found.wall_s else ""
     console.print(f"{escape(recording.source)}: {recording.duration:.3f} s, {len(recording)} "

@@ -1,6 +1,7 @@
 """Reading a config: ROS parameter file form, one-line errors."""
 
 import difflib
+import reprlib
 from pathlib import Path
 from typing import get_args
 
@@ -11,15 +12,15 @@ from eha_monitor.settings.monitor import Settings
 
 LARGEST = 1024 * 1024  # bytes of a config
 _WORDS = {
-    "greater_than": "expected more than {gt:g}{unit}, got {input!r}",
-    "greater_than_equal": "expected at least {ge:g}{unit}, got {input!r}",
-    "less_than": "expected less than {lt:g}{unit}, got {input!r}",
-    "less_than_equal": "expected at most {le:g}{unit}, got {input!r}",
-    "finite_number": "expected a finite number{unit}, got {input!r}",
-    "dict_type": "expected a mapping, got {input!r}",
-    "model_type": "expected a mapping, got {input!r}",
-    "float_type": "expected a number{unit}, got {input!r}",
-    "float_parsing": "expected a number{unit}, got {input!r}",
+    "greater_than": "expected more than {gt:g}{unit}, got {input}",
+    "greater_than_equal": "expected at least {ge:g}{unit}, got {input}",
+    "less_than": "expected less than {lt:g}{unit}, got {input}",
+    "less_than_equal": "expected at most {le:g}{unit}, got {input}",
+    "finite_number": "expected a finite number{unit}, got {input}",
+    "dict_type": "expected a mapping, got {input}",
+    "model_type": "expected a mapping, got {input}",
+    "float_type": "expected a number{unit}, got {input}",
+    "float_parsing": "expected a number{unit}, got {input}",
 }
 
 
@@ -27,7 +28,7 @@ def load_settings(path: str | Path | None) -> Settings:
     """Return the settings of a YAML file, or the paper's EHA for None.
 
     The file has the form of a ROS parameter file (``/**: ros__parameters: ...``); the sections
-    may also stand at the top.  A ``channels`` section replaces the default map as a whole.
+    may also stand at the top.
 
     Raises
     ------
@@ -103,13 +104,14 @@ def _one_line(problem: ValidationError) -> str:
     unit = f" in {unit}" if unit and unit != "1" else ""
     words = _WORDS.get(error["type"])
     if words:
-        text = words.format(unit=unit, input=error["input"], **error.get("ctx", {}))
+        text = words.format(unit=unit, input=reprlib.repr(error["input"]),
+                            **error.get("ctx", {}))
     else:
         text = error["msg"].removeprefix("Value error, ")
         text = text[0].lower() + text[1:]
         if error["type"] not in ("value_error", "number", "unit") and not isinstance(
                 error["input"], dict):
-            text += f", got {error['input']!r}"
+            text += f", got {reprlib.repr(error['input'])}"
     return " ".join(f"{key}: {text}".split())[:400] if key else text
 
 

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from eha_monitor.settings.rig import Rig, Section, SensorNoise, Simulation, effects_field
 from eha_monitor.settings.table import Table
@@ -21,9 +21,16 @@ class Channel(Section):
     name: str = Field("", description="entry of a JointState, or column of an imported table")
     field: str = Field("", description="message field, e.g. position, velocity, effort, "
                        "fluid_pressure, temperature, data")
-    scale: float = Field(1.0, allow_inf_nan=False, description="SI units per raw unit")
+    scale: float = Field(1.0, allow_inf_nan=False, description="SI units per raw unit, not 0")
     offset: float = Field(0.0, allow_inf_nan=False, description="SI value at raw zero")
     delay: Si("s", "how late the stamp is against the quantity") = 0.0
+
+    @field_validator("scale")
+    @classmethod
+    def _not_zero(cls, value):
+        if value == 0:
+            raise ValueError("expected a number other than 0")
+        return value
 
 
 DEFAULT_CHANNELS = {
@@ -36,6 +43,18 @@ DEFAULT_CHANNELS = {
     "p2": Channel(topic="pressure/chamber_2", field="fluid_pressure"),
     "temperature": Channel(topic="temperature", field="temperature"),
 }
+
+
+def _fill_channels(given):
+    """Fill in what a ``channels`` section leaves out, channel by channel and key by key."""
+    if not isinstance(given, dict):
+        return given
+    filled = {name: channel.model_dump() for name, channel in DEFAULT_CHANNELS.items()}
+    for name, channel in given.items():
+        if isinstance(channel, dict) and name in filled and "topic" not in channel:
+            channel = {**filled[name], **channel}
+        filled[name] = channel
+    return filled
 
 
 class NoiseLevels(SensorNoise):
@@ -91,8 +110,8 @@ LIMITS = ("low_error", "low_warn", "high_warn", "high_error")
 class Thresholds(Section):
     """Alarm limits on the two health parameters, in their SI units.
 
-    A section that gives none of the four limits keeps the default ones; one that gives any has
-    just those.
+    A limit that is left out keeps its default, unless that is out of order with those given;
+    null switches it off.
     """
 
     viscous_damping: Limits = Field(Limits(low_error=150.0, low_warn=250.0, high_warn=1000.0,
@@ -108,11 +127,25 @@ class Thresholds(Section):
             return given
         filled = dict(given)
         for name in ("viscous_damping", "bulk_modulus"):
-            section = filled.get(name)
-            if isinstance(section, dict) and not any(key in section for key in LIMITS):
-                defaults = cls.model_fields[name].default
-                filled[name] = {**{key: getattr(defaults, key) for key in LIMITS}, **section}
+            if isinstance(filled.get(name), dict):
+                filled[name] = _with_defaults(filled[name], cls.model_fields[name].default)
         return filled
+
+
+def _with_defaults(section: dict, defaults: Limits) -> dict:
+    """Fill in the default limits, those left out that would not be in order with the given."""
+    filled = dict(section)
+    numbers = {key: section[key] for key in LIMITS
+               if isinstance(section.get(key), int | float)}
+    for place, key in enumerate(LIMITS):
+        default = getattr(defaults, key)
+        if key in section or default is None:
+            continue
+        below = [v for other, v in numbers.items() if LIMITS.index(other) < place]
+        above = [v for other, v in numbers.items() if LIMITS.index(other) > place]
+        if all(v <= default for v in below) and all(default <= v for v in above):
+            filled[key] = default
+    return filled
 
 
 class Viscosity(Section):
@@ -139,8 +172,9 @@ class Settings(Section):
 
     rig: Rig = Field(Rig(), description="constants of the actuator")
     simulation: Simulation = Field(Simulation(), description="the simulator")
-    channels: dict[Literal[CHANNELS], Channel] = Field(
-        DEFAULT_CHANNELS, description="where each channel comes from")
+    channels: Annotated[dict[Literal[CHANNELS], Channel], BeforeValidator(_fill_channels)] = Field(
+        DEFAULT_CHANNELS, description="where each channel comes from; what is left out of it, or "
+        "of a channel, keeps its default")
     table: Table = Field(Table(), description="which column of a CSV or MAT file is which "
                          "channel, for import")
     noise: NoiseLevels = Field(NoiseLevels(), description="noise levels for the filters")
