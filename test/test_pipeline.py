@@ -269,6 +269,16 @@ def test_air_that_enters_is_followed_and_b_is_left_alone():
     assert events(found, "two", "beta_e changed") and not events(found, "one", "B changed")
 
 
+def test_a_later_change_does_not_reach_back_into_the_start():
+    """The bank that starts stage two must not take its stretch from after the change."""
+    found = answer(simulated(SINE, 9.0, faults=fault("bulk_modulus", 4.0, 3e8)).recording(0))
+    assert found.parameters["beta_e"].value == pytest.approx(3e8, rel=0.01)
+    assert found.stage_two.value[200:3900] == pytest.approx(BETA, rel=0.02)
+    changed, = events(found, "two", "beta_e changed")
+    assert 4.0 < changed.time_s < 4.6
+    assert found.model.status == "consistent"
+
+
 # ---- other rigs and rates -----------------------------------------------------------------------
 
 

@@ -1,11 +1,10 @@
 """The monitor's pipeline over a whole recording: stage one, hand-over, stage two, verdicts."""
 
 import time
-from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.filters import kernel_one, kernel_two
+from eha_monitor.filters import kernel_one
 from eha_monitor.filters.consistency import judge
 from eha_monitor.filters.inputs import StageInputs
 from eha_monitor.filters.results import (
@@ -15,6 +14,7 @@ from eha_monitor.filters.results import (
     ParameterEstimate,
     StageResult,
 )
+from eha_monitor.filters.run_two import MOST_EVENTS, run_stage_two_kernel
 from eha_monitor.filters.status import CONVERGED, judge_parameter, no_data, units_of
 from eha_monitor.filters.supervision import hops, new_supervision
 from eha_monitor.recordings.recording import Recording
@@ -23,13 +23,6 @@ from eha_monitor.settings.monitor import Settings
 MISSING_ONE = "the force balance M x'' = F - B x' leaves something out, or a sensor is wrong"
 MISSING_TWO = ("the flow balance or the drive leaves something out, a sensor is late or wrong, or "
                "B is not what acts here")
-BANK_RATIO = 1.06  # spacing of the bulk moduli tried; half a ring's phase over its life
-BANK_SPAN = 30.0  # times below and above the prior
-BANK_SECONDS = 2.0
-BANK_LONGER = 4  # times as long a stretch, while the bank's sigma is above
-BANK_SHARP = 0.04  # of the compliance
-BANK_UNLIKELY = 1e-6  # weight over the best one's below which a compliance is not tried again
-MOST_EVENTS = 200
 NO_CHANGES = np.empty((0, 4))
 
 
@@ -172,72 +165,6 @@ def hand_over(one: StageResult, changes: np.ndarray, settings: Settings, recordi
     return damping, variance
 
 
-def most_telling(drive: np.ndarray, x: np.ndarray, length: int) -> int:
-    """Return the start of the stretch of ``length`` samples where the drive moves most."""
-    moved = np.abs(np.diff(drive, prepend=drive[:1]))
-    moved[~(np.isfinite(moved) & np.isfinite(x))] = 0.0
-    total = np.concatenate([[0.0], np.cumsum(moved**2)])
-    if len(moved) <= length:
-        return 0
-    return int(np.argmax(total[length:] - total[:-length]))
-
-
-def start_compliance(inputs: StageInputs, settings: Settings,
-                     damping: np.ndarray) -> tuple[float, float]:
-    """Return where stage two's compliance starts and its variance, from a bank of filters.
-
-    The bank takes the stretch that tells most, and a longer one while that tells too little: an
-    extended filter that starts far away learns from a trajectory that is not the rig's, and can
-    settle anywhere with a small sigma.  The variance is 25 times what the bank says, so that the
-    stretch which is then filtered again is not counted twice (4 % of its information at most);
-    8 times where it took a longer stretch, since from farther away the filter goes astray
-    (24 draws of 10 um on triangles: error over sigma 2.5 with 25, 1.1 with 8).
-    """
-    prior = settings.stage_two
-    broad = (prior.prior_stddev / prior.prior) ** 2
-    steps = round(np.log(BANK_SPAN) / np.log(BANK_RATIO))
-    grid = BANK_RATIO ** np.arange(-steps, steps + 1)
-    length = min(len(inputs.x), round(BANK_SECONDS / inputs.dt))
-    inflation = 25.0
-    while True:
-        weight = bank_weights(inputs, settings, damping, grid, length)
-        if weight is None:
-            return 1.0, broad
-        mean = float(weight @ grid)
-        variance = float(weight @ (grid - mean) ** 2) + (BANK_RATIO - 1.0) ** 2 * mean**2 / 12.0
-        if variance <= (BANK_SHARP * mean) ** 2 or length == len(inputs.x):
-            break
-        grid = grid[weight > BANK_UNLIKELY * weight.max()]
-        length = min(len(inputs.x), BANK_LONGER * length)
-        inflation = 8.0
-    if variance > 0.1 * broad:
-        return 1.0, broad
-    return mean, min(broad, inflation * variance)
-
-
-def bank_weights(inputs: StageInputs, settings: Settings, damping: np.ndarray,
-                 grid: np.ndarray, length: int) -> np.ndarray | None:
-    """Return the posterior weights of the compliances ``grid`` from ``length`` samples."""
-    start = most_telling(inputs.drive.start, inputs.x, length)
-    part = slice(start, start + length)
-    model = inputs.model
-    likelihood = kernel_two.bank_two(
-        inputs.x[part], inputs.drive.start[part], inputs.drive.end[part],
-        inputs.drive.variance[part], damping[start + length // 2], grid,
-        model.hydraulics, model.leak, inputs.dt, inputs.position_variance,
-        force_noise_variance(settings))
-    likelihood = np.where(np.isfinite(likelihood), likelihood, -np.inf)
-    if not np.isfinite(likelihood).any():
-        return None
-    weight = np.exp(likelihood - likelihood.max()) * grid  # even in c on a logarithmic grid
-    return weight / weight.sum()
-
-
-def force_noise_variance(settings: Settings) -> float:
-    """Variance of an unmodelled force on a sample in stage two, N^2."""
-    return (settings.rig.mass * settings.stage_two.acceleration_noise) ** 2
-
-
 def run_stage_two(inputs: StageInputs, recording: Recording, settings: Settings,
                   damping: np.ndarray, damping_variance: np.ndarray,
                   events: list[Event]) -> tuple[StageResult, np.ndarray]:
@@ -269,48 +196,6 @@ def run_stage_two(inputs: StageInputs, recording: Recording, settings: Settings,
                                prior.prior_stddev, prior.largest),
         recording.time, out[3], out[5], out[0], out[1], out[2], out[6], out[7], verdict)
     return result, changes
-
-
-@dataclass(frozen=True)
-class KernelTwoResult:
-    """What the compiled stage two leaves: (8, n) output, changes, and the state to go on from."""
-
-    out: np.ndarray
-    changes: np.ndarray
-    state: np.ndarray
-    covariance: np.ndarray
-    sensitivity: np.ndarray
-    watch: np.ndarray
-
-
-def run_stage_two_kernel(inputs: StageInputs, settings: Settings, damping: np.ndarray,
-                         damping_variance: np.ndarray) -> KernelTwoResult:
-    """Run the compiled stage two from where the bank of filters says it should start."""
-    start, variance = start_compliance(inputs, settings, damping)
-    model = inputs.model
-    effects = bool(model.active.any())
-    broad = (settings.stage_two.prior_stddev / settings.stage_two.prior) ** 2
-    out, changes = np.empty((8, len(inputs.x))), np.empty((MOST_EVENTS, 4))
-    frozen = False
-    # The bank knows no effects: start again where it led.  A modulus that hops is held.
-    for again in range(3):
-        m = np.array([np.nan, 0.0, 0.0, start])
-        p = np.zeros((4, 4))
-        p[3, 3] = variance
-        sens, watch = np.zeros(4), new_supervision(frozen)
-        drive = inputs.drive
-        found = kernel_two.run_two(
-            inputs.x, drive.start, drive.end, drive.variance, drive.instrument, damping,
-            damping_variance, model.hydraulics, model.leak, inputs.dt, inputs.position_variance,
-            force_noise_variance(settings), broad, inputs.p1, inputs.p2, model.theta,
-            model.active, effects, m, p, sens, watch, out, changes)
-        if np.isfinite(m[3]) and p[3, 3] < 0.1 * broad:
-            start, variance = m[3], min(broad, max(variance, 25.0 * p[3, 3]))
-        if hops(watch):
-            frozen = True
-        elif not (effects and again == 0):
-            break
-    return KernelTwoResult(out, changes[: min(found, MOST_EVENTS)], m, p, sens, watch)
 
 
 def model_status(*stages: StageResult) -> ModelStatus:
