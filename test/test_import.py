@@ -186,6 +186,16 @@ def test_bag_of_an_import(tmp_path):
         import_table(path, BY_NAME, tmp_path / "bag")
 
 
+def test_overwrite_replaces_a_bag_only_and_asks_before_the_work(tmp_path):
+    (tmp_path / "a.csv").write_text(text_of())
+    (tmp_path / "map.yaml").write_text("table: {columns: {x: {column: pos}}}")
+    with pytest.raises(InputError, match="is no bag; refusing to overwrite it"):
+        import_file(tmp_path / "none.csv", tmp_path / "map.yaml", tmp_path, overwrite=True)
+    assert (tmp_path / "a.csv").read_text() == text_of()
+    for _ in range(2):
+        import_file(tmp_path / "a.csv", tmp_path / "map.yaml", tmp_path / "bag", overwrite=True)
+
+
 @settings(max_examples=80, deadline=None,
           suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(content=st.binary(max_size=300) | st.text(",;\t .e-+0123456789\nabc\"#", max_size=300).map(

@@ -201,3 +201,67 @@ def test_killed_between_chunks(tmp_path):
             writer.flush()
     assert len(read_recording(writer.temporary, SETTINGS)) == 61  # nobody closed it
     writer.abort()
+
+
+def contents(folder):
+    return sorted((str(p.relative_to(folder)), p.is_dir() or p.read_bytes())
+                  for p in folder.rglob("*"))
+
+
+@pytest.mark.parametrize("held", [["thesis.tex"], ["a.mcap", "notes.txt"], ["metadata.yaml"],
+                                  ["metadata.yaml", "a_0.db3"], ["deep/a.mcap"], []])
+@pytest.mark.parametrize("name", ["folder", "folder.mcap"])
+def test_overwrite_replaces_no_folder_but_a_bag(tmp_path, held, name):
+    path = tmp_path / name
+    path.mkdir()
+    for entry in held:
+        (path / entry).parent.mkdir(exist_ok=True)
+        (path / entry).write_text("mine")
+    before = contents(tmp_path)
+    with pytest.raises(InputError, match="is no bag; refusing to overwrite it") as problem:
+        write_recording(path, {"x": np.zeros(3)}, SETTINGS, overwrite=True)
+    assert "\n" not in str(problem.value) and str(path) in str(problem.value)
+    assert contents(tmp_path) == before
+
+
+def test_overwrite_replaces_no_file_but_mcap(tmp_path):
+    (tmp_path / "thesis.tex").write_text("mine")
+    with pytest.raises(InputError, match="is no bag"):
+        write_recording(tmp_path / "thesis.tex", {"x": np.zeros(3)}, SETTINGS, overwrite=True)
+    assert (tmp_path / "thesis.tex").read_text() == "mine"
+    for name in ("bag", "bag.mcap"):
+        for n in (3, 4):
+            write_recording(tmp_path / name, {"x": np.zeros(n)}, SETTINGS, overwrite=True)
+        assert len(read_recording(tmp_path / name, SETTINGS)) == 4
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["bag", "bag.mcap", "thesis.tex"]
+
+
+def test_no_bag_onto_a_device_a_pipe_or_a_broken_link(tmp_path):
+    os.mkfifo(tmp_path / "pipe.mcap")
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    (tmp_path / "zero.mcap").symlink_to("/dev/zero")
+    for path in (Path("/dev/null"), *sorted(tmp_path.iterdir())):
+        with pytest.raises(InputError, match="neither a regular file nor a folder"):
+            write_recording(path, {"x": np.zeros(3)}, SETTINGS, overwrite=True)
+    assert len(list(tmp_path.iterdir())) == 3 and not Path("/dev/null").is_file()
+
+
+def test_a_linked_bag_loses_its_link_only(tmp_path, monkeypatch):
+    write_recording(tmp_path / "bag", {"x": np.zeros(3)}, SETTINGS)
+    (tmp_path / "link").symlink_to("bag")
+    write_recording(tmp_path / "link", {"x": np.zeros(5)}, SETTINGS, overwrite=True)
+    assert len(read_recording(tmp_path / "bag", SETTINGS)) == 3
+    assert len(read_recording(tmp_path / "link", SETTINGS)) == 5
+    monkeypatch.chdir(tmp_path)
+    for path in (".", "..", "/"):
+        with pytest.raises(InputError, match=r"exists already|is no bag"):
+            write_recording(path, {"x": np.zeros(3)}, SETTINGS, overwrite=True)
+
+
+def test_what_came_meanwhile_is_kept(tmp_path):
+    path = tmp_path / "bag"
+    with (pytest.raises(InputError, match=r"is no bag; .*; the bag is left as"),
+          BagWriter(path, {"/a": "std_msgs/msg/String"}, overwrite=True)):
+        path.mkdir()
+        (path / "thesis.tex").write_text("mine")
+    assert (path / "thesis.tex").read_text() == "mine"

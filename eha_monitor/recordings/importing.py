@@ -9,7 +9,7 @@ from eha_monitor.recordings.align import align
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.tables import read_columns
 from eha_monitor.recordings.topics import Series
-from eha_monitor.recordings.write import write_recording
+from eha_monitor.recordings.write import check_bag_target, write_recording
 from eha_monitor.settings import Settings, load_settings
 
 
@@ -28,6 +28,7 @@ def import_file(file: str | Path, map_file: str | Path, out: str | Path, *,
     InputError
         One line: file or key, and what was expected.
     """
+    check_bag_target(out, overwrite)  # before the work, not after it
     return import_table(file, load_settings(map_file), out, map_source=str(map_file),
                         overwrite=overwrite)
 
@@ -35,6 +36,7 @@ def import_file(file: str | Path, map_file: str | Path, out: str | Path, *,
 def import_table(file: str | Path, settings: Settings, out: str | Path, *,
                  map_source: str = "config", overwrite: bool = False) -> Recording:
     """Turn a table into a bag with settings at hand; see :func:`import_file`."""
+    check_bag_target(out, overwrite)
     recording = read_table(file, settings, map_source=map_source)
     write_recording(out, recording, settings, overwrite=overwrite)
     return recording

@@ -36,6 +36,45 @@ def offered_qos(latched: bool = False, depth: int = 10) -> list[Qos]:
                 FOREVER, FOREVER, QosLiveliness.AUTOMATIC, FOREVER, False)]
 
 
+def check_bag_target(path: str | Path, overwrite: bool) -> None:
+    """Refuse a place for a new bag where something else than a bag would be lost.
+
+    Parameters
+    ----------
+    path : folder or ``.mcap`` file that is going to be written.
+    overwrite : whether a bag that is there may be replaced: a folder of metadata.yaml and .mcap
+        files and nothing else, or a file whose name ends in ``.mcap``.
+
+    Raises
+    ------
+    InputError
+        If there is anything else, or a bag without ``overwrite``.
+    """
+    target = Path(path)
+    try:
+        if not os.path.lexists(target):
+            return
+        if not (target.is_dir() or target.is_file()):
+            raise InputError(f"{path}: is neither a regular file nor a folder, expected a new bag")
+        if not overwrite:
+            raise InputError(f"{path}: exists already, expected a new bag or --overwrite")
+        if not (_is_bag_folder(target) if target.is_dir() else target.suffix == ".mcap"):
+            raise InputError(f"{path}: is no bag; refusing to overwrite it")
+    except OSError as problem:
+        raise InputError(f"{path}: cannot write bag: {problem.strerror}") from problem
+
+
+def _is_bag_folder(folder: Path) -> bool:
+    """Tell whether a folder holds a bag and nothing that is not part of it."""
+    found = list(folder.iterdir())
+    parts = [entry for entry in found if entry.name.endswith((".mcap", ".mcap.zstd"))]
+    metadata = folder / "metadata.yaml"
+    if any(not entry.is_file() or (entry not in parts and entry != metadata) for entry in found):
+        return False
+    return bool(parts) or (metadata in found and "rosbag2_bagfile_information"
+                           in metadata.read_text(encoding="utf-8", errors="replace"))
+
+
 @dataclass(frozen=True)
 class TopicType:
     """What a bag declares of a topic.
@@ -75,11 +114,14 @@ class BagWriter:
     def __init__(self, path: str | Path, topics: dict[str, str | TopicType], *,
                  compression: str = "zstd", overwrite: bool = False, distro: str = "jazzy"):
         self.path, self.overwrite, self.distro = Path(path), overwrite, distro
+        if self.path.name in ("", ".."):  # a name of its own, to be renamed to
+            self.path = Path(os.path.abspath(path))
         if compression not in COMPRESSIONS:
             raise InputError(f"{path}: compression: expected {', '.join(COMPRESSIONS)}, got "
                              f"{compression!r}")
-        if self.path.exists() and not overwrite:
-            raise InputError(f"{path}: exists already, expected a new bag")
+        check_bag_target(path, overwrite)
+        if not self.path.name:
+            raise InputError(f"{path}: expected the name of a new bag")
         self.single = self.path.suffix == ".mcap"
         self.temporary = self.path.with_name(
             f".{self.path.stem if self.single else self.path.name}.{os.getpid()}.tmp"
@@ -169,19 +211,28 @@ class BagWriter:
             if not self.single:
                 (self.temporary / "metadata.yaml").write_text(
                     _yaml({"rosbag2_bagfile_information": metadata}), encoding="utf-8")
-            if self.path.exists():
-                if not self.overwrite:
-                    raise InputError(f"{self.path}: exists already, the bag is left as "
-                                     f"{self.temporary}")
-                old = self.temporary.with_name(self.temporary.name + ".old")
-                self.path.rename(old)
-                self.temporary.rename(self.path)
-                self._remove(old)
-            else:
-                self.temporary.rename(self.path)
+            self._take_the_name()
         except OSError as problem:
             raise InputError(f"{self.path}: cannot write bag: {problem.strerror}; what was "
                              f"written is in {self.temporary}") from problem
+
+    def _take_the_name(self) -> None:
+        """Rename the finished bag; what was there goes only when the new one is in place."""
+        try:
+            check_bag_target(self.path, self.overwrite)  # again: it may have come meanwhile
+        except InputError as problem:
+            raise InputError(f"{problem}; the bag is left as {self.temporary}") from problem
+        if not os.path.lexists(self.path):
+            self.temporary.rename(self.path)
+            return
+        old = self.temporary.with_name(self.temporary.name + ".old")
+        self.path.rename(old)
+        try:
+            self.temporary.rename(self.path)
+        except OSError:
+            old.rename(self.path)
+            raise
+        self._remove(old)
 
     def abort(self) -> None:
         """Stop without index and name; the temporary file keeps what was written."""
@@ -203,7 +254,7 @@ class BagWriter:
 
     @staticmethod
     def _remove(path: Path) -> None:
-        if path.is_dir():
+        if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)
         else:
             path.unlink(missing_ok=True)
