@@ -57,6 +57,7 @@ def check_target(path: Path | None, bag: Path | None = None) -> None:
 
 
 def check_new(bag: Path, overwrite: bool) -> None:
-    """Refuse, before the work, a bag that is there already."""
-    if bag.exists() and not overwrite:
-        raise InputError(f"{bag}: exists already, expected a new bag or --overwrite")
+    """Refuse, before the work, a bag that is there already, or anything that is no bag."""
+    from eha_monitor.recordings.write import check_bag_target
+
+    check_bag_target(bag, overwrite)
