@@ -319,8 +319,6 @@ def test_leakage_of_a_rig_with_two_areas_leaves_stage_one_alone():
     within(found.parameters["B"], 5000.0, 0.01)
 
 
-@pytest.mark.xfail(reason="the lumped flow balance has no steady leak from p2 > p1 at rest",
-                   strict=False)
 def test_leakage_of_a_rig_with_two_areas_leaves_stage_two_alone():
     found = answer(simulated(SINE, 8.0, rig=TWO_AREAS).recording(0), rig=TWO_AREAS)
     within(found.parameters["beta_e"], BETA, 0.03)
