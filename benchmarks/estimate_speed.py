@@ -23,7 +23,8 @@ from rich.table import Table
 from eha_monitor.filters import kernel_one, kernel_two
 from eha_monitor.filters.filterpy_stages import FilterpyStageOne, FilterpyStageTwo
 from eha_monitor.filters.inputs import StageInputs
-from eha_monitor.filters.pipeline import estimate, start_compliance
+from eha_monitor.filters.pipeline import estimate
+from eha_monitor.filters.run_two import start_compliance
 from eha_monitor.filters.supervision import new_supervision
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.read import read_recording
@@ -73,8 +74,8 @@ class Stages:
         q[3, 3] = self.start[1]
         kernel_two.run_two(
             i.x, drive.start, drive.end, drive.variance, drive.instrument, self.b,
-            self.b_variance, model.hydraulics, model.leak, i.dt, i.position_variance, 0.0, 4.0,
-            i.p1, i.p2, model.theta, model.active, False,
+            self.b_variance, model.hydraulics, model.leak, i.leak_flow, i.dt, i.position_variance,
+            0.0, 4.0, i.p1, i.p2, model.theta, model.active, False,
             np.array([np.nan, 0.0, 0.0, self.start[0]]), q, np.zeros(4), new_supervision(),
             self.out_two, self.events)
 
@@ -93,7 +94,7 @@ class Stages:
         for k in range(1, FILTERPY_SAMPLES):
             one.step(i.x[k], force.start[k - 1], force.end[k], force.variance[k], 0.0, 0.0)
             two.step(i.x[k], drive.start[k - 1], drive.end[k], drive.instrument[k - 1],
-                     drive.instrument[k], drive.variance[k], 600.0, 0.01, 0.0, 0.0)
+                     drive.instrument[k], drive.variance[k], 600.0, 0.01, 0.0, 0.0, 0.0)
 
 
 def main() -> None:

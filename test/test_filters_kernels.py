@@ -120,14 +120,15 @@ def test_filterpy_runs_stage_two_to_the_same_numbers(name):
     drive = inputs.drive
     found = kernel_two.run_two(
         inputs.x, drive.start, drive.end, drive.variance, drive.instrument, b, b_variance,
-        model.hydraulics, model.leak, inputs.dt, inputs.position_variance, q_f, broad, inputs.p1,
-        inputs.p2, model.theta, model.active, bool(model.active.any()), m, p, sens, watch, out,
-        events)
+        model.hydraulics, model.leak, inputs.leak_flow, inputs.dt, inputs.position_variance, q_f,
+        broad, inputs.p1, inputs.p2, model.theta, model.active, bool(model.active.any()), m, p,
+        sens, watch, out, events)
     rows, changes = np.empty((8, n)), []
     for k in range(n):
         u0, i0 = (drive.start[k - 1], drive.instrument[k - 1]) if k else (np.nan, np.nan)
         change = live.step(inputs.x[k], u0, drive.end[k], i0, drive.instrument[k],
-                           drive.variance[k], b[k], b_variance[k], inputs.p1[k], inputs.p2[k])
+                           drive.variance[k], b[k], b_variance[k], inputs.leak_flow[k],
+                           inputs.p1[k], inputs.p2[k])
         if change is not None:
             changes.append((k, *change))
         beta = model.beta_0 / live.ekf.x[3]
@@ -219,14 +220,14 @@ def test_with_both_known_stage_two_is_a_linear_kalman_filter():
     log_likelihood = -np.nansum(0.5 * (expected[2] / expected[3]) ** 2 + np.log(expected[3]))
     flat = np.zeros(len(x))
     found = kernel_two.log_likelihood_two(x, drive.start, drive.end, flat, B, 5e8 / beta,
-                                          inputs.model.hydraulics, inputs.model.leak, T_S, r,
+                                          inputs.model.hydraulics, inputs.model.leak, flat, T_S, r,
                                           0.0)
     assert found == pytest.approx(log_likelihood, abs=0.02)
     m, p = np.array([np.nan, 0.0, 0.0, 5e8 / beta]), np.diag([0, 0, 0, 1e-20])
     out = np.empty((8, len(x)))
     model = inputs.model
     kernel_two.run_two(x, drive.start, drive.end, flat, drive.instrument, np.full(len(x), B),
-                       flat, model.hydraulics, model.leak, T_S, r, 0.0, 1.0, inputs.p1,
+                       flat, model.hydraulics, model.leak, flat, T_S, r, 0.0, 1.0, inputs.p1,
                        inputs.p2, model.theta, model.active, False, m, p, np.zeros(4),
                        new_supervision(), out, np.empty((5, 4)))
     late = slice(50, None)
@@ -245,10 +246,10 @@ def test_sensitivity_to_b_is_the_derivative_of_the_estimate():
         m, p, sens = np.array([np.nan, 0, 0, 5 / 6]), np.diag([0, 0, 0, 1e-4]), np.zeros(4)
         out = np.empty((8, n))
         kernel_two.run_two(inputs.x, drive.start, drive.end, drive.variance, drive.instrument,
-                           np.full(n, b), np.zeros(n), model.hydraulics, model.leak, T_S,
-                           inputs.position_variance, 0.0, 1.0, inputs.p1, inputs.p2, model.theta,
-                           model.active, False, m, p, sens, new_supervision(True), out,
-                           np.empty((5, 4)))
+                           np.full(n, b), np.zeros(n), model.hydraulics, model.leak, np.zeros(n),
+                           T_S, inputs.position_variance, 0.0, 1.0, inputs.p1, inputs.p2,
+                           model.theta, model.active, False, m, p, sens, new_supervision(True),
+                           out, np.empty((5, 4)))
         return m[3], sens[3]
 
     low, here, high = run(599.0), run(600.0), run(601.0)

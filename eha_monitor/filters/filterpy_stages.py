@@ -224,16 +224,17 @@ class FilterpyStageTwo(_Stage):
         self._b_variance = 0.0
 
     def step(self, x: float, u0: float, u1: float, i0: float, i1: float, q_u: float, b: float,
-             b_variance: float, p1: float, p2: float) -> tuple[float, float, int] | None:
+             b_variance: float, leak_flow: float, p1: float, p2: float
+             ) -> tuple[float, float, int] | None:
         """Take one sample; arguments as the kernel's.  Returns (before, after, samples), Pa."""
         ekf = self.ekf
         self.innovation = self.innovation_stddev = math.nan
         self._damping, self._b_variance, self._force = b, b_variance, 0.0
         if not self.lost:
-            if math.isnan(u0 + u1 + i0 + i1 + b):
+            if math.isnan(u0 + u1 + i0 + i1 + b + leak_flow):
                 self.lost = True
             else:
-                self._advance(u0, u1, i0, i1, q_u, b, p1, p2)
+                self._advance(u0, u1, i0, i1, q_u, b, leak_flow, p1, p2)
         if not math.isnan(x):
             if self.lost:
                 kernel_two.start_two(ekf.x, ekf.P, x, ekf.R[0, 0], self.dt, self.constants[MASS])
@@ -249,15 +250,15 @@ class FilterpyStageTwo(_Stage):
         kernel_two.jump_two(ekf.x, ekf.P, *change[:2])
         return before, self.value, change[2]
 
-    def _advance(self, u0, u1, i0, i1, q_u, b, p1, p2):
+    def _advance(self, u0, u1, i0, i1, q_u, b, leak_flow, p1, p2):
         ekf = self.ekf
-        damping, force, flow = b, 0.0, 0.0
+        damping, force, flow = b, 0.0, leak_flow
         if self.any_active:
             f, slope = kernel_one.effect_force(ekf.x[0], ekf.x[1], p1, p2, self.theta,
                                                self.active, *self._scratch)
             damping += slope
             force = f - slope * ekf.x[1]
-            flow = kernel_two.effect_flow(self.theta, self._scratch[1])
+            flow += kernel_two.effect_flow(self.theta, self._scratch[1])
             if math.isnan(force + flow):  # a pressure is missing that an effect needs
                 self.lost = True
                 return

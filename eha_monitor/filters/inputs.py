@@ -15,6 +15,8 @@ from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
+SPIKE_SPAN, SPIKE_SIGMAS = 10.0, 30.0
+
 
 @dataclass(frozen=True)
 class RigModel:
@@ -51,6 +53,26 @@ class RigModel:
         if known:
             leak = 0.5 * theta[s.C_T] * (1 / theta[s.VOL_1] + 1 / theta[s.VOL_2])
         return cls(settings, theta, active, beta_0, loop, constants, leak)
+
+
+def measured_leakage(rig: Rig, channels: dict) -> np.ndarray | None:
+    """Return A1/V1 Q1 - A2/V2 Q2 of leakage and make-up from measured pressures, or None.
+
+    With equal sides leakage is proportional to the force and part of the lumped balance; None
+    then.  A single-rod cylinder rests at two pressures, so that oil leaks at no force; the flow
+    then comes from the pressures themselves (the flow balances of
+    :func:`physics.balances.derivatives`).  N/Pa/s per unit of bulk modulus.
+    """
+    equal = rig.area_1 == rig.area_2 and rig.volume_1 == rig.volume_2
+    if equal or None in (rig.area_1, rig.area_2, rig.volume_1, rig.volume_2) or not (
+            "p1" in channels and "p2" in channels):
+        return None
+    p1, p2 = channels["p1"], channels["p2"]
+    one, two = rig.area_1 / rig.volume_1, rig.area_2 / rig.volume_2
+    crossing = 0.5 * (rig.leakage - rig.makeup_conductance) * (p1 - p2)
+    makeup_1 = rig.makeup_conductance * (p1 - rig.charge_pressure)
+    makeup_2 = rig.makeup_conductance * (p2 - rig.charge_pressure)
+    return -crossing * (one + two) - makeup_1 * one + makeup_2 * two
 
 
 def force_of(rig: Rig, row: dict) -> np.ndarray | float | None:
@@ -99,16 +121,19 @@ def force_variance(rig: Rig, noise: dict[str, NoiseEstimate], extra: float) -> f
 class StageInputs:
     """Everything the two kernels take from one recording.
 
-    The holds' variances include the sensors' noise; the reasons are None where the stage can run.
+    ``measured_force`` is the force as sampled, N.  The holds' variances include the sensors' noise; the reasons are None where the stage can run.
     ``p1``, ``p2`` are the mean pressures of the sample before each, or one charge pressure.
-    ``quantum`` is the position's resolution in m, 0 where it is continuous.
+    ``quantum`` is the position's resolution in m, 0 where it is continuous; ``spikes`` counts the
+    samples of each channel that were left out.
     """
 
     model: RigModel
     dt: float
     x: np.ndarray
+    measured_force: np.ndarray
     force: Hold
     drive: Hold
+    leak_flow: np.ndarray
     p1: np.ndarray
     p2: np.ndarray
     noise: dict[str, NoiseEstimate]
@@ -116,13 +141,15 @@ class StageInputs:
     quantum: float
     no_force: str | None
     no_drive: str | None
+    spikes: dict[str, int]
 
     @classmethod
     def of(cls, recording: Recording, settings: Settings) -> "StageInputs":
         """Collect the inputs of a recording."""
         names = [name for name in recording.channels if recording.has(name)]
-        channels = {name: recording.channels[name] for name in names}
         noise = noise_levels(recording, settings.noise)
+        channels, spikes = without_spikes(
+            {name: recording.channels[name] for name in names}, noise)
         rig = settings.rig
         both = "p1" in channels and "p2" in channels
         mean = float(np.nanmedian(0.5 * (channels["p1"] + channels["p2"]))) if both else None
@@ -131,19 +158,60 @@ class StageInputs:
         no_drive = drive_missing(settings, channels)
         nothing = hold_of(np.full(len(recording), np.nan), 0.0)
         force = drive = nothing
+        measured_force = nothing.start
         if no_force is None:
             variance = force_variance(rig, noise, settings.stage_one.force_noise)
-            force = with_noise(hold_of(force_of(rig, channels), variance**0.5), variance)
+            measured_force = force_of(rig, channels)
+            force = with_noise(hold_of(measured_force, variance**0.5), variance)
         if no_drive is None:
             drive = drive_input(model, channels, noise)
         charge = np.array([rig.charge_pressure])
-        x = recording.get("x")
+        x = channels.get("x", np.full(len(recording), np.nan))
+        step = quantum(x[np.isfinite(x)])
+        leak_flow = measured_leakage(rig, channels)
+        if leak_flow is not None:
+            model = replace(model, leak=0.0)
         return cls(
-            model, recording.sample_time, x, force, drive,
+            model, recording.sample_time, x, measured_force, force, drive,
+            np.zeros(len(recording)) if leak_flow is None else between(leak_flow),
             between(channels["p1"]) if both else charge,
             between(channels["p2"]) if both else charge, noise,
-            noise["x"].value ** 2 if "x" in noise else np.nan,
-            quantum(x[np.isfinite(x)]), no_force, no_drive)
+            position_variance(noise, step), step, no_force, no_drive, spikes)
+
+
+def position_variance(noise: dict[str, NoiseEstimate], step: float) -> float:
+    """Return the variance of the measured position, m^2.
+
+    A rounding error is not white: on periodic motion it repeats with the motion.  Where it
+    dominates it counts with twice its standard deviation, step/sqrt(3).
+    """
+    if "x" not in noise:
+        return np.nan
+    return max(noise["x"].value, step / np.sqrt(3.0)) ** 2
+
+
+def without_spikes(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstimate]
+                   ) -> tuple[dict[str, np.ndarray], dict[str, int]]:
+    """Return the channels with lone wild samples set to NaN, and how many there were.
+
+    A sample is wild when it lies far outside what its two neighbours on each side span: ten
+    times that span and thirty sigmas.  A step is none: its neighbours span it.
+    """
+    cleaned, counts = {}, {}
+    for name, values in channels.items():
+        cleaned[name] = values
+        if name not in noise or name == "temperature" or len(values) < 5:
+            continue
+        around = np.stack([np.roll(values, d) for d in (-2, -1, 1, 2)])
+        span = around.max(axis=0) - around.min(axis=0)
+        middle = 0.5 * (around.max(axis=0) + around.min(axis=0))
+        with np.errstate(invalid="ignore"):
+            wild = np.abs(values - middle) > SPIKE_SPAN * span + SPIKE_SIGMAS * noise[name].value
+        wild[:2] = wild[-2:] = False
+        if wild.any():
+            cleaned[name] = np.where(wild, np.nan, values)
+            counts[name] = int(wild.sum())
+    return cleaned, counts
 
 
 def between(values: np.ndarray) -> np.ndarray:

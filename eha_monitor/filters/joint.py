@@ -8,7 +8,7 @@ import numpy as np
 
 from eha_monitor.filters import kernel_joint
 from eha_monitor.filters.hold import Hold, hold_of
-from eha_monitor.filters.inputs import StageInputs, force_of, with_noise
+from eha_monitor.filters.inputs import StageInputs, measured_leakage, with_noise
 from eha_monitor.filters.results import JointResult, ParameterEstimate, StageResult
 from eha_monitor.filters.stage_two import LOOP
 from eha_monitor.filters.status import judge_parameter, units_of
@@ -17,6 +17,8 @@ from eha_monitor.settings.monitor import Settings
 
 LEAKAGE_SPREAD = 20.0  # prior standard deviation of C_T over its configured value
 SHORTEST = 200  # samples
+NARROW = 100.0
+MEDIAN_SQUARE = 0.4549  # of a normal deviate
 IDEAL = 1.5  # variance over that of the noise, sample by sample and in means of 64
 WRONG = 10.0  # NIS above which the joint answer is none
 HONEST = 1.5  # NIS above which the standard deviations grow with its root
@@ -60,16 +62,18 @@ def run_joint(inputs: StageInputs, recording: Recording, settings: Settings, one
               two: StageResult, since: int = 0) -> JointResult | None:
     """Estimate B, beta_e and C_T together, or return None where pressure or omega is missing.
 
-    Starts from the two stages' answers, with the priors' full variance, and takes what came
+    Starts from the two stages' answers, with a hundred times their variance (a hundredth of their
+    information counts twice; a broader start leads the filter astray), and takes what came
     after the last change that a stage saw (sample ``since``): its parameters are constant.
     """
     model = inputs.model
     hold = speed_hold(recording, settings, inputs)
     if (hold is None or model.hydraulics is None or inputs.no_force is not None
-            or not recording.has("p1", "p2") or model.active.any()):
+            or not recording.has("p1", "p2") or model.active.any()
+            or measured_leakage(settings.rig, recording.channels) is not None):
         return None
     if len(recording) - since < SHORTEST:
-        return None
+        since = 0  # it never settles: whether one set of parameters fits is the question then
     rig = settings.rig
     constants = model.hydraulics.copy()
     words = "pump speed"
@@ -78,15 +82,18 @@ def run_joint(inputs: StageInputs, recording: Recording, settings: Settings, one
         words = "demanded position (the drive follows it within the noise)"
     else:
         constants[LOOP] = 0.0  # the measured speed is the input: the loop is open
-    start = [settings.stage_one.prior, 1.0]
+    start, variance = [settings.stage_one.prior, 1.0], prior_of(settings, model.leak)
     if one.estimate.status == "converged":
         start[0] = one.estimate.value
+        variance[0] = min(variance[0], NARROW * one.estimate.stddev**2)
     if two.estimate.status == "converged":
         start[1] = model.beta_0 / two.estimate.value
+        variance[1] = min(variance[1], NARROW * (
+            start[1] * two.estimate.stddev / two.estimate.value) ** 2)
     m = np.array([np.nan, 0.0, 0.0, *start, model.leak, 0.0])
-    p = np.diag([0.0, 0.0, 0.0, *prior_of(settings, model.leak), 0.0])
+    p = np.diag([0.0, 0.0, 0.0, *variance, 0.0])
     out = np.empty((7, len(recording) - since))
-    force = force_of(rig, recording.channels)
+    force = inputs.measured_force
     r_f = ((rig.area_1 * inputs.noise["p1"].value) ** 2
            + (rig.area_2 * inputs.noise["p2"].value) ** 2)
     part = slice(since, None)
@@ -95,8 +102,10 @@ def run_joint(inputs: StageInputs, recording: Recording, settings: Settings, one
         hold.instrument[part], constants, inputs.dt, inputs.position_variance, r_f, 0.0,
         kernel_joint.FREE, m, p, out)
     with np.errstate(invalid="ignore"):
-        nis = np.nanmean([(out[3] / out[4]) ** 2, (out[5] / out[6]) ** 2]) if np.isfinite(
-            out[3]).any() else np.nan
+        squares = np.concatenate([(out[3] / out[4]) ** 2, (out[5] / out[6]) ** 2])
+        squares = squares[np.isfinite(squares)]
+        # The median, since a few samples at a jump of the command say nothing about the fit.
+        nis = np.median(squares) / MEDIAN_SQUARE if len(squares) else np.nan
     if not np.isfinite(nis):
         return None
     if not (np.isfinite(p).all() and (np.diag(p)[3:6] > 0).all()):
@@ -130,6 +139,7 @@ def joint_result(m: np.ndarray, p: np.ndarray, nis: float, settings: Settings, b
                      for name in estimates}
     root = np.sqrt(np.diag(covariance))
     return JointResult(estimates, covariance / np.outer(root, root),
-                       f"position, pressure force and {words} together, NIS {nis:.2f}")
+                       f"position, pressure force and {words} together, NIS {nis:.3g}",
+                       nis <= WRONG)
 
 

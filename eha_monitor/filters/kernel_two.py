@@ -131,8 +131,8 @@ def correct_two(m, p, sens, z, r, w):
 
 
 @njit
-def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, dt, r, q_f,
-            prior_variance, p1, p2, theta, active, any_active, m, p, sens, w, out, events):
+def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak_flow, dt,
+            r, q_f, prior_variance, p1, p2, theta, active, any_active, m, p, sens, w, out, events):
     """Run the stage over all samples.
 
     Parameters
@@ -142,6 +142,8 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, dt, 
         :class:`hold.Hold`.
     b, b_variance : (n,) damping of stage one and its variance.
     constants, leak : lumped hydraulics of :func:`stage_two.hydraulics`.
+    leak_flow : (n,) :func:`inputs.measured_leakage` over the sample before each; 0 where
+        ``leak`` stands for it.
     r, q_f : variances of the position (m^2) and of an unmodelled force (N^2).
     p1, p2 : (n,) or (1,) absolute pressures over the sample before each, for
         pressure-dependent effects, Pa.
@@ -173,18 +175,18 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, dt, 
         force = 0.0
         if not lost and k > 0:
             u0, u1 = start[k - 1], end[k]
-            if math.isnan(u0 + u1 + instrument[k - 1] + instrument[k] + b[k]):
+            flow = leak_flow[k]
+            if math.isnan(u0 + u1 + instrument[k - 1] + instrument[k] + b[k] + flow):
                 lost = True
             else:
                 damping = b[k]
-                flow = 0.0
                 if any_active:
                     i = k if p1.shape[0] > 1 else 0
                     f, df = effect_force(m[0], m[1], p1[i], p2[i], theta, active,
                                          s_scratch, c_scratch)
                     damping += df
                     force = f - df * m[1]
-                    flow = effect_flow(theta, c_scratch)
+                    flow += effect_flow(theta, c_scratch)
                 if math.isnan(force + flow):  # a pressure is missing that an effect needs
                     lost, force = True, 0.0
             if not lost:
@@ -265,7 +267,8 @@ def jump_two(m, p, delta, information):
 
 
 @njit
-def log_likelihood_two(x, start, end, q_u, b, c, constants, leak, dt, r, q_f):
+def log_likelihood_two(x, start, end, q_u, b, c, constants, leak, leak_flow, dt, r,
+                       q_f):
     """Return the log likelihood of a stretch under a fixed compliance ``c`` (no effects).
 
     The resonance makes the likelihood of beta_e many-peaked: an extended filter that starts
@@ -283,11 +286,12 @@ def log_likelihood_two(x, start, end, q_u, b, c, constants, leak, dt, r, q_f):
     for k in range(x.shape[0]):
         if not lost:
             u0, u1 = start[k - 1], end[k]
-            if math.isnan(u0) or math.isnan(u1):
+            flow = leak_flow[k]
+            if math.isnan(u0 + u1 + flow):
                 lost = True
             else:
                 p[3, 3] = 1e-30  # c is fixed here
-                predict_two(m, p, sens, step, zero, zero, u0, u1, 0.0, 0.0, 0.0, 0.0, q_f,
+                predict_two(m, p, sens, step, zero, zero, u0, u1, 0.0, 0.0, 0.0, flow, q_f,
                             q_u[k])
         if math.isnan(x[k]):
             continue
@@ -309,10 +313,10 @@ def log_likelihood_two(x, start, end, q_u, b, c, constants, leak, dt, r, q_f):
 
 
 @njit
-def bank_two(x, start, end, q_u, b, grid, constants, leak, dt, r, q_f):
+def bank_two(x, start, end, q_u, b, grid, constants, leak, leak_flow, dt, r, q_f):
     """Return the log likelihood at each compliance of ``grid``; (len(grid),)."""
     out = np.empty(grid.shape[0])
     for i in range(grid.shape[0]):
-        out[i] = log_likelihood_two(x, start, end, q_u, b, grid[i], constants, leak, dt, r,
-                                    q_f)
+        out[i] = log_likelihood_two(x, start, end, q_u, b, grid[i], constants, leak, leak_flow,
+                                    dt, r, q_f)
     return out

@@ -6,7 +6,7 @@ of a few samples, because the hold of an input looks at its neighbours on both s
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,17 +22,16 @@ from eha_monitor.filters.inputs import (
     force_missing,
     force_of,
     force_variance,
+    measured_leakage,
+    position_variance,
     with_noise,
+    without_spikes,
 )
 from eha_monitor.filters.live_buffer import LiveBuffer
-from eha_monitor.filters.noise import noise_levels
-from eha_monitor.filters.pipeline import (
-    MISSING_ONE,
-    MISSING_TWO,
-    force_noise_variance,
-    run_stage_two_kernel,
-)
+from eha_monitor.filters.noise import noise_levels, quantum
+from eha_monitor.filters.pipeline import MISSING_ONE, MISSING_TWO, unless_unexcited
 from eha_monitor.filters.results import Consistency, Event, ModelStatus, ParameterEstimate
+from eha_monitor.filters.run_two import LARGE, force_noise_variance, run_stage_two_kernel
 from eha_monitor.filters.status import CONVERGED, judge_parameter, no_data, units_of
 from eha_monitor.settings.monitor import Settings
 
@@ -160,6 +159,8 @@ class LiveEstimator:
         if "p1" in channels and "p2" in channels:
             mean = float(np.nanmedian(0.5 * (channels["p1"] + channels["p2"])))
         self._model = RigModel.of(settings, mean, "x_d" in names)
+        if measured_leakage(rig, channels) is not None:
+            self._model = replace(self._model, leak=0.0)
         self._measure_noise()
         if self._no_force is None:
             self._one = FilterpyStageOne(
@@ -170,7 +171,8 @@ class LiveEstimator:
     def _measure_noise(self) -> None:
         recording = self._buffer.recording(self._buffer.first, self._buffer.end)
         self._noise = noise_levels(recording, self.settings.noise)
-        self._r = self._noise["x"].value ** 2 if "x" in self._noise else math.nan
+        x = recording.get("x")
+        self._r = position_variance(self._noise, quantum(x[np.isfinite(x)]))
         self._q = force_variance(self.settings.rig, self._noise,
                                  self.settings.stage_one.force_noise)
         for stage in (self._one, self._two):
@@ -186,8 +188,10 @@ class LiveEstimator:
         if stop <= self._taken:
             return
         context = max(self._taken - CONTEXT, buffer.first)
-        channels = buffer.channels(context, buffer.end)
-        x = buffer.column("x", context, buffer.end)
+        channels, _ = without_spikes(buffer.channels(context, buffer.end), self._noise)
+        x = channels.get("x", np.full(buffer.end - context, math.nan))
+        leak_flow = measured_leakage(self.settings.rig, channels)
+        leak_flow = np.zeros(len(x)) if leak_flow is None else between(leak_flow)
         charge = self.settings.rig.charge_pressure
         p1, p2 = (between(channels[name]) if name in channels else None for name in ("p1", "p2"))
         force = drive = None
@@ -208,7 +212,7 @@ class LiveEstimator:
                 u0, i0 = (drive.start[i - 1], drive.instrument[i - 1]) if i else (math.nan,) * 2
                 change = self._two.step(
                     x[i], u0, drive.end[i], i0, drive.instrument[i], drive.variance[i],
-                    *self._damping, *pressures)
+                    *self._damping, leak_flow[i], *pressures)
                 self._note(number, "two", self._two, change)
         if self._two is not None:
             buffer.column("b", self._taken, stop)[:] = self._damping[0]
@@ -248,6 +252,8 @@ class LiveEstimator:
             del self._changes[which][:-200]
             self._events.append(Event(self._time_of(number), which, f"{name} changed from "
                                       f"{change[0]:.4g} to {change[1]:.4g} {unit}"))
+            if which == "two" and abs(change[1] / change[0] - 1.0) > LARGE:
+                self._stale_piece = True  # run again from the bank once some seconds show it
             if which == "one":
                 self._piece = max(number - change[2], self._buffer.first)
                 self._stale_piece = True
@@ -336,10 +342,11 @@ class LiveEstimator:
                 seen += self._changes["two"]
             changes = np.array([(n - start, a, b, w) for n, a, b, w in seen
                                 if n + w + 500 >= start]).reshape(-1, 4)
-            self._verdicts[which] = judge(
+            parameter = self._parameters()["B" if which == "one" else "beta_e"]
+            self._verdicts[which] = unless_unexcited(parameter, judge(
                 buffer.column(f"nu_{which}", start, self._taken).copy(),
                 buffer.column(f"sd_{which}", start, self._taken).copy(), self.dt, words, missing,
-                changes, start=self._time_of(start))
+                changes, start=self._time_of(start)))
 
     # ---- what is known ---------------------------------------------------------------------
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from eha_monitor.filters import kernel_joint
 from eha_monitor.filters.hold import hold_of
-from eha_monitor.filters.inputs import RigModel, StageInputs, force_of
+from eha_monitor.filters.inputs import RigModel, StageInputs
 from eha_monitor.filters.joint import speed_hold
 from eha_monitor.filters.results import Estimate
 
@@ -89,7 +89,7 @@ def bound(channels: tuple[str, ...], estimate: Estimate, inputs: StageInputs) ->
             hold, variance = hold_of(zero, 0.0), zero + UNKNOWN_SPEED**2
     force, r_f = np.full(len(recording), np.nan), np.inf
     if "p1" in channels:
-        force = force_of(rig, recording.channels)
+        force = inputs.measured_force
         r_f = ((rig.area_1 * inputs.noise["p1"].value) ** 2
                + (rig.area_2 * inputs.noise["p2"].value) ** 2)
     m = np.array([np.nan, 0.0, 0.0, *values, 0.0])

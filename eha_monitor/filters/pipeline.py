@@ -8,8 +8,10 @@ from eha_monitor.filters import kernel_one
 from eha_monitor.filters.consistency import judge
 from eha_monitor.filters.inputs import StageInputs
 from eha_monitor.filters.results import (
+    Consistency,
     Estimate,
     Event,
+    JointResult,
     ModelStatus,
     ParameterEstimate,
     StageResult,
@@ -24,6 +26,8 @@ MISSING_ONE = "the force balance M x'' = F - B x' leaves something out, or a sen
 MISSING_TWO = ("the flow balance or the drive leaves something out, a sensor is late or wrong, or "
                "B is not what acts here")
 NO_CHANGES = np.empty((0, 4))
+GROSS = 25.0  # variance ratio
+COARSE = 1.5  # rad of the resonance in a sample
 
 
 def estimate(recording: Recording, settings: Settings) -> Estimate:
@@ -49,9 +53,9 @@ def estimate(recording: Recording, settings: Settings) -> Estimate:
     since = max((int(row[0]) + 1 for row in (*changes, *later)), default=0)
     joint = run_joint(inputs, recording, settings, one, two, since)
     return Estimate(
-        recording, settings, one, two, joint, model_status(one, two),
+        recording, settings, one, two, joint, model_status(one, two, joint=joint),
         tuple(sorted(events, key=lambda event: event.time_s)), inputs.noise,
-        time.perf_counter() - started, tuple(warnings_of(inputs)))
+        time.perf_counter() - started, tuple(warnings_of(inputs, settings)))
 
 
 def empty_stage(stage: str, estimate: ParameterEstimate) -> StageResult:
@@ -76,10 +80,11 @@ def run_stage_one(inputs: StageInputs, recording: Recording, settings: Settings,
         return empty_stage("one", no_data(
             "B", unit, "stage one found no stretch with position and force together"
         )), NO_CHANGES
-    verdict = judge(out[4], out[5], inputs.dt, "stage one", MISSING_ONE, changes,
-                    inputs.quantum)
+    parameter = judge_parameter("B", out[2, -1], out[3, -1], unit, prior, spread)
+    verdict = unless_unexcited(parameter, judge(
+        out[4], out[5], inputs.dt, "stage one", MISSING_ONE, changes, inputs.quantum))
     result = StageResult(
-        "one", judge_parameter("B", out[2, -1], out[3, -1], unit, prior, spread),
+        "one", parameter,
         recording.time, out[2], out[3], out[0], out[1],
         (inputs.force.start - out[2] * out[1]) / settings.rig.mass, out[4], out[5], verdict)
     first = first_converged(out[2], out[3], spread)
@@ -129,6 +134,18 @@ def first_converged(value: np.ndarray, stddev: np.ndarray, prior_stddev: float) 
     """Return the first sample at which a parameter counts as converged."""
     good = (stddev < 0.1 * np.abs(value)) & (stddev < 0.5 * prior_stddev)
     return int(np.argmax(good)) if good.any() else None
+
+
+def unless_unexcited(parameter: ParameterEstimate,
+                     verdict: Consistency | None) -> Consistency | None:
+    """Return the verdict, but none on a small misfit of a parameter that nothing told.
+
+    A parameter that stays at its prior fits a little badly; only a gross misfit is the model's.
+    """
+    if (verdict is None or verdict.consistent or parameter.status != "not_excited"
+            or verdict.variance_ratio > GROSS):
+        return verdict
+    return None
 
 
 def hand_over(one: StageResult, changes: np.ndarray, settings: Settings, recording: Recording,
@@ -184,36 +201,50 @@ def run_stage_two(inputs: StageInputs, recording: Recording, settings: Settings,
             "beta_e", unit, "stage two found no stretch with position and drive together"
         )), NO_CHANGES
     prior = settings.stage_two
-    verdict = judge(out[6], out[7], inputs.dt, "stage two", MISSING_TWO, changes,
-                    inputs.quantum)
+    parameter = judge_parameter("beta_e", out[3, -1], out[5, -1], unit, prior.prior,
+                                prior.prior_stddev, prior.largest)
+    verdict = unless_unexcited(parameter, judge(
+        out[6], out[7], inputs.dt, "stage two", MISSING_TWO, changes, inputs.quantum))
     first = first_converged(out[3], out[5], prior.prior_stddev)
     if first is not None:
         events.append(Event(first * inputs.dt, "two",
                             f"beta_e converged at {out[3, first]:.4g} ± {out[5, first]:.2g} Pa"))
     events += change_events(changes, len(changes), inputs.dt, "two", "beta_e", unit)
     result = StageResult(
-        "two", judge_parameter("beta_e", out[3, -1], out[5, -1], unit, prior.prior,
-                               prior.prior_stddev, prior.largest),
+        "two", parameter,
         recording.time, out[3], out[5], out[0], out[1], out[2], out[6], out[7], verdict)
     return result, changes
 
 
-def model_status(*stages: StageResult) -> ModelStatus:
-    """Return one verdict from the stages' innovations."""
+def model_status(*stages: StageResult, joint: JointResult | None = None) -> ModelStatus:
+    """Return one verdict from the stages' innovations and from the joint filter's fit."""
     judged = [stage.consistency for stage in stages if stage.consistency is not None]
     wrong = [verdict for verdict in judged if not verdict.consistent]
     if wrong:
         return ModelStatus("mismatch", "; ".join(verdict.message for verdict in wrong))
+    if joint is not None and not joint.fits:
+        return ModelStatus("mismatch", "each stage fits its own channels, but position, pressure "
+                           f"and drive do not fit together ({joint.message}): a sensor's scale, "
+                           "or the pump")
     if not judged:
         return ModelStatus("not_judged", "no stage had enough data to test the model")
     return ModelStatus("consistent", "; ".join(verdict.message for verdict in judged))
 
 
-def warnings_of(inputs: StageInputs) -> list[str]:
+def warnings_of(inputs: StageInputs, settings: Settings) -> list[str]:
     """Return what a user should know about the recording beyond the estimates."""
     notes = []
     for name, level in inputs.noise.items():
         if not level.measured and name in ("x", "p1", "p2", "omega", "force"):
             notes.append(f"{name}: too few samples to measure the noise, the config's level is "
                          "assumed")
+    for name, count in inputs.spikes.items():
+        notes.append(f"{name}: {count} lone wild sample{'s' if count > 1 else ''} left out")
+    if inputs.model.hydraulics is not None and inputs.no_drive is None:
+        stiff, mass = inputs.model.hydraulics[1], inputs.model.hydraulics[0]
+        ring = np.sqrt(settings.rig.bulk_modulus * stiff / mass)
+        if ring * inputs.dt > COARSE:
+            notes.append(f"the samples are {inputs.dt * 1e3:.3g} ms apart, too far for the oil "
+                         f"column's resonance of {ring / 2 / np.pi:.0f} Hz: the values may be "
+                         "biased by more than their standard deviation")
     return notes

@@ -99,12 +99,13 @@ class JointResult:
     """B, beta_e and leakage at once, from dp and omega.
 
     ``parameters`` maps ``B``, ``beta_e``, ``L`` to estimates; ``correlation`` is (3, 3) in that
-    order.
+    order; ``fits`` tells whether position, force and drive agree on them at all.
     """
 
     parameters: dict[str, ParameterEstimate]
     correlation: np.ndarray
     message: str
+    fits: bool
 
 
 @dataclass(frozen=True)

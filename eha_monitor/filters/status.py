@@ -29,8 +29,10 @@ def judge_parameter(name: str, value: float, stddev: float, unit: str, prior: fl
     if not (math.isfinite(value) and math.isfinite(stddev)):
         return ParameterEstimate(name, math.nan, math.nan, unit, "diverged",
                                  f"{name} is no longer a finite number")
-    if value < -NEGATIVE * stddev or abs(value) > min(HUGE * (prior + prior_stddev),
-                                                              largest):
+    limit = min(HUGE * (prior + prior_stddev), largest)
+    # Beyond the limit, the inverse of the value (a compliance) must be so within its own sigma.
+    beyond = abs(value) > limit and (1.0 + NEGATIVE * stddev / abs(value)) / abs(value) < 1 / limit
+    if value < -NEGATIVE * stddev or beyond:
         return ParameterEstimate(
             name, math.nan, math.nan, unit, "diverged",
             f"{name} went to {value:.3g} {unit}, which is not physical; the model, the config or "

@@ -24,8 +24,8 @@ TRUST = 1.5  # score variance ratio below which sigma stands as it is
 
 # Places in the supervision vector.
 (SCORE, INFORMATION, BLOCKS, RATIO_SUM, RATIO_COUNT, CHANGES, NET, TRAVEL, FROZEN,
- SLOW) = range(10)  # SLOW: running mean of the velocity, stage one's instrument
-HEAD = 10
+ SLOW, CAPPED_SUM) = range(11)  # SLOW: running mean of the velocity, stage one's instrument
+HEAD = 11
 N_SUPERVISION = HEAD + 3 * HISTORY  # then scores, informations, normalised squares of past blocks
 
 
@@ -68,6 +68,7 @@ def forgive_recent(w):
         square = w[HEAD + 2 * HISTORY + j]
         if square > OUTLYING:
             w[RATIO_SUM] = max(w[RATIO_SUM] - square, 0.0)
+            w[CAPPED_SUM] = max(w[CAPPED_SUM] - OUTLYING, 0.0)
             w[RATIO_COUNT] = max(w[RATIO_COUNT] - 1.0, 0.0)
 
 
@@ -97,7 +98,11 @@ def look(w, value, variance, prior_variance):
     w[HEAD + 2 * HISTORY] = square
     w[BLOCKS] = min(blocks + 1, HISTORY)
 
-    ratio = max(1.0, score_ratio(w))
+    # Each block counts for at most OUTLYING here: a drift that is not yet seen must not raise the
+    # threshold by which it is to be seen.
+    ratio = 1.0
+    if w[RATIO_COUNT] >= 5.0:
+        ratio = max(1.0, w[CAPPED_SUM] / w[RATIO_COUNT])
     total_score, total_information = 0.0, 0.0
     for i in range(int(w[BLOCKS])):
         total_score += w[HEAD + i]
@@ -119,7 +124,9 @@ def look(w, value, variance, prior_variance):
             return delta, total_information, (i + 1) * BLOCK
     if w[RATIO_COUNT] >= 300.0:  # forget slowly: half a minute at 1 kHz
         w[RATIO_SUM] *= 0.5
+        w[CAPPED_SUM] *= 0.5
         w[RATIO_COUNT] *= 0.5
     w[RATIO_SUM] += square
+    w[CAPPED_SUM] += min(square, OUTLYING)
     w[RATIO_COUNT] += 1.0
     return 0.0, 0.0, 0

@@ -3,8 +3,9 @@
 import numpy as np
 
 from eha_monitor.errors import InputError
+from eha_monitor.recordings.grid import GAP, JITTER, Grid, fit_grid
 from eha_monitor.recordings.recording import CHANNELS, Recording
-from eha_monitor.recordings.stamps import GAP, JITTER, Grid, fit_grid, period_of, repair
+from eha_monitor.recordings.stamps import period_of, repair
 from eha_monitor.recordings.topics import Series
 from eha_monitor.settings.monitor import Settings
 

@@ -1,43 +1,18 @@
-"""Repair of time stamps: order, repeats, clock jumps, wild values, jitter."""
-
-from dataclasses import dataclass
+"""Repair of time stamps: order, repeats, clock jumps, wild values."""
 
 import numpy as np
 
-JITTER = 0.02  # of the sample time; below it stamps count as exact
-SNAP = 0.05  # the config's sample time is taken when the stamps agree this well
-GAP = 2.5  # periods across which nothing is interpolated
 BLOCK = 100_000  # samples worked on at once where memory would grow with the recording
-FILTER = 21  # samples of the running median that counts missing samples under jitter
+FILTER = 21  # samples of the running median under little jitter
+LONG_FILTER = 101  # and under much
+ROUGH = 0.2  # spread of the steps, in steps, that is much jitter
+UNEVEN = 0.1  # spread of sorted steps, in steps, above which sorting proves nothing
+FAR = 4.5  # standard deviations of the jitter; a stamp further off belongs to another place
 LATEST = 1e9  # ns; a message is late by less, a clock jumps by more
+SETBACK = 20  # steps, and
+SETBACK_NS = 50e6  # ns: up to the larger of them, backwards is jitter and no clock jump
 CLOSE = 0.6  # of the sample time; stamps are crowded when closer
 CROWDED = 3  # crowded stamps that still count as late messages
-
-
-@dataclass(frozen=True)
-class Grid:
-    """How stamps lie on a uniform grid.
-
-    Attributes
-    ----------
-    start, step : first grid point and spacing, s.
-    index : (n,) int64 place of each sample on the grid; of no use when ``mode`` is
-        ``instants``.
-    mode : ``exact`` (stamps on the grid), ``snapped`` (stamps jitter about it), ``instants``
-        (samples were taken at their uneven stamps).
-    jitter : root mean square of the stamps' distance from the grid, or of the steps' distance
-        from whole samples where the mode is ``instants``, s.
-    """
-
-    start: float
-    step: float
-    index: np.ndarray
-    mode: str
-    jitter: float = 0.0
-
-    def times(self, t: np.ndarray) -> np.ndarray:
-        """Return the repaired times of the samples, s."""
-        return t if self.mode == "instants" else self.start + self.index * self.step
 
 
 def lower_median(values: np.ndarray) -> float:
@@ -52,8 +27,28 @@ def period_of(stamps: np.ndarray) -> float:
     return float(lower_median(steps)) if len(steps) else 0.0
 
 
+def deviation(values: np.ndarray) -> float:
+    """Standard deviation by the median, which a few wild values do not move."""
+    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
+
+
+def window_for(spread: float) -> int:
+    """Neighbours whose median tells a missing sample, for steps of this relative spread."""
+    return FILTER if spread < ROUGH else LONG_FILTER
+
+
+def running_median(values: np.ndarray, width: int) -> np.ndarray:
+    """Median over ``width`` neighbours, in blocks, since the windows are copied; (n,)."""
+    padded = np.pad(values, width // 2, "symmetric")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, width)
+    return np.concatenate([np.median(windows[start:start + BLOCK], axis=1)
+                           for start in range(0, len(values), BLOCK)])
+
+
 def repair(stamps: np.ndarray, label: str, said: list[str]) -> tuple[np.ndarray, bool]:
     """Return which samples to keep, in order of time, and whether the clock had jumped back.
+
+    Stamps that jitter by more than a step are left as they are: the order is that of arrival.
 
     Parameters
     ----------
@@ -72,7 +67,10 @@ def repair(stamps: np.ndarray, label: str, said: list[str]) -> tuple[np.ndarray,
     if (np.diff(stamps[keep]) < 0).any():
         keep = _drop_wild(stamps, keep, step, label, said)
         keep, jumped = _put_in_order(stamps, keep, step, label, said)
-    return _drop_far(stamps, keep, label, said), jumped
+    keep = _drop_far(stamps, keep, label, said)
+    if len(keep) > 1 and lower_median(np.diff(stamps[keep])) <= 0:  # too few left to go by
+        keep = keep[np.unique(stamps[keep], return_index=True)[1]]
+    return keep, jumped
 
 
 def _drop_wild(stamps, keep, step, label, said):
@@ -80,7 +78,7 @@ def _drop_wild(stamps, keep, step, label, said):
     if len(keep) < 5:
         return keep
     shifted = (stamps[keep] - stamps[keep[0]]).astype(float)
-    far = np.abs(shifted - _running_median(shifted, 5)) > max(1e9, 100 * step)
+    far = np.abs(shifted - running_median(shifted, 5)) > max(1e9, 100 * step)
     if far.any() and far.sum() < 0.1 * len(keep):
         said.append(f"{label}: {_samples(int(far.sum()))} with a stamp far off its neighbours' "
                     "dropped")
@@ -89,23 +87,25 @@ def _drop_wild(stamps, keep, step, label, said):
 
 
 def _put_in_order(stamps, keep, step, label, said):
-    """Sort late messages into their places; after a clock jump keep the longest stretch."""
+    """Sort late messages, leave jitter alone; after a clock jump keep the longest stretch."""
     steps = np.diff(stamps[keep])
     back = np.flatnonzero(steps < 0)
     if not len(back):
         return keep, False
     order = keep[np.argsort(stamps[keep], kind="stable")]
+    ahead = np.diff(stamps[order])
     # Late messages fill holes; after a jump two stretches lie between one another.
-    crowded = (np.sum(np.diff(stamps[order]) < CLOSE * step)
-               - np.sum((steps > 0) & (steps < CLOSE * step)))
-    late = -steps.min() <= max(LATEST, 5 * step)
-    if late and crowded <= max(CROWDED, 0.05 * len(keep) * (len(back) > 0.02 * len(keep))):
-        fresh = np.concatenate([[True], np.diff(stamps[order]) > 0])
-        said.append(f"{label}: {len(back)} reversed stamp{'s' * (len(back) > 1)} put in order"
-                    + (f", {_samples(int(np.sum(~fresh)))} at a taken stamp dropped"
-                       if not fresh.all() else ""))
-        return order[fresh], False
-    jumps = back[steps[back] < -2 * step]
+    crowded = np.sum(ahead < CLOSE * step) - np.sum((steps > 0) & (steps < CLOSE * step))
+    late = (-steps.min() <= max(LATEST, 5 * step)
+            and crowded <= max(CROWDED, 0.05 * len(keep) * (len(back) > 0.02 * len(keep))))
+    if late and deviation(ahead) <= UNEVEN * step:
+        return _sorted(stamps, order, len(back), label, said), False
+    arrived = _by_arrival(stamps, keep, back, label, said)
+    if arrived is not None:
+        return arrived, False
+    if late:
+        return _sorted(stamps, order, len(back), label, said), False
+    jumps = back[steps[back] < -_setback(steps)]
     if not len(jumps):
         jumps = back
     runs = np.split(keep, jumps + 1)
@@ -115,8 +115,67 @@ def _put_in_order(stamps, keep, step, label, said):
     said.append(f"{label}: the clock jumps back {len(jumps)} time{'s' * (len(jumps) > 1)} "
                 f"(up to {jump:.3f} s): the longest stretch of {_samples(len(longest))} kept, "
                 f"{_samples(lost)} dropped")
-    inside = longest[np.argsort(stamps[longest], kind="stable")]
-    return inside[np.concatenate([[True], np.diff(stamps[inside]) > 0])], True
+    back = np.flatnonzero(np.diff(stamps[longest]) < 0)
+    if not len(back):
+        return longest, True
+    inside = _by_arrival(stamps, longest, back, label, said)
+    if inside is None:
+        order = longest[np.argsort(stamps[longest], kind="stable")]
+        inside = _sorted(stamps, order, len(back), label, said)
+    return inside, True
+
+
+def _sorted(stamps, order, reversed_count, label, said):
+    fresh = np.concatenate([[True], np.diff(stamps[order]) > 0])
+    said.append(f"{label}: {reversed_count} reversed stamp{'s' * (reversed_count > 1)} put in "
+                "order" + (f", {_samples(int(np.sum(~fresh)))} at a taken stamp dropped"
+                           if not fresh.all() else ""))
+    return order[fresh]
+
+
+def _setback(steps) -> float:
+    return max(SETBACK * max(0, int(lower_median(steps))), SETBACK_NS)
+
+
+def _by_arrival(stamps, keep, back, label, said):
+    """Return the samples in order of arrival where only jitter turns stamps round, else None.
+
+    A stamp older by more than jitter explains is a late message: it goes where it says, and so
+    do those that overtook it.  What then still runs backwards by more than a setback is a clock
+    that jumps.
+    """
+    steps = np.diff(stamps[keep])
+    usual = int(lower_median(steps))
+    if usual <= 0 or len(keep) < FILTER:
+        return None
+    place = np.arange(len(keep))
+    t = (stamps[keep] - stamps[keep[0]]) / usual
+    middle = running_median(t - place, window_for(deviation(steps) / usual))
+    off = t - place - middle
+    far = np.abs(off) > max(FAR * deviation(off), 0.75)
+    far &= _overtaken(off, far)
+    due = np.maximum.accumulate(np.where(far, -np.inf, place + middle))
+    due[far] = t[far]
+    order = keep[np.argsort(due, kind="stable")]
+    if -np.diff(stamps[order]).min() > _setback(steps):
+        return None
+    said.append(f"{label}: {len(back)} stamp{'s' * (len(back) > 1)} reversed by jitter, the "
+                "order of arrival is kept"
+                + (f", {_samples(int(far.sum()))} out of it put in order" if far.any() else ""))
+    return order
+
+
+def _overtaken(off, far):
+    """Tell which places lie between where a late message is due and where it came; (n,) bool.
+
+    Stamps that are too young without any late message are jitter with a long tail.
+    """
+    late = np.flatnonzero(far & (off < 0))
+    due = np.maximum(late + np.floor(off[late]).astype(np.int64), 0)
+    edges = np.zeros(len(off) + 1, dtype=np.int64)
+    np.add.at(edges, due, 1)
+    np.add.at(edges, late + 1, -1)
+    return np.cumsum(edges)[:-1] > 0
 
 
 def _drop_far(stamps, keep, label, said):
@@ -133,107 +192,6 @@ def _drop_far(stamps, keep, label, said):
         said.append(f"{label}: {_samples(lost)} {gaps[at] * 1e-9:.6g} s away from all others "
                     "dropped")
     return keep
-
-
-def fit_grid(t: np.ndarray, values: np.ndarray, nominal: float) -> Grid:
-    """Find the uniform grid of rising stamps and decide what their jitter means.
-
-    Stamps off the grid are either jitter of the clock about an even sampling, or true instants
-    of an uneven one.  The wrong choice puts false accelerations into a moving quantity; the
-    motion itself tells which it is.
-
-    Parameters
-    ----------
-    t : (n,) rising, s.  values : (n,) the quantity.  nominal : sample time of the config, s.
-    """
-    if len(t) < 2:
-        return Grid(float(t[0]) if len(t) else 0.0, nominal, np.zeros(len(t), np.int64), "exact")
-    steps = np.diff(t)
-    usual = lower_median(steps)
-    step = float(np.mean(steps[steps < 1.5 * usual]))
-    near = abs(step / nominal - 1) <= SNAP
-    for candidate in ([nominal] if near else []) + [usual, step]:
-        grid = _exact(t, float(candidate), refine=candidate != nominal)
-        if grid is not None:
-            return grid
-    index = _count(t, step)
-    slope, start = np.polyfit(index, t, 1) if len(t) > 2 else (step, t[0])
-    drift = abs(slope - nominal) * index[-1]
-    if near and drift < 0.5 * nominal:
-        slope = nominal
-        index = _count(t, nominal)
-    start = float(np.median(t - index * slope))
-    jitter = float(np.sqrt(np.mean((t - start - index * slope) ** 2)))
-    if _share_of_jitter(t, index, values, float(slope)) < 0.5:
-        return Grid(start, float(slope), index, "snapped", jitter)
-    uneven = np.diff(t) - np.diff(index) * slope
-    return Grid(float(t[0]), nominal if near else float(slope), index, "instants",
-                float(np.sqrt(np.mean(uneven ** 2))))
-
-
-def _exact(t: np.ndarray, step: float, refine: bool) -> Grid | None:
-    """Return the grid of this spacing if the stamps keep to it over the whole recording.
-
-    ``refine`` takes the spacing from end to end where whole nanoseconds hide a part of it.
-    """
-    if step <= 0:
-        return None
-    place = (t - t[0]) / step
-    index = np.round(place)
-    off = place - index
-    phase = np.median(off)
-    if np.quantile(np.abs(off - phase), 0.999) > JITTER or (np.diff(index) <= 0).any():
-        return None
-    whole = float(t[-1] - t[0]) / index[-1]
-    if refine and abs(whole - step) * index[-1] > 2e-9:
-        step = whole
-    return Grid(float(t[0] + phase * step), step, index.astype(np.int64), "exact")
-
-
-def _count(t: np.ndarray, step: float) -> np.ndarray:
-    """Number the samples on a grid under jitter: one on, plus whole samples at each gap."""
-    ahead = (t - t[0]) / step - np.arange(len(t))
-    if len(t) >= FILTER:
-        ahead = _running_median(ahead, FILTER)
-    missing = np.maximum.accumulate(np.round(ahead - ahead[0]))
-    return np.arange(len(t)) + missing.astype(np.int64)
-
-
-def _running_median(values: np.ndarray, width: int) -> np.ndarray:
-    """Median over ``width`` neighbours, in blocks, since the windows are copied; (n,)."""
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(values, width // 2, "edge"), width)
-    return np.concatenate([np.median(windows[start:start + BLOCK], axis=1)
-                           for start in range(0, len(values), BLOCK)])
-
-
-def _share_of_jitter(t: np.ndarray, index: np.ndarray, values: np.ndarray,
-                     step: float) -> float:
-    """Return how much of the stamps' unevenness the quantity took part in: 1 all, 0 none.
-
-    Where a step in time is longer by dt - n step, a quantity that moves at speed v goes further
-    by v (dt - n step) if the stamp is the true instant, and no further if only the stamp was
-    late.  The regression of the one on the other tells, with white noise in the values
-    averaged out.  0 where the motion is too slow to tell.
-    """
-    reach = 4
-    if len(t) < 4 * reach:
-        return 0.0
-    wide = slice(reach, len(t) - reach - 1)
-    ahead, behind = slice(2 * reach + 1, None), slice(None, -2 * reach - 1)
-    # Only ratios count; scaled, no square overflows.
-    values = values / (np.nanmax(np.abs(values), initial=0.0) or 1.0)
-    speed = (values[ahead] - values[behind]) / (t[ahead] - t[behind])
-    count = np.diff(index)[wide]
-    uneven = speed * (np.diff(t)[wide] - count * step)
-    further = np.diff(values)[wide] - speed * count * step
-    good = (count <= GAP) & np.isfinite(uneven) & np.isfinite(further)
-    uneven, further = uneven[good], further[good]
-    power = float(np.sum(uneven ** 2))
-    if len(uneven) < 10 or power == 0:
-        return 0.0
-    share = float(np.sum(uneven * further)) / power
-    error = np.sqrt(np.mean((further - share * uneven) ** 2) / power)
-    return share if abs(share) > 4 * error else 0.0
 
 
 def _samples(count: int) -> str:

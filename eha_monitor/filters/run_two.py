@@ -1,0 +1,177 @@
+"""Running stage two over a recording: where it starts, and anew after a large change."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eha_monitor.filters import kernel_two
+from eha_monitor.filters.inputs import StageInputs
+from eha_monitor.filters.supervision import hops, new_supervision
+from eha_monitor.settings.monitor import Settings
+
+BANK_RATIO = 1.06  # spacing of the bulk moduli tried; half a ring's phase over its life
+BANK_SPAN = 30.0  # times below and above the prior
+BANK_SECONDS = 2.0
+NEARLY = 0.3  # share of the most that a stretch tells, with which an earlier one is taken
+BANK_LONGER = 4  # times as long a stretch, while the bank's sigma is above
+BANK_SHARP = 0.04  # of the compliance
+BANK_UNLIKELY = 1e-6  # weight over the best one's below which a compliance is not tried again
+LARGE = 0.03  # relative change of the modulus upon which the bank is asked again
+SHORTEST = 500  # samples between two such starts
+MOST_STARTS = 12
+MOST_EVENTS = 200  # detected changes that are kept
+
+
+def most_telling(drive: np.ndarray, x: np.ndarray, length: int) -> int:
+    """Return the start of the stretch of ``length`` samples where the drive moves most.
+
+    Among stretches that are nearly as good the first one: the filter starts where the recording
+    starts, and a later stretch may show a modulus that has changed since.
+    """
+    moved = np.abs(np.diff(drive, prepend=drive[:1]))
+    moved[~(np.isfinite(moved) & np.isfinite(x))] = 0.0
+    total = np.concatenate([[0.0], np.cumsum(moved**2)])
+    if len(moved) <= length:
+        return 0
+    told = total[length:] - total[:-length]
+    return int(np.argmax(told >= NEARLY * told.max()))
+
+
+def start_compliance(inputs: StageInputs, settings: Settings,
+                     damping: np.ndarray) -> tuple[float, float]:
+    """Return where stage two's compliance starts and its variance, from a bank of filters.
+
+    The bank takes the stretch that tells most, and a longer one while that tells too little: an
+    extended filter that starts far away learns from a trajectory that is not the rig's, and can
+    settle anywhere with a small sigma.  The variance is 25 times what the bank says, so that the
+    stretch which is then filtered again is not counted twice (4 % of its information at most);
+    8 times where it took a longer stretch, since from farther away the filter goes astray
+    (24 draws of 10 um on triangles: error over sigma 2.5 with 25, 1.1 with 8).
+    """
+    prior = settings.stage_two
+    broad = (prior.prior_stddev / prior.prior) ** 2
+    steps = round(np.log(BANK_SPAN) / np.log(BANK_RATIO))
+    grid = BANK_RATIO ** np.arange(-steps, steps + 1)
+    length = min(len(inputs.x), round(BANK_SECONDS / inputs.dt))
+    inflation = 25.0
+    while True:
+        weight = bank_weights(inputs, settings, damping, grid, length)
+        if weight is None:
+            return 1.0, broad
+        mean = float(weight @ grid)
+        variance = float(weight @ (grid - mean) ** 2) + (BANK_RATIO - 1.0) ** 2 * mean**2 / 12.0
+        if variance <= (BANK_SHARP * mean) ** 2 or length == len(inputs.x):
+            break
+        grid = grid[weight > BANK_UNLIKELY * weight.max()]
+        length = min(len(inputs.x), BANK_LONGER * length)
+        inflation = 8.0
+    if variance > 0.1 * broad:
+        return 1.0, broad
+    return mean, min(broad, inflation * variance)
+
+
+def bank_weights(inputs: StageInputs, settings: Settings, damping: np.ndarray,
+                 grid: np.ndarray, length: int) -> np.ndarray | None:
+    """Return the posterior weights of the compliances ``grid`` from ``length`` samples."""
+    start = most_telling(inputs.drive.start, inputs.x, length)
+    part = slice(start, start + length)
+    model = inputs.model
+    likelihood = kernel_two.bank_two(
+        inputs.x[part], inputs.drive.start[part], inputs.drive.end[part],
+        inputs.drive.variance[part], damping[start + length // 2], grid,
+        model.hydraulics, model.leak, inputs.leak_flow[part], inputs.dt, inputs.position_variance,
+        force_noise_variance(settings))
+    likelihood = np.where(np.isfinite(likelihood), likelihood, -np.inf)
+    if not np.isfinite(likelihood).any():
+        return None
+    weight = np.exp(likelihood - likelihood.max()) * grid  # even in c on a logarithmic grid
+    return weight / weight.sum()
+
+
+def force_noise_variance(settings: Settings) -> float:
+    """Variance of an unmodelled force on a sample in stage two, N^2."""
+    return (settings.rig.mass * settings.stage_two.acceleration_noise) ** 2
+
+
+@dataclass(frozen=True)
+class KernelTwoResult:
+    """What the compiled stage two leaves: (8, n) output, changes, and the state to go on from."""
+
+    out: np.ndarray
+    changes: np.ndarray
+    state: np.ndarray
+    covariance: np.ndarray
+    sensitivity: np.ndarray
+    watch: np.ndarray
+
+
+def part_of(inputs: StageInputs, start: int) -> StageInputs:
+    """Return the inputs from sample ``start`` on."""
+    if start == 0:
+        return inputs
+    drive = inputs.drive
+    later = slice(start, None)
+    pressures = {name: values[later] if len(values) > 1 else values
+                 for name, values in (("p1", inputs.p1), ("p2", inputs.p2))}
+    return replace(inputs, x=inputs.x[later], leak_flow=inputs.leak_flow[later], drive=replace(
+        drive, start=drive.start[later], end=drive.end[later], variance=drive.variance[later],
+        instrument=drive.instrument[later]), **pressures)
+
+
+def run_stage_two_kernel(inputs: StageInputs, settings: Settings, damping: np.ndarray,
+                         damping_variance: np.ndarray) -> KernelTwoResult:
+    """Run the compiled stage two over the whole recording.
+
+    It starts where the bank of filters says.  After a large change the linear step that the
+    watch makes is only a hint: the filter starts anew from the bank, at the samples that showed
+    the change.  A modulus that hops to and fro without large steps is held.
+    """
+    n = len(inputs.x)
+    out = np.empty((8, n))
+    kept: list[np.ndarray] = []
+    begin = 0
+    for _ in range(MOST_STARTS):
+        result = run_from(begin, inputs, settings, damping, damping_variance, out)
+        changes = result.changes
+        if kept:  # what the change led to is known now
+            kept[-1][2] = out[3, min(int(kept[-1][0]) + SHORTEST, n - 1)]
+        large = [row for row in changes if row[0] - row[3] >= begin + SHORTEST
+                 and abs(row[2] / row[1] - 1.0) > LARGE]
+        if not large:
+            if hops(result.watch):
+                result = run_from(0, inputs, settings, damping, damping_variance, out,
+                                  frozen=True)
+                return replace(result, out=out)
+            break
+        sample, window = large[0][0], large[0][3]
+        kept += [row for row in changes if row[0] <= sample]
+        begin = int(sample - window)
+    return replace(result, out=out, changes=np.array([*kept, *result.changes]).reshape(-1, 4))
+
+
+def run_from(begin: int, inputs: StageInputs, settings: Settings, damping: np.ndarray,
+             damping_variance: np.ndarray, out: np.ndarray, *,
+             frozen: bool = False) -> KernelTwoResult:
+    """Run the kernel from sample ``begin`` to the end, writing ``out`` from there on."""
+    part, b, b_variance = part_of(inputs, begin), damping[begin:], damping_variance[begin:]
+    start, variance = start_compliance(part, settings, b)
+    model, drive = inputs.model, part.drive
+    effects = bool(model.active.any())
+    broad = (settings.stage_two.prior_stddev / settings.stage_two.prior) ** 2
+    written, changes = np.empty((8, len(part.x))), np.empty((MOST_EVENTS, 4))
+    for _ in range(2 if effects else 1):  # the bank knows no effects: start again where it led
+        m = np.array([np.nan, 0.0, 0.0, start])
+        p = np.zeros((4, 4))
+        p[3, 3] = variance
+        sens, watch = np.zeros(4), new_supervision(frozen)
+        found = kernel_two.run_two(
+            part.x, drive.start, drive.end, drive.variance, drive.instrument, b, b_variance,
+            model.hydraulics, model.leak, part.leak_flow, inputs.dt, inputs.position_variance,
+            force_noise_variance(settings), broad, part.p1, part.p2, model.theta,
+            model.active, effects, m, p, sens, watch, written, changes)
+        if np.isfinite(m[3]) and p[3, 3] < 0.1 * broad:
+            start, variance = m[3], min(broad, max(variance, 25.0 * p[3, 3]))
+    out[:, begin:] = written
+    changes = changes[: min(found, MOST_EVENTS)].copy()
+    changes[:, 0] += begin
+    return KernelTwoResult(out, changes, m, p, sens, watch)
