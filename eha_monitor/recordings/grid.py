@@ -104,12 +104,12 @@ def _exact(t: np.ndarray, step: float, refine: bool) -> Grid | None:
 
 
 def _slope(t: np.ndarray, index: np.ndarray) -> float:
-    """Spacing of the grid points, s: the median over pairs a third of the recording apart.
+    """Spacing of the grid points, s: the median over pairs a fifth of the recording apart.
 
     Single steps carry the jitter of two stamps each; it hardly counts over thousands of steps,
     and the median ignores a clock that was set once in between.
     """
-    apart = max(1, len(t) // 3)
+    apart = max(1, len(t) // 5)
     return float(np.median((t[apart:] - t[:-apart]) / (index[apart:] - index[:-apart])))
 
 
@@ -136,7 +136,7 @@ def _count(t: np.ndarray, step: float, width: int) -> np.ndarray:
         ahead = running_median(ahead, width)
         ahead = ahead - np.median(ahead[:width])
         early = 0.25  # what is counted once stays counted: better late than for a mere excursion
-    missing = np.maximum.accumulate(np.floor(ahead + early))
+    missing = np.maximum.accumulate(np.maximum(np.floor(ahead + early), 0))
     return np.arange(len(t)) + (missing - missing[0]).astype(np.int64)
 
 

@@ -5,9 +5,9 @@ import numpy as np
 BLOCK = 100_000  # samples worked on at once where memory would grow with the recording
 FILTER = 21  # samples of the running median under little jitter
 LONG_FILTER = 101  # and under much
-ROUGH = 0.2  # spread of the steps, in steps, that is much jitter
+ROUGH = 0.4  # spread of the steps, in steps, that is much jitter
 UNEVEN = 0.1  # spread of sorted steps, in steps, above which sorting proves nothing
-FAR = 4.5  # standard deviations of the jitter; a stamp further off belongs to another place
+FAR = 5  # standard deviations of the jitter; a stamp further off belongs to another place
 LATEST = 1e9  # ns; a message is late by less, a clock jumps by more
 SETBACK = 20  # steps, and
 SETBACK_NS = 50e6  # ns: up to the larger of them, backwards is jitter and no clock jump
@@ -153,7 +153,7 @@ def _by_arrival(stamps, keep, back, label, said):
     middle = running_median(t - place, window_for(deviation(steps) / usual))
     off = t - place - middle
     far = np.abs(off) > max(FAR * deviation(off), 0.75)
-    far &= _overtaken(off, far)
+    far = _overtaken(off, far) & (np.abs(off) > 0.5)
     due = np.maximum.accumulate(np.where(far, -np.inf, place + middle))
     due[far] = t[far]
     order = keep[np.argsort(due, kind="stable")]
