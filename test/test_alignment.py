@@ -162,6 +162,42 @@ def test_slower_topic_is_interpolated_but_not_over_gaps():
     assert any(loss.startswith("p1: no data from 0.99") for loss in recording.losses)
 
 
+@pytest.mark.parametrize("jitter", [0.0, 2e-4])
+def test_each_channel_at_a_rate_of_its_own(jitter):
+    rng = np.random.default_rng(1)
+
+    def own(rate, topic, quantity):
+        t = np.arange(0, 2.0005, 1 / rate)
+        return series(t + jitter * rng.standard_normal(len(t)), quantity(t), topic)
+
+    recording = align({"x": series(TIME, wave(TIME)), "x_d": own(100, "b", wave),
+                       "p1": own(500, "c", wave), "p2": own(500, "d", lambda t: -wave(t)),
+                       "omega": own(5000, "e", wave)}, SETTINGS)
+    assert recording.sample_time == 1e-3 and len(recording) == N
+    speed, bend = 0.04 * np.pi, 0.04 * np.pi ** 2
+    for name, step, sign in (("x_d", 0.01, 1), ("p1", 0.002, 1), ("p2", 0.002, -1),
+                             ("omega", 0.0002, 1)):
+        off = sign * recording.channels[name] - wave(TIME)
+        assert np.isfinite(off[1:1990]).all(), name  # no holes, but for the very ends
+        line = bend * step ** 2 / 8  # a straight line under the wave
+        phase = speed * 4 * 1.25 * jitter * np.sqrt(step / 2)  # of a grid by the median stamp
+        assert np.abs(off[1:1990]).max() <= 1.01 * line + phase + 1e-12, name
+    for said in ("x_d: 100 Hz", "p1: 500 Hz", "p2: 500 Hz", "omega: 5000 Hz"):
+        assert f"{said}, interpolated to 1000 Hz" in recording.losses
+
+
+def test_position_at_half_the_rate_of_its_topic():
+    x = wave(TIME)
+    x[1::2] = np.nan
+    recording = align({"x": series(TIME, x), "omega": series(TIME, 2 * TIME),
+                       "p1": series(TIME, 7 * TIME, "b")}, SETTINGS)
+    assert recording.sample_time == 1e-3 and len(recording) == N
+    np.testing.assert_array_equal(recording.channels["x"], x)
+    np.testing.assert_array_equal(recording.channels["omega"], 2 * TIME)
+    np.testing.assert_array_equal(recording.channels["p1"], 7 * TIME)
+    assert recording.losses == (f"x: {N // 2} of {N} values are NaN",)
+
+
 def test_delay_of_whole_and_part_samples():
     for delay in (3e-3, 2.5e-3):
         recording = align({"x": series(TIME, wave(TIME)),

@@ -126,3 +126,16 @@ def test_own_rate_under_jitter():
     recording = of(stamps, x)
     assert recording.sample_time == pytest.approx(1.234567e-3, rel=1e-6)
     np.testing.assert_array_equal(recording.channels["x"], x)
+
+
+@pytest.mark.parametrize("step", [1_040_000, 10_400_000, 247_000])
+def test_own_rate_near_the_config_with_jitter_and_losses(step):
+    rng = np.random.default_rng(4)
+    keep = rng.random(N) > 0.01
+    keep[0] = keep[-1] = True
+    stamps = START + np.arange(N) * step + np.round(
+        0.1 * step * rng.uniform(-1, 1, N)).astype(np.int64)
+    recording = of(stamps[keep], plant()["x"][keep])
+    assert recording.sample_time == pytest.approx(step * 1e-9, rel=1e-4)
+    assert abs(len(recording) - N) <= 2
+    assert abs(np.isfinite(recording.channels["x"]).sum() - keep.sum()) <= 1

@@ -91,6 +91,44 @@ def test_without_time_rows_follow_at_the_sample_time(tmp_path):
     assert recording.sample_time == 0.02 and len(recording) == len(T)
 
 
+def reordered(kind):
+    rng = np.random.default_rng(5)
+    rows = np.arange(len(T))
+    return {"reversed": rows[::-1], "shuffled": rng.permutation(rows),
+            "blocks": np.concatenate([rows[120:], rows[:120]]),
+            "two late rows": np.concatenate([rows[:7], rows[9:12], rows[7:9], rows[12:]])}[kind]
+
+
+@pytest.mark.parametrize("kind, expected", [
+    ("reversed", "the rows run backwards in time: sorted by time"),
+    ("shuffled", "the rows are not in order of time ("), ("blocks", "(1 of 199 steps run backw"),
+    ("two late rows", "a.csv: 1 reversed stamp put in order")])
+def test_rows_out_of_order_are_sorted_and_it_is_said(tmp_path, kind, expected):
+    lines = text_of().splitlines()
+    (tmp_path / "a.csv").write_text(
+        "\n".join(lines[:1] + [lines[1 + row] for row in reordered(kind)]))
+    recording = read_table(tmp_path / "a.csv", BY_NAME)
+    check(recording)
+    assert len(recording.losses) == 1 and expected in recording.losses[0]
+
+
+def test_shuffled_rows_of_an_uneven_recording(tmp_path):
+    rng = np.random.default_rng(6)
+    t = np.cumsum(rng.uniform(0.7e-3, 1.3e-3, 3000))
+    rows = rng.permutation(3000)
+    np.savetxt(tmp_path / "a.csv", np.column_stack([t, 3 * t])[rows], delimiter=",", fmt="%.12g")
+    recording = read_table(tmp_path / "a.csv", of(time=0, columns={"x": {"column": 1}}))
+    assert np.isfinite(recording.channels["x"]).sum() > 2900
+    assert "sorted by time" in recording.losses[0]
+
+
+def test_a_clock_that_starts_anew_is_not_sorted(tmp_path):
+    t = np.concatenate([T, T[:60] + 3.3e-4])
+    np.savetxt(tmp_path / "a.csv", np.column_stack([t, 3 * t]), delimiter=",", fmt="%.12g")
+    recording = read_table(tmp_path / "a.csv", of(time=0, columns={"x": {"column": 1}}))
+    assert len(recording) == 200 and "the clock jumps back 1 time" in recording.losses[0]
+
+
 def test_delay_shifts_a_column(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text(text_of())

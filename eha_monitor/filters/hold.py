@@ -50,7 +50,7 @@ def largest_neighbour(values: np.ndarray, reach: int) -> np.ndarray:
     return np.max(shifted, axis=0)
 
 
-def hold_of(u: np.ndarray, sigma: float, sampled: bool = False) -> Hold:
+def hold_of(u: np.ndarray, sigma: float, sampled: bool = False, kinked: bool = False) -> Hold:
     """Return the hold of a sampled input.
 
     Linear interpolation of a sampled wave loses (omega T)^2/12 of it; adding minus a twelfth of
@@ -62,6 +62,8 @@ def hold_of(u: np.ndarray, sigma: float, sampled: bool = False) -> Hold:
     u : (n,) samples, NaN where missing.
     sigma : standard deviation of the sensor's noise on u.
     sampled : the input is held over each sample (a digital drive).
+    kinked : the signal has a corner at each sample (a pressure behind a digital drive): nothing
+        is corrected, and a twelfth of the second difference counts as uncertain.
     """
     n = len(u)
     if n < 5:
@@ -82,6 +84,10 @@ def hold_of(u: np.ndarray, sigma: float, sampled: bool = False) -> Hold:
     start = u - correction
     end = np.where(jump, np.concatenate([start[:1], start[:-1]]), start)
     unsure = np.where(rough, REMAINDER * np.abs(np.nan_to_num(fourth)), 0.0)
+    if kinked:
+        start, end = u, np.where(jump, np.concatenate([u[:1], u[:-1]]), u)
+        visible = np.abs(np.nan_to_num(bend)) > VISIBLE * np.sqrt(6.0) * sigma
+        unsure = np.maximum(unsure, np.where(visible, np.abs(np.nan_to_num(bend)) / 12.0, 0.0))
     unsure[1:] = np.maximum(unsure[1:], unsure[:-1])
     unsure[beside] = 0.0
     unsure[jump] = 0.3 * np.abs(step[jump])

@@ -7,7 +7,7 @@ import numpy as np
 from eha_monitor.filters.hold import Hold, hold_of
 from eha_monitor.filters.noise import noise_levels, quantum
 from eha_monitor.filters.results import NoiseEstimate
-from eha_monitor.filters.stage_two import hydraulics
+from eha_monitor.filters.stage_two import STIFF, hydraulics
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects.entrained_air import compliance as air_compliance
 from eha_monitor.physics.parameters import theta_of
@@ -82,6 +82,21 @@ def force_of(rig: Rig, row: dict) -> np.ndarray | float | None:
     return row.get("force")
 
 
+def moved_mass(model: "RigModel", dt: float) -> float:
+    """Return the mass by which stage one reads the sampled force, kg.
+
+    Behind a drive that holds its speed over the sample the force bends within the sample by
+    F'' = -beta_e S2 x'', and all of its corners lie at the samples, so that its samples do not
+    show it.  Its mean is higher by -F'' T^2/12, which acts like a smaller mass:
+    M (1 - beta_e S2 T^2/(12 M)), with the nominal bulk modulus.
+    """
+    rig = model.settings.rig
+    if model.settings.command_hold != "sampled" or model.hydraulics is None:
+        return rig.mass
+    return max(rig.mass - rig.bulk_modulus * model.hydraulics[STIFF] * dt**2 / 12.0,
+               0.5 * rig.mass)
+
+
 def force_missing(rig: Rig, names) -> str | None:
     """Say why stage one has no input, or None where it has."""
     if "x" not in names:
@@ -121,7 +136,8 @@ def force_variance(rig: Rig, noise: dict[str, NoiseEstimate], extra: float) -> f
 class StageInputs:
     """Everything the two kernels take from one recording.
 
-    ``measured_force`` is the force as sampled, N.  The holds' variances include the sensors' noise; the reasons are None where the stage can run.
+    ``measured_force`` is the force as sampled, N.  The holds' variances include the sensors'
+    noise; the reasons are None where the stage can run.
     ``p1``, ``p2`` are the mean pressures of the sample before each, or one charge pressure.
     ``quantum`` is the position's resolution in m, 0 where it is continuous; ``spikes`` counts the
     samples of each channel that were left out.
@@ -162,7 +178,8 @@ class StageInputs:
         if no_force is None:
             variance = force_variance(rig, noise, settings.stage_one.force_noise)
             measured_force = force_of(rig, channels)
-            force = with_noise(hold_of(measured_force, variance**0.5), variance)
+            force = with_noise(hold_of(measured_force, variance**0.5,
+                                       kinked=settings.command_hold == "sampled"), variance)
         if no_drive is None:
             drive = drive_input(model, channels, noise)
         charge = np.array([rig.charge_pressure])
@@ -234,13 +251,15 @@ def drive_input(model: RigModel, channels: dict, noise: dict) -> Hold:
     """Return stage two's input.
 
     x_d in m where the loop is part of the model; the pump speed in rad/s where it is not: the
-    one that a sampled drive makes of x_d - x (the drive reads the same noisy x, so this has no
-    noise of its own), or the measured one.
+    one that a sampled drive makes of x_d - x, or the measured one.  Whether the drive reads the
+    recorded x or a cleaner one is not known, so the noise of x counts as the input's own.
     """
     rig = model.settings.rig
     if rig.position_gain is not None and "x_d" in channels:
         if model.loop:
             return hold_of(channels["x_d"], 0.0)
-        return hold_of(rig.position_gain * (channels["x_d"] - channels["x"]), 0.0, sampled=True)
+        sigma = rig.position_gain * noise["x"].value
+        return with_noise(hold_of(rig.position_gain * (channels["x_d"] - channels["x"]), 0.0,
+                                  sampled=True), sigma**2)
     sigma = noise["omega"].value
     return with_noise(hold_of(channels["omega"], sigma), sigma**2)

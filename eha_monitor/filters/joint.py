@@ -36,7 +36,8 @@ def speed_hold(recording: Recording, settings: Settings, inputs: StageInputs) ->
     if not recording.has("omega"):
         return None
     sigma = inputs.noise["omega"].value
-    return with_noise(hold_of(recording.channels["omega"], sigma), sigma**2)
+    return with_noise(hold_of(recording.channels["omega"], sigma,
+                              sampled=settings.command_hold == "sampled"), sigma**2)
 
 
 def drive_is_ideal(recording: Recording, settings: Settings, inputs: StageInputs) -> bool:

@@ -23,6 +23,7 @@ from eha_monitor.filters.inputs import (
     force_of,
     force_variance,
     measured_leakage,
+    moved_mass,
     position_variance,
     with_noise,
     without_spikes,
@@ -164,7 +165,7 @@ class LiveEstimator:
         self._measure_noise()
         if self._no_force is None:
             self._one = FilterpyStageOne(
-                rig.mass, self.dt, self._r, settings.stage_one.prior,
+                moved_mass(self._model, self.dt), self.dt, self._r, settings.stage_one.prior,
                 settings.stage_one.prior_stddev, self._model.theta, self._model.active,
                 settings.discretisation == "euler")
 
@@ -196,8 +197,9 @@ class LiveEstimator:
         p1, p2 = (between(channels[name]) if name in channels else None for name in ("p1", "p2"))
         force = drive = None
         if self._no_force is None:
-            force = with_noise(hold_of(force_of(self.settings.rig, channels), self._q**0.5),
-                               self._q)
+            force = with_noise(hold_of(
+                force_of(self.settings.rig, channels), self._q**0.5,
+                kinked=self.settings.command_hold == "sampled"), self._q)
         if self._two is not None:
             drive = drive_input(self._model, channels, self._noise)
         self._damping = self._follow()

@@ -52,7 +52,8 @@ def white_noise(values: np.ndarray) -> float:
     """
     answers = []
     finite = np.isfinite(values)
-    if finite.any() and finite.mean() < 0.7:  # a slower channel among faster ones: its own samples are even
+    # A slower channel among faster ones: its own samples are evenly spaced.
+    if finite.any() and finite.mean() < 0.7:
         values = values[finite]
     for order in ORDERS:
         d = np.diff(values, order)

@@ -14,7 +14,6 @@ COMBINATIONS = (("x", "x_d"), ("x", "omega"), ("x", "p1", "p2"), ("x", "x_d", "p
                 ("x", "omega", "p1", "p2"))
 VAGUE = 1e3  # prior standard deviation over the value: what stays near it is not observable
 STILL = 3.0  # rms of the pump speed over its noise
-UNKNOWN_SPEED = 1e4  # rad/s, an unmeasured drive input
 
 
 @dataclass(frozen=True)
@@ -57,6 +56,18 @@ def observability(estimate: Estimate) -> ObservabilityTable:
     return ObservabilityTable(tuple(rows))
 
 
+def without_drive(estimate: Estimate) -> dict[str, float]:
+    """Return the bounds from position and force alone.
+
+    The pump's flow is unknown then, so the flow balance says nothing about beta_e and L; the
+    force balance is stage one, whose covariance is the bound of B.
+    """
+    b = estimate.parameters["B"]
+    told = b.status == "converged" and b.value != 0.0
+    return {"B": float(b.stddev / abs(b.value)) if told else np.inf, "beta_e": np.inf,
+            "L": np.inf}
+
+
 def stands_still(omega: np.ndarray, inputs: StageInputs) -> bool:
     """Tell whether the pump speed is nothing but its sensor's noise."""
     return bool(np.nanmean(omega**2) < STILL**2 * inputs.noise["omega"].value ** 2)
@@ -66,6 +77,8 @@ def bound(channels: tuple[str, ...], estimate: Estimate, inputs: StageInputs) ->
     """Return the relative standard deviation of B, beta_e and L from these channels."""
     recording, settings = estimate.recording, estimate.settings
     rig = settings.rig
+    if "x_d" not in channels and "omega" not in channels:
+        return without_drive(estimate)
     model: RigModel = inputs.model
     damping, modulus = (estimate.parameters[name] for name in ("B", "beta_e"))
     b = damping.value if damping.status == "converged" else rig.viscous_damping
@@ -83,10 +96,6 @@ def bound(channels: tuple[str, ...], estimate: Estimate, inputs: StageInputs) ->
         variance = hold.variance if hold is not None else None
         if hold is not None and stands_still(recording.channels["omega"], inputs):
             hold = hold_of(np.zeros(len(recording)), 0.0)  # its noise is no motion
-        if "omega" not in channels:
-            frozen = kernel_joint.PARAMETERS_FROZEN
-            zero = np.zeros(len(recording))
-            hold, variance = hold_of(zero, 0.0), zero + UNKNOWN_SPEED**2
     force, r_f = np.full(len(recording), np.nan), np.inf
     if "p1" in channels:
         force = inputs.measured_force

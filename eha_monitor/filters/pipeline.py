@@ -6,7 +6,7 @@ import numpy as np
 
 from eha_monitor.filters import kernel_one
 from eha_monitor.filters.consistency import judge
-from eha_monitor.filters.inputs import StageInputs
+from eha_monitor.filters.inputs import StageInputs, moved_mass
 from eha_monitor.filters.results import (
     Consistency,
     Estimate,
@@ -106,7 +106,7 @@ def run_one_kernel(inputs: StageInputs, settings: Settings, watch: np.ndarray
     model, force = inputs.model, inputs.force
     found = kernel_one.run_one(
         inputs.x, force.start, force.end, force.variance, inputs.p1, inputs.p2, inputs.dt,
-        settings.rig.mass, inputs.position_variance, spread**2,
+        moved_mass(model, inputs.dt), inputs.position_variance, spread**2,
         settings.discretisation == "euler", model.theta, model.active,
         bool(model.active.any()), m, p, watch, out, changes)
     return out, changes[: min(found, MOST_EVENTS)], found, watch

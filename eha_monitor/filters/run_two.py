@@ -16,6 +16,8 @@ NEARLY = 0.3  # share of the most that a stretch tells, with which an earlier on
 BANK_LONGER = 4  # times as long a stretch, while the bank's sigma is above
 BANK_SHARP = 0.04  # of the compliance
 BANK_UNLIKELY = 1e-6  # weight over the best one's below which a compliance is not tried again
+SHARP = 0.005  # relative sigma below which a second pass is worth it
+CLOSE = 0.01  # and that at least, with which it starts
 LARGE = 0.03  # relative change of the modulus upon which the bank is asked again
 SHORTEST = 500  # samples between two such starts
 MOST_STARTS = 12
@@ -159,7 +161,9 @@ def run_from(begin: int, inputs: StageInputs, settings: Settings, damping: np.nd
     effects = bool(model.active.any())
     broad = (settings.stage_two.prior_stddev / settings.stage_two.prior) ** 2
     written, changes = np.empty((8, len(part.x))), np.empty((MOST_EVENTS, 4))
-    for _ in range(2 if effects else 1):  # the bank knows no effects: start again where it led
+    # Once more from where it led, if that is sharp or if the bank left effects out: what the
+    # filter learns from a ringing oil column is right only near the answer.
+    for _ in range(2):
         m = np.array([np.nan, 0.0, 0.0, start])
         p = np.zeros((4, 4))
         p[3, 3] = variance
@@ -169,8 +173,12 @@ def run_from(begin: int, inputs: StageInputs, settings: Settings, damping: np.nd
             model.hydraulics, model.leak, part.leak_flow, inputs.dt, inputs.position_variance,
             force_noise_variance(settings), broad, part.p1, part.p2, model.theta,
             model.active, effects, m, p, sens, watch, written, changes)
-        if np.isfinite(m[3]) and p[3, 3] < 0.1 * broad:
-            start, variance = m[3], min(broad, max(variance, 25.0 * p[3, 3]))
+        last = max(int(changes[0, 0] - 2 * changes[0, 3]), 0) if found else len(part.x) - 1
+        sigma = written[4, last] / written[3, last]  # what it came to before any change
+        if not sigma < (SHARP if not effects else 0.1):
+            break
+        start = model.beta_0 / written[3, last]
+        variance = min(variance, max(25.0 * sigma**2, CLOSE**2) * start**2)
     out[:, begin:] = written
     changes = changes[: min(found, MOST_EVENTS)].copy()
     changes[:, 0] += begin

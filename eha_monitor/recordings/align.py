@@ -65,6 +65,7 @@ def align(series: dict[str, tuple[Series, str]], settings: Settings, *, source: 
             axes[key] = ((keep, t, grid) if shared else
                          _axis(found, topic or name, leader, keep, origin, grid, window, said))
         columns[name] = _place(found.values, axes[key], grid, points)
+        _tell_rate(name, axes[key], grid, said)
     columns = {name: columns[name] for name in CHANNELS
                if name in columns and (name == reference or np.isfinite(columns[name]).any())}
     _tell_gaps(columns, reference, grid.step, said)
@@ -172,6 +173,13 @@ def interpolate(t: np.ndarray, values: np.ndarray, at: np.ndarray,
     same &= np.isnan(out)  # at the edge of a gap, or beside a NaN
     out[same] = values[near[same]]
     return out
+
+
+def _tell_rate(name: str, axis: tuple, grid: Grid, said: list[str]) -> None:
+    """Say that a channel has a rate of its own, so that what lies between is interpolated."""
+    keep, _, own = axis
+    if len(keep) > 2 and not 1 / 1.1 < own.step / grid.step < 1.1:
+        said.append(f"{name}: {1 / own.step:.4g} Hz, interpolated to {1 / grid.step:.4g} Hz")
 
 
 def _tell_grid(grid: Grid, label: str, nominal: float, said: list[str]) -> None:

@@ -48,7 +48,8 @@ def fit_grid(t: np.ndarray, values: np.ndarray, nominal: float) -> Grid:
     Parameters
     ----------
     t : (n,) stamps in the order of the samples, s.  values : (n,) the quantity.
-    nominal : sample time of the config, s; it or a multiple is taken where the stamps agree.
+    nominal : sample time of the config, s; it, a multiple or a whole part of it is taken where
+        the stamps agree.
     """
     if len(t) < 2:
         return Grid(float(t[0]) if len(t) else 0.0, nominal, np.zeros(len(t), np.int64), "exact")
@@ -56,8 +57,9 @@ def fit_grid(t: np.ndarray, values: np.ndarray, nominal: float) -> Grid:
     usual = float(lower_median(steps))
     rising = bool((steps > 0).all())
     spread = deviation(steps) / usual
-    step = usual if spread > ROUGH else float(np.mean(steps[steps < 1.5 * usual]))
-    target = nominal * max(1, round(min(usual / nominal, 1e9)))
+    step = usual if spread > ROUGH else float(
+        np.mean(steps[np.abs(steps - usual) < 0.5 * usual]))
+    target = _simple(usual, nominal)
     near = abs(step / target - 1) <= SNAP
     for candidate in (([target] if near else []) + [usual, step]) * rising:
         grid = _exact(t, candidate, refine=candidate != target)
@@ -65,8 +67,12 @@ def fit_grid(t: np.ndarray, values: np.ndarray, nominal: float) -> Grid:
             return grid
     width = window_for(spread)
     index = _unbroken(t, target if near else step, width)
+    if index is None:
+        index = _step_by_step(steps, step)
     broken = index is None
     if broken:  # steps between lost samples sum up to less than the config's sample time knows
+        sure = 0.002 + spread * (0.03 + 3 / np.sqrt(len(t)))  # of the steps' own mean
+        near = near and abs(step / target - 1) <= sure
         index = _count(t, target if near else step, width)
     slope = _slope(t, index)
     if broken and near and abs(slope - target) * index[-1] >= 0.5 * target:
@@ -82,6 +88,12 @@ def fit_grid(t: np.ndarray, values: np.ndarray, nominal: float) -> Grid:
     uneven = steps - np.diff(index) * slope
     return Grid(float(t[0]), target if near else slope, index, "instants",
                 float(np.sqrt(np.mean(uneven ** 2))))
+
+
+def _simple(usual: float, nominal: float) -> float:
+    """Return the multiple or whole part of ``nominal`` that is nearest."""
+    ratio = min(max(usual / nominal, 1e-9), 1e9)
+    return nominal * round(ratio) if ratio >= 1 else nominal / round(1 / ratio)
 
 
 def _exact(t: np.ndarray, step: float, refine: bool) -> Grid | None:
@@ -126,6 +138,18 @@ def _unbroken(t: np.ndarray, step: float, width: int) -> np.ndarray | None:
     off = (t - index * slope) / slope
     off = off if len(t) < width else running_median(off, width)
     return index if (np.abs(off - np.median(off)) < 0.25).all() else None
+
+
+def _step_by_step(steps: np.ndarray, step: float) -> np.ndarray | None:
+    """Number the samples by rounding each step, if jitter leaves no doubt about any, else None.
+
+    Other than a count from the first sample on, this does not depend on an exact ``step``.
+    """
+    whole = np.round(steps / step)
+    doubtful = np.abs(steps / step - whole) > 0.42
+    if (whole < 1).any() or (doubtful & (whole < 10)).any():
+        return None
+    return np.concatenate([[0], np.cumsum(whole)]).astype(np.int64)
 
 
 def _count(t: np.ndarray, step: float, width: int) -> np.ndarray:

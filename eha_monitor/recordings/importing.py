@@ -7,10 +7,13 @@ import numpy as np
 from eha_monitor.errors import InputError
 from eha_monitor.recordings.align import align
 from eha_monitor.recordings.recording import Recording
+from eha_monitor.recordings.stamps import CLOSE, SETBACK, SETBACK_NS, lower_median
 from eha_monitor.recordings.tables import read_columns
 from eha_monitor.recordings.topics import Series
 from eha_monitor.recordings.write import check_bag_target, write_recording
 from eha_monitor.settings import Settings, load_settings
+
+SHUFFLED = 0.25  # share of steps backwards in time that neither jitter nor a clock makes
 
 
 def import_file(file: str | Path, map_file: str | Path, out: str | Path, *,
@@ -70,15 +73,48 @@ def read_table(file: str | Path, settings: Settings, *, map_source: str = "confi
     else:
         good = np.ones(rows, dtype=bool)
         stamps = np.round(np.arange(rows) * settings.rig.sample_time * 1e9).astype(np.int64)
+    stamps = stamps[good]
+    order, told = _order_of_time(stamps)
+    stamps = stamps[order]
+    losses += [told] * bool(told)
     series = {}
     for name, column in table.columns.items():
         with np.errstate(over="ignore", invalid="ignore"):
-            values = column.scale * cells[column.column][good] + column.offset
+            values = column.scale * cells[column.column][good][order] + column.offset
         if not np.isfinite(values).any():
             losses.append(f"{name}: column '{column.column}' holds no number")
             continue
-        taken = stamps[good] - round(column.delay * 1e9)
-        series[name] = (Series(taken, stamps[good], values, True), path.name)
+        taken = stamps - round(column.delay * 1e9)
+        series[name] = (Series(taken, stamps, values, True), path.name)
     if not series:
         raise InputError(f"{path}: expected numbers in columns {', '.join(wanted)}, found none")
     return align(series, settings, source=str(path), losses=losses)
+
+
+def _order_of_time(stamps: np.ndarray) -> tuple[np.ndarray, str]:
+    """Return the order in which to take the rows, and a sentence where it is not their own.
+
+    Rows run backwards, are shuffled, or lie in blocks that were joined in the wrong order: then
+    the times are those of one recording, and sorted they have no two rows closer than before.
+    Otherwise a clock jumped or jitters, and :func:`align` repairs it.
+
+    Parameters
+    ----------
+    stamps : (n,) int64 ns.
+    """
+    own = np.arange(len(stamps))
+    steps = np.diff(stamps)
+    back = int(np.sum(steps < 0))
+    if not back:
+        return own, ""
+    order = np.argsort(stamps, kind="stable")
+    if back == len(steps):
+        return order, "the rows run backwards in time: sorted by time"
+    usual, ahead = lower_median(np.abs(steps)), np.diff(stamps[order])
+    blocks = -steps.min() > max(SETBACK_NS, SETBACK * usual) and ahead.min() > CLOSE * usual
+    shuffled = back > SHUFFLED * len(steps) and -steps.min() > min(
+        SETBACK * lower_median(ahead), np.sum(ahead) // 2)
+    if blocks or shuffled:
+        return order, (f"the rows are not in order of time ({back} of {len(steps)} steps run "
+                       "backwards): sorted by time")
+    return own, ""
