@@ -72,10 +72,10 @@ def fit_grid(t: np.ndarray, values: np.ndarray, nominal: float) -> Grid:
     broken = index is None
     if broken:  # steps between lost samples sum up to less than the config's sample time knows
         sure = 0.002 + spread * (0.03 + 3 / np.sqrt(len(t)))  # of the steps' own mean
-        near = near and abs(step / target - 1) <= sure
-        index = _count(t, target if near else step, width)
+        trusted = near and abs(step / target - 1) <= sure
+        index = _count(t, target if trusted else step, width)
     slope = _slope(t, index)
-    if broken and near and abs(slope - target) * index[-1] >= 0.5 * target:
+    if broken and trusted and abs(slope - target) * index[-1] >= 0.5 * target:
         index = _count(t, step, width)
         slope = _slope(t, index)
     slope = slope if slope > 0 else step
