@@ -249,3 +249,21 @@ def test_whole_messages_are_read_without_decoding_one_by_one(tmp_path):
     begins = np.arange(100) * len(raw)
     reader.add(data, begins, begins, np.full(100, len(raw)))
     assert reader._store is None and len(reader.series(want).values) == 100
+
+
+def test_header_stamps_that_jitter_by_half_a_sample(tmp_path):
+    rng = np.random.default_rng(0)
+    stamps, x, p = motion(3000)
+    messages = []
+    for stamp, position, value in zip(stamps.tolist(), x, p, strict=True):
+        own = [stamp + round(5e5 * rng.standard_normal()) for _ in range(2)]
+        messages.append(("/eha/joint_states", JOINT, stamp, joint(own[0], position=(position,))))
+        messages.append(("/eha/pressure/chamber_1", PRESSURE, stamp, pressure(own[1], value)))
+    recording = read_recording(write_mcap(tmp_path / "a.mcap", messages), Settings())
+    np.testing.assert_array_equal(recording.channels["x"], x)
+    off = recording.channels["p1"] - p
+    assert len(off) == 3000 and np.isfinite(off[1:-1]).all()
+    # The two grids are known to within the mean of the jitter, far below a sample.
+    assert np.abs(off[1:-1]).max() < 1e5 * 2 * np.pi * 5e-5
+    told = [loss for loss in recording.losses if "reversed by jitter" in loss]
+    assert len(told) == 2 and "jumps" not in " ".join(recording.losses)
