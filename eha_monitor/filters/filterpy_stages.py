@@ -24,6 +24,7 @@ from eha_monitor.filters.supervision import (
     INFORMATION,
     SCORE,
     SLOW,
+    gave_up,
     honest_factor,
     look,
     new_supervision,
@@ -120,7 +121,7 @@ class FilterpyStageOne(_Stage):
         self.mass, self.dt, self.euler = mass, dt, euler
         self._lowest = -kernel_one.NEGATIVE * mass / dt
         self.theta, self.active, self.any_active = theta, active, bool(active.any())
-        self.ekf.x[2] = prior
+        self.ekf.x[2] = self._prior = prior
         self.ekf.P[2, 2] = prior_stddev**2
         self._scratch = np.zeros(7), np.zeros(9)
 
@@ -154,7 +155,16 @@ class FilterpyStageOne(_Stage):
         kernel_one.jump_one(ekf.x, packed, *change[:2])
         ekf.x[2] = max(ekf.x[2], self._lowest)
         ekf.P = _unpack(packed)
+        if gave_up(self.watch):
+            self._begin_again()
         return before, float(ekf.x[2]), change[2]
+
+    def _begin_again(self) -> None:
+        """Estimate B anew from the prior as a constant: its changes were the model's misfit."""
+        self.ekf.x[2] = self._prior
+        self.ekf.P[2, :] = self.ekf.P[:, 2] = 0.0
+        self.ekf.P[2, 2] = self.prior_variance
+        self.watch = new_supervision(frozen=True)
 
     def _advance(self, u0, u1, q, p1, p2):
         x, v, b = self.ekf.x

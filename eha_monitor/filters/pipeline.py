@@ -18,7 +18,7 @@ from eha_monitor.filters.results import (
 )
 from eha_monitor.filters.run_two import MOST_EVENTS, run_stage_two_kernel
 from eha_monitor.filters.status import CONVERGED, judge_parameter, no_data, units_of
-from eha_monitor.filters.supervision import hops, new_supervision
+from eha_monitor.filters.supervision import gave_up, new_supervision
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
@@ -72,9 +72,9 @@ def run_stage_one(inputs: StageInputs, recording: Recording, settings: Settings,
         return empty_stage("one", no_data("B", unit, inputs.no_force)), NO_CHANGES
     prior, spread = settings.stage_one.prior, settings.stage_one.prior_stddev
     out, changes, found, watch = run_one_kernel(inputs, settings, new_supervision())
-    if hops(watch):  # the model does not fit: an average with an honest sigma, not a chase
+    if gave_up(watch):  # the model does not fit: an average with an honest sigma, not a chase
         out, changes, found, watch = run_one_kernel(inputs, settings, new_supervision(True))
-        events.append(Event(0.0, "one", "B follows the motion to and fro, which is no change: "
+        events.append(Event(0.0, "one", "B follows the motion or runs away, which is no change: "
                             "held constant over the record"))
     if not np.isfinite(out[4]).any():
         return empty_stage("one", no_data(

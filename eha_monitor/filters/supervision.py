@@ -17,6 +17,7 @@ BLOCK = 100  # samples between two looks
 HISTORY = 64  # blocks that a window may span
 DETECTION = 6.0  # standard deviations; 1e-9 a look under the model
 SMALLEST = 0.002  # relative change worth an event
+FAR = 10.0  # prior sigmas that a parameter may travel in all
 HOPS = 6  # changes from which on hopping to and fro is told from a fault that grows
 RECENT = 10  # blocks before a detected change that may owe their size to it
 OUTLYING = 9.0  # normalised square of such a block
@@ -37,13 +38,20 @@ def new_supervision(frozen: bool = False) -> np.ndarray:
 
 
 @njit
-def hops(w):
-    """Tell whether the changes seen go to and fro: not a fault but a model that does not fit.
+def astray(w, prior_variance):
+    """Tell whether the changes seen are no fault but a model that does not fit.
 
-    A wrong model makes the parameter follow the motion.  To chase that is worse than an average
-    with an honest sigma, so no changes are looked for any more.
+    A wrong model makes the parameter follow the motion, to and fro, or run away: a piston that
+    is held still by an unknown load has infinite damping.  To chase that is worse than an
+    average with an honest sigma.
     """
-    return w[CHANGES] >= HOPS and abs(w[NET]) < 0.5 * w[TRAVEL]
+    return w[CHANGES] >= HOPS and (
+        abs(w[NET]) < 0.5 * w[TRAVEL] or w[TRAVEL] > FAR * math.sqrt(prior_variance))
+
+
+def gave_up(w: np.ndarray) -> bool:
+    """Tell whether the watch stopped looking for changes because they led astray."""
+    return bool(w[FROZEN] == 1.0 and w[CHANGES] >= HOPS)
 
 
 @njit
@@ -119,7 +127,7 @@ def look(w, value, variance, prior_variance):
             w[CHANGES] += 1.0
             w[NET] += delta
             w[TRAVEL] += abs(delta)
-            if hops(w):
+            if astray(w, prior_variance):
                 w[FROZEN] = 1.0
             return delta, total_information, (i + 1) * BLOCK
     if w[RATIO_COUNT] >= 300.0:  # forget slowly: half a minute at 1 kHz

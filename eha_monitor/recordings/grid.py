@@ -154,14 +154,35 @@ def _step_by_step(steps: np.ndarray, step: float) -> np.ndarray | None:
 
 def _count(t: np.ndarray, step: float, width: int) -> np.ndarray:
     """Number the samples on a grid under jitter: one on, plus whole samples at each gap."""
-    ahead = (t - t[0]) / step - np.arange(len(t))
+    raw = ahead = (t - t[0]) / step - np.arange(len(t))
     early = 0.5
     if len(t) >= width:
         ahead = running_median(ahead, width)
         ahead = ahead - np.median(ahead[:width])
         early = 0.25  # what is counted once stays counted: better late than for a mere excursion
     missing = np.maximum.accumulate(np.maximum(np.floor(ahead + early), 0))
-    return np.arange(len(t)) + (missing - missing[0]).astype(np.int64)
+    missing = missing - missing[0]
+    if len(t) >= width:
+        missing = _sharpen(raw, missing, width)
+    return np.arange(len(t)) + missing.astype(np.int64)
+
+
+def _sharpen(ahead: np.ndarray, missing: np.ndarray, width: int) -> np.ndarray:
+    """Move each gap to where the stamps on both sides of it fit best; (n,) as ``missing``."""
+    ahead = ahead - np.median(ahead - missing)
+    out = missing.copy()
+    places = np.flatnonzero(np.diff(missing)) + 1
+    bounds = np.concatenate([[0], places, [len(missing)]])
+    for before, place, after in zip(bounds[:-2], places, bounds[2:], strict=True):
+        first, last = max(before, place - width), min(after, place + width)
+        low, high = missing[place - 1], missing[place]
+        near = ahead[first:last]
+        # The sum of squares for a gap before sample k, but for what all k share.
+        worse = np.concatenate([[0], np.cumsum((near - low) ** 2 - (near - high) ** 2)])
+        best = first + int(np.argmin(worse))
+        out[best:place] = high
+        out[place:best] = low
+    return np.maximum.accumulate(out)
 
 
 def _share_of_jitter(t: np.ndarray, index: np.ndarray, values: np.ndarray,
