@@ -31,6 +31,12 @@ def prior_of(settings: Settings, leak: float) -> np.ndarray:
                      LEAKAGE_SPREAD * max(leak, 1e-12)]) ** 2
 
 
+def fits(stage: StageResult) -> bool:
+    """Tell whether a stage has an answer and its model explains its data."""
+    return (stage.estimate.status == "converged" and stage.consistency is not None
+            and stage.consistency.consistent)
+
+
 def speed_hold(recording: Recording, settings: Settings, inputs: StageInputs) -> Hold | None:
     """Return the hold of the measured pump speed, or None."""
     if not recording.has("omega"):
@@ -63,8 +69,8 @@ def run_joint(inputs: StageInputs, recording: Recording, settings: Settings, one
               two: StageResult, since: int = 0) -> JointResult | None:
     """Estimate B, beta_e and C_T together, or return None where pressure or omega is missing.
 
-    Starts from the two stages' answers, with a hundred times their variance (a hundredth of their
-    information counts twice; a broader start leads the filter astray), and takes what came
+    Starts from the two stages' answers, with a hundred times the variance of one that fits (a
+    hundredth of its information counts twice; a broader start leads astray), and takes what came
     after the last change that a stage saw (sample ``since``): its parameters are constant.
     """
     model = inputs.model
@@ -86,9 +92,11 @@ def run_joint(inputs: StageInputs, recording: Recording, settings: Settings, one
     start, variance = [settings.stage_one.prior, 1.0], prior_of(settings, model.leak)
     if one.estimate.status == "converged":
         start[0] = one.estimate.value
+    if fits(one):
         variance[0] = min(variance[0], NARROW * one.estimate.stddev**2)
     if two.estimate.status == "converged":
         start[1] = model.beta_0 / two.estimate.value
+    if fits(two):
         variance[1] = min(variance[1], NARROW * (
             start[1] * two.estimate.stddev / two.estimate.value) ** 2)
     m = np.array([np.nan, 0.0, 0.0, *start, model.leak, 0.0])

@@ -48,9 +48,10 @@ def estimate(recording: Recording, settings: Settings) -> Estimate:
     one, changes = run_stage_one(inputs, recording, settings, events)
     damping, damping_variance = hand_over(one, changes, settings, recording, events, inputs)
     two, later = run_stage_two(inputs, recording, settings, damping, damping_variance, events)
-    from eha_monitor.filters.joint import run_joint  # here: it takes the stages' answers
+    from eha_monitor.filters.joint import fits, run_joint  # here: it takes the stages' answers
 
-    since = max((int(row[0]) + 1 for row in (*changes, *later)), default=0)
+    seen = [row for stage, rows in ((one, changes), (two, later)) if fits(stage) for row in rows]
+    since = max((int(row[0]) + 1 for row in seen), default=0)
     joint = run_joint(inputs, recording, settings, one, two, since)
     return Estimate(
         recording, settings, one, two, joint, model_status(one, two, joint=joint),
