@@ -27,8 +27,9 @@ from eha_monitor.ros.inputs import message_class
 # A message due within this time goes out now: waiting is not finer than that.
 SLACK = 0.0005
 CLOCK_PERIOD = 0.005
-# How long to wait for subscribers before the first message.
-DISCOVERY = 1.0
+# How long to wait for a further subscriber before the first message: participants announce
+# themselves every 3 s, should their first words be lost.
+DISCOVERY = 3.5
 # A publisher sees its match before the subscriber does; what is sent in between is lost.
 SETTLE = 0.3
 # Topics on which many nodes publish side by side.
@@ -123,10 +124,14 @@ class Replay:
 
     def _wait_for_subscribers(self) -> None:
         """Give discovery its time, then leave out what another node publishes."""
-        end = time.monotonic() + DISCOVERY
-        while rclpy.ok() and (left := end - time.monotonic()) > 0 and not all(
-                p.get_subscription_count() for p in self._publishers.values()):
+        matched, end = 0, time.monotonic() + DISCOVERY
+        while rclpy.ok() and (left := end - time.monotonic()) > 0:
             self._executor.spin_once(timeout_sec=min(left, 0.05))
+            now = sum(p.get_subscription_count() > 0 for p in self._publishers.values())
+            if now == len(self._publishers):
+                break
+            if now > matched:  # discovery is under way: give the others their time too
+                matched, end = now, time.monotonic() + DISCOVERY
         end = time.monotonic() + SETTLE
         while rclpy.ok() and (left := end - time.monotonic()) > 0:
             self._executor.spin_once(timeout_sec=left)
