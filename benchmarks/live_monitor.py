@@ -5,9 +5,9 @@ Runs the real simulator node and the real monitor node as processes over DDS on 
     python benchmarks/live_monitor.py --duration 60
 
 The monitor starts first and ends last.  What the simulator sends before DDS has matched the two
-(up to 3 s, when an announcement is lost) is counted apart from what is lost after.  The plain filterpy
-loop is run in this process for comparison: one ExtendedKalmanFilter of three states, predicted and
-updated sample by sample.
+(up to 3 s, when an announcement is lost) is counted apart from what is lost after.  The plain
+filterpy loop is run in this process for comparison: one ExtendedKalmanFilter of three states,
+predicted and updated sample by sample.
 """
 
 import argparse
