@@ -19,11 +19,12 @@ def ros_module(name: str):
     import importlib
 
     try:
-        import rclpy  # noqa: F401  only to tell a missing ROS from a defect of ours
+        return importlib.import_module(f"eha_monitor.ros.{name}")
     except ImportError as problem:
+        if (problem.name or "").startswith("eha_monitor"):
+            raise  # a defect of ours is no missing ROS
         raise InputError(f"this command needs ROS 2, and rclpy cannot be imported ({problem}); "
                          "install eha_monitor[ros] or source a ROS 2 set-up") from problem
-    return importlib.import_module(f"eha_monitor.ros.{name}")
 
 
 def on_terminal() -> bool:
