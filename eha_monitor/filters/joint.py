@@ -8,7 +8,7 @@ import numpy as np
 
 from eha_monitor.filters import kernel_joint
 from eha_monitor.filters.hold import Hold, hold_of
-from eha_monitor.filters.inputs import StageInputs, measured_leakage, with_noise
+from eha_monitor.filters.inputs import StageInputs, force_variance, measured_leakage, with_noise
 from eha_monitor.filters.results import JointResult, ParameterEstimate, StageResult
 from eha_monitor.filters.stage_two import LOOP
 from eha_monitor.filters.status import judge_parameter, units_of
@@ -103,13 +103,12 @@ def run_joint(inputs: StageInputs, recording: Recording, settings: Settings, one
     p = np.diag([0.0, 0.0, 0.0, *variance, 0.0])
     out = np.empty((7, len(recording) - since))
     force = inputs.measured_force
-    r_f = ((rig.area_1 * inputs.noise["p1"].value) ** 2
-           + (rig.area_2 * inputs.noise["p2"].value) ** 2)
+    r_f = force_variance(rig, inputs.noise, 0.0)
     part = slice(since, None)
     kernel_joint.run_joint(
         inputs.x[part], force[part], hold.start[part], hold.end[part], hold.variance[part],
         hold.instrument[part], constants, inputs.dt, inputs.position_variance, r_f, 0.0,
-        kernel_joint.FREE, m, p, out)
+        False, m, p, out)
     with np.errstate(invalid="ignore"):
         squares = np.concatenate([(out[3] / out[4]) ** 2, (out[5] / out[6]) ** 2])
         squares = squares[np.isfinite(squares)]

@@ -5,7 +5,8 @@ import math
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.filters.kernel_one import BROAD, GATE, SPIKES
+from eha_monitor.filters.kernel_one import GATE, SPIKES
+from eha_monitor.filters.kernel_two import start_two
 from eha_monitor.filters.stage_one import UNSEEN
 from eha_monitor.filters.stage_two import BETA_0, MASS, discretise
 
@@ -13,7 +14,6 @@ from eha_monitor.filters.stage_two import BETA_0, MASS, discretise
 # input: it acts in this step and the next, so it must be a state for the innovations to be white.
 STATES = 7
 
-FREE, PARAMETERS_FROZEN, ALL_FROZEN = range(3)
 REFRESH_C, REFRESH_B, REFRESH_LEAK = 5e-3, 1e-2, 1e-3
 
 
@@ -27,8 +27,7 @@ def update_scalar(m, p, index, z, r, frozen, k):
     nu = z - m[index]
     for i in range(STATES):
         k[i] = p[i, index] / s
-    for i in range(STATES):
-        if frozen == FREE or (frozen == PARAMETERS_FROZEN and not 3 <= i < 6):
+        if not frozen:
             m[i] += k[i] * nu
     for i in range(STATES):
         row = p[index, i]
@@ -57,9 +56,9 @@ def run_joint(x, force, start, end, q_u, instrument, constants, dt, r_x, r_f, q_
     constants : lumped hydraulics (:func:`stage_two.hydraulics`).
     r_x, r_f : variances of the measurements; r_f infinite leaves the force out.
     q_f : variance of an unmodelled force, N^2.
-    frozen : FREE moves everything; PARAMETERS_FROZEN keeps the parameters, ALL_FROZEN the states
-        as well (the model's own motion under the drive input).  P learns in each case, so with
-        frozen parameters it ends as the inverse of prior plus Fisher information.
+    frozen : the measurements move neither states nor parameters (the model's own motion under
+        the drive input); P learns all the same and ends as the inverse of prior plus Fisher
+        information.
     m, p : (7,), (7, 7) updated; m[0] NaN asks for a fresh start.
     out : (7, n) written: B, beta_e, leak, innovation and sigma of x, of the force.
     """
@@ -102,7 +101,7 @@ def run_joint(x, force, start, end, q_u, instrument, constants, dt, r_x, r_f, q_
             m[0] = nan
         elif not math.isnan(x[k]):
             far = (x[k] - m[0]) ** 2 > GATE * (p[0, 0] + r_x)
-            if far and frozen == FREE and spikes < SPIKES:  # as the stages do
+            if far and not frozen and spikes < SPIKES:  # as the stages do
                 spikes += 1
             else:
                 spikes = 0
@@ -117,16 +116,12 @@ def run_joint(x, force, start, end, q_u, instrument, constants, dt, r_x, r_f, q_
 
 @njit
 def restart(m, p, x, r, mass, dt):
-    """(Re)start the states at a measured position; parameters and their variance stay."""
-    broad_v = BROAD * math.sqrt(r) / dt
-    m[0], m[1], m[2], m[6] = x, 0.0, 0.0, 0.0
-    for i in (0, 1, 2, 6):
-        for j in range(STATES):
-            p[i, j] = 0.0
-            p[j, i] = 0.0
-    p[0, 0] = r
-    p[1, 1] = broad_v * broad_v
-    p[2, 2] = (mass * broad_v / dt) ** 2
+    """(Re)start the states and the input's error; parameters and their variance stay."""
+    start_two(m, p, x, r, dt, mass)
+    m[6] = 0.0
+    for j in range(STATES):
+        p[6, j] = 0.0
+        p[j, 6] = 0.0
 
 
 @njit

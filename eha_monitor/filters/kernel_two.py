@@ -18,12 +18,12 @@ REFRESH = 5e-3  # relative change of c that asks for a new exact step; between, 
 def start_two(m, p, x, r, dt, mass):
     """(Re)start (x, v, F) at a measurement; the compliance and its variance stay.
 
-    m : (4,) x, v, F, c;  p : (4, 4).
+    m : (n,) x, v, F, then parameters;  p : (n, n).
     """
     m[0], m[1], m[2] = x, 0.0, 0.0
     broad_v = BROAD * math.sqrt(r) / dt
     for i in range(3):
-        for j in range(4):
+        for j in range(p.shape[0]):
             p[i, j] = 0.0
             p[j, i] = 0.0
     p[0, 0] = r

@@ -30,7 +30,7 @@ from eha_monitor.filters.inputs import (
 )
 from eha_monitor.filters.live_buffer import LiveBuffer
 from eha_monitor.filters.noise import noise_levels, quantum
-from eha_monitor.filters.pipeline import MISSING_ONE, MISSING_TWO, unless_unexcited
+from eha_monitor.filters.pipeline import MISSING_ONE, MISSING_TWO, model_status, unless_unexcited
 from eha_monitor.filters.results import Consistency, Event, ModelStatus, ParameterEstimate
 from eha_monitor.filters.run_two import LARGE, force_noise_variance, run_stage_two_kernel
 from eha_monitor.filters.status import CONVERGED, judge_parameter, no_data, units_of
@@ -373,14 +373,7 @@ class LiveEstimator:
     def snapshot(self) -> LiveSnapshot:
         """Return the present estimates; the events are handed out once."""
         events, self._events = tuple(self._events), []
-        verdicts = [v for v in self._verdicts.values() if v is not None]
-        wrong = [v for v in verdicts if not v.consistent]
-        if wrong:
-            model = ModelStatus("mismatch", "; ".join(v.message for v in wrong))
-        elif verdicts:
-            model = ModelStatus("consistent", "; ".join(v.message for v in verdicts))
-        else:
-            model = ModelStatus("not_judged", "too few samples yet to test the model")
+        model = model_status(self._verdicts.values())
         state = self._one or self._two
         position, velocity = (state.ekf.x[0], state.ekf.x[1]) if state else (math.nan, math.nan)
         return LiveSnapshot(self._now, self._parameters(), float(position), float(velocity),

@@ -6,9 +6,10 @@ import numpy as np
 
 from eha_monitor.filters import kernel_joint
 from eha_monitor.filters.hold import hold_of
-from eha_monitor.filters.inputs import RigModel, StageInputs
+from eha_monitor.filters.inputs import RigModel, StageInputs, force_variance
 from eha_monitor.filters.joint import speed_hold
 from eha_monitor.filters.results import Estimate
+from eha_monitor.filters.stage_two import LOOP
 
 COMBINATIONS = (("x", "x_d"), ("x", "omega"), ("x", "p1", "p2"), ("x", "x_d", "p1", "p2"),
                 ("x", "omega", "p1", "p2"))
@@ -41,8 +42,8 @@ def observability(estimate: Estimate) -> ObservabilityTable:
     The joint filter runs with its parameters frozen at the estimates (nominal values where
     there are none) and a vague prior; its covariance then is the inverse Fisher information,
     unknown initial state included.  The states are the model's own motion under the recorded
-    drive input, so that a recording which the model does not fit cannot pretend to tell more;
-    where no drive input is among the channels they follow the measurements.
+    drive input, so that a recording which the model does not fit cannot pretend to tell more.
+    Without a drive input see :func:`without_drive`.
     """
     recording, settings = estimate.recording, estimate.settings
     inputs = StageInputs.of(recording, settings)
@@ -85,13 +86,12 @@ def bound(channels: tuple[str, ...], estimate: Estimate, inputs: StageInputs) ->
     beta = modulus.value if modulus.status == "converged" else rig.bulk_modulus
     values = np.array([max(abs(b), 1e-9), model.beta_0 / beta, max(model.leak, 1e-15)])
     constants = model.hydraulics.copy()
-    frozen = kernel_joint.ALL_FROZEN
     if "x_d" in channels:
-        constants[4] = rig.position_gain
+        constants[LOOP] = rig.position_gain
         hold = hold_of(recording.channels["x_d"], 0.0)
         variance = hold.variance
     else:
-        constants[4] = 0.0
+        constants[LOOP] = 0.0
         hold = speed_hold(recording, settings, inputs)
         variance = hold.variance if hold is not None else None
         if hold is not None and stands_still(recording.channels["omega"], inputs):
@@ -99,14 +99,13 @@ def bound(channels: tuple[str, ...], estimate: Estimate, inputs: StageInputs) ->
     force, r_f = np.full(len(recording), np.nan), np.inf
     if "p1" in channels:
         force = inputs.measured_force
-        r_f = ((rig.area_1 * inputs.noise["p1"].value) ** 2
-               + (rig.area_2 * inputs.noise["p2"].value) ** 2)
+        r_f = force_variance(rig, inputs.noise, 0.0)
     m = np.array([np.nan, 0.0, 0.0, *values, 0.0])
     p = np.diag([0.0, 0.0, 0.0, *(VAGUE * values) ** 2, 0.0])
     out = np.empty((7, len(recording)))
     kernel_joint.run_joint(inputs.x, force, hold.start, hold.end, variance,
                            hold.instrument, constants, inputs.dt,
-                           inputs.position_variance, r_f, 0.0, frozen, m, p, out)
+                           inputs.position_variance, r_f, 0.0, True, m, p, out)
     relative = np.sqrt(np.maximum(np.diag(p)[3:6], 0.0)) / values
     relative = np.where(relative > 0.1 * VAGUE, np.inf, relative)
     return dict(zip(("B", "beta_e", "L"), (float(value) for value in relative), strict=True))

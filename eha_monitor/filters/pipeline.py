@@ -1,12 +1,14 @@
 """The monitor's pipeline over a whole recording: stage one, hand-over, stage two, verdicts."""
 
 import time
+from collections.abc import Iterable
 
 import numpy as np
 
 from eha_monitor.filters import kernel_one
 from eha_monitor.filters.consistency import judge
 from eha_monitor.filters.inputs import StageInputs, moved_mass
+from eha_monitor.filters.joint import fits, run_joint
 from eha_monitor.filters.results import (
     Consistency,
     Estimate,
@@ -48,13 +50,12 @@ def estimate(recording: Recording, settings: Settings) -> Estimate:
     one, changes = run_stage_one(inputs, recording, settings, events)
     damping, damping_variance = hand_over(one, changes, settings, recording, events, inputs)
     two, later = run_stage_two(inputs, recording, settings, damping, damping_variance, events)
-    from eha_monitor.filters.joint import fits, run_joint  # here: it takes the stages' answers
-
     seen = [row for stage, rows in ((one, changes), (two, later)) if fits(stage) for row in rows]
     since = max((int(row[0]) + 1 for row in seen), default=0)
     joint = run_joint(inputs, recording, settings, one, two, since)
     return Estimate(
-        recording, settings, one, two, joint, model_status(one, two, joint=joint),
+        recording, settings, one, two, joint,
+        model_status((one.consistency, two.consistency), joint),
         tuple(sorted(events, key=lambda event: event.time_s)), inputs.noise,
         time.perf_counter() - started, tuple(warnings_of(inputs, settings)))
 
@@ -217,9 +218,10 @@ def run_stage_two(inputs: StageInputs, recording: Recording, settings: Settings,
     return result, changes
 
 
-def model_status(*stages: StageResult, joint: JointResult | None = None) -> ModelStatus:
+def model_status(verdicts: Iterable[Consistency | None],
+                 joint: JointResult | None = None) -> ModelStatus:
     """Return one verdict from the stages' innovations and from the joint filter's fit."""
-    judged = [stage.consistency for stage in stages if stage.consistency is not None]
+    judged = [verdict for verdict in verdicts if verdict is not None]
     wrong = [verdict for verdict in judged if not verdict.consistent]
     if wrong:
         return ModelStatus("mismatch", "; ".join(verdict.message for verdict in wrong))
@@ -228,7 +230,7 @@ def model_status(*stages: StageResult, joint: JointResult | None = None) -> Mode
                            f"and drive do not fit together ({joint.message}): a sensor's scale, "
                            "or the pump")
     if not judged:
-        return ModelStatus("not_judged", "no stage had enough data to test the model")
+        return ModelStatus("not_judged", "no stage has had enough data to test the model")
     return ModelStatus("consistent", "; ".join(verdict.message for verdict in judged))
 
 
