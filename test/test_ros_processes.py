@@ -126,16 +126,19 @@ def test_replay_feeds_a_monitor_on_simulated_time(graph, tmp_path):
 
 def test_replay_pauses_and_resumes_by_service(graph, tmp_path):
     bag_of_joint_states(tmp_path / "bag", 100)
-    heard = listen(graph, JointState, "/eha/joint_states")
+    # Reliable: what is best effort may lose a message on a busy machine, and all are counted.
+    heard = []
+    subscription = graph.node("counter").create_subscription(
+        JointState, "/eha/joint_states", heard.append, 1000)
     client = graph.node("client").create_client(SetBool, "/replay/pause")
     with command("replay", tmp_path / "bag", "--start-paused") as replay:
         graph.until(client.service_is_ready, PATIENCE)
         answer = client.call_async(SetBool.Request(data=True))
-        graph.until(answer.done)
+        graph.until(lambda: answer.done() and subscription.get_publisher_count() == 1, PATIENCE)
         assert answer.result().message == "paused" and not heard
         client.call_async(SetBool.Request(data=False))
-        graph.until(lambda: len(heard) == 100)
-        graph.until(lambda: replay.poll() == 0)
+        graph.until(lambda: len(heard) == 100, PATIENCE)
+        graph.until(lambda: replay.poll() == 0, PATIENCE)
 
 
 def test_replay_loops_and_leaves_out_what_it_does_not_know(graph, tmp_path):
