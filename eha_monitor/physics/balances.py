@@ -19,6 +19,7 @@ from eha_monitor.physics.signals import (
     COMPLIANCE_1,
     COMPLIANCE_2,
     D_P,
+    DRIVE_GAIN,
     FLOW_1,
     FLOW_2,
     FORCE,
@@ -34,22 +35,26 @@ from eha_monitor.physics.signals import (
     VOL_2,
     VOLUME_1,
     VOLUME_2,
-    X_D,
     B,
     M,
     V,
-    X,
 )
 
 
 @njit
-def drive_speed(x_d, x, theta):
-    """Pump speed in rad/s: omega = K_pos (x_d - x)."""
-    return theta[K_POS] * (x_d - x)
+def drive_speed(x_d, x, theta, w):
+    """Pump speed that the drive wants, rad/s: omega = (1 + gain) K_pos (x_d - x)."""
+    return (1.0 + w[DRIVE_GAIN]) * theta[K_POS] * (x_d - x)
 
 
 @njit
-def derivatives(s, theta, active, c, dy):
+def acceleration(force, v, theta, c):
+    """Force balance, Eq. 3: v' = (F - B v - c[FORCE]) / (M + dM) for the driving ``force``, N."""
+    return (force - theta[B] * v - c[FORCE]) / (theta[M] + c[MASS])
+
+
+@njit
+def derivatives(s, theta, active, memory, unknown_force, unknown_flow, c, dy):
     """Write d/dt (x, v, p1, p2) into ``dy`` for the signals ``s`` (OMEGA already set).
 
     Force balance, Eq. 3 with two areas:  (M + dM) v' = A1 p1 - A2 p2 - B v - F.
@@ -65,16 +70,18 @@ def derivatives(s, theta, active, c, dy):
     Parameters
     ----------
     s : (N_SIGNALS,) SI signals; theta : (N_THETA,); active : (N_EFFECTS,) bool;
-    c : (N_CONTRIBUTIONS,) scratch; dy : (4,) written, in m/s, m/s^2, Pa/s, Pa/s.
+    memory : (N_EFFECTS, MAX_MEMORY) of the effects, read.
+    unknown_force, unknown_flow : force in N against positive motion and flow in m^3/s from
+        chamber 2 into 1 that no entry of the catalogue makes; 0 in a simulation.
+    c : (N_CONTRIBUTIONS,) scratch; dy : (4 or more,) written, in m/s, m/s^2, Pa/s, Pa/s.
     """
-    add_contributions(s, theta, active, c)
+    add_contributions(s, theta, active, memory, c)
+    c[FORCE] += unknown_force
     v, p1, p2 = s[V], s[P1], s[P2]
     dy[0] = v
-    dy[1] = (theta[AREA_1] * p1 - theta[AREA_2] * p2 - theta[B] * v - c[FORCE]) / (
-        theta[M] + c[MASS]
-    )
+    dy[1] = acceleration(theta[AREA_1] * p1 - theta[AREA_2] * p2, v, theta, c)
     pumped = theta[D_P] * (s[OMEGA] + c[SPEED])
-    crossing = 0.5 * (theta[C_T] - theta[G_MAKEUP]) * (p1 - p2)
+    crossing = 0.5 * (theta[C_T] - theta[G_MAKEUP]) * (p1 - p2) - unknown_flow
     compliance = 1.0 / theta[BETA_E]
     into_1 = (
         pumped - theta[AREA_1] * v - crossing
@@ -86,15 +93,3 @@ def derivatives(s, theta, active, c, dy):
     )
     dy[2] = into_1 / ((theta[VOL_1] + c[VOLUME_1]) * (compliance + c[COMPLIANCE_1]))
     dy[3] = into_2 / ((theta[VOL_2] + c[VOLUME_2]) * (compliance + c[COMPLIANCE_2]))
-
-
-@njit
-def set_signals(s, t, y, x_d, theta):
-    """Fill the signals from the state ``y`` = (x, v, p1, p2) and close the drive loop."""
-    s[0] = t
-    s[X] = y[0]
-    s[V] = y[1]
-    s[P1] = y[2]
-    s[P2] = y[3]
-    s[X_D] = x_d
-    s[OMEGA] = drive_speed(x_d, y[0], theta)

@@ -3,6 +3,23 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from eha_monitor.compiled import njit
+
+
+@njit
+def no_term(s, p, m, c):
+    """Add nothing to the balances."""
+
+
+@njit
+def no_update(s, p, h, m):
+    """Remember nothing."""
+
+
+@njit
+def no_circuit(p, w):
+    """Leave drive and sensors as they are."""
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -16,6 +33,10 @@ class Parameter:
     lower, upper : bounds in ``unit``; values outside are refused by the config.
     scale : typical size in ``unit``; the prior's standard deviation.
     default : value that the config takes when the parameter is not given; None means required.
+        A required parameter is a *size*: with all sizes at ``neutral`` the effect is absent.  One
+        with a default is a *shape* inside the non-linearity; it is fitted too.
+    neutral : value of a size at which the effect is absent.
+    fitted : False keeps a shape at its default when the effect is fitted.
     """
 
     name: str
@@ -25,6 +46,40 @@ class Parameter:
     upper: float
     scale: float
     default: float | None = None
+    neutral: float = 0.0
+    fitted: bool = True
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """What a record covers; thresholds are looked for inside (SI, absolute values).
+
+    Attributes
+    ----------
+    speed, position : largest |v| (m/s), largest |x - mean x| (m).
+    acceleration : large |v'| (m/s^2).
+    pressure_difference : (q50, q90, q98, max) of |p1 - p2|, Pa.
+    lowest_pressure : (q0.2, q2, q20) of the lower chamber pressure, Pa.
+    mean_pressure : Pa.
+    pump_speed : (q50, q90, q98, max) of |omega|, rad/s.
+    pump_acceleration : (q90, q98, max) of |omega'|, rad/s^2.
+    force : large |A1 p1 - A2 p2|, N.
+    flow : large |A v|, m^3/s.
+    sample_time, duration : s.
+    """
+
+    speed: float
+    position: float
+    acceleration: float
+    pressure_difference: tuple[float, float, float, float]
+    lowest_pressure: tuple[float, float, float]
+    mean_pressure: float
+    pump_speed: tuple[float, float, float, float]
+    pump_acceleration: tuple[float, float, float]
+    force: float
+    flow: float
+    sample_time: float
+    duration: float
 
 
 @dataclass(frozen=True)
@@ -38,10 +93,15 @@ class Effect:
     equation : the equation as text for the report.
     source : where the equation comes from.
     parameters : at most ``signals.MAX_PARAMETERS`` of them.
-    term : compiled ``term(s, p, c)``; reads signals ``s`` and parameters ``p`` and adds to the
-        contributions ``c`` (indices in :mod:`eha_monitor.physics.signals`).
     statement : sentence with ``{symbol}`` places for the report.
     rig_check : what to look at on the rig.
+    term : compiled ``term(s, p, m, c)``; reads signals ``s``, parameters ``p`` and memory ``m``
+        and adds to the contributions ``c`` (indices in :mod:`eha_monitor.physics.signals`).
+    update : compiled ``update(s, p, h, m)``; carries the memory ``m`` over an integration step of
+        ``h`` seconds that has ended at the signals ``s``.  A new memory is all zero.
+    circuit : compiled ``circuit(p, w)``; adds to the constants ``w`` of drive and sensors.
+    starts : ``starts(ranges)`` returns where a fit begins: dicts of parameter values, each a
+        *small but visible* instance of the effect.  Several where the effect has a threshold.
     """
 
     name: str
@@ -49,6 +109,14 @@ class Effect:
     equation: str
     source: str
     parameters: tuple[Parameter, ...]
-    term: Callable
     statement: str
     rig_check: str
+    starts: Callable[[Ranges], tuple[dict[str, float], ...]]
+    term: Callable = no_term
+    update: Callable = no_update
+    circuit: Callable = no_circuit
+
+    @property
+    def sizes(self) -> tuple[Parameter, ...]:
+        """The parameters without which the effect is absent."""
+        return tuple(p for p in self.parameters if p.default is None)

@@ -1,54 +1,293 @@
-"""The simulated actuator: classical Runge-Kutta steps, several to a sample."""
+"""The actuator in motion: classical Runge-Kutta steps, drive and sensors with their delays.
+
+The state y of the whole actuator is
+
+    x, v, p1, p2, omega        position m, velocity m/s, absolute pressures Pa, shaft speed rad/s
+    force, flow, speed         what no equation accounts for: N, m^3/s, rad/s; 0 in a simulation
+    played, acceleration       position behind the sensor's play m; v' of the last step m/s^2
+
+The past is a ring of (x, v, p1, p2) at the end of each integration step.
+"""
+
+import math
 
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.physics.balances import derivatives, set_signals
-from eha_monitor.physics.signals import N_CONTRIBUTIONS, N_SIGNALS
+from eha_monitor.physics.balances import derivatives, drive_speed
+from eha_monitor.physics.contributions import circuit_of, update_memory
+from eha_monitor.physics.signals import (
+    COMMAND_DELAY,
+    DRIVE_LAG,
+    FEEDBACK_DELAY,
+    IN_LOOP,
+    OMEGA,
+    P1,
+    P2,
+    PLAY,
+    POSITION_DELAY,
+    POSITION_SCALE,
+    PRESSURE_DELAY,
+    PRESSURE_DRIFT_1,
+    PRESSURE_DRIFT_2,
+    PRESSURE_OFFSET_1,
+    PRESSURE_OFFSET_2,
+    PRESSURE_SCALE_1,
+    PRESSURE_SCALE_2,
+    SLEW_LIMIT,
+    SPEED_LIMIT,
+    X_D,
+    T,
+    V,
+    X,
+)
+
+(Y_X, Y_V, Y_P1, Y_P2, Y_OMEGA, Y_FORCE, Y_FLOW, Y_SPEED, Y_PLAYED, Y_ACCELERATION) = range(10)
+N_STATE = 10
+N_MOVING = 5  # the states that are integrated
+RING = 1024  # steps of the past that are kept
+N_OUTPUTS = 5  # what sensors show: x, v, p1, p2, omega
+SHORTEST_LAG = 0.4  # integration steps: a lag below is not resolved
+
+N_SCRATCH = 5  # rows of scratch: signals, contributions, slope, sum of slopes, stage
+
+
+def new_state(x: float, p1: float, p2: float) -> np.ndarray:
+    """Return the state at rest at ``x`` (m) with the given pressures (Pa), (N_STATE,)."""
+    y = np.zeros(N_STATE)
+    y[Y_X], y[Y_P1], y[Y_P2], y[Y_PLAYED] = x, p1, p2, x
+    return y
+
+
+def new_past(y: np.ndarray) -> np.ndarray:
+    """Return a past of rest at ``y``, (RING, 4)."""
+    past = np.zeros((RING, 4))
+    past[:] = y[:4]
+    past[:, Y_V] = 0.0
+    return past
 
 
 @njit
-def advance(y, t, dt, substeps, x_d, theta, active):
-    """Carry ``y`` = (x, v, p1, p2) over one sample ``dt`` in place.
+def input_at(u, pieces, place):
+    """Return an input at ``place`` samples after the first.
+
+    u : (n*pieces, 4) cubic on each of ``pieces`` equal pieces of a sample, argument 0 to 1.
+    """
+    along = place * pieces
+    i = int(math.floor(along))
+    i = max(0, min(i, u.shape[0] - 1))
+    f = min(max(along - i, 0.0), 1.0)
+    return u[i, 0] + f * (u[i, 1] + f * (u[i, 2] + f * u[i, 3]))
+
+
+@njit
+def piece_at(u, i, f):
+    """Return the cubic of piece ``i`` at ``f`` from 0 to 1: at 1 still its own end."""
+    return u[i, 0] + f * (u[i, 1] + f * (u[i, 2] + f * u[i, 3]))
+
+
+@njit
+def delayed_position(past, last, step, delay, offset, y):
+    """Return x ``delay`` seconds before the time ``offset`` steps after entry ``last``.
+
+    y : state at that time; h = ``step`` s.  Within a step the past is a Taylor series.
+    """
+    if delay == 0.0:
+        return y[Y_X]
+    back = delay / step - offset
+    if back < 0.0:
+        return y[Y_X] - delay * (y[Y_V] - 0.5 * delay * y[Y_ACCELERATION])
+    j = min(int(math.floor(back)), RING - 2)
+    new, old = (last - j) % RING, (last - j - 1) % RING
+    # Cubic Hermite between two ends, g from the older to the newer.
+    g = 1.0 - min(back - j, 1.0)
+    a, b = past[old, 0], past[new, 0]
+    da, db = past[old, 1] * step, past[new, 1] * step
+    return a + g * (da + g * (3.0 * (b - a) - 2.0 * da - db + g * (2.0 * (a - b) + da + db)))
+
+
+@njit
+def delayed_pressure(past, last, step, delay, which, y):
+    """Return a pressure (``which`` 2 or 3) ``delay`` seconds before entry ``last``."""
+    if delay <= 0.0:
+        return y[which]
+    back = delay / step
+    j = min(int(math.floor(back)), RING - 2)
+    f = min(back - j, 1.0)
+    return (1.0 - f) * past[(last - j) % RING, which] + f * past[(last - j - 1) % RING, which]
+
+
+@njit
+def behind_play(x, played, play):
+    """Return the position behind a play of width ``play``, m: moved only at its ends."""
+    half = 0.5 * play
+    return min(max(played, x - half), x + half)
+
+
+@njit
+def seen_by_drive(y, x_late, w):
+    """Return the position that the drive reads, m, from the late true one."""
+    if w[IN_LOOP] == 0.0:
+        return x_late
+    if w[PLAY] > 0.0:
+        x_late = behind_play(x_late, y[Y_PLAYED], w[PLAY])
+    return (1.0 + w[POSITION_SCALE]) * x_late
+
+
+@njit
+def shaft_speed(wanted, w):
+    """Return the shaft speed without lag: the wanted one within the limit, rad/s."""
+    return min(max(wanted, -w[SPEED_LIMIT]), w[SPEED_LIMIT])
+
+
+@njit
+def advance(y, t, dt, steps, u, pieces, first, closed, theta, active, w, memory, past, last,
+            scratch):
+    """Carry the actuator over one sample in place; returns the past's newest entry.
 
     Parameters
     ----------
-    y : (4,) state, SI, overwritten.
+    y : (N_STATE,) state.
     t, dt : start of the sample and its length, s.
-    substeps : Runge-Kutta steps in the sample; 10 at 1 kHz keeps a 75 Hz resonance to 1e-7.
-    x_d : (2*substeps + 1,) demanded position at each half step, m.
-    theta, active : parameters and active effects, constant over the sample.
+    steps : Runge-Kutta steps in the sample; 10 at 1 kHz keeps a 75 Hz resonance to 1e-7.
+    u, pieces, first : input (:func:`input_at`) and the sample's place in it.
+    closed : True where u is x_d in m and the drive closes the loop; False where u is the shaft
+        speed in rad/s.
+    theta, active, w, memory : parameters, active effects, circuit, the effects' memory.
+    past, last : ring of the past and its newest entry.
+    scratch : (N_SCRATCH, N_STATE) room for the slopes.
     """
-    s = np.empty(N_SIGNALS)
-    c = np.empty(N_CONTRIBUTIONS)
-    k1, k2, k3, k4 = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
-    h = dt / substeps
-    for i in range(substeps):
+    h = dt / steps
+    slow = closed and (w[DRIVE_LAG] > 0.0 or w[SLEW_LIMIT] < np.inf)
+    lag = max(w[DRIVE_LAG], SHORTEST_LAG * h)
+    command_delay, feedback_delay = w[COMMAND_DELAY], w[FEEDBACK_DELAY]
+    s, c, k, total, z = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
+    k[Y_OMEGA] = 0.0
+    for i in range(steps):
         start = t + i * h
-        set_signals(s, start, y, x_d[2 * i], theta)
-        derivatives(s, theta, active, c, k1)
-        set_signals(s, start + 0.5 * h, y + 0.5 * h * k1, x_d[2 * i + 1], theta)
-        derivatives(s, theta, active, c, k2)
-        set_signals(s, start + 0.5 * h, y + 0.5 * h * k2, x_d[2 * i + 1], theta)
-        derivatives(s, theta, active, c, k3)
-        set_signals(s, start + h, y + h * k3, x_d[2 * i + 2], theta)
-        derivatives(s, theta, active, c, k4)
+        for j in range(N_MOVING):
+            total[j] = 0.0
+            z[j] = y[j]
+        z[Y_PLAYED], z[Y_ACCELERATION] = y[Y_PLAYED], y[Y_ACCELERATION]
+        for stage in range(4):
+            offset = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+            if stage > 0:
+                for j in range(N_MOVING):
+                    z[j] = y[j] + offset * h * k[j]
+            along = (i + offset) / steps
+            if command_delay == 0.0:
+                place = along * pieces
+                piece = min(int(place), pieces - 1) if stage < 3 else int(
+                    math.ceil(place - 1e-9)) - 1
+                value = piece_at(u, first * pieces + piece, place - piece)
+            else:
+                value = input_at(u, pieces, first + along - command_delay / dt)
+            if closed:
+                x_late = delayed_position(past, last, h, feedback_delay, offset, z)
+                wanted = drive_speed(value, seen_by_drive(z, x_late, w), theta, w)
+                if slow:
+                    held = shaft_speed(wanted, w)
+                    k_omega = (held - z[Y_OMEGA]) / lag
+                    k_omega = min(max(k_omega, -w[SLEW_LIMIT]), w[SLEW_LIMIT])
+                    omega = z[Y_OMEGA]
+                else:
+                    k_omega = 0.0
+                    omega = shaft_speed(wanted, w)
+            else:
+                k_omega = 0.0
+                omega = value
+            s[T] = start + offset * h
+            s[X], s[V], s[P1], s[P2] = z[Y_X], z[Y_V], z[Y_P1], z[Y_P2]
+            s[X_D] = value
+            s[OMEGA] = omega + y[Y_SPEED]
+            derivatives(s, theta, active, memory, y[Y_FORCE], y[Y_FLOW], c, k)
+            k[Y_OMEGA] = k_omega
+            weight = 1.0 if stage == 0 or stage == 3 else 2.0
+            for j in range(N_MOVING):
+                total[j] += weight * k[j]
+        y[Y_ACCELERATION] = total[Y_V] / 6.0
+        for j in range(N_MOVING):
+            y[j] += h / 6.0 * total[j]
+        if w[PLAY] > 0.0:
+            y[Y_PLAYED] = behind_play(y[Y_X], y[Y_PLAYED], w[PLAY])
+        else:
+            y[Y_PLAYED] = y[Y_X]
+        s[T] = start + h
+        s[X], s[V], s[P1], s[P2] = y[Y_X], y[Y_V], y[Y_P1], y[Y_P2]
+        update_memory(s, theta, active, h, memory)
+        last = (last + 1) % RING
         for j in range(4):
-            y[j] += h / 6.0 * (k1[j] + 2.0 * k2[j] + 2.0 * k3[j] + k4[j])
+            past[last, j] = y[j]
+    return last
 
 
 @njit
-def run(y, t0, dt, substeps, x_d, theta, active, out):
+def speed_now(y, u, pieces, first, dt, steps, closed, theta, w, past, last):
+    """Return the input and the shaft speed (rad/s) at the start of sample ``first``."""
+    if w[COMMAND_DELAY] == 0.0:
+        value = piece_at(u, first * pieces, 0.0)
+    else:
+        value = input_at(u, pieces, first - w[COMMAND_DELAY] / dt)
+    if not closed:
+        return value, value + y[Y_SPEED]
+    if w[DRIVE_LAG] > 0.0 or w[SLEW_LIMIT] < np.inf:
+        return value, y[Y_OMEGA] + y[Y_SPEED]
+    late = delayed_position(past, last, dt / steps, w[FEEDBACK_DELAY], 0.0, y)
+    wanted = drive_speed(value, seen_by_drive(y, late, w), theta, w)
+    return value, shaft_speed(wanted, w) + y[Y_SPEED]
+
+
+@njit
+def sense(y, t, step, past, last, w, out):
+    """Write what the sensors show at time ``t`` s: x, v, p1, p2 (SI) into ``out``.
+
+    step : length of an integration step, s.
+    """
+    late = delayed_position(past, last, step, w[POSITION_DELAY], 0.0, y)
+    if w[PLAY] > 0.0:
+        late = behind_play(late, y[Y_PLAYED], w[PLAY])
+    out[0] = (1.0 + w[POSITION_SCALE]) * late
+    out[1] = y[Y_V]
+    delay = w[PRESSURE_DELAY]
+    out[2] = ((1.0 + w[PRESSURE_SCALE_1]) * delayed_pressure(past, last, step, delay, 2, y)
+              + w[PRESSURE_OFFSET_1] + w[PRESSURE_DRIFT_1] * t)
+    out[3] = ((1.0 + w[PRESSURE_SCALE_2]) * delayed_pressure(past, last, step, delay, 3, y)
+              + w[PRESSURE_OFFSET_2] + w[PRESSURE_DRIFT_2] * t)
+
+
+@njit
+def run(y, t0, dt, steps, u, pieces, lead, theta, active, memory, past, last, out, shown):
     """Simulate samples t0 + k dt, writing signals at each *before* stepping to the next.
 
     Parameters
     ----------
-    y : (4,) state at ``t0``; left at the state after the last sample's step.
-    x_d : (n, 2*substeps + 1) demanded position at each sample's half steps, m.
+    y : (N_STATE,) state at ``t0``; left at the state after the last sample's step.
+    u, pieces, lead : demanded position (:func:`input_at`), the first sample at place ``lead``.
     theta : (n, N_THETA) or (1, N_THETA) parameters for each sample, or one row for all.
-    out : (n, N_SIGNALS) written.
+    memory, past, last : of the effects and of the motion, carried on.
+    out : (n, N_SIGNALS) written: the true signals.
+    shown : (n, N_OUTPUTS) written: x, v, p1, p2, omega as the sensors show them, without noise.
+
+    Returns
+    -------
+    int
+        The past's newest entry.
     """
+    scratch = np.zeros((N_SCRATCH, N_STATE))
+    w = circuit_of(theta[0], active)
     for k in range(out.shape[0]):
-        row = theta[k if theta.shape[0] > 1 else 0]
-        set_signals(out[k], t0 + k * dt, y, x_d[k, 0], row)
-        advance(y, t0 + k * dt, dt, substeps, x_d[k], row, active)
+        row = theta[0]
+        if theta.shape[0] > 1:
+            row = theta[k]
+            w = circuit_of(row, active)
+        t = t0 + k * dt
+        demanded, omega = speed_now(y, u, pieces, lead + k, dt, steps, True, row, w, past, last)
+        out[k, T] = t
+        out[k, X], out[k, V], out[k, P1], out[k, P2] = y[Y_X], y[Y_V], y[Y_P1], y[Y_P2]
+        out[k, OMEGA] = omega
+        out[k, X_D] = piece_at(u, (lead + k) * pieces, 0.0)
+        sense(y, t, dt / steps, past, last, w, shown[k])
+        shown[k, 4] = omega
+        last = advance(y, t, dt, steps, u, pieces, lead + k, True, row, active, w, memory, past,
+                       last, scratch)
+    return last

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from eha_monitor.physics import excitation, parameters, signals
-from eha_monitor.physics.plant import run
+from eha_monitor.physics import excitation, parameters, plant, signals
+from eha_monitor.physics.contributions import circuit_of, new_memory
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Fault
 
@@ -27,15 +27,17 @@ class Simulator:
         for fault in settings.simulation.faults.values():
             effect, dot, _ = fault.parameter.partition(".")
             if dot and effect not in effects:  # a fault may bring its effect in, from nothing
-                effects[effect] = {p.name: p.default if p.default is not None else 0.0
+                effects[effect] = {p.name: p.default if p.default is not None else p.neutral
                                    for p in parameters.CATALOGUE[effect].parameters}
         self.theta, self.active = parameters.theta_of(settings.rig, effects)
         self.rng = np.random.default_rng(
             settings.simulation.seed if seed is None else seed)
         start = excitation.demanded_position(settings.simulation.excitation, np.zeros(1))[0]
         charge = settings.rig.charge_pressure
-        self.y = np.array([start, 0.0, charge, charge * settings.rig.area_1
-                           / settings.rig.area_2])  # at rest: the forces balance
+        self.y = plant.new_state(  # at rest: the forces balance
+            start, charge, charge * settings.rig.area_1 / settings.rig.area_2)
+        self._past, self._last = plant.new_past(self.y), 0
+        self._memory = new_memory()
 
     @property
     def time(self) -> float:
@@ -44,20 +46,35 @@ class Simulator:
 
     def advance(self, n: int) -> dict[str, np.ndarray]:
         """Simulate the next ``n`` samples and return what the sensors show, channel -> (n,)."""
-        truth = self.advance_truth(n)
-        return self.measure(truth)
+        return self.measure(*self._run(n))
 
     def advance_truth(self, n: int) -> np.ndarray:
         """Simulate ``n`` samples; (n, N_SIGNALS) true signals, and the state moves on."""
+        return self._run(n)[0]
+
+    def _run(self, n: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return true signals (n, N_SIGNALS) and what noise-free sensors show (n, N_OUTPUTS)."""
         substeps = self.settings.simulation.substeps
         index = self.samples + np.arange(n)
-        fine = (index[:, None] + np.arange(2 * substeps + 1)[None, :] / (2 * substeps)) * self.dt
-        x_d = excitation.demanded_position(self.settings.simulation.excitation, fine)
-        out = np.empty((n, signals.N_SIGNALS))
-        run(self.y, self.time, self.dt, substeps, x_d, self.theta_over(index * self.dt),
-            self.active, out)
+        theta = self.theta_over(index * self.dt)
+        lead = 1 + int(np.ceil(max(circuit_of(row, self.active)[signals.COMMAND_DELAY]
+                                   for row in (theta[0], theta[-1])) / self.dt))
+        u = self._command(self.samples - lead, n + lead, substeps)
+        out, shown = np.empty((n, signals.N_SIGNALS)), np.empty((n, plant.N_OUTPUTS))
+        self._last = plant.run(self.y, self.time, self.dt, substeps, u, substeps, lead, theta,
+                               self.active, self._memory, self._past, self._last, out, shown)
         self.samples += n
-        return out
+        return out, shown
+
+    def _command(self, first: int, n: int, pieces: int) -> np.ndarray:
+        """Return x_d from sample ``first`` on as parabolas, (n*pieces, 4)."""
+        half = np.arange(n * pieces * 2 + 1) / (2 * pieces)
+        excited = self.settings.simulation.excitation
+        x_d = excitation.demanded_position(
+            excited, np.maximum((first + half) * self.dt, 0.0))
+        start, middle, end = x_d[:-1:2], x_d[1::2], x_d[2::2]
+        return np.column_stack([start, 4 * middle - 3 * start - end,
+                                2 * (start + end - 2 * middle), np.zeros_like(start)])
 
     def theta_over(self, time: np.ndarray) -> np.ndarray:
         """Return theta at each time, (n, N_THETA), or one row where nothing changes."""
@@ -70,30 +87,30 @@ class Simulator:
             table[:, place] += (fault.value - self.theta[place]) * progress(fault, time)
         return table
 
-    def measure(self, truth: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the published channels: truth, noise, resolution; channel -> (n,) SI."""
+    def measure(self, truth: np.ndarray, shown: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the published channels: sensors, noise, resolution; channel -> (n,) SI."""
         rig, noise = self.settings.rig, self.settings.simulation.noise
-        p1, p2 = truth[:, signals.P1], truth[:, signals.P2]
+        p1, p2 = shown[:, 2], shown[:, 3]
         clean = {
-            "x": (truth[:, signals.X], noise.position),
-            "v": (truth[:, signals.V], noise.velocity),
+            "x": (shown[:, 0], noise.position),
+            "v": (shown[:, 1], noise.velocity),
             "x_d": (truth[:, signals.X_D], 0.0),
-            "omega": (truth[:, signals.OMEGA], noise.pump_speed),
+            "omega": (shown[:, 4], noise.pump_speed),
             "p1": (p1, noise.pressure),
             "p2": (p2, noise.pressure),
             "force": (rig.area_1 * p1 - rig.area_2 * p2, noise.force),
             "temperature": (np.full(len(truth), self.settings.simulation.temperature),
                             noise.temperature),
         }
-        shown = {}
+        measured = {}
         for name, (values, sigma) in clean.items():
             drawn = self.rng.standard_normal(len(truth))  # drawn always: channels do not
             if name in self.settings.simulation.publish:  # change one another's noise
-                shown[name] = values + sigma * drawn
+                measured[name] = values + sigma * drawn
         step = noise.position_resolution
-        if step > 0 and "x" in shown:
-            shown["x"] = step * np.round(shown["x"] / step)
-        return shown
+        if step > 0 and "x" in measured:
+            measured["x"] = step * np.round(measured["x"] / step)
+        return measured
 
 
 def progress(fault: Fault, time: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ from eha_monitor.physics.signals import FORCE
 
 
 @njit
-def term(s, p, c):
+def term(s, p, m, c):
     """Add F_0, positive against positive motion."""
     c[FORCE] += p[0]
 
@@ -22,4 +22,5 @@ EFFECT = Effect(
     term=term,
     statement="a constant load of {F_0:.3g} N pushes against positive motion",
     rig_check="Hold the actuator at rest: the pressure force that remains is the load.",
+    starts=lambda r: ({"F_0": 0.01 * r.force},),
 )

@@ -6,7 +6,7 @@ from eha_monitor.physics.signals import FLOW_1, FLOW_2, P1, P2
 
 
 @njit
-def term(s, p, c):
+def term(s, p, m, c):
     """Move L (p1 - p2) from chamber 1 to chamber 2."""
     q = p[0] * (s[P1] - s[P2])
     c[FLOW_1] -= q
@@ -26,4 +26,5 @@ EFFECT = Effect(
     "the configured value",
     rig_check="Block the rod and hold the pump speed that keeps 1 MPa: that flow over 1 MPa is "
     "the leakage.",
+    starts=lambda r: ({"L": 0.01 * r.flow / r.pressure_difference[3]},),
 )

@@ -19,7 +19,7 @@ def compliance(p, alpha, n):
 
 
 @njit
-def term(s, p, c):
+def term(s, p, m, c):
     """Add the compliance of the air to both chambers."""
     c[COMPLIANCE_1] += compliance(s[P1], p[0], p[1])
     c[COMPLIANCE_2] += compliance(s[P2], p[0], p[1])
@@ -38,4 +38,5 @@ EFFECT = Effect(
     term=term,
     statement="{alpha:.2%} of free air (at atmospheric pressure) softens the oil at low pressure",
     rig_check="Raise the charge pressure: the apparent bulk modulus must rise with it.",
+    starts=lambda r: ({"alpha": 1e-3},),
 )
