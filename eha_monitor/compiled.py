@@ -17,7 +17,7 @@ def _source_hash() -> str:
     root = Path(__file__).parent
     digest = hashlib.sha256()
     digest.update(Path(__file__).read_bytes())  # the options are here
-    for folder in ("physics", "filters", "recordings", "mismatch"):
+    for folder in ("physics", "filters", "recordings", "mismatch", "concealed"):
         for path in sorted((root / folder).rglob("*.py")):
             digest.update(str(path.relative_to(root)).encode())
             digest.update(path.read_bytes())

@@ -10,7 +10,6 @@ from which the paper's Eq. 1 and 2 follow (they drop the small term B C_T beta_e
 """
 
 from eha_monitor.compiled import njit
-from eha_monitor.physics.contributions import add_contributions
 from eha_monitor.physics.signals import (
     AREA_1,
     AREA_2,
@@ -26,9 +25,6 @@ from eha_monitor.physics.signals import (
     G_MAKEUP,
     K_POS,
     MASS,
-    OMEGA,
-    P1,
-    P2,
     P_CHARGE,
     SPEED,
     VOL_1,
@@ -37,25 +33,24 @@ from eha_monitor.physics.signals import (
     VOLUME_2,
     B,
     M,
-    V,
 )
 
 
-@njit
+@njit(forceinline=True)
 def drive_speed(x_d, x, theta, w):
     """Pump speed that the drive wants, rad/s: omega = (1 + gain) K_pos (x_d - x)."""
     return (1.0 + w[DRIVE_GAIN]) * theta[K_POS] * (x_d - x)
 
 
-@njit
+@njit(forceinline=True)
 def acceleration(force, v, theta, c):
     """Force balance, Eq. 3: v' = (F - B v - c[FORCE]) / (M + dM) for the driving ``force``, N."""
     return (force - theta[B] * v - c[FORCE]) / (theta[M] + c[MASS])
 
 
-@njit
-def derivatives(s, theta, active, memory, unknown_force, unknown_flow, c, dy):
-    """Write d/dt (x, v, p1, p2) into ``dy`` for the signals ``s`` (OMEGA already set).
+@njit(forceinline=True)
+def rates(v, p1, p2, omega, unknown_flow, theta, c):
+    """Return v', p1', p2' (m/s^2, Pa/s, Pa/s) with the effects' contributions ``c``.
 
     Force balance, Eq. 3 with two areas:  (M + dM) v' = A1 p1 - A2 p2 - B v - F.
     Flow balances, one for each chamber, with L = (C_T - G)/2 across the piston and the
@@ -69,27 +64,18 @@ def derivatives(s, theta, active, memory, unknown_force, unknown_flow, c, dy):
 
     Parameters
     ----------
-    s : (N_SIGNALS,) SI signals; theta : (N_THETA,); active : (N_EFFECTS,) bool;
-    memory : (N_EFFECTS, MAX_MEMORY) of the effects, read.
-    unknown_force, unknown_flow : force in N against positive motion and flow in m^3/s from
-        chamber 2 into 1 that no entry of the catalogue makes; 0 in a simulation.
-    c : (N_CONTRIBUTIONS,) scratch; dy : (4 or more,) written, in m/s, m/s^2, Pa/s, Pa/s.
+    v, p1, p2, omega : m/s, Pa, Pa, rad/s.
+    unknown_flow : m^3/s from chamber 2 into 1 that no entry of the catalogue makes.
+    theta : (N_THETA,); c : (N_CONTRIBUTIONS,).
     """
-    add_contributions(s, theta, active, memory, c)
-    c[FORCE] += unknown_force
-    v, p1, p2 = s[V], s[P1], s[P2]
-    dy[0] = v
-    dy[1] = acceleration(theta[AREA_1] * p1 - theta[AREA_2] * p2, v, theta, c)
-    pumped = theta[D_P] * (s[OMEGA] + c[SPEED])
-    crossing = 0.5 * (theta[C_T] - theta[G_MAKEUP]) * (p1 - p2) - unknown_flow
+    dv = acceleration(theta[AREA_1] * p1 - theta[AREA_2] * p2, v, theta, c)
+    pumped = theta[D_P] * (omega + c[SPEED])
+    makeup = theta[G_MAKEUP]
+    crossing = 0.5 * (theta[C_T] - makeup) * (p1 - p2) - unknown_flow
     compliance = 1.0 / theta[BETA_E]
-    into_1 = (
-        pumped - theta[AREA_1] * v - crossing
-        - theta[G_MAKEUP] * (p1 - theta[P_CHARGE]) + c[FLOW_1]
-    )
-    into_2 = (
-        -pumped * theta[AREA_2] / theta[AREA_1] + theta[AREA_2] * v + crossing
-        - theta[G_MAKEUP] * (p2 - theta[P_CHARGE]) + c[FLOW_2]
-    )
-    dy[2] = into_1 / ((theta[VOL_1] + c[VOLUME_1]) * (compliance + c[COMPLIANCE_1]))
-    dy[3] = into_2 / ((theta[VOL_2] + c[VOLUME_2]) * (compliance + c[COMPLIANCE_2]))
+    into_1 = pumped - theta[AREA_1] * v - crossing - makeup * (p1 - theta[P_CHARGE]) + c[FLOW_1]
+    into_2 = (-pumped * theta[AREA_2] / theta[AREA_1] + theta[AREA_2] * v + crossing
+              - makeup * (p2 - theta[P_CHARGE]) + c[FLOW_2])
+    dp1 = into_1 / ((theta[VOL_1] + c[VOLUME_1]) * (compliance + c[COMPLIANCE_1]))
+    dp2 = into_2 / ((theta[VOL_2] + c[VOLUME_2]) * (compliance + c[COMPLIANCE_2]))
+    return dv, dp1, dp2

@@ -18,7 +18,7 @@ def new_memory() -> np.ndarray:
     return np.zeros((N_EFFECTS, MAX_MEMORY))
 
 
-@njit
+@njit(forceinline=True)
 def add_contributions(s, theta, active, memory, c):
     """Fill ``c`` with the sum of the active effects.
 

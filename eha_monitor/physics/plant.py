@@ -14,13 +14,16 @@ import math
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.physics.balances import derivatives, drive_speed
-from eha_monitor.physics.contributions import circuit_of, update_memory
+from eha_monitor.physics.balances import drive_speed, rates
+from eha_monitor.physics.contributions import add_contributions, circuit_of, update_memory
 from eha_monitor.physics.signals import (
     COMMAND_DELAY,
     DRIVE_LAG,
     FEEDBACK_DELAY,
+    FORCE,
     IN_LOOP,
+    N_CONTRIBUTIONS,
+    N_SIGNALS,
     OMEGA,
     P1,
     P2,
@@ -44,12 +47,10 @@ from eha_monitor.physics.signals import (
 
 (Y_X, Y_V, Y_P1, Y_P2, Y_OMEGA, Y_FORCE, Y_FLOW, Y_SPEED, Y_PLAYED, Y_ACCELERATION) = range(10)
 N_STATE = 10
-N_MOVING = 5  # the states that are integrated
 RING = 1024  # steps of the past that are kept
 N_OUTPUTS = 5  # what sensors show: x, v, p1, p2, omega
 SHORTEST_LAG = 0.4  # integration steps: a lag below is not resolved
 
-N_SCRATCH = 5  # rows of scratch: signals, contributions, slope, sum of slopes, stage
 
 
 def new_state(x: float, p1: float, p2: float) -> np.ndarray:
@@ -67,7 +68,7 @@ def new_past(y: np.ndarray) -> np.ndarray:
     return past
 
 
-@njit
+@njit(forceinline=True)
 def input_at(u, pieces, place):
     """Return an input at ``place`` samples after the first.
 
@@ -80,23 +81,23 @@ def input_at(u, pieces, place):
     return u[i, 0] + f * (u[i, 1] + f * (u[i, 2] + f * u[i, 3]))
 
 
-@njit
+@njit(forceinline=True)
 def piece_at(u, i, f):
     """Return the cubic of piece ``i`` at ``f`` from 0 to 1: at 1 still its own end."""
     return u[i, 0] + f * (u[i, 1] + f * (u[i, 2] + f * u[i, 3]))
 
 
-@njit
-def delayed_position(past, last, step, delay, offset, y):
-    """Return x ``delay`` seconds before the time ``offset`` steps after entry ``last``.
+@njit(forceinline=True)
+def delayed_position(past, last, step, delay, offset, x, v, acceleration):
+    """Return x ``delay`` seconds before the time ``offset`` steps after entry ``last``, m.
 
-    y : state at that time; h = ``step`` s.  Within a step the past is a Taylor series.
+    x, v, acceleration : at that time; ``step`` in s.  Within a step it is their Taylor series.
     """
     if delay == 0.0:
-        return y[Y_X]
+        return x
     back = delay / step - offset
     if back < 0.0:
-        return y[Y_X] - delay * (y[Y_V] - 0.5 * delay * y[Y_ACCELERATION])
+        return x - delay * (v - 0.5 * delay * acceleration)
     j = min(int(math.floor(back)), RING - 2)
     new, old = (last - j) % RING, (last - j - 1) % RING
     # Cubic Hermite between two ends, g from the older to the newer.
@@ -106,7 +107,7 @@ def delayed_position(past, last, step, delay, offset, y):
     return a + g * (da + g * (3.0 * (b - a) - 2.0 * da - db + g * (2.0 * (a - b) + da + db)))
 
 
-@njit
+@njit(forceinline=True)
 def delayed_pressure(past, last, step, delay, which, y):
     """Return a pressure (``which`` 2 or 3) ``delay`` seconds before entry ``last``."""
     if delay <= 0.0:
@@ -117,32 +118,37 @@ def delayed_pressure(past, last, step, delay, which, y):
     return (1.0 - f) * past[(last - j) % RING, which] + f * past[(last - j - 1) % RING, which]
 
 
-@njit
+@njit(forceinline=True)
 def behind_play(x, played, play):
     """Return the position behind a play of width ``play``, m: moved only at its ends."""
     half = 0.5 * play
     return min(max(played, x - half), x + half)
 
 
-@njit
-def seen_by_drive(y, x_late, w):
+@njit(forceinline=True)
+def seen_by_drive(x_late, played, w):
     """Return the position that the drive reads, m, from the late true one."""
     if w[IN_LOOP] == 0.0:
         return x_late
     if w[PLAY] > 0.0:
-        x_late = behind_play(x_late, y[Y_PLAYED], w[PLAY])
+        x_late = behind_play(x_late, played, w[PLAY])
     return (1.0 + w[POSITION_SCALE]) * x_late
 
 
-@njit
+@njit(forceinline=True)
 def shaft_speed(wanted, w):
     """Return the shaft speed without lag: the wanted one within the limit, rad/s."""
     return min(max(wanted, -w[SPEED_LIMIT]), w[SPEED_LIMIT])
 
 
+@njit(forceinline=True)
+def drive_rate(wanted, omega, lag, slew):
+    """Return omega' of a drive with lag and slew limit, rad/s^2."""
+    return min(max((wanted - omega) / lag, -slew), slew)
+
+
 @njit
-def advance(y, t, dt, steps, u, pieces, first, closed, theta, active, w, memory, past, last,
-            scratch):
+def advance(y, t, dt, steps, u, pieces, first, closed, theta, active, w, memory, past, last, c, s):
     """Carry the actuator over one sample in place; returns the past's newest entry.
 
     Parameters
@@ -155,69 +161,75 @@ def advance(y, t, dt, steps, u, pieces, first, closed, theta, active, w, memory,
         speed in rad/s.
     theta, active, w, memory : parameters, active effects, circuit, the effects' memory.
     past, last : ring of the past and its newest entry.
-    scratch : (N_SCRATCH, N_STATE) room for the slopes.
+    c, s : (N_CONTRIBUTIONS,) and (N_SIGNALS,) scratch; c is zero where no effect is active.
     """
     h = dt / steps
     slow = closed and (w[DRIVE_LAG] > 0.0 or w[SLEW_LIMIT] < np.inf)
     lag = max(w[DRIVE_LAG], SHORTEST_LAG * h)
-    command_delay, feedback_delay = w[COMMAND_DELAY], w[FEEDBACK_DELAY]
-    s, c, k, total, z = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
-    k[Y_OMEGA] = 0.0
+    slew, command_delay, feedback_delay = w[SLEW_LIMIT], w[COMMAND_DELAY], w[FEEDBACK_DELAY]
+    play = w[PLAY]
+    any_active = active.any()
+    unknown_force, unknown_flow, unknown_speed = y[Y_FORCE], y[Y_FLOW], y[Y_SPEED]
+    x, v, p1, p2, omega = y[Y_X], y[Y_V], y[Y_P1], y[Y_P2], y[Y_OMEGA]
+    played, before = y[Y_PLAYED], y[Y_ACCELERATION]
     for i in range(steps):
-        start = t + i * h
-        for j in range(N_MOVING):
-            total[j] = 0.0
-            z[j] = y[j]
-        z[Y_PLAYED], z[Y_ACCELERATION] = y[Y_PLAYED], y[Y_ACCELERATION]
+        sum_v = sum_a = sum_1 = sum_2 = sum_o = 0.0
+        xs, vs, p1s, p2s, os = x, v, p1, p2, omega
+        a = d1 = d2 = do = 0.0
         for stage in range(4):
             offset = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
             if stage > 0:
-                for j in range(N_MOVING):
-                    z[j] = y[j] + offset * h * k[j]
-            along = (i + offset) / steps
+                g = offset * h
+                xs, vs, p1s, p2s, os = x + g * vs, v + g * a, p1 + g * d1, p2 + g * d2, (
+                    omega + g * do)
             if command_delay == 0.0:
-                place = along * pieces
-                piece = min(int(place), pieces - 1) if stage < 3 else int(
-                    math.ceil(place - 1e-9)) - 1
+                place = (i + offset) * pieces / steps
+                piece = min(int(place), pieces - 1)
+                if stage == 3:  # a jump at the end of the step belongs to the next
+                    piece = int(math.ceil(place - 1e-9)) - 1
                 value = piece_at(u, first * pieces + piece, place - piece)
             else:
-                value = input_at(u, pieces, first + along - command_delay / dt)
+                value = input_at(u, pieces, first + (i + offset) / steps - command_delay / dt)
+            turning = value
             if closed:
-                x_late = delayed_position(past, last, h, feedback_delay, offset, z)
-                wanted = drive_speed(value, seen_by_drive(z, x_late, w), theta, w)
+                late = xs
+                if feedback_delay > 0.0:
+                    late = delayed_position(past, last, h, feedback_delay, offset, xs, vs, before)
+                wanted = shaft_speed(
+                    drive_speed(value, seen_by_drive(late, played, w), theta, w), w)
+                turning = wanted
                 if slow:
-                    held = shaft_speed(wanted, w)
-                    k_omega = (held - z[Y_OMEGA]) / lag
-                    k_omega = min(max(k_omega, -w[SLEW_LIMIT]), w[SLEW_LIMIT])
-                    omega = z[Y_OMEGA]
-                else:
-                    k_omega = 0.0
-                    omega = shaft_speed(wanted, w)
-            else:
-                k_omega = 0.0
-                omega = value
-            s[T] = start + offset * h
-            s[X], s[V], s[P1], s[P2] = z[Y_X], z[Y_V], z[Y_P1], z[Y_P2]
-            s[X_D] = value
-            s[OMEGA] = omega + y[Y_SPEED]
-            derivatives(s, theta, active, memory, y[Y_FORCE], y[Y_FLOW], c, k)
-            k[Y_OMEGA] = k_omega
+                    do = drive_rate(wanted, os, lag, slew)
+                    turning = os
+            turning += unknown_speed
+            if any_active:
+                s[T], s[X], s[V], s[P1], s[P2] = t + (i + offset) * h, xs, vs, p1s, p2s
+                s[OMEGA], s[X_D] = turning, value
+                add_contributions(s, theta, active, memory, c)
+            c[FORCE] += unknown_force
+            a, d1, d2 = rates(vs, p1s, p2s, turning, unknown_flow, theta, c)
+            c[FORCE] -= unknown_force
             weight = 1.0 if stage == 0 or stage == 3 else 2.0
-            for j in range(N_MOVING):
-                total[j] += weight * k[j]
-        y[Y_ACCELERATION] = total[Y_V] / 6.0
-        for j in range(N_MOVING):
-            y[j] += h / 6.0 * total[j]
-        if w[PLAY] > 0.0:
-            y[Y_PLAYED] = behind_play(y[Y_X], y[Y_PLAYED], w[PLAY])
-        else:
-            y[Y_PLAYED] = y[Y_X]
-        s[T] = start + h
-        s[X], s[V], s[P1], s[P2] = y[Y_X], y[Y_V], y[Y_P1], y[Y_P2]
-        update_memory(s, theta, active, h, memory)
+            sum_v += weight * vs
+            sum_a += weight * a
+            sum_1 += weight * d1
+            sum_2 += weight * d2
+            sum_o += weight * do
+        g = h / 6.0
+        x += g * sum_v
+        v += g * sum_a
+        p1 += g * sum_1
+        p2 += g * sum_2
+        omega += g * sum_o
+        before = sum_a / 6.0
+        played = behind_play(x, played, play) if play > 0.0 else x
+        if any_active:
+            s[T], s[X], s[V], s[P1], s[P2] = t + (i + 1) * h, x, v, p1, p2
+            update_memory(s, theta, active, h, memory)
         last = (last + 1) % RING
-        for j in range(4):
-            past[last, j] = y[j]
+        past[last, 0], past[last, 1], past[last, 2], past[last, 3] = x, v, p1, p2
+    y[Y_X], y[Y_V], y[Y_P1], y[Y_P2], y[Y_OMEGA] = x, v, p1, p2, omega
+    y[Y_PLAYED], y[Y_ACCELERATION] = played, before
     return last
 
 
@@ -232,8 +244,9 @@ def speed_now(y, u, pieces, first, dt, steps, closed, theta, w, past, last):
         return value, value + y[Y_SPEED]
     if w[DRIVE_LAG] > 0.0 or w[SLEW_LIMIT] < np.inf:
         return value, y[Y_OMEGA] + y[Y_SPEED]
-    late = delayed_position(past, last, dt / steps, w[FEEDBACK_DELAY], 0.0, y)
-    wanted = drive_speed(value, seen_by_drive(y, late, w), theta, w)
+    late = delayed_position(past, last, dt / steps, w[FEEDBACK_DELAY], 0.0, y[Y_X], y[Y_V],
+                            y[Y_ACCELERATION])
+    wanted = drive_speed(value, seen_by_drive(late, y[Y_PLAYED], w), theta, w)
     return value, shaft_speed(wanted, w) + y[Y_SPEED]
 
 
@@ -243,7 +256,8 @@ def sense(y, t, step, past, last, w, out):
 
     step : length of an integration step, s.
     """
-    late = delayed_position(past, last, step, w[POSITION_DELAY], 0.0, y)
+    late = delayed_position(past, last, step, w[POSITION_DELAY], 0.0, y[Y_X], y[Y_V],
+                            y[Y_ACCELERATION])
     if w[PLAY] > 0.0:
         late = behind_play(late, y[Y_PLAYED], w[PLAY])
     out[0] = (1.0 + w[POSITION_SCALE]) * late
@@ -273,7 +287,7 @@ def run(y, t0, dt, steps, u, pieces, lead, theta, active, memory, past, last, ou
     int
         The past's newest entry.
     """
-    scratch = np.zeros((N_SCRATCH, N_STATE))
+    c, s = np.zeros(N_CONTRIBUTIONS), np.zeros(N_SIGNALS)
     w = circuit_of(theta[0], active)
     for k in range(out.shape[0]):
         row = theta[0]
@@ -289,5 +303,5 @@ def run(y, t0, dt, steps, u, pieces, lead, theta, active, memory, past, last, ou
         sense(y, t, dt / steps, past, last, w, shown[k])
         shown[k, 4] = omega
         last = advance(y, t, dt, steps, u, pieces, lead + k, True, row, active, w, memory, past,
-                       last, scratch)
+                       last, c, s)
     return last
