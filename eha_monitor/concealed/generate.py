@@ -1,0 +1,93 @@
+"""From a case to what the diagnosis is given: channels, nominal config, a bag."""
+
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+
+from eha_monitor.concealed.cases import (
+    RIG,
+    SAMPLE_TIME,
+    Case,
+    fine_run,
+    hidden_of,
+    rig_of,
+)
+from eha_monitor.concealed.motions import LENGTHS, demanded_position
+from eha_monitor.concealed.sensors import Sensors, measure
+
+
+def sensors_of(case: Case) -> Sensors:
+    """Return the healthy sensors of a case."""
+    plain, factor = Sensors(), case.nuisance
+    return Sensors(encoder_step=plain.encoder_step * factor,
+                   clock_jitter=plain.clock_jitter * factor,
+                   position_lag=plain.position_lag * factor,
+                   pressure_lag=plain.pressure_lag * factor,
+                   speed_lag=plain.speed_lag * factor)
+
+
+def recording_of(case: Case) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Return the measured channels, name -> (n,) SI, and their nominal times (n,) in s."""
+    fine, fine_time, faults = fine_run(case, hidden_of(case))
+    time = np.arange(round(LENGTHS[case.motion] / SAMPLE_TIME)) * SAMPLE_TIME
+    shown = measure(fine, fine_time, time, sensors_of(case), faults, case.noise, case.seed)
+    shown["x_d"] = demanded_position(case.motion, time, case.seed,
+                                     float(case.rig.get("amplitude", 1.0)))
+    return {name: shown[name] for name in case.channels}, time
+
+
+def nominal_config(case: Case) -> dict:
+    """Return the config of the nominal rig as plain YAML data; it says nothing of the effects.
+
+    Design constants are the true ones.  B and beta_e, which the monitor is there to find, are
+    the paper's, whatever the rig has; ``case.nominal`` overrides any of them.
+    """
+    true = rig_of(case)
+    nominal = {key: true[place] for key, (place, _) in RIG.items()}
+    nominal |= {"B": RIG["B"][1], "beta_e": RIG["beta_e"][1], **case.nominal}
+    levels = Sensors()
+    noise = {
+        "position": levels.position_noise * case.noise,
+        "pressure": levels.pressure_noise * case.noise,
+        "pump_speed": levels.speed_noise * case.noise,
+    }
+    rig = {
+        "name": case.name,
+        "area_1": nominal["A"], "area_2": nominal["A"],
+        "volume_1": nominal["V"], "volume_2": nominal["V"],
+        "mass": nominal["M"], "viscous_damping": nominal["B"],
+        "bulk_modulus": nominal["beta_e"], "leakage": nominal["C_T"],
+        "pump_displacement": nominal["D_p"], "position_gain": nominal["K_pos"],
+        "charge_pressure": nominal["p_charge"], "makeup_conductance": nominal["G"],
+        "sample_time": SAMPLE_TIME,
+    }
+    return {"/**": {"ros__parameters": {
+        "rig": rig, "simulation": {"noise": dict(noise)}, "noise": dict(noise)}}}
+
+
+def write_case(case: Case, folder: str | Path) -> tuple[Path, Path]:
+    """Write ``NAME`` (a bag) and ``NAME.yaml`` (the nominal config) into ``folder``.
+
+    Returns
+    -------
+    bag, config : paths of the two.
+    """
+    from ruamel.yaml import YAML
+
+    from eha_monitor.output import write_text
+    from eha_monitor.recordings.recording import Recording
+    from eha_monitor.recordings.write import write_recording
+    from eha_monitor.settings.load import load_settings
+
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    text, yaml = StringIO(), YAML(typ="safe")
+    yaml.default_flow_style = False
+    yaml.dump(nominal_config(case), text)
+    config = folder / f"{case.name}.yaml"
+    write_text(config, text.getvalue())
+    channels, _ = recording_of(case)
+    recording = Recording(SAMPLE_TIME, channels, start_ns=1_700_000_000_000_000_000)
+    bag = write_recording(folder / case.name, recording, load_settings(config), overwrite=True)
+    return bag, config
