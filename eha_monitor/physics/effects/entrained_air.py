@@ -38,5 +38,5 @@ EFFECT = Effect(
     term=term,
     statement="{alpha:.2%} of free air (at atmospheric pressure) softens the oil at low pressure",
     rig_check="Raise the charge pressure: the apparent bulk modulus must rise with it.",
-    starts=lambda r: ({"alpha": 1e-3},),
+    starts=lambda r: ({"alpha": 1e-3, "n": 1.4},),
 )

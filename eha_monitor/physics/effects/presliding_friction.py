@@ -1,0 +1,41 @@
+"""Dry friction whose presliding is seen: the seal bends before it slides."""
+
+from eha_monitor.compiled import njit
+from eha_monitor.physics.dry_friction import EQUATION, V_E, direction, remember
+from eha_monitor.physics.effect import Effect, Parameter
+from eha_monitor.physics.signals import FORCE
+
+
+@njit
+def term(s, p, m, c):
+    """Add F_c times the direction; the same law as Coulomb friction, z_0 is a visible length."""
+    c[FORCE] += p[0] * direction(s, p[1], p[2], m)
+
+
+@njit
+def update(s, p, h, m):
+    """Remember direction and place."""
+    remember(s, p[1], p[2], m)
+
+
+EFFECT = Effect(
+    name="presliding_friction",
+    balance="force",
+    equation=f"F = F_c r,  {EQUATION}",
+    source="Dahl 1968; the rigid limit of LuGre, Canudas de Wit, Olsson, Astrom, Lischinsky 1995, "
+    "with sigma_0 = F_c / z_0",
+    parameters=(
+        Parameter("F_c", "N", "friction force once it slides", 0.0, 1e6, 20.0),
+        V_E,
+        Parameter("z_0", "m", "displacement over which the friction turns", 1.2e-5, 1e-3, 4e-5,
+                  4e-5),
+    ),
+    term=term,
+    update=update,
+    statement="dry friction of {F_c:.3g} N builds up over {z_0:.2g} m of travel after each "
+    "reversal",
+    rig_check="Move the rod to and fro by a tenth of a millimetre: force against position is a "
+    "loop with rounded corners, z_0 wide.",
+    starts=lambda r: ({"F_c": 0.01 * r.force, "v_e": 1e-3, "z_0": 2e-5},
+                      {"F_c": 0.01 * r.force, "v_e": 1e-3, "z_0": 1e-4}),
+)

@@ -1,0 +1,52 @@
+"""Dry friction that is larger at creeping speed than at speed."""
+
+import math
+
+from eha_monitor.compiled import njit
+from eha_monitor.physics.dry_friction import EQUATION, SOURCE, V_E, Z_0, direction, remember
+from eha_monitor.physics.effect import Effect, Parameter
+from eha_monitor.physics.signals import FORCE, V
+
+
+@njit
+def term(s, p, m, c):
+    """Add (F_c + F_d exp(-(v/v_s)^2)) times the direction; F_d = F_s - F_c."""
+    ratio = s[V] / p[2]
+    c[FORCE] += (p[0] + p[1] * math.exp(-ratio * ratio)) * direction(s, p[3], p[4], m)
+
+
+@njit
+def update(s, p, h, m):
+    """Remember direction and place."""
+    remember(s, p[3], p[4], m)
+
+
+def starts(r):
+    """Stribeck velocities over three decades, within the speeds of the record."""
+    small = 0.01 * r.force
+    speed = max(r.speed, 1e-6)
+    return tuple({"F_c": small, "F_d": small, "v_s": share * speed,
+                  "v_e": min(1e-3, 0.2 * share * speed), "z_0": 3e-6}
+                 for share in (0.3, 0.03, 0.003))
+
+
+EFFECT = Effect(
+    name="stribeck_friction",
+    balance="force",
+    equation=f"F = (F_c + F_d exp(-(v / v_s)^2)) r,  {EQUATION}",
+    source=f"Armstrong-Helouvry, Dupont, Canudas de Wit 1994, Eq. 5, F_d = F_s - F_c; {SOURCE}",
+    parameters=(
+        Parameter("F_c", "N", "Coulomb friction force at speed", 0.0, 1e6, 20.0),
+        Parameter("F_d", "N", "what is added to it near standstill, F_s - F_c", 0.0, 1e6, 20.0),
+        Parameter("v_s", "m/s", "Stribeck velocity, over which the addition falls", 1e-6, 10.0,
+                  5e-3, 5e-3),
+        V_E,
+        Z_0,
+    ),
+    term=term,
+    update=update,
+    statement="dry friction of {F_c:.3g} N at speed rises by {F_d:.3g} N below {v_s:.2g} m/s",
+    rig_check="Let the rod creep at a few speeds below v_s: the force to keep it moving must fall "
+    "as the speed rises.",
+    starts=starts,
+)
