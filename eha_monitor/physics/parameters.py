@@ -28,7 +28,8 @@ def theta_of(rig: Rig, effects: dict[str, dict[str, float]]) -> tuple[np.ndarray
     for name, values in effects.items():
         active[NAMES.index(name)] = True
         for p in CATALOGUE[name].parameters:
-            theta[place_of(f"{name}.{p.name}")] = values[p.name]
+            # A limit that is not there stands at its bound: finite, a fault can start from it.
+            theta[place_of(f"{name}.{p.name}")] = min(values[p.name], p.upper)
     return theta, active
 
 

@@ -1,8 +1,10 @@
 """Config sections that describe the rig: constants, simulation, excitation, faults."""
 
+import math
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.units import Si, to_si
@@ -120,8 +122,15 @@ class Simulation(Section):
     faults: dict[str, Fault] = Field({}, description="parameters that change, by name")
 
 
+def _superscript(unit: str) -> str:
+    return unit.replace("^2", "²").replace("^3", "³").replace("*", "·")
+
+
 def effects_field(value):
     """Check the ``effects`` section against the catalogue and return {effect: {name: value}}.
+
+    A shape that is not given takes its default; a size that is not given is absent, as long as
+    the effect has another size that is.
 
     Raises
     ------
@@ -141,10 +150,16 @@ def effects_field(value):
         if extra := set(given) - set(known):
             raise ValueError(f"{name}.{sorted(extra)[0]}: unknown key, "
                              f"expected {', '.join(known)}")
+        some_size = any(given.get(p.name) is not None for p in effect.sizes)
         checked[name] = {}
         for p in effect.parameters:
-            number = to_si(given.get(p.name, p.default), p.unit.replace("^2", "²")
-                           .replace("^3", "³").replace("*", "·"))
+            raw = given.get(p.name, p.default)
+            if (raw is None and p.default is None and some_size) or raw == math.inf == p.neutral:
+                raw = min(p.neutral, p.upper)  # a limit that is not there: its upper bound
+            try:
+                number = to_si(raw, _superscript(p.unit))
+            except PydanticCustomError as problem:
+                raise ValueError(f"{name}.{p.name}: {problem}") from problem
             if not isinstance(number, (int, float)) or not p.lower <= number <= p.upper:
                 raise ValueError(f"{name}.{p.name}: expected a number in {p.unit} from "
                                  f"{p.lower:g} to {p.upper:g}, got {number!r}")
