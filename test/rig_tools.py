@@ -75,7 +75,7 @@ class Run:
             tree = config.model_dump()
             tree["simulation"]["noise"].update(noise)
             config = settings_from_tree(tree, "test")
-        measured = Simulator(config, seed=seed).measure(self.truth)
+        measured = Simulator(config, seed=seed).advance(len(self.truth))
         return Recording(config.rig.sample_time, measured)
 
 

@@ -1,6 +1,7 @@
-"""Each effect's term against its equation, written here a second time in numpy."""
+"""Each entry of the catalogue against its equation, written here a second time in numpy."""
 
 import inspect
+import math
 
 import numpy as np
 import pytest
@@ -10,78 +11,193 @@ from hypothesis import strategies as st
 from rig_tools import settings
 
 from eha_monitor.physics import signals as s
-from eha_monitor.physics.contributions import N_EFFECTS, N_THETA, add_contributions
+from eha_monitor.physics.contributions import (
+    N_EFFECTS,
+    N_THETA,
+    add_contributions,
+    circuit_of,
+    new_memory,
+    update_memory,
+)
+from eha_monitor.physics.effect import Ranges
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of, theta_of
 
 P_ATM = 101325.0
+CONTRACT = {  # the table of the interface contract
+    "force": "coulomb_friction stribeck_friction quadratic_friction asymmetric_friction "
+             "pressure_friction presliding_friction constant_load spring_load added_mass backlash",
+    "flow": "cross_port_leakage turbulent_leakage leakage_offset external_leakage relief_valve "
+            "entrained_air position_dependent_volume pump_dead_zone pump_flow_gain "
+            "pump_volumetric_loss line_dynamics anti_cavitation",
+    "drive": "drive_lag drive_saturation drive_gain command_delay feedback_delay",
+    "sensor": "position_delay pressure_delay position_scale pressure_offset pressure_scale "
+              "pressure_drift position_quantisation"}
 
 
-def coulomb(row, p):
-    return {s.FORCE: p["F_c"] * np.tanh(row[s.V] / p["v_e"])}
-
-
-def load(row, p):
-    return {s.FORCE: p["F_0"]}
-
-
-def leak(row, p):
-    q = p["L"] * (row[s.P1] - row[s.P2])
+def across(q):
     return {s.FLOW_1: -q, s.FLOW_2: q}
 
 
-def air(row, p):
+def air(r, p):
     # -dV/dp of V = alpha (p_atm/p)^(1/n), by a complex step instead of by hand.
     def softness(pressure):
-        step = 1e-3j
-        return -np.imag(p["alpha"] * (P_ATM / (pressure + step)) ** (1 / p["n"])) / 1e-3
+        return -np.imag(p["alpha"] * (P_ATM / (pressure + 1e-3j)) ** (1 / p["n"])) / 1e-3
 
-    return {s.COMPLIANCE_1: softness(row[s.P1]), s.COMPLIANCE_2: softness(row[s.P2])}
+    return {s.COMPLIANCE_1: softness(r.p1), s.COMPLIANCE_2: softness(r.p2)}
 
 
-ORACLES = {"coulomb_friction": (coulomb, {"F_c": 12.0, "v_e": 2e-3}),
-           "constant_load": (load, {"F_0": -33.0}),
-           "cross_port_leakage": (leak, {"L": 3e-12}),
-           "entrained_air": (air, {"alpha": 0.013, "n": 1.3})}
+class Row:
+    """The signals by name."""
+
+    def __init__(self, row):
+        self.x, self.v, self.p1, self.p2 = row[[s.X, s.V, s.P1, s.P2]]
+        self.dp, self.omega = self.p1 - self.p2, row[s.OMEGA]
+
+
+# Terms of a motion without a past (new memory, z_0 = 0: the sign turns at once).
+TERMS = {
+    "coulomb_friction": (
+        lambda r, p: {s.FORCE: p["F_c"] * np.tanh(r.v / p["v_e"])},
+        {"F_c": 12.0, "v_e": 2e-3, "z_0": 0.0}),
+    "presliding_friction": (  # from r = 0 at x = 0 towards the sign, over z_0
+        lambda r, p: {s.FORCE: p["F_c"] * np.tanh(r.v / p["v_e"])
+                      * -np.expm1(-np.abs(r.x) / p["z_0"])},
+        {"F_c": 12.0, "v_e": 2e-3, "z_0": 9e-4}),
+    "stribeck_friction": (
+        lambda r, p: {s.FORCE: (p["F_c"] + p["F_d"] * np.exp(-(r.v**2) / p["v_s"] ** 2))
+                      * np.tanh(r.v / p["v_e"])},
+        {"F_c": 7.0, "F_d": 11.0, "v_s": 4e-3, "v_e": 1e-3, "z_0": 0.0}),
+    "quadratic_friction": (
+        lambda r, p: {s.FORCE: p["a_1"] * np.sign(r.v) * r.v**2}, {"a_1": 8000.0}),
+    "asymmetric_friction": (
+        lambda r, p: {s.FORCE: p["dB"] * np.hypot(r.v, 0)
+                      + p["dF"] * np.tanh(np.abs(r.v) / p["v_e"])},
+        {"dB": -70.0, "dF": 5.0, "v_e": 1e-3, "z_0": 0.0}),
+    "pressure_friction": (
+        lambda r, p: {s.FORCE: p["mu"] * (r.p1 + r.p2) * np.tanh(r.v / p["v_e"])},
+        {"mu": 3e-6, "v_e": 1e-3, "z_0": 0.0}),
+    "constant_load": (lambda r, p: {s.FORCE: p["F_0"]}, {"F_0": -33.0}),
+    "spring_load": (lambda r, p: {s.FORCE: p["k"] * r.x - p["k"] * p["x_0"]},
+                    {"k": 900.0, "x_0": 0.004}),
+    "added_mass": (lambda r, p: {s.MASS: p["dM"]}, {"dM": 6.0}),
+    "cross_port_leakage": (lambda r, p: across(p["L"] * r.dp), {"L": 3e-12}),
+    "turbulent_leakage": (
+        lambda r, p: across(p["c"] * np.sign(r.dp) * np.sqrt(np.abs(r.dp))
+                            / (1 + (p["dp_0"] / max(abs(r.dp), 1e-9)) ** 2) ** 0.25),
+        {"c": 4e-9, "dp_0": 2e4}),
+    "leakage_offset": (lambda r, p: across(p["Q_0"] * np.tanh(r.dp / p["dp_e"])),
+                       {"Q_0": 1e-6, "dp_e": 1e5}),
+    "external_leakage": (
+        lambda r, p: {s.FLOW_1: -p["L_1"] * r.p1, s.FLOW_2: -p["L_2"] * r.p2},
+        {"L_1": 1e-12, "L_2": -3e-13}),
+    "relief_valve": (
+        lambda r, p: across(p["k"] * np.sign(r.dp) * np.where(
+            np.abs(r.dp) > p["p_c"], np.abs(r.dp) - p["p_c"], 0)), {"k": 2e-11, "p_c": 5e5}),
+    "entrained_air": (air, {"alpha": 0.013, "n": 1.3}),
+    "position_dependent_volume": (
+        lambda r, p: {s.VOLUME_1: p["A_v"] * r.x, s.VOLUME_2: -p["A_v"] * r.x}, {"A_v": 5e-4}),
+    "pump_dead_zone": (
+        lambda r, p: {s.SPEED: np.sign(r.omega) * max(abs(r.omega) - p["omega_0"], 0) - r.omega},
+        {"omega_0": 8.0}),
+    "pump_flow_gain": (lambda r, p: {s.SPEED: p["k"] * r.omega}, {"k": -0.08}),
+    "pump_volumetric_loss": (lambda r, p: {s.SPEED: -p["k"] * np.abs(r.omega) * r.dp},
+                             {"k": 2e-8, "motoring": 1.0}),
+    "line_dynamics": (lambda r, p: {}, {"T_l": 2e-3, "zeta": 0.2}),  # at rest so far
+    "anti_cavitation": (
+        lambda r, p: {s.FLOW_1: p["k"] * np.clip(p["p_min"] - r.p1, 0, None),
+                      s.FLOW_2: p["k"] * np.clip(p["p_min"] - r.p2, 0, None)},
+        {"k": 1e-11, "p_min": 5e5}),
+}
+CIRCUITS = {
+    "backlash": ({"b": 2e-4, "in_loop": 1.0}, {s.PLAY: 2e-4, s.IN_LOOP: 1.0}),
+    "drive_lag": ({"tau": 4e-3}, {s.DRIVE_LAG: 4e-3}),
+    "drive_saturation": ({"omega_max": 200.0, "slew": 3e3},
+                         {s.SPEED_LIMIT: 200.0, s.SLEW_LIMIT: 3e3}),
+    "drive_gain": ({"k": -0.03}, {s.DRIVE_GAIN: -0.03}),
+    "command_delay": ({"T": 2e-3}, {s.COMMAND_DELAY: 2e-3}),
+    "feedback_delay": ({"T": 3e-3}, {s.FEEDBACK_DELAY: 3e-3}),
+    "position_delay": ({"T": 4e-3}, {s.POSITION_DELAY: 4e-3}),
+    "pressure_delay": ({"T": 5e-3}, {s.PRESSURE_DELAY: 5e-3}),
+    "position_scale": ({"k": 0.03, "in_loop": 1.0}, {s.POSITION_SCALE: 0.03, s.IN_LOOP: 1.0}),
+    "pressure_offset": ({"b_1": 4e4, "b_2": -1e4},
+                        {s.PRESSURE_OFFSET_1: 4e4, s.PRESSURE_OFFSET_2: -1e4}),
+    "pressure_scale": ({"k_1": 0.08, "k_2": -0.02},
+                       {s.PRESSURE_SCALE_1: 0.08, s.PRESSURE_SCALE_2: -0.02}),
+    "pressure_drift": ({"d_1": 1e3, "d_2": -2e3},
+                       {s.PRESSURE_DRIFT_1: 1e3, s.PRESSURE_DRIFT_2: -2e3}),
+    "position_quantisation": ({"q": 1e-5}, {}),
+}
+VALUES = {**{name: values for name, (_, values) in TERMS.items()},
+          **{name: values for name, (values, _) in CIRCUITS.items()}}
 BALANCE = {s.FORCE: "force", s.MASS: "force", s.SPEED: "flow", s.FLOW_1: "flow",
            s.FLOW_2: "flow", s.COMPLIANCE_1: "flow", s.COMPLIANCE_2: "flow",
            s.VOLUME_1: "flow", s.VOLUME_2: "flow"}
+RANGES = Ranges(speed=0.2, position=0.04, acceleration=5.0,
+                pressure_difference=(2e5, 5e5, 8e5, 1e6), lowest_pressure=(1.5e6, 1.6e6, 1.8e6),
+                mean_pressure=2e6, pump_speed=(50.0, 150.0, 250.0, 300.0),
+                pump_acceleration=(1e3, 5e3, 1e4), force=500.0, flow=1e-4, sample_time=1e-3,
+                duration=24.0)
+AT_REST = Ranges(0.0, 0.0, 0.0, (0.0,) * 4, (0.0,) * 3, 0.0, (0.0,) * 4, (0.0,) * 3, 0.0, 0.0,
+                 1e-3, 0.0)
 
 
-def contributions(row, effects):
+def contributions(row, effects, memory=None):
     theta, active = theta_of(settings().rig, effects)
     c = np.full(s.N_CONTRIBUTIONS, 7.0)  # what was there before must not survive
-    add_contributions(np.asarray(row, float), theta, active, c)
+    add_contributions(np.asarray(row, float), theta, active,
+                      new_memory() if memory is None else memory, c)
     return c
 
 
-def signal_row(v=0.01, p1=2.3e6, p2=1.7e6):
+def signal_row(v=0.01, p1=2.3e6, p2=1.7e6, x=0.01, omega=40.0):
     row = np.zeros(s.N_SIGNALS)
-    row[[s.X, s.V, s.P1, s.P2, s.OMEGA]] = 0.01, v, p1, p2, 40.0
+    row[[s.X, s.V, s.P1, s.P2, s.OMEGA]] = x, v, p1, p2, omega
     return row
 
 
-def test_every_entry_of_the_catalogue_has_its_own_equation_here():
-    assert set(ORACLES) == set(CATALOGUE), "a new effect needs its oracle in this file"
+def neutral_circuit():
+    w = np.zeros(s.N_CIRCUIT)
+    w[list(s.LIMITS)] = np.inf
+    return w
 
 
-@pytest.mark.parametrize("name", sorted(ORACLES))
-@given(v=st.floats(-0.5, 0.5), p1=st.floats(2e5, 2e7), p2=st.floats(2e5, 2e7))
+def test_catalogue_is_the_contract_s_and_each_entry_has_its_equation_here():
+    assert {name: effect.balance for name, effect in CATALOGUE.items()} == {
+        name: balance for balance, names in CONTRACT.items() for name in names.split()}
+    assert set(VALUES) == set(CATALOGUE), "a new effect needs its oracle in this file"
+    for name, values in VALUES.items():
+        assert list(values) == [p.name for p in CATALOGUE[name].parameters]
+
+
+@pytest.mark.parametrize("name", sorted(TERMS))
+@given(v=st.floats(-0.5, 0.5), p1=st.floats(2e5, 2e7), p2=st.floats(2e5, 2e7),
+       x=st.floats(-0.1, 0.1), omega=st.floats(-400, 400))
 @hypothesis_settings(max_examples=50, deadline=None)
-def test_term_is_its_equation(name, v, p1, p2):
-    formula, values = ORACLES[name]
-    row = signal_row(v, p1, p2)
+def test_term_is_its_equation(name, v, p1, p2, x, omega):
+    formula, values = TERMS[name]
+    row = signal_row(v, p1, p2, x, omega)
     expected = np.zeros(s.N_CONTRIBUTIONS)
-    for place, value in formula(row, values).items():
+    for place, value in formula(Row(row), values).items():
         expected[place] = value
-    assert contributions(row, {name: values}) == pytest.approx(expected, rel=1e-9, abs=1e-25)
+    scale = {s.FORCE: 1e-12, s.SPEED: 1e-9}
+    for place, value in enumerate(contributions(row, {name: values})):
+        assert value == pytest.approx(expected[place], rel=1e-9, abs=scale.get(place, 1e-22))
 
 
-@pytest.mark.parametrize("name", sorted(ORACLES))
+@pytest.mark.parametrize("name", sorted(CIRCUITS))
+def test_circuit_is_its_constants(name):
+    values, changed = CIRCUITS[name]
+    expected = neutral_circuit()
+    expected[list(changed)] = list(changed.values())
+    assert np.array_equal(circuit_of(*theta_of(settings().rig, {name: values})), expected)
+
+
+@pytest.mark.parametrize("name", sorted(TERMS))
 def test_term_is_smooth_in_every_signal(name):
     """Halving the step of a central difference changes the slope by the square of the step."""
-    values = ORACLES[name][1]
-    for row in (signal_row(), signal_row(v=0.0), signal_row(v=-3e-3, p1=4e5, p2=9e6)):
+    values = VALUES[name]
+    for row in (signal_row(), signal_row(v=2e-5), signal_row(v=-3e-3, p1=4e5, p2=9e6)):
         for place, h in ((s.X, 1e-6), (s.V, 1e-6), (s.P1, 50.0), (s.P2, 50.0),
                          (s.OMEGA, 1e-3)):
             slopes = []
@@ -95,25 +211,73 @@ def test_term_is_smooth_in_every_signal(name):
             assert slopes[0] == pytest.approx(slopes[1], rel=1e-4, abs=1e-5 * scale + 1e-30)
 
 
-def test_slope_of_coulomb_friction_at_rest_is_finite():
-    c = contributions(signal_row(v=1e-9), {"coulomb_friction": {"F_c": 10.0, "v_e": 1e-3}})
-    assert c[s.FORCE] == pytest.approx(10.0 * 1e-6)
+@given(numbers=st.tuples(*[st.floats(-big, big) for big in (1e3, 1e4, 1e12, 1e12, 1e6)]),
+       past=st.tuples(st.floats(-1, 1), st.floats(-1e3, 1e3)), h=st.floats(1e-9, 1.0))
+@hypothesis_settings(max_examples=200, deadline=None)
+def test_all_terms_stay_finite_whatever_the_signals(numbers, past, h):
+    x, v, p1, p2, omega = numbers
+    theta, active = theta_of(settings().rig, VALUES)
+    memory = new_memory()
+    memory[:] = past
+    row, c = signal_row(v, p1, p2, x, omega), np.empty(s.N_CONTRIBUTIONS)
+    for _ in range(2):
+        add_contributions(row, theta, active, memory, c)
+        assert np.isfinite(c).all()
+        update_memory(row, theta, active, h, memory)
+        assert np.isfinite(memory).all()
+
+
+@pytest.mark.parametrize("name", sorted(CATALOGUE))
+def test_effect_is_linear_in_its_sizes_and_absent_without(name):
+    sizes = {p.name: p.neutral for p in CATALOGUE[name].sizes}
+    row = signal_row()
+    absent = theta_of(settings().rig, {name: {**VALUES[name], **sizes}})
+    assert not contributions(row, {name: {**VALUES[name], **sizes}}).any()
+    w = circuit_of(*absent)
+    w[s.IN_LOOP] = 0.0  # where the drive reads does not matter without an error
+    assert np.array_equal(w, neutral_circuit())
+    if math.isinf(max(sizes.values())):
+        return  # limits
+    twice = {**VALUES[name], **{key: 2 * VALUES[name][key] for key in sizes}}
+    assert contributions(row, {name: twice}) == pytest.approx(
+        2 * contributions(row, {name: VALUES[name]}), rel=1e-12)
+    once, double = (circuit_of(*theta_of(settings().rig, {name: values}))
+                    for values in (VALUES[name], twice))
+    errors = [i for i in range(s.N_CIRCUIT) if i not in (*s.LIMITS, s.IN_LOOP)]
+    assert double[errors] == pytest.approx(2 * once[errors])
 
 
 def test_only_active_effects_contribute():
-    theta, _ = theta_of(settings().rig, {name: values for name, (_, values) in ORACLES.items()})
-    row, c = signal_row(), np.empty(s.N_CONTRIBUTIONS)
-    add_contributions(row, theta, np.zeros(N_EFFECTS, dtype=bool), c)
+    theta, _ = theta_of(settings().rig, VALUES)
+    row, c, total = signal_row(), np.empty(s.N_CONTRIBUTIONS), np.zeros(s.N_CONTRIBUTIONS)
+    add_contributions(row, theta, np.zeros(N_EFFECTS, dtype=bool), new_memory(), c)
     assert not c.any()
-    total = np.zeros(s.N_CONTRIBUTIONS)
     for i, name in enumerate(NAMES):
-        one = np.arange(N_EFFECTS) == i
-        add_contributions(row, theta, one, c)
+        add_contributions(row, theta, np.arange(N_EFFECTS) == i, new_memory(), c)
         touched = {BALANCE[place] for place in np.flatnonzero(c)}
-        assert touched == {CATALOGUE[name].balance}
+        assert touched <= {CATALOGUE[name].balance}
         total += c
-    add_contributions(row, theta, np.ones(N_EFFECTS, dtype=bool), c)
+    add_contributions(row, theta, np.ones(N_EFFECTS, dtype=bool), new_memory(), c)
     assert c == pytest.approx(total, rel=1e-14)
+
+
+def test_errors_of_several_effects_add_up_and_the_lower_limit_holds():
+    effects = {**{name: CIRCUITS[name][0] for name in ("backlash", "position_scale")},
+               "drive_saturation": {"omega_max": 150.0, "slew": 1e9}}
+    w = circuit_of(*theta_of(settings().rig, effects))
+    assert (w[s.PLAY], w[s.POSITION_SCALE]) == (2e-4, 0.03)
+    assert w[s.SPEED_LIMIT] == 150.0 and w[s.SLEW_LIMIT] == np.inf  # at its bound: no limit
+
+
+def test_pump_loss_takes_energy_in_all_quadrants_unless_asked_otherwise():
+    for omega in (90.0, -90.0):
+        for dp in (4e5, -4e5):
+            row = signal_row(p1=2e6 + dp, p2=2e6, omega=omega)
+            lost = -contributions(row, {"pump_volumetric_loss": VALUES["pump_volumetric_loss"]})
+            assert lost[s.SPEED] * dp > 0  # from the high to the low side
+            by_efficiency = {"k": 2e-8, "motoring": -1.0}
+            c = contributions(row, {"pump_volumetric_loss": by_efficiency})
+            assert c[s.SPEED] == pytest.approx(-omega * 2e-8 * 4e5)
 
 
 def test_air_of_one_percent_agrees_with_the_design_page():
@@ -127,24 +291,36 @@ def test_air_of_one_percent_agrees_with_the_design_page():
         assert 1e-6 / (1 / 1.5e9 + c[s.COMPLIANCE_1]) == pytest.approx(megapascal, rel=0.005)
 
 
-def test_air_stays_finite_where_the_pressure_is_lost():
-    for pressure in (0.0, -1e6):
-        c = contributions(signal_row(p1=pressure), {"entrained_air": {"alpha": 0.01, "n": 1.4}})
-        assert np.isfinite(c).all() and c[s.COMPLIANCE_1] > 0
+@pytest.mark.parametrize("effect", CATALOGUE.values(), ids=lambda effect: effect.name)
+def test_entry_describes_itself(effect):
+    assert 1 <= len(effect.parameters) <= s.MAX_PARAMETERS and effect.sizes
+    values = {p.name: p.scale for p in effect.parameters}
+    sentence = effect.statement.format(**values)
+    assert "{" not in sentence and len(sentence) > 10 and not sentence.endswith(".")
+    for p in effect.parameters:
+        assert -math.inf < p.lower < p.upper < math.inf and p.scale > 0
+        assert p.default is None or (p.lower <= p.default <= p.upper)
+        assert p.lower <= p.neutral <= p.upper or p.neutral == math.inf or p.default is not None
+        assert p.name in effect.equation.replace("+", " ")
+    assert effect.source and effect.rig_check.endswith(".")
+    for function, names in ((effect.term, "s p m c"), (effect.update, "s p h m"),
+                            (effect.circuit, "p w")):
+        assert list(inspect.signature(function.py_func).parameters) == names.split()
 
 
 @pytest.mark.parametrize("effect", CATALOGUE.values(), ids=lambda effect: effect.name)
-def test_entry_describes_itself(effect):
-    assert effect.balance in ("force", "flow", "drive", "sensor")
-    assert len(effect.parameters) <= s.MAX_PARAMETERS
-    values = {p.name: p.scale for p in effect.parameters}
-    sentence = effect.statement.format(**values)
-    assert "{" not in sentence and len(sentence) > 10
-    for p in effect.parameters:
-        assert p.lower < p.upper and p.scale > 0
-        assert p.name in effect.equation.replace("+", " ")
-    assert effect.source and effect.rig_check.endswith(".")
-    assert list(inspect.signature(effect.term.py_func).parameters) == ["s", "p", "c"]
+@pytest.mark.parametrize("ranges", [RANGES, AT_REST], ids=["moving", "at_rest"])
+def test_a_fit_starts_from_small_instances_within_the_bounds(effect, ranges):
+    starts = effect.starts(ranges)
+    assert len(starts) <= 6 and (starts or effect.name == "position_quantisation")
+    known = {p.name: p for p in effect.parameters}
+    for start in starts:
+        assert {p.name for p in effect.sizes} <= set(start) <= set(known)
+        for name, value in start.items():
+            inside = min(max(value, known[name].lower), known[name].upper)
+            assert value in (inside, known[name].neutral) or ranges is AT_REST
+        if ranges is RANGES:
+            assert any(start[p.name] != p.neutral for p in effect.sizes)
 
 
 def test_parameter_vector_has_one_place_for_each_value():

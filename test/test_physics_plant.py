@@ -23,11 +23,12 @@ from scipy.linalg import expm
 
 from eha_monitor.errors import InputError
 from eha_monitor.physics import signals as s
-from eha_monitor.physics.balances import derivatives
+from eha_monitor.physics.balances import rates
 from eha_monitor.physics.parameters import require_plant, theta_of
 from eha_monitor.physics.simulator import Simulator
 
 CHARGE, MAKEUP = 2e6, 1e-13
+NOTHING = np.zeros(s.N_CONTRIBUTIONS)
 
 
 @pytest.mark.parametrize("b, beta", [(600.0, 6e8), (300.0, 6e8), (1800.0, 6e8), (600.0, 6e7),
@@ -60,7 +61,7 @@ def test_mean_pressure_decays_to_the_charge_pressure_as_one_exponential():
     config = settings(simulation={"excitation": {"rest": {"kind": "rest"}}},
                       rig={"makeup_conductance": 4e-13, "leakage": 5e-13})
     simulator = Simulator(config)
-    simulator.y[2:] += 3e5
+    simulator.y[[2, 3]] += 3e5  # both pressures
     truth = simulator.advance_truth(400)
     time = np.arange(400) * T_S
     expected = CHARGE + 3e5 * np.exp(-4e-13 * BETA / V0 * time)
@@ -70,12 +71,10 @@ def test_mean_pressure_decays_to_the_charge_pressure_as_one_exponential():
 
 def test_pressure_difference_leaks_away_with_half_the_leakage_coefficient():
     # V/(2 beta) dp' = -(C_T/2) dp while the piston is held (an immense mass, no drive).
-    theta, active = theta_of(settings(rig={"mass": 1e12}).rig, {})
-    dy, c = np.empty(4), np.empty(s.N_CONTRIBUTIONS)
-    row = np.array([0, 0, 0, CHARGE + 4e5, CHARGE - 1e5, 0, 0])
-    derivatives(row, theta, active, c, dy)
-    assert dy[2] - dy[3] == pytest.approx(-2 * BETA / V0 * C_T / 2 * 5e5, rel=1e-12)
-    assert dy[1] == pytest.approx(A * 5e5 / 1e12, rel=1e-12)
+    theta, _ = theta_of(settings(rig={"mass": 1e12}).rig, {})
+    dv, dp1, dp2 = rates(0.0, CHARGE + 4e5, CHARGE - 1e5, 0.0, 0.0, theta, NOTHING)
+    assert dp1 - dp2 == pytest.approx(-2 * BETA / V0 * C_T / 2 * 5e5, rel=1e-12)
+    assert dv == pytest.approx(A * 5e5 / 1e12, rel=1e-12)
 
 
 def test_steady_triangle_holds_the_paper_plateau():
@@ -160,17 +159,15 @@ def equation_2(b, beta):
 
 def numeric_matrix(loop: bool, **rig):
     """The plant's own derivatives, differenced; (4, 4) for (x, v, p1, p2)."""
-    theta, active = theta_of(settings(rig=rig).rig, {})
-    out, c = np.empty((4, 4)), np.empty(s.N_CONTRIBUTIONS)
+    theta, _ = theta_of(settings(rig=rig).rig, {})
+    out = np.empty((4, 4))
     for j, h in enumerate((1e-3, 1e-3, 1e3, 1e3)):
         side = []
         for sign in (1, -1):
             y = np.array([0.0, 0.0, CHARGE, CHARGE])
             y[j] += sign * h
-            row = np.array([0, *y, -theta[s.K_POS] * y[0] if loop else 0.0, 0.0])
-            dy = np.empty(4)
-            derivatives(row, theta, active, c, dy)
-            side.append(dy)
+            omega = -theta[s.K_POS] * y[0] if loop else 0.0
+            side.append(np.array([y[1], *rates(*y[1:], omega, 0.0, theta, NOTHING)]))
         out[:, j] = (side[0] - side[1]) / (2 * h)
     return out
 

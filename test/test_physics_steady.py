@@ -1,0 +1,200 @@
+"""The effects of force and flow in the moving plant, against closed forms of steady motion.
+
+On a triangle of the demanded position the piston runs at +v and -v.  There
+
+    A dp = B v + F,   D_p (omega + speed) = A v + (C_T/2) dp + leakage
+
+and each effect adds its own, known part.  On a sine the ratio of two signals' Fourier
+components is an impedance that is known as well.
+"""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+from rig_tools import BETA, C_T, D_P, SINE, TRIANGLE, V0, A, B, M, simulated
+
+from eha_monitor.compiled import njit
+from eha_monitor.physics import signals as s
+from eha_monitor.physics.dry_friction import direction, remember
+from eha_monitor.physics.effects import CATALOGUE
+
+V, CHARGE, MAKEUP = 0.04, 2e6, 1e-13
+DP = B * V / A  # 47.5 kPa, of the linear model
+
+
+def steady(effect, values):
+    """Simulate; (v, dp, omega, x, p1 + p2) at two places of opposite motion."""
+    truth = simulated(TRIANGLE, 8.0, effects={effect: values}).truth
+    found = []
+    for start in (4600, 6600):  # 1.6 s and more after a reversal: forwards, backwards
+        part = truth[start:start + 300].mean(axis=0)
+        found.append((part[s.V], part[s.P1] - part[s.P2], part[s.OMEGA], part[s.X],
+                      part[s.P1] + part[s.P2]))
+    return found
+
+
+# What each adds to the driving force, N; d is the direction, x the position.
+FORCES = {
+    "coulomb_friction": ({"F_c": 10.0, "v_e": 1e-3, "z_0": 4e-6}, lambda d, x: 10.0 * d),
+    "presliding_friction": ({"F_c": 10.0, "z_0": 1e-4}, lambda d, x: 10.0 * d),
+    "stribeck_friction": ({"F_c": 7.0, "F_d": 11.0, "v_s": 0.05, "z_0": 4e-6},
+                          lambda d, x: d * (7.0 + 11.0 * math.exp(-0.64))),
+    "quadratic_friction": ({"a_1": 8000.0}, lambda d, x: 12.8 * d),
+    "asymmetric_friction": ({"dB": 100.0, "dF": 3.0}, lambda d, x: 7.0),
+    "pressure_friction": ({"mu": 3e-6}, lambda d, x: 12.0 * d),
+    "constant_load": ({"F_0": 15.0}, lambda d, x: 15.0),
+    "spring_load": ({"k": 900.0, "x_0": 0.01}, lambda d, x: 900.0 * (x - 0.01)),
+}
+
+
+@pytest.mark.parametrize("effect", FORCES)
+def test_force_in_steady_motion(effect):
+    values, force = FORCES[effect]
+    for (v, dp, omega, x, _), d in zip(steady(effect, values), (1, -1), strict=True):
+        assert v == pytest.approx(d * V, rel=5e-3)
+        assert A * dp == pytest.approx(B * v + force(d, x), rel=1e-3)
+        assert D_P * omega == pytest.approx(A * v + C_T / 2 * dp, rel=1e-3)
+
+
+def root(dp):
+    return math.copysign(math.sqrt(abs(dp)), dp)
+
+
+# What leaks from chamber 1 to 2, m^3/s; what is missing of the shaft's speed, rad/s.
+FLOWS = {
+    "cross_port_leakage": ({"L": 3e-11}, lambda dp, w: 3e-11 * dp),
+    "turbulent_leakage": ({"c": 4e-9, "dp_0": 1e3}, lambda dp, w: 4e-9 * root(dp)),
+    "leakage_offset": ({"Q_0": 1e-6}, lambda dp, w: math.copysign(1e-6, dp)),
+    "relief_valve": ({"k": 2e-11, "p_c": 2e4},
+                     lambda dp, w: math.copysign(2e-11 * (abs(dp) - 2e4), dp)),
+    "pump_dead_zone": ({"omega_0": 8.0}, lambda dp, w: D_P * math.copysign(8.0, w)),
+    "pump_flow_gain": ({"k": -0.08}, lambda dp, w: 0.08 * D_P * w),
+    "pump_volumetric_loss": ({"k": 1e-6}, lambda dp, w: 1e-6 * abs(w) * dp * D_P),
+    "line_dynamics": ({"T_l": 2e-3}, lambda dp, w: 0.0),
+}
+
+
+@pytest.mark.parametrize("effect", FLOWS)
+def test_flow_in_steady_motion(effect):
+    values, lost = FLOWS[effect]
+    for (v, dp, omega, _, _), d in zip(steady(effect, values), (1, -1), strict=True):
+        assert v == pytest.approx(d * V, rel=5e-3) and dp == pytest.approx(d * DP, rel=5e-3)
+        assert D_P * omega == pytest.approx(A * v + C_T / 2 * dp + lost(dp, omega), rel=1e-3)
+
+
+@pytest.mark.parametrize("effect, values, pressure", [
+    ("external_leakage", {"L_1": 5e-14, "L_2": 5e-14}, MAKEUP * CHARGE / (MAKEUP + 5e-14)),
+    ("anti_cavitation", {"k": 4e-13, "p_min": 3e6},
+     (MAKEUP * CHARGE + 4e-13 * 3e6) / (MAKEUP + 4e-13))])
+def test_pressure_at_rest_is_where_make_up_and_effect_meet(effect, values, pressure):
+    rest = simulated({"kind": "rest"}, 8.0, effects={effect: values}).truth[-1]
+    assert rest[[s.P1, s.P2]] == pytest.approx([pressure] * 2, rel=2e-3)
+
+
+def fourier(signal, frequency, dt=1e-3):
+    """Complex amplitude over the last whole second."""
+    last = signal[-round(1 / dt):]
+    return 2 * np.mean(last * np.exp(-2j * np.pi * frequency * dt * np.arange(len(last))))
+
+
+@pytest.mark.parametrize("effect, values, mass, stiffness", [
+    ("added_mass", {"dM": 6.0}, M + 6.0, 0.0), ("spring_load", {"k": 8000.0}, M, 8000.0)])
+def test_mechanical_impedance_on_a_sine(effect, values, mass, stiffness):
+    truth = simulated(SINE, 3.0, effects={effect: values}).truth
+    jw = 2j * np.pi * 4
+    force = A * fourier(truth[:, s.P1] - truth[:, s.P2], 4)
+    assert force / fourier(truth[:, s.V], 4) == pytest.approx(
+        B + jw * mass + stiffness / jw, rel=1e-6)
+
+
+@pytest.mark.parametrize("effect, values, offset", [
+    ("position_dependent_volume", {"A_v": A}, 0.03), ("entrained_air", {"alpha": 0.01}, 0.0)])
+def test_compliance_of_a_chamber_on_a_small_sine(effect, values, offset):
+    small = {"kind": "sine", "amplitude": 1e-4, "frequency": 20.0, "offset": offset}
+    truth = simulated(small, 3.0, effects={effect: values}).truth
+    p1, p2, v, omega = (fourier(truth[:, i], 20) for i in (s.P1, s.P2, s.V, s.OMEGA))
+    inflow = D_P * omega - A * v - (C_T - MAKEUP) / 2 * (p1 - p2) - MAKEUP * p1
+    volume = V0 + values.get("A_v", 0.0) * offset
+    air = values.get("alpha", 0.0) / (1.4 * CHARGE) * (101325 / CHARGE) ** (1 / 1.4)
+    assert inflow / (2j * np.pi * 20 * p1) == pytest.approx(volume * (1 / BETA + air), rel=1e-3)
+
+
+@pytest.mark.parametrize("frequency", [4.0, 40.0, 60.0])
+def test_line_answers_as_a_second_order_low_pass(frequency):
+    """Its own resonance, at 50 Hz, beside the oil column's at 75 Hz."""
+    line = {"T_l": 1 / (2 * np.pi * 50), "zeta": 0.2}
+    sine = {"kind": "sine", "amplitude": 1e-3, "frequency": frequency}
+    truth = simulated(sine, 4.0, effects={"line_dynamics": line}, substeps=20).truth
+    jw = 2j * np.pi * frequency
+    dp = fourier(truth[:, s.P1] - truth[:, s.P2], frequency)
+    flow = (A * fourier(truth[:, s.V], frequency) + (V0 / (2 * BETA) * jw + C_T / 2) * dp)
+    ratio = flow / (D_P * fourier(truth[:, s.OMEGA], frequency))
+    r = jw * line["T_l"]
+    assert ratio == pytest.approx(1 / (r**2 + 2 * 0.2 * r + 1), rel=2e-3)
+
+
+@pytest.mark.parametrize("share", [1e-3, 0.5, 1.0, 30.0, 1e4])
+def test_line_is_stable_for_any_step(share):
+    entry, p, row = CATALOGUE["line_dynamics"], np.array([1e-3, 0.05]), np.zeros(s.N_SIGNALS)
+    m, c, largest = np.zeros(2), np.zeros(s.N_CONTRIBUTIONS), 0.0
+    for k in range(2000):
+        row[s.OMEGA] = 100.0 if k > 5 else 0.0
+        entry.update(row, p, share * 1e-3, m)
+        c[:] = 0.0
+        entry.term(row, p, m, c)
+        largest = max(largest, abs(c[s.SPEED] + row[s.OMEGA]))
+    assert largest < 190.0  # a step overshoots by exp(-pi zeta / sqrt(1 - zeta^2)), 85 %
+    if share * 2000 * 0.05 > 20:
+        assert c[s.SPEED] == pytest.approx(0.0, abs=1e-4)
+
+
+# ---- Dahl's turning over of dry friction -------------------------------------------------------
+
+
+@njit
+def friction_along(x, v, v_e, z_0, level):
+    """Friction force along a path, with its memory."""
+    m, row, force = np.zeros(2), np.zeros(s.N_SIGNALS), np.zeros(len(x))
+    m[1] = x[0]
+    for k in range(len(x)):
+        row[s.X], row[s.V] = x[k], v[k]
+        force[k] = level * direction(row, v_e, z_0, m)
+        remember(row, v_e, z_0, m)
+    return force
+
+
+@pytest.mark.parametrize("z_0", [4e-6, 4e-5, 4e-4, 1e-3])
+def test_loop_of_dry_friction_has_dahl_s_area(z_0):
+    """Over strokes of 2X the steady loop dissipates 4 F_c (X - z_0 tanh(X / z_0))."""
+    stroke = 5e-4
+    there = np.linspace(-stroke, stroke, 20001)
+    x = np.concatenate([there, there[::-1]] * 5)
+    v = np.repeat(np.tile([0.1, -0.1], 5), 20001)
+    force = friction_along(x, v, 1e-4, z_0, 20.0)[-40002:]
+    area = np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(x[-40002:]))
+    exact = 4 * 20.0 * (stroke - z_0 * math.tanh(stroke / z_0))
+    assert area == pytest.approx(exact, rel=2e-3)
+    assert np.abs(force).max() <= 20.0
+
+
+@given(turns=st.lists(st.floats(-1e-3, 1e-3), min_size=2, max_size=12),
+       z_0=st.sampled_from([1e-5, 1e-4, 1e-3]))
+@hypothesis_settings(max_examples=60, deadline=None)
+def test_dry_friction_gives_back_no_more_than_it_stored(turns, z_0):
+    x = np.concatenate([np.linspace(a, b, 400, endpoint=False)
+                        for a, b in zip([0.0, *turns], turns, strict=False)])
+    v = np.gradient(x) / 1e-3
+    force = friction_along(x, v, 1e-6, z_0, 20.0)
+    work = np.concatenate([[0.0], np.cumsum(0.5 * (force[1:] + force[:-1]) * np.diff(x))])
+    stored = 20.0 * z_0 * (1 - math.log(2))  # the most that a Dahl element gives back
+    assert work.min() >= -stored - 1e-6
+
+
+def test_pushed_within_the_presliding_it_is_a_spring():
+    x = np.linspace(0, 1e-6, 50)
+    force = friction_along(x, np.full(50, 0.1), 1e-4, 1e-4, 20.0)
+    assert force[1:] == pytest.approx(20.0 / 1e-4 * x[1:], rel=0.01)
