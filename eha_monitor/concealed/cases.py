@@ -41,7 +41,8 @@ class Case:
     ----------
     name : of the case.
     effects : (name, strength) pairs; 1 is clear, negative turns the sign where there is one.
-    motion : ``rich`` (24 s), ``short`` (6 s) or ``triangle`` (the paper's, 24 s).
+    motion : ``rich`` (24 s), ``short`` (6 s), ``triangle`` (the paper's, 24 s), ``two_speed``
+        (24 s) or ``sine`` (8 s).
     seed : of noise, clock and the random parts of the motion.
     noise : factor on the sensors' noise.
     channels : what is recorded.
@@ -52,6 +53,7 @@ class Case:
     options : effect -> parameters of its key to set outright, e.g. ``{"pressure_offset":
         {"sensor": "p2"}}``.
     nuisance : factor on sensor lag, clock jitter and encoder step.
+    demand : (n,) x_d in m, one value to a sample, in place of the motion.
     """
 
     name: str
@@ -64,6 +66,7 @@ class Case:
     nominal: dict = field(default_factory=dict)
     options: dict = field(default_factory=dict)
     nuisance: float = 1.0
+    demand: np.ndarray | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self):
         for name, _ in self.effects:
@@ -141,6 +144,21 @@ def constants_of(case: Case, made: list[Hidden]) -> tuple[np.ndarray, dict[str, 
     return constants, sensors
 
 
+def samples_of(case: Case) -> int:
+    """Return how many samples the recording has."""
+    if case.demand is not None:
+        return len(case.demand)
+    return round(LENGTHS[case.motion] / SAMPLE_TIME)
+
+
+def demand_of(case: Case, time: np.ndarray) -> np.ndarray:
+    """Return x_d in m at any times, s since the recording's start."""
+    if case.demand is not None:
+        return np.interp(time, np.arange(len(case.demand)) * SAMPLE_TIME, case.demand)
+    return demanded_position(case.motion, time, case.seed,
+                             float(case.rig.get("amplitude", 1.0)))
+
+
 def fine_run(case: Case, made: list[Hidden],
              substeps: int = SUBSTEPS) -> tuple[np.ndarray, np.ndarray, dict[str, float]]:
     """Return the trajectory (m, N_COLUMNS), its time (m,) from the recording's start, sensors.
@@ -153,10 +171,9 @@ def fine_run(case: Case, made: list[Hidden],
     substeps = max(substeps, int(np.ceil(fastest * SAMPLE_TIME / 0.1)))
     h = SAMPLE_TIME / substeps
     before = round(PREROLL / SAMPLE_TIME) * substeps
-    after = (round(LENGTHS[case.motion] / SAMPLE_TIME) + 1) * substeps
+    after = (samples_of(case) + 1) * substeps
     halves = (np.arange(2 * (before + after) + 1) - 2 * before) * (0.5 * h)
-    x_d = demanded_position(case.motion, halves - sensors.get("command_delay", 0.0), case.seed,
-                            float(case.rig.get("amplitude", 1.0)))
+    x_d = demand_of(case, halves - sensors.get("command_delay", 0.0))
     out = np.empty((before + after + 1, 6))
     run(constants, x_d, h, out)
     return out, halves[::2], sensors
@@ -168,7 +185,8 @@ class _Key:
     def __init__(self, case: Case):
         self.case = case
         self.text = repr((case.effects, case.motion, case.seed, sorted(case.rig.items()),
-                          sorted((k, sorted(v.items())) for k, v in case.options.items())))
+                          sorted((k, sorted(v.items())) for k, v in case.options.items()),
+                          None if case.demand is None else np.asarray(case.demand).tobytes()))
 
     def __eq__(self, other) -> bool:
         return self.text == other.text

@@ -9,11 +9,12 @@ from eha_monitor.concealed.cases import (
     RIG,
     SAMPLE_TIME,
     Case,
+    demand_of,
     fine_run,
     hidden_of,
     rig_of,
+    samples_of,
 )
-from eha_monitor.concealed.motions import LENGTHS, demanded_position
 from eha_monitor.concealed.sensors import Sensors, measure
 
 
@@ -30,10 +31,9 @@ def sensors_of(case: Case) -> Sensors:
 def recording_of(case: Case) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return the measured channels, name -> (n,) SI, and their nominal times (n,) in s."""
     fine, fine_time, faults = fine_run(case, hidden_of(case))
-    time = np.arange(round(LENGTHS[case.motion] / SAMPLE_TIME)) * SAMPLE_TIME
+    time = np.arange(samples_of(case)) * SAMPLE_TIME
     shown = measure(fine, fine_time, time, sensors_of(case), faults, case.noise, case.seed)
-    shown["x_d"] = demanded_position(case.motion, time, case.seed,
-                                     float(case.rig.get("amplitude", 1.0)))
+    shown["x_d"] = demand_of(case, time)
     return {name: shown[name] for name in case.channels}, time
 
 

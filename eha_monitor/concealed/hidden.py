@@ -1,9 +1,10 @@
 """What can be hidden: each effect by name, its size at full strength, its place in the plant.
 
-An entry turns (size, options, reach) into constants of the plant or of the sensors, and into the
-key's parameters.  ``size`` is the strength, negative for the opposite sign where there is one;
-``options`` may set any parameter of the key outright; ``reach`` is what the motion needs on
-this rig without the thresholded effects (largest speed, pressure difference, lowest pressure).
+Names of parameters are those of the catalogue, so that a key can be compared; the equations are
+the plant's own.  An entry turns (size, options, reach) into constants of the plant or of the
+sensors, and into the key's parameters.  ``size`` is the strength, negative for the opposite sign
+where there is one; ``options`` may set any parameter of the key outright; ``reach`` is what the
+motion needs on this rig without the thresholded effects.
 """
 
 from collections.abc import Callable
@@ -83,42 +84,42 @@ def _coulomb(c: Context) -> Hidden:
 
 def _stribeck(c: Context) -> Hidden:
     kinetic = c.take("F_c", 40.0 * c.size)
-    static = c.take("F_s", 80.0 * c.size)
+    drop = c.take("F_d", 40.0 * c.size)
     speed = c.take("v_s", 8e-3)
     return Hidden(
-        added={"seal_forward": kinetic, "seal_backward": kinetic, "seal_static": static - kinetic},
+        added={"seal_forward": kinetic, "seal_backward": kinetic, "seal_static": drop},
         plant={"stribeck_speed": speed},
-        parameters={"F_c": kinetic, "F_s": static, "v_s": speed})
+        parameters={"F_c": kinetic, "F_d": drop, "F_s": kinetic + drop, "v_s": speed})
 
 
 def _asymmetric(c: Context) -> Hidden:
-    strong, weak = 40.0 * abs(c.size), 10.0 * abs(c.size)
-    ahead, back = (strong, weak) if c.size >= 0 else (weak, strong)
-    ahead, back = c.take("F_c_forward", ahead), c.take("F_c_backward", back)
-    more = c.take("dB", 100.0 * c.size)
-    damping = c.rig["damping"]
+    # Dry friction is never negative, so the difference by direction comes with its mean.
+    mean, half = c.take("F_c", 25.0 * abs(c.size)), c.take("dF", 15.0 * c.size)
+    more, damping = c.take("dB", 100.0 * c.size), c.rig["damping"]
     return Hidden(
-        added={"seal_forward": ahead, "seal_backward": back}, plant={"damping_asymmetry": more},
-        parameters={"F_c_forward": ahead, "F_c_backward": back, "B_forward": damping + more,
+        added={"seal_forward": mean + half, "seal_backward": mean - half},
+        plant={"damping_asymmetry": more},
+        parameters={"F_c": mean, "dF": half, "dB": more, "F_c_forward": mean + half,
+                    "F_c_backward": mean - half, "B_forward": damping + more,
                     "B_backward": damping - more})
 
 
 def _presliding(c: Context) -> Hidden:
-    force, travel = c.take("F_c", 40.0 * c.size), c.take("travel", 50e-6)
+    force, travel = c.take("F_c", 40.0 * c.size), c.take("z_0", 50e-6)
     return Hidden(plant={"soft_seal": force, "soft_travel": travel},
-                  parameters={"F_c": force, "travel": travel, "stiffness": force / travel})
+                  parameters={"F_c": force, "z_0": travel})
 
 
 def _mass(c: Context) -> Hidden:
-    more = c.take("M", 6.0 * c.size)
-    return Hidden(added={"mass": more}, parameters={"M": more})
+    more = c.take("dM", 6.0 * c.size)
+    return Hidden(added={"mass": more}, parameters={"dM": more})
 
 
 def _backlash(c: Context) -> Hidden:
-    gap, in_loop = c.take("gap", 2e-4 * c.size), c.take("in_loop", False)
+    gap, in_loop = c.take("b", 2e-4 * c.size), c.take("in_loop", False)
     return Hidden(plant={"play": gap, "play_in_loop": float(in_loop)},
                   sensors={"behind_play": 1.0},
-                  parameters={"gap": gap, "in_loop": bool(in_loop)})
+                  parameters={"b": gap, "in_loop": float(in_loop)})
 
 
 def _cross_port(c: Context) -> Hidden:
@@ -142,9 +143,8 @@ def _air(c: Context) -> Hidden:
 
 
 def _volume(c: Context) -> Hidden:
-    slope = c.take("slope", c.size)
-    return Hidden(plant={"volume_slope": slope},
-                  parameters={"slope": slope, "area": slope * c.rig["area"]})
+    area = c.take("A_v", c.rig["area"] * c.size)
+    return Hidden(plant={"volume_slope": area}, parameters={"A_v": area})
 
 
 def _loss(c: Context) -> Hidden:
@@ -153,17 +153,16 @@ def _loss(c: Context) -> Hidden:
 
 
 def _line(c: Context) -> Hidden:
-    # Two lines of 3 m and 8 mm bore in series; a shorter one at less strength.
-    inertance = c.take("I", 1.0e8 * c.size)
-    resistance = c.take("R", 5e9 * c.size)
-    volume = c.take("volume", 1.0e-4)
+    # Two lines of 3 m and 6 mm bore, half of one's oil at the pump; shorter at less strength.
+    inertance = c.take("I", 1.8e8 * c.size)
+    resistance = c.take("R", 5.6e9 * c.size)
+    volume = c.take("volume", 4.2e-5 * c.size)
     stiffness = 2.0 * c.rig["bulk_modulus"] / volume  # of the oil at the pump
     natural = (stiffness / inertance) ** 0.5
     return Hidden(
         plant={"line_inertance": inertance, "line_resistance": resistance, "line_volume": volume},
         parameters={"I": inertance, "R": resistance, "volume": volume,
-                    "natural_frequency": natural,
-                    "damping_ratio": 0.5 * resistance / inertance / natural})
+                    "T_l": 1.0 / natural, "zeta": 0.5 * resistance / inertance / natural})
 
 
 def _check(c: Context) -> Hidden:
@@ -175,14 +174,14 @@ def _check(c: Context) -> Hidden:
 
 
 def _saturation(c: Context) -> Hidden:
-    limit = c.take("limit", c.reach.speed * (1.0 - 0.15 * c.size))
-    return Hidden(plant={"speed_limit": limit}, parameters={"limit": limit})
+    limit = c.take("omega_max", c.reach.speed * (1.0 - 0.15 * c.size))
+    return Hidden(plant={"speed_limit": limit}, parameters={"omega_max": limit})
 
 
 def _drive_gain(c: Context) -> Hidden:
-    gain = c.take("gain", -0.08 * c.size)
+    gain = c.take("k", -0.08 * c.size)
     return Hidden(plant={"position_gain": c.rig["position_gain"] * (1.0 + gain)},
-                  parameters={"gain": gain})
+                  parameters={"k": gain})
 
 
 def _sensor(place: str, name: str, full: float) -> Callable:
@@ -192,14 +191,25 @@ def _sensor(place: str, name: str, full: float) -> Callable:
     return build
 
 
-def _pressure(kind: str, name: str, full: float) -> Callable:
+def _pressure(kind: str, symbol: str, full: float) -> Callable:
     """Return an entry of one pressure sensor or, with ``sensor`` "both", of the two."""
     def build(c: Context) -> Hidden:
-        value, sensor = c.take(name, full * c.size), c.take("sensor", "p1")
-        which = ("p1", "p2") if sensor == "both" else (sensor,)
-        return Hidden(sensors={f"{kind}_{one}": value for one in which},
-                      parameters={name: value, "sensor": sensor})
+        sensor = c.take("sensor", "p1")
+        values = {i: c.take(f"{symbol}_{i}", full * c.size if sensor in (f"p{i}", "both") else 0.0)
+                  for i in (1, 2)}
+        return Hidden(sensors={f"{kind}_p{i}": value for i, value in values.items()},
+                      parameters={f"{symbol}_{i}": value for i, value in values.items()})
     return build
+
+
+def _external(c: Context) -> Hidden:
+    chamber = c.take("chamber", "both")
+    leaks = {i: c.take(f"L_{i}", 5e-14 * c.size if chamber in (i, "both") else 0.0)
+             for i in (1, 2)}
+    tank = c.take("p_tank", 0.0)  # absolute
+    return Hidden(
+        plant={"external_leakage_1": leaks[1], "external_leakage_2": leaks[2], "tank": tank},
+        parameters={"L_1": leaks[1], "L_2": leaks[2], "p_tank": tank})
 
 
 def _hump(c: Context) -> Hidden:
@@ -215,7 +225,7 @@ def _sticking_place(c: Context) -> Hidden:
 
 
 def _gapped(c: Context) -> Hidden:
-    mass, gap = c.take("M", 8.0 * c.size), c.take("gap", 6e-4)
+    mass, gap = c.take("M", 6.0 * c.size), c.take("gap", 6e-4)
     return Hidden(plant={"gapped_mass": mass, "gapped_play": gap},
                   parameters={"M": mass, "gap": gap})
 
@@ -247,7 +257,7 @@ def _place_leak(c: Context) -> Hidden:
 ENTRIES: dict[str, Callable[[Context], Hidden]] = {
     "coulomb_friction": _coulomb,
     "stribeck_friction": _stribeck,
-    "quadratic_friction": _plain({"a1": ("quadratic", 8000.0)}),
+    "quadratic_friction": _plain({"a_1": ("quadratic", 8000.0)}),
     "asymmetric_friction": _asymmetric,
     "pressure_friction": _plain({"mu": ("seal_per_pressure", 1e-5)}),
     "presliding_friction": _presliding,
@@ -258,27 +268,27 @@ ENTRIES: dict[str, Callable[[Context], Hidden]] = {
     "cross_port_leakage": _cross_port,
     "turbulent_leakage": _plain({"c": ("turbulent", 3e-9)}),
     "leakage_offset": _plain({"Q_0": ("leakage_offset", 1e-6)}),
-    "external_leakage": _plain({"L_e": ("external_leakage", 5e-14)}),
+    "external_leakage": _external,
     "relief_valve": _relief,
     "entrained_air": _air,
     "position_dependent_volume": _volume,
     "pump_dead_zone": _plain({"omega_0": ("dead_zone", 8.0)}),
-    "pump_flow_gain": _plain({"gain": ("pump_gain", -0.08)}),
+    "pump_flow_gain": _plain({"k": ("pump_gain", -0.08)}),
     "pump_volumetric_loss": _loss,
     "line_dynamics": _line,
     "anti_cavitation": _check,
     "drive_lag": _plain({"tau": ("drive_lag", 4e-3)}),
     "drive_saturation": _saturation,
     "drive_gain": _drive_gain,
-    "command_delay": _sensor("command_delay", "delay", 4e-3),
-    "feedback_delay": _plain({"delay": ("feedback_delay", 2e-3)}),
-    "position_delay": _sensor("position_delay", "delay", 2e-3),
-    "pressure_delay": _pressure("delay", "delay", 2e-3),
-    "position_scale": _sensor("position_scale", "scale", 0.03),
-    "pressure_offset": _pressure("offset", "offset", 4e4),
-    "pressure_scale": _pressure("scale", "scale", 0.08),
-    "pressure_drift": _pressure("drift", "rate", 3e3),
-    "position_quantisation": _sensor("resolution", "step", 20e-6),
+    "command_delay": _sensor("command_delay", "T", 4e-3),
+    "feedback_delay": _plain({"T": ("feedback_delay", 2e-3)}),
+    "position_delay": _sensor("position_delay", "T", 2e-3),
+    "pressure_delay": _sensor("pressure_delay", "T", 2e-3),
+    "position_scale": _sensor("position_scale", "k", 0.03),
+    "pressure_offset": _pressure("offset", "b", 4e4),
+    "pressure_scale": _pressure("scale", "k", 0.08),
+    "pressure_drift": _pressure("drift", "d", 3e3),
+    "position_quantisation": _sensor("resolution", "q", 20e-6),
     "position_friction_hump": _hump,
     "sticking_place": _sticking_place,
     "gapped_load": _gapped,

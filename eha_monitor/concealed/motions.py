@@ -3,7 +3,9 @@
 import numpy as np
 
 RAMP = 6e-3  # s, a step is a ramp of this length: the sampled demand then hides nothing
-LENGTHS = {"rich": 24.0, "short": 6.0, "triangle": 24.0}
+# rich: two triangles, multisine, steps; short: the same parts; triangle and sine: the paper's own;
+# two_speed: the paper's triangle, then a slow one.
+LENGTHS = {"rich": 24.0, "short": 6.0, "triangle": 24.0, "two_speed": 24.0, "sine": 8.0}
 
 
 def triangle(t: np.ndarray, period: float, amplitude: float) -> np.ndarray:
@@ -39,14 +41,18 @@ def demanded_position(motion: str, t: np.ndarray, seed: int = 0, scale: float = 
 
     Parameters
     ----------
-    motion : ``rich``, ``short`` or ``triangle``.
+    motion : a key of ``LENGTHS``.
     t : any shape, s.
     seed : phases of the multisine and places of the steps.
     scale : factor on all amplitudes.
     """
     t = np.maximum(t, 0.0)
-    if motion == "triangle":  # the paper's own
+    if motion == "triangle":
         return scale * triangle(t, 4.0, 0.04)
+    if motion == "sine":
+        return scale * 0.01 * np.sin(2 * np.pi * 4.0 * t)
+    if motion == "two_speed":
+        return scale * np.where(t < 12.0, triangle(t, 4.0, 0.04), triangle(t, 4.0, 0.008))
     # Parts: fast triangle, slow triangle, multisine, steps, as (length, shape).
     rng = np.random.default_rng([seed, 77])
     tones, places = rng.spawn(2)

@@ -10,7 +10,8 @@ NAMES = (
     # load
     "damping_asymmetry", "quadratic", "constant_load", "stiffness", "play", "play_in_loop",
     # leakage and valves
-    "turbulent", "leakage_offset", "external_leakage", "relief_gain", "relief_pressure",
+    "turbulent", "leakage_offset", "external_leakage_1", "external_leakage_2",
+    "tank", "relief_gain", "relief_pressure",
     "check_gain", "check_pressure",
     # oil and chambers
     "air_fraction", "air_exponent", "volume_slope",
@@ -26,7 +27,8 @@ NAMES = (
 (AREA, VOLUME, MASS, DAMPING, BULK_MODULUS, LEAKAGE, MAKEUP, CHARGE_PRESSURE, DISPLACEMENT,
  POSITION_GAIN, SEAL_FORWARD, SEAL_BACKWARD, SEAL_STATIC, STRIBECK_SPEED, SEAL_PER_PRESSURE,
  SEAL_TRAVEL, SOFT_SEAL, SOFT_TRAVEL, DAMPING_ASYMMETRY, QUADRATIC, CONSTANT_LOAD, STIFFNESS,
- PLAY, PLAY_IN_LOOP, TURBULENT, LEAKAGE_OFFSET, EXTERNAL_LEAKAGE, RELIEF_GAIN, RELIEF_PRESSURE,
+ PLAY, PLAY_IN_LOOP, TURBULENT, LEAKAGE_OFFSET, EXTERNAL_LEAKAGE_1,
+ EXTERNAL_LEAKAGE_2, TANK, RELIEF_GAIN, RELIEF_PRESSURE,
  CHECK_GAIN, CHECK_PRESSURE, AIR_FRACTION, AIR_EXPONENT, VOLUME_SLOPE, DEAD_ZONE, PUMP_GAIN,
  PUMP_LOSS, LINE_INERTANCE, LINE_RESISTANCE, LINE_VOLUME, DRIVE_LAG, SPEED_LIMIT,
  FEEDBACK_DELAY, HUMP_FORCE, HUMP_PLACE, HUMP_WIDTH, STICK_FORCE, STICK_PLACE, STICK_WIDTH,

@@ -26,7 +26,8 @@ from eha_monitor.concealed.places import (
     DEAD_ZONE,
     DISPLACEMENT,
     DRIVE_LAG,
-    EXTERNAL_LEAKAGE,
+    EXTERNAL_LEAKAGE_1,
+    EXTERNAL_LEAKAGE_2,
     FEEDBACK_DELAY,
     GAPPED_MASS,
     GAPPED_PLAY,
@@ -69,18 +70,21 @@ from eha_monitor.concealed.places import (
     STICKY_OPEN,
     STIFFNESS,
     STRIBECK_SPEED,
+    TANK,
     TURBULENT,
     VOLUME,
     VOLUME_SLOPE,
 )
 
 ATMOSPHERE = 1.01325e5  # Pa
+CAVITATION = 5e4  # Pa; no motion of the trial is meant to come near it
 LAMINAR = 5e3  # Pa, below which an orifice flows like a capillary
 MICRO_DAMPING = 0.6  # s1 in units of sqrt(s0 M)
 MICRO_SPEED = 5e-3  # m/s, above which the micro damping fades: keeps the seal passive
 STICK_SPEED = 0.03  # m/s, speed over which a sticking place lets go
-CONTACT_STIFFNESS, CONTACT_DAMPING = 2e6, 3000.0  # N/m, N s/m of the gapped load
+CONTACT_STIFFNESS, CONTACT_LOSS = 2e6, 20.0  # N/m, s/m of the gapped load (Hunt, Crossley)
 GAPPED_DAMPING = 150.0  # N s/m of the gapped load's own guide
+GAPPED_FILM = 400.0  # N s/m between piston and gapped load: without it the bouncing is chaotic
 
 # State: piston, chambers, drive, line, shaft angle, gapped load, then discrete memory.
 SX, SV, SP1, SP2, SW, SLP, SLQ, SANGLE, SXL, SVL = range(10)
@@ -138,9 +142,10 @@ def _bristle_force(z, v, level, stiffness, mass):
 @njit
 def _compliance(p, c):
     """Return the mixture's -(dV/dp)/V in 1/Pa: liquid and polytropic air, both at ``p``."""
+    if p < CAVITATION:  # vapour: no chamber is drawn below it
+        return 1.0 / c[BULK_MODULUS] + 1e-6 * (CAVITATION - p) / CAVITATION
     if c[AIR_FRACTION] == 0.0:
         return 1.0 / c[BULK_MODULUS]
-    p = max(p, 1e4)
     air = c[AIR_FRACTION] * (ATMOSPHERE / p) ** (1.0 / c[AIR_EXPONENT])
     liquid = 1.0 - c[AIR_FRACTION]
     return (liquid / c[BULK_MODULUS] + air / (c[AIR_EXPONENT] * p)) / (liquid + air)
@@ -188,10 +193,10 @@ def _command(x_d, x_read, c):
 
 
 @njit
-def _own_flow(p, open_, c):
+def _own_flow(p, leakage, open_, c):
     """Return what one chamber gains from the charge line and loses to the outside."""
     flow = c[MAKEUP] * (c[CHARGE_PRESSURE] - p)
-    flow -= c[EXTERNAL_LEAKAGE] * (p - ATMOSPHERE)
+    flow -= leakage * (p - c[TANK])
     if c[CHECK_GAIN] > 0.0 and p < c[CHECK_PRESSURE]:
         flow += c[CHECK_GAIN] * (c[CHECK_PRESSURE] - p)
     if open_ > 0.5:
@@ -222,7 +227,8 @@ def _derivatives(y, memory, w_command, c, dy):
         if beyond > 0.0:
             closing = math.copysign(v - y[SVL], apart * (v - y[SVL]))
             contact = math.copysign(
-                max(CONTACT_STIFFNESS * beyond + CONTACT_DAMPING * closing, 0.0), apart)
+                CONTACT_STIFFNESS * beyond * max(1.0 + CONTACT_LOSS * closing, 0.0), apart)
+        contact += GAPPED_FILM * (v - y[SVL])
         resisting += contact
         dy[SXL] = y[SVL]
         dy[SVL] = (contact - GAPPED_DAMPING * y[SVL]) / c[GAPPED_MASS]
@@ -241,10 +247,11 @@ def _derivatives(y, memory, w_command, c, dy):
         supply = _pumped(w, dp, y[SANGLE], c)
         dy[SLQ] = dy[SLP] = 0.0
     net = supply - c[AREA] * v - _leak(x, dp, c)
-    swept = c[VOLUME_SLOPE] * c[AREA] * x
-    dy[SP1] = ((net + _own_flow(p1, memory[VALVE], c))
+    swept = c[VOLUME_SLOPE] * x
+    dy[SP1] = ((net + _own_flow(p1, c[EXTERNAL_LEAKAGE_1], memory[VALVE], c))
                / ((c[VOLUME] + swept) * _compliance(p1, c)))
-    dy[SP2] = (-net + _own_flow(p2, 0.0, c)) / ((c[VOLUME] - swept) * _compliance(p2, c))
+    dy[SP2] = ((-net + _own_flow(p2, c[EXTERNAL_LEAKAGE_2], 0.0, c))
+               / ((c[VOLUME] - swept) * _compliance(p2, c)))
 
 
 @njit
@@ -297,8 +304,8 @@ def run(c, x_d, h, out):
     y[SXL] = memory[PLAYED] = x_d[0]
     for i in range(n):
         memory[PLAYED] = _played(memory[PLAYED], y[SX], c)
+        out[i, 0] = y[SX]  # first: a delayed controller reads it
         now = _command(x_d[2 * i], _read_position(i, 0.0, y, y[SX], memory, h, c, out), c)
-        out[i, 0] = y[SX]
         out[i, 1] = memory[PLAYED]
         out[i, 2] = y[SV]
         out[i, 3] = y[SP1]

@@ -67,7 +67,7 @@ def measure(fine: np.ndarray, fine_time: np.ndarray, time: np.ndarray, sensors: 
              "omega": (seen(OMEGA, sensors.speed_lag)
                        + noise * sensors.speed_noise * drawn["omega"])}
     for name, column in (("p1", P1), ("p2", P2)):
-        p = seen(column, sensors.pressure_lag, faults.get(f"delay_{name}", 0.0))
+        p = seen(column, sensors.pressure_lag, faults.get("pressure_delay", 0.0))
         p = p * (1.0 + faults.get(f"scale_{name}", 0.0)) + faults.get(f"offset_{name}", 0.0)
         p = p + faults.get(f"drift_{name}", 0.0) * time
         shown[name] = p + noise * sensors.pressure_noise * drawn[name]

@@ -1,0 +1,122 @@
+"""Draws for the trial: rigs, motions, strengths, sets of effects; and the second published EHA."""
+
+import numpy as np
+
+from eha_monitor.concealed.cases import RIG, Case, effect_names, outside_names
+from eha_monitor.concealed.hidden import SIGNED
+
+# At most one of each: with two, one contains or undoes the other.
+FAMILIES = (
+    ("coulomb_friction", "stribeck_friction", "asymmetric_friction", "pressure_friction",
+     "presliding_friction"),
+    ("cross_port_leakage", "turbulent_leakage", "leakage_offset"),
+    ("pump_flow_gain", "pump_volumetric_loss"),
+    ("drive_lag", "command_delay", "feedback_delay", "position_delay"),
+    ("pressure_offset", "pressure_scale", "pressure_drift"),
+    ("external_leakage", "anti_cavitation"),
+    ("backlash", "position_quantisation"),
+)
+MOTIONS = {"rich": 0.7, "short": 0.15, "triangle": 0.15}
+CHANNELS = {
+    ("x", "x_d", "omega", "p1", "p2"): 0.85,
+    ("x", "x_d", "omega"): 0.075,
+    ("x", "p1", "p2"): 0.075,
+}
+# Effects in a case -> share of the cases; "outside" is one that has no name in the catalogue.
+SETS = {0: 0.15, 1: 0.45, 2: 0.2, 3: 0.1, "outside": 0.1}
+STRENGTHS = (0.03, 1.2)
+# McMaster (Gadsden, Habibi): friction a2 v + (a1 v^2 + a3) sgn v, leakage L dp + Q_L0 sgn dp.
+MCMASTER_RIG = {
+    "A": 1.52e-3, "D_p": 5.57e-7, "M": 7.376, "V": 1.08e-3, "beta_e": 2.07e8,
+    "K_pos": 22000.0, "C_T": 2e-13, "p_charge": 8e6,
+}
+MCMASTER = {  # L, Q_L0, a1, a2, a3 in SI
+    "normal": (4.78e-12, 2.41e-6, 6.589e4, 2.144e3, 436.0),
+    "leakage": (6.01e-11, 1.47e-5, 6.589e4, 2.144e3, 436.0),
+    "friction": (4.78e-12, 2.41e-6, 4.462e6, 1.863e4, 551.0),
+}
+
+
+def draw_rig(rng: np.random.Generator) -> dict[str, float]:
+    """Return a rig about the paper's whose position loop is stable with a margin."""
+    paper = {key: value for key, (_, value) in RIG.items()}
+    rig = {
+        "A": paper["A"] * rng.uniform(0.7, 1.5),
+        "V": paper["V"] * rng.uniform(0.8, 1.8),
+        "M": rng.uniform(12.0, 30.0),
+        "B": float(np.exp(rng.uniform(np.log(400.0), np.log(1800.0)))),
+        "beta_e": float(np.exp(rng.uniform(np.log(4e8), np.log(1e9)))),
+        "C_T": paper["C_T"] * rng.uniform(0.8, 2.0),
+        "D_p": paper["D_p"] * rng.uniform(0.8, 1.5),
+        "amplitude": rng.uniform(0.6, 1.1),
+    }
+    # The resonance has the loop gain K/(B/M); below one half it stays stable with any lag.
+    loop = min(rng.uniform(5.0, 9.0), 0.45 * rig["B"] / (rig["M"] + 8.0))
+    rig["K_pos"] = loop * rig["A"] / rig["D_p"]
+    rig["amplitude"] = min(rig["amplitude"], 27000.0 / rig["K_pos"])  # a plausible pump speed
+    return {key: float(f"{value:.4g}") for key, value in rig.items()}
+
+
+def draw_cases(n: int, seed: int, *, paper_rig: float = 0.3) -> list[Case]:
+    """Draw ``n`` cases; the same seed gives the same cases, and fewer are a head of more.
+
+    Parameters
+    ----------
+    n : how many.
+    seed : of everything.
+    paper_rig : share of the cases on the paper's own rig.
+    """
+    return [_draw(f"c{i + 1:03d}", np.random.default_rng([seed, i]), paper_rig)
+            for i in range(n)]
+
+
+def _draw(name: str, rng: np.random.Generator, paper_rig: float) -> Case:
+    kinds = list(SETS)
+    count = kinds[rng.choice(len(kinds), p=list(SETS.values()))]
+    motion = str(rng.choice(list(MOTIONS), p=list(MOTIONS.values())))
+    layouts = list(CHANNELS)
+    channels = layouts[rng.choice(len(layouts), p=list(CHANNELS.values()))]
+    noise = float(rng.choice([1.0, 3.0, 10.0], p=[0.8, 0.1, 0.1]))
+    rig = {} if rng.random() < paper_rig else draw_rig(rng)
+    names = ([str(rng.choice(outside_names()))] if count == "outside"
+             else draw_names(int(count), rng))
+    effects, options = [], {}
+    for one in names:
+        low, high = STRENGTHS
+        strength = float(np.exp(rng.uniform(np.log(low), np.log(high))))
+        if count == "outside":
+            strength = float(rng.uniform(0.5, 1.2))
+        if one in SIGNED and one != "cross_port_leakage" and rng.random() < 0.5:
+            strength = -strength
+        if one in ("pressure_offset", "pressure_scale", "pressure_drift"):
+            options[one] = {"sensor": str(rng.choice(["p1", "p2", "both"]))}
+        effects.append((one, float(f"{strength:.4g}")))
+    return Case(name, tuple(effects), motion=motion, seed=int(rng.integers(2**31)), noise=noise,
+                channels=channels, rig=rig, options=options)
+
+
+def draw_names(count: int, rng: np.random.Generator) -> list[str]:
+    """Return ``count`` names of the catalogue, at most one of each family."""
+    chosen: list[str] = []
+    for name in rng.permutation(effect_names()):
+        name = str(name)
+        family = next((f for f in FAMILIES if name in f), (name,))
+        if len(chosen) < count and not any(one in family for one in chosen):
+            chosen.append(name)
+    return chosen
+
+
+def mcmaster_case(state: str, *, motion: str = "rich", seed: int = 0) -> Case:
+    """Return the second published EHA in one of its states.
+
+    Its leakage is L dp on top of the base rig's, which the nominal config knows.
+
+    Parameters
+    ----------
+    state : ``normal``, ``leakage`` (major) or ``friction`` (major).
+    """
+    leak, offset, a_1, a_2, a_3 = MCMASTER[state]
+    parameters = {"coulomb_friction": {"F_c": a_3}, "quadratic_friction": {"a_1": a_1},
+                  "cross_port_leakage": {"L": leak}, "leakage_offset": {"Q_0": offset}}
+    return Case(f"mcmaster_{state}", tuple((name, 1.0) for name in parameters), motion=motion,
+                seed=seed, rig={**MCMASTER_RIG, "B": a_2}, options=parameters)
