@@ -109,7 +109,12 @@ def test_what_is_wrong_is_said(key, value, words):
     ({"friction": {}}, "unknown effect 'friction'"),
     ({"coulomb_friction": {}}, "coulomb_friction.F_c: expected a number in N"),
     ({"coulomb_friction": {"F_c": -1}}, "from 0 to"),
-    ({"coulomb_friction": {"F_c": "3 Pa"}}, "expected a number in N"),
+    ({"coulomb_friction": {"F_c": "3 Pa"}}, "coulomb_friction.F_c: expected a number in N"),
+    ({"coulomb_friction": {"F_c": None}}, "coulomb_friction.F_c: expected a number in N"),
+    ({"coulomb_friction": {"F_c": float("inf")}}, "coulomb_friction.F_c: expected at most"),
+    ({"drive_saturation": {}}, "drive_saturation.omega_max: expected a number in rad/s"),
+    ({"added_mass": {"dM": -1}}, "added_mass.dM: expected a number in kg from 0 to"),
+    ({"spring_load": {"k": "900 N/s"}}, "spring_load.k: expected a number in N/m"),
     ({"coulomb_friction": {"F_c": 1, "g": 2}}, "coulomb_friction.g: unknown key"),
     ({"coulomb_friction": 3}, "expected its parameters F_c, v_e"),
     (["coulomb_friction"], "expected a mapping")])
@@ -122,3 +127,26 @@ def test_effects_are_checked_against_the_catalogue(effects, words):
 def test_effects_take_their_defaults():
     found = settings_from_tree({"effects": {"entrained_air": {"alpha": "2 %"}}}, "x")
     assert found.effects == {"entrained_air": {"alpha": 0.02, "n": 1.4}}
+
+
+@pytest.mark.parametrize("given, meant", [
+    ({"omega_max": 200}, {"omega_max": 200.0, "slew": 1e9}),
+    ({"omega_max": float("inf"), "slew": "3000 rad/s^2"}, {"omega_max": 1e6, "slew": 3e3})])
+def test_a_limit_that_is_left_out_is_out_of_reach(given, meant):
+    found = settings_from_tree({"effects": {"drive_saturation": given}}, "x").effects
+    assert found == {"drive_saturation": meant}
+    assert settings_from_tree({"effects": found}, "x").effects == found
+
+
+def test_a_size_beside_another_is_zero_where_it_is_left_out():
+    found = settings_from_tree({"effects": {"pressure_offset": {"b_2": "0.4 bar"}}}, "x").effects
+    assert found == {"pressure_offset": {"b_1": 0.0, "b_2": pytest.approx(4e4)}}
+
+
+@pytest.mark.parametrize("effect", CATALOGUE.values(), ids=lambda effect: effect.name)
+def test_every_parameter_can_be_written_with_its_unit(effect):
+    values = {p.name: min(max(p.scale, p.lower), p.upper) for p in effect.parameters}
+    written = {p.name: f"{values[p.name]!r} {'' if p.unit == '1' else p.unit}"
+               for p in effect.parameters}
+    found = settings_from_tree({"effects": {effect.name: written}}, "x").effects
+    assert found == {effect.name: pytest.approx(values)}
