@@ -168,7 +168,7 @@ def fine_run(case: Case, made: list[Hidden],
     constants, sensors = constants_of(case, made)
     mass = constants[NAMES.index("mass")]
     fastest = max(np.sqrt(bristle_stiffness(constants) / mass), 1.0)
-    substeps = max(substeps, int(np.ceil(fastest * SAMPLE_TIME / 0.1)))
+    substeps = max(substeps, int(np.ceil(fastest * SAMPLE_TIME / 0.15)))
     h = SAMPLE_TIME / substeps
     before = round(PREROLL / SAMPLE_TIME) * substeps
     after = (samples_of(case) + 1) * substeps
