@@ -19,6 +19,7 @@ from eha_monitor.concealed.cases import (
 )
 from eha_monitor.concealed.draws import FAMILIES, draw_cases, mcmaster_case
 from eha_monitor.concealed.generate import nominal_config, recording_of, write_case
+from eha_monitor.concealed.motions import triangle
 from eha_monitor.concealed.places import OMEGA, P1, P2, V, X
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.settings.load import load_settings
@@ -26,6 +27,7 @@ from eha_monitor.settings.load import load_settings
 PACKAGE = Path(__file__).parents[1] / "eha_monitor"
 SIMULATOR = Path(__file__).parents[2] / "shared" / "data" / "fluid_power_sim"
 NOISE = {"x": 2e-6, "omega": 0.1, "p1": 2e3, "p2": 2e3}
+TRIANGLE = triangle(np.arange(3000) * 1e-3, 4.0, 0.04)  # the paper's, as far as needed
 BARRED = ("physics", "filters", "mismatch", "health", "settings")
 # The one module that writes bags; its reach stops at what it calls.
 WRITING = ("eha_monitor.recordings", "eha_monitor.settings", "eha_monitor.output",
@@ -89,7 +91,7 @@ def plateau(case: Case, start: float, stop: float) -> dict[str, float]:
 
 
 def test_steady_motion_obeys_the_balances():
-    here = plateau(Case("a", motion="triangle"), 2.2, 2.9)
+    here = plateau(Case("a", demand=TRIANGLE), 2.2, 2.9)
     assert here["v"] == pytest.approx(-0.04, rel=1e-4)
     assert 5.05e-4 * here["dp"] == pytest.approx(600.0 * here["v"], rel=1e-4)
     flow = 1.6925e-7 * here["omega"]
@@ -102,20 +104,20 @@ def test_steady_motion_obeys_the_balances():
     ("asymmetric_friction", -10.0 + 100.0 * 0.04),
 ])
 def test_forces_have_the_size_that_the_key_says(effect, force):
-    here = plateau(Case("a", ((effect, 1.0),), motion="triangle"), 2.2, 2.9)
+    here = plateau(Case("a", ((effect, 1.0),), demand=TRIANGLE), 2.2, 2.9)
     assert 5.05e-4 * here["dp"] + 600.0 * 0.04 == pytest.approx(force, abs=0.02)
 
 
 def test_spring_pushes_back():
-    here = plateau(Case("a", (("spring_load", 1.0),), motion="triangle"), 2.2, 2.9)
+    here = plateau(Case("a", (("spring_load", 1.0),), demand=TRIANGLE), 2.2, 2.9)
     assert 5.05e-4 * here["dp"] - 600.0 * here["v"] == pytest.approx(8000.0 * here["x"], abs=0.1)
 
 
 @pytest.mark.parametrize("effect, speed", [
     ("pump_dead_zone", -8.0), ("pump_flow_gain", None), ("leakage_offset", -1e-6 / 1.6925e-7)])
 def test_flows_have_the_size_that_the_key_says(effect, speed):
-    base = plateau(Case("a", motion="triangle"), 2.2, 2.9)["omega"]
-    here = plateau(Case("a", ((effect, 1.0),), motion="triangle"), 2.2, 2.9)["omega"]
+    base = plateau(Case("a", demand=TRIANGLE), 2.2, 2.9)["omega"]
+    here = plateau(Case("a", ((effect, 1.0),), demand=TRIANGLE), 2.2, 2.9)["omega"]
     expected = base + speed if speed is not None else base / 0.92
     assert here == pytest.approx(expected, rel=1e-3)
 
