@@ -1,16 +1,49 @@
 """All active effects of the catalogue in one compiled call."""
 
+from collections.abc import Callable
+
 import numpy as np
 
-from eha_monitor.compiled import literal_unroll, njit
+from eha_monitor.compiled import njit
+from eha_monitor.physics.effect import no_circuit, no_term, no_update
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.signals import LIMITS, MAX_MEMORY, MAX_PARAMETERS, N_BASE, N_CIRCUIT
 
 N_EFFECTS = len(CATALOGUE)
 N_THETA = N_BASE + N_EFFECTS * MAX_PARAMETERS
-_TERMS = tuple(effect.term for effect in CATALOGUE.values())
-_UPDATES = tuple(effect.update for effect in CATALOGUE.values())
-_CIRCUITS = tuple(effect.circuit for effect in CATALOGUE.values())
+_EFFECTS = tuple(CATALOGUE.values())
+_HAS_TERM = np.array([effect.term is not no_term for effect in _EFFECTS])
+_HAS_UPDATE = np.array([effect.update is not no_update for effect in _EFFECTS])
+_HAS_CIRCUIT = np.array([effect.circuit is not no_circuit for effect in _EFFECTS])
+
+
+def _by_place(functions: list[Callable], wanted: np.ndarray, call: str, header: str) -> Callable:
+    """Return a compiled function that calls one entry's function by its place ``which``.
+
+    Written out as a chain of comparisons, which the compiler turns into one jump; numba's own
+    loop over a tuple of functions costs several times the physics.
+
+    Parameters
+    ----------
+    call : arguments of the entry's function, with ``{p}`` for its parameters and ``{m}`` for its
+        memory.
+    header : arguments of the function made.
+    """
+    lines = [f"def by_place({header}):", "    if which < 0:", "        pass"]
+    for i in np.flatnonzero(wanted):
+        start = N_BASE + i * MAX_PARAMETERS
+        given = call.format(p=f"theta[{start}:{start + MAX_PARAMETERS}]", m=f"memory[{i}]")
+        lines += [f"    elif which == {i}:", f"        function_{i}({given})"]
+    names = {f"function_{i}": function for i, function in enumerate(functions)}
+    exec(compile("\n".join(lines), "<catalogue>", "exec"), names)
+    return njit(names["by_place"], cache=False, forceinline=True)
+
+
+_term = _by_place([e.term for e in _EFFECTS], _HAS_TERM, "s, {p}, {m}, c",
+                  "which, s, theta, memory, c")
+_update = _by_place([e.update for e in _EFFECTS], _HAS_UPDATE, "s, {p}, h, {m}",
+                    "which, s, theta, h, memory")
+_circuit = _by_place([e.circuit for e in _EFFECTS], _HAS_CIRCUIT, "{p}, w", "which, theta, w")
 
 
 def new_memory() -> np.ndarray:
@@ -18,36 +51,40 @@ def new_memory() -> np.ndarray:
     return np.zeros((N_EFFECTS, MAX_MEMORY))
 
 
+@njit
+def with_term(active):
+    """Return the places of the active effects that have a term, ascending."""
+    return np.flatnonzero(active & _HAS_TERM)
+
+
+@njit
+def with_update(active):
+    """Return the places of the active effects that remember, ascending."""
+    return np.flatnonzero(active & _HAS_UPDATE)
+
+
 @njit(forceinline=True)
-def add_contributions(s, theta, active, memory, c):
+def add_contributions(s, theta, terms, memory, c):
     """Fill ``c`` with the sum of the active effects.
 
     Parameters
     ----------
     s : (N_SIGNALS,) signals, SI.
     theta : (N_THETA,) base parameters, then MAX_PARAMETERS places for each effect.
-    active : (N_EFFECTS,) bool.
+    terms : places of the effects that add (:func:`with_term`).
     memory : (N_EFFECTS, MAX_MEMORY), read.
     c : (N_CONTRIBUTIONS,) written.
     """
     c[:] = 0.0
-    i = 0
-    for term in literal_unroll(_TERMS):
-        if active[i]:
-            start = N_BASE + i * MAX_PARAMETERS
-            term(s, theta[start : start + MAX_PARAMETERS], memory[i], c)
-        i += 1
+    for which in terms:
+        _term(which, s, theta, memory, c)
 
 
-@njit
-def update_memory(s, theta, active, h, memory):
-    """Carry the memory of the active effects over a step of ``h`` s that ends at ``s``."""
-    i = 0
-    for update in literal_unroll(_UPDATES):
-        if active[i]:
-            start = N_BASE + i * MAX_PARAMETERS
-            update(s, theta[start : start + MAX_PARAMETERS], h, memory[i])
-        i += 1
+@njit(forceinline=True)
+def update_memory(s, theta, updates, h, memory):
+    """Carry the memory of effects (:func:`with_update`) over a step of ``h`` s ending at ``s``."""
+    for which in updates:
+        _update(which, s, theta, h, memory)
 
 
 @njit
@@ -56,10 +93,6 @@ def circuit_of(theta, active):
     w = np.zeros(N_CIRCUIT)
     for place in LIMITS:
         w[place] = np.inf
-    i = 0
-    for circuit in literal_unroll(_CIRCUITS):
-        if active[i]:
-            start = N_BASE + i * MAX_PARAMETERS
-            circuit(theta[start : start + MAX_PARAMETERS], w)
-        i += 1
+    for which in np.flatnonzero(active & _HAS_CIRCUIT):
+        _circuit(which, theta, w)
     return w

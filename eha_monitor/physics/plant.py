@@ -14,8 +14,14 @@ import math
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.physics.balances import drive_speed, rates
-from eha_monitor.physics.contributions import add_contributions, circuit_of, update_memory
+from eha_monitor.physics.balances import acceleration, drive_speed, rates
+from eha_monitor.physics.contributions import (
+    add_contributions,
+    circuit_of,
+    update_memory,
+    with_term,
+    with_update,
+)
 from eha_monitor.physics.signals import (
     COMMAND_DELAY,
     DRIVE_LAG,
@@ -52,7 +58,6 @@ N_OUTPUTS = 5  # what sensors show: x, v, p1, p2, omega
 SHORTEST_LAG = 0.4  # integration steps: a lag below is not resolved
 
 
-
 def new_state(x: float, p1: float, p2: float) -> np.ndarray:
     """Return the state at rest at ``x`` (m) with the given pressures (Pa), (N_STATE,)."""
     y = np.zeros(N_STATE)
@@ -75,7 +80,7 @@ def input_at(u, pieces, place):
     u : (n*pieces, 4) cubic on each of ``pieces`` equal pieces of a sample, argument 0 to 1.
     """
     along = place * pieces
-    i = int(math.floor(along))
+    i = math.floor(along)
     i = max(0, min(i, u.shape[0] - 1))
     f = min(max(along - i, 0.0), 1.0)
     return u[i, 0] + f * (u[i, 1] + f * (u[i, 2] + f * u[i, 3]))
@@ -98,7 +103,7 @@ def delayed_position(past, last, step, delay, offset, x, v, acceleration):
     back = delay / step - offset
     if back < 0.0:
         return x - delay * (v - 0.5 * delay * acceleration)
-    j = min(int(math.floor(back)), RING - 2)
+    j = min(math.floor(back), RING - 2)
     new, old = (last - j) % RING, (last - j - 1) % RING
     # Cubic Hermite between two ends, g from the older to the newer.
     g = 1.0 - min(back - j, 1.0)
@@ -113,7 +118,7 @@ def delayed_pressure(past, last, step, delay, which, y):
     if delay <= 0.0:
         return y[which]
     back = delay / step
-    j = min(int(math.floor(back)), RING - 2)
+    j = min(math.floor(back), RING - 2)
     f = min(back - j, 1.0)
     return (1.0 - f) * past[(last - j) % RING, which] + f * past[(last - j - 1) % RING, which]
 
@@ -148,7 +153,8 @@ def drive_rate(wanted, omega, lag, slew):
 
 
 @njit
-def advance(y, t, dt, steps, u, pieces, first, closed, theta, active, w, memory, past, last, c, s):
+def advance(y, t, dt, steps, u, pieces, first, closed, theta, terms, updates, w, memory, past,
+            last, c, s):
     """Carry the actuator over one sample in place; returns the past's newest entry.
 
     Parameters
@@ -159,7 +165,8 @@ def advance(y, t, dt, steps, u, pieces, first, closed, theta, active, w, memory,
     u, pieces, first : input (:func:`input_at`) and the sample's place in it.
     closed : True where u is x_d in m and the drive closes the loop; False where u is the shaft
         speed in rad/s.
-    theta, active, w, memory : parameters, active effects, circuit, the effects' memory.
+    theta, terms, updates, w, memory : parameters, active effects that add and that remember,
+        circuit, the effects' memory.
     past, last : ring of the past and its newest entry.
     c, s : (N_CONTRIBUTIONS,) and (N_SIGNALS,) scratch; c is zero where no effect is active.
     """
@@ -168,14 +175,14 @@ def advance(y, t, dt, steps, u, pieces, first, closed, theta, active, w, memory,
     lag = max(w[DRIVE_LAG], SHORTEST_LAG * h)
     slew, command_delay, feedback_delay = w[SLEW_LIMIT], w[COMMAND_DELAY], w[FEEDBACK_DELAY]
     play = w[PLAY]
-    any_active = active.any()
+    any_active, any_memory = len(terms) > 0, len(updates) > 0
     unknown_force, unknown_flow, unknown_speed = y[Y_FORCE], y[Y_FLOW], y[Y_SPEED]
     x, v, p1, p2, omega = y[Y_X], y[Y_V], y[Y_P1], y[Y_P2], y[Y_OMEGA]
     played, before = y[Y_PLAYED], y[Y_ACCELERATION]
     for i in range(steps):
         sum_v = sum_a = sum_1 = sum_2 = sum_o = 0.0
         xs, vs, p1s, p2s, os = x, v, p1, p2, omega
-        a = d1 = d2 = do = 0.0
+        a = d1 = d2 = do = turning = 0.0
         for stage in range(4):
             offset = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
             if stage > 0:
@@ -186,7 +193,7 @@ def advance(y, t, dt, steps, u, pieces, first, closed, theta, active, w, memory,
                 place = (i + offset) * pieces / steps
                 piece = min(int(place), pieces - 1)
                 if stage == 3:  # a jump at the end of the step belongs to the next
-                    piece = int(math.ceil(place - 1e-9)) - 1
+                    piece = math.ceil(place - 1e-9) - 1
                 value = piece_at(u, first * pieces + piece, place - piece)
             else:
                 value = input_at(u, pieces, first + (i + offset) / steps - command_delay / dt)
@@ -205,7 +212,7 @@ def advance(y, t, dt, steps, u, pieces, first, closed, theta, active, w, memory,
             if any_active:
                 s[T], s[X], s[V], s[P1], s[P2] = t + (i + offset) * h, xs, vs, p1s, p2s
                 s[OMEGA], s[X_D] = turning, value
-                add_contributions(s, theta, active, memory, c)
+                add_contributions(s, theta, terms, memory, c)
             c[FORCE] += unknown_force
             a, d1, d2 = rates(vs, p1s, p2s, turning, unknown_flow, theta, c)
             c[FORCE] -= unknown_force
@@ -223,9 +230,11 @@ def advance(y, t, dt, steps, u, pieces, first, closed, theta, active, w, memory,
         omega += g * sum_o
         before = sum_a / 6.0
         played = behind_play(x, played, play) if play > 0.0 else x
-        if any_active:
+        if not slow:
+            omega = turning - unknown_speed
+        if any_memory:
             s[T], s[X], s[V], s[P1], s[P2] = t + (i + 1) * h, x, v, p1, p2
-            update_memory(s, theta, active, h, memory)
+            update_memory(s, theta, updates, h, memory)
         last = (last + 1) % RING
         past[last, 0], past[last, 1], past[last, 2], past[last, 3] = x, v, p1, p2
     y[Y_X], y[Y_V], y[Y_P1], y[Y_P2], y[Y_OMEGA] = x, v, p1, p2, omega
@@ -289,19 +298,63 @@ def run(y, t0, dt, steps, u, pieces, lead, theta, active, memory, past, last, ou
     """
     c, s = np.zeros(N_CONTRIBUTIONS), np.zeros(N_SIGNALS)
     w = circuit_of(theta[0], active)
+    terms, updates = with_term(active), with_update(active)
     for k in range(out.shape[0]):
         row = theta[0]
         if theta.shape[0] > 1:
             row = theta[k]
             w = circuit_of(row, active)
         t = t0 + k * dt
-        demanded, omega = speed_now(y, u, pieces, lead + k, dt, steps, True, row, w, past, last)
+        _, omega = speed_now(y, u, pieces, lead + k, dt, steps, True, row, w, past, last)
         out[k, T] = t
         out[k, X], out[k, V], out[k, P1], out[k, P2] = y[Y_X], y[Y_V], y[Y_P1], y[Y_P2]
         out[k, OMEGA] = omega
         out[k, X_D] = piece_at(u, (lead + k) * pieces, 0.0)
         sense(y, t, dt / steps, past, last, w, shown[k])
         shown[k, 4] = omega
-        last = advance(y, t, dt, steps, u, pieces, lead + k, True, row, active, w, memory, past,
-                       last, c, s)
+        last = advance(y, t, dt, steps, u, pieces, lead + k, True, row, terms, updates, w, memory,
+                       past, last, c, s)
     return last
+
+
+@njit
+def advance_forced(y, t, dt, steps, u, first, p1, p2, theta, terms, updates, memory, c, s):
+    """Carry position and velocity over one sample under a given force, in place.
+
+    Parameters
+    ----------
+    y : (N_STATE,) state; pressures and drive are left alone.
+    u : (n, 4) driving force in N, a cubic on each sample; ``first`` the sample.
+    p1, p2 : (n,) pressures for effects that depend on them, Pa, linear between samples.
+    The rest is that of :func:`advance`.
+    """
+    h = dt / steps
+    any_active, any_memory = len(terms) > 0, len(updates) > 0
+    x, v = y[Y_X], y[Y_V]
+    after = min(first + 1, p1.shape[0] - 1)
+    for i in range(steps):
+        sum_v = sum_a = a = 0.0
+        xs, vs = x, v
+        for stage in range(4):
+            offset = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+            if stage > 0:
+                g = offset * h
+                xs, vs = x + g * vs, v + g * a
+            f = (i + offset) / steps
+            if any_active:
+                s[T], s[X], s[V] = t + f * dt, xs, vs
+                s[P1] = (1.0 - f) * p1[first] + f * p1[after]
+                s[P2] = (1.0 - f) * p2[first] + f * p2[after]
+                add_contributions(s, theta, terms, memory, c)
+            c[FORCE] += y[Y_FORCE]
+            a = acceleration(piece_at(u, first, f), vs, theta, c)
+            c[FORCE] -= y[Y_FORCE]
+            weight = 1.0 if stage == 0 or stage == 3 else 2.0
+            sum_v += weight * vs
+            sum_a += weight * a
+        x += h / 6.0 * sum_v
+        v += h / 6.0 * sum_a
+        if any_memory:
+            s[T], s[X], s[V] = t + (i + 1) * h, x, v
+            update_memory(s, theta, updates, h, memory)
+    y[Y_X], y[Y_V], y[Y_PLAYED] = x, v, x

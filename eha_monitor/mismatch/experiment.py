@@ -1,0 +1,278 @@
+"""What the diagnosis looks at: one or more recordings of one rig, ready for the filter."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from eha_monitor.errors import InputError
+from eha_monitor.filters.inputs import force_of, without_spikes
+from eha_monitor.filters.noise import noise_levels, quantum
+from eha_monitor.mismatch.innovations import CLOSED, FORCED, OPEN
+from eha_monitor.mismatch.inputs import cubics, filled
+from eha_monitor.physics import signals as s
+from eha_monitor.physics.effect import Ranges
+from eha_monitor.physics.parameters import theta_of
+from eha_monitor.physics.plant import N_OUTPUTS
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.monitor import Settings
+
+OUTPUTS = ("x", "v", "p1", "p2", "omega")
+BURN_IN = 0.15  # s at the start of each stretch in which the filter finds the state
+LONGEST_GAP = 0.02  # s of missing input that is bridged
+SHORTEST = 0.5  # s of a stretch worth fitting
+PERIOD, SHARE = 5.0, 0.2  # of every 5 s the last fifth is held out
+STEP_PHASE = 0.16  # rad of the fastest resonance in one integration step
+MOST_STEPS = 40
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """One gapless stretch of a recording.
+
+    Attributes
+    ----------
+    start : time of its first sample in its recording, s; ``source`` names the recording.
+    z : (n, N_OUTPUTS) measured x, v, p1, p2, omega (SI), NaN where missing.
+    u : (n, 4) input as cubics: x_d (m), pump speed (rad/s) or force (N).
+    p1, p2 : (n,) pressures for a forced model, Pa.
+    counted : (n,) bool, samples whose innovations are fitted.
+    held_out : (n,) bool, samples kept aside for the proof.
+    """
+
+    source: str
+    start: float
+    z: np.ndarray
+    u: np.ndarray
+    p1: np.ndarray
+    p2: np.ndarray
+    counted: np.ndarray
+    held_out: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.z)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Recordings of one rig as the mismatch filter takes them.
+
+    Attributes
+    ----------
+    settings : nominal config, effects included.
+    mode : ``CLOSED`` (x_d drives the loop), ``OPEN`` (pump speed drives) or ``FORCED``.
+    dt, steps : sample time in s, integration steps in it.
+    used : (N_OUTPUTS,) bool, the channels that are compared.
+    noise : (N_OUTPUTS,) standard deviation of each sensor, SI.
+    theta, active : nominal parameters and the effects that the config has.
+    stretches : the data.
+    ranges : what the record covers.
+    position_step : resolution of the position sensor, m; 0 where it is continuous.
+    """
+
+    settings: Settings
+    mode: int
+    dt: float
+    steps: int
+    used: np.ndarray
+    noise: np.ndarray
+    theta: np.ndarray
+    active: np.ndarray
+    stretches: tuple[Stretch, ...]
+    ranges: Ranges
+    position_step: float = 0.0
+    spikes: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def n(self) -> int:
+        """Samples in all stretches."""
+        return sum(len(stretch) for stretch in self.stretches)
+
+    @property
+    def columns(self) -> np.ndarray:
+        """Places of the used outputs."""
+        return np.flatnonzero(self.used)
+
+    def only(self, stretches: tuple[Stretch, ...]) -> "Experiment":
+        """Return the same rig with other data."""
+        return replace(self, stretches=stretches)
+
+
+def experiment_of(recordings: list[Recording], settings: Settings,
+                  hold_out: bool = True) -> Experiment:
+    """Make the experiment of one or more recordings of a rig.
+
+    Raises
+    ------
+    InputError
+        If the recordings differ in sample time, or hold nothing that a model predicts.
+    """
+    first = recordings[0]
+    mode = mode_of(first, settings)
+    theta, active = theta_of(settings.rig, settings.effects)
+    levels, spikes, parts, columns = {}, {}, [], []
+    for recording in recordings:
+        if abs(recording.sample_time - first.sample_time) > 1e-6 * first.sample_time:
+            raise InputError(f"{recording.source}: expected the sample time of {first.source}, "
+                             f"{first.sample_time:g} s, got {recording.sample_time:g} s")
+        noise = noise_levels(recording, settings.noise)
+        channels, found = without_spikes(
+            {name: values for name, values in recording.channels.items()
+             if recording.has(name)}, noise)
+        for name, count in found.items():
+            spikes[name] = spikes.get(name, 0) + count
+        for name, level in noise.items():
+            levels.setdefault(name, []).append(level.value)
+        parts += stretches_of(recording, channels, settings, mode, levels, hold_out)
+        columns.append(channels)
+    if not parts:
+        raise InputError(f"{first.source}: expected at least {SHORTEST:g} s without a gap of "
+                         "position and of the input (command, pump speed or force)")
+    sigma = np.array([np.median(levels[name]) if name in levels else np.nan for name in OUTPUTS])
+    x = first.get("x")
+    step = quantum(x[np.isfinite(x)])
+    sigma[0] = max(sigma[0], step / np.sqrt(12.0))
+    used = np.array([any(np.isfinite(part.z[:, j]).any() for part in parts)
+                     for j in range(N_OUTPUTS)])
+    ranges = ranges_of(columns, settings, first.sample_time)
+    return Experiment(settings, mode, first.sample_time,
+                      integration_steps(settings, mode, first.sample_time), used, sigma, theta,
+                      active, tuple(parts), ranges, step, spikes)
+
+
+def mode_of(recording: Recording, settings: Settings) -> int:
+    """Tell which input drives the model.
+
+    Raises
+    ------
+    InputError
+        If there is no position, or nothing that moves it.
+    """
+    rig = settings.rig
+    known = None not in (rig.area_1, rig.area_2, rig.volume_1, rig.volume_2,
+                         rig.pump_displacement)
+    if not recording.has("x"):
+        raise InputError(f"{recording.source}: expected a position (channel x), found "
+                         f"{', '.join(recording.channels) or 'nothing'}")
+    if known and rig.position_gain is not None and recording.has("x_d"):
+        return CLOSED if settings.command_hold == "continuous" else OPEN
+    if known and recording.has("omega"):
+        return OPEN
+    if recording.has("force") or (recording.has("p1", "p2") and rig.area_1 and rig.area_2):
+        return FORCED
+    raise InputError(f"{recording.source}: expected what moves the piston: x_d (with "
+                     "rig.position_gain), omega, or force or p1 and p2")
+
+
+def integration_steps(settings: Settings, mode: int, dt: float) -> int:
+    """Return Runge-Kutta steps in a sample, so that the resonance turns little in each."""
+    rig = settings.rig
+    fastest = 2.0 / dt
+    if mode != FORCED:
+        stiff = 2.0 * max(rig.bulk_modulus, settings.stage_two.prior) * (
+            rig.area_1**2 / rig.volume_1 + rig.area_2**2 / rig.volume_2)
+        fastest = np.sqrt(0.5 * stiff / rig.mass)
+    return int(np.clip(np.ceil(fastest * dt / STEP_PHASE), 2, MOST_STEPS))
+
+
+def stretches_of(recording: Recording, channels: dict, settings: Settings, mode: int,
+                 levels: dict, hold_out: bool) -> list[Stretch]:
+    """Cut a recording where its input is missing for long."""
+    n, dt, rig = len(recording), recording.sample_time, settings.rig
+    sampled = settings.command_hold == "sampled"
+    nothing = np.full(n, np.nan)
+    if mode == CLOSED:
+        u, sigma, held = channels["x_d"], 0.0, False
+    elif mode == OPEN and rig.position_gain is not None and "x_d" in channels:
+        u = rig.position_gain * (channels["x_d"] - channels["x"])
+        sigma, held = 0.0, sampled
+    elif mode == OPEN:
+        u, sigma, held = channels["omega"], levels["omega"][-1], False
+    else:
+        u = force_of(rig, channels)
+        sigma, held = 0.0, False
+    z = np.column_stack([channels.get(name, nothing) for name in OUTPUTS])
+    if mode == OPEN and not held:
+        z[:, 4] = np.nan  # the pump speed is the input
+    if mode == FORCED:
+        z[:, 2:] = np.nan
+    p1, p2 = channels.get("p1", nothing), channels.get("p2", nothing)
+    charge = rig.charge_pressure
+    parts = []
+    for start, stop in present(u, z[:, 0], int(LONGEST_GAP / dt)):
+        if (stop - start) * dt < SHORTEST:
+            continue
+        here = slice(start, stop)
+        time = np.arange(stop - start) * dt
+        held_out = (np.mod(time, PERIOD) >= PERIOD * (1 - SHARE)) & hold_out
+        if (stop - start) * dt < 2 * PERIOD:  # a short record: its last fifth
+            held_out = (time >= (1 - SHARE) * (stop - start) * dt) & hold_out
+        parts.append(Stretch(
+            recording.source, start * dt, z[here].copy(),
+            cubics(filled(u[here]), sigma, held), smooth(p1[here], charge),
+            smooth(p2[here], charge), (time >= BURN_IN) & ~held_out, held_out))
+    return parts
+
+
+def present(u: np.ndarray, x: np.ndarray, longest: int) -> list[tuple[int, int]]:
+    """Return (start, stop) of stretches in which input and position are there, gaps bridged."""
+    good = np.flatnonzero(np.isfinite(u) & np.isfinite(x))
+    if not len(good):
+        return []
+    cuts = np.flatnonzero(np.diff(good) > max(longest, 1) + 1)
+    starts = [good[0], *good[cuts + 1]]
+    stops = [*(good[cuts] + 1), good[-1] + 1]
+    return list(zip(map(int, starts), map(int, stops), strict=True))
+
+
+def smooth(values: np.ndarray, otherwise: float) -> np.ndarray:
+    """Return a pressure without gaps and with less noise (mean of five), Pa."""
+    if not np.isfinite(values).any():
+        return np.full(len(values), otherwise)
+    whole = filled(values)
+    return np.convolve(np.pad(whole, 2, mode="edge"), np.full(5, 0.2), mode="valid")
+
+
+def ranges_of(columns: list[dict], settings: Settings, dt: float) -> Ranges:
+    """Return what the recordings cover, from the channels or from what stands for them."""
+    rig = settings.rig
+    area = rig.area_1 or 1.0
+
+    def pooled(make):
+        found = [values[np.isfinite(values)] for values in map(make, columns)
+                 if values is not None]
+        return np.concatenate(found) if found else np.zeros(1)
+
+    def slope(values, reach):
+        return None if values is None else (values[reach:] - values[:-reach]) / (reach * dt)
+
+    reach = max(1, round(0.01 / dt))
+    x = pooled(lambda c: c.get("x"))
+    v = np.abs(pooled(lambda c: slope(c.get("x"), reach)))
+    a = np.abs(pooled(lambda c: slope(slope(c.get("x"), reach), reach)))
+    both = all("p1" in c and "p2" in c for c in columns)
+    dp = np.abs(pooled(lambda c: c["p1"] - c["p2"])) if both else np.array([1e5])
+    low = (pooled(lambda c: np.minimum(c["p1"], c["p2"])) if both
+           else np.array([rig.charge_pressure]))
+    mean = pooled(lambda c: 0.5 * (c["p1"] + c["p2"])) if both else low
+    force = np.abs(pooled(lambda c: force_of(rig, c))) if (
+        both or all("force" in c for c in columns)) else rig.mass * a
+    gain = rig.position_gain
+
+    def speed(c):
+        if "omega" in c:
+            return c["omega"]
+        return gain * (c["x_d"] - c["x"]) if gain and "x_d" in c else None
+
+    omega = np.abs(pooled(speed))
+    turn = np.abs(pooled(lambda c: slope(speed(c), 1)))
+
+    def q(values, *levels):
+        return tuple(float(max(value, 1e-12)) for value in np.quantile(values, levels))
+
+    return Ranges(
+        speed=q(v, 0.998)[0], position=float(max(np.ptp(x) / 2, 1e-9)),
+        acceleration=q(a, 0.99)[0], pressure_difference=q(dp, 0.5, 0.9, 0.98, 1.0),
+        lowest_pressure=q(low, 0.002, 0.02, 0.2), mean_pressure=q(mean, 0.5)[0],
+        pump_speed=q(omega, 0.5, 0.9, 0.98, 1.0), pump_acceleration=q(turn, 0.9, 0.98, 1.0),
+        force=q(force, 0.98)[0], flow=area * q(v, 0.98)[0], sample_time=dt,
+        duration=float(sum(len(next(iter(c.values()))) for c in columns) * dt))

@@ -1,0 +1,297 @@
+"""Fit of one model to an experiment: Gauss-Newton on the innovations of all channels at once.
+
+The likelihood is that of innovations with unknown covariance S,
+
+    log L = -(N/2) log det S,  S = 1/N sum e e'
+
+so that every channel's scale is free and the force, flow, drive and sensor candidates compete on
+one number.
+"""
+
+import os
+import threading
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from eha_monitor.mismatch.experiment import Experiment
+from eha_monitor.mismatch.gains import Unknowns, decay_of, gains_of
+from eha_monitor.mismatch.innovations import N_FILTERED, innovate
+from eha_monitor.physics.contributions import new_memory
+from eha_monitor.physics.plant import N_OUTPUTS, new_past, new_state
+
+CLIP = 6.0  # sigmas at which a whitened innovation stops to pull harder
+
+
+@dataclass(frozen=True)
+class Free:
+    """One fitted parameter.
+
+    Attributes
+    ----------
+    name : ``B``, ``beta_e`` or ``<effect>.<parameter>``.
+    place : its place in theta.
+    lower, upper : bounds, SI.
+    prior, spread : Gaussian prior in the fitted coordinate.
+    log : fitted as its logarithm.
+    """
+
+    name: str
+    place: int
+    lower: float
+    upper: float
+    prior: float
+    spread: float
+    log: bool = False
+
+    def inward(self, value: float) -> float:
+        """Return the fitted coordinate of a value."""
+        return float(np.log(value)) if self.log else value
+
+    def outward(self, coordinate: float) -> float:
+        """Return the value of a coordinate, kept within the bounds."""
+        value = float(np.exp(min(coordinate, 600.0))) if self.log else coordinate
+        return min(max(value, self.lower), self.upper)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted model; immutable.
+
+    Attributes
+    ----------
+    theta, active : parameters of the equations and active effects.
+    free : what was fitted; ``covariance`` (k, k) in their coordinates.
+    unknowns : deviations of the unexplained force, flow and speed.
+    gains : the filter's gains.
+    e : (N, c) innovations of the counted samples, SI; ``s`` (c, c) their covariance.
+    log_likelihood : of the innovations plus the prior's exponent.
+    converged : False where the steps ran out.
+    """
+
+    theta: np.ndarray
+    active: np.ndarray
+    free: tuple[Free, ...]
+    unknowns: Unknowns
+    gains: np.ndarray
+    e: np.ndarray
+    s: np.ndarray
+    log_likelihood: float
+    covariance: np.ndarray
+    converged: bool = True
+
+    def value(self, name: str) -> float:
+        """Return a fitted parameter by name."""
+        return float(self.theta[next(f.place for f in self.free if f.name == name)])
+
+    def stddev(self, name: str) -> float:
+        """Return the standard deviation of a fitted parameter, in its unit."""
+        i = next(i for i, f in enumerate(self.free) if f.name == name)
+        sigma = float(np.sqrt(max(self.covariance[i, i], 0.0)))
+        return sigma * abs(self.value(name)) if self.free[i].log else sigma
+
+
+@lru_cache(maxsize=1)
+def workers() -> ThreadPoolExecutor:
+    """Return the threads on which filters run; the compiled code leaves the lock."""
+    return ThreadPoolExecutor(len(os.sched_getaffinity(0)), thread_name_prefix="mismatch")
+
+
+def spread(function: Callable, items: Iterable) -> list:
+    """Map over all cores; within a worker, which must not wait for its own pool, in turn."""
+    if threading.current_thread().name.startswith("mismatch"):
+        return [function(item) for item in items]
+    return list(workers().map(function, items))
+
+
+def innovations(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
+                gains: np.ndarray) -> np.ndarray:
+    """Return the innovations of the used channels at the counted samples, (N, c); NaN if none."""
+    parts = []
+    for stretch in experiment.stretches:
+        e = filtered(experiment, stretch, theta, active, gains)[0]
+        parts.append(e[stretch.counted])
+    return np.concatenate(parts)[:, experiment.columns]
+
+
+def filtered(experiment: Experiment, stretch, theta, active, gains, states: bool = False,
+             free: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Filter one stretch; returns all innovations (n, N_OUTPUTS) and the states, if wanted."""
+    n = len(stretch)
+    e = np.empty((n, N_OUTPUTS))
+    kept = np.empty((n if states else 0, N_FILTERED))
+    y = start_of(experiment, stretch)
+    innovate(stretch.z, stretch.u, stretch.p1, stretch.p2, experiment.mode, experiment.dt,
+             experiment.steps, theta, active, gains, decay_of(experiment.dt), y, new_memory(),
+             new_past(y), np.zeros(n, dtype=np.bool_) if free is None else free, e, kept)
+    return e, kept
+
+
+def start_of(experiment: Experiment, stretch) -> np.ndarray:
+    """Return the state with which a stretch begins."""
+    z = stretch.z
+    charge = experiment.settings.rig.charge_pressure
+
+    def first(column, otherwise):
+        good = z[:20, column][np.isfinite(z[:20, column])]
+        return float(np.mean(good[:3])) if len(good) else otherwise
+
+    y = new_state(first(0, 0.0), first(2, charge), first(3, charge))
+    head = z[:8, 0]
+    if np.isfinite(head).all() and len(head) == 8:
+        y[1] = np.polyfit(np.arange(8) * experiment.dt, head, 1)[0]
+    y[4] = first(4, 0.0)
+    return y
+
+
+def covariance_of(e: np.ndarray) -> np.ndarray:
+    """Return S of the innovations, (c, c); pairs with a missing channel are left out."""
+    good = np.where(np.isfinite(e), e, 0.0)
+    count = np.isfinite(e).astype(float)
+    return (good.T @ good) / np.maximum(count.T @ count, 1.0)
+
+
+def log_likelihood_of(e: np.ndarray) -> float:
+    """Return -(N/2) log det S, per channel scaled with how often it was measured."""
+    s = covariance_of(e)
+    scale = np.sqrt(np.diag(s))
+    if not np.isfinite(scale).all() or (scale <= 0).any() or (scale > 1e29).any():
+        return -np.inf
+    share = np.isfinite(e).sum(axis=0)
+    correlation = s / np.outer(scale, scale)
+    sign, logdet = np.linalg.slogdet(correlation)
+    if sign <= 0:
+        return -np.inf
+    return float(-np.sum(share * np.log(scale)) - 0.5 * share.max() * logdet)
+
+
+def whitener(s: np.ndarray) -> np.ndarray:
+    """Return W with W S W' = 1, (c, c)."""
+    return np.linalg.inv(np.linalg.cholesky(s))
+
+
+def prior_exponent(free: Sequence[Free], theta: np.ndarray) -> float:
+    """Return the exponent of the prior at theta, <= 0."""
+    return -0.5 * sum(((f.inward(theta[f.place]) - f.prior) / f.spread) ** 2 for f in free)
+
+
+def sensitivities(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
+                  gains: np.ndarray, e: np.ndarray, moved: Iterable[tuple[np.ndarray, float]]
+                  ) -> list[np.ndarray]:
+    """Return (e(theta') - e) / step for each (theta', step), on all cores, (N, c) each."""
+    def one(item):
+        other, step = item
+        return (innovations(experiment, other, active, gains) - e) / step
+
+    return spread(one, moved)
+
+
+def step_of(f: Free, theta: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return theta with one parameter moved by a small step, and the step's length."""
+    now = f.inward(theta[f.place])
+    step = 1e-3 * f.spread if not f.log else 1e-3
+    step = max(step, 1e-5 * abs(now)) if not f.log else step
+    other = theta.copy()
+    if f.outward(now + step) >= f.upper:
+        step = -step
+    other[f.place] = f.outward(now + step)
+    return other, f.inward(other[f.place]) - now
+
+
+def refine(experiment: Experiment, fit: Fit, steps: int = 12, tolerance: float = 0.02) -> Fit:
+    """Carry a fit to its optimum with held gains: damped Gauss-Newton.
+
+    Parameters
+    ----------
+    fit : start; its gains are held.
+    steps : most steps.
+    tolerance : ends when a step promises less than this many log units.
+    """
+    theta, free = fit.theta.copy(), fit.free
+    e = innovations(experiment, theta, fit.active, fit.gains)
+    best = log_likelihood_of(e) + prior_exponent(free, theta)
+    damping, converged = 1e-6, False
+    information = np.zeros((len(free), len(free)))
+    for _ in range(steps):
+        if not np.isfinite(best):
+            break
+        w = whitener(covariance_of(e))
+        white = np.nan_to_num(e) @ w.T
+        slopes = sensitivities(experiment, theta, fit.active, fit.gains, e,
+                               [step_of(f, theta) for f in free])
+        d = np.stack([(np.nan_to_num(slope) @ w.T).ravel() for slope in slopes])
+        information = d @ d.T
+        now = np.array([f.inward(theta[f.place]) for f in free])
+        prior = np.array([f.prior for f in free])
+        weight = np.array([f.spread for f in free]) ** -2.0
+        gradient = -(d @ white.ravel()) - weight * (now - prior)
+        scale = np.sqrt(np.diag(information) + weight)
+        matrix = (information + np.diag(weight)) / np.outer(scale, scale)
+        improved = False
+        for _ in range(8):
+            step = np.linalg.solve(matrix + damping * np.eye(len(free)), gradient / scale) / scale
+            other = theta.copy()
+            for f, value in zip(free, now + step, strict=True):
+                other[f.place] = f.outward(value)
+            e_other = innovations(experiment, other, fit.active, fit.gains)
+            reached = log_likelihood_of(e_other) + prior_exponent(free, other)
+            if reached > best:
+                improved = True
+                break
+            damping = max(damping * 10.0, 1e-3)
+            if damping > 1e6:
+                break
+        if not improved:
+            converged = True
+            break
+        gained = reached - best
+        theta, e, best = other, e_other, reached
+        damping = max(damping / 10.0, 1e-7)
+        if gained < tolerance:
+            converged = True
+            break
+    weight = np.array([f.spread for f in free]) ** -2.0
+    covariance = np.linalg.inv(information + np.diag(weight)) if len(free) else information
+    return replace(fit, theta=theta, e=e, s=covariance_of(e), log_likelihood=best,
+                   covariance=covariance, converged=converged)
+
+
+def with_unknowns(experiment: Experiment, fit: Fit, unknowns: Unknowns) -> Fit:
+    """Return the same parameters under other unknowns: new gains, innovations, likelihood."""
+    gains = gains_of(experiment, fit.theta, fit.active, unknowns)
+    e = innovations(experiment, fit.theta, fit.active, gains)
+    return replace(fit, unknowns=unknowns, gains=gains, e=e, s=covariance_of(e),
+                   log_likelihood=log_likelihood_of(e) + prior_exponent(fit.free, fit.theta))
+
+
+def tune(experiment: Experiment, fit: Fit, smallest: Unknowns, largest: Unknowns,
+         factors: Sequence[float] = (10.0, 3.0)) -> Fit:
+    """Find the unknowns' deviations of greatest likelihood, one balance after the other.
+
+    This is the location in small: an unknown that must be large names the balance that is wrong.
+    """
+    low, high = smallest.as_array(), largest.as_array()
+    for factor in factors:
+        for i in range(3):
+            if high[i] <= low[i]:
+                continue
+            for direction in (factor, 1.0 / factor):
+                moved = False
+                while True:
+                    now = fit.unknowns.as_array()
+                    now[i] = min(max(now[i] * direction, low[i]), high[i])
+                    if now[i] == fit.unknowns.as_array()[i]:
+                        break
+                    other = with_unknowns(experiment, fit, Unknowns(*now))
+                    if other.log_likelihood <= fit.log_likelihood + 0.1:
+                        break
+                    fit, moved = other, True
+                if moved:
+                    break
+    return fit
+
+
+Progress = Callable[[str], None]

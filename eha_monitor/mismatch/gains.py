@@ -1,0 +1,123 @@
+"""Gains of the mismatch filter: the plant linearised at a typical point, Riccati to the end."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from eha_monitor.mismatch.experiment import Experiment
+from eha_monitor.mismatch.innovations import (
+    CLOSED,
+    FORCED,
+    N_FILTERED,
+    OPEN,
+    riccati,
+    transition,
+)
+from eha_monitor.physics import signals as s
+from eha_monitor.physics.contributions import new_memory
+from eha_monitor.physics.plant import (
+    N_STATE,
+    Y_FLOW,
+    Y_FORCE,
+    Y_OMEGA,
+    Y_P1,
+    Y_P2,
+    Y_PLAYED,
+    Y_SPEED,
+    Y_V,
+    Y_X,
+)
+
+CORRELATION = 0.02  # s, for which an unknown force, flow or speed lasts
+TRANSIENT = 3000  # samples after a start until the gains stand
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """Standing deviation of what no equation accounts for: N, m^3/s, rad/s."""
+
+    force: float
+    flow: float
+    speed: float
+
+    def as_array(self) -> np.ndarray:
+        """(3,) in the order of the filter's states."""
+        return np.array([self.force, self.flow, self.speed])
+
+
+def decay_of(dt: float) -> float:
+    """Share of an unknown that is left after a sample."""
+    return float(np.exp(-dt / max(CORRELATION, 5.0 * dt)))
+
+
+def smallest_unknowns(experiment: Experiment) -> Unknowns:
+    """Return unknowns so small that they do not show: 0.01 % of what the record covers."""
+    r = experiment.ranges
+    return Unknowns(1e-4 * r.force, 1e-4 * max(r.flow, 1e-12), 1e-4 * r.pump_speed[1])
+
+
+def operating_point(experiment: Experiment) -> np.ndarray:
+    """Return a state in typical motion, (N_STATE,)."""
+    z = experiment.stretches[0].z
+    rig = experiment.settings.rig
+    y = np.zeros(N_STATE)
+    y[Y_X] = y[Y_PLAYED] = np.nanmedian(z[:, 0])
+    y[Y_V] = 0.5 * experiment.ranges.speed
+    for place, column in ((Y_P1, 2), (Y_P2, 3)):
+        known = np.isfinite(z[:, column]).any()
+        y[place] = np.nanmedian(z[:, column]) if known else rig.charge_pressure
+    if rig.area_1 and rig.pump_displacement:
+        y[Y_OMEGA] = rig.area_1 * y[Y_V] / rig.pump_displacement
+    return y
+
+
+def gains_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
+             unknowns: Unknowns) -> np.ndarray:
+    """Return the filter's gains, (m, N_FILTERED, N_OUTPUTS); the last serves from there on.
+
+    Parameters
+    ----------
+    theta, active : parameters and effects at which the plant is linearised.
+    unknowns : deviations of the unknown force, flow and speed.
+    """
+    dt, r = experiment.dt, experiment.ranges
+    decay = decay_of(dt)
+    y = operating_point(experiment)
+    u = np.zeros((1, 4))
+    if experiment.mode == CLOSED:
+        u[0, 0] = y[Y_X] + y[Y_OMEGA] / theta[s.K_POS]
+    elif experiment.mode == OPEN:
+        u[0, 0] = y[Y_OMEGA]
+    else:
+        u[0, 0] = theta[s.B] * y[Y_V]
+    noise = np.where(experiment.used, np.nan_to_num(experiment.noise, nan=1.0), 1.0)
+    pump = r.pump_speed[2]
+    size = np.array([r.position, r.speed, r.pressure_difference[2], r.pressure_difference[2],
+                     pump, r.force, max(r.flow, 1e-12), pump])
+    a, h = np.zeros((N_FILTERED, N_FILTERED)), np.zeros((len(noise), N_FILTERED))
+    transition(experiment.mode, dt, experiment.steps, theta, active, new_memory(), decay, y, u,
+               1e-3 * size, a, h)
+    away = np.zeros(N_FILTERED, dtype=bool)
+    if experiment.mode == FORCED:
+        away[[Y_P1, Y_P2, Y_OMEGA, Y_FLOW, Y_SPEED]] = True
+    elif experiment.mode == OPEN:
+        away[Y_OMEGA] = True
+    a[away], a[:, away], h[:, away] = 0.0, 0.0, 0.0
+    intensity = unknowns.as_array()
+    q = np.zeros(N_FILTERED)
+    q[:5] = (1e-7 * size[:5]) ** 2  # rounding and integration: keeps P positive
+    q[5:] = intensity**2 * (1.0 - decay**2)
+    q[away] = 0.0
+    start = np.zeros(N_FILTERED)
+    start[Y_X] = (2.0 * noise[0]) ** 2
+    start[Y_V] = r.speed**2
+    for place, column in ((Y_P1, 2), (Y_P2, 3)):
+        start[place] = ((2.0 * noise[column]) ** 2 if experiment.used[column]
+                        else (r.pressure_difference[3] + 0.1 * r.mean_pressure) ** 2)
+    start[Y_OMEGA] = pump**2
+    start[Y_FORCE:] = intensity**2
+    start[away] = 0.0
+    longest = max(len(stretch) for stretch in experiment.stretches)
+    gains = np.zeros((min(TRANSIENT, longest), N_FILTERED, len(noise)))
+    count = riccati(a, h, q, noise**2, np.diag(start), experiment.used, gains)
+    return gains[:count]

@@ -1,0 +1,181 @@
+"""Score test of the whole catalogue at a fitted model: one run of the filter per direction."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from eha_monitor.mismatch.experiment import Experiment
+from eha_monitor.mismatch.fit import (
+    Fit,
+    Free,
+    innovations,
+    log_likelihood_of,
+    sensitivities,
+    spread,
+    step_of,
+    whitener,
+)
+from eha_monitor.mismatch.innovations import CLOSED, FORCED
+from eha_monitor.physics import signals as s
+from eha_monitor.physics.effect import Effect, Parameter
+from eha_monitor.physics.effects import CATALOGUE, NAMES
+from eha_monitor.physics.parameters import place_of
+
+SPREAD = 100.0  # times its start: a size's prior deviation, that is about the record's range
+SHAPE_SPREAD = 1.5  # of the logarithm of a shape
+
+
+@dataclass(frozen=True)
+class Start:
+    """One way in which an effect might enter a model.
+
+    Attributes
+    ----------
+    effect : its name.
+    values : all parameters, a small but visible instance.
+    replaces : named effect that it contains and takes the place of, or "".
+    """
+
+    effect: str
+    values: tuple[tuple[str, float], ...]
+    replaces: str = ""
+
+
+@dataclass(frozen=True)
+class Score:
+    """What the score test says of one start.
+
+    ``gain`` in log units, ``amplitudes`` times the start's sizes, one for each size.
+    """
+
+    start: Start
+    gain: float
+    amplitudes: tuple[float, ...]
+
+
+def possible(name: str, experiment: Experiment) -> bool:
+    """Tell whether an effect can show in these channels at all."""
+    effect = CATALOGUE[name]
+    if effect.balance == "force":
+        return name != "backlash" or experiment.mode == CLOSED
+    if experiment.mode == FORCED:
+        return False
+    pressures = experiment.used[2] or experiment.used[3]
+    if effect.balance == "drive":
+        return experiment.mode == CLOSED
+    if name.startswith("pressure_"):
+        return bool(pressures)
+    return True
+
+
+def starts_of(name: str, experiment: Experiment) -> list[Start]:
+    """Return where a fit of an effect begins, within its bounds."""
+    effect = CATALOGUE[name]
+    found = []
+    for given in effect.starts(experiment.ranges):
+        values = []
+        for p in effect.parameters:
+            value = given.get(p.name, p.default if p.default is not None else p.neutral)
+            values.append((p.name, float(min(max(value, p.lower), p.upper))))
+        found.append(Start(name, tuple(values)))
+    return found
+
+
+def entered(theta: np.ndarray, active: np.ndarray, start: Start) -> tuple[np.ndarray, np.ndarray]:
+    """Return theta and active with an effect at its start."""
+    theta, active = theta.copy(), active.copy()
+    if start.replaces:
+        active[NAMES.index(start.replaces)] = False
+    active[NAMES.index(start.effect)] = True
+    for name, value in start.values:
+        theta[place_of(f"{start.effect}.{name}")] = value
+    return theta, active
+
+
+def free_parameter(effect: Effect, p: Parameter, value: float) -> Free:
+    """Return how a parameter is fitted that starts at ``value``."""
+    place = place_of(f"{effect.name}.{p.name}")
+    name = f"{effect.name}.{p.name}"
+    if p.default is None and np.isfinite(p.neutral):
+        return Free(name, place, p.lower, p.upper, p.neutral,
+                    max(SPREAD * abs(value), 1e-3 * p.scale))
+    if p.lower > 0:
+        return Free(name, place, p.lower, p.upper, float(np.log(value)), SHAPE_SPREAD, True)
+    return Free(name, place, p.lower, p.upper, value, 2.0 * p.scale)
+
+
+def free_of(start: Start) -> tuple[Free, ...]:
+    """Return the fitted parameters of an effect at its start."""
+    effect, values = CATALOGUE[start.effect], dict(start.values)
+    return tuple(free_parameter(effect, p, values[p.name]) for p in effect.parameters
+                 if p.fitted and np.isfinite(values[p.name]))
+
+
+def directions_of(fit: Fit, start: Start) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return (theta, active) with one size of the start at a time."""
+    effect = CATALOGUE[start.effect]
+    sizes = [p for p in effect.sizes if dict(start.values)[p.name] != p.neutral]
+    found = []
+    for size in sizes:
+        theta, active = entered(fit.theta, fit.active, start)
+        for other in sizes:
+            if other is not size:
+                theta[place_of(f"{start.effect}.{other.name}")] = other.neutral
+        found.append((theta, active))
+    return found
+
+
+def screen(experiment: Experiment, fit: Fit, starts: list[Start]) -> list[Score]:
+    """Score all starts at a fit, best first.
+
+    With whitened innovations r and their change d for a start, base and named parameters
+    projected out of both, the start explains r down to |r + a d|, a = -(d.r)/(d.d); the gain is
+    what that does to the likelihood.
+    """
+    w = whitener(fit.s)
+    white = np.nan_to_num(fit.e) @ w.T
+    own = sensitivities(experiment, fit.theta, fit.active, fit.gains, fit.e,
+                        [step_of(f, fit.theta) for f in fit.free])
+    basis = [(np.nan_to_num(d) @ w.T).ravel() for d in own]
+    q = np.linalg.qr(np.stack(basis, axis=1))[0] if basis else np.zeros((white.size, 0))
+    r = white.ravel()
+    r = r - q @ (q.T @ r)
+    before = log_likelihood_of(r.reshape(white.shape))
+    tasks = [(i, theta, active) for i, start in enumerate(starts)
+             for theta, active in directions_of(fit, start)]
+
+    def one(task):
+        _, theta, active = task
+        e = innovations(experiment, theta, active, fit.gains)
+        d = (np.nan_to_num(e - fit.e) @ w.T).ravel()
+        if not np.isfinite(d).all() or np.abs(d).max() > 1e12:
+            return None
+        return d - q @ (q.T @ d)
+
+    moved = spread(one, tasks)
+    scores = []
+    for i, start in enumerate(starts):
+        block = [d for task, d in zip(tasks, moved, strict=True) if task[0] == i]
+        if not block or any(d is None for d in block):
+            continue
+        scores.append(score_of(start, np.stack(block), r, white.shape, before))
+    return sorted(scores, key=lambda score: -score.gain)
+
+
+def score_of(start: Start, d: np.ndarray, r: np.ndarray, shape: tuple[int, int],
+             before: float) -> Score:
+    """Return the score of a start from its projected directions ``d`` (k, N*c)."""
+    effect = CATALOGUE[start.effect]
+    values = dict(start.values)
+    sizes = [p for p in effect.sizes if values[p.name] != p.neutral]
+    matrix = d @ d.T
+    scale = np.sqrt(np.diag(matrix))
+    if (scale < 1e-9).any():  # nothing moves: this record does not show it
+        return Score(start, 0.0, tuple(0.0 for _ in sizes))
+    a = -np.linalg.lstsq(matrix / np.outer(scale, scale), d @ r / scale, rcond=1e-9)[0] / scale
+    for j, p in enumerate(sizes):  # a size on the wrong side of its bound is none
+        one_sided = (p.lower >= 0 and np.isfinite(p.neutral)) or not np.isfinite(p.neutral)
+        if one_sided and a[j] < 0:
+            a[j] = 0.0
+    gain = log_likelihood_of((r + a @ d).reshape(shape)) - before
+    return Score(start, float(max(gain, 0.0)), tuple(float(v) for v in a))
