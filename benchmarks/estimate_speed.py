@@ -26,6 +26,7 @@ from eha_monitor.filters.inputs import StageInputs
 from eha_monitor.filters.pipeline import estimate
 from eha_monitor.filters.run_two import start_compliance
 from eha_monitor.filters.supervision import new_supervision
+from eha_monitor.physics.contributions import new_memory
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import Recording
@@ -72,7 +73,7 @@ class Stages:
         p[5] = s.stage_one.prior_stddev**2
         kernel_one.run_one(
             i.x, force.start, force.end, force.variance, i.p1, i.p2, i.dt, s.rig.mass,
-            i.position_variance, p[5], False, model.theta, model.active, False,
+            i.position_variance, p[5], False, model.theta, model.active, new_memory(),
             np.array([np.nan, 0.0, s.stage_one.prior]), p, new_supervision(), self.out_one,
             self.events)
 
@@ -85,7 +86,7 @@ class Stages:
         kernel_two.run_two(
             i.x, drive.start, drive.end, drive.variance, drive.instrument, self.b,
             self.b_variance, model.hydraulics, model.leak, i.leak_flow, i.dt, i.position_variance,
-            0.0, 4.0, i.p1, i.p2, model.theta, model.active, False,
+            0.0, 4.0, i.p1, i.p2, model.theta, model.active, new_memory(),
             np.array([np.nan, 0.0, 0.0, self.start[0]]), q, np.zeros(4), new_supervision(),
             self.out_two, self.events)
 
@@ -100,7 +101,7 @@ class Stages:
         two = FilterpyStageTwo(
             model.hydraulics, model.leak, i.dt, i.position_variance, 0.0, 4.0,
             np.array([np.nan, 0.0, 0.0, self.start[0]]), q, np.zeros(4), new_supervision(),
-            model.theta, model.active)
+            model.theta, model.active, new_memory())
         for k in range(1, FILTERPY_SAMPLES):
             one.step(i.x[k], force.start[k - 1], force.end[k], force.variance[k], 0.0, 0.0)
             two.step(i.x[k], drive.start[k - 1], drive.end[k], drive.instrument[k - 1],

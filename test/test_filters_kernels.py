@@ -25,6 +25,7 @@ from eha_monitor.filters import kernel_one, kernel_two
 from eha_monitor.filters.filterpy_stages import FilterpyStageOne, FilterpyStageTwo
 from eha_monitor.filters.inputs import StageInputs
 from eha_monitor.filters.supervision import new_supervision
+from eha_monitor.physics.contributions import new_memory
 
 GAPS = (slice(700, 701), slice(1500, 1700), slice(2500, 2503))
 CASES = {
@@ -80,7 +81,7 @@ def test_filterpy_runs_stage_one_to_the_same_numbers(name):
     found = kernel_one.run_one(
         inputs.x, inputs.force.start, inputs.force.end, inputs.force.variance, inputs.p1,
         inputs.p2, inputs.dt, rig.mass, inputs.position_variance, one.prior_stddev**2,
-        config.discretisation == "euler", model.theta, model.active, bool(model.active.any()),
+        config.discretisation == "euler", model.theta, model.active, new_memory(),
         m, p, new_supervision(), out, events)
     live = FilterpyStageOne(rig.mass, inputs.dt, inputs.position_variance, one.prior,
                             one.prior_stddev, model.theta, model.active,
@@ -115,13 +116,13 @@ def test_filterpy_runs_stage_two_to_the_same_numbers(name):
     m, p = np.array([np.nan, 0.0, 0.0, 0.8]), np.diag([0, 0, 0, 0.05**2])
     sens, watch = np.zeros(4), new_supervision()
     live = FilterpyStageTwo(model.hydraulics, model.leak, inputs.dt, inputs.position_variance,
-                            q_f, broad, m, p, sens, watch, model.theta, model.active)
+                            q_f, broad, m, p, sens, watch, model.theta, model.active, new_memory())
     out, events = np.empty((8, n)), np.empty((50, 4))
     drive = inputs.drive
     found = kernel_two.run_two(
         inputs.x, drive.start, drive.end, drive.variance, drive.instrument, b, b_variance,
         model.hydraulics, model.leak, inputs.leak_flow, inputs.dt, inputs.position_variance, q_f,
-        broad, inputs.p1, inputs.p2, model.theta, model.active, bool(model.active.any()), m, p,
+        broad, inputs.p1, inputs.p2, model.theta, model.active, new_memory(), m, p,
         sens, watch, out, events)
     rows, changes = np.empty((8, n)), []
     for k in range(n):
@@ -184,8 +185,8 @@ def test_with_b_known_stage_one_is_a_linear_kalman_filter():
     out = np.empty((6, len(inputs.x)))
     theta, active = inputs.model.theta, inputs.model.active
     kernel_one.run_one(inputs.x, hold.start, hold.end, hold.variance, inputs.p1, inputs.p2, T_S,
-                       M, r, 1e-12, False, theta, active, False, m, p, new_supervision(), out,
-                       np.empty((5, 4)))
+                       M, r, 1e-12, False, theta, active, new_memory(), m, p, new_supervision(),
+                       out, np.empty((5, 4)))
     assert np.all(out[2] == pytest.approx(B, abs=1e-6))
     sd = np.nanmax(expected[3])
     assert np.nanmax(np.abs(out[0, 1:] - expected[0, 1:])) < 1e-6 * sd
@@ -228,7 +229,7 @@ def test_with_both_known_stage_two_is_a_linear_kalman_filter():
     model = inputs.model
     kernel_two.run_two(x, drive.start, drive.end, flat, drive.instrument, np.full(len(x), B),
                        flat, model.hydraulics, model.leak, flat, T_S, r, 0.0, 1.0, inputs.p1,
-                       inputs.p2, model.theta, model.active, False, m, p, np.zeros(4),
+                       inputs.p2, model.theta, model.active, new_memory(), m, p, np.zeros(4),
                        new_supervision(), out, np.empty((5, 4)))
     late = slice(50, None)
     assert np.abs(out[0] - expected[0])[late].max() < 1e-4 * expected[3][late].max()
@@ -248,8 +249,8 @@ def test_sensitivity_to_b_is_the_derivative_of_the_estimate():
         kernel_two.run_two(inputs.x, drive.start, drive.end, drive.variance, drive.instrument,
                            np.full(n, b), np.zeros(n), model.hydraulics, model.leak, np.zeros(n),
                            T_S, inputs.position_variance, 0.0, 1.0, inputs.p1, inputs.p2,
-                           model.theta, model.active, False, m, p, sens, new_supervision(True),
-                           out, np.empty((5, 4)))
+                           model.theta, model.active, new_memory(), m, p, sens,
+                           new_supervision(True), out, np.empty((5, 4)))
         return m[3], sens[3]
 
     low, here, high = run(599.0), run(600.0), run(601.0)

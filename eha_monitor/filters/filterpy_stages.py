@@ -29,6 +29,8 @@ from eha_monitor.filters.supervision import (
     look,
     new_supervision,
 )
+from eha_monitor.physics.contributions import new_memory, with_term, with_update
+from eha_monitor.physics.signals import N_CONTRIBUTIONS, N_SIGNALS
 
 _H3 = np.array([[1.0, 0.0, 0.0]])
 _H4 = np.array([[1.0, 0.0, 0.0, 0.0]])
@@ -61,6 +63,17 @@ class _Stage:
         self.lost = True
         self.innovation = math.nan
         self.innovation_stddev = math.nan
+
+    def _set_effects(self, theta: np.ndarray, active: np.ndarray, memory: np.ndarray) -> None:
+        self.theta, self.memory = theta, memory.copy()
+        self.terms, self.updates = with_term(active), with_update(active)
+        self._scratch = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS)
+
+    def _remember(self, p1: float, p2: float) -> None:
+        """Carry the effects' memory over the sample."""
+        if len(self.updates) and not self.lost:
+            kernel_one.remember_sample(self.ekf.x[0], self.ekf.x[1], p1, p2, self.theta,
+                                       self.updates, self.dt, self.memory, self._scratch[0])
 
     def _predict(self, f: np.ndarray, state: np.ndarray, q: np.ndarray) -> None:
         ekf = self.ekf
@@ -120,10 +133,9 @@ class FilterpyStageOne(_Stage):
         super().__init__(3, _H3, r, prior_stddev**2)
         self.mass, self.dt, self.euler = mass, dt, euler
         self._lowest = -kernel_one.NEGATIVE * mass / dt
-        self.theta, self.active, self.any_active = theta, active, bool(active.any())
+        self._set_effects(theta, active, new_memory())
         self.ekf.x[2] = self._prior = prior
         self.ekf.P[2, 2] = prior_stddev**2
-        self._scratch = np.zeros(7), np.zeros(9)
 
     def step(self, x: float, u0: float, u1: float, q: float, p1: float, p2: float
              ) -> tuple[float, float, int] | None:
@@ -147,6 +159,7 @@ class FilterpyStageOne(_Stage):
             else:
                 self._correct(x)
                 ekf.x[2] = max(ekf.x[2], self._lowest)
+        self._remember(p1, p2)
         change = self._close_block()
         if change is None:
             return None
@@ -169,9 +182,9 @@ class FilterpyStageOne(_Stage):
     def _advance(self, u0, u1, q, p1, p2):
         x, v, b = self.ekf.x
         damping = b
-        if self.any_active:
-            f, slope = kernel_one.effect_force(x, v, p1, p2, self.theta, self.active,
-                                               *self._scratch)
+        if len(self.terms):
+            f, slope = kernel_one.effect_force(x, v, p1, p2, self.theta, self.terms,
+                                               self.memory, *self._scratch)
             damping += slope
             u0 -= f - slope * v
             u1 -= f - slope * v
@@ -214,19 +227,19 @@ class FilterpyStageTwo(_Stage):
     dt, r, q_f : s, m^2, N^2.
     prior_variance : of c = beta_0/beta_e.
     m, p, sens, watch : state (4,), covariance (4, 4), sensitivity (4,), supervision.
-    theta, active : modelled effects.
+    theta, active, memory : modelled effects and what they remember.
     """
 
     def __init__(self, constants: np.ndarray, leak: float, dt: float, r: float, q_f: float,
                  prior_variance: float, m: np.ndarray, p: np.ndarray, sens: np.ndarray,
-                 watch: np.ndarray, theta: np.ndarray, active: np.ndarray):
+                 watch: np.ndarray, theta: np.ndarray, active: np.ndarray,
+                 memory: np.ndarray):
         super().__init__(4, _H4, r, prior_variance)
         self.constants, self.leak, self.dt, self.q_f = constants, leak, dt, q_f
         self.ekf.x, self.ekf.P = m.copy(), p.copy()
         self.sens, self.watch = sens.copy(), watch.copy()
         self.lost = bool(np.isnan(m[0]))
-        self.theta, self.active, self.any_active = theta, active, bool(active.any())
-        self._scratch = np.zeros(7), np.zeros(9)
+        self._set_effects(theta, active, memory)
         self._at = (math.nan, math.nan)
         self._steps = [np.zeros((3, 7)) for _ in range(5)]
         self._work = np.empty((10, 3, 3))
@@ -253,6 +266,7 @@ class FilterpyStageTwo(_Stage):
             elif self._correct(x):
                 self.sens = self.sens - ekf.K[:, 0] * self.sens[0]
                 ekf.x[3] = max(ekf.x[3], kernel_two.STIFFEST)
+        self._remember(p1, p2)
         change = self._close_block()
         if change is None:
             return None
@@ -263,9 +277,9 @@ class FilterpyStageTwo(_Stage):
     def _advance(self, u0, u1, i0, i1, q_u, b, leak_flow, p1, p2):
         ekf = self.ekf
         damping, force, flow = b, 0.0, leak_flow
-        if self.any_active:
-            f, slope = kernel_one.effect_force(ekf.x[0], ekf.x[1], p1, p2, self.theta,
-                                               self.active, *self._scratch)
+        if len(self.terms):
+            f, slope = kernel_one.effect_force(ekf.x[0], ekf.x[1], p1, p2, self.theta, self.terms,
+                                               self.memory, *self._scratch)
             damping += slope
             force = f - slope * ekf.x[1]
             flow += kernel_two.effect_flow(self.theta, self._scratch[1])

@@ -2,11 +2,18 @@
 
 import math
 
+import numpy as np
+
 from eha_monitor.compiled import njit
 from eha_monitor.filters.stage_one import MEMORY, predict_one, predict_one_euler, slopes_one
 from eha_monitor.filters.supervision import BLOCK, INFORMATION, SCORE, SLOW, honest_factor, look
-from eha_monitor.physics.contributions import add_contributions
-from eha_monitor.physics.signals import FORCE, P1, P2, V, X
+from eha_monitor.physics.contributions import (
+    add_contributions,
+    update_memory,
+    with_term,
+    with_update,
+)
+from eha_monitor.physics.signals import FORCE, N_CONTRIBUTIONS, N_SIGNALS, P1, P2, V, X
 
 GATE = 1e4  # squared standard deviations: a spike, not a mismatch
 NEGATIVE = 0.02  # growth a sample that a damping below zero may make, before it is held
@@ -15,18 +22,23 @@ BROAD = 1e3  # fresh velocity: uncertain by this many position sigmas a sample
 
 
 @njit
-def effect_force(x, v, p1, p2, theta, active, s, c):
-    """Return the modelled extra force f and df/dv at (x, v); s, c are scratch."""
+def effect_force(x, v, p1, p2, theta, terms, memory, s, c):
+    """Return the modelled extra force f and df/dv at (x, v); s, c are scratch, c as at (x, v)."""
     h = 1e-6 * max(1.0, abs(v))
+    s[X], s[P1], s[P2] = x, p1, p2
+    slope = 0.0
+    for side in (1.0, -1.0, 0.0):
+        s[V] = v + side * h
+        add_contributions(s, theta, terms, memory, c)
+        slope += side * c[FORCE]
+    return c[FORCE], slope / (2.0 * h)
+
+
+@njit
+def remember_sample(x, v, p1, p2, theta, updates, dt, memory, s):
+    """Carry the effects' memory over a sample that ended at (x, v)."""
     s[X], s[V], s[P1], s[P2] = x, v, p1, p2
-    add_contributions(s, theta, active, c)
-    here = c[FORCE]
-    s[V] = v + h
-    add_contributions(s, theta, active, c)
-    ahead = c[FORCE]
-    s[V] = v - h
-    add_contributions(s, theta, active, c)
-    return here, (ahead - c[FORCE]) / (2.0 * h)
+    update_memory(s, theta, updates, dt, memory)
 
 
 @njit
@@ -45,7 +57,7 @@ def start_one(m, p, x, r, dt, keep):
 
 @njit
 def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta, active,
-            any_active, m, p, w, out, events):
+            memory, m, p, w, out, events):
     """Run the stage over all samples.
 
     Parameters
@@ -57,7 +69,7 @@ def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta,
         pressure-dependent effects, Pa.
     r : variance of the position, m^2.
     euler : run Eq. 4 as printed.
-    theta, active, any_active : modelled effects.
+    theta, active, memory : modelled effects; their memory is updated.
     m, p : state (3,) and covariance (6,), updated; m[0] NaN asks for a fresh start.
     w : supervision, updated.
     out : (6, n) written: x, v, B, sigma_B, innovation, innovation sigma.
@@ -69,9 +81,8 @@ def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta,
         Number of events (may exceed k; those beyond are counted only).
     """
     n = x.shape[0]
-    s_scratch = theta[:7].copy()
-    s_scratch[:] = 0.0
-    c_scratch = theta[:9].copy()
+    s_scratch, c_scratch = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS)
+    terms, updates = with_term(active), with_update(active)
     spikes = 0
     found = 0
     nan = math.nan
@@ -84,10 +95,10 @@ def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta,
                 lost = True
             else:
                 b = m[2]
-                if any_active:
+                if len(terms) > 0:
                     i = k if p1.shape[0] > 1 else 0
-                    f, slope = effect_force(m[0], m[1], p1[i], p2[i], theta, active,
-                                            s_scratch, c_scratch)
+                    f, slope = effect_force(m[0], m[1], p1[i], p2[i], theta, terms,
+                                            memory, s_scratch, c_scratch)
                     b += slope
                     u0 -= f - slope * m[1]
                     u1 -= f - slope * m[1]
@@ -143,6 +154,9 @@ def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta,
                     p[0] -= kx * p[0]
         elif lost:
             m[0] = nan
+        if len(updates) > 0 and not math.isnan(m[0]):
+            i = k if p1.shape[0] > 1 else 0
+            remember_sample(m[0], m[1], p1[i], p2[i], theta, updates, dt, memory, s_scratch)
         if k % BLOCK == BLOCK - 1:
             delta, information, window = look(w, m[2], p[5], prior_variance)
             if information > 0.0:

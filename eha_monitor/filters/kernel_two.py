@@ -5,10 +5,12 @@ import math
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.filters.kernel_one import BROAD, GATE, SPIKES, effect_force
+from eha_monitor.filters.kernel_one import BROAD, GATE, SPIKES, effect_force, remember_sample
 from eha_monitor.filters.stage_one import UNSEEN
 from eha_monitor.filters.stage_two import BETA_0, MASS, discretise, discretise_at
 from eha_monitor.filters.supervision import BLOCK, INFORMATION, SCORE, honest_factor, look
+from eha_monitor.physics.contributions import with_term, with_update
+from eha_monitor.physics.signals import N_CONTRIBUTIONS, N_SIGNALS
 
 STIFFEST = 1e-2  # smallest compliance beta_0/beta_e: a hundred times stiffer than the prior
 REFRESH = 5e-3  # relative change of c that asks for a new exact step; between, second order
@@ -132,7 +134,7 @@ def correct_two(m, p, sens, z, r, w):
 
 @njit
 def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak_flow, dt,
-            r, q_f, prior_variance, p1, p2, theta, active, any_active, m, p, sens, w, out, events):
+            r, q_f, prior_variance, p1, p2, theta, active, memory, m, p, sens, w, out, events):
     """Run the stage over all samples.
 
     Parameters
@@ -147,6 +149,7 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
     r, q_f : variances of the position (m^2) and of an unmodelled force (N^2).
     p1, p2 : (n,) or (1,) absolute pressures over the sample before each, for
         pressure-dependent effects, Pa.
+    theta, active, memory : modelled effects; their memory is updated.
     m, p, sens : (4,) x, v, F, c; (4, 4); (4,) sensitivity to B; updated.  m[0] NaN: fresh start.
     w : supervision, updated.
     out : (8, n) written: x, v, a, beta_e, sigma of the filter, sigma with the uncertainty of B,
@@ -164,7 +167,8 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
     d_b, d_leak = np.empty((3, 7)), np.empty((3, 7))
     step, slope = np.empty((3, 7)), np.empty((3, 7))
     at_c, at_b = math.nan, math.nan
-    s_scratch, c_scratch = np.zeros(7), np.zeros(9)
+    s_scratch, c_scratch = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS)
+    terms, updates = with_term(active), with_update(active)
     mass = constants[MASS]
     spikes, found = 0, 0
     nan = math.nan
@@ -180,10 +184,10 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
                 lost = True
             else:
                 damping = b[k]
-                if any_active:
+                if len(terms) > 0:
                     i = k if p1.shape[0] > 1 else 0
-                    f, df = effect_force(m[0], m[1], p1[i], p2[i], theta, active,
-                                         s_scratch, c_scratch)
+                    f, df = effect_force(m[0], m[1], p1[i], p2[i], theta, terms,
+                                         memory, s_scratch, c_scratch)
                     damping += df
                     force = f - df * m[1]
                     flow += effect_flow(theta, c_scratch)
@@ -223,6 +227,9 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
                     correct_two(m, p, sens, z, r, w)
         elif lost:
             m[0] = nan
+        if len(updates) > 0 and not math.isnan(m[0]):
+            i = k if p1.shape[0] > 1 else 0
+            remember_sample(m[0], m[1], p1[i], p2[i], theta, updates, dt, memory, s_scratch)
         if k % BLOCK == BLOCK - 1:
             delta, information, window = look(w, m[3], p[3, 3], prior_variance)
             if information > 0.0:

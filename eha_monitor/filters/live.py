@@ -327,7 +327,8 @@ class LiveEstimator:
         self._two = FilterpyStageTwo(
             self._model.hydraulics, self._model.leak, self.dt, self._r,
             force_noise_variance(self.settings), broad, result.state, result.covariance,
-            result.sensitivity, result.watch, self._model.theta, self._model.active)
+            result.sensitivity, result.watch, self._model.theta, self._model.active,
+            result.memory)
         buffer.column("nu_two", start, stop)[:] = result.out[6]
         buffer.column("sd_two", start, stop)[:] = result.out[7]
         self._changes["two"] = [(start + int(row[0]), row[1], row[2], int(row[3]))

@@ -21,6 +21,7 @@ from eha_monitor.filters.results import (
 from eha_monitor.filters.run_two import MOST_EVENTS, run_stage_two_kernel
 from eha_monitor.filters.status import CONVERGED, judge_parameter, no_data, units_of
 from eha_monitor.filters.supervision import gave_up, new_supervision
+from eha_monitor.physics.contributions import new_memory
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
@@ -110,7 +111,7 @@ def run_one_kernel(inputs: StageInputs, settings: Settings, watch: np.ndarray
         inputs.x, force.start, force.end, force.variance, inputs.p1, inputs.p2, inputs.dt,
         moved_mass(model, inputs.dt), inputs.position_variance, spread**2,
         settings.discretisation == "euler", model.theta, model.active,
-        bool(model.active.any()), m, p, watch, out, changes)
+        new_memory(), m, p, watch, out, changes)
     return out, changes[: min(found, MOST_EVENTS)], found, watch
 
 

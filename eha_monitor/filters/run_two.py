@@ -7,6 +7,7 @@ import numpy as np
 from eha_monitor.filters import kernel_two
 from eha_monitor.filters.inputs import StageInputs
 from eha_monitor.filters.supervision import gave_up, new_supervision
+from eha_monitor.physics.contributions import new_memory
 from eha_monitor.settings.monitor import Settings
 
 BANK_RATIO = 1.06  # spacing of the bulk moduli tried; half a ring's phase over its life
@@ -108,6 +109,7 @@ class KernelTwoResult:
     covariance: np.ndarray
     sensitivity: np.ndarray
     watch: np.ndarray
+    memory: np.ndarray
 
 
 def part_of(inputs: StageInputs, start: int) -> StageInputs:
@@ -170,12 +172,12 @@ def run_from(begin: int, inputs: StageInputs, settings: Settings, damping: np.nd
         m = np.array([np.nan, 0.0, 0.0, start])
         p = np.zeros((4, 4))
         p[3, 3] = variance
-        sens, watch = np.zeros(4), new_supervision(frozen)
+        sens, watch, memory = np.zeros(4), new_supervision(frozen), new_memory()
         found = kernel_two.run_two(
             part.x, drive.start, drive.end, drive.variance, drive.instrument, b, b_variance,
             model.hydraulics, model.leak, part.leak_flow, inputs.dt, inputs.position_variance,
             force_noise_variance(settings), broad, part.p1, part.p2, model.theta,
-            model.active, effects, m, p, sens, watch, written, changes)
+            model.active, memory, m, p, sens, watch, written, changes)
         last = max(int(changes[0, 0] - 2 * changes[0, 3]), 0) if found else len(part.x) - 1
         sigma = written[4, last] / written[3, last]  # what it came to before any change
         if not sigma < (SHARP if not effects else 0.1):
@@ -185,4 +187,4 @@ def run_from(begin: int, inputs: StageInputs, settings: Settings, damping: np.nd
     out[:, begin:] = written
     changes = changes[: min(found, MOST_EVENTS)].copy()
     changes[:, 0] += begin
-    return KernelTwoResult(out, changes, m, p, sens, watch)
+    return KernelTwoResult(out, changes, m, p, sens, watch, memory)
