@@ -69,6 +69,8 @@ class Fit:
     gains : the filter's gains.
     e : (N, c) innovations of the counted samples, SI; ``s`` (c, c) their covariance.
     log_likelihood : of the innovations plus the prior's exponent.
+    named : effects of the catalogue that the fit has, in the order in which they were found;
+        small timing errors that every record has are active but not named.
     converged : False where the steps ran out.
     """
 
@@ -81,6 +83,7 @@ class Fit:
     s: np.ndarray
     log_likelihood: float
     covariance: np.ndarray
+    named: tuple[str, ...] = ()
     converged: bool = True
 
     def value(self, name: str) -> float:

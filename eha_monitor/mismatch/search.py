@@ -1,6 +1,5 @@
 """Search for the effects that a record supports: screen all, refit the best, add, prune."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,7 +31,9 @@ from eha_monitor.physics.parameters import place_of
 LARGEST_UNKNOWN = 3e4  # times the smallest: three times what the record covers
 MOST_EFFECTS = 4
 SHORTLIST = 8  # effects that are refitted in each round
+FINALISTS, WORTH = 4, 0.5  # how many are fitted to the end, and what share of the best they have
 THRESHOLD = 12.0  # log units, where no calibration is at hand
+TIMING = 0.05  # samples: timing errors up to here need no name
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,6 @@ class Round:
     before: Fit
     scores: tuple[Score, ...]
     candidates: tuple[Candidate, ...]
-    taken: str
 
 
 def base_free(experiment: Experiment) -> tuple[Free, ...]:
@@ -70,6 +70,20 @@ def base_free(experiment: Experiment) -> tuple[Free, ...]:
     found = [Free("B", s.B, -1e3 * scale, 1e5 * scale, one.prior, 10.0 * scale)]
     if experiment.mode != FORCED:
         found.append(Free("beta_e", s.BETA_E, 1e5, 1e12, float(np.log(two.prior)), 3.0, True))
+    return tuple(found)
+
+
+def timing_free(experiment: Experiment) -> tuple[Free, ...]:
+    """Return the small timing errors that every record has, each at most ``TIMING`` samples.
+
+    Sensors lag by some microseconds and stamps jitter; with 24 000 samples a delay of 2 % of a
+    sample is beyond doubt, and is nobody's fault.  What is larger must be named.
+    """
+    limit = TIMING * experiment.dt
+    found = []
+    for name in ("command_delay", "position_delay", "pressure_delay"):
+        if possible(name, experiment) and not experiment.active[NAMES.index(name)]:
+            found.append(Free(f"{name}.T", place_of(f"{name}.T"), 0.0, limit, 0.0, limit))
     return tuple(found)
 
 
@@ -99,22 +113,19 @@ def settle(experiment: Experiment, fit: Fit, rounds: int = 2, steps: int = 6) ->
 
 def first_fit(experiment: Experiment) -> Fit:
     """Fit the nominal model: B and beta_e, and the unknowns that it needs."""
-    theta = experiment.theta.copy()
-    free = base_free(experiment)
+    theta, active = experiment.theta.copy(), experiment.active.copy()
+    free = base_free(experiment) + timing_free(experiment)
     for f in free:
         theta[f.place] = f.outward(f.prior)
+        effect, dot, _ = f.name.partition(".")
+        if dot:
+            active[NAMES.index(effect)] = True
     small, _ = limits_of(experiment)
     middle = Unknowns(*(300.0 * small.as_array()))
     empty = np.zeros((len(free), len(free)))
-    fit = Fit(theta, experiment.active, free, middle,
-              gains_of(experiment, theta, experiment.active, middle), np.zeros((0, 0)),
-              np.zeros((0, 0)), -np.inf, empty)
+    fit = Fit(theta, active, free, middle, gains_of(experiment, theta, active, middle),
+              np.zeros((0, 0)), np.zeros((0, 0)), -np.inf, empty)
     return settle(experiment, fit)
-
-
-def named_in(fit: Fit, experiment: Experiment) -> list[str]:
-    """Return the effects that the fit has beyond the config's."""
-    return [name for i, name in enumerate(NAMES) if fit.active[i] and not experiment.active[i]]
 
 
 def with_effect(fit: Fit, start: Start, amplitudes: tuple[float, ...]) -> Fit:
@@ -130,33 +141,49 @@ def with_effect(fit: Fit, start: Start, amplitudes: tuple[float, ...]) -> Fit:
             values[p.name] = min(max(value, p.lower), p.upper)
     placed = replace(start, values=tuple(values.items()))
     theta, active = entered(fit.theta, fit.active, placed)
-    free = tuple(f for f in fit.free if not (
-        start.replaces and f.name.startswith(start.replaces + ".")))
-    return replace(fit, theta=theta, active=active, free=free + free_of(start))
+    gone = (start.replaces + "." if start.replaces else None, start.effect + ".")
+    free = tuple(f for f in fit.free if not any(g and f.name.startswith(g) for g in gone))
+    named = tuple(name for name in fit.named if name != start.replaces) + (start.effect,)
+    return replace(fit, theta=theta, active=active, free=free + free_of(start), named=named)
 
 
-def without_effect(fit: Fit, name: str) -> Fit:
+def without_effect(experiment: Experiment, fit: Fit, name: str) -> Fit:
     """Return a fit with an effect taken out, not yet refitted."""
-    active = fit.active.copy()
-    active[NAMES.index(name)] = False
-    theta = fit.theta.copy()
+    timing = tuple(f for f in timing_free(experiment) if f.name.startswith(name + "."))
+    active, theta = fit.active.copy(), fit.theta.copy()
+    active[NAMES.index(name)] = bool(timing)
     for p in CATALOGUE[name].parameters:
         theta[place_of(f"{name}.{p.name}")] = 0.0
-    return replace(fit, theta=theta, active=active,
-                   free=tuple(f for f in fit.free if not f.name.startswith(name + ".")))
+    free = tuple(f for f in fit.free if not f.name.startswith(name + ".")) + timing
+    return replace(fit, theta=theta, active=active, free=free,
+                   named=tuple(other for other in fit.named if other != name))
 
 
-def refit(experiment: Experiment, fit: Fit, score: Score) -> Fit:
-    """Enter a screened effect and fit everything anew."""
-    return settle(experiment, with_effect(fit, score.start, score.amplitudes))
+def replacements_of(experiment: Experiment, fit: Fit) -> list[tuple[Start, tuple[float, ...]]]:
+    """Return starts of effects that contain a named one, or share what it contains."""
+    found = []
+    for name in fit.named:
+        family = {name, *CATALOGUE[name].contains}
+        for other in NAMES:
+            if other in fit.named or not family & {other, *CATALOGUE[other].contains}:
+                continue
+            for start in starts_of(other, experiment):
+                values = dict(start.values)
+                for p in CATALOGUE[name].parameters:  # what both have starts where it stands
+                    if p.name in values and p.name not in ("z_0", "v_e"):
+                        values[p.name] = float(fit.theta[place_of(f"{name}.{p.name}")])
+                sizes = [p for p in CATALOGUE[other].sizes if values[p.name] != p.neutral]
+                found.append((Start(other, tuple(values.items()), name), (1.0,) * len(sizes)))
+    return found
 
 
-def round_of(experiment: Experiment, fit: Fit, report: Callable[[str], None] | None = None,
-             exclude: tuple[str, ...] = ()) -> tuple[Fit, list[Score], list[Candidate]]:
+def round_of(experiment: Experiment, fit: Fit) -> Round:
     """Screen the catalogue at a fit and refit the best; candidates best first."""
-    present = [name for i, name in enumerate(NAMES) if fit.active[i]]
-    starts = [start for name in NAMES if name not in present and name not in exclude
-              and possible(name, experiment) for start in starts_of(name, experiment)]
+    families = {member for name in fit.named for member in (name, *CATALOGUE[name].contains)}
+    starts = [start for name in NAMES
+              if not families & {name, *CATALOGUE[name].contains}
+              and not (experiment.active[NAMES.index(name)]) and possible(name, experiment)
+              for start in starts_of(name, experiment)]
     scores = screen(experiment, fit, starts)
     chosen: dict[str, list[Score]] = {}
     for score in scores:
@@ -167,13 +194,22 @@ def round_of(experiment: Experiment, fit: Fit, report: Callable[[str], None] | N
         kept = chosen.setdefault(score.start.effect, [])
         if len(kept) < 2:
             kept.append(score)
-    flat = [score for kept in chosen.values() for score in kept]
-    fits = spread(lambda score: refit(experiment, fit, score), flat)
-    found = [Candidate(score.start, other, other.log_likelihood - fit.log_likelihood)
-             for score, other in zip(flat, fits, strict=True)]
+    tasks = [(score.start, score.amplitudes) for kept in chosen.values() for score in kept]
+    tasks += replacements_of(experiment, fit)
+    quick = spread(lambda task: Candidate(task[0], *gained(
+        fit, settle(experiment, with_effect(fit, *task), 1, 2))), tasks)
     best: dict[str, Candidate] = {}
-    for candidate in found:
-        if (candidate.effect not in best
-                or candidate.gain > best[candidate.effect].gain):
+    for candidate in quick:
+        if candidate.effect not in best or candidate.gain > best[candidate.effect].gain:
             best[candidate.effect] = candidate
-    return fit, scores, sorted(best.values(), key=lambda c: -c.gain)
+    ranked = sorted(best.values(), key=lambda c: -c.gain)
+    # What is far behind after a few steps does not catch up: only the front runners go on.
+    front = [c for c in ranked if c.gain > WORTH * ranked[0].gain][:FINALISTS]
+    final = spread(lambda c: Candidate(c.start, *gained(fit, settle(experiment, c.fit))), front)
+    ranked = sorted([*final, *(c for c in ranked if c not in front)], key=lambda c: -c.gain)
+    return Round(fit, tuple(scores), tuple(ranked))
+
+
+def gained(before: Fit, after: Fit) -> tuple[Fit, float]:
+    """Return a fit and what it gained over another, log units."""
+    return after, after.log_likelihood - before.log_likelihood

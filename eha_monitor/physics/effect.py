@@ -100,6 +100,7 @@ class Effect:
     update : compiled ``update(s, p, h, m)``; carries the memory ``m`` over an integration step of
         ``h`` seconds that has ended at the signals ``s``.  A new memory is all zero.
     circuit : compiled ``circuit(p, w)``; adds to the constants ``w`` of drive and sensors.
+    contains : simpler effects that are a special case of this one.
     starts : ``starts(ranges)`` returns where a fit begins: dicts of parameter values, each a
         *small but visible* instance of the effect.  Several where the effect has a threshold.
     """
@@ -115,6 +116,7 @@ class Effect:
     term: Callable = no_term
     update: Callable = no_update
     circuit: Callable = no_circuit
+    contains: tuple[str, ...] = ()
 
     @property
     def sizes(self) -> tuple[Parameter, ...]:

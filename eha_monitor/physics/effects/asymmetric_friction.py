@@ -5,49 +5,61 @@ from eha_monitor.physics.dry_friction import (
     EQUATION,
     SOURCE,
     START,
+    T_1,
     V_E,
     Z_0,
-    direction,
+    dry_force,
     remember,
+    sliding,
 )
 from eha_monitor.physics.effect import Effect, Parameter
 from eha_monitor.physics.signals import FORCE, V
 
 
+@njit(forceinline=True)
+def steady(s, p):
+    """Return F_c s + dF |s|, N."""
+    sign = sliding(s, p[3])
+    return p[0] * sign + p[1] * abs(sign)
+
+
 @njit
 def term(s, p, m, c):
-    """Add dB |v| + dF |r|: more friction forwards is less backwards.
+    """Add the seal's force and dB |v|: more friction forwards is less backwards.
 
-    With B and F_c of the symmetric part, B + dB and F_c + dF act in positive motion, B - dB and
-    F_c - dF in negative motion.
+    In positive motion F_c + dF and B + dB act, in negative motion F_c - dF and B - dB.
     """
-    c[FORCE] += p[0] * abs(s[V]) + p[1] * abs(direction(s, p[2], p[3], m))
+    c[FORCE] += dry_force(s, steady(s, p), p[4], p[5], m) + p[2] * abs(s[V])
 
 
 @njit
 def update(s, p, h, m):
-    """Remember direction and place."""
-    remember(s, p[2], p[3], m)
+    """Remember the seal."""
+    remember(s, steady(s, p), p[4], m)
 
 
 EFFECT = Effect(
     name="asymmetric_friction",
     balance="force",
-    equation=f"F = dB |v| + dF |r|,  {EQUATION}",
+    equation=f"F_steady = F_c s + dF |s|, beside dB |v|;  {EQUATION}",
     source=f"Armstrong-Helouvry 1991, Sec. 2.3, other friction by direction; {SOURCE}",
     parameters=(
-        Parameter("dB", "N*s/m", "half the difference of viscous damping, positive more than "
-                  "negative motion", -1e6, 1e6, 100.0),
+        Parameter("F_c", "N", "mean dry friction of both directions", 0.0, 1e6, 20.0),
         Parameter("dF", "N", "half the difference of dry friction, positive more than negative "
                   "motion", -1e6, 1e6, 10.0),
+        Parameter("dB", "N*s/m", "half the difference of viscous damping, positive more than "
+                  "negative motion", -1e6, 1e6, 100.0),
         V_E,
         Z_0,
+        T_1,
     ),
     term=term,
     update=update,
-    statement="friction differs by direction: {dB:+.3g} N·s/m and {dF:+.3g} N in positive motion, "
-    "as much less in negative motion",
+    statement="friction differs by direction: {F_c:.3g} N of dry friction on average, {dF:+.3g} N "
+    "and {dB:+.3g} N·s/m in positive motion, as much less in negative motion",
     rig_check="Hold the same steady speed in both directions: the forces differ by twice "
     "dB |v| + dF, and not at rest.",
-    starts=lambda r: ({"dB": 0.01 * r.force / max(r.speed, 1e-6), "dF": 0.01 * r.force, **START},),
+    starts=lambda r: ({"F_c": 0.01 * r.force, "dF": 0.01 * r.force,
+                       "dB": 0.01 * r.force / max(r.speed, 1e-6), **START},),
+    contains=("coulomb_friction",),
 )

@@ -1,33 +1,34 @@
 """Coulomb (dry) friction of seals and guides."""
 
 from eha_monitor.compiled import njit
-from eha_monitor.physics.dry_friction import EQUATION, SOURCE, V_E, direction, remember
+from eha_monitor.physics.dry_friction import EQUATION, SOURCE, T_1, V_E, dry_force, remember, sliding
 from eha_monitor.physics.effect import Effect, Parameter
 from eha_monitor.physics.signals import FORCE
 
 
 @njit
 def term(s, p, m, c):
-    """Add F_c times the direction."""
-    c[FORCE] += p[0] * direction(s, p[1], p[2], m)
+    """Add F_c against the motion."""
+    c[FORCE] += dry_force(s, p[0] * sliding(s, p[1]), p[2], p[3], m)
 
 
 @njit
 def update(s, p, h, m):
-    """Remember direction and place."""
-    remember(s, p[1], p[2], m)
+    """Remember the seal."""
+    remember(s, p[0] * sliding(s, p[1]), p[2], m)
 
 
 EFFECT = Effect(
     name="coulomb_friction",
     balance="force",
-    equation=f"F = F_c r,  {EQUATION}",
+    equation=f"F_steady = F_c s,  {EQUATION}",
     source=f"Armstrong-Helouvry, Dupont, Canudas de Wit 1994, Eq. 1; {SOURCE}",
     parameters=(
         Parameter("F_c", "N", "Coulomb friction force", 0.0, 1e6, 20.0),
         V_E,
         Parameter("z_0", "m", "displacement over which the friction turns", 0.0, 1.2e-5, 4e-6,
                   0.0),
+        T_1,
     ),
     term=term,
     update=update,

@@ -1,27 +1,27 @@
 """Dry friction whose presliding is seen: the seal bends before it slides."""
 
 from eha_monitor.compiled import njit
-from eha_monitor.physics.dry_friction import EQUATION, V_E, direction, remember
+from eha_monitor.physics.dry_friction import EQUATION, T_1, V_E, dry_force, remember, sliding
 from eha_monitor.physics.effect import Effect, Parameter
 from eha_monitor.physics.signals import FORCE
 
 
 @njit
 def term(s, p, m, c):
-    """Add F_c times the direction; the same law as Coulomb friction, z_0 is a visible length."""
-    c[FORCE] += p[0] * direction(s, p[1], p[2], m)
+    """Add F_c; the same law as Coulomb friction, z_0 is a visible length."""
+    c[FORCE] += dry_force(s, p[0] * sliding(s, p[1]), p[2], p[3], m)
 
 
 @njit
 def update(s, p, h, m):
-    """Remember direction and place."""
-    remember(s, p[1], p[2], m)
+    """Remember the seal."""
+    remember(s, p[0] * sliding(s, p[1]), p[2], m)
 
 
 EFFECT = Effect(
     name="presliding_friction",
     balance="force",
-    equation=f"F = F_c r,  {EQUATION}",
+    equation=f"F_steady = F_c s,  {EQUATION}",
     source="Dahl 1968; the rigid limit of LuGre, Canudas de Wit, Olsson, Astrom, Lischinsky 1995, "
     "with sigma_0 = F_c / z_0",
     parameters=(
@@ -29,6 +29,7 @@ EFFECT = Effect(
         V_E,
         Parameter("z_0", "m", "displacement over which the friction turns", 1.2e-5, 1e-3, 4e-5,
                   4e-5),
+        T_1,
     ),
     term=term,
     update=update,
@@ -38,4 +39,5 @@ EFFECT = Effect(
     "loop with rounded corners, z_0 wide.",
     starts=lambda r: ({"F_c": 0.01 * r.force, "v_e": 1e-3, "z_0": 2e-5},
                       {"F_c": 0.01 * r.force, "v_e": 1e-3, "z_0": 1e-4}),
+    contains=("coulomb_friction",),
 )

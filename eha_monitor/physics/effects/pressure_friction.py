@@ -5,37 +5,46 @@ from eha_monitor.physics.dry_friction import (
     EQUATION,
     SOURCE,
     START,
+    T_1,
     V_E,
     Z_0,
-    direction,
+    dry_force,
     remember,
+    sliding,
 )
 from eha_monitor.physics.effect import Effect, Parameter
 from eha_monitor.physics.signals import FORCE, P1, P2
 
 
+@njit(forceinline=True)
+def steady(s, p):
+    """Return mu (p1 + p2) against the motion, N; a pressure below zero presses on nothing."""
+    return p[0] * max(s[P1] + s[P2], 0.0) * sliding(s, p[1])
+
+
 @njit
 def term(s, p, m, c):
-    """Add mu (p1 + p2) times the direction; a pressure below zero presses on nothing."""
-    c[FORCE] += p[0] * max(s[P1] + s[P2], 0.0) * direction(s, p[1], p[2], m)
+    """Add the seal's force."""
+    c[FORCE] += dry_force(s, steady(s, p), p[2], p[3], m)
 
 
 @njit
 def update(s, p, h, m):
-    """Remember direction and place."""
-    remember(s, p[1], p[2], m)
+    """Remember the seal."""
+    remember(s, steady(s, p), p[2], m)
 
 
 EFFECT = Effect(
     name="pressure_friction",
     balance="force",
-    equation=f"F = mu (p1 + p2) r,  {EQUATION}",
+    equation=f"F_steady = mu (p1 + p2) s,  {EQUATION}",
     source=f"Ottestad, Nilsen, Hansen 2012, seal friction grows with pressure; {SOURCE}",
     parameters=(
         Parameter("mu", "m^2", "friction coefficient times contact area of the seals", 0.0, 1.0,
                   3e-6),
         V_E,
         Z_0,
+        T_1,
     ),
     term=term,
     update=update,

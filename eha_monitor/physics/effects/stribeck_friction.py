@@ -3,22 +3,36 @@
 import math
 
 from eha_monitor.compiled import njit
-from eha_monitor.physics.dry_friction import EQUATION, SOURCE, V_E, Z_0, direction, remember
+from eha_monitor.physics.dry_friction import EQUATION, SOURCE, T_1, V_E, Z_0, dry_force, remember, sliding
 from eha_monitor.physics.effect import Effect, Parameter
 from eha_monitor.physics.signals import FORCE, V
 
 
+@njit(forceinline=True)
+def sliding_force(s, p):
+    """Return g = F_c + F_d exp(-(v/v_s)^2) in N, F_d = F_s - F_c, and its deflection in m.
+
+    The seal's stiffness is the same at every speed, so the deflection goes with the force; z_0 is
+    the one at standstill.
+    """
+    ratio = s[V] / p[2]
+    g = p[0] + p[1] * math.exp(-ratio * ratio)
+    most = p[0] + p[1]
+    return g, (p[4] * g / most if most > 0.0 else 0.0)
+
+
 @njit
 def term(s, p, m, c):
-    """Add (F_c + F_d exp(-(v/v_s)^2)) times the direction; F_d = F_s - F_c."""
-    ratio = s[V] / p[2]
-    c[FORCE] += (p[0] + p[1] * math.exp(-ratio * ratio)) * direction(s, p[3], p[4], m)
+    """Add the seal's force."""
+    g, z = sliding_force(s, p)
+    c[FORCE] += dry_force(s, g * sliding(s, p[3]), z, p[5], m)
 
 
 @njit
 def update(s, p, h, m):
-    """Remember direction and place."""
-    remember(s, p[3], p[4], m)
+    """Remember the seal."""
+    g, z = sliding_force(s, p)
+    remember(s, g * sliding(s, p[3]), z, m)
 
 
 def starts(r):
@@ -26,14 +40,14 @@ def starts(r):
     small = 0.01 * r.force
     speed = max(r.speed, 1e-6)
     return tuple({"F_c": small, "F_d": small, "v_s": share * speed,
-                  "v_e": min(1e-3, 0.2 * share * speed), "z_0": 3e-6}
+                  "v_e": min(1e-3, 0.2 * share * speed), "z_0": 3e-6, "t_1": 0.0}
                  for share in (0.3, 0.03, 0.003))
 
 
 EFFECT = Effect(
     name="stribeck_friction",
     balance="force",
-    equation=f"F = (F_c + F_d exp(-(v / v_s)^2)) r,  {EQUATION}",
+    equation=f"F_steady = (F_c + F_d exp(-(v / v_s)^2)) s,  {EQUATION}",
     source=f"Armstrong-Helouvry, Dupont, Canudas de Wit 1994, Eq. 5, F_d = F_s - F_c; {SOURCE}",
     parameters=(
         Parameter("F_c", "N", "Coulomb friction force at speed", 0.0, 1e6, 20.0),
@@ -42,6 +56,7 @@ EFFECT = Effect(
                   5e-3, 5e-3),
         V_E,
         Z_0,
+        T_1,
     ),
     term=term,
     update=update,
@@ -49,4 +64,5 @@ EFFECT = Effect(
     rig_check="Let the rod creep at a few speeds below v_s: the force to keep it moving must fall "
     "as the speed rises.",
     starts=starts,
+    contains=("coulomb_friction",),
 )

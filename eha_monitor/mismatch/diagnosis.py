@@ -1,0 +1,163 @@
+"""What a diagnosis says; immutable records, made by :mod:`name`, :mod:`locate`, :mod:`show`."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+VERDICTS = ("consistent", "mismatch", "unexplained", "insufficient_data")
+
+
+@dataclass(frozen=True)
+class Value:
+    """A number with its standard deviation, both in ``unit``."""
+
+    value: float
+    stddev: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class NamedEffect:
+    """One piece of left-out physics that the recording supports.
+
+    Attributes
+    ----------
+    name, balance, equation, rig_check : from the catalogue.
+    statement : one sentence with numbers.
+    parameters : symbol -> value.
+    log_evidence : log units that the model loses without it.
+    indistinguishable_from : rivals that this very recording cannot tell from it.
+    size : how much it does at its largest here, in words ("40 N", "0.3 l/min", "4 ms").
+    """
+
+    name: str
+    balance: str
+    statement: str
+    parameters: dict[str, Value]
+    log_evidence: float
+    indistinguishable_from: tuple[str, ...] = ()
+    equation: str = ""
+    rig_check: str = ""
+    size: str = ""
+
+
+@dataclass(frozen=True)
+class Location:
+    """Where the model and the recording disagree.
+
+    ``balance`` : share of the disagreement, force, flow, drive, sensor; adds up to 1, or all 0
+    where nothing disagrees.  ``regime`` : ``velocity_reversal``, ``high_speed``,
+    ``high_pressure``, ``near_limit``, ``always`` or "".  ``intervals_s`` : where it is worst.
+    """
+
+    balance: dict[str, float]
+    regime: str
+    intervals_s: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class SignalFit:
+    """Free-run error of one signal over short windows of unseen data, in ``unit``.
+
+    ``before_rms`` nominal model with B and beta_e fitted, ``after_rms`` with the effects,
+    ``noise_rms`` the sensor's own noise.  ``before_whiteness``, ``after_whiteness`` : largest
+    variance ratio of block sums of the one-step innovations; 1 is white.
+    """
+
+    unit: str
+    before_rms: float
+    after_rms: float
+    noise_rms: float
+    before_whiteness: float = np.nan
+    after_whiteness: float = np.nan
+
+
+@dataclass(frozen=True)
+class Curve:
+    """The missing term against one quantity: what the record shows and what the model makes.
+
+    ``against``/``against_unit`` e.g. ``velocity``/``m/s``; ``measured``, ``spread``, ``modelled``
+    (n,) in ``unit`` at ``x`` (n,).  ``balance`` is whose missing term it is.
+    """
+
+    balance: str
+    against: str
+    against_unit: str
+    unit: str
+    x: np.ndarray
+    measured: np.ndarray
+    spread: np.ndarray
+    modelled: np.ndarray
+
+
+@dataclass(frozen=True)
+class Overlay:
+    """A stretch of unseen data: a signal measured, and both models running free; (n,) each."""
+
+    signal: str
+    unit: str
+    time: np.ndarray
+    measured: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+
+
+@dataclass(frozen=True)
+class Considered:
+    """A catalogue entry that was tried, and why it is not named.
+
+    ``gain`` in log units over the model at hand, beside ``beside`` (effects already named).
+    """
+
+    name: str
+    gain: float
+    beside: tuple[str, ...]
+    why: str
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """The same parameter from different parts of the record, before and after modelling."""
+
+    part: str
+    before: dict[str, Value]
+    after: dict[str, Value]
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The whole answer.
+
+    Attributes
+    ----------
+    bags : names of the recordings.
+    verdict : one of ``VERDICTS``; ``message`` says it in a sentence.
+    before, after : ``B`` and ``beta_e`` without and with the named effects.
+    data : ``held_out`` or ``held_out_bag``: on what the fit was shown.
+    health : sentences on what the mismatch did to the health estimate.
+    config_effects : the ``effects:`` section that holds the named physics.
+    threshold : log units that an effect had to gain; ``calibrated`` on simulated clean records.
+    explained : share of the evidence against the nominal model that the effects take away.
+    """
+
+    bags: tuple[str, ...]
+    verdict: str
+    message: str
+    location: Location
+    effects: tuple[NamedEffect, ...]
+    before: dict[str, Value]
+    after: dict[str, Value]
+    data: str
+    signals: dict[str, SignalFit]
+    curves: tuple[Curve, ...] = ()
+    overlays: tuple[Overlay, ...] = ()
+    considered: tuple[Considered, ...] = ()
+    agreement: tuple[Agreement, ...] = ()
+    health: tuple[str, ...] = ()
+    advice: tuple[str, ...] = ()
+    config_effects: dict[str, dict[str, float]] = field(default_factory=dict)
+    threshold: float = np.nan
+    calibrated: bool = False
+    explained: float = np.nan
+    duration_s: float = 0.0
+    wall_s: float = 0.0
