@@ -67,6 +67,7 @@ class Experiment:
     stretches : the data.
     ranges : what the record covers.
     position_step : resolution of the position sensor, m; 0 where it is continuous.
+    input_noise : standard deviation of the noise on a measured input, in its unit.
     """
 
     settings: Settings
@@ -80,6 +81,7 @@ class Experiment:
     stretches: tuple[Stretch, ...]
     ranges: Ranges
     position_step: float = 0.0
+    input_noise: float = 0.0
     spikes: dict[str, int] = field(default_factory=dict)
 
     @property
@@ -136,7 +138,22 @@ def experiment_of(recordings: list[Recording], settings: Settings,
     ranges = ranges_of(columns, settings, first.sample_time)
     return Experiment(settings, mode, first.sample_time,
                       integration_steps(settings, mode, first.sample_time), used, sigma, theta,
-                      active, tuple(parts), ranges, step, spikes)
+                      active, tuple(parts), ranges, step, input_noise(mode, settings, levels),
+                      spikes)
+
+
+def input_noise(mode: int, settings: Settings, levels: dict) -> float:
+    """Return the standard deviation of the noise on a measured input, in its unit."""
+    def level(name):
+        return float(np.median(levels[name])) if name in levels else 0.0
+
+    if mode == OPEN:
+        gain = settings.rig.position_gain
+        return level("omega") if "omega" in levels else (gain or 0.0) * level("x")
+    if mode == FORCED and "p1" in levels and "p2" in levels and settings.rig.area_1:
+        return float(np.hypot(settings.rig.area_1 * level("p1"),
+                              settings.rig.area_2 * level("p2")))
+    return level("force") if mode == FORCED else 0.0
 
 
 def mode_of(recording: Recording, settings: Settings) -> int:

@@ -207,24 +207,33 @@ def step_of(f: Free, theta: np.ndarray) -> tuple[np.ndarray, float]:
 def refine(experiment: Experiment, fit: Fit, steps: int = 12, tolerance: float = 0.02) -> Fit:
     """Carry a fit to its optimum with held gains: damped Gauss-Newton.
 
+    The slopes of the base parameters hardly change on the way and are taken once; those of the
+    effects' parameters, which stand inside non-linearities, at every step.
+
     Parameters
     ----------
     fit : start; its gains are held.
     steps : most steps.
-    tolerance : ends when a step promises less than this many log units.
+    tolerance : ends when a step gains less than this many log units.
     """
     theta, free = fit.theta.copy(), fit.free
     e = innovations(experiment, theta, fit.active, fit.gains)
     best = log_likelihood_of(e) + prior_exponent(free, theta)
     damping, converged = 1e-6, False
     information = np.zeros((len(free), len(free)))
+    slopes: list[np.ndarray] = []
     for _ in range(steps):
         if not np.isfinite(best):
             break
         w = whitener(covariance_of(e))
         white = np.nan_to_num(e) @ w.T
-        slopes = sensitivities(experiment, theta, fit.active, fit.gains, e,
-                               [step_of(f, theta) for f in free])
+        moving = [i for i, f in enumerate(free)
+                  if not slopes or f.name.partition(".")[0] in fit.named]
+        fresh = sensitivities(experiment, theta, fit.active, fit.gains, e,
+                              [step_of(free[i], theta) for i in moving])
+        slopes = slopes or fresh
+        for i, slope in zip(moving, fresh, strict=True):
+            slopes[i] = slope
         d = np.stack([(np.nan_to_num(slope) @ w.T).ravel() for slope in slopes])
         information = d @ d.T
         now = np.array([f.inward(theta[f.place]) for f in free])
@@ -271,17 +280,24 @@ def with_unknowns(experiment: Experiment, fit: Fit, unknowns: Unknowns) -> Fit:
 
 
 def tune(experiment: Experiment, fit: Fit, smallest: Unknowns, largest: Unknowns,
-         factors: Sequence[float] = (10.0, 3.0)) -> Fit:
+         factors: Sequence[float] = (10.0, 3.0), upward: bool = True) -> Fit:
     """Find the unknowns' deviations of greatest likelihood, one balance after the other.
 
     This is the location in small: an unknown that must be large names the balance that is wrong.
+
+    Parameters
+    ----------
+    smallest, largest : between which they are sought, on a grid of ``factors``.
+    upward : False where they can only fall: an effect has just entered.
     """
     low, high = smallest.as_array(), largest.as_array()
     for factor in factors:
         for i in range(3):
             if high[i] <= low[i]:
                 continue
-            for direction in (factor, 1.0 / factor):
+            for direction in (1.0 / factor, factor):
+                if direction > 1 and not upward:
+                    continue
                 moved = False
                 while True:
                     now = fit.unknowns.as_array()
@@ -295,6 +311,3 @@ def tune(experiment: Experiment, fit: Fit, smallest: Unknowns, largest: Unknowns
                 if moved:
                     break
     return fit
-
-
-Progress = Callable[[str], None]

@@ -111,10 +111,22 @@ def free_of(start: Start) -> tuple[Free, ...]:
                  if p.fitted and np.isfinite(values[p.name]))
 
 
+def own_sizes(start: Start) -> list[Parameter]:
+    """Return the sizes that a start brings in: those of the effect that it replaces are there.
+
+    Empty where it brings in another shape only.
+    """
+    values = dict(start.values)
+    shared = {p.name for p in CATALOGUE[start.replaces].sizes} if start.replaces else set()
+    return [p for p in CATALOGUE[start.effect].sizes
+            if values[p.name] != p.neutral and p.name not in shared]
+
+
 def directions_of(fit: Fit, start: Start) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return (theta, active) with one size of the start at a time."""
-    effect = CATALOGUE[start.effect]
-    sizes = [p for p in effect.sizes if dict(start.values)[p.name] != p.neutral]
+    """Return (theta, active) with one size of the start at a time, or with all of its shape."""
+    sizes = own_sizes(start)
+    if not sizes:
+        return [entered(fit.theta, fit.active, start)]
     found = []
     for size in sizes:
         theta, active = entered(fit.theta, fit.active, start)
@@ -165,17 +177,17 @@ def screen(experiment: Experiment, fit: Fit, starts: list[Start]) -> list[Score]
 def score_of(start: Start, d: np.ndarray, r: np.ndarray, shape: tuple[int, int],
              before: float) -> Score:
     """Return the score of a start from its projected directions ``d`` (k, N*c)."""
-    effect = CATALOGUE[start.effect]
-    values = dict(start.values)
-    sizes = [p for p in effect.sizes if values[p.name] != p.neutral]
+    sizes = own_sizes(start)
     matrix = d @ d.T
     scale = np.sqrt(np.diag(matrix))
     if (scale < 1e-9).any():  # nothing moves: this record does not show it
-        return Score(start, 0.0, tuple(0.0 for _ in sizes))
+        return Score(start, 0.0, (0.0,) * len(d))
     a = -np.linalg.lstsq(matrix / np.outer(scale, scale), d @ r / scale, rcond=1e-9)[0] / scale
     for j, p in enumerate(sizes):  # a size on the wrong side of its bound is none
         one_sided = (p.lower >= 0 and np.isfinite(p.neutral)) or not np.isfinite(p.neutral)
         if one_sided and a[j] < 0:
             a[j] = 0.0
+    if not sizes:
+        a = np.clip(a, 0.0, 1.0)
     gain = log_likelihood_of((r + a @ d).reshape(shape)) - before
     return Score(start, float(max(gain, 0.0)), tuple(float(v) for v in a))

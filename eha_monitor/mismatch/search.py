@@ -20,6 +20,7 @@ from eha_monitor.mismatch.screen import (
     Start,
     entered,
     free_of,
+    own_sizes,
     possible,
     screen,
     starts_of,
@@ -29,7 +30,8 @@ from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
 
 LARGEST_UNKNOWN = 3e4  # times the smallest: three times what the record covers
-MOST_EFFECTS = 4
+
+PROMISE = 0.03  # of the best score: what an effect must score to be refitted
 SHORTLIST = 8  # effects that are refitted in each round
 FINALISTS, WORTH = 4, 0.5  # how many are fitted to the end, and what share of the best they have
 THRESHOLD = 12.0  # log units, where no calibration is at hand
@@ -98,13 +100,14 @@ def limits_of(experiment: Experiment) -> tuple[Unknowns, Unknowns]:
     return Unknowns(*small), Unknowns(*large)
 
 
-def settle(experiment: Experiment, fit: Fit, rounds: int = 2, steps: int = 6) -> Fit:
+def settle(experiment: Experiment, fit: Fit, rounds: int = 2, steps: int = 6,
+           upward: bool = True) -> Fit:
     """Fit parameters and unknowns in turn, gains renewed at each turn."""
     small, large = limits_of(experiment)
     fit = refine(experiment, with_unknowns(experiment, fit, fit.unknowns), steps)
     for i in range(rounds):
         before = fit.log_likelihood
-        fit = tune(experiment, fit, small, large, (10.0, 3.0) if i == 0 else (3.0,))
+        fit = tune(experiment, fit, small, large, (10.0, 3.0) if i == 0 else (3.0,), upward)
         fit = refine(experiment, with_unknowns(experiment, fit, fit.unknowns), steps)
         if fit.log_likelihood < before + 1.0:
             break
@@ -130,10 +133,8 @@ def first_fit(experiment: Experiment) -> Fit:
 
 def with_effect(fit: Fit, start: Start, amplitudes: tuple[float, ...]) -> Fit:
     """Return a fit with an effect entered at a multiple of its start, not yet refitted."""
-    effect = CATALOGUE[start.effect]
     values = dict(start.values)
-    sizes = [p for p in effect.sizes if values[p.name] != p.neutral]
-    for p, a in zip(sizes, amplitudes, strict=True):
+    for p, a in zip(own_sizes(start), amplitudes, strict=False):
         if np.isfinite(p.neutral):
             value = a * values[p.name]
             if p.lower >= 0:
@@ -159,21 +160,25 @@ def without_effect(experiment: Experiment, fit: Fit, name: str) -> Fit:
                    named=tuple(other for other in fit.named if other != name))
 
 
-def replacements_of(experiment: Experiment, fit: Fit) -> list[tuple[Start, tuple[float, ...]]]:
-    """Return starts of effects that contain a named one, or share what it contains."""
+def replacements_of(experiment: Experiment, fit: Fit) -> list[Start]:
+    """Return starts of effects that contain a named one, or share what it contains.
+
+    They begin where the named one stands, so that only what they add is judged.
+    """
     found = []
     for name in fit.named:
         family = {name, *CATALOGUE[name].contains}
         for other in NAMES:
             if other in fit.named or not family & {other, *CATALOGUE[other].contains}:
                 continue
+            bounds = {p.name: p for p in CATALOGUE[other].parameters}
             for start in starts_of(other, experiment):
                 values = dict(start.values)
                 for p in CATALOGUE[name].parameters:  # what both have starts where it stands
-                    if p.name in values and p.name not in ("z_0", "v_e"):
-                        values[p.name] = float(fit.theta[place_of(f"{name}.{p.name}")])
-                sizes = [p for p in CATALOGUE[other].sizes if values[p.name] != p.neutral]
-                found.append((Start(other, tuple(values.items()), name), (1.0,) * len(sizes)))
+                    now = float(fit.theta[place_of(f"{name}.{p.name}")])
+                    if p.name in values and bounds[p.name].lower <= now <= bounds[p.name].upper:
+                        values[p.name] = now
+                found.append(Start(other, tuple(values.items()), name))
     return found
 
 
@@ -184,20 +189,19 @@ def round_of(experiment: Experiment, fit: Fit) -> Round:
               if not families & {name, *CATALOGUE[name].contains}
               and not (experiment.active[NAMES.index(name)]) and possible(name, experiment)
               for start in starts_of(name, experiment)]
-    scores = screen(experiment, fit, starts)
+    scores = screen(experiment, fit, starts + replacements_of(experiment, fit))
     chosen: dict[str, list[Score]] = {}
     for score in scores:
-        if score.gain < 2.0:
+        if score.gain < max(2.0, PROMISE * scores[0].gain):
             continue
         if score.start.effect not in chosen and len(chosen) >= SHORTLIST:
             continue
         kept = chosen.setdefault(score.start.effect, [])
         if len(kept) < 2:
             kept.append(score)
-    tasks = [(score.start, score.amplitudes) for kept in chosen.values() for score in kept]
-    tasks += replacements_of(experiment, fit)
-    quick = spread(lambda task: Candidate(task[0], *gained(
-        fit, settle(experiment, with_effect(fit, *task), 1, 2))), tasks)
+    flat = [score for kept in chosen.values() for score in kept]
+    quick = spread(lambda score: Candidate(score.start, *gained(fit, settle(
+        experiment, with_effect(fit, score.start, score.amplitudes), 1, 2, False))), flat)
     best: dict[str, Candidate] = {}
     for candidate in quick:
         if candidate.effect not in best or candidate.gain > best[candidate.effect].gain:
@@ -205,7 +209,8 @@ def round_of(experiment: Experiment, fit: Fit) -> Round:
     ranked = sorted(best.values(), key=lambda c: -c.gain)
     # What is far behind after a few steps does not catch up: only the front runners go on.
     front = [c for c in ranked if c.gain > WORTH * ranked[0].gain][:FINALISTS]
-    final = spread(lambda c: Candidate(c.start, *gained(fit, settle(experiment, c.fit))), front)
+    final = spread(lambda c: Candidate(c.start, *gained(fit, settle(
+        experiment, c.fit, upward=False))), front)
     ranked = sorted([*final, *(c for c in ranked if c not in front)], key=lambda c: -c.gain)
     return Round(fit, tuple(scores), tuple(ranked))
 

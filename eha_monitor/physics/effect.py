@@ -101,6 +101,9 @@ class Effect:
         ``h`` seconds that has ended at the signals ``s``.  A new memory is all zero.
     circuit : compiled ``circuit(p, w)``; adds to the constants ``w`` of drive and sensors.
     contains : simpler effects that are a special case of this one.
+    family : effects of one family explain one another's errors of form ("dry" friction); two of
+        them are named only where the second one is large.
+    rarity : the larger, the less common on rigs; decides where a recording cannot.
     starts : ``starts(ranges)`` returns where a fit begins: dicts of parameter values, each a
         *small but visible* instance of the effect.  Several where the effect has a threshold.
     """
@@ -117,6 +120,8 @@ class Effect:
     update: Callable = no_update
     circuit: Callable = no_circuit
     contains: tuple[str, ...] = ()
+    family: str = ""
+    rarity: int = 1
 
     @property
     def sizes(self) -> tuple[Parameter, ...]:

@@ -37,4 +37,5 @@ EFFECT = Effect(
     "that is missing",
     rig_check="Watch the lower pressure in a fast move: it must stay flat at p_min.",
     starts=starts,
+    rarity=2,
 )

@@ -34,4 +34,5 @@ EFFECT = Effect(
     rig_check="Put a dial gauge on the piston rod and reverse slowly: the sensor must stand still "
     "for b.",
     starts=starts,
+    rarity=2,
 )

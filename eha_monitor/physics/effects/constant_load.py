@@ -23,4 +23,5 @@ EFFECT = Effect(
     statement="a constant load of {F_0:.3g} N pushes against positive motion",
     rig_check="Hold the actuator at rest: the pressure force that remains is the load.",
     starts=lambda r: ({"F_0": 0.01 * r.force},),
+    rarity=0,
 )

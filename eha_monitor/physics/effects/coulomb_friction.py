@@ -36,4 +36,6 @@ EFFECT = Effect(
     rig_check="Push the depressurised rod by hand with a spring balance: the force at which it "
     "keeps creeping is F_c.",
     starts=lambda r: ({"F_c": 0.01 * r.force, "v_e": 1e-3, "z_0": 3e-6},),
+    family="dry",
+    rarity=0,
 )

@@ -24,4 +24,5 @@ EFFECT = Effect(
     rig_check="Step the speed command with the rod free: 63 % of the speed must be there after "
     "tau.",
     starts=lambda r: ({"tau": 0.5 * r.sample_time},),
+    rarity=0,
 )

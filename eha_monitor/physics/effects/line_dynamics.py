@@ -60,4 +60,5 @@ EFFECT = Effect(
     "2 pi T_l.",
     starts=lambda r: tuple({"T_l": share * r.sample_time, "zeta": 0.2}
                            for share in (0.5, 2.0, 8.0)),
+    rarity=2,
 )

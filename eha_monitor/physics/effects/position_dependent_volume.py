@@ -26,4 +26,5 @@ EFFECT = Effect(
     rig_check="Excite the oil column at both ends of the travel: its resonance must shift between "
     "them.",
     starts=lambda r: ({"A_v": 0.3 * r.flow / max(r.speed, 1e-6)},),
+    rarity=2,
 )

@@ -40,4 +40,5 @@ EFFECT = Effect(
     starts=lambda r: ({"F_c": 0.01 * r.force, "v_e": 1e-3, "z_0": 2e-5},
                       {"F_c": 0.01 * r.force, "v_e": 1e-3, "z_0": 1e-4}),
     contains=("coulomb_friction",),
+    family="dry",
 )

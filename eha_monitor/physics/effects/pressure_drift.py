@@ -33,4 +33,5 @@ EFFECT = Effect(
     rig_check="Log the sensors for as long as the record took with the rig at rest and both "
     "chambers open to the tank.",
     starts=starts,
+    rarity=2,
 )

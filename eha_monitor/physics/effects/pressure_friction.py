@@ -53,4 +53,5 @@ EFFECT = Effect(
     rig_check="Raise the charge pressure at the same motion: the friction must rise in "
     "proportion.",
     starts=lambda r: ({"mu": 0.005 * r.force / max(r.mean_pressure, 1e3), **START},),
+    family="dry",
 )

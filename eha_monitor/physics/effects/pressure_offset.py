@@ -33,4 +33,5 @@ EFFECT = Effect(
     rig_check="Open both chambers to the tank: the sensors must show the same pressure, and a "
     "gauge too.",
     starts=starts,
+    rarity=0,
 )

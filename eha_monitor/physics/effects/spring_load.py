@@ -26,4 +26,5 @@ EFFECT = Effect(
     rig_check="Hold the actuator at rest at both ends of its travel: the pressure force must "
     "differ by k times the distance.",
     starts=lambda r: ({"k": 0.01 * r.force / max(r.position, 1e-6), "x_0": 0.0},),
+    rarity=0,
 )

@@ -65,4 +65,5 @@ EFFECT = Effect(
     "as the speed rises.",
     starts=starts,
     contains=("coulomb_friction",),
+    family="dry",
 )
