@@ -71,15 +71,27 @@ def operating_point(experiment: Experiment) -> np.ndarray:
     return y
 
 
-def gains_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
-             unknowns: Unknowns) -> np.ndarray:
-    """Return the filter's gains, (m, N_FILTERED, N_OUTPUTS); the last serves from there on.
+@dataclass(frozen=True)
+class Linear:
+    """The plant linearised in typical motion, as the filter's gains are computed from it.
 
-    Parameters
+    Attributes
     ----------
-    theta, active : parameters and effects at which the plant is linearised.
-    unknowns : deviations of the unknown force, flow and speed.
+    a : (N_FILTERED, N_FILTERED) over one sample; ``h`` (N_OUTPUTS, N_FILTERED).
+    q : (N_FILTERED,) variances of a sample's process noise; ``r`` (N_OUTPUTS,) of the sensors.
+    start : (N_FILTERED,) variances at the start of a stretch.
     """
+
+    a: np.ndarray
+    h: np.ndarray
+    q: np.ndarray
+    r: np.ndarray
+    start: np.ndarray
+
+
+def linear_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
+              unknowns: Unknowns) -> Linear:
+    """Linearise the plant with parameters ``theta`` and ``active`` effects in typical motion."""
     dt, r = experiment.dt, experiment.ranges
     decay = decay_of(dt)
     y = operating_point(experiment)
@@ -117,7 +129,20 @@ def gains_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
     start[Y_OMEGA] = pump**2
     start[Y_FORCE:] = intensity**2
     start[away] = 0.0
+    return Linear(a, h, q, noise**2, start)
+
+
+def gains_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
+             unknowns: Unknowns) -> np.ndarray:
+    """Return the filter's gains, (m, N_FILTERED, N_OUTPUTS); the last serves from there on.
+
+    Parameters
+    ----------
+    theta, active : parameters and effects at which the plant is linearised.
+    unknowns : deviations of the unknown force, flow and speed.
+    """
+    m = linear_of(experiment, theta, active, unknowns)
     longest = max(len(stretch) for stretch in experiment.stretches)
-    gains = np.zeros((min(TRANSIENT, longest), N_FILTERED, len(noise)))
-    count = riccati(a, h, q, noise**2, np.diag(start), experiment.used, gains)
+    gains = np.zeros((min(TRANSIENT, longest), N_FILTERED, len(m.r)))
+    count = riccati(m.a, m.h, m.q, m.r, np.diag(m.start), experiment.used, gains)
     return gains[:count]
