@@ -12,6 +12,7 @@ import traceback
 import click
 
 from eha_monitor import __version__
+from eha_monitor.commands.diagnose import diagnose
 from eha_monitor.commands.estimate import estimate
 from eha_monitor.commands.files import config, import_table, simulate
 from eha_monitor.commands.live import monitor, record, replay, simulator
@@ -43,7 +44,8 @@ def cli(context: click.Context) -> None:
                                "expected no --ros-args")
 
 
-for _command in (simulator, monitor, replay, record, simulate, estimate, import_table, config):
+for _command in (simulator, monitor, replay, record, simulate, estimate, diagnose,
+                 import_table, config):
     cli.add_command(_command)
 
 

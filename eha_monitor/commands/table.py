@@ -12,21 +12,22 @@ from eha_monitor.health.alarms import Alarm
 _COLOURS = {"OK": "green", "WARN": "yellow", "ERROR": "red", "STALE": "dim",
             "converged": "green", "not_excited": "yellow", "diverged": "red", "no_data": "dim",
             "consistent": "green", "mismatch": "red", "unknown": "dim"}
-_PIPE_WIDTH = 120  # where there is no terminal whose width could be asked for
+PIPE_WIDTH = 120  # where there is no terminal whose width could be asked for
 
 
-class _Console(Console):
+class PipeConsole(Console):
     """Leaves a broken pipe to the command line, which knows its exit status."""
 
     def on_broken_pipe(self) -> None:
+        """Let the caller see it."""
         raise BrokenPipeError
 
 
 def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path]) -> None:
     """Print parameters, alarms, model status, losses and events."""
-    console = _Console(highlight=False, soft_wrap=False)
+    console = PipeConsole(highlight=False, soft_wrap=False)
     if not console.is_terminal:
-        console = _Console(highlight=False, width=_PIPE_WIDTH)
+        console = PipeConsole(highlight=False, width=PIPE_WIDTH)
     recording = found.recording
     speed = f", {recording.duration / found.wall_s:.0f}x real time" if found.wall_s else ""
     console.print(f"{escape(recording.source)}: {recording.duration:.3f} s, {len(recording)} "

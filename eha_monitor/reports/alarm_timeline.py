@@ -90,15 +90,19 @@ def alarm_timeline(alarms: tuple[Alarm, ...], history: tuple[Alarm, ...],
     if not duration > 0:
         return Timeline(note="The recording has no duration, so there is no timeline.")
     clock = time_scale(duration)
-    end = duration * clock.factor
-    ticks = MaxNLocator(8, steps=[1, 2, 2.5, 3, 5, 6, 10]).tick_values(0, end)
     return Timeline(
         tuple((alarm_words(name), tuple(_bar(span, duration) for span in
                                         spans(name, alarms, history, duration)))
               for name in names),
         _marks(events, duration),
-        tuple(Mark(100 * tick / end, f"{tick:g}") for tick in ticks if 0 <= tick <= 1.0001 * end),
-        clock.unit)
+        time_ticks(duration * clock.factor), clock.unit)
+
+
+def time_ticks(end: float) -> tuple[Mark, ...]:
+    """Return the ticks of an axis from 0 to ``end``, in its unit."""
+    ticks = MaxNLocator(8, steps=[1, 2, 2.5, 3, 5, 6, 10]).tick_values(0, end)
+    return tuple(Mark(100 * tick / end, f"{tick:g}") for tick in ticks
+                 if 0 <= tick <= 1.0001 * end)
 
 
 def _bar(span: Span, duration: float) -> Bar:

@@ -1,0 +1,143 @@
+"""``diagnose``: where simulation and recording differ, which physics that is, and the proof."""
+
+import json
+import shlex
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+
+from eha_monitor.commands.common import check_target, config_option, on_terminal
+from eha_monitor.errors import InputError
+from eha_monitor.output import write_text
+
+_PATH = click.Path(path_type=Path)
+READING = 0.03  # share of the progress bar
+
+
+@click.command()
+@click.argument("bags", type=_PATH, nargs=-1, required=True, metavar="BAG [BAG ...]")
+@config_option
+@click.option("--json", "json_file", type=_PATH, metavar="FILE", help="Write the answer as JSON.")
+@click.option("--report", "report_file", type=_PATH, metavar="FILE.html",
+              help="Write a self-contained HTML report.")
+@click.option("--write-config", "config_file", type=_PATH, metavar="FILE",
+              help="Write the config with the named physics in it.")
+@click.option("--held-out", "held_out", type=_PATH, metavar="BAG",
+              help="Show the fit on this recording; without it on a part that is kept back.")
+@click.option("--calibration/--no-calibration", default=True,
+              help="Set the threshold of evidence by simulated clean recordings of this rig and "
+              "motion (a minute, once), or take the usual one.")
+@click.option("--exit-code", is_flag=True,
+              help="Exit with 1 if the model does not fit the recording.")
+def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
+             report_file: Path | None, config_file: Path | None, held_out: Path | None,
+             calibration: bool, exit_code: bool) -> int:
+    """Say where BAG and the model differ, what physics was left out, and show the fit improve.
+
+    Several BAGs of one rig are explained together.
+    """
+    check_inputs(bags, held_out)
+    check_outputs((json_file, report_file, config_file),
+                  (*bags, *((held_out,) if held_out else ())), config)
+
+    from eha_monitor.commands.diagnosis_answer import answer, mismatched, written_config
+    from eha_monitor.compiled import announce_first_compilation, load_runtime
+    from eha_monitor.mismatch.name import diagnose as run
+    from eha_monitor.recordings.read import read_recording
+    from eha_monitor.settings import load_settings
+
+    settings = load_settings(config)
+    announce_first_compilation()
+    with progress_bar() as told:
+        told("reading", 0.0)
+        load_runtime()
+        recordings = [read_recording(bag, settings) for bag in bags]
+        unseen = read_recording(held_out, settings) if held_out else None
+
+        def further(text: str, share: float) -> None:
+            told(text, READING + (1 - READING) * share)
+
+        found = run(recordings, settings, unseen, further, calibration)
+    if json_file:
+        write_text(json_file, json.dumps(answer(found), indent=1, ensure_ascii=False,
+                                         allow_nan=False) + "\n")
+    if config_file:
+        write_text(config_file, written_config(found, settings, config))
+    if report_file:
+        from eha_monitor.reports.diagnosis_report import write_diagnosis_report
+
+        losses = [f"{recording.source}: {loss}" for recording in recordings
+                  for loss in recording.losses]
+        write_diagnosis_report(report_file, found, settings, losses,
+                               command_line(bags, config, held_out, calibration))
+
+    from eha_monitor.commands.diagnosis_table import show
+
+    show(found, [path for path in (json_file, report_file, config_file) if path])
+    return int(exit_code and mismatched(found))
+
+
+def check_inputs(bags: tuple[Path, ...], held_out: Path | None) -> None:
+    """Refuse a bag that is given twice: what was fitted is no longer unseen."""
+    places = [bag.resolve() for bag in bags]
+    for bag, place in zip(bags, places, strict=True):
+        if places.count(place) > 1:
+            raise InputError(f"{bag}: is given twice, expected different recordings")
+    if held_out is not None and held_out.resolve() in places:
+        raise InputError(f"{held_out}: --held-out names a bag that is fitted, expected one that "
+                         "is not")
+
+
+def check_outputs(targets: tuple[Path | None, ...], bags: tuple[Path, ...],
+                  config: Path | None) -> None:
+    """Refuse, before the work, outputs that cannot be written or would overwrite an input."""
+    options = ("--json", "--report", "--write-config")
+    taken: dict[Path, str] = {}
+    for option, target in zip(options, targets, strict=True):
+        if target is None:
+            continue
+        for bag in bags:
+            check_target(target, bag)
+        place = target.resolve()
+        if config is not None and place == config.resolve():
+            raise InputError(f"{target}: is the config that is read, expected another file for "
+                             f"{option}")
+        regular = not target.exists() or target.is_file()
+        if regular and place in taken:
+            raise InputError(f"{target}: {taken[place]} and {option} name the same file")
+        taken[place] = option
+
+
+def command_line(bags: tuple[Path, ...], config: Path | None, held_out: Path | None,
+                 calibration: bool) -> str:
+    """Return the command that makes the same answer again."""
+    words = ["eha-monitor", "diagnose", *map(str, bags)]
+    words += ["--config", str(config)] if config else []
+    words += ["--held-out", str(held_out)] if held_out else []
+    words += [] if calibration else ["--no-calibration"]
+    return shlex.join(words)
+
+
+@contextmanager
+def progress_bar() -> Iterator[Callable[[str, float], None]]:
+    """Yield ``told(text, share)``, which moves a bar on a terminal and does nothing elsewhere."""
+    if not on_terminal():
+        yield lambda text, share: None
+        return
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    with Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(),
+                  console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("", total=1.0)
+        reached = 0.0
+
+        def told(text: str, share: float) -> None:
+            nonlocal reached
+            reached = min(max(reached, share), 1.0)  # a bar that goes back says nothing
+            progress.update(task, description=escape(text), completed=reached)
+
+        yield told

@@ -1,0 +1,254 @@
+"""The HTML report of ``diagnose``: what is missing, where, how it is known, what it did."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eha_monitor.mismatch.diagnosis import Considered, Diagnosis, NamedEffect, Value
+from eha_monitor.output import write_text
+from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.reports import diagnosis_words as words
+from eha_monitor.reports.alarm_timeline import time_ticks
+from eha_monitor.reports.diagnosis_figures import (
+    agreement_picture,
+    curve_picture,
+    overlay_picture,
+    telling,
+)
+from eha_monitor.reports.drawing import Block, Picture
+from eha_monitor.reports.page import render
+from eha_monitor.reports.parameter_figures import NAMES, SYMBOLS
+from eha_monitor.reports.quantities import number, quantity
+from eha_monitor.reports.tables import config_sections
+from eha_monitor.settings.monitor import Settings
+
+_LARGEST = 1e60  # SI; beyond it squares and matplotlib's own sums overflow
+_MOST_CURVES = 6
+_MOST_OPEN = 6  # rows of a table of rivals that are shown without a click
+
+
+def write_diagnosis_report(path: str | Path, found: Diagnosis, settings: Settings,
+                           losses: Sequence[str] = (), command: str = "") -> None:
+    """Write the report of a diagnosis as a single HTML file.
+
+    Parameters
+    ----------
+    path : file to write; an existing one is replaced at once when the new one is complete.
+    found : the diagnosis.
+    settings : the config it was made with.
+    losses : sentences about what was lost in reading the recordings.
+    command : the command that makes the same answer again.
+
+    Raises
+    ------
+    InputError
+        If ``path`` cannot be written.
+    """
+    write_text(path, diagnosis_page(found, settings, losses, command))
+
+
+def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] = (),
+                   command: str = "") -> str:
+    """Return the report as HTML text."""
+    found = _presentable(found)
+    name = words.listed([Path(bag).name or bag for bag in found.bags]) or settings.rig.name
+    kind, head = words.VERDICTS.get(found.verdict, ("unknown", found.verdict))
+    curves = telling(found)
+    return render(
+        "diagnosis.html.j2",
+        title=f"EHA diagnosis: {name}",
+        name=name,
+        heading=_heading(found, settings),
+        kind=kind,
+        verdict=found.verdict,
+        head=head,
+        message=words.sentence(found.message),
+        hero=curve_picture(found, curves[0], large=True) if curves else None,
+        hero_words=_curve_note(found),
+        summary=_summary(found),
+        health=[words.sentence(text) for text in found.health],
+        location=_location(found),
+        curves=[curve_picture(found, curve) for curve in curves[1:_MOST_CURVES]],
+        effects=[_effect(effect) for effect in found.effects],
+        considered=_considered(found.considered),
+        fit=_fit(found),
+        fit_data=words.DATA.get(found.data, found.data),
+        overlays=_overlays(found),
+        agreement=_agreement(found),
+        advice=[words.sentence(text) for text in found.advice],
+        certainty=words.certainty(found) if found.verdict != "insufficient_data" else "",
+        explained=words.percent(found.explained) if found.effects and math.isfinite(
+            found.explained) else "",
+        losses=losses,
+        command=command,
+        config=config_sections(settings),
+        config_effects=found.config_effects,
+        rotary=settings.rig.motion == "rotary",
+    )
+
+
+def _presentable(found: Diagnosis) -> Diagnosis:
+    """Return the diagnosis with NaN for sizes that no picture can show, spreads positive."""
+    curves = tuple(replace(curve, x=_tame(curve.x), measured=_tame(curve.measured),
+                           spread=np.abs(_tame(curve.spread)), modelled=_tame(curve.modelled))
+                   for curve in found.curves)
+    overlays = tuple(replace(one, time=_tame(one.time), measured=_tame(one.measured),
+                             before=_tame(one.before), after=_tame(one.after))
+                     for one in found.overlays)
+    agreement = tuple(replace(part, before=_known(part.before), after=_known(part.after))
+                      for part in found.agreement)
+    return replace(found, curves=curves, overlays=overlays, agreement=agreement,
+                   before=_known(found.before), after=_known(found.after))
+
+
+def _tame(values: np.ndarray) -> np.ndarray:
+    with np.errstate(invalid="ignore"):
+        return np.where(np.abs(values) < _LARGEST, values, np.nan)
+
+
+def _known(values: dict[str, Value]) -> dict[str, Value]:
+    return {name: value for name, value in values.items() if abs(value.value) < _LARGEST}
+
+
+def _heading(found: Diagnosis, settings: Settings) -> list[tuple[str, str]]:
+    facts = [("Recordings" if len(found.bags) > 1 else "Recording",
+              ", ".join(found.bags) or "no file"), ("Rig", settings.rig.name)]
+    if found.duration_s > 0:
+        facts.append(("Duration", f"{number(found.duration_s)} s"))
+    if found.wall_s > 0:
+        facts.append(("Computed in", f"{number(found.wall_s, 3)} s"))
+    return facts
+
+
+def _curve_note(found: Diagnosis) -> str:
+    if found.effects:
+        return ("Dots: what the recording shows and the linear model lacks. "
+                "Line: what the named physics makes.")
+    if found.verdict == "consistent":
+        return "What is left when the model has explained the recording: noise about zero."
+    return "Dots: what the recording shows and the model lacks. No entry of the catalogue fits."
+
+
+def _summary(found: Diagnosis) -> list[dict[str, str]]:
+    """Return the rows beside the first picture: parameters, then the errors."""
+    rows = []
+    for name in dict.fromkeys((*found.before, *found.after)):
+        before, after = found.before.get(name), found.after.get(name)
+        rows.append({"name": f"{NAMES.get(name, name)} {SYMBOLS.get(name, name)}",
+                     "before": words.value_words(before), "after": words.value_words(after),
+                     "noise": ""})
+    for name, fit in found.signals.items():
+        scale = words.error_scale(fit)
+        rows.append({"name": f"{name.replace('_', ' ')} error",
+                     "before": _scaled(fit.before_rms, scale),
+                     "after": _scaled(fit.after_rms, scale),
+                     "noise": _scaled(fit.noise_rms, scale)})
+    return rows
+
+
+def _scaled(value: float, scale) -> str:
+    if not math.isfinite(value):
+        return "—"
+    return f"{number(value * scale.factor, 3)}{'' if scale.unit == '1' else f' {scale.unit}'}"
+
+
+def _location(found: Diagnosis) -> dict[str, Any] | None:
+    """Return bars of the balances, the regime and the intervals on the time axis, or None."""
+    shares = {name: share for name, share in found.location.balance.items()
+              if math.isfinite(share)}
+    if not any(share > 0 for share in shares.values()):
+        return None
+    end = max([found.duration_s, *(stop for _, stop in found.location.intervals_s)])
+    spans = [{"left": round(100 * max(start, 0.0) / end, 3),
+              "width": round(max(100 * (stop - start) / end, 0.4), 3),
+              "title": f"{number(start)} s to {number(stop)} s"}
+             for start, stop in found.location.intervals_s] if end > 0 else []
+    return {"bars": [{"name": words.BALANCES.get(name, name), "share": words.percent(share),
+                      "width": round(100 * min(max(share, 0.0), 1.0), 2)}
+                     for name, share in sorted(shares.items(), key=lambda item: -item[1])],
+            "regime": words.REGIMES.get(found.location.regime,
+                                        found.location.regime.replace("_", " ")),
+            "spans": spans, "ticks": time_ticks(end) if end > 0 else (),
+            "intervals": words.interval_words(found)}
+
+
+def _effect(effect: NamedEffect) -> dict[str, Any]:
+    known = CATALOGUE.get(effect.name)
+    about = {p.name: p.description for p in known.parameters} if known else {}
+    return {"key": effect.name, "name": words.effect_words(effect.name),
+            "balance": words.BALANCES.get(effect.balance, effect.balance), "size": effect.size,
+            "statement": words.sentence(effect.statement), "equation": effect.equation,
+            "source": known.source if known else "",
+            "rig_check": words.sentence(effect.rig_check),
+            "evidence": words.log_units(effect.log_evidence),
+            "parameters": [{"symbol": symbol, "shown": words.value_words(value),
+                            "about": about.get(symbol, "")}
+                           for symbol, value in effect.parameters.items()],
+            "rivals": words.listed([words.effect_words(r) for r in
+                                    effect.indistinguishable_from], "or")}
+
+
+def _considered(considered: tuple[Considered, ...]) -> list[dict[str, Any]]:
+    """Return the tables of what was tried, one for each set of effects named by then."""
+    groups: dict[tuple[str, ...], list[Considered]] = {}
+    for one in considered:
+        groups.setdefault(one.beside, []).append(one)
+    tables = []
+    for beside, members in groups.items():
+        members = sorted(members, key=lambda one: -one.gain if math.isfinite(one.gain)
+                         else math.inf)
+        rows = [{"name": words.effect_words(one.name), "gain": words.log_units(one.gain),
+                 "balance": words.BALANCES.get(CATALOGUE[one.name].balance)
+                 if one.name in CATALOGUE else "", "why": words.sentence(one.why)}
+                for one in members]
+        title = "Beside " + words.listed([words.effect_words(b) for b in beside]) if beside \
+            else "With nothing named yet"
+        shown = _MOST_OPEN if len(rows) > _MOST_OPEN + 2 else len(rows)
+        tables.append({"title": title, "open": rows[:shown], "rest": rows[shown:]})
+    return tables
+
+
+def _fit(found: Diagnosis) -> list[dict[str, str]]:
+    rows = []
+    for name, fit in found.signals.items():
+        scale, share = words.error_scale(fit), words.removed(fit)
+        rows.append({"name": name.replace("_", " "), "before": _scaled(fit.before_rms, scale),
+                     "after": _scaled(fit.after_rms, scale),
+                     "noise": _scaled(fit.noise_rms, scale),
+                     "removed": words.percent(share) if math.isfinite(share) else "—",
+                     "memory_before": number(fit.before_whiteness, 3),
+                     "memory_after": number(fit.after_whiteness, 3)})
+    return rows
+
+
+def _overlays(found: Diagnosis) -> list[Picture]:
+    made = [overlay_picture(overlay, bool(found.effects)) for overlay in found.overlays]
+    return [one for one in made if one is not None]
+
+
+def _agreement(found: Diagnosis) -> Block | None:
+    """Return the pictures of each parameter by part of the record, with a sentence for each."""
+    names = dict.fromkeys(name for part in found.agreement for name in (*part.before, *part.after))
+    pictures, notes = [], []
+    for name in names:
+        one = agreement_picture(name, found.agreement, found.before.get(name),
+                                found.after.get(name))
+        if one is None:
+            continue
+        pictures.append(one)
+        spans = []
+        for values in ([part.before.get(name) for part in found.agreement],
+                       [part.after.get(name) for part in found.agreement]):
+            known = [value for value in values if value and math.isfinite(value.value)]
+            spans.append(f"{quantity(min(v.value for v in known), known[0].unit)} to "
+                         f"{quantity(max(v.value for v in known), known[0].unit)}"
+                         if known else "unknown")
+        notes.append(f"{SYMBOLS.get(name, name)} from the parts: {spans[0]} before, "
+                     f"{spans[1]} after.")
+    if not pictures:
+        return None
+    return Block("agreement", "", "", tuple(pictures), tuple(notes))
