@@ -142,12 +142,12 @@ def riccati(a, h, q, r, p, used, gains):
 
     Parameters
     ----------
-    a : (N_FILTERED, N_FILTERED); h : (N_OUTPUTS, N_FILTERED).
-    q : (N_FILTERED,) variances of the process noise of a sample.
+    a : (N, N); h : (N_OUTPUTS, N), N = N_FILTERED or more.
+    q : (N,) variances of the process noise of a sample.
     r : (N_OUTPUTS,) variances of the sensors.
-    p : (N_FILTERED, N_FILTERED) covariance at the start, overwritten.
+    p : (N, N) covariance at the start, overwritten.
     used : (N_OUTPUTS,) bool, channels that are measured.
-    gains : (m, N_FILTERED, N_OUTPUTS) written; ends early, repeating, when nothing changes.
+    gains : (m, N, N_OUTPUTS) written; ends early, repeating, when nothing changes.
 
     Returns
     -------
@@ -155,11 +155,11 @@ def riccati(a, h, q, r, p, used, gains):
         How many of the gains differ; the last of them is the steady one.
     """
     places = np.flatnonzero(used)
-    m = len(places)
-    hs = np.zeros((m, N_FILTERED))
+    m, states = len(places), a.shape[0]
+    hs = np.zeros((m, states))
     for i in range(m):
         hs[i] = h[places[i]]
-    old = np.zeros((N_FILTERED, m))
+    old = np.zeros((states, m))
     for k in range(gains.shape[0]):
         ph = p @ hs.T
         s = hs @ ph
@@ -171,11 +171,11 @@ def riccati(a, h, q, r, p, used, gains):
             gains[k, :, places[i]] = gain[:, i]
         p = p - gain @ ph.T
         p = a @ (0.5 * (p + p.T)) @ a.T
-        for i in range(N_FILTERED):
+        for i in range(states):
             p[i, i] += q[i]
         size = np.abs(gain).max() + 1e-300
         change = 0.0
-        for i in range(N_FILTERED):
+        for i in range(states):
             for j in range(m):
                 change = max(change, abs(gain[i, j] - old[i, j])
                              / (1e-3 * size + abs(gain[i, j])))
