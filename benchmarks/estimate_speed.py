@@ -23,10 +23,10 @@ from rich.table import Table
 from eha_monitor.filters import kernel_one, kernel_two
 from eha_monitor.filters.filterpy_stages import FilterpyStageOne, FilterpyStageTwo
 from eha_monitor.filters.inputs import StageInputs
+from eha_monitor.filters.known import new_known_memory
 from eha_monitor.filters.pipeline import estimate
 from eha_monitor.filters.run_two import start_compliance
 from eha_monitor.filters.supervision import new_supervision
-from eha_monitor.physics.contributions import new_memory
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import Recording
@@ -73,9 +73,9 @@ class Stages:
         p[5] = s.stage_one.prior_stddev**2
         kernel_one.run_one(
             i.x, force.start, force.end, force.variance, i.p1, i.p2, i.dt, s.rig.mass,
-            i.position_variance, p[5], False, model.theta, model.active, new_memory(),
-            np.array([np.nan, 0.0, s.stage_one.prior]), p, new_supervision(), self.out_one,
-            self.events)
+            i.position_variance, p[5], False, model.theta, model.plain, model.remembering,
+            new_known_memory(), np.array([np.nan, 0.0, s.stage_one.prior]), p, new_supervision(),
+            self.out_one, self.events)
 
     def compiled_two(self) -> None:
         """Run stage two over all samples."""
@@ -86,26 +86,26 @@ class Stages:
         kernel_two.run_two(
             i.x, drive.start, drive.end, drive.variance, drive.instrument, self.b,
             self.b_variance, model.hydraulics, model.leak, i.leak_flow, i.dt, i.position_variance,
-            0.0, 4.0, i.p1, i.p2, model.theta, model.active, new_memory(),
-            np.array([np.nan, 0.0, 0.0, self.start[0]]), q, np.zeros(4), new_supervision(),
-            self.out_two, self.events)
+            0.0, 4.0, i.mean, model.theta, model.plain, model.remembering, model.flows,
+            new_known_memory(), np.array([np.nan, 0.0, 0.0, self.start[0]]), q, np.zeros(4),
+            new_supervision(), self.out_two, self.events)
 
     def filterpy(self) -> None:
         """Run both stages on filterpy over the first samples."""
         i, s = self.inputs, self.settings
         model, force, drive = i.model, i.force, i.drive
-        one = FilterpyStageOne(s.rig.mass, i.dt, i.position_variance, s.stage_one.prior,
-                               s.stage_one.prior_stddev, model.theta, model.active)
+        one = FilterpyStageOne(model, s.rig.mass, i.dt, i.position_variance, s.stage_one.prior,
+                               s.stage_one.prior_stddev)
         q = np.zeros((4, 4))
         q[3, 3] = self.start[1]
         two = FilterpyStageTwo(
-            model.hydraulics, model.leak, i.dt, i.position_variance, 0.0, 4.0,
+            model, i.dt, i.position_variance, 0.0, 4.0,
             np.array([np.nan, 0.0, 0.0, self.start[0]]), q, np.zeros(4), new_supervision(),
-            model.theta, model.active, new_memory())
+            new_known_memory())
         for k in range(1, FILTERPY_SAMPLES):
             one.step(i.x[k], force.start[k - 1], force.end[k], force.variance[k], 0.0, 0.0)
             two.step(i.x[k], drive.start[k - 1], drive.end[k], drive.instrument[k - 1],
-                     drive.instrument[k], drive.variance[k], 600.0, 0.01, 0.0, 0.0, 0.0)
+                     drive.instrument[k], drive.variance[k], 600.0, 0.01, 0.0, 2e6)
 
 
 def main() -> None:

@@ -24,8 +24,8 @@ from scipy.linalg import expm
 from eha_monitor.filters import kernel_one, kernel_two
 from eha_monitor.filters.filterpy_stages import FilterpyStageOne, FilterpyStageTwo
 from eha_monitor.filters.inputs import StageInputs
+from eha_monitor.filters.known import new_known_memory
 from eha_monitor.filters.supervision import new_supervision
-from eha_monitor.physics.contributions import new_memory
 
 GAPS = (slice(700, 701), slice(1500, 1700), slice(2500, 2503))
 CASES = {
@@ -81,11 +81,10 @@ def test_filterpy_runs_stage_one_to_the_same_numbers(name):
     found = kernel_one.run_one(
         inputs.x, inputs.force.start, inputs.force.end, inputs.force.variance, inputs.p1,
         inputs.p2, inputs.dt, rig.mass, inputs.position_variance, one.prior_stddev**2,
-        config.discretisation == "euler", model.theta, model.active, new_memory(),
-        m, p, new_supervision(), out, events)
-    live = FilterpyStageOne(rig.mass, inputs.dt, inputs.position_variance, one.prior,
-                            one.prior_stddev, model.theta, model.active,
-                            config.discretisation == "euler")
+        config.discretisation == "euler", model.theta, model.plain, model.remembering,
+        new_known_memory(), m, p, new_supervision(), out, events)
+    live = FilterpyStageOne(model, rig.mass, inputs.dt, inputs.position_variance, one.prior,
+                            one.prior_stddev, config.discretisation == "euler")
     rows, changes = np.empty((6, n)), []
     for k in range(n):
         before = inputs.force.start[k - 1] if k else np.nan
@@ -115,21 +114,22 @@ def test_filterpy_runs_stage_two_to_the_same_numbers(name):
     q_f = (config.rig.mass * two.acceleration_noise) ** 2
     m, p = np.array([np.nan, 0.0, 0.0, 0.8]), np.diag([0, 0, 0, 0.05**2])
     sens, watch = np.zeros(4), new_supervision()
-    live = FilterpyStageTwo(model.hydraulics, model.leak, inputs.dt, inputs.position_variance,
-                            q_f, broad, m, p, sens, watch, model.theta, model.active, new_memory())
+    memory = new_known_memory()
+    live = FilterpyStageTwo(model, inputs.dt, inputs.position_variance, q_f, broad, m, p, sens,
+                            watch, memory)
     out, events = np.empty((8, n)), np.empty((50, 4))
     drive = inputs.drive
     found = kernel_two.run_two(
         inputs.x, drive.start, drive.end, drive.variance, drive.instrument, b, b_variance,
         model.hydraulics, model.leak, inputs.leak_flow, inputs.dt, inputs.position_variance, q_f,
-        broad, inputs.p1, inputs.p2, model.theta, model.active, new_memory(), m, p,
-        sens, watch, out, events)
+        broad, inputs.mean, model.theta, model.plain, model.remembering, model.flows, memory, m,
+        p, sens, watch, out, events)
     rows, changes = np.empty((8, n)), []
     for k in range(n):
         u0, i0 = (drive.start[k - 1], drive.instrument[k - 1]) if k else (np.nan, np.nan)
         change = live.step(inputs.x[k], u0, drive.end[k], i0, drive.instrument[k],
                            drive.variance[k], b[k], b_variance[k], inputs.leak_flow[k],
-                           inputs.p1[k], inputs.p2[k])
+                           inputs.mean[k])
         if change is not None:
             changes.append((k, *change))
         beta = model.beta_0 / live.ekf.x[3]
@@ -183,10 +183,10 @@ def test_with_b_known_stage_one_is_a_linear_kalman_filter():
         A**2 * (inputs.noise["p1"].value ** 2 + inputs.noise["p2"].value ** 2), rel=1e-9)
     m, p = np.array([np.nan, 0.0, B]), np.array([0, 0, 0, 0, 0, 1e-12])
     out = np.empty((6, len(inputs.x)))
-    theta, active = inputs.model.theta, inputs.model.active
+    model = inputs.model
     kernel_one.run_one(inputs.x, hold.start, hold.end, hold.variance, inputs.p1, inputs.p2, T_S,
-                       M, r, 1e-12, False, theta, active, new_memory(), m, p, new_supervision(),
-                       out, np.empty((5, 4)))
+                       M, r, 1e-12, False, model.theta, model.plain, model.remembering,
+                       new_known_memory(), m, p, new_supervision(), out, np.empty((5, 4)))
     assert np.all(out[2] == pytest.approx(B, abs=1e-6))
     sd = np.nanmax(expected[3])
     assert np.nanmax(np.abs(out[0, 1:] - expected[0, 1:])) < 1e-6 * sd
@@ -220,17 +220,17 @@ def test_with_both_known_stage_two_is_a_linear_kalman_filter():
         expected[:, k] = [plain.x[0, 0], plain.x[1, 0], plain.y[0, 0], plain.S[0, 0] ** 0.5]
     log_likelihood = -np.nansum(0.5 * (expected[2] / expected[3]) ** 2 + np.log(expected[3]))
     flat = np.zeros(len(x))
-    found = kernel_two.log_likelihood_two(x, drive.start, drive.end, flat, B, 5e8 / beta,
-                                          inputs.model.hydraulics, inputs.model.leak, flat, T_S, r,
-                                          0.0)
+    model = inputs.model
+    known = model.theta, model.plain, model.remembering, model.flows, new_known_memory()
+    found = kernel_two.log_likelihood_two(
+        x, drive.start, drive.end, flat, drive.instrument, B, 5e8 / beta, model.hydraulics,
+        model.leak, flat, T_S, r, 0.0, inputs.mean, *known)
     assert found == pytest.approx(log_likelihood, abs=0.02)
     m, p = np.array([np.nan, 0.0, 0.0, 5e8 / beta]), np.diag([0, 0, 0, 1e-20])
     out = np.empty((8, len(x)))
-    model = inputs.model
     kernel_two.run_two(x, drive.start, drive.end, flat, drive.instrument, np.full(len(x), B),
-                       flat, model.hydraulics, model.leak, flat, T_S, r, 0.0, 1.0, inputs.p1,
-                       inputs.p2, model.theta, model.active, new_memory(), m, p, np.zeros(4),
-                       new_supervision(), out, np.empty((5, 4)))
+                       flat, model.hydraulics, model.leak, flat, T_S, r, 0.0, 1.0, inputs.mean,
+                       *known, m, p, np.zeros(4), new_supervision(), out, np.empty((5, 4)))
     late = slice(50, None)
     assert np.abs(out[0] - expected[0])[late].max() < 1e-4 * expected[3][late].max()
     assert np.abs(out[6] - expected[2])[late].max() < 1e-4 * expected[3][late].max()
@@ -248,9 +248,9 @@ def test_sensitivity_to_b_is_the_derivative_of_the_estimate():
         out = np.empty((8, n))
         kernel_two.run_two(inputs.x, drive.start, drive.end, drive.variance, drive.instrument,
                            np.full(n, b), np.zeros(n), model.hydraulics, model.leak, np.zeros(n),
-                           T_S, inputs.position_variance, 0.0, 1.0, inputs.p1, inputs.p2,
-                           model.theta, model.active, new_memory(), m, p, sens,
-                           new_supervision(True), out, np.empty((5, 4)))
+                           T_S, inputs.position_variance, 0.0, 1.0, inputs.mean, model.theta,
+                           model.plain, model.remembering, model.flows, new_known_memory(), m, p,
+                           sens, new_supervision(True), out, np.empty((5, 4)))
         return m[3], sens[3]
 
     low, here, high = run(599.0), run(600.0), run(601.0)

@@ -10,6 +10,8 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
 from eha_monitor.filters import kernel_one, kernel_two
+from eha_monitor.filters.inputs import RigModel
+from eha_monitor.filters.known import modelled_force, new_known_memory, steps_in_sample
 from eha_monitor.filters.stage_one import (
     MEMORY,
     UNSEEN,
@@ -17,7 +19,7 @@ from eha_monitor.filters.stage_one import (
     predict_one_euler,
     slopes_one,
 )
-from eha_monitor.filters.stage_two import BETA_0, MASS, discretise
+from eha_monitor.filters.stage_two import BETA_0, MASS
 from eha_monitor.filters.supervision import (
     BLOCK,
     BLOCKS,
@@ -29,7 +31,6 @@ from eha_monitor.filters.supervision import (
     look,
     new_supervision,
 )
-from eha_monitor.physics.contributions import new_memory, with_term, with_update
 from eha_monitor.physics.signals import N_CONTRIBUTIONS, N_SIGNALS
 
 _H3 = np.array([[1.0, 0.0, 0.0]])
@@ -64,16 +65,10 @@ class _Stage:
         self.innovation = math.nan
         self.innovation_stddev = math.nan
 
-    def _set_effects(self, theta: np.ndarray, active: np.ndarray, memory: np.ndarray) -> None:
-        self.theta, self.memory = theta, memory.copy()
-        self.terms, self.updates = with_term(active), with_update(active)
-        self._scratch = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS)
-
-    def _remember(self, p1: float, p2: float) -> None:
-        """Carry the effects' memory over the sample."""
-        if len(self.updates) and not self.lost:
-            kernel_one.remember_sample(self.ekf.x[0], self.ekf.x[1], p1, p2, self.theta,
-                                       self.updates, self.dt, self.memory, self._scratch[0])
+    def _set_effects(self, model: RigModel, memory: np.ndarray) -> None:
+        self.model, self.memory, self._trial = model, memory.copy(), memory.copy()
+        self._effects = model.theta, model.plain, model.remembering
+        self._any_force = len(model.plain) + len(model.remembering) > 0
 
     def _predict(self, f: np.ndarray, state: np.ndarray, q: np.ndarray) -> None:
         ekf = self.ekf
@@ -121,19 +116,21 @@ class FilterpyStageOne(_Stage):
 
     Parameters
     ----------
+    model : the rig and its modelled effects.
     mass, dt : kg, s.
     r : variance of the position, m^2.
     prior, prior_stddev : of B, N·s/m.
-    theta, active : modelled effects.
     euler : run Eq. 4 as printed.
     """
 
-    def __init__(self, mass: float, dt: float, r: float, prior: float, prior_stddev: float,
-                 theta: np.ndarray, active: np.ndarray, euler: bool = False):
+    def __init__(self, model: RigModel, mass: float, dt: float, r: float, prior: float,
+                 prior_stddev: float, euler: bool = False):
         super().__init__(3, _H3, r, prior_stddev**2)
         self.mass, self.dt, self.euler = mass, dt, euler
         self._lowest = -kernel_one.NEGATIVE * mass / dt
-        self._set_effects(theta, active, new_memory())
+        self._set_effects(model, new_known_memory())
+        self._scratch = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS)
+        self._substeps = steps_in_sample(dt, *self._effects, self.memory, *self._scratch)
         self.ekf.x[2] = self._prior = prior
         self.ekf.P[2, 2] = prior_stddev**2
 
@@ -159,7 +156,6 @@ class FilterpyStageOne(_Stage):
             else:
                 self._correct(x)
                 ekf.x[2] = max(ekf.x[2], self._lowest)
-        self._remember(p1, p2)
         change = self._close_block()
         if change is None:
             return None
@@ -181,27 +177,26 @@ class FilterpyStageOne(_Stage):
 
     def _advance(self, u0, u1, q, p1, p2):
         x, v, b = self.ekf.x
-        damping = b
-        if len(self.terms):
-            f, slope = kernel_one.effect_force(x, v, p1, p2, self.theta, self.terms,
-                                               self.memory, *self._scratch)
-            damping += slope
-            u0 -= f - slope * v
-            u1 -= f - slope * v
+        p = self.ekf.P
+        slope_x = slope_v = unknown = 0.0
+        if self._any_force:
+            force, slope_x, slope_v, unknown = modelled_force(
+                x, v, p[0, 0], p[1, 1], u0, u1, b, self.mass, self.dt, self._substeps, p1, p2,
+                *self._effects, self.memory, self._trial, True, *self._scratch)
+            u0 -= force
+            u1 -= force
         if self.euler:
-            x1, v1, fxv, fxb, fvv, fvb, *g = predict_one_euler(x, v, damping, u0, self.dt,
-                                                               self.mass)
+            x1, v1, fxv, fxb, fvv, fvb, *g = predict_one_euler(x, v, b, u0, self.dt, self.mass)
         else:
-            x1, v1, fxv, fxb, fvv, fvb, *g = predict_one(x, v, damping, u0, u1, self.dt,
-                                                         self.mass)
+            x1, v1, fxv, fxb, fvv, fvb, *g = predict_one(x, v, b, u0, u1, self.dt, self.mass)
         self.watch[SLOW] += MEMORY * (v - self.watch[SLOW])
         if not self.euler:
-            p = self.ekf.P
-            fxb, fvb = slopes_one(v, self.watch[SLOW], p[1, 1] - p[1, 2] ** 2 / p[2, 2], damping,
+            fxb, fvb = slopes_one(v, self.watch[SLOW], p[1, 1] - p[1, 2] ** 2 / p[2, 2], b,
                                   fxb, fvb, self.dt, self.mass)
         f = np.array([[1.0, fxv, fxb], [0.0, fvv, fvb], [0.0, 0.0, 1.0]])
         g = np.array([*g, 0.0])
-        self._predict(f, np.array([x1, v1, b]), q * np.outer(g, g))
+        f -= np.outer(g, [slope_x, slope_v, 0.0])  # the modelled force follows the states
+        self._predict(f, np.array([x1, v1, b]), (q + unknown) * np.outer(g, g))
 
     @property
     def value(self) -> float:
@@ -223,50 +218,51 @@ class FilterpyStageTwo(_Stage):
 
     Parameters
     ----------
-    constants, leak : :func:`stage_two.hydraulics`.
+    model : the rig and its modelled effects.
     dt, r, q_f : s, m^2, N^2.
     prior_variance : of c = beta_0/beta_e.
-    m, p, sens, watch : state (4,), covariance (4, 4), sensitivity (4,), supervision.
-    theta, active, memory : modelled effects and what they remember.
+    m, p, sens, watch, memory : state (4,), covariance (4, 4), sensitivity (4,), supervision, what
+        the effects remember.
     """
 
-    def __init__(self, constants: np.ndarray, leak: float, dt: float, r: float, q_f: float,
-                 prior_variance: float, m: np.ndarray, p: np.ndarray, sens: np.ndarray,
-                 watch: np.ndarray, theta: np.ndarray, active: np.ndarray,
+    def __init__(self, model: RigModel, dt: float, r: float, q_f: float, prior_variance: float,
+                 m: np.ndarray, p: np.ndarray, sens: np.ndarray, watch: np.ndarray,
                  memory: np.ndarray):
         super().__init__(4, _H4, r, prior_variance)
-        self.constants, self.leak, self.dt, self.q_f = constants, leak, dt, q_f
+        self.dt, self.q_f = dt, q_f
         self.ekf.x, self.ekf.P = m.copy(), p.copy()
         self.sens, self.watch = sens.copy(), watch.copy()
         self.lost = bool(np.isnan(m[0]))
-        self._set_effects(theta, active, memory)
-        self._at = (math.nan, math.nan)
-        self._steps = [np.zeros((3, 7)) for _ in range(5)]
-        self._work = np.empty((10, 3, 3))
-        self._damping, self._force = math.nan, 0.0
+        self._set_effects(model, memory)
+        self._matrices, self._found, self._work, *self._scratch = kernel_two.new_work()
+        self._found[kernel_two.STEPS] = steps_in_sample(dt, *self._effects, self.memory,
+                                                        *self._scratch)
+        self._damping = math.nan
         self._b_variance = 0.0
 
     def step(self, x: float, u0: float, u1: float, i0: float, i1: float, q_u: float, b: float,
-             b_variance: float, leak_flow: float, p1: float, p2: float
+             b_variance: float, leak_flow: float, mean: float
              ) -> tuple[float, float, int] | None:
         """Take one sample; arguments as the kernel's.  Returns (before, after, samples), Pa."""
         ekf = self.ekf
         self.innovation = self.innovation_stddev = math.nan
-        self._damping, self._b_variance, self._force = b, b_variance, 0.0
+        self._damping, self._b_variance = b, b_variance
         if not self.lost:
             if math.isnan(u0 + u1 + i0 + i1 + b + leak_flow):
                 self.lost = True
             else:
-                self._advance(u0, u1, i0, i1, q_u, b, leak_flow, p1, p2)
+                self._advance(u0, u1, i0, i1, q_u, b, leak_flow, mean)
+        if self.lost:
+            self._found[kernel_two.TOLD_FORCE] = 0.0
         if not math.isnan(x):
             if self.lost:
-                kernel_two.start_two(ekf.x, ekf.P, x, ekf.R[0, 0], self.dt, self.constants[MASS])
+                kernel_two.start_two(ekf.x, ekf.P, x, ekf.R[0, 0], self.dt,
+                                     self.model.hydraulics[MASS])
                 self.sens[:3] = 0.0
                 self.lost = False
             elif self._correct(x):
                 self.sens = self.sens - ekf.K[:, 0] * self.sens[0]
                 ekf.x[3] = max(ekf.x[3], kernel_two.STIFFEST)
-        self._remember(p1, p2)
         change = self._close_block()
         if change is None:
             return None
@@ -274,32 +270,18 @@ class FilterpyStageTwo(_Stage):
         kernel_two.jump_two(ekf.x, ekf.P, *change[:2])
         return before, self.value, change[2]
 
-    def _advance(self, u0, u1, i0, i1, q_u, b, leak_flow, p1, p2):
-        ekf = self.ekf
-        damping, force, flow = b, 0.0, leak_flow
-        if len(self.terms):
-            f, slope = kernel_one.effect_force(ekf.x[0], ekf.x[1], p1, p2, self.theta, self.terms,
-                                               self.memory, *self._scratch)
-            damping += slope
-            force = f - slope * ekf.x[1]
-            flow += kernel_two.effect_flow(self.theta, self._scratch[1])
-            if math.isnan(force + flow):  # a pressure is missing that an effect needs
-                self.lost = True
-                return
-        self._force = force
-        c = max(ekf.x[3], kernel_two.STIFFEST)
-        base, d_c, d_cc, d_b, d_leak = self._steps
-        if not (abs(c - self._at[0]) <= kernel_two.REFRESH * self._at[0]
-                and abs(damping - self._at[1]) <= 1e-6 * abs(self._at[1])):
-            self._at = (c, damping)
-            discretise(self.constants, damping, c, self.leak, self.dt, self._work, base, d_c,
-                       d_cc, d_b, d_leak)
-        e = c - self._at[0]
-        step = base + e * (d_c + 0.5 * e * d_cc)
-        slope = d_c + e * d_cc
+    def _advance(self, u0, u1, i0, i1, q_u, b, leak_flow, mean):
+        ekf, model = self.ekf, self.model
         new, covariance, sens = ekf.x.copy(), ekf.P.copy(), self.sens.copy()
-        kernel_two.predict_two(new, covariance, sens, step, slope, d_b, u0, u1, i0, i1, force,
-                               flow, self.q_f, q_u)
+        if not kernel_two.advance_two(
+                new, covariance, sens, u0, u1, i0, i1, b, model.hydraulics, model.leak, leak_flow,
+                self.dt, self.q_f, q_u, mean, *self._effects, model.flows, self.memory,
+                self._trial, True, self._matrices, self._found, self._work, *self._scratch):
+            self.lost = True
+            return
+        step, slope = self._matrices[5], self._matrices[6]
+        force, flow, q_f = (self._found[place] for place in (
+            kernel_two.CONSTANT_FORCE, kernel_two.CONSTANT_FLOW, kernel_two.NOISE_FORCE))
         f = np.eye(4)
         f[:3, :3] = step[:, :3]
         told = np.array([*ekf.x[:3], i0, i1, force, flow])
@@ -312,12 +294,12 @@ class FilterpyStageTwo(_Stage):
         g_u, g_f = np.zeros(4), np.zeros(4)
         g_u[:3], g_f[:3] = step[:, 3] + step[:, 4], step[:, 5]
         self.sens = sens
-        self._predict(f, new, q_u * np.outer(g_u, g_u) + self.q_f * np.outer(g_f, g_f))
+        self._predict(f, new, q_u * np.outer(g_u, g_u) + q_f * np.outer(g_f, g_f))
 
     @property
     def value(self) -> float:
         """Effective bulk modulus, Pa."""
-        return float(self.constants[BETA_0] / max(self.ekf.x[3], 1e-9))
+        return float(self.model.hydraulics[BETA_0] / max(self.ekf.x[3], 1e-9))
 
     @property
     def stddev(self) -> float:
@@ -330,4 +312,5 @@ class FilterpyStageTwo(_Stage):
     def acceleration(self) -> float:
         """m/s^2 from the force balance."""
         x = self.ekf.x
-        return float((x[2] - self._damping * x[1] - self._force) / self.constants[MASS])
+        return float((x[2] - self._damping * x[1] - self._found[kernel_two.TOLD_FORCE])
+                     / self.model.hydraulics[MASS])

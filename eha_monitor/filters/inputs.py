@@ -1,30 +1,57 @@
 """From a recording to what the stages take: force, drive input, noise, constants, reasons."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from eha_monitor.filters.drive import drive_input, loop_gain, opens_loop
 from eha_monitor.filters.hold import Hold, hold_of
+from eha_monitor.filters.known import contributions, new_known_memory, speaks_of
 from eha_monitor.filters.noise import noise_levels, quantum
 from eha_monitor.filters.results import NoiseEstimate
-from eha_monitor.filters.stage_two import STIFF, hydraulics
+from eha_monitor.filters.sensors import undo_sensors
+from eha_monitor.filters.stage_two import LOOP, STIFF, hydraulics
 from eha_monitor.physics import signals as s
-from eha_monitor.physics.effects.entrained_air import compliance as air_compliance
+from eha_monitor.physics.contributions import circuit_of, with_term, with_update
+from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
+SMOOTHED = 5  # samples on each side over which the mean pressure is smoothed
+FLOW_BALANCE = ("FLOW_1", "FLOW_2", "COMPLIANCE_1", "COMPLIANCE_2", "VOLUME_1", "VOLUME_2")
 SPIKE_SPAN, SPIKE_SIGMAS = 10.0, 30.0
 
 
 @dataclass(frozen=True)
 class RigModel:
-    """Constants of the two stages that do not depend on the recording."""
+    """Constants of the two stages that do not depend on the recording.
+
+    Attributes
+    ----------
+    theta, active : parameters and the effects of the config; a modelled mass is part of
+        ``theta[M]``.
+    plain, remembering, flows, pump : places of the active effects that make force, without and
+        with memory, that are in the flow balance, and that change the pump's speed whatever the
+        pressure.
+    pump_updates : those of the latter that remember.
+    circuit : constants of the modelled drive and sensors.
+    opened : the drive's effects make the pump speed, not x_d, stage two's input.
+    loop : x_d is the input and the drive is part of the model.
+    hydraulics, leak : lumped flow balance; None without its constants.
+    """
 
     settings: Settings
     theta: np.ndarray
     active: np.ndarray
+    plain: np.ndarray
+    remembering: np.ndarray
+    flows: np.ndarray
+    pump: np.ndarray
+    pump_updates: np.ndarray
+    circuit: np.ndarray
+    opened: bool
     beta_0: float
     loop: bool
     hydraulics: np.ndarray | None
@@ -41,18 +68,66 @@ class RigModel:
         theta, active = theta_of(settings.rig, settings.effects)
         beta_0 = settings.stage_two.prior
         rig = settings.rig
+        places = {kind: np.array([which for which in with_term(active)
+                                  if speaks_of(NAMES[which], *names)], dtype=np.int64)
+                  for kind, names in (("force", ("FORCE",)), ("pump", ("SPEED",)),
+                                      ("flows", FLOW_BALANCE))}
+        updates = with_update(active)
+        remember = np.isin(places["force"], updates)
+        circuit = circuit_of(theta, active)
+        opened = opens_loop(circuit, places["pump"])
+        # What a pump loses to pressure is better told by the stage's own force than by sensors.
+        by_force = np.array([which not in updates and speaks_of(NAMES[which], "P1", "P2")
+                             for which in places["pump"]], dtype=bool)
+        places["flows"] = np.union1d(places["flows"], places["pump"][by_force])
+        places["pump"] = places["pump"][~by_force]
         known = None not in (rig.area_1, rig.area_2, rig.volume_1, rig.volume_2,
                              rig.pump_displacement)
-        loop = (commanded and rig.position_gain is not None
+        loop = (commanded and rig.position_gain is not None and not opened
                 and settings.command_hold == "continuous")
-        air = settings.effects.get("entrained_air")
         pressure = rig.charge_pressure if mean_pressure is None else mean_pressure
-        extra = air_compliance(pressure, air["alpha"], air["n"]) if air else 0.0
+        at_rest = rest_contributions(theta, active, pressure)
+        theta[s.M] += at_rest[s.MASS]
+        extra = 0.5 * (at_rest[s.COMPLIANCE_1] + at_rest[s.COMPLIANCE_2])
         constants = hydraulics(theta, beta_0, extra, loop) if known else None
         leak = 0.0
         if known:
             leak = 0.5 * theta[s.C_T] * (1 / theta[s.VOL_1] + 1 / theta[s.VOL_2])
-        return cls(settings, theta, active, beta_0, loop, constants, leak)
+            if loop:
+                constants[LOOP] = loop_gain(theta, circuit)
+        return cls(settings, theta, active, places["force"][~remember],
+                   places["force"][remember], places["flows"] if known else places["flows"][:0],
+                   places["pump"], np.intersect1d(places["pump"], updates), circuit, opened,
+                   beta_0, loop, constants, leak)
+
+
+def rest_contributions(theta: np.ndarray, active: np.ndarray, pressure: float) -> np.ndarray:
+    """Return what the effects add at rest at this pressure, (N_CONTRIBUTIONS,)."""
+    signals, found = np.zeros(s.N_SIGNALS), np.zeros(s.N_CONTRIBUTIONS)
+    signals[[s.P1, s.P2]] = pressure
+    contributions(signals, theta, with_term(active), new_known_memory(), found)
+    return found
+
+
+def mean_pressure(channels: dict[str, np.ndarray], rig: Rig) -> np.ndarray:
+    """Return the mean of both pressures over the sample before each, smoothed; Pa.
+
+    It moves slowly; stage two takes the difference of the pressures from its own force, since
+    the sensors' noise would stand in a flow balance that trusts itself.  Where the pressures are
+    not recorded it is that of the rig at rest, (1,).
+    """
+    if not ("p1" in channels and "p2" in channels):
+        ratio = 1.0 if None in (rig.area_1, rig.area_2) else rig.area_1 / rig.area_2
+        return np.array([0.5 * rig.charge_pressure * (1.0 + ratio)])
+    mean = 0.5 * (channels["p1"] + channels["p2"])
+    good = np.isfinite(mean)
+    if not good.any():
+        return np.full(len(mean), rig.charge_pressure)
+    window = np.ones(2 * SMOOTHED) / (2 * SMOOTHED)
+    index = np.arange(len(mean))
+    filled = np.interp(index, index[good], mean[good])
+    padded = np.pad(filled, (SMOOTHED, SMOOTHED - 1), mode="edge")
+    return np.convolve(padded, window, mode="valid")
 
 
 def measured_leakage(rig: Rig, channels: dict) -> np.ndarray | None:
@@ -92,9 +167,9 @@ def moved_mass(model: "RigModel", dt: float) -> float:
     """
     rig = model.settings.rig
     if model.settings.command_hold != "sampled" or model.hydraulics is None:
-        return rig.mass
-    return max(rig.mass - rig.bulk_modulus * model.hydraulics[STIFF] * dt**2 / 12.0,
-               0.5 * rig.mass)
+        return model.theta[s.M]
+    return max(model.theta[s.M] - rig.bulk_modulus * model.hydraulics[STIFF] * dt**2 / 12.0,
+               0.5 * model.theta[s.M])
 
 
 def force_missing(rig: Rig, names) -> str | None:
@@ -133,14 +208,32 @@ def force_variance(rig: Rig, noise: dict[str, NoiseEstimate], extra: float) -> f
 
 
 @dataclass(frozen=True)
+class Known:
+    """What the live estimator knows about its rows and does not measure anew on each batch.
+
+    The reasons are those of the rows that it began with; ``started`` is what drive and pump
+    remember at the first row.
+    """
+
+    model: RigModel
+    noise: dict[str, NoiseEstimate]
+    quantum: float
+    no_force: str | None
+    no_drive: str | None
+    started: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
 class StageInputs:
     """Everything the two kernels take from one recording.
 
     ``measured_force`` is the force as sampled, N.  The holds' variances include the sensors'
     noise; the reasons are None where the stage can run.
-    ``p1``, ``p2`` are the mean pressures of the sample before each, or one charge pressure.
+    ``p1``, ``p2`` are the mean pressures of the sample before each, or one charge pressure;
+    ``mean`` is :func:`mean_pressure`.
     ``quantum`` is the position's resolution in m, 0 where it is continuous; ``spikes`` counts the
-    samples of each channel that were left out.
+    samples of each channel that were left out.  ``x``, ``noise`` and all that comes of them have
+    the sensors' known errors undone.  ``kept`` is what drive and pump remember after each sample.
     """
 
     model: RigModel
@@ -152,48 +245,85 @@ class StageInputs:
     leak_flow: np.ndarray
     p1: np.ndarray
     p2: np.ndarray
+    mean: np.ndarray
     noise: dict[str, NoiseEstimate]
     position_variance: float
     quantum: float
     no_force: str | None
     no_drive: str | None
     spikes: dict[str, int]
+    kept: np.ndarray
 
     @classmethod
-    def of(cls, recording: Recording, settings: Settings) -> "StageInputs":
-        """Collect the inputs of a recording."""
-        names = [name for name in recording.channels if recording.has(name)]
-        noise = noise_levels(recording, settings.noise)
-        channels, spikes = without_spikes(
-            {name: recording.channels[name] for name in names}, noise)
+    def of(cls, recording: Recording, settings: Settings, known: Known | None = None,
+           since: float = 0.0) -> "StageInputs":
+        """Collect the inputs of a recording that starts ``since`` s after the record did."""
         rig = settings.rig
-        both = "p1" in channels and "p2" in channels
-        mean = float(np.nanmedian(0.5 * (channels["p1"] + channels["p2"]))) if both else None
-        model = RigModel.of(settings, mean, "x_d" in channels)
-        no_force = force_missing(rig, channels)
-        no_drive = drive_missing(settings, channels)
+        names = [name for name in recording.channels if known or recording.has(name)]
+        noise = known.noise if known else noise_levels(recording, settings.noise)
+        recorded, spikes = without_spikes(
+            {name: recording.channels[name] for name in names}, noise)
+        circuit = known.model.circuit if known else circuit_of(
+            *theta_of(rig, settings.effects))
+        channels, noise = undo_sensors(
+            recorded, noise, circuit, since + recording.sample_time * np.arange(len(recording)))
+        if known:
+            model, step = known.model, known.quantum
+            no_force, no_drive = known.no_force, known.no_drive
+        else:
+            model, step = model_for(channels, settings), quantum_of(channels)
+            no_force, no_drive = force_missing(rig, channels), drive_missing(settings, channels)
         nothing = hold_of(np.full(len(recording), np.nan), 0.0)
         force = drive = nothing
-        measured_force = nothing.start
+        measured_force, kept = nothing.start, np.empty((len(recording), 0))
         if no_force is None:
             variance = force_variance(rig, noise, settings.stage_one.force_noise)
             measured_force = force_of(rig, channels)
             force = with_noise(hold_of(measured_force, variance**0.5,
                                        kinked=settings.command_hold == "sampled"), variance)
         if no_drive is None:
-            drive = drive_input(model, channels, noise)
+            made = drive_input(model, recorded, channels, noise, new_known_memory(),
+                               recording.sample_time, known.started if known else None)
+            drive, kept = made.hold, made.kept
+        both = "p1" in channels and "p2" in channels
         charge = np.array([rig.charge_pressure])
-        x = channels.get("x", np.full(len(recording), np.nan))
-        step = quantum(x[np.isfinite(x)])
         leak_flow = measured_leakage(rig, channels)
-        if leak_flow is not None:
-            model = replace(model, leak=0.0)
         return cls(
-            model, recording.sample_time, x, measured_force, force, drive,
+            model, recording.sample_time,
+            channels.get("x", np.full(len(recording), np.nan)), measured_force, force, drive,
             np.zeros(len(recording)) if leak_flow is None else between(leak_flow),
             between(channels["p1"]) if both else charge,
-            between(channels["p2"]) if both else charge, noise,
-            position_variance(noise, step), step, no_force, no_drive, spikes)
+            between(channels["p2"]) if both else charge, mean_pressure(channels, rig), noise,
+            position_variance(noise, step), step, no_force, no_drive, spikes, kept)
+
+    def part(self, start: int, stop: int) -> "StageInputs":
+        """Return the inputs of samples ``start`` to ``stop``."""
+        n, cut = len(self.x), slice(start, stop)
+        changed = {
+            field.name: value[cut] for field in fields(self)
+            if isinstance(value := getattr(self, field.name), np.ndarray) and len(value) == n}
+        for name in ("force", "drive"):
+            hold = getattr(self, name)
+            changed[name] = Hold(hold.start[cut], hold.end[cut], hold.variance[cut],
+                                 hold.instrument[cut])
+        return replace(self, **changed)
+
+
+def model_for(channels: dict[str, np.ndarray], settings: Settings) -> RigModel:
+    """Return the rig's model for what a recording holds."""
+    mean = None
+    if "p1" in channels and "p2" in channels:
+        mean = float(np.nanmedian(0.5 * (channels["p1"] + channels["p2"])))
+    model = RigModel.of(settings, mean, "x_d" in channels)
+    if measured_leakage(settings.rig, channels) is not None:
+        model = replace(model, leak=0.0)
+    return model
+
+
+def quantum_of(channels: dict[str, np.ndarray]) -> float:
+    """Return the step of the position, m; 0 where it is continuous or absent."""
+    x = channels.get("x", np.empty(0))
+    return quantum(x[np.isfinite(x)])
 
 
 def position_variance(noise: dict[str, NoiseEstimate], step: float) -> float:
@@ -245,21 +375,3 @@ def between(values: np.ndarray) -> np.ndarray:
 def with_noise(hold: Hold, variance: float) -> Hold:
     """Add the sensor's variance to that of the interpolation."""
     return replace(hold, variance=hold.variance + variance)
-
-
-def drive_input(model: RigModel, channels: dict, noise: dict) -> Hold:
-    """Return stage two's input.
-
-    x_d in m where the loop is part of the model; the pump speed in rad/s where it is not: the
-    one that a sampled drive makes of x_d - x, or the measured one.  Whether the drive reads the
-    recorded x or a cleaner one is not known, so the noise of x counts as the input's own.
-    """
-    rig = model.settings.rig
-    if rig.position_gain is not None and "x_d" in channels:
-        if model.loop:
-            return hold_of(channels["x_d"], 0.0)
-        sigma = rig.position_gain * noise["x"].value
-        return with_noise(hold_of(rig.position_gain * (channels["x_d"] - channels["x"]), 0.0,
-                                  sampled=True), sigma**2)
-    sigma = noise["omega"].value
-    return with_noise(hold_of(channels["omega"], sigma), sigma**2)

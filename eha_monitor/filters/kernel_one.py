@@ -5,40 +5,15 @@ import math
 import numpy as np
 
 from eha_monitor.compiled import njit
+from eha_monitor.filters.known import modelled_force, steps_in_sample
 from eha_monitor.filters.stage_one import MEMORY, predict_one, predict_one_euler, slopes_one
 from eha_monitor.filters.supervision import BLOCK, INFORMATION, SCORE, SLOW, honest_factor, look
-from eha_monitor.physics.contributions import (
-    add_contributions,
-    update_memory,
-    with_term,
-    with_update,
-)
-from eha_monitor.physics.signals import FORCE, N_CONTRIBUTIONS, N_SIGNALS, P1, P2, V, X
+from eha_monitor.physics.signals import N_CONTRIBUTIONS, N_SIGNALS
 
 GATE = 1e4  # squared standard deviations: a spike, not a mismatch
 NEGATIVE = 0.02  # growth a sample that a damping below zero may make, before it is held
 SPIKES = 3  # so many in a row are no spike
 BROAD = 1e3  # fresh velocity: uncertain by this many position sigmas a sample
-
-
-@njit
-def effect_force(x, v, p1, p2, theta, terms, memory, s, c):
-    """Return the modelled extra force f and df/dv at (x, v); s, c are scratch, c as at (x, v)."""
-    h = 1e-6 * max(1.0, abs(v))
-    s[X], s[P1], s[P2] = x, p1, p2
-    slope = 0.0
-    for side in (1.0, -1.0, 0.0):
-        s[V] = v + side * h
-        add_contributions(s, theta, terms, memory, c)
-        slope += side * c[FORCE]
-    return c[FORCE], slope / (2.0 * h)
-
-
-@njit
-def remember_sample(x, v, p1, p2, theta, updates, dt, memory, s):
-    """Carry the effects' memory over a sample that ended at (x, v)."""
-    s[X], s[V], s[P1], s[P2] = x, v, p1, p2
-    update_memory(s, theta, updates, dt, memory)
 
 
 @njit
@@ -56,8 +31,8 @@ def start_one(m, p, x, r, dt, keep):
 
 
 @njit
-def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta, active,
-            memory, m, p, w, out, events):
+def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta, plain,
+            remembering, memory, m, p, w, out, events):
     """Run the stage over all samples.
 
     Parameters
@@ -69,7 +44,8 @@ def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta,
         pressure-dependent effects, Pa.
     r : variance of the position, m^2.
     euler : run Eq. 4 as printed.
-    theta, active, memory : modelled effects; their memory is updated.
+    theta, plain, remembering, memory : modelled effects (:func:`known.mean_force`); their memory
+        is updated.
     m, p : state (3,) and covariance (6,), updated; m[0] NaN asks for a fresh start.
     w : supervision, updated.
     out : (6, n) written: x, v, B, sigma_B, innovation, innovation sigma.
@@ -82,7 +58,9 @@ def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta,
     """
     n = x.shape[0]
     s_scratch, c_scratch = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS)
-    terms, updates = with_term(active), with_update(active)
+    trial = memory.copy()
+    any_force = len(plain) + len(remembering) > 0
+    steps = steps_in_sample(dt, theta, plain, remembering, memory, s_scratch, c_scratch)
     spikes = 0
     found = 0
     nan = math.nan
@@ -95,13 +73,14 @@ def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta,
                 lost = True
             else:
                 b = m[2]
-                if len(terms) > 0:
+                slope_x = slope_v = unknown = 0.0
+                if any_force:
                     i = k if p1.shape[0] > 1 else 0
-                    f, slope = effect_force(m[0], m[1], p1[i], p2[i], theta, terms,
-                                            memory, s_scratch, c_scratch)
-                    b += slope
-                    u0 -= f - slope * m[1]
-                    u1 -= f - slope * m[1]
+                    force, slope_x, slope_v, unknown = modelled_force(
+                        m[0], m[1], p[0], p[3], u0, u1, b, mass, dt, steps, p1[i], p2[i], theta,
+                        plain, remembering, memory, trial, True, s_scratch, c_scratch)
+                    u0 -= force
+                    u1 -= force
                 if euler:
                     x1, v1, fxv, fxb, fvv, fvb, q_x, q_v = predict_one_euler(
                         m[0], m[1], b, u0, dt, mass)
@@ -113,18 +92,22 @@ def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta,
                     p_vv = p[3] - p[4] * p[4] / p[5]
                     fxb, fvb = slopes_one(m[1], w[SLOW], p_vv, b, fxb, fvb, dt, mass)
                 m[0], m[1] = x1, v1
-                # P = F P F' + Q with F = [[1, fxv, fxb], [0, fvv, fvb], [0, 0, 1]]
-                bb = p[5]
-                xb = p[2] + fxv * p[4] + fxb * bb
-                vb = fvv * p[4] + fvb * bb
-                xv_x = p[1] + fxv * p[3] + fxb * p[4]
-                xx = (p[0] + fxv * p[1] + fxb * p[2]) + fxv * xv_x + fxb * xb
-                xv = fvv * xv_x + fvb * xb
-                vv = fvv * (fvv * p[3] + fvb * p[4]) + fvb * vb
-                p[0] = xx + q[k] * q_x * q_x
-                p[1] = xv + q[k] * q_x * q_v
+                # The modelled force follows the states: it takes its slopes off theirs.
+                fxx, fvx = 1.0 - q_x * slope_x, -q_v * slope_x
+                fxv -= q_x * slope_v
+                fvv -= q_v * slope_v
+                # P = F P F' + Q with F = [[fxx, fxv, fxb], [fvx, fvv, fvb], [0, 0, 1]]
+                bb, noise = p[5], q[k] + unknown
+                xb = fxx * p[2] + fxv * p[4] + fxb * bb
+                vb = fvx * p[2] + fvv * p[4] + fvb * bb
+                row_x = fxx * p[0] + fxv * p[1] + fxb * p[2]
+                row_v = fxx * p[1] + fxv * p[3] + fxb * p[4]
+                vv_x = fvx * p[0] + fvv * p[1] + fvb * p[2]
+                vv_v = fvx * p[1] + fvv * p[3] + fvb * p[4]
+                p[0] = fxx * row_x + fxv * row_v + fxb * xb + noise * q_x * q_x
+                p[1] = fvx * row_x + fvv * row_v + fvb * xb + noise * q_x * q_v
+                p[3] = fvx * vv_x + fvv * vv_v + fvb * vb + noise * q_v * q_v
                 p[2] = xb
-                p[3] = vv + q[k] * q_v * q_v
                 p[4] = vb
         z = x[k]
         nu, sd = nan, nan
@@ -154,9 +137,6 @@ def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta,
                     p[0] -= kx * p[0]
         elif lost:
             m[0] = nan
-        if len(updates) > 0 and not math.isnan(m[0]):
-            i = k if p1.shape[0] > 1 else 0
-            remember_sample(m[0], m[1], p1[i], p2[i], theta, updates, dt, memory, s_scratch)
         if k % BLOCK == BLOCK - 1:
             delta, information, window = look(w, m[2], p[5], prior_variance)
             if information > 0.0:

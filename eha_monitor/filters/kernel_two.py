@@ -5,14 +5,19 @@ import math
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.filters.kernel_one import BROAD, GATE, SPIKES, effect_force, remember_sample
+from eha_monitor.filters.kernel_one import BROAD, GATE, SPIKES
+from eha_monitor.filters.known import flow_balance, modelled_force, steps_in_sample
 from eha_monitor.filters.stage_one import UNSEEN
-from eha_monitor.filters.stage_two import BETA_0, MASS, discretise, discretise_at
+from eha_monitor.filters.stage_two import BETA_0, LOOP, MASS, discretise
 from eha_monitor.filters.supervision import BLOCK, INFORMATION, SCORE, honest_factor, look
-from eha_monitor.physics.contributions import with_term, with_update
 from eha_monitor.physics.signals import N_CONTRIBUTIONS, N_SIGNALS
 
 STIFFEST = 1e-2  # smallest compliance beta_0/beta_e: a hundred times stiffer than the prior
+# Places in what advance_two finds: where the matrices were made, the c that they were last
+# expanded to, force of the sample, its part that does not follow the states, flow likewise,
+# variance of the force, integration steps in a sample.
+(AT_C, AT_B, LAST_C, TOLD_FORCE, CONSTANT_FORCE, CONSTANT_FLOW, NOISE_FORCE, STEPS) = range(8)
+N_AT = 8
 REFRESH = 5e-3  # relative change of c that asks for a new exact step; between, second order
 
 
@@ -133,8 +138,104 @@ def correct_two(m, p, sens, z, r, w):
 
 
 @njit
-def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak_flow, dt,
-            r, q_f, prior_variance, p1, p2, theta, active, memory, m, p, sens, w, out, events):
+def new_work():
+    """Return the scratch of :func:`advance_two`: matrices, and what it found for the last sample.
+
+    The matrices (7, 3, 7): the exact step at ``at[AT_C]``, its first and second derivative to c,
+    those to B and to the leakage, then the step and its slope to c as taken.
+    """
+    at = np.zeros(N_AT)
+    at[AT_C] = math.nan
+    return np.zeros((7, 3, 7)), at, np.empty((10, 3, 3)), np.zeros(N_SIGNALS), np.zeros(
+        N_CONTRIBUTIONS)
+
+
+@njit
+def advance_two(m, p, sens, u0, u1, i0, i1, b, constants, leak, leak_flow, dt, q_f, q_u, mean,
+                theta, plain, remembering, flows, memory, trial, slopes, matrices, at, work, s, c):
+    """Carry the stage over one sample with the modelled effects; False where it cannot.
+
+    Parameters
+    ----------
+    m, p, sens : updated, as :func:`predict_two`.
+    b, leak_flow, mean : damping, measured leakage and mean pressure over the sample.
+    plain, remembering, flows : places of the modelled effects that make force, without and with
+        memory, and of those in the flow balance.
+    memory, trial : their memory, updated, and a copy of it.
+    slopes : whether the states' covariance is to follow the modelled force.
+    matrices, at, work, s, c : :func:`new_work`.
+    """
+    any_force, any_flow = len(plain) + len(remembering) > 0, len(flows) > 0
+    if (any_force or any_flow) and math.isnan(mean):  # a pressure that an effect needs
+        return False
+    compliance = max(m[3], STIFFEST)
+    omega = 0.5 * (u0 + u1)
+    if constants[LOOP] > 0.0:
+        omega = constants[LOOP] * (omega - m[0])
+    own, to_own, flow, to_force = compliance, 1.0, 0.0, 0.0
+    if any_flow:
+        own, to_own, flow = flow_balance(m[0] + 0.5 * dt * m[1], m[1], omega, m[2], mean,
+                                         compliance, constants, theta, flows, memory, s, c)
+        own = max(own, 0.1 * STIFFEST)
+    if not (abs(own - at[AT_C]) <= REFRESH * at[AT_C] and abs(b - at[AT_B]) <= 1e-6 * abs(b)):
+        at[AT_C], at[AT_B] = own, b
+        discretise(constants, b, own, leak, dt, work, matrices[0], matrices[1], matrices[2],
+                   matrices[3], matrices[4])
+        at[LAST_C] = math.nan
+    step, slope = matrices[5], matrices[6]
+    if any_force or any_flow or not abs(own - at[LAST_C]) <= 1e-6 * own:
+        e = own - at[AT_C]
+        for i in range(3):
+            for j in range(7):
+                step[i, j] = matrices[0, i, j] + e * (
+                    matrices[1, i, j] + 0.5 * e * matrices[2, i, j])
+                slope[i, j] = to_own * (matrices[1, i, j] + e * matrices[2, i, j])
+        at[LAST_C] = own
+    force = 0.0
+    if any_force or any_flow:
+        ahead = (step[2, 0] * m[0] + step[2, 1] * m[1] + step[2, 2] * m[2] + step[2, 3] * u0
+                 + step[2, 4] * u1 + step[2, 5] * at[TOLD_FORCE]
+                 + step[2, 6] * (flow + leak_flow))
+        if any_flow:  # the flow at the middle of the sample, and how it follows the force
+            h = max(math.sqrt(max(p[2, 2], 0.0)), 1e-3)
+            middle = 0.5 * (m[2] + ahead)
+            for side in (1.0, -1.0):
+                _, _, flow = flow_balance(m[0] + 0.5 * dt * m[1], m[1], omega, middle + side * h,
+                                          mean, compliance, constants, theta, flows, memory, s, c)
+                to_force += side * flow
+            to_force *= 0.5 * (1.0 + step[2, 2]) / (2.0 * h)
+            _, _, flow = flow_balance(m[0] + 0.5 * dt * m[1], m[1], omega, middle, mean,
+                                      compliance, constants, theta, flows, memory, s, c)
+        if any_force:
+            p1 = (m[2] + 2.0 * theta[1] * mean) / (theta[0] + theta[1])
+            force, slope_x, slope_v, unknown = modelled_force(
+                m[0], m[1], p[0, 0], p[1, 1], m[2], ahead, b, constants[MASS], dt,
+                int(at[STEPS]), p1, 2.0 * mean - p1, theta, plain, remembering, memory, trial,
+                slopes, s, c)
+            q_f += unknown
+            at[TOLD_FORCE] = force
+            force -= slope_x * m[0] + slope_v * m[1]
+            for i in range(3):
+                step[i, 0] += step[i, 5] * slope_x
+                step[i, 1] += step[i, 5] * slope_v
+                slope[i, 0] += slope[i, 5] * slope_x
+                slope[i, 1] += slope[i, 5] * slope_v
+        flow -= to_force * m[2]
+        for i in range(3):
+            step[i, 2] += step[i, 6] * to_force
+            slope[i, 2] += slope[i, 6] * to_force
+    flow += leak_flow
+    if math.isnan(force + flow):
+        return False
+    at[CONSTANT_FORCE], at[CONSTANT_FLOW], at[NOISE_FORCE] = force, flow, q_f
+    predict_two(m, p, sens, step, slope, matrices[3], u0, u1, i0, i1, force, flow, q_f, q_u)
+    return True
+
+
+@njit
+def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak_flow, dt, r, q_f,
+            prior_variance, mean, theta, plain, remembering, flows, memory, m, p, sens, w, out,
+            events):
     """Run the stage over all samples.
 
     Parameters
@@ -147,9 +248,9 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
     leak_flow : (n,) :func:`inputs.measured_leakage` over the sample before each; 0 where
         ``leak`` stands for it.
     r, q_f : variances of the position (m^2) and of an unmodelled force (N^2).
-    p1, p2 : (n,) or (1,) absolute pressures over the sample before each, for
-        pressure-dependent effects, Pa.
-    theta, active, memory : modelled effects; their memory is updated.
+    mean : (n,) or (1,) mean of both absolute pressures over the sample before each, Pa.
+    theta, plain, remembering, flows, memory : modelled effects (:func:`advance_two`); their
+        memory is updated.
     m, p, sens : (4,) x, v, F, c; (4, 4); (4,) sensitivity to B; updated.  m[0] NaN: fresh start.
     w : supervision, updated.
     out : (8, n) written: x, v, a, beta_e, sigma of the filter, sigma with the uncertainty of B,
@@ -162,54 +263,26 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
         Number of events.
     """
     n = x.shape[0]
-    work = np.empty((10, 3, 3))
-    base, d_c, d_cc = np.empty((3, 7)), np.empty((3, 7)), np.empty((3, 7))
-    d_b, d_leak = np.empty((3, 7)), np.empty((3, 7))
-    step, slope = np.empty((3, 7)), np.empty((3, 7))
-    at_c, at_b = math.nan, math.nan
-    s_scratch, c_scratch = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS)
-    terms, updates = with_term(active), with_update(active)
+    matrices, at, work, s_scratch, c_scratch = new_work()
+    trial = memory.copy()
+    at[STEPS] = steps_in_sample(dt, theta, plain, remembering, memory, s_scratch, c_scratch)
     mass = constants[MASS]
     spikes, found = 0, 0
     nan = math.nan
     factor = honest_factor(w)
-    last_c = nan
     for k in range(n):
         lost = math.isnan(m[0])
-        force = 0.0
         if not lost and k > 0:
             u0, u1 = start[k - 1], end[k]
-            flow = leak_flow[k]
-            if math.isnan(u0 + u1 + instrument[k - 1] + instrument[k] + b[k] + flow):
-                lost = True
-            else:
-                damping = b[k]
-                if len(terms) > 0:
-                    i = k if p1.shape[0] > 1 else 0
-                    f, df = effect_force(m[0], m[1], p1[i], p2[i], theta, terms,
-                                         memory, s_scratch, c_scratch)
-                    damping += df
-                    force = f - df * m[1]
-                    flow += effect_flow(theta, c_scratch)
-                if math.isnan(force + flow):  # a pressure is missing that an effect needs
-                    lost, force = True, 0.0
+            i = k if mean.shape[0] > 1 else 0
+            lost = math.isnan(u0 + u1 + instrument[k - 1] + instrument[k] + b[k] + leak_flow[k])
             if not lost:
-                c = max(m[3], STIFFEST)
-                if not (abs(c - at_c) <= REFRESH * at_c and abs(damping - at_b)
-                        <= 1e-6 * abs(at_b)):
-                    at_c, at_b = c, damping
-                    discretise(constants, damping, c, leak, dt, work, base, d_c, d_cc, d_b,
-                               d_leak)
-                    last_c = nan
-                if not abs(c - last_c) <= 1e-6 * c:
-                    e = c - at_c
-                    for i in range(3):
-                        for j in range(7):
-                            step[i, j] = base[i, j] + e * (d_c[i, j] + 0.5 * e * d_cc[i, j])
-                            slope[i, j] = d_c[i, j] + e * d_cc[i, j]
-                    last_c = c
-                predict_two(m, p, sens, step, slope, d_b, u0, u1, instrument[k - 1],
-                            instrument[k], force, flow, q_f, q_u[k])
+                lost = not advance_two(
+                    m, p, sens, u0, u1, instrument[k - 1], instrument[k], b[k], constants, leak,
+                    leak_flow[k], dt, q_f, q_u[k], mean[i], theta, plain, remembering, flows,
+                    memory, trial, True, matrices, at, work, s_scratch, c_scratch)
+        if lost:
+            at[TOLD_FORCE] = 0.0
         z = x[k]
         nu, sd = nan, nan
         if not math.isnan(z):
@@ -227,9 +300,6 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
                     correct_two(m, p, sens, z, r, w)
         elif lost:
             m[0] = nan
-        if len(updates) > 0 and not math.isnan(m[0]):
-            i = k if p1.shape[0] > 1 else 0
-            remember_sample(m[0], m[1], p1[i], p2[i], theta, updates, dt, memory, s_scratch)
         if k % BLOCK == BLOCK - 1:
             delta, information, window = look(w, m[3], p[3, 3], prior_variance)
             if information > 0.0:
@@ -243,7 +313,7 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
             factor = honest_factor(w)
         c = m[3]
         out[0, k], out[1, k] = m[0], m[1]
-        out[2, k] = (m[2] - b[k] * m[1] - force) / mass
+        out[2, k] = (m[2] - b[k] * m[1] - at[TOLD_FORCE]) / mass
         beta = constants[BETA_0] / max(c, 1e-9)
         per_c = beta / max(c, 1e-9)
         out[3, k] = beta
@@ -252,12 +322,6 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
                                       + sens[3] * sens[3] * b_variance[k])
         out[6, k], out[7, k] = nu, sd
     return found
-
-
-@njit
-def effect_flow(theta, c):
-    """Return A1/V1 Q1 - A2/V2 Q2 of the modelled effects, N/Pa/s per unit of bulk modulus."""
-    return theta[0] / theta[2] * c[1] - theta[1] / theta[3] * c[2]
 
 
 @njit
@@ -274,37 +338,41 @@ def jump_two(m, p, delta, information):
 
 
 @njit
-def log_likelihood_two(x, start, end, q_u, b, c, constants, leak, leak_flow, dt, r,
-                       q_f):
-    """Return the log likelihood of a stretch under a fixed compliance ``c`` (no effects).
+def log_likelihood_two(x, start, end, q_u, instrument, b, c, constants, leak, leak_flow, dt, r,
+                       q_f, mean, theta, plain, remembering, flows, memory):
+    """Return the log likelihood of a stretch under a fixed compliance ``c``.
 
     The resonance makes the likelihood of beta_e many-peaked: an extended filter that starts
     more than a few per cent away may lock on a wrong peak while the oil column rings.  A bank
     of these linear filters finds the right one.  Arguments as :func:`run_two`; ``b`` is one
     number.
     """
-    work = np.empty((10, 3, 3))
-    step, zero = np.empty((3, 7)), np.zeros((3, 7))
-    discretise_at(constants, b, c, leak, dt, work, step)
+    matrices, at, work, s_scratch, c_scratch = new_work()
+    memory, trial = memory.copy(), memory.copy()
+    at[STEPS] = steps_in_sample(dt, theta, plain, remembering, memory, s_scratch, c_scratch)
     m, p, sens, w = np.zeros(4), np.zeros((4, 4)), np.zeros(4), np.zeros(2)
+    m[3] = c
     lost = True
     spikes = 0
     total = 0.0
     for k in range(x.shape[0]):
         if not lost:
             u0, u1 = start[k - 1], end[k]
-            flow = leak_flow[k]
-            if math.isnan(u0 + u1 + flow):
-                lost = True
-            else:
+            i = k if mean.shape[0] > 1 else 0
+            lost = math.isnan(u0 + u1 + leak_flow[k])
+            if not lost:
                 p[3, 3] = 1e-30  # c is fixed here
-                predict_two(m, p, sens, step, zero, zero, u0, u1, 0.0, 0.0, 0.0, flow, q_f,
-                            q_u[k])
+                lost = not advance_two(
+                    m, p, sens, u0, u1, instrument[k - 1], instrument[k], b, constants, leak,
+                    leak_flow[k], dt, q_f, q_u[k], mean[i], theta, plain, remembering, flows,
+                    memory, trial, False, matrices, at, work, s_scratch, c_scratch)
+                m[3] = c
         if math.isnan(x[k]):
             continue
         if lost:
             start_two(m, p, x[k], r, dt, constants[MASS])
             p[3, 3] = 1e-30
+            at[TOLD_FORCE] = 0.0
             lost = False
             continue
         s = p[0, 0] + r
@@ -320,10 +388,12 @@ def log_likelihood_two(x, start, end, q_u, b, c, constants, leak, leak_flow, dt,
 
 
 @njit
-def bank_two(x, start, end, q_u, b, grid, constants, leak, leak_flow, dt, r, q_f):
+def bank_two(x, start, end, q_u, instrument, b, grid, constants, leak, leak_flow, dt, r, q_f,
+             mean, theta, plain, remembering, flows, memory):
     """Return the log likelihood at each compliance of ``grid``; (len(grid),)."""
     out = np.empty(grid.shape[0])
     for i in range(grid.shape[0]):
-        out[i] = log_likelihood_two(x, start, end, q_u, b, grid[i], constants, leak, leak_flow,
-                                    dt, r, q_f)
+        out[i] = log_likelihood_two(x, start, end, q_u, instrument, b, grid[i], constants, leak,
+                                    leak_flow, dt, r, q_f, mean, theta, plain, remembering, flows,
+                                    memory)
     return out

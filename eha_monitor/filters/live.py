@@ -6,34 +6,33 @@ of a few samples, because the hold of an input looks at its neighbours on both s
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from eha_monitor.filters.consistency import judge
 from eha_monitor.filters.filterpy_stages import FilterpyStageOne, FilterpyStageTwo
-from eha_monitor.filters.hold import hold_of
 from eha_monitor.filters.inputs import (
+    Known,
     RigModel,
     StageInputs,
-    between,
-    drive_input,
-    drive_missing,
-    force_missing,
-    force_of,
-    force_variance,
-    measured_leakage,
     moved_mass,
     position_variance,
-    with_noise,
-    without_spikes,
+    quantum_of,
 )
 from eha_monitor.filters.live_buffer import LiveBuffer
-from eha_monitor.filters.noise import noise_levels, quantum
+from eha_monitor.filters.noise import noise_levels
 from eha_monitor.filters.pipeline import MISSING_ONE, MISSING_TWO, model_status, unless_unexcited
 from eha_monitor.filters.results import Consistency, Event, ModelStatus, ParameterEstimate
 from eha_monitor.filters.run_two import LARGE, force_noise_variance, run_stage_two_kernel
 from eha_monitor.filters.status import CONVERGED, judge_parameter, no_data, units_of
+from eha_monitor.physics.signals import (
+    COMMAND_DELAY,
+    FEEDBACK_DELAY,
+    POSITION_DELAY,
+    POSITION_SCALE,
+    PRESSURE_DELAY,
+)
 from eha_monitor.settings.monitor import Settings
 
 WARM_UP = 256  # rows from which the sample time and the noise are first measured
@@ -80,7 +79,8 @@ class LiveEstimator:
         self._two: FilterpyStageTwo | None = None
         self._model: RigModel | None = None
         self._taken = 0
-        self._origin = 0.0
+        self._origin = self._began = 0.0
+        self._lag, self._context = LAG, CONTEXT
         self._now = 0.0
         self._temperature: float | None = None
         self._handed: tuple[float, float] | None = None
@@ -110,7 +110,7 @@ class LiveEstimator:
                 self._start()
             return
         self._place(time_s, row)
-        if self._buffer.end - self._taken >= BATCH + LAG:
+        if self._buffer.end - self._taken >= BATCH + self._lag:
             self._take()
 
     def _place(self, time_s: float, row: dict[str, float]) -> None:
@@ -143,7 +143,7 @@ class LiveEstimator:
                                       f"ms, not every {self.dt * 1e3:.3g} ms as configured"))
             self.dt = spacing
         self._buffer = LiveBuffer(BUFFER_S, self.dt)
-        self._origin = float(times[0])
+        self._origin = self._began = float(times[0])
         early, self._early = self._early, []
         for time_s, row in early:
             self._place(time_s, row)
@@ -151,71 +151,68 @@ class LiveEstimator:
         self._take()
 
     def _set_up(self) -> None:
-        settings, rig = self.settings, self.settings.rig
-        names = self._buffer.seen
-        self._no_force = force_missing(rig, names)
-        self._no_drive = drive_missing(settings, names)
-        channels = self._buffer.channels(0, self._buffer.end)
-        mean = None
-        if "p1" in channels and "p2" in channels:
-            mean = float(np.nanmedian(0.5 * (channels["p1"] + channels["p2"])))
-        self._model = RigModel.of(settings, mean, "x_d" in names)
-        if measured_leakage(rig, channels) is not None:
-            self._model = replace(self._model, leak=0.0)
+        settings, buffer = self.settings, self._buffer
+        recording = buffer.recording(0, buffer.end)
+        inputs = StageInputs.of(recording, settings)
+        self._no_force, self._no_drive = inputs.no_force, inputs.no_drive
+        self._model = inputs.model
+        # A late channel waits for the samples that show the present.
+        circuit = self._model.circuit
+        lead = max(circuit[POSITION_DELAY], circuit[PRESSURE_DELAY])
+        self._lag = LAG + math.ceil(lead / self.dt)
+        self._context = CONTEXT + math.ceil(
+            max(circuit[COMMAND_DELAY], circuit[FEEDBACK_DELAY]) / self.dt)
         self._measure_noise()
         if self._no_force is None:
             self._one = FilterpyStageOne(
-                moved_mass(self._model, self.dt), self.dt, self._r, settings.stage_one.prior,
-                settings.stage_one.prior_stddev, self._model.theta, self._model.active,
+                self._model, moved_mass(self._model, self.dt), self.dt, self._r,
+                settings.stage_one.prior, settings.stage_one.prior_stddev,
                 settings.discretisation == "euler")
 
     def _measure_noise(self) -> None:
         recording = self._buffer.recording(self._buffer.first, self._buffer.end)
         self._noise = noise_levels(recording, self.settings.noise)
-        x = recording.get("x")
-        self._r = position_variance(self._noise, quantum(x[np.isfinite(x)]))
-        self._q = force_variance(self.settings.rig, self._noise,
-                                 self.settings.stage_one.force_noise)
+        self._quantum = quantum_of(recording.channels)
+        scale = 1.0 + self._model.circuit[POSITION_SCALE]
+        self._r = position_variance(self._noise, self._quantum) / scale**2
         for stage in (self._one, self._two):
             if stage is not None:
                 stage.ekf.R[0, 0] = self._r
+
+    def _known(self, start: int) -> Known:
+        """Return what is known about the rows from ``start`` on."""
+        return Known(self._model, self._noise, self._quantum, self._no_force, self._no_drive,
+                     self._buffer.kept(start))
 
     # ---- batches through the filters --------------------------------------------------------
 
     def _take(self, everything: bool = False) -> None:
         """Filter the rows whose neighbours have come."""
         buffer = self._buffer
-        stop = buffer.end if everything else buffer.end - LAG
+        stop = buffer.end if everything else buffer.end - self._lag
         if stop <= self._taken:
             return
-        context = max(self._taken - CONTEXT, buffer.first)
-        channels, _ = without_spikes(buffer.channels(context, buffer.end), self._noise)
-        x = channels.get("x", np.full(buffer.end - context, math.nan))
-        leak_flow = measured_leakage(self.settings.rig, channels)
-        leak_flow = np.zeros(len(x)) if leak_flow is None else between(leak_flow)
-        charge = self.settings.rig.charge_pressure
-        p1, p2 = (between(channels[name]) if name in channels else None for name in ("p1", "p2"))
-        force = drive = None
-        if self._no_force is None:
-            force = with_noise(hold_of(
-                force_of(self.settings.rig, channels), self._q**0.5,
-                kinked=self.settings.command_hold == "sampled"), self._q)
-        if self._two is not None:
-            drive = drive_input(self._model, channels, self._noise)
+        context = max(self._taken - self._context, buffer.first)
+        inputs = StageInputs.of(
+            buffer.recording(context, buffer.end), self.settings,
+            self._known(context), self._time_of(context) - self._began)
         self._damping = self._follow()
+        force, drive = inputs.force, inputs.drive
         for number in range(self._taken, stop):
             i = number - context
-            pressures = (charge, charge) if p1 is None or p2 is None else (p1[i], p2[i])
+            at = i if len(inputs.p1) > 1 else 0
             if self._one is not None:
                 u0 = force.start[i - 1] if i else math.nan
-                change = self._one.step(x[i], u0, force.end[i], force.variance[i], *pressures)
+                change = self._one.step(inputs.x[i], u0, force.end[i], force.variance[i],
+                                        inputs.p1[at], inputs.p2[at])
                 self._note(number, "one", self._one, change)
             if self._two is not None:
                 u0, i0 = (drive.start[i - 1], drive.instrument[i - 1]) if i else (math.nan,) * 2
                 change = self._two.step(
-                    x[i], u0, drive.end[i], i0, drive.instrument[i], drive.variance[i],
-                    *self._damping, leak_flow[i], *pressures)
+                    inputs.x[i], u0, drive.end[i], i0, drive.instrument[i], drive.variance[i],
+                    *self._damping, inputs.leak_flow[i], inputs.mean[at])
                 self._note(number, "two", self._two, change)
+        buffer.keep(self._taken, inputs.kept[self._taken - context : stop - context])
         if self._two is not None:
             buffer.column("b", self._taken, stop)[:] = self._damping[0]
             buffer.column("b_variance", self._taken, stop)[:] = self._damping[1]
@@ -321,14 +318,16 @@ class LiveEstimator:
         edge = max(self._piece - start, 0)  # from where the last change was first at work
         b[edge:], variance[edge:] = self._handed[0], self._handed[1] ** 2
         b[np.isnan(b)], variance[np.isnan(variance)] = self._handed[0], self._handed[1] ** 2
-        inputs = StageInputs.of(buffer.recording(start, stop), self.settings)
+        # The rows after them are needed to read late channels; the filter stops before.
+        recording = buffer.recording(start, buffer.end)
+        inputs = StageInputs.of(
+            recording, self.settings, self._known(start), self._time_of(start) - self._began)
+        inputs = inputs.part(0, stop - start)
         result = run_stage_two_kernel(inputs, self.settings, b, variance)
         broad = (self.settings.stage_two.prior_stddev / self.settings.stage_two.prior) ** 2
         self._two = FilterpyStageTwo(
-            self._model.hydraulics, self._model.leak, self.dt, self._r,
-            force_noise_variance(self.settings), broad, result.state, result.covariance,
-            result.sensitivity, result.watch, self._model.theta, self._model.active,
-            result.memory)
+            self._model, self.dt, self._r, force_noise_variance(self.settings), broad,
+            result.state, result.covariance, result.sensitivity, result.watch, result.memory)
         buffer.column("nu_two", start, stop)[:] = result.out[6]
         buffer.column("sd_two", start, stop)[:] = result.out[7]
         self._changes["two"] = [(start + int(row[0]), row[1], row[2], int(row[3]))

@@ -19,15 +19,16 @@ class LiveBuffer:
 
     def __init__(self, seconds: float, dt: float):
         self.dt = dt
-        self.kept = round(seconds / dt)
-        self._columns = {name: np.full(2 * self.kept, np.nan) for name in (*CHANNELS, *EXTRA)}
+        self.length = round(seconds / dt)
+        self._columns = {name: np.full(2 * self.length, np.nan) for name in (*CHANNELS, *EXTRA)}
         self.first = 0
         self.end = 0
         self.seen: set[str] = set()
+        self._kept: dict[int, np.ndarray] = {}
 
     def append(self, number: int, row: dict[str, float]) -> None:
         """Write row ``number`` (not before ``end``); rows between stay NaN."""
-        if number - self.first >= 2 * self.kept:
+        if number - self.first >= 2 * self.length:
             self._compact(number)
         place = number - self.first
         for name, value in row.items():
@@ -37,7 +38,7 @@ class LiveBuffer:
         self.end = number + 1
 
     def _compact(self, number: int) -> None:
-        new_first = max(number - self.kept + 1, 0)
+        new_first = max(number - self.length + 1, 0)
         shift = new_first - self.first
         for column in self._columns.values():
             column[:-shift] = column[shift:]
@@ -47,6 +48,17 @@ class LiveBuffer:
     def column(self, name: str, start: int, stop: int) -> np.ndarray:
         """Return a view of rows ``start`` to ``stop`` (absolute, clipped to what is held)."""
         return self._columns[name][max(start - self.first, 0) : stop - self.first]
+
+    def keep(self, start: int, rows: np.ndarray) -> None:
+        """Note what drive and pump remember after each row from ``start`` on, (n, k)."""
+        for i in range(len(rows)):
+            self._kept[start + i] = rows[i]
+        while len(self._kept) > 2 * self.length:
+            del self._kept[next(iter(self._kept))]
+
+    def kept(self, number: int) -> np.ndarray | None:
+        """Return what drive and pump remembered after a row, or None."""
+        return self._kept.get(number)
 
     def channels(self, start: int, stop: int) -> dict[str, np.ndarray]:
         """Return the recorded channels of a stretch."""

@@ -9,6 +9,7 @@ from eha_monitor.filters import kernel_one
 from eha_monitor.filters.consistency import judge
 from eha_monitor.filters.inputs import StageInputs, moved_mass
 from eha_monitor.filters.joint import fits, run_joint
+from eha_monitor.filters.known import new_known_memory
 from eha_monitor.filters.results import (
     Consistency,
     Estimate,
@@ -21,7 +22,7 @@ from eha_monitor.filters.results import (
 from eha_monitor.filters.run_two import MOST_EVENTS, run_stage_two_kernel
 from eha_monitor.filters.status import CONVERGED, judge_parameter, no_data, units_of
 from eha_monitor.filters.supervision import gave_up, new_supervision
-from eha_monitor.physics.contributions import new_memory
+from eha_monitor.physics.signals import M as MASS_PLACE
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
@@ -89,7 +90,8 @@ def run_stage_one(inputs: StageInputs, recording: Recording, settings: Settings,
     result = StageResult(
         "one", parameter,
         recording.time, out[2], out[3], out[0], out[1],
-        (inputs.force.start - out[2] * out[1]) / settings.rig.mass, out[4], out[5], verdict)
+        (inputs.force.start - out[2] * out[1]) / inputs.model.theta[MASS_PLACE], out[4], out[5],
+        verdict)
     first = first_converged(out[2], out[3], spread)
     if first is not None:
         events.append(Event(first * inputs.dt, "one",
@@ -110,8 +112,8 @@ def run_one_kernel(inputs: StageInputs, settings: Settings, watch: np.ndarray
     found = kernel_one.run_one(
         inputs.x, force.start, force.end, force.variance, inputs.p1, inputs.p2, inputs.dt,
         moved_mass(model, inputs.dt), inputs.position_variance, spread**2,
-        settings.discretisation == "euler", model.theta, model.active,
-        new_memory(), m, p, watch, out, changes)
+        settings.discretisation == "euler", model.theta, model.plain,
+        model.remembering, new_known_memory(), m, p, watch, out, changes)
     return out, changes[: min(found, MOST_EVENTS)], found, watch
 
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from eha_monitor.filters import kernel_two
 from eha_monitor.filters.inputs import StageInputs
+from eha_monitor.filters.known import new_known_memory
 from eha_monitor.filters.supervision import gave_up, new_supervision
-from eha_monitor.physics.contributions import new_memory
 from eha_monitor.settings.monitor import Settings
 
 BANK_RATIO = 1.06  # spacing of the bulk moduli tried; half a ring's phase over its life
@@ -84,9 +84,11 @@ def bank_weights(inputs: StageInputs, settings: Settings, damping: np.ndarray,
     model = inputs.model
     likelihood = kernel_two.bank_two(
         inputs.x[part], inputs.drive.start[part], inputs.drive.end[part],
-        inputs.drive.variance[part], damping[start + length // 2], grid,
-        model.hydraulics, model.leak, inputs.leak_flow[part], inputs.dt, inputs.position_variance,
-        force_noise_variance(settings))
+        inputs.drive.variance[part], inputs.drive.instrument[part],
+        damping[start + length // 2], grid, model.hydraulics, model.leak, inputs.leak_flow[part],
+        inputs.dt, inputs.position_variance, force_noise_variance(settings),
+        inputs.mean[part] if len(inputs.mean) > 1 else inputs.mean, model.theta, model.plain,
+        model.remembering, model.flows, new_known_memory())
     likelihood = np.where(np.isfinite(likelihood), likelihood, -np.inf)
     if not np.isfinite(likelihood).any():
         return None
@@ -110,19 +112,6 @@ class KernelTwoResult:
     sensitivity: np.ndarray
     watch: np.ndarray
     memory: np.ndarray
-
-
-def part_of(inputs: StageInputs, start: int) -> StageInputs:
-    """Return the inputs from sample ``start`` on."""
-    if start == 0:
-        return inputs
-    drive = inputs.drive
-    later = slice(start, None)
-    pressures = {name: values[later] if len(values) > 1 else values
-                 for name, values in (("p1", inputs.p1), ("p2", inputs.p2))}
-    return replace(inputs, x=inputs.x[later], leak_flow=inputs.leak_flow[later], drive=replace(
-        drive, start=drive.start[later], end=drive.end[later], variance=drive.variance[later],
-        instrument=drive.instrument[later]), **pressures)
 
 
 def run_stage_two_kernel(inputs: StageInputs, settings: Settings, damping: np.ndarray,
@@ -160,27 +149,27 @@ def run_from(begin: int, inputs: StageInputs, settings: Settings, damping: np.nd
              damping_variance: np.ndarray, out: np.ndarray, *,
              frozen: bool = False) -> KernelTwoResult:
     """Run the kernel from sample ``begin`` to the end, writing ``out`` from there on."""
-    part, b, b_variance = part_of(inputs, begin), damping[begin:], damping_variance[begin:]
+    part = inputs.part(begin, len(inputs.x)) if begin else inputs
+    b, b_variance = damping[begin:], damping_variance[begin:]
     start, variance = start_compliance(part, settings, b)
     model, drive = inputs.model, part.drive
-    effects = bool(model.active.any())
     broad = (settings.stage_two.prior_stddev / settings.stage_two.prior) ** 2
     written, changes = np.empty((8, len(part.x))), np.empty((MOST_EVENTS, 4))
-    # Once more from where it led, if that is sharp or if the bank left effects out: what the
-    # filter learns from a ringing oil column is right only near the answer.
+    # Once more from where it led, if that is sharp: what the filter learns from a ringing oil
+    # column is right only near the answer.
     for _ in range(2):
         m = np.array([np.nan, 0.0, 0.0, start])
         p = np.zeros((4, 4))
         p[3, 3] = variance
-        sens, watch, memory = np.zeros(4), new_supervision(frozen), new_memory()
+        sens, watch, memory = np.zeros(4), new_supervision(frozen), new_known_memory()
         found = kernel_two.run_two(
             part.x, drive.start, drive.end, drive.variance, drive.instrument, b, b_variance,
             model.hydraulics, model.leak, part.leak_flow, inputs.dt, inputs.position_variance,
-            force_noise_variance(settings), broad, part.p1, part.p2, model.theta,
-            model.active, memory, m, p, sens, watch, written, changes)
+            force_noise_variance(settings), broad, part.mean, model.theta, model.plain,
+            model.remembering, model.flows, memory, m, p, sens, watch, written, changes)
         last = max(int(changes[0, 0] - 2 * changes[0, 3]), 0) if found else len(part.x) - 1
         sigma = written[4, last] / written[3, last]  # what it came to before any change
-        if not sigma < (SHARP if not effects else 0.1):
+        if not sigma < SHARP:
             break
         start = model.beta_0 / written[3, last]
         variance = min(variance, max(25.0 * sigma**2, CLOSE**2) * start**2)

@@ -1,0 +1,225 @@
+"""Stage two's input: the demanded position, or the pump speed that effects have made of it."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from eha_monitor.compiled import njit
+from eha_monitor.filters.hold import Hold, hold_of, instrument_of
+from eha_monitor.filters.known import contributions, remember
+from eha_monitor.physics import signals as s
+from eha_monitor.physics.balances import drive_speed
+from eha_monitor.physics.plant import shaft_speed
+from eha_monitor.physics.signals import (
+    DRIVE_LAG,
+    N_CONTRIBUTIONS,
+    N_SIGNALS,
+    OMEGA,
+    P1,
+    P2,
+    SLEW_LIMIT,
+    SPEED,
+)
+
+PARTS = 8  # of a sample, in which drive and pump are followed
+# Effects of the drive that x_d as the input of a closed loop does not show.
+OPENING = (s.DRIVE_LAG, s.FEEDBACK_DELAY)
+
+
+def opens_loop(w: np.ndarray, pump: np.ndarray) -> bool:
+    """Tell whether modelled effects stand between the position error and the pump's flow.
+
+    A gain, a late command and a scale error of the position that the drive reads too leave the
+    loop linear; x_d stays the input then.
+    """
+    return bool(len(pump) or w[list(OPENING)].any() or np.isfinite(w[list(s.LIMITS)]).any()
+                or (w[s.PLAY] and w[s.IN_LOOP]))
+
+
+def loop_gain(theta: np.ndarray, w: np.ndarray) -> float:
+    """Return pump speed over true position in the closed loop, rad/(s*m)."""
+    shared = w[s.POSITION_SCALE] if w[s.IN_LOOP] else 0.0
+    return theta[s.K_POS] * (1.0 + w[s.DRIVE_GAIN]) * (1.0 + shared)
+
+
+@njit
+def place_in(values, place):
+    """Return a sampled channel at ``place`` samples, by a cubic through its neighbours."""
+    n = values.shape[0]
+    i = math.floor(place)
+    f = place - i
+    if i < 0 or i >= n or (f > 1e-9 and i + 1 >= n):
+        return math.nan
+    if f <= 1e-9:
+        return values[i]
+    here, after = values[i], values[i + 1]
+    before = values[i - 1] if i > 0 else 2.0 * here - after
+    later = values[i + 2] if i + 2 < n else 2.0 * after - here
+    if math.isnan(before) or math.isnan(later):
+        return here + f * (after - here)
+    return (-f * (f - 1.0) * (f - 2.0) / 6.0 * before
+            + (f + 1.0) * (f - 1.0) * (f - 2.0) / 2.0 * here
+            - (f + 1.0) * f * (f - 2.0) / 2.0 * after + (f + 1.0) * f * (f - 1.0) / 6.0 * later)
+
+
+@njit
+def held(start, end, place):
+    """Return an input that runs from ``start[i]`` to ``end[i + 1]``, at ``place`` samples."""
+    n = start.shape[0]
+    i = max(math.floor(place), 0)
+    if i + 1 >= n:
+        return math.nan
+    f = max(place - i, 0.0)
+    return start[i] + f * (end[i + 1] - start[i])
+
+
+@njit
+def follow(kind, start, end, seen, lead, sampled, p1, p2, dt, theta, pump, updates, w, memory,
+           kept, out_start, out_end):
+    """Follow drive and pump through all samples; write the input's line in each.
+
+    Parameters
+    ----------
+    kind : 0 x_d to x_d, late; 1 x_d and the position to the pump speed; 2 the shaft's speed.
+    start, end : (n,) hold of x_d in m or of the shaft's speed in rad/s.
+    seen : (n,) position as the drive reads it, m; ``lead`` samples later it is the present one.
+    sampled : the drive reads once in a sample and holds.
+    p1, p2 : (n,) Pa, of pump effects.
+    pump, updates : places of the effects that add to the speed, and of those that remember.
+    memory : of all effects, updated.
+    kept : (n, 1 + 2 len(updates)) written after each sample: the lagging speed and the memory;
+        row 0 is where it starts, NaN for a fresh start.
+    out_start, out_end : (n,) written, as ``start`` and ``end``: the line of least squares.
+    """
+    n = start.shape[0]
+    h = dt / PARTS
+    x_signal, c = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS)
+    lag, slew = w[DRIVE_LAG], w[SLEW_LIMIT]
+    slow = lag > 0.0 or slew < np.inf
+    keep = math.exp(-h / lag) if lag > 0.0 else 0.0
+    omega, before = kept[0, 0], math.nan
+    for j in range(len(updates)):
+        for i in range(2):
+            value = kept[0, 1 + 2 * j + i]
+            memory[updates[j], i] = 0.0 if math.isnan(value) else value
+    late = w[s.COMMAND_DELAY] / dt if kind < 2 else 0.0
+    spread = (PARTS * PARTS - 1.0) / (12.0 * PARTS * PARTS)  # mean square of the parts' places
+    for k in range(1, n):
+        mean = tilt = 0.0
+        for j in range(PARTS):
+            along = (j + 0.5) / PARTS
+            place = k - 1 + (0.0 if sampled else along)
+            value = held(start, end, place - late)
+            rise = 0.0 if sampled else end[k] - start[k - 1]  # a sample
+            if kind == 1:
+                x = place_in(seen, place + lead)
+                wanted = shaft_speed(drive_speed(value, x, theta, w), w)
+                value = wanted
+                rise = 0.0 if math.isnan(before) else PARTS * (wanted - before)
+                before = wanted
+                if slow:
+                    if math.isnan(omega):
+                        omega = wanted
+                    change = (wanted - omega) * (1.0 - keep)
+                    change = min(max(change, -slew * h), slew * h)
+                    value = omega + 0.5 * change
+                    omega += change
+            if len(pump) > 0:
+                x_signal[OMEGA] = value
+                x_signal[P1] = (1.0 - along) * p1[k - 1] + along * p1[k]
+                x_signal[P2] = (1.0 - along) * p2[k - 1] + along * p2[k]
+                contributions(x_signal, theta, pump, memory, c)
+                if len(updates) > 0:  # an update looks at the end of its step
+                    x_signal[OMEGA] = omega if kind == 1 and slow else (
+                        value + 0.5 / PARTS * rise)
+                    remember(x_signal, theta, updates, h, memory)
+                value += c[SPEED]
+            mean += value / PARTS
+            tilt += (along - 0.5) * value / PARTS
+        tilt /= spread
+        out_start[k - 1], out_end[k] = mean - 0.5 * tilt, mean + 0.5 * tilt
+        if math.isnan(mean):
+            omega = math.nan
+            for which in updates:
+                memory[which, 0] = 0.0
+                memory[which, 1] = 0.0
+        kept[k, 0] = omega
+        for j in range(len(updates)):
+            kept[k, 1 + 2 * j] = memory[updates[j], 0]
+            kept[k, 2 + 2 * j] = memory[updates[j], 1]
+
+
+@dataclass(frozen=True)
+class DriveInput:
+    """Stage two's input, and what drive and pump remember after each sample, (n, k)."""
+
+    hold: Hold
+    kept: np.ndarray
+
+
+def drive_input(model, recorded: dict, channels: dict, noise: dict, memory: np.ndarray,
+                dt: float, started: np.ndarray | None = None) -> DriveInput:
+    """Return stage two's input.
+
+    x_d in m where the loop is part of the model; the pump speed in rad/s where it is not: the
+    measured one, or the one that the drive makes of x_d - x.  Whether the drive reads the
+    recorded x or a cleaner one is not known, so the noise of x counts as the input's own.
+
+    Parameters
+    ----------
+    model : :class:`inputs.RigModel`.
+    recorded, channels : as the sensors showed them, and with their known errors undone.
+    noise : of ``channels``.
+    memory : of the effects, fresh.
+    started : what drive and pump remember at the first sample, a row of ``kept``.
+    """
+    rig, w = model.settings.rig, model.circuit
+    n = len(channels["x"])
+    kept = np.full((n, 1 + 2 * len(model.pump_updates)), np.nan)
+    if started is not None:
+        kept[0] = started
+    commanded = rig.position_gain is not None and "x_d" in channels
+    sampled = model.settings.command_hold == "sampled"
+    plain = not (len(model.pump) or model.opened or w[s.COMMAND_DELAY])
+    if commanded and model.loop:
+        shared = w[s.POSITION_SCALE] if w[s.IN_LOOP] else 0.0
+        hold = hold_of(channels["x_d"] / (1.0 + shared), 0.0)
+        if plain:
+            return DriveInput(hold, kept)
+        kind, seen, lead = 0, channels["x"], 0.0
+    elif "omega" in channels and (model.opened or not commanded):
+        sigma = noise["omega"].value
+        sampled = sampled and model.opened and not w[s.DRIVE_LAG]
+        hold = hold_of(channels["omega"], sigma, sampled=sampled)
+        hold = Hold(hold.start, hold.end, hold.variance + sigma**2, hold.instrument)
+        if plain or not len(model.pump):
+            return DriveInput(hold, kept)
+        kind, seen, lead = 2, channels["x"], 0.0
+    else:
+        sigma = abs(loop_gain(model.theta, w)) * noise["x"].value
+        if plain and sampled:
+            speed = loop_gain(model.theta, w) * (channels["x_d"] - channels["x"])
+            hold = hold_of(speed, 0.0, sampled=True)
+            return DriveInput(Hold(hold.start, hold.end, hold.variance + sigma**2,
+                                   hold.instrument), kept)
+        hold = hold_of(channels["x_d"], 0.0)
+        variance = loop_gain(model.theta, w) ** 2 * hold.variance + sigma**2
+        hold = Hold(hold.start, hold.end, variance, hold.instrument)
+        in_loop = bool(w[s.IN_LOOP])
+        kind, seen = 1, recorded["x"] if in_loop else channels["x"]
+        lead = ((w[s.POSITION_DELAY] if in_loop else 0.0) - w[s.FEEDBACK_DELAY]) / dt
+    start, end = np.full(n, np.nan), np.full(n, np.nan)
+    charge = np.full(n, rig.charge_pressure)
+    follow(kind, hold.start, hold.end, seen, lead, sampled, channels.get("p1", charge),
+           channels.get("p2", charge), dt, model.theta, model.pump, model.pump_updates, w, memory,
+           kept, start, end)
+    middle = np.where(np.isfinite(start), start, end)
+    variance = hold.variance
+    if kind < 2:  # what is uncertain about x_d comes late as well
+        whole = int(np.ceil(w[s.COMMAND_DELAY] / dt))
+        for shift in {whole, max(whole - 1, 0)} - {0}:
+            moved = np.concatenate([np.full(shift, variance[0]), variance[:-shift]])[:n]
+            variance = np.maximum(variance, moved)
+    return DriveInput(Hold(start, end, variance,
+                           middle if kind == 0 else instrument_of(middle)), kept)
