@@ -9,7 +9,6 @@ from eha_monitor.filters.inputs import force_of, without_spikes
 from eha_monitor.filters.noise import noise_levels, quantum
 from eha_monitor.mismatch.innovations import CLOSED, FORCED, OPEN
 from eha_monitor.mismatch.inputs import cubics, filled
-from eha_monitor.physics import signals as s
 from eha_monitor.physics.effect import Ranges
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.physics.plant import N_OUTPUTS

@@ -1,152 +1,201 @@
-"""Name the physics that was left out: which effects the record supports, and its rivals."""
+"""The diagnosis from end to end: locate, name, model, show, advise."""
 
+import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eha_monitor.mismatch.experiment import Experiment
-from eha_monitor.mismatch.fit import Fit, spread
-from eha_monitor.mismatch.screen import Start, starts_of
-from eha_monitor.mismatch.search import (
-    FINALISTS,
-    THRESHOLD,
-    Candidate,
-    Round,
-    first_fit,
-    gained,
-    round_of,
-    settle,
-    without_effect,
+from eha_monitor.mismatch import locate, show
+from eha_monitor.mismatch.calibrate import Calibration, calibrate
+from eha_monitor.mismatch.choice import Naming, name_effects
+from eha_monitor.mismatch.diagnosis import (
+    Considered,
+    Diagnosis,
+    Location,
+    NamedEffect,
+    Value,
 )
+from eha_monitor.mismatch.experiment import Experiment, experiment_of
+from eha_monitor.mismatch.fit import Fit
+from eha_monitor.mismatch.model import config_effects, health_sentences, quantised, values_of
+from eha_monitor.mismatch.search import THRESHOLD, first_fit, limits_of
+from eha_monitor.mismatch.sizes import size_of
 from eha_monitor.physics.effects import CATALOGUE
-from eha_monitor.physics.parameters import place_of
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.monitor import Settings
 
-MOST_EFFECTS = 4
-SLACK, SLACK_SHARE = 6.0, 0.003  # rivals lie so near the best: log units, share of its gain
-FORM_SHARE = 0.01  # of the evidence so far: the named effects' own error of form
-FAMILY_SHARE = 0.05  # the same within a family
-NEGLIGIBLE = 0.25  # times an effect's start, which is about 1 % of what its balance does
+LEAST_MOTION = 20.0  # times the position's noise: less motion says nothing
+EXPLAINED = 0.75  # share of the evidence that names must take away, or it is unexplained
+UNKNOWN = 0.01  # of what a balance does: an unknown above is a mismatch, named or not
 
 Report = Callable[[str, float], None]
 
 
-@dataclass(frozen=True)
-class Naming:
-    """Result of the search.
-
-    Attributes
-    ----------
-    before, after : nominal model with B and beta_e fitted; the model with the named effects.
-    rounds : what each round screened, refitted and took, in order.
-    evidence : effect -> log units that the final model loses without it.
-    rivals : effect -> names that this record cannot tell from it.
-    """
-
-    before: Fit
-    after: Fit
-    rounds: tuple[Round, ...]
-    evidence: dict[str, float]
-    rivals: dict[str, tuple[str, ...]]
-
-
-def slack_of(gain: float) -> float:
-    """Return how far behind the best a rival may lie, log units."""
-    return max(SLACK, SLACK_SHARE * gain)
-
-
-def preference(candidate: Candidate) -> tuple[int, int, float]:
-    """Return the key by which candidates that the data cannot separate are ordered."""
-    effect = CATALOGUE[candidate.effect]
-    return (effect.rarity, len(candidate.fit.free), -candidate.gain)
-
-
-def material(experiment: Experiment, fit: Fit, name: str) -> bool:
-    """Tell whether an effect is of a size that matters, not only significant."""
-    smallest: dict[str, float] = {}
-    for start in starts_of(name, experiment):
-        for key, value in start.values:
-            smallest[key] = min(abs(value), smallest.get(key, np.inf))
-    for p in CATALOGUE[name].sizes:
-        value = float(fit.theta[place_of(f"{name}.{p.name}")])
-        if not np.isfinite(p.neutral):  # a limit: it was reached, or it would have no evidence
-            return True
-        if abs(value) > NEGLIGIBLE * smallest.get(p.name, 0.0):
-            return True
-    return False
-
-
-def demanded_gain(fit: Fit, first: Fit, name: str, threshold: float) -> float:
-    """Return what a further effect must gain beside the named ones, log units.
-
-    The named effects' own form is never exact; a share of their evidence may be left for others
-    to pick up.
-    """
-    sofar = fit.log_likelihood - first.log_likelihood
-    family = CATALOGUE[name].family
-    kin = family and any(CATALOGUE[other].family == family for other in fit.named)
-    return max(threshold, (FAMILY_SHARE if kin else FORM_SHARE) * sofar)
-
-
-def choose(experiment: Experiment, found: Round, first: Fit, threshold: float
-           ) -> tuple[Candidate | None, tuple[str, ...]]:
-    """Return the candidate that a round takes, or None, and its rivals."""
-    fit = found.before
-    worthy = [c for c in found.candidates
-              if c.gain >= demanded_gain(fit, first, c.effect, threshold)
-              and material(experiment, c.fit, c.effect)]
-    if not worthy:
-        return None, ()
-    near = [c for c in worthy if c.gain >= worthy[0].gain - slack_of(worthy[0].gain)]
-    taken = min(near, key=preference)
-    rivals = tuple(c.effect for c in near if c is not taken
-                   and taken.effect not in CATALOGUE[c.effect].contains)
-    return taken, rivals
-
-
-def name_effects(experiment: Experiment, threshold: float = THRESHOLD,
-                 report: Report | None = None, first: Fit | None = None) -> Naming:
-    """Find the effects that an experiment supports.
+def diagnose(recordings: list[Recording], settings: Settings, held_out: Recording | None = None,
+             progress: Report | None = None, calibrate: bool = True) -> Diagnosis:
+    """Say where model and recordings differ, which physics that is, and show the fit improve.
 
     Parameters
     ----------
-    threshold : log units that an effect must gain (:mod:`eha_monitor.mismatch.calibrate`).
-    report : told what is done and how far it is, 0 to 1.
+    recordings : of one rig, explained together.
+    settings : nominal config; its effects count as known.
+    held_out : recording on which the fit is shown; without it the last fifth of every 5 s of
+        the recordings is kept aside and enters no fit.
+    progress : told what is done and how far it is, 0 to 1.
+    calibrate : set the threshold of evidence by simulated clean recordings of this rig.
+
+    Raises
+    ------
+    InputError
+        If the recordings hold nothing that a model predicts.
     """
-    say = report or (lambda text, share: None)
-    say("fitting the nominal model", 0.05)
-    first = first_fit(experiment) if first is None else first
-    fit, rounds, rivals = first, [], {}
-    while len(fit.named) < MOST_EFFECTS and len(rounds) < MOST_EFFECTS + 2:
-        say(f"trying the catalogue, round {len(rounds) + 1}", min(0.15 + 0.25 * len(rounds), 0.8))
-        found = round_of(experiment, fit)
-        rounds.append(found)
-        taken, near = choose(experiment, found, first, threshold)
-        if taken is None:
-            break
-        fit = taken.fit
-        rivals = {name: others for name, others in rivals.items() if name in fit.named}
-        rivals[taken.effect] = near
-    say("comparing what was named with its rivals", 0.85)
-    fit, evidence = prune(experiment, fit, first, threshold)
-    rivals = {name: others for name, others in rivals.items() if name in fit.named}
-    return Naming(first, fit, tuple(rounds), evidence, rivals)
+    started = time.perf_counter()
+    say = progress or (lambda text, share: None)
+    experiment = experiment_of(recordings, settings, hold_out=held_out is None)
+    bags = tuple(recording.source for recording in recordings)
+    duration = sum(recording.duration for recording in recordings)
+    if experiment.ranges.position < LEAST_MOTION * experiment.noise[0]:
+        return insufficient(bags, duration, started,
+                            f"the piston moves by ±{experiment.ranges.position:.2g} m only, with "
+                            f"{experiment.noise[0]:.2g} m of noise: nothing can be told")
+    say("fitting the nominal model", 0.02)
+    first = first_fit(experiment)
+    calibration = calibrated(experiment, first, say) if calibrate else None
+    threshold = calibration.threshold if calibration else THRESHOLD
+    base = 0.5 if calibrate else 0.05
+    naming = name_effects(experiment, threshold,
+                          lambda text, share: say(text, base + (0.85 - base) * share), first)
+    say("showing the fit on unseen data", 0.88)
+    shown = experiment if held_out is None else experiment_of([held_out], settings, False)
+    return assemble(experiment, shown, naming, calibration, bags, duration, started,
+                    held_out is not None)
 
 
-def prune(experiment: Experiment, fit: Fit, first: Fit, threshold: float
-          ) -> tuple[Fit, dict[str, float]]:
-    """Take out what the others have made superfluous; returns the evidence of each that stays."""
-    if len(fit.named) == 1:
-        return fit, {fit.named[0]: fit.log_likelihood - first.log_likelihood}
-    while True:
-        without = spread(lambda name: settle(experiment, without_effect(experiment, fit, name), 1),
-                         fit.named)
-        evidence = {name: fit.log_likelihood - other.log_likelihood
-                    for name, other in zip(fit.named, without, strict=True)}
-        if not evidence:
-            return fit, evidence
-        weakest = min(evidence, key=evidence.get)
-        sofar = fit.log_likelihood - first.log_likelihood
-        if evidence[weakest] >= max(threshold, 0.5 * FORM_SHARE * sofar):
-            return fit, evidence
-        fit = settle(experiment, without[list(evidence).index(weakest)])
+def calibrated(experiment: Experiment, first: Fit, say: Report) -> Calibration:
+    """Return the threshold of evidence, progress told between 5 and 50 %."""
+    return calibrate(experiment, first,
+                     report=lambda text, share: say(text, 0.05 + 0.45 * share))
+
+
+def insufficient(bags: tuple[str, ...], duration: float, started: float, why: str) -> Diagnosis:
+    """Return the answer for a record that says nothing."""
+    nowhere = Location(dict.fromkeys(("force", "flow", "drive", "sensor"), 0.0), "", ())
+    return Diagnosis(bags, "insufficient_data", why, nowhere, (), {}, {}, "held_out", {},
+                     duration_s=duration, wall_s=time.perf_counter() - started)
+
+
+def verdict_of(experiment: Experiment, naming: Naming, calibration: Calibration | None,
+               ) -> tuple[str, float]:
+    """Return the verdict and the share of the evidence that the named effects take away."""
+    before, after = naming.before, naming.after
+    floor = (calibration.per_sample * len(before.e) if calibration
+             else expected_likelihood(experiment, before))
+    against = floor - before.log_likelihood
+    taken = after.log_likelihood - before.log_likelihood
+    explained = float(np.clip(taken / max(against, taken, 1e-9), 0.0, 1.0)) if taken > 0 else 0.0
+    small = limits_of(experiment)[0].as_array()
+    left = bool((after.unknowns.as_array() > UNKNOWN / 1e-4 * small).any())
+    if after.named:
+        return ("mismatch" if explained >= EXPLAINED else "unexplained"), explained
+    return ("unexplained" if left and floor - after.log_likelihood > 0.01 * len(after.e)
+            else "consistent"), explained
+
+
+def expected_likelihood(experiment: Experiment, fit: Fit) -> float:
+    """Return the likelihood of a right model, whose innovations are the sensors' noise."""
+    return float(-np.sum(np.log(experiment.noise[experiment.columns])
+                         * np.isfinite(fit.e).sum(axis=0)))
+
+
+def assemble(experiment: Experiment, shown: Experiment, naming: Naming,
+             calibration: Calibration | None, bags: tuple[str, ...], duration: float,
+             started: float, other_bag: bool) -> Diagnosis:
+    """Put the answer together."""
+    before, after = naming.before, naming.after
+    verdict, explained = verdict_of(experiment, naming, calibration)
+    effects = tuple(named_effect(experiment, naming, name) for name in sorted(
+        after.named, key=lambda name: -naming.evidence[name]))
+    step = quantised(experiment)
+    if step is not None:
+        effects = (*effects, step)
+        verdict = "mismatch" if verdict == "consistent" else verdict
+    signals = show.shown(shown, before, after)
+    evidence = {effect.name: effect.log_evidence for effect in effects}
+    where = (locate.location_of(experiment, before, after, evidence)
+             if verdict != "consistent" else
+             Location(dict.fromkeys(("force", "flow", "drive", "sensor"), 0.0), "", ()))
+    curves = locate.latent_curves(experiment, before, after) if verdict != "consistent" else ()
+    known = values_of(experiment, before), values_of(experiment, after)
+    return Diagnosis(
+        bags, verdict, message_of(verdict, effects, where, explained), where, effects, *known,
+        "held_out_bag" if other_bag else "held_out", signals, curves,
+        show.overlays(shown, before, after),
+        considered_of(naming), show.agreement(experiment, before, after),
+        health_sentences(experiment, *known, effects), (),
+        config_effects(experiment, after),
+        calibration.threshold if calibration else THRESHOLD, calibration is not None,
+        explained, duration, time.perf_counter() - started)
+
+
+def named_effect(experiment: Experiment, naming: Naming, name: str) -> NamedEffect:
+    """Return the record of a named effect."""
+    entry, fit = CATALOGUE[name], naming.after
+    parameters, numbers = {}, {}
+    fitted = {f.name for f in fit.free}
+    for p in entry.parameters:
+        from eha_monitor.physics.parameters import place_of
+
+        key = f"{name}.{p.name}"
+        value = float(fit.theta[place_of(key)])
+        numbers[p.name] = value
+        if key in fitted:
+            parameters[p.name] = Value(value, fit.stddev(key), p.unit.replace("*", "·"))
+        elif np.isfinite(value):
+            parameters[p.name] = Value(value, 0.0, p.unit.replace("*", "·"))
+    return NamedEffect(name, entry.balance, entry.statement.format(**numbers), parameters,
+                       naming.evidence[name], naming.rivals.get(name, ()), entry.equation,
+                       entry.rig_check, size_of(experiment, fit, name))
+
+
+def message_of(verdict: str, effects: tuple[NamedEffect, ...], where: Location,
+               explained: float) -> str:
+    """Return the verdict in a sentence."""
+    if verdict == "consistent":
+        return "the nominal model explains this recording down to the sensors' noise"
+    if verdict == "mismatch":
+        return "; ".join(effect.statement for effect in effects)
+    balance = max(where.balance, key=where.balance.get)
+    named = (f"; of the evidence {', '.join(effect.name for effect in effects)} would take away "
+             f"{explained:.0%} only" if effects else "")
+    return (f"something in the {balance} balance is left out that no entry of the catalogue "
+            f"explains{named}")
+
+
+def considered_of(naming: Naming) -> tuple[Considered, ...]:
+    """Return what was tried and why it is not named."""
+    found: dict[str, Considered] = {}
+    for number, step in enumerate(naming.rounds):
+        beside = step.before.named
+        following = naming.rounds[number + 1].before if number + 1 < len(naming.rounds) else None
+        took = following.log_likelihood - step.before.log_likelihood if following else 0.0
+        for candidate in step.candidates:
+            name = candidate.effect
+            if name in naming.after.named:
+                continue
+            gain = max(candidate.gain, 0.0)
+            if any(name in rivals for rivals in naming.rivals.values()):
+                why = "this recording cannot tell it from what is named"
+            elif following is not None:
+                why = f"gains {gain:.3g} log units where what was taken gains {took:.4g}"
+            else:
+                why = f"gains only {gain:.3g} log units, or is of no size that matters"
+            found[name] = Considered(name, gain, beside, why)
+        for score in step.scores:
+            name = score.start.effect
+            if name not in found and name not in naming.after.named:
+                found[name] = Considered(name, score.gain, beside, "hardly moves the innovations "
+                                         f"the right way: {score.gain:.2g} log units in the "
+                                         "score test")
+    return tuple(sorted(found.values(), key=lambda c: -c.gain))
+
+

@@ -16,7 +16,6 @@ from eha_monitor.mismatch.fit import (
     whitener,
 )
 from eha_monitor.mismatch.innovations import CLOSED, FORCED
-from eha_monitor.physics import signals as s
 from eha_monitor.physics.effect import Effect, Parameter
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of

@@ -1,5 +1,6 @@
 """Search for the effects that a record supports: screen all, refit the best, add, prune."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,6 +34,7 @@ LARGEST_UNKNOWN = 3e4  # times the smallest: three times what the record covers
 
 PROMISE = 0.03  # of the best score: what an effect must score to be refitted
 SHORTLIST = 8  # effects that are refitted in each round
+LIKELY = 0.15  # of the demanded gain
 FINALISTS, WORTH = 4, 0.5  # how many are fitted to the end, and what share of the best they have
 THRESHOLD = 12.0  # log units, where no calibration is at hand
 TIMING = 0.05  # samples: timing errors up to here need no name
@@ -101,14 +103,14 @@ def limits_of(experiment: Experiment) -> tuple[Unknowns, Unknowns]:
 
 
 def settle(experiment: Experiment, fit: Fit, rounds: int = 2, steps: int = 6,
-           upward: bool = True) -> Fit:
+           upward: bool = True, tolerance: float = 0.02) -> Fit:
     """Fit parameters and unknowns in turn, gains renewed at each turn."""
     small, large = limits_of(experiment)
-    fit = refine(experiment, with_unknowns(experiment, fit, fit.unknowns), steps)
+    fit = refine(experiment, with_unknowns(experiment, fit, fit.unknowns), steps, tolerance)
     for i in range(rounds):
         before = fit.log_likelihood
         fit = tune(experiment, fit, small, large, (10.0, 3.0) if i == 0 else (3.0,), upward)
-        fit = refine(experiment, with_unknowns(experiment, fit, fit.unknowns), steps)
+        fit = refine(experiment, with_unknowns(experiment, fit, fit.unknowns), steps, tolerance)
         if fit.log_likelihood < before + 1.0:
             break
     return fit
@@ -144,7 +146,7 @@ def with_effect(fit: Fit, start: Start, amplitudes: tuple[float, ...]) -> Fit:
     theta, active = entered(fit.theta, fit.active, placed)
     gone = (start.replaces + "." if start.replaces else None, start.effect + ".")
     free = tuple(f for f in fit.free if not any(g and f.name.startswith(g) for g in gone))
-    named = tuple(name for name in fit.named if name != start.replaces) + (start.effect,)
+    named = (*(name for name in fit.named if name != start.replaces), start.effect)
     return replace(fit, theta=theta, active=active, free=free + free_of(start), named=named)
 
 
@@ -182,35 +184,49 @@ def replacements_of(experiment: Experiment, fit: Fit) -> list[Start]:
     return found
 
 
-def round_of(experiment: Experiment, fit: Fit) -> Round:
-    """Screen the catalogue at a fit and refit the best; candidates best first."""
+def round_of(experiment: Experiment, fit: Fit, demanded: Callable[[str], float] | None = None
+             ) -> Round:
+    """Screen the catalogue at a fit and refit the best; candidates best first.
+
+    Of effects that contain one another only the simplest enters by itself; the others may take
+    its place in a later round.
+
+    Parameters
+    ----------
+    demanded : log units that an effect must gain to be named; what scores far below is not
+        refitted.
+    """
     families = {member for name in fit.named for member in (name, *CATALOGUE[name].contains)}
     starts = [start for name in NAMES
-              if not families & {name, *CATALOGUE[name].contains}
-              and not (experiment.active[NAMES.index(name)]) and possible(name, experiment)
+              if not CATALOGUE[name].contains and name not in families
+              and not experiment.active[NAMES.index(name)] and possible(name, experiment)
               for start in starts_of(name, experiment)]
     scores = screen(experiment, fit, starts + replacements_of(experiment, fit))
     chosen: dict[str, list[Score]] = {}
     for score in scores:
-        if score.gain < max(2.0, PROMISE * scores[0].gain):
+        name = score.start.effect
+        least = max(2.0, PROMISE * scores[0].gain)
+        if demanded is not None:
+            least = max(least, LIKELY * demanded(name))
+        if score.gain < least or (name not in chosen and len(chosen) >= SHORTLIST):
             continue
-        if score.start.effect not in chosen and len(chosen) >= SHORTLIST:
-            continue
-        kept = chosen.setdefault(score.start.effect, [])
+        kept = chosen.setdefault(name, [])
         if len(kept) < 2:
             kept.append(score)
     flat = [score for kept in chosen.values() for score in kept]
     quick = spread(lambda score: Candidate(score.start, *gained(fit, settle(
-        experiment, with_effect(fit, score.start, score.amplitudes), 1, 2, False))), flat)
+        experiment, with_effect(fit, score.start, score.amplitudes), 1, 2, False, 1.0))), flat)
     best: dict[str, Candidate] = {}
     for candidate in quick:
+        if not np.isfinite(candidate.gain):
+            continue
         if candidate.effect not in best or candidate.gain > best[candidate.effect].gain:
             best[candidate.effect] = candidate
     ranked = sorted(best.values(), key=lambda c: -c.gain)
     # What is far behind after a few steps does not catch up: only the front runners go on.
     front = [c for c in ranked if c.gain > WORTH * ranked[0].gain][:FINALISTS]
     final = spread(lambda c: Candidate(c.start, *gained(fit, settle(
-        experiment, c.fit, upward=False))), front)
+        experiment, c.fit, 2, 6, False, 0.3))), front)
     ranked = sorted([*final, *(c for c in ranked if c not in front)], key=lambda c: -c.gain)
     return Round(fit, tuple(scores), tuple(ranked))
 

@@ -6,13 +6,13 @@ from eha_monitor.compiled import njit
 from eha_monitor.physics.effect import Parameter
 from eha_monitor.physics.signals import V, X
 
-SOURCE = ("sign smoothed over v_e, turning over a displacement z_0 after Dahl 1968, with the micro "
-          "damping of LuGre, Canudas de Wit, Olsson, Astrom, Lischinsky 1995, t_1 = sigma_1/sigma_0")
+SOURCE = ("sign smoothed over v_e, turning over a displacement z_0 after Dahl 1968, micro damping "
+          "of LuGre, Canudas de Wit, Olsson, Astrom, Lischinsky 1995, t_1 = sigma_1/sigma_0")
 EQUATION = "F = f + t_1 f',  df/d|x| = (F_steady - f) / z_0,  s = tanh(v / v_e)"
 V_E = Parameter("v_e", "m/s", "velocity over which the sign is smoothed", 1e-6, 1.0, 1e-3, 1e-3)
 Z_0 = Parameter("z_0", "m", "displacement over which the friction turns", 0.0, 1e-3, 4e-6, 0.0)
 T_1 = Parameter("t_1", "s", "micro damping over micro stiffness of the seal", 0.0, 0.1, 1e-4, 0.0)
-START = {"v_e": 1e-3, "z_0": 3e-6, "t_1": 0.0}
+START = {"v_e": 2e-4, "z_0": 3e-6, "t_1": 1e-4}
 
 
 @njit(forceinline=True)

@@ -23,5 +23,5 @@ EFFECT = Effect(
     statement="the command reaches the drive {T:.3g} s late",
     rig_check="Log the command where it is made and where the drive takes it: compare the "
     "stamps of a step.",
-    starts=lambda r: ({"T": 0.2 * r.sample_time},),
+    starts=lambda r: tuple({"T": share * r.sample_time} for share in (0.2, 1.0, 4.0)),
 )

@@ -1,7 +1,16 @@
 """Coulomb (dry) friction of seals and guides."""
 
 from eha_monitor.compiled import njit
-from eha_monitor.physics.dry_friction import EQUATION, SOURCE, T_1, V_E, dry_force, remember, sliding
+from eha_monitor.physics.dry_friction import (
+    EQUATION,
+    SOURCE,
+    START,
+    T_1,
+    V_E,
+    dry_force,
+    remember,
+    sliding,
+)
 from eha_monitor.physics.effect import Effect, Parameter
 from eha_monitor.physics.signals import FORCE
 
@@ -35,7 +44,7 @@ EFFECT = Effect(
     statement="Coulomb friction of {F_c:.3g} N opposes the motion at every speed",
     rig_check="Push the depressurised rod by hand with a spring balance: the force at which it "
     "keeps creeping is F_c.",
-    starts=lambda r: ({"F_c": 0.01 * r.force, "v_e": 1e-3, "z_0": 3e-6},),
+    starts=lambda r: ({"F_c": 0.01 * r.force, **START},),
     family="dry",
     rarity=0,
 )

@@ -23,6 +23,6 @@ EFFECT = Effect(
     statement="the drive follows its command with a time constant of {tau:.3g} s",
     rig_check="Step the speed command with the rod free: 63 % of the speed must be there after "
     "tau.",
-    starts=lambda r: ({"tau": 0.5 * r.sample_time},),
+    starts=lambda r: tuple({"tau": share * r.sample_time} for share in (0.3, 1.0, 5.0)),
     rarity=0,
 )

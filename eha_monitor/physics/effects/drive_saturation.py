@@ -22,7 +22,9 @@ def circuit(p, w):
 def starts(r):
     """Limits within the speeds and the accelerations of the record, one at a time."""
     top, fastest = max(r.pump_speed[3], 1e-3), max(r.pump_acceleration[2], 1.0)
-    speeds = tuple({"omega_max": share * top, "slew": math.inf} for share in (0.97, 0.9, 0.75))
+    # Where the speed is measured, its maximum is the limit already, but for the noise.
+    limits = (0.999 * top, r.pump_speed[2], 0.97 * top, 0.9 * top, 0.75 * top)
+    speeds = tuple({"omega_max": limit, "slew": math.inf} for limit in limits)
     slews = tuple({"omega_max": math.inf, "slew": share * fastest} for share in (0.9, 0.5, 0.2))
     return speeds + slews
 

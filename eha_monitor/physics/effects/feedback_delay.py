@@ -23,5 +23,5 @@ EFFECT = Effect(
     statement="the position reaches the drive {T:.3g} s late",
     rig_check="Compare the position that the drive logs with the sensor's own output on one "
     "clock.",
-    starts=lambda r: ({"T": 0.2 * r.sample_time},),
+    starts=lambda r: tuple({"T": share * r.sample_time} for share in (0.2, 1.0, 4.0)),
 )

@@ -1,7 +1,15 @@
 """Dry friction whose presliding is seen: the seal bends before it slides."""
 
 from eha_monitor.compiled import njit
-from eha_monitor.physics.dry_friction import EQUATION, T_1, V_E, dry_force, remember, sliding
+from eha_monitor.physics.dry_friction import (
+    EQUATION,
+    START,
+    T_1,
+    V_E,
+    dry_force,
+    remember,
+    sliding,
+)
 from eha_monitor.physics.effect import Effect, Parameter
 from eha_monitor.physics.signals import FORCE
 
@@ -37,8 +45,8 @@ EFFECT = Effect(
     "reversal",
     rig_check="Move the rod to and fro by a tenth of a millimetre: force against position is a "
     "loop with rounded corners, z_0 wide.",
-    starts=lambda r: ({"F_c": 0.01 * r.force, "v_e": 1e-3, "z_0": 2e-5},
-                      {"F_c": 0.01 * r.force, "v_e": 1e-3, "z_0": 1e-4}),
+    starts=lambda r: ({"F_c": 0.01 * r.force, **START, "z_0": 2e-5},
+                      {"F_c": 0.01 * r.force, **START, "z_0": 1e-4}),
     contains=("coulomb_friction",),
     family="dry",
 )

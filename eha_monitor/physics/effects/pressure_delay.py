@@ -24,5 +24,5 @@ EFFECT = Effect(
     statement="the recorded pressures are {T:.3g} s late",
     rig_check="Tap the blocked rod while a second sensor is on the same clock: the pressures "
     "must answer T late.",
-    starts=lambda r: ({"T": 0.2 * r.sample_time},),
+    starts=lambda r: tuple({"T": share * r.sample_time} for share in (0.2, 1.0, 4.0)),
 )

@@ -3,7 +3,17 @@
 import math
 
 from eha_monitor.compiled import njit
-from eha_monitor.physics.dry_friction import EQUATION, SOURCE, T_1, V_E, Z_0, dry_force, remember, sliding
+from eha_monitor.physics.dry_friction import (
+    EQUATION,
+    SOURCE,
+    START,
+    T_1,
+    V_E,
+    Z_0,
+    dry_force,
+    remember,
+    sliding,
+)
 from eha_monitor.physics.effect import Effect, Parameter
 from eha_monitor.physics.signals import FORCE, V
 
@@ -40,7 +50,7 @@ def starts(r):
     small = 0.01 * r.force
     speed = max(r.speed, 1e-6)
     return tuple({"F_c": small, "F_d": small, "v_s": share * speed,
-                  "v_e": min(1e-3, 0.2 * share * speed), "z_0": 3e-6, "t_1": 0.0}
+                  **START}
                  for share in (0.3, 0.03, 0.003))
 
 

@@ -1,0 +1,151 @@
+"""Choice among the candidates of a round: enough evidence, a size that matters, rivals."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from eha_monitor.mismatch.experiment import Experiment
+from eha_monitor.mismatch.fit import Fit, spread
+from eha_monitor.mismatch.screen import starts_of
+from eha_monitor.mismatch.search import (
+    THRESHOLD,
+    Candidate,
+    Round,
+    first_fit,
+    round_of,
+    settle,
+    without_effect,
+)
+from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.parameters import place_of
+
+MOST_EFFECTS = 4
+SLACK, SLACK_SHARE = 6.0, 0.003  # rivals lie so near the best: log units, share of its gain
+FORM_SHARE = 0.01  # of the evidence so far: the named effects' own error of form
+FAMILY_SHARE = 0.05  # the same within a family
+NEGLIGIBLE = 0.25  # times an effect's start, which is about 1 % of what its balance does
+
+Report = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Naming:
+    """Result of the search.
+
+    Attributes
+    ----------
+    before, after : nominal model with B and beta_e fitted; the model with the named effects.
+    rounds : what each round screened, refitted and took, in order.
+    evidence : effect -> log units that the final model loses without it.
+    rivals : effect -> names that this record cannot tell from it.
+    """
+
+    before: Fit
+    after: Fit
+    rounds: tuple[Round, ...]
+    evidence: dict[str, float]
+    rivals: dict[str, tuple[str, ...]]
+
+
+def slack_of(gain: float) -> float:
+    """Return how far behind the best a rival may lie, log units."""
+    return max(SLACK, SLACK_SHARE * gain)
+
+
+def preference(candidate: Candidate) -> tuple[int, int, float]:
+    """Return the key by which candidates that the data cannot separate are ordered."""
+    effect = CATALOGUE[candidate.effect]
+    return (effect.rarity, len(candidate.fit.free), -candidate.gain)
+
+
+def material(experiment: Experiment, fit: Fit, name: str) -> bool:
+    """Tell whether an effect is of a size that matters, not only significant."""
+    smallest: dict[str, float] = {}
+    for start in starts_of(name, experiment):
+        for key, value in start.values:
+            smallest[key] = min(abs(value), smallest.get(key, np.inf))
+    for p in CATALOGUE[name].sizes:
+        value = float(fit.theta[place_of(f"{name}.{p.name}")])
+        if not np.isfinite(p.neutral):  # a limit: it was reached, or it would have no evidence
+            return True
+        if abs(value) > NEGLIGIBLE * smallest.get(p.name, 0.0):
+            return True
+    return False
+
+
+def demanded_gain(fit: Fit, first: Fit, name: str, threshold: float) -> float:
+    """Return what a further effect must gain beside the named ones, log units.
+
+    The named effects' own form is never exact; a share of their evidence may be left for others
+    to pick up.
+    """
+    sofar = fit.log_likelihood - first.log_likelihood
+    family = CATALOGUE[name].family
+    kin = family and any(CATALOGUE[other].family == family for other in fit.named)
+    return max(threshold, (FAMILY_SHARE if kin else FORM_SHARE) * sofar)
+
+
+def choose(experiment: Experiment, found: Round, first: Fit, threshold: float
+           ) -> tuple[Candidate | None, tuple[str, ...]]:
+    """Return the candidate that a round takes, or None, and its rivals."""
+    fit = found.before
+    worthy = [c for c in found.candidates
+              if c.gain >= demanded_gain(fit, first, c.effect, threshold)
+              and material(experiment, c.fit, c.effect)]
+    if not worthy:
+        return None, ()
+    near = [c for c in worthy if c.gain >= worthy[0].gain - slack_of(worthy[0].gain)]
+    taken = min(near, key=preference)
+    rivals = tuple(c.effect for c in near if c is not taken
+                   and taken.effect not in CATALOGUE[c.effect].contains)
+    return taken, rivals
+
+
+def name_effects(experiment: Experiment, threshold: float = THRESHOLD,
+                 report: Report | None = None, first: Fit | None = None) -> Naming:
+    """Find the effects that an experiment supports.
+
+    Parameters
+    ----------
+    threshold : log units that an effect must gain (:mod:`eha_monitor.mismatch.calibrate`).
+    report : told what is done and how far it is, 0 to 1.
+    """
+    say = report or (lambda text, share: None)
+    say("fitting the nominal model", 0.05)
+    first = first_fit(experiment) if first is None else first
+    fit, rounds, rivals = first, [], {}
+    while len(fit.named) < MOST_EFFECTS and len(rounds) < MOST_EFFECTS + 2:
+        say(f"trying the catalogue, round {len(rounds) + 1}", min(0.15 + 0.25 * len(rounds), 0.8))
+        found = round_of(experiment, fit,
+                         lambda name, fit=fit: demanded_gain(fit, first, name, threshold))
+        rounds.append(found)
+        taken, near = choose(experiment, found, first, threshold)
+        if taken is None:
+            break
+        fit = settle(experiment, taken.fit)
+        rivals = {name: others for name, others in rivals.items() if name in fit.named}
+        rivals[taken.effect] = near
+    say("comparing what was named with its rivals", 0.85)
+    fit, evidence = prune(experiment, fit, first, threshold)
+    rivals = {name: others for name, others in rivals.items() if name in fit.named}
+    return Naming(first, fit, tuple(rounds), evidence, rivals)
+
+
+def prune(experiment: Experiment, fit: Fit, first: Fit, threshold: float
+          ) -> tuple[Fit, dict[str, float]]:
+    """Take out what the others have made superfluous; returns the evidence of each that stays."""
+    if len(fit.named) == 1:
+        return fit, {fit.named[0]: fit.log_likelihood - first.log_likelihood}
+    while True:
+        without = spread(lambda name, fit=fit: settle(
+            experiment, without_effect(experiment, fit, name), 1), fit.named)
+        evidence = {name: fit.log_likelihood - other.log_likelihood
+                    for name, other in zip(fit.named, without, strict=True)}
+        if not evidence:
+            return fit, evidence
+        weakest = min(evidence, key=evidence.get)
+        sofar = fit.log_likelihood - first.log_likelihood
+        if evidence[weakest] >= max(threshold, 0.5 * FORM_SHARE * sofar):
+            return fit, evidence
+        fit = settle(experiment, without[list(evidence).index(weakest)])
