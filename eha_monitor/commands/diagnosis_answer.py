@@ -78,7 +78,7 @@ def written_config(found: Diagnosis, settings: Settings, source: Path | None) ->
         tree["effects"] = {name: {key: _rounded(value) for key, value in values.items()
                                   if math.isfinite(value)}
                            for name, values in found.config_effects.items()}
-        changed.append(f"effects: {', '.join(found.config_effects)}")
+        changed.append(f"effects: {', '.join(effect.name for effect in found.effects)}")
         for name, key in RIG_KEYS.items():
             value = found.after.get(name)
             if value is not None and 0 < value.value < LARGEST:

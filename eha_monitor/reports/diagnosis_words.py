@@ -91,9 +91,10 @@ def value_words(value: Value | None) -> str:
     """Return ``value ± 2 sigma unit``, or a dash where there is none."""
     if value is None or not math.isfinite(value.value):
         return "—"
+    unit = value.unit.replace("^2", "²").replace("^3", "³")  # the catalogue writes plain text
     if not value.stddev > 0:
-        return quantity(value.value, value.unit)
-    return with_uncertainty(value.value, value.stddev, value.unit).removesuffix(" 1")
+        return quantity(value.value, unit)
+    return with_uncertainty(value.value, value.stddev, unit).removesuffix(" 1")
 
 
 def error_scale(fit: SignalFit) -> Scale:
