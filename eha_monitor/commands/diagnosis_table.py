@@ -42,7 +42,8 @@ def show(found: Diagnosis, written: list[Path]) -> None:
     if found.effects:
         console.print(_effects(found))
         for effect in found.effects:
-            console.print(escape(sentence(effect.statement)))
+            if effect.statement not in found.message:
+                console.print(escape(sentence(effect.statement)))
     if found.before or found.after:
         console.print(_parameters(found))
     if found.signals:
@@ -72,7 +73,7 @@ def _effects(found: Diagnosis) -> Table:
                    "not told apart from")
     for effect in found.effects:
         table.add_row(effect.name, effect.balance, escape(effect.size),
-                      escape(", ".join(f"{name} = {value_words(value)}"
+                      escape("\n".join(f"{name} = {value_words(value)}"
                                        for name, value in effect.parameters.items())),
                       log_units(effect.log_evidence),
                       escape(listed([effect_words(r) for r in effect.indistinguishable_from],

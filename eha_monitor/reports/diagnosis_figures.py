@@ -79,8 +79,11 @@ def curve_picture(found: Diagnosis, curve: Curve, large: bool = False) -> Pictur
     x, measured, spread, modelled = (x * across.factor, measured * scale.factor,
                                      spread * scale.factor, modelled * scale.factor)
     axis.axhline(0.0, color=INK, linewidth=0.8)
-    label = "measured, and its spread"
-    if len(x) > _MOST_BARS:
+    label, width = "measured, and its spread", 2.2
+    if curve.against == "time":  # it hops to and fro: lines, the model's thin on top
+        axis.plot(x, measured, color=SEEN, alpha=0.5, linewidth=3.0, label="measured")
+        width = 0.9
+    elif len(x) > _MOST_BARS:
         axis.fill_between(x, measured - spread, measured + spread, color=SEEN, alpha=0.22,
                           linewidth=0)
         axis.plot(x, measured, linestyle="", marker="o", markersize=2.6, color=SEEN, label=label)
@@ -88,7 +91,7 @@ def curve_picture(found: Diagnosis, curve: Curve, large: bool = False) -> Pictur
         axis.errorbar(x, measured, spread, linestyle="", marker="o", color=SEEN, label=label,
                       markersize=4.5 if large else 3.4, elinewidth=0.9, ecolor="#b4bcc4")
     if with_line:
-        axis.plot(x, modelled, color=AFTER, linewidth=2.2, label=f"modelled: {named}")
+        axis.plot(x, modelled, color=AFTER, linewidth=width, label=f"modelled: {named}")
     _legend(axis, large)
     pad_limits(axis, low * scale.factor, high * scale.factor)
     axis.margins(x=0.02)
@@ -201,6 +204,9 @@ def _legend(axis: Axes, large: bool) -> None:
     handles, labels = axis.get_legend_handles_labels()
     if not labels:
         return
+    # matplotlib puts what has error bars last; what is measured comes first here.
+    order = sorted(range(len(labels)), key=lambda i: not labels[i].startswith("measured"))
+    handles, labels = [handles[i] for i in order], [labels[i] for i in order]
     letters = sum(map(len, labels))
     axis.legend(handles, [textwrap.fill(label, 56 if large else 40) for label in labels],
                 ncols=len(labels) if large and letters < 50 else 1, loc="lower left",
