@@ -1,4 +1,4 @@
-"""``make demo``: live, replayed and recorded, each step checked for what it should show."""
+"""``make demo``: live, replayed, recorded, diagnosed; each step checked for what it shows."""
 
 import json
 import os
@@ -111,8 +111,9 @@ def compiled() -> None:
     """Run every compiled function once, so that no step waits for the compiler."""
     with tempfile.TemporaryDirectory() as scratch:
         bag = str(Path(scratch) / "bag")
-        run("simulate", "--out", bag, "--duration", "1", show=False)
+        run("simulate", "--out", bag, "--duration", "2", show=False)
         run("estimate", bag, show=False)
+        run("diagnose", bag, "--no-calibration", show=False)
 
 
 def live(logs: Path) -> None:
@@ -147,8 +148,23 @@ def reported(out: Path) -> Path:
     return report.resolve()
 
 
+def diagnosed(out: Path) -> Path:
+    """Ask of a bag that hides dry friction what the model leaves out, and write the report."""
+    print("4. Another bag, hidden_friction: the monitor alone would call it wear.", flush=True)
+    report, answer = out / "diagnosis.html", out / "diagnosis.json"
+    run("diagnose", resource("bags/hidden_friction"), "--no-calibration", "--report", str(report),
+        "--json", str(answer))
+    found = json.loads(answer.read_text())
+    names = {name for effect in found["effects"]
+             for name in (effect["name"], *effect["indistinguishable_from"])}
+    if found["verdict"] != "mismatch" or "coulomb_friction" not in names:
+        raise DemoFailed(f"expected coulomb_friction, got {found['verdict']}: "
+                         f"{', '.join(sorted(names)) or 'nothing'}")
+    return report.resolve()
+
+
 def main() -> int:
-    """Run the three steps; returns the exit status."""
+    """Run the four steps; returns the exit status."""
     started = time.monotonic()
     # A graph of our own on this machine: nobody else's topics, and ours in nobody's way.
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
@@ -168,10 +184,12 @@ def main() -> int:
         live(logs)
         replayed(logs)
         report = reported(out)
+        diagnosis = diagnosed(out)
     except (DemoFailed, InputError, OSError) as problem:
         print(f"demo failed: {problem} (logs in {logs})", file=sys.stderr)
         return 1
-    print(f"Done in {time.monotonic() - started:.0f} s.  Report: {report}")
+    print(f"Done in {time.monotonic() - started:.0f} s.  Reports: {report}\n"
+          f"{'':24}{diagnosis}")
     return 0
 
 

@@ -75,7 +75,9 @@ def starts_of(name: str, experiment: Experiment) -> list[Start]:
         values = []
         for p in effect.parameters:
             value = given.get(p.name, p.default if p.default is not None else p.neutral)
-            values.append((p.name, float(min(max(value, p.lower), p.upper))))
+            if np.isfinite(value):  # a limit that is not there stays at infinity
+                value = min(max(value, p.lower), p.upper)
+            values.append((p.name, float(value)))
         found.append(Start(name, tuple(values)))
     return found
 

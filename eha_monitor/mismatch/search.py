@@ -35,6 +35,7 @@ LARGEST_UNKNOWN = 3e4  # times the smallest: three times what the record covers
 PROMISE = 0.03  # of the best score: what an effect must score to be refitted
 SHORTLIST = 8  # effects that are refitted in each round
 LIKELY = 0.15  # of the demanded gain
+STRAYED = 0.7  # of the logarithm: B or beta_e is off its prior by a factor of two
 FINALISTS, WORTH = 4, 0.5  # how many are fitted to the end, and what share of the best they have
 THRESHOLD = 12.0  # log units, where no calibration is at hand
 TIMING = 0.05  # samples: timing errors up to here need no name
@@ -213,9 +214,11 @@ def round_of(experiment: Experiment, fit: Fit, demanded: Callable[[str], float] 
         kept = chosen.setdefault(name, [])
         if len(kept) < 2:
             kept.append(score)
-    flat = [score for kept in chosen.values() for score in kept]
-    quick = spread(lambda score: Candidate(score.start, *gained(fit, settle(
-        experiment, with_effect(fit, score.start, score.amplitudes), 1, 2, False, 1.0))), flat)
+    bases = [fit] if near_prior(fit) else [fit, from_prior(fit)]
+    tasks = [(base, score) for kept in chosen.values() for score in kept for base in bases]
+    quick = spread(lambda task: Candidate(task[1].start, *gained(fit, settle(
+        experiment, with_effect(task[0], task[1].start, task[1].amplitudes), 1, 2, False, 1.0))),
+        tasks)
     best: dict[str, Candidate] = {}
     for candidate in quick:
         if not np.isfinite(candidate.gain):
@@ -229,6 +232,27 @@ def round_of(experiment: Experiment, fit: Fit, demanded: Callable[[str], float] 
         experiment, c.fit, 2, 6, False, 0.3))), front)
     ranked = sorted([*final, *(c for c in ranked if c not in front)], key=lambda c: -c.gain)
     return Round(fit, tuple(scores), tuple(ranked))
+
+
+def near_prior(fit: Fit) -> bool:
+    """Tell whether B and beta_e lie near their priors."""
+    base = [f for f in fit.free if "." not in f.name]
+    values = [fit.theta[f.place] for f in base]
+    prior = [f.outward(f.prior) for f in base]
+    return all(0 < value and abs(np.log(value / p)) < STRAYED
+               for value, p in zip(values, prior, strict=True))
+
+
+def from_prior(fit: Fit) -> Fit:
+    """Return a fit with B and beta_e at their priors, for a new effect to start from.
+
+    A wrong model can carry them so far that the right effect does not find back.
+    """
+    theta = fit.theta.copy()
+    for f in fit.free:
+        if "." not in f.name:
+            theta[f.place] = f.outward(f.prior)
+    return replace(fit, theta=theta)
 
 
 def gained(before: Fit, after: Fit) -> tuple[Fit, float]:

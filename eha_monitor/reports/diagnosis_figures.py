@@ -133,7 +133,7 @@ def overlay_picture(overlay: Overlay, with_after: bool = True) -> Picture | None
     top.set_ylabel(f"{words}{_bracket(scale.unit)}")
     bottom.set_ylabel(f"measured − model{_bracket(error_scale.unit)}")
     bottom.axhline(0.0, color=INK, linewidth=0.8, zorder=1)
-    bottom.set_xlabel(f"time in the unseen data, {unit}")
+    bottom.set_xlabel(f"time, {unit}")
     return picture(figure, f"{words}: measured and simulated by both models, and their errors")
 
 
@@ -159,7 +159,7 @@ def agreement_picture(name: str, parts: tuple[Agreement, ...], before: Value | N
                           xerr=[[(value.value - low) * scale.factor],
                                 [(high - value.value) * scale.factor]], markersize=6,
                           linewidth=2, capsize=4, linestyle="",
-                          label=f"{label} modelling, ± 2σ" if not place else None)
+                          label=f"{label}, ± 2σ")
     if _drawable(after):
         axis.axvline(after.value * scale.factor, color=AFTER, linewidth=1.0, zorder=0,
                      linestyle=(0, (4, 3)))
@@ -202,6 +202,8 @@ def _figure(size: tuple[int, int], rows: int = 1, ratios: tuple[float, ...] | No
 def _legend(axis: Axes, large: bool) -> None:
     """Put the legend above the axes, one entry below the other where the picture is narrow."""
     handles, labels = axis.get_legend_handles_labels()
+    named = dict(zip(labels, handles, strict=True))  # each label once
+    labels, handles = list(named), list(named.values())
     if not labels:
         return
     # matplotlib puts what has error bars last; what is measured comes first here.

@@ -67,6 +67,9 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
         verdict=found.verdict,
         head=head,
         message=words.sentence(found.message),
+        doubts=[f"{words.sentence(words.effect_words(effect.name))[:-1]} cannot be told here from "
+                f"{_rivals(effect)}." for effect in found.effects
+                if effect.indistinguishable_from],
         hero=curve_picture(found, curves[0], large=True) if curves else None,
         hero_words=_curve_note(found),
         summary=_summary(found),
@@ -188,8 +191,12 @@ def _effect(effect: NamedEffect) -> dict[str, Any]:
             "parameters": [{"symbol": symbol, "shown": words.value_words(value),
                             "about": about.get(symbol, "")}
                            for symbol, value in effect.parameters.items()],
-            "rivals": words.listed([words.effect_words(r) for r in
-                                    effect.indistinguishable_from], "or")}
+            "rivals": _rivals(effect)}
+
+
+def _rivals(effect: NamedEffect) -> str:
+    return words.listed([words.effect_words(name) for name in effect.indistinguishable_from],
+                        "or")
 
 
 def _considered(considered: tuple[Considered, ...]) -> list[dict[str, Any]]:
@@ -220,9 +227,13 @@ def _fit(found: Diagnosis) -> list[dict[str, str]]:
                      "after": _scaled(fit.after_rms, scale),
                      "noise": _scaled(fit.noise_rms, scale),
                      "removed": words.percent(share) if math.isfinite(share) else "—",
-                     "memory_before": number(fit.before_whiteness, 3),
-                     "memory_after": number(fit.after_whiteness, 3)})
+                     "memory_before": _memory(fit.before_whiteness),
+                     "memory_after": _memory(fit.after_whiteness)})
     return rows
+
+
+def _memory(ratio: float) -> str:
+    return f"{ratio:.2f}" if 0 <= ratio < 10 else number(ratio, 3)
 
 
 def _overlays(found: Diagnosis) -> list[Picture]:
