@@ -8,6 +8,7 @@ from eha_monitor.compiled import njit
 from eha_monitor.mismatch.experiment import Experiment, Stretch
 from eha_monitor.mismatch.fit import Fit
 from eha_monitor.mismatch.innovations import CLOSED, FORCED
+from eha_monitor.mismatch.inputs import filled
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import (
     add_contributions,
@@ -141,6 +142,30 @@ def modelled_flow(experiment: Experiment, fit: Fit, trajectory: np.ndarray,
     plain = 1.0 / theta[s.VOL_1] + 1.0 / theta[s.VOL_2]
     second = flows[1] if common else -flows[1]
     return (flows[0] + second) / (plain * theta[s.BETA_E])
+
+
+def balance_flow(experiment: Experiment, fit: Fit, stretch: Stretch,
+                 trajectory: np.ndarray) -> np.ndarray:
+    """Return the flow into both chambers alike that the measured pressures need, m^3/s (n,).
+
+    ``fit`` : the model without the effects in question.
+    """
+    theta = fit.theta
+    c = contributed(experiment, fit, trajectory, fit.named)
+    p = [filled(stretch.z[:, 2]), filled(stretch.z[:, 3])]
+    pumped = theta[s.D_P] * (trajectory[:, s.OMEGA] + c[:, s.SPEED])
+    makeup, v = theta[s.G_MAKEUP], trajectory[:, s.V]
+    crossing = 0.5 * (theta[s.C_T] - makeup) * (p[0] - p[1])
+    rows = []
+    for i, (moved, chamber, volume, more, flow) in enumerate((
+            (pumped - theta[s.AREA_1] * v - crossing, s.VOL_1, s.VOLUME_1, s.COMPLIANCE_1,
+             s.FLOW_1),
+            (-pumped * theta[s.AREA_2] / theta[s.AREA_1] + theta[s.AREA_2] * v + crossing,
+             s.VOL_2, s.VOLUME_2, s.COMPLIANCE_2, s.FLOW_2))):
+        into = moved - makeup * (p[i] - theta[s.P_CHARGE]) + c[:, flow]
+        capacity = (theta[chamber] + c[:, volume]) * (1.0 / theta[s.BETA_E] + c[:, more])
+        rows.append((np.gradient(p[i], experiment.dt) - into / capacity, capacity))
+    return (rows[0][0] + rows[1][0]) / (1.0 / rows[0][1] + 1.0 / rows[1][1])
 
 
 @njit(nogil=True)

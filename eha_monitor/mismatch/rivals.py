@@ -19,6 +19,7 @@ from eha_monitor.physics.plant import Y_FLOW, Y_FORCE, Y_P1, Y_P2, Y_SPEED
 STANDING = 400  # samples after which a rival's gains are taken to stand
 SIZES = tuple(10.0**k for k in range(5))  # times the smallest deviation
 LASTING = (0.3, 0.02, 5.0)  # s
+HOPEFUL = 0.3  # of the best gain at the first try: the others are not pursued
 CLOSE = 0.03  # of the best gain: rivals nearer than that share the blame
 
 
@@ -131,8 +132,8 @@ def rivals_of(experiment: Experiment, m: Linear) -> list[Rival]:
     return found
 
 
-def latent_gains(experiment: Experiment, fit: Fit) -> dict[str, tuple[str, float]]:
-    """Return for each rival its balance and what it gains, log units, at its best."""
+def latent_gains(experiment: Experiment, fit: Fit) -> dict[str, tuple[Rival, float]]:
+    """Return each rival by name, and what it gains, log units, at its best."""
     null = with_unknowns(experiment, fit, limits_of(experiment)[0])
     m = linear_of(experiment, null.theta, null.active, null.unknowns)
     columns, drive = experiment.columns, m.a @ null.gains
@@ -150,36 +151,44 @@ def latent_gains(experiment: Experiment, fit: Fit) -> dict[str, tuple[str, float
             parts.append(out[counted])
         return log_likelihood_of(np.concatenate(parts)[:, columns]) - start
 
-    def best(rival: Rival) -> float:
-        tried = {size: gain(rival, size, LASTING[0]) for size in SIZES}
-        size = max(tried, key=tried.get)
-        reached = tried[size]
+    def first(rival: Rival) -> tuple[float, float]:
+        return max((gain(rival, size, LASTING[0]), size) for size in SIZES)
+
+    def further(task: tuple[Rival, float, float]) -> float:
+        rival, reached, start = task
         for lasting in LASTING[1:]:
-            now = size
-            value = gain(rival, now, lasting)
+            size = start
+            value = gain(rival, size, lasting)
             for factor in (10.0, 0.1):
-                while SIZES[0] <= now * factor <= SIZES[-1]:
-                    other = gain(rival, now * factor, lasting)
+                while SIZES[0] <= size * factor <= SIZES[-1]:
+                    other = gain(rival, size * factor, lasting)
                     if other <= value:
                         break
-                    now, value = now * factor, other
+                    size, value = size * factor, other
             reached = max(reached, value)
         return reached
 
     rivals = rivals_of(experiment, m)
-    return {rival.name: (rival.balance, value)
-            for rival, value in zip(rivals, spread(best, rivals), strict=True)}
+    found = spread(first, rivals)
+    worthy = HOPEFUL * max((value for value, _ in found), default=0.0)
+    tasks = [(rival, *one) for rival, one in zip(rivals, found, strict=True) if one[0] > worthy]
+    gains = {rival.name: (rival, value) for rival, (value, _) in zip(rivals, found, strict=True)}
+    for (rival, _, _), value in zip(tasks, spread(further, tasks), strict=True):
+        gains[rival.name] = (rival, value)
+    return gains
 
 
-def latent_shares(experiment: Experiment, fit: Fit) -> dict[str, float]:
-    """Return the share of force, flow, drive and sensor in a mismatch that nothing explains."""
+def shares_of(gains: dict[str, tuple[Rival, float]]) -> tuple[dict[str, float], float, list[int]]:
+    """Return shares of force, flow, drive and sensor, the best gain, and the sensors suspected."""
     shares = dict.fromkeys(("force", "flow", "drive", "sensor"), 0.0)
-    gains = latent_gains(experiment, fit)
     best = max((value for _, value in gains.values()), default=0.0)
     if best <= 0.0:
-        return shares
-    for balance, value in gains.values():
+        return shares, 0.0, []
+    for rival, value in gains.values():
         weight = float(np.exp((value - best) / (CLOSE * best + 3.0)))
-        shares[balance] = max(shares[balance], weight)
+        shares[rival.balance] = max(shares[rival.balance], weight)
     total = sum(shares.values())
-    return {balance: value / total for balance, value in shares.items()}
+    sensors = [(value, rival) for rival, value in gains.values() if rival.outputs]
+    outputs = [output for output, _ in max(sensors, key=lambda row: row[0])[1].outputs
+               ] if sensors else []
+    return {balance: value / total for balance, value in shares.items()}, best, outputs

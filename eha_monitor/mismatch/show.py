@@ -52,12 +52,22 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
 
 
+def unseen(experiment: Experiment) -> list[np.ndarray]:
+    """Return for each stretch (n,) bool, the samples that the fit has not seen.
+
+    An experiment that holds nothing out is another recording: all of it is unseen.
+    """
+    if any(stretch.held_out.any() for stretch in experiment.stretches):
+        return [stretch.held_out for stretch in experiment.stretches]
+    return [stretch.counted for stretch in experiment.stretches]
+
+
 def windows_of(experiment: Experiment, window: float) -> list[tuple[int, int, int]]:
     """Return the held-out windows of ``window`` s: (stretch, first, last + 1)."""
     length = max(2, round(window / experiment.dt))
     found = []
-    for i, stretch in enumerate(experiment.stretches):
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], stretch.held_out.view(np.int8), [0]])))
+    for i, mask in enumerate(unseen(experiment)):
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
         for start, stop in zip(edges[::2], edges[1::2], strict=True):
             for first in range(int(start), int(stop), length):
                 last = min(first + length, int(stop))
@@ -99,8 +109,9 @@ def whiteness(experiment: Experiment, fit: Fit) -> np.ndarray:
     One-step innovations of the held-out samples, over their own deviation; NaN where there are
     too few.
     """
-    parts = [filtered(experiment, stretch, fit.theta, fit.active, fit.gains)[0][stretch.held_out]
-             for stretch in experiment.stretches if stretch.held_out.any()]
+    parts = [filtered(experiment, stretch, fit.theta, fit.active, fit.gains)[0][mask]
+             for stretch, mask in zip(experiment.stretches, unseen(experiment), strict=True)
+             if mask.any()]
     found = np.full(N_OUTPUTS, np.nan)
     whole = np.concatenate(parts) if parts else np.zeros((0, N_OUTPUTS))
     for j in experiment.columns:
@@ -120,7 +131,7 @@ def shown(experiment: Experiment, before: Fit, after: Fit | None,
 
     Parameters
     ----------
-    experiment : with held-out samples; another recording of the rig has them everywhere.
+    experiment : with held-out samples, or another recording of the rig without.
     after : the model with the named effects; None where there is none: then as before.
     window : length of the free runs, s.
 
@@ -128,7 +139,7 @@ def shown(experiment: Experiment, before: Fit, after: Fit | None,
     -------
     dict
         ``position``, ``velocity``, ``pressure_1``, ``pressure_2``, ``pump_speed`` where measured,
-        and ``force`` where the force drives the model.  Empty without held-out samples.
+        and ``force`` where the force drives the model.
     """
     models = [before] if after is None or after is before else [before, after]
     runs = [free_runs(experiment, fit, window) for fit in models]
@@ -155,9 +166,9 @@ def force_residual(experiment: Experiment, fit: Fit) -> tuple[float, float]:
     """
     dt = experiment.dt
     residuals, forces = [], []
-    for stretch in experiment.stretches:
+    for stretch, mask in zip(experiment.stretches, unseen(experiment), strict=True):
         n = len(stretch)
-        if not stretch.held_out.any() or n < 200:
+        if not mask.any() or n < 200:
             continue
         smooth = low_pass(min(DERIVATIVES, 0.2 / dt), dt)
         x = smooth(filled(stretch.z[:, 0]))
@@ -172,8 +183,8 @@ def force_residual(experiment: Experiment, fit: Fit) -> tuple[float, float]:
                  + modelled_force(experiment, fit, track, names))
         both = low_pass(min(BALANCE, 0.1 / dt), dt)
         force = both(driving_force(experiment, fit, stretch))
-        residuals.append((force - both(model))[stretch.held_out])
-        forces.append(force[stretch.held_out])
+        residuals.append((force - both(model))[mask])
+        forces.append(force[mask])
     if not residuals:
         return float("nan"), float("nan")
     return rms(np.concatenate(residuals)), rms(np.concatenate(forces))
