@@ -152,8 +152,8 @@ def diagnosed(out: Path) -> Path:
     """Ask of a bag that hides dry friction what the model leaves out, and write the report."""
     print("4. Another bag, hidden_friction: the monitor alone would call it wear.", flush=True)
     report, answer = out / "diagnosis.html", out / "diagnosis.json"
-    run("diagnose", resource("bags/hidden_friction"), "--no-calibration", "--report", str(report),
-        "--json", str(answer))
+    run("diagnose", resource("bags/hidden_friction"), "--report", str(report), "--json",
+        str(answer))
     found = json.loads(answer.read_text())
     names = {name for effect in found["effects"]
              for name in (effect["name"], *effect["indistinguishable_from"])}

@@ -65,6 +65,7 @@ def test_page_says_what_was_found(html):
     for words in ("40.03 ± 0.16 N", "1412 ± 18 N·s/m", "601.2 ± 2.2 N·s/m", "97 %",
                   "where the motion turns round", "presliding friction", "41 µm", "2.1 µm",
                   "Push the depressurised rod", "14 log units", "simulated clean recordings",
+                  "cannot be told from presliding friction",
                   COMMAND, "12 samples came twice", "F_c: 40.03"):
         assert words in text, words
 

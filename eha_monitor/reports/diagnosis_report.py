@@ -67,7 +67,7 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
         verdict=found.verdict,
         head=head,
         message=words.sentence(found.message),
-        doubts=[f"{words.sentence(words.effect_words(effect.name))[:-1]} cannot be told here from "
+        doubts=[f"In this recording {words.effect_words(effect.name)} cannot be told from "
                 f"{_rivals(effect)}." for effect in found.effects
                 if effect.indistinguishable_from],
         hero=curve_picture(found, curves[0], large=True) if curves else None,

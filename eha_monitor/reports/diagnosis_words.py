@@ -122,7 +122,10 @@ def certainty(found: Diagnosis) -> str:
     text = (f"An effect had to gain {log_units(found.threshold)} log units over the model "
             "without it to be named, and to be of a size that matters. ")
     if found.calibrated:
+        from eha_monitor.mismatch.calibrate import FALSE_ALARM
+
         return text + ("That threshold comes from simulated clean recordings of this rig, with "
-                       "this motion, this sample time and this noise: none of them reached it.")
+                       "this motion, this sample time and this noise; about one such recording "
+                       f"in {1 / FALSE_ALARM:.0f} would reach it.")
     return text + ("That is the usual threshold; it was not calibrated on simulated clean "
                    "recordings of this rig and motion.")
