@@ -26,6 +26,7 @@ from eha_monitor.settings.monitor import Settings
 
 LEAST_MOTION = 20.0  # times the position's noise: less motion says nothing
 EXPLAINED = 0.75  # share of the evidence that names must take away, or it is unexplained
+LARGE_PART = 0.5  # of the evidence: what an effect must take away to be named beside an unknown
 UNKNOWN = 0.01  # of what a balance does: an unknown above is a mismatch, named or not
 
 Report = Callable[[str, float], None]
@@ -115,6 +116,9 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming,
     verdict, explained = verdict_of(experiment, naming, calibration)
     effects = tuple(named_effect(experiment, naming, name) for name in sorted(
         after.named, key=lambda name: -naming.evidence[name]))
+    if verdict == "unexplained":  # what takes away a small part only is a confident wrong name
+        against = max(after.log_likelihood - before.log_likelihood, 1e-9) / max(explained, 1e-9)
+        effects = tuple(e for e in effects if e.log_evidence >= LARGE_PART * against)
     step = quantised(experiment)
     if step is not None:
         effects = (*effects, step)

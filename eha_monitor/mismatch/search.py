@@ -202,20 +202,23 @@ def round_of(experiment: Experiment, fit: Fit, demanded: Callable[[str], float] 
               if not CATALOGUE[name].contains and name not in families
               and not experiment.active[NAMES.index(name)] and possible(name, experiment)
               for start in starts_of(name, experiment)]
-    scores = screen(experiment, fit, starts + replacements_of(experiment, fit))
-    chosen: dict[str, list[Score]] = {}
-    for score in scores:
-        name = score.start.effect
-        least = max(2.0, PROMISE * scores[0].gain)
-        if demanded is not None:
-            least = max(least, LIKELY * demanded(name))
-        if score.gain < least or (name not in chosen and len(chosen) >= SHORTLIST):
-            continue
-        kept = chosen.setdefault(name, [])
-        if len(kept) < 2:
-            kept.append(score)
-    bases = [fit] if near_prior(fit) else [fit, from_prior(fit)]
-    tasks = [(base, score) for kept in chosen.values() for score in kept for base in bases]
+    starts += replacements_of(experiment, fit)
+    scores = screen(experiment, fit, starts)
+
+    def least(name: str) -> float:
+        wanted = LIKELY * demanded(name) if demanded is not None else 0.0
+        return max(2.0, PROMISE * scores[0].gain, wanted) if scores else np.inf
+
+    promising = shortlist([score for score in scores if score.gain >= least(score.start.effect)],
+                          SHORTLIST)
+    tasks = [(fit, score) for score in promising]
+    if not near_prior(fit):
+        # A wrong model can carry B and beta_e so far that the right effect points the wrong way
+        # there, and does not find back.
+        origin = with_unknowns(experiment, from_prior(fit), fit.unknowns)
+        tasks += [(origin, score) for score in promising]
+        tasks += [(origin, score)
+                  for score in shortlist(screen(experiment, origin, starts), FINALISTS)]
     quick = spread(lambda task: Candidate(task[1].start, *gained(fit, settle(
         experiment, with_effect(task[0], task[1].start, task[1].amplitudes), 1, 2, False, 1.0))),
         tasks)
@@ -234,20 +237,29 @@ def round_of(experiment: Experiment, fit: Fit, demanded: Callable[[str], float] 
     return Round(fit, tuple(scores), tuple(ranked))
 
 
+def shortlist(scores: list[Score], most: int) -> list[Score]:
+    """Return the two best starts of each of the ``most`` best effects; scores are best first."""
+    chosen: dict[str, list[Score]] = {}
+    for score in scores:
+        name = score.start.effect
+        if name in chosen or len(chosen) < most:
+            kept = chosen.setdefault(name, [])
+            if len(kept) < 2:
+                kept.append(score)
+    return [score for kept in chosen.values() for score in kept]
+
+
 def near_prior(fit: Fit) -> bool:
     """Tell whether B and beta_e lie near their priors."""
     base = [f for f in fit.free if "." not in f.name]
     values = [fit.theta[f.place] for f in base]
     prior = [f.outward(f.prior) for f in base]
-    return all(0 < value and abs(np.log(value / p)) < STRAYED
+    return all(value > 0 and abs(np.log(value / p)) < STRAYED
                for value, p in zip(values, prior, strict=True))
 
 
 def from_prior(fit: Fit) -> Fit:
-    """Return a fit with B and beta_e at their priors, for a new effect to start from.
-
-    A wrong model can carry them so far that the right effect does not find back.
-    """
+    """Return a fit with B and beta_e at their priors, for a new effect to start from."""
     theta = fit.theta.copy()
     for f in fit.free:
         if "." not in f.name:
