@@ -80,10 +80,14 @@ CASES = {
 
 
 def recording_of(case: str, channels: tuple[str, ...], seed: int = 0, noise: float = 1.0,
-                 seconds: float = 24.0) -> tuple[Recording, dict]:
-    """Return a simulated recording with the effect of ``case``, and its ``effects`` section."""
+                 seconds: float = 24.0, effects: dict | None = None) -> tuple[Recording, dict]:
+    """Return a simulated recording with the effect of ``case``, and its ``effects`` section.
+
+    Other ``effects`` stand in for those of the case.
+    """
     effect = case.split(",")[0]
-    effects = {effect: CASES[case]} if effect in CATALOGUE else {}
+    if effects is None:
+        effects = {effect: CASES[case]} if effect in CATALOGUE else {}
     levels = {name: noise * value for name, value in NOISE.items()}
     if effect == "position_quantisation":
         levels["position_resolution"] = CASES[case]["q"]
@@ -101,10 +105,10 @@ def answer(recording: Recording, effects: dict):
 
 
 def reached(found) -> bool:
-    """Tell whether both parameters are within the tolerance and the model fits."""
-    return found.model.status == "consistent" and all(
-        abs(found.parameters[name].value / value - 1.0) < TOLERANCE
-        for name, value in TRUTH.items())
+    """Tell whether the model fits and what the channels tell of B and beta_e is within 3 %."""
+    told = {name: one for name, one in found.parameters.items() if one.status != "no_data"}
+    return bool(told) and found.model.status == "consistent" and all(
+        abs(one.value / TRUTH[name] - 1.0) < TOLERANCE for name, one in told.items())
 
 
 def main() -> None:

@@ -23,7 +23,7 @@ from scipy.linalg import expm
 
 from eha_monitor.filters import kernel_one, kernel_two
 from eha_monitor.filters.filterpy_stages import FilterpyStageOne, FilterpyStageTwo
-from eha_monitor.filters.inputs import StageInputs
+from eha_monitor.filters.inputs import StageInputs, moved_mass
 from eha_monitor.filters.known import new_known_memory
 from eha_monitor.filters.supervision import new_supervision
 
@@ -35,6 +35,11 @@ CASES = {
                              "cross_port_leakage": {"L": 1e-12}}}, {}),
     "effects and gaps": ({"gaps": True, "effects": {
         "cross_port_leakage": {"L": 1e-12}, "coulomb_friction": {"F_c": 5.0}}}, {}),
+    "memory": ({"effects": {
+        "stribeck_friction": {"F_c": 20.0, "F_d": 10.0, "z_0": 3e-6}, "spring_load": {"k": 5e3},
+        "line_dynamics": {"T_l": 2e-3}, "relief_valve": {"k": 2e-11, "p_c": 1e5},
+        "pump_volumetric_loss": {"k": 2e-7}, "added_mass": {"dM": 4.0},
+        "position_dependent_volume": {"A_v": 5e-4}}}, {}),
     "change": ({"faults": {"b": {"parameter": "viscous_damping", "start": 1.5, "value": 900.0},
                            "air": {"parameter": "bulk_modulus", "start": 2.5, "value": 3e8}}},
                {}),
@@ -75,15 +80,16 @@ def relative(mine, theirs, floor=1e-12):
 @pytest.mark.parametrize("name", CASES)
 def test_filterpy_runs_stage_one_to_the_same_numbers(name):
     inputs, config = inputs_of(**CASES[name][0], **CASES[name][1])
-    n, rig, one, model = len(inputs.x), config.rig, config.stage_one, inputs.model
+    n, one, model = len(inputs.x), config.stage_one, inputs.model
+    mass = moved_mass(model, inputs.dt)
     m, p = np.array([np.nan, 0.0, one.prior]), np.array([0, 0, 0, 0, 0, one.prior_stddev**2])
     out, events = np.empty((6, n)), np.empty((50, 4))
     found = kernel_one.run_one(
         inputs.x, inputs.force.start, inputs.force.end, inputs.force.variance, inputs.p1,
-        inputs.p2, inputs.dt, rig.mass, inputs.position_variance, one.prior_stddev**2,
+        inputs.p2, inputs.dt, mass, inputs.position_variance, one.prior_stddev**2,
         config.discretisation == "euler", model.theta, model.plain, model.remembering,
         new_known_memory(), m, p, new_supervision(), out, events)
-    live = FilterpyStageOne(model, rig.mass, inputs.dt, inputs.position_variance, one.prior,
+    live = FilterpyStageOne(model, mass, inputs.dt, inputs.position_variance, one.prior,
                             one.prior_stddev, config.discretisation == "euler")
     rows, changes = np.empty((6, n)), []
     for k in range(n):

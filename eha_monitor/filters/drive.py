@@ -23,6 +23,7 @@ from eha_monitor.physics.signals import (
 )
 
 PARTS = 8  # of a sample, in which drive and pump are followed
+EDGE = 1e-9  # samples: just before a jump
 # Effects of the drive that x_d as the input of a closed loop does not show.
 OPENING = (s.DRIVE_LAG, s.FEEDBACK_DELAY)
 
@@ -75,6 +76,27 @@ def held(start, end, place):
 
 
 @njit
+def wanted_at(start, end, seen, place, late, lead, theta, w):
+    """Return the shaft speed that the drive wants at ``place`` samples, rad/s."""
+    x = place_in(seen, place + lead)
+    return shaft_speed(drive_speed(held(start, end, place - late), x, theta, w), w)
+
+
+@njit
+def lagging(omega, first, last, h, lag, keep, slew):
+    """Return the speed after ``h`` s and its mean; the command runs from ``first`` to ``last``.
+
+    The exact answer of the first-order lag to a ramp; ``keep`` is exp(-h / lag).
+    """
+    along = (last - first) / h * lag
+    after = last - along + (omega - first + along) * keep
+    if abs(after - omega) > slew * h:
+        after = omega + math.copysign(slew * h, after - omega)
+        return after, 0.5 * (omega + after)
+    return after, 0.5 * (first + last) - along + (omega - first + along) * (1.0 - keep) * lag / h
+
+
+@njit
 def follow(kind, start, end, seen, lead, sampled, p1, p2, dt, theta, pump, updates, w, memory,
            kept, out_start, out_end):
     """Follow drive and pump through all samples; write the input's line in each.
@@ -98,7 +120,7 @@ def follow(kind, start, end, seen, lead, sampled, p1, p2, dt, theta, pump, updat
     lag, slew = w[DRIVE_LAG], w[SLEW_LIMIT]
     slow = lag > 0.0 or slew < np.inf
     keep = math.exp(-h / lag) if lag > 0.0 else 0.0
-    omega, before = kept[0, 0], math.nan
+    omega = kept[0, 0]
     for j in range(len(updates)):
         for i in range(2):
             value = kept[0, 1 + 2 * j + i]
@@ -113,18 +135,14 @@ def follow(kind, start, end, seen, lead, sampled, p1, p2, dt, theta, pump, updat
             value = held(start, end, place - late)
             rise = 0.0 if sampled else end[k] - start[k - 1]  # a sample
             if kind == 1:
-                x = place_in(seen, place + lead)
-                wanted = shaft_speed(drive_speed(value, x, theta, w), w)
-                value = wanted
-                rise = 0.0 if math.isnan(before) else PARTS * (wanted - before)
-                before = wanted
+                half = 0.0 if sampled else 0.5 / PARTS
+                first = wanted_at(start, end, seen, place - half, late, lead, theta, w)
+                last = wanted_at(start, end, seen, place + half - EDGE, late, lead, theta, w)
+                value, rise = 0.5 * (first + last), PARTS * (last - first)
                 if slow:
                     if math.isnan(omega):
-                        omega = wanted
-                    change = (wanted - omega) * (1.0 - keep)
-                    change = min(max(change, -slew * h), slew * h)
-                    value = omega + 0.5 * change
-                    omega += change
+                        omega = first
+                    omega, value = lagging(omega, first, last, h, lag, keep, slew)
             if len(pump) > 0:
                 x_signal[OMEGA] = value
                 x_signal[P1] = (1.0 - along) * p1[k - 1] + along * p1[k]

@@ -9,6 +9,8 @@ KINK = 4.0  # times the neighbouring bends: a corner, which linear interpolation
 REMAINDER = 1.0 / 20.0  # of the fourth difference: interpolation error at corners (1/24) and
 # on waves (11/720), so that the filters know where their input is uncertain
 VISIBLE = 6.0  # standard deviations by which a fourth difference must rise above the noise
+AROUND = np.array([-5, -4, -3, 3, 4, 5])  # neighbours, and their weights in a parabola's middle
+WEIGHTS = np.linalg.pinv(np.vander(AROUND, 3, increasing=True).astype(float))[0]
 
 
 @dataclass(frozen=True)
@@ -35,10 +37,8 @@ def instrument_of(u: np.ndarray) -> np.ndarray:
     n = len(u)
     if n < 11:
         return u
-    reach = np.array([-5, -4, -3, 3, 4, 5])
-    weights = np.linalg.pinv(np.vander(reach, 3, increasing=True).astype(float))[0]
     padded = np.pad(u, 5, mode="edge")
-    return sum(w * padded[5 + d : 5 + d + n] for w, d in zip(weights, reach, strict=True))
+    return sum(w * padded[5 + d : 5 + d + n] for w, d in zip(WEIGHTS, AROUND, strict=True))
 
 
 def largest_neighbour(values: np.ndarray, reach: int) -> np.ndarray:

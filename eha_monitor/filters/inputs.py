@@ -273,9 +273,9 @@ class StageInputs:
         else:
             model, step = model_for(channels, settings), quantum_of(channels)
             no_force, no_drive = force_missing(rig, channels), drive_missing(settings, channels)
-        nothing = hold_of(np.full(len(recording), np.nan), 0.0)
-        force = drive = nothing
-        measured_force, kept = nothing.start, np.empty((len(recording), 0))
+        measured_force = np.full(len(recording), np.nan)
+        force = drive = Hold(*(measured_force,) * 4)
+        kept = np.empty((len(recording), 0))
         if no_force is None:
             variance = force_variance(rig, noise, settings.stage_one.force_noise)
             measured_force = force_of(rig, channels)

@@ -6,7 +6,7 @@ from eha_monitor.filters.results import NoiseEstimate
 from eha_monitor.physics import signals as s
 
 MOVED = 6.0  # standard deviations of a difference by which a position behind a play has moved
-REACH = 2  # samples over which it is looked at
+REACHES = (2, 4, 8)  # samples on each side over which that is looked for
 
 
 def undo_sensors(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstimate], w: np.ndarray,
@@ -67,9 +67,12 @@ def earlier(values: np.ndarray, samples: float) -> np.ndarray:
 def before_play(values: np.ndarray, play: float, sigma: float) -> np.ndarray:
     """Return the position before a play of width ``play``, NaN while the sensor stands still."""
     n = len(values)
-    padded = np.pad(values, REACH, constant_values=np.nan)
-    back, ahead = values - padded[:n], padded[2 * REACH :] - values
     least = MOVED * np.sqrt(2.0) * sigma
-    with np.errstate(invalid="ignore"):
-        up, down = (back > least) & (ahead > least), (back < -least) & (ahead < -least)
+    up, down = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+    for reach in REACHES:
+        padded = np.pad(values, reach, constant_values=np.nan)
+        back, ahead = values - padded[:n], padded[2 * reach :] - values
+        with np.errstate(invalid="ignore"):
+            up |= (back > least) & (ahead > least)
+            down |= (back < -least) & (ahead < -least)
     return np.where(up, values + 0.5 * play, np.where(down, values - 0.5 * play, np.nan))
