@@ -56,6 +56,9 @@ def test_sections_follow_what_is_there(html):
     unexplained = Page(page_of(ALL["unexplained"]())).ids
     assert {"curve", "where", "considered", "fit"} <= unexplained
     assert not {"effects", "overlays", "parts", "config-effects"} & unexplained
+    partly = Page(page_of(ALL["partly"]()))
+    assert "effects" in partly.ids and "config-effects" not in partly.ids
+    assert "would take away 35 %" in partly.text
     assert not {"curve", "where", "fit", "effects"} & Page(page_of(ALL["insufficient"]())).ids
     assert not {"where", "effects"} & Page(page_of(ALL["consistent"]())).ids
 
@@ -80,6 +83,8 @@ def test_text_of_others_is_escaped():
 def test_the_most_telling_curve_leads():
     found = coulomb()
     assert [curve.against for curve in telling(found)][:2] == ["velocity", "pressure difference"]
+    late = replace(found, curves=(replace(found.curves[1], against="time"), found.curves[0]))
+    assert [curve.against for curve in telling(late)] == ["position", "time"]
     assert telling(found)[-1].balance == "flow"
     wild = np.array([NAN, np.inf])
     none = Curve("force", "time", "s", "N", wild, wild, wild, wild)
@@ -177,7 +182,7 @@ def test_config_carries_the_physics_and_what_it_did_to_the_rest(tmp_path):
     assert "bags/hidden_friction" in head
 
 
-@pytest.mark.parametrize("name", ["consistent", "unexplained", "insufficient"])
+@pytest.mark.parametrize("name", ["consistent", "unexplained", "insufficient", "partly"])
 def test_config_without_a_name_stays_as_it_was(name, tmp_path):
     given = settings_from_tree({"effects": {"spring_load": {"k": 900.0}}}, "x")
     file = tmp_path / "named.yaml"

@@ -70,11 +70,11 @@ def written_config(found: Diagnosis, settings: Settings, source: Path | None) ->
     ``effects`` is what the diagnosis says.  B and beta_e of the rig become the fitted ones:
     ``simulator`` then makes what was recorded, and the filters start where the rig is.  Nothing
     else is changed, thresholds and priors included: whether the rig is healthy is not for a fit
-    to say.  A diagnosis that names nothing leaves the config as it was.
+    to say.  Where the names do not explain the mismatch, the config stays as it was.
     """
     tree = settings.model_dump()
     changed = []
-    if found.effects:
+    if found.verdict == "mismatch":
         tree["effects"] = {name: {key: _rounded(value) for key, value in values.items()
                                   if math.isfinite(value)}
                            for name, values in found.config_effects.items()}

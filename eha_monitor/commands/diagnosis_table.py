@@ -14,7 +14,7 @@ from eha_monitor.reports.diagnosis_words import (
     VERDICTS,
     certainty,
     effect_words,
-    error_scale,
+    error_words,
     interval_words,
     listed,
     log_units,
@@ -92,12 +92,11 @@ def _parameters(found: Diagnosis) -> Table:
 def _fit(found: Diagnosis) -> Table:
     table = _table("error on unseen data", "before", "after", "noise", "removed")
     for name, fit in found.signals.items():
-        scale = error_scale(fit)
-        cells = [f"{number(value * scale.factor, 3)} {scale.unit}" if math.isfinite(value) else "–"
+        cells = [error_words(value, fit)
                  for value in (fit.before_rms, fit.after_rms, fit.noise_rms)]
         share = removed(fit)
         table.add_row(escape(name.replace("_", " ")), *cells,
-                      percent(share) if math.isfinite(share) else "–")
+                      percent(share) if math.isfinite(share) else "—")
     table.caption = f"root mean square, free run; on {DATA.get(found.data, found.data)}"
     table.caption_justify = "left"
     return table

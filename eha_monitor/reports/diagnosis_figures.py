@@ -42,13 +42,15 @@ def telling(found: Diagnosis) -> list[Curve]:
     """Return the curves that have something to draw, the most telling one first.
 
     A curve tells much where its quantity decides the missing term: what it varies by is then
-    large against the spread at each place.  The balance that is blamed goes first.
+    large against the spread at each place.  The balance that is blamed goes first; time goes last,
+    for it decides nothing by itself.
     """
     blamed = found.effects[0].balance if found.effects else max(
         found.location.balance, key=found.location.balance.get, default="")
     drawable = [curve for curve in found.curves
                 if np.isfinite(curve.measured * curve.x).sum() >= 2]
-    return sorted(drawable, key=lambda curve: (curve.balance != blamed, -_contrast(curve)))
+    return sorted(drawable, key=lambda curve: (
+        curve.balance != blamed, curve.against == "time", -_contrast(curve)))
 
 
 def _contrast(curve: Curve) -> float:

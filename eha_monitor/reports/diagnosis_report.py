@@ -89,7 +89,7 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
         losses=losses,
         command=command,
         config=config_sections(settings),
-        config_effects=found.config_effects,
+        config_effects=found.config_effects if found.verdict == "mismatch" else {},
         rotary=settings.rig.motion == "rotary",
     )
 
@@ -145,18 +145,11 @@ def _summary(found: Diagnosis) -> list[dict[str, str]]:
                      "before": words.value_words(before), "after": words.value_words(after),
                      "noise": ""})
     for name, fit in found.signals.items():
-        scale = words.error_scale(fit)
         rows.append({"name": f"{name.replace('_', ' ')} error",
-                     "before": _scaled(fit.before_rms, scale),
-                     "after": _scaled(fit.after_rms, scale),
-                     "noise": _scaled(fit.noise_rms, scale)})
+                     "before": words.error_words(fit.before_rms, fit),
+                     "after": words.error_words(fit.after_rms, fit),
+                     "noise": words.error_words(fit.noise_rms, fit)})
     return rows
-
-
-def _scaled(value: float, scale) -> str:
-    if not math.isfinite(value):
-        return "—"
-    return f"{number(value * scale.factor, 3)}{'' if scale.unit == '1' else f' {scale.unit}'}"
 
 
 def _location(found: Diagnosis) -> dict[str, Any] | None:
@@ -205,7 +198,7 @@ def _considered(considered: tuple[Considered, ...]) -> list[dict[str, Any]]:
     for one in considered:
         groups.setdefault(one.beside, []).append(one)
     tables = []
-    for beside, members in groups.items():
+    for beside, members in sorted(groups.items(), key=lambda item: len(item[0])):
         members = sorted(members, key=lambda one: -one.gain if math.isfinite(one.gain)
                          else math.inf)
         rows = [{"name": words.effect_words(one.name), "gain": words.log_units(one.gain),
@@ -222,10 +215,11 @@ def _considered(considered: tuple[Considered, ...]) -> list[dict[str, Any]]:
 def _fit(found: Diagnosis) -> list[dict[str, str]]:
     rows = []
     for name, fit in found.signals.items():
-        scale, share = words.error_scale(fit), words.removed(fit)
-        rows.append({"name": name.replace("_", " "), "before": _scaled(fit.before_rms, scale),
-                     "after": _scaled(fit.after_rms, scale),
-                     "noise": _scaled(fit.noise_rms, scale),
+        share = words.removed(fit)
+        rows.append({"name": name.replace("_", " "),
+                     "before": words.error_words(fit.before_rms, fit),
+                     "after": words.error_words(fit.after_rms, fit),
+                     "noise": words.error_words(fit.noise_rms, fit),
                      "removed": words.percent(share) if math.isfinite(share) else "—",
                      "memory_before": _memory(fit.before_whiteness),
                      "memory_after": _memory(fit.after_whiteness)})

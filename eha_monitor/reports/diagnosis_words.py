@@ -106,6 +106,16 @@ def error_scale(fit: SignalFit) -> Scale:
     return readable(largest, fit.unit)
 
 
+def error_words(value: float, fit: SignalFit) -> str:
+    """Return an error of a signal, in the common unit unless it is far too small for that."""
+    if not math.isfinite(value):
+        return "—"
+    scale = error_scale(fit)
+    if 0 < abs(value * scale.factor) < 0.01:
+        return quantity(value, fit.unit, 3)
+    return f"{number(value * scale.factor, 3)}{'' if scale.unit == '1' else f' {scale.unit}'}"
+
+
 def removed(fit: SignalFit) -> float:
     """Return the share of the error beyond the noise that the named physics removes."""
     noise = fit.noise_rms if math.isfinite(fit.noise_rms) else 0.0
