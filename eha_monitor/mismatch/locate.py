@@ -31,6 +31,7 @@ EXTREME = 0.2  # share of the samples that count as fast, loaded or near a limit
 CLEARLY = 3.0  # times the mean square elsewhere: the regime is named
 GRAIN, MOST_INTERVALS = 0.1, 8  # s of an interval's grain; intervals
 SMOOTH = 0.02  # s over which a term's change is taken
+MATERIAL = 0.3  # of a term's mean square: what it changes by at a reversal, squared, to count
 LEFT = 30.0  # times the smallest unknowns: the named effects leave something behind
 # Where a term of each balance may be at home.
 HOMES = {
@@ -171,21 +172,27 @@ def regime_of(experiment: Experiment, term: Missing) -> tuple[str, list[np.ndarr
     masks = regimes(experiment, term)
     values = [np.nan_to_num(one) for one in term.best]
     size = [one**2 for one in values]
-    change = [np.gradient(rolling(one, max(1, round(SMOOTH / experiment.dt))))**2
-              for one in values]
+    change = [(AFTER_REVERSAL / experiment.dt * np.gradient(
+        rolling(one, max(1, round(SMOOTH / experiment.dt)))))**2 for one in values]
 
-    def ratio(name: str, weight: list[np.ndarray]) -> float:
+    def inside(name: str, weight: list[np.ndarray]) -> tuple[float, float]:
         mask = np.concatenate([m[name][k] for m, k in zip(masks, keep, strict=True)])
         whole = np.concatenate([w[k] for w, k in zip(weight, keep, strict=True)])
         if not 0.003 < mask.mean() < 0.6:
-            return 0.0
-        return float(np.mean(whole[mask]) / max(np.mean(whole[~mask]), 1e-300))
+            return 0.0, float(np.mean(whole))
+        return float(np.mean(whole[mask])), max(float(np.mean(whole[~mask])), 1e-300)
+
+    def ratio(name: str, weight: list[np.ndarray]) -> float:
+        here, elsewhere = inside(name, weight)
+        return here / elsewhere
 
     sizes = {name: ratio(name, size) for name in HOMES[term.balance]}
     best = max(sizes, key=sizes.get)
     if sizes[best] > CLEARLY:
         return best, size
-    if ratio("velocity_reversal", change) > CLEARLY:
+    moves, _ = inside("velocity_reversal", change)
+    everywhere = float(np.mean(np.concatenate(size)))
+    if ratio("velocity_reversal", change) > CLEARLY and moves > MATERIAL * everywhere:
         return "velocity_reversal", change
     return "always", size
 

@@ -4,13 +4,22 @@ All compete on the likelihood of all channels.  Each is tried in a linear filter
 innovations of the nominal one, which costs a fraction of a run of the plant.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from eha_monitor.compiled import njit
 from eha_monitor.mismatch.experiment import Experiment
-from eha_monitor.mismatch.fit import Fit, filtered, log_likelihood_of, spread, with_unknowns
+from eha_monitor.mismatch.fit import (
+    Fit,
+    covariance_of,
+    filtered,
+    log_likelihood_of,
+    spread,
+    step_of,
+    whitener,
+    with_unknowns,
+)
 from eha_monitor.mismatch.gains import Linear, linear_of
 from eha_monitor.mismatch.innovations import FORCED, N_FILTERED, riccati
 from eha_monitor.mismatch.search import limits_of
@@ -18,8 +27,10 @@ from eha_monitor.physics.plant import Y_FLOW, Y_FORCE, Y_P1, Y_P2, Y_SPEED
 
 STANDING = 400  # samples after which a rival's gains are taken to stand
 SIZES = tuple(10.0**k for k in range(5))  # times the smallest deviation
-LASTING = (0.3, 0.02, 5.0)  # s
+LASTING = (0.3, 0.02, 20.0)  # s
 HOPEFUL = 0.3  # of the best gain at the first try: the others are not pursued
+FAR = 1.25  # from its prior: B by that many times, beta_e by that factor
+REFITS = 3  # Gauss-Newton steps of B and beta_e, the weights renewed at each
 CLOSE = 0.03  # of the best gain: rivals nearer than that share the blame
 
 
@@ -132,50 +143,137 @@ def rivals_of(experiment: Experiment, m: Linear) -> list[Rival]:
     return found
 
 
-def latent_gains(experiment: Experiment, fit: Fit) -> dict[str, tuple[Rival, float]]:
-    """Return each rival by name, and what it gains, log units, at its best."""
+@dataclass(frozen=True)
+class Base:
+    """A nominal model without unknowns, from which the rivals are judged.
+
+    Attributes
+    ----------
+    linear : its linearised plant; ``drive`` (m, N_FILTERED, N_OUTPUTS) A K of its filter.
+    e : for each stretch (n, N_OUTPUTS) its innovations.
+    slopes : for each base parameter, what a step of it adds to ``e``, and the step's prior
+        deviation in steps.
+    """
+
+    linear: Linear
+    drive: np.ndarray
+    e: list[np.ndarray]
+    slopes: list[tuple[list[np.ndarray], float]]
+
+
+def base_of(experiment: Experiment, fit: Fit) -> Base:
+    """Return the base that has the parameters of ``fit``."""
     null = with_unknowns(experiment, fit, limits_of(experiment)[0])
+
+    def run(theta: np.ndarray) -> list[np.ndarray]:
+        return [filtered(experiment, stretch, theta, null.active, null.gains)[0]
+                for stretch in experiment.stretches]
+
+    free = [f for f in null.free if f.name in ("B", "beta_e")]
+    moved = [step_of(f, null.theta) for f in free]
+    e, *others = spread(run, [null.theta, *(theta for theta, _ in moved)])
+    slopes = [([other - one for other, one in zip(parts, e, strict=True)], f.spread / abs(step))
+              for parts, f, (_, step) in zip(others, free, moved, strict=True)]
     m = linear_of(experiment, null.theta, null.active, null.unknowns)
-    columns, drive = experiment.columns, m.a @ null.gains
-    records = [(filtered(experiment, stretch, null.theta, null.active, null.gains)[0],
-                stretch.counted) for stretch in experiment.stretches]
-    start = log_likelihood_of(null.e)
+    return Base(m, m.a @ null.gains, e, slopes)
 
-    def gain(rival: Rival, size: float, lasting: float) -> float:
-        a, h, gains = larger_model(m, experiment.used, experiment.dt,
-                                   ((rival, size * rival.smallest, lasting),))
-        parts = []
-        for e, counted in records:
+
+def likelihood(experiment: Experiment, base: Base, rival: Rival, size: float, lasting: float,
+               refit: bool = False) -> float:
+    """Return the log likelihood with a rival of ``size`` times its smallest in the model.
+
+    refit : B and beta_e take one Gauss-Newton step to where the rival wants them: the filter is
+        linear in the innovations, and in what a change of a parameter adds to them.
+    """
+    a, h, gains = larger_model(base.linear, experiment.used, experiment.dt,
+                               ((rival, size * rival.smallest, lasting),))
+    columns = experiment.columns
+
+    def passed(parts: list[np.ndarray]) -> np.ndarray:
+        kept = []
+        for e, stretch in zip(parts, experiment.stretches, strict=True):
             out = np.full_like(e, np.nan)
-            rival_innovations(e, columns, drive, a, h, gains, out)
-            parts.append(out[counted])
-        return log_likelihood_of(np.concatenate(parts)[:, columns]) - start
+            rival_innovations(e, columns, base.drive, a, h, gains, out)
+            kept.append(out[stretch.counted])
+        return np.concatenate(kept)[:, columns]
 
+    e = passed(base.e)
+    reached = log_likelihood_of(e)
+    if not refit or not base.slopes or not np.isfinite(reached):
+        return reached
+    slopes = [passed(parts) for parts, _ in base.slopes]
+    moved = e
+    for _ in range(REFITS):
+        w = whitener(covariance_of(moved))
+        d = np.stack([(np.nan_to_num(slope) @ w.T).ravel() for slope in slopes], axis=1)
+        prior = np.diag([1.0 / deviation for _, deviation in base.slopes])
+        right = np.concatenate([-(np.nan_to_num(e) @ w.T).ravel(), np.zeros(len(slopes))])
+        steps = np.linalg.lstsq(np.vstack([d, prior]), right, rcond=None)[0]
+        moved = e + sum(step * slope for step, slope in zip(steps, slopes, strict=True))
+        if not np.isfinite(moved[np.isfinite(e)]).all():
+            return reached
+        reached = max(reached, log_likelihood_of(moved))
+    return reached
+
+
+def latent_gains(experiment: Experiment, fit: Fit) -> dict[str, tuple[Rival, float]]:
+    """Return each rival by name, and what it gains, log units, at its best.
+
+    A wrong model carries B and beta_e off, and with them wrong another cause looks better; so
+    where they lie far from their priors the rivals are judged from there too, and refit them.
+    """
+    fits = [fit]
+    theta = fit.theta.copy()
+    for f in fit.free:
+        if f.name in ("B", "beta_e"):
+            theta[f.place] = f.outward(f.prior)
+            far = abs(f.inward(fit.theta[f.place]) - f.prior) > (
+                np.log(FAR) if f.log else FAR * abs(f.prior))
+            if far and len(fits) == 1:
+                fits.append(replace(fit, theta=theta))
+    bases = [base_of(experiment, one) for one in fits]
+    counted = np.concatenate([e[stretch.counted] for e, stretch in
+                              zip(bases[0].e, experiment.stretches, strict=True)])
+    nothing = log_likelihood_of(counted[:, experiment.columns])
+    gains: dict[str, tuple[Rival, float]] = {}
+    for base in bases:
+        for rival, value in gains_from(experiment, base):
+            if rival.name not in gains or value - nothing > gains[rival.name][1]:
+                gains[rival.name] = (rival, value - nothing)
+    return gains
+
+
+def gains_from(experiment: Experiment, base: Base) -> list[tuple[Rival, float]]:
+    """Return the rivals with the best likelihood that each reaches from one base."""
     def first(rival: Rival) -> tuple[float, float]:
-        return max((gain(rival, size, LASTING[0]), size) for size in SIZES)
+        return max((likelihood(experiment, base, rival, size, LASTING[0]), size)
+                   for size in SIZES)
 
     def further(task: tuple[Rival, float, float]) -> float:
         rival, reached, start = task
+        best = (reached, start, LASTING[0])
         for lasting in LASTING[1:]:
             size = start
-            value = gain(rival, size, lasting)
+            value = likelihood(experiment, base, rival, size, lasting)
             for factor in (10.0, 0.1):
                 while SIZES[0] <= size * factor <= SIZES[-1]:
-                    other = gain(rival, size * factor, lasting)
+                    other = likelihood(experiment, base, rival, size * factor, lasting)
                     if other <= value:
                         break
                     size, value = size * factor, other
-            reached = max(reached, value)
-        return reached
+            best = max(best, (value, size, lasting))
+        return likelihood(experiment, base, rival, best[1], best[2], refit=True)
 
-    rivals = rivals_of(experiment, m)
+    rivals = rivals_of(experiment, base.linear)
     found = spread(first, rivals)
-    worthy = HOPEFUL * max((value for value, _ in found), default=0.0)
-    tasks = [(rival, *one) for rival, one in zip(rivals, found, strict=True) if one[0] > worthy]
-    gains = {rival.name: (rival, value) for rival, (value, _) in zip(rivals, found, strict=True)}
-    for (rival, _, _), value in zip(tasks, spread(further, tasks), strict=True):
-        gains[rival.name] = (rival, value)
-    return gains
+    values = [value for value, _ in found]
+    worthy = min(values) + HOPEFUL * (max(values) - min(values))
+    tasks = [(rival, *one) for rival, one in zip(rivals, found, strict=True)]
+    hopeful = [task for task in tasks if task[1] >= worthy]
+    best = {rival.name: value for rival, value, _ in tasks}
+    best.update((task[0].name, value)
+                for task, value in zip(hopeful, spread(further, hopeful), strict=True))
+    return [(rival, best[rival.name]) for rival in rivals]
 
 
 def shares_of(gains: dict[str, tuple[Rival, float]]) -> tuple[dict[str, float], float, list[int]]:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eha_monitor.mismatch.experiment import Experiment
+from eha_monitor.mismatch.experiment import Experiment, Stretch, smooth
 from eha_monitor.mismatch.fit import Fit, spread, tune, with_unknowns
 from eha_monitor.mismatch.gains import Unknowns, smallest_unknowns
 from eha_monitor.mismatch.missing import (
@@ -24,7 +24,7 @@ from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.plant import Y_FLOW, Y_FORCE, Y_SPEED
 
 BALANCES = ("force", "flow", "drive", "sensor")
-UNITS = {"force": "N", "flow": "m^3/s", "drive": "rad/s"}
+UNITS = {"force": "N", "flow": "m³/s", "drive": "rad/s"}
 STATES = {"force": Y_FORCE, "flow": Y_FLOW, "drive": Y_SPEED}
 SENSORS = {0: s.X, 2: s.P1, 3: s.P2}  # output -> what it ought to show
 VISIBLE = 0.3  # of a sensor's noise: an error below needs no curve
@@ -120,14 +120,29 @@ def balance_term(experiment: Experiment, base: Fit, after: Fit, balance: str,
                          for stretch, track in zip(experiment.stretches, tracks, strict=True))
     else:
         modelled = tuple(modelled_flow(experiment, after, track, names) for track in tracks)
+        shown = tuple(as_measured(stretch, track)
+                      for stretch, track in zip(experiment.stretches, tracks, strict=True))
         both = tuple(modelled_flow(experiment, after, track, names, common=True)
-                     for track in tracks)
+                     for track in shown)
         if experiment.used[2] and experiment.used[3] and rms(both) > rms(modelled):
             # Lost to outside or swallowed by both chambers: no flow across shows that.
-            modelled = both
+            modelled, tracks = both, shown
             measured = tuple(balance_flow(experiment, base, stretch, track)
                              for stretch, track in zip(experiment.stretches, tracks, strict=True))
     return Missing(balance, UNITS[balance], tracks, measured, modelled)
+
+
+def as_measured(stretch: Stretch, track: np.ndarray) -> np.ndarray:
+    """Return a trajectory with the pressures that were measured, where they were.
+
+    No unknown of the filter moves the mean pressure, so a model that lacks a leak to outside
+    does not follow it.
+    """
+    other = track.copy()
+    for output in (2, 3):
+        if np.isfinite(stretch.z[:, output]).any():
+            other[:, SENSORS[output]] = smooth(stretch.z[:, output], 0.0)
+    return other
 
 
 def rms(parts: tuple[np.ndarray, ...]) -> float:

@@ -1,0 +1,156 @@
+"""The proof on unseen data."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mismatch_tools import fitted
+
+from eha_monitor.mismatch.experiment import experiment_of
+from eha_monitor.mismatch.fit import refine
+from eha_monitor.mismatch.search import first_fit
+from eha_monitor.mismatch.show import (
+    agreement,
+    force_residual,
+    free_runs,
+    overlays,
+    shown,
+    windows_of,
+)
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.load import settings_from_tree
+
+EMPS = Path(__file__).parents[2] / "shared" / "data" / "emps" / "DATA_EMPS.mat"
+CONFIG = Path(__file__).parents[1] / "config" / "emps.yaml"
+
+
+def test_the_true_model_misses_by_the_noise_alone():
+    case = fitted(motion="rich")
+    found = shown(case.experiment, case.before, case.after)
+    assert set(found) == {"position", "pressure_1", "pressure_2", "pump_speed"}
+    for name, true in (("position", 2e-6), ("pressure_1", 2e3), ("pressure_2", 2e3),
+                       ("pump_speed", 0.1)):
+        signal = found[name]
+        assert signal.after_rms == pytest.approx(true, rel=0.1)
+        assert signal.before_rms == signal.after_rms
+        assert signal.noise_rms == pytest.approx(true, rel=0.1)
+        assert 0.9 < signal.after_whiteness < 1.5
+
+
+def test_naming_the_friction_takes_the_error_away():
+    case = fitted("coulomb_friction", motion="rich")
+    found = shown(case.experiment, case.before, case.after)
+    pressure = found["pressure_1"]
+    assert pressure.before_rms > 8 * pressure.noise_rms
+    assert pressure.after_rms < 1.15 * pressure.noise_rms
+    assert pressure.before_whiteness > 3.0 > 1.5 > pressure.after_whiteness
+    assert found["position"].before_rms > 2 * found["position"].after_rms
+    assert found["position"].unit == "m"
+
+
+def test_windows_lie_in_what_was_held_out():
+    case = fitted("coulomb_friction", motion="rich")
+    windows = windows_of(case.experiment, 0.5)
+    assert len(windows) == 8  # a second of every five
+    runs = free_runs(case.experiment, case.before)
+    covered = np.isfinite(runs.e[0][:, 0])
+    assert (covered == case.experiment.stretches[0].held_out).all()
+    assert len(runs.residual(0)) == 4000
+
+
+def test_the_fit_does_not_see_what_is_held_out_and_the_proof_does():
+    case = fitted("coulomb_friction")
+    stretch, = case.experiment.stretches
+    assert not (stretch.held_out & stretch.counted).any()
+    z = stretch.z.copy()
+    late = np.flatnonzero(stretch.held_out)
+    z[late[len(late) // 4 :]] *= 1.3
+    changed = case.experiment.only((replace(stretch, z=z),))
+    one = refine(case.experiment, case.before, 3)
+    other = refine(changed, case.before, 3)
+    assert (one.theta == other.theta).all()
+    assert one.log_likelihood == other.log_likelihood
+    was = shown(case.experiment, case.before, case.after)
+    now = shown(changed, case.before, case.after)
+    assert now["position"].after_rms > 10 * was["position"].after_rms
+
+
+def test_another_recording_is_unseen_as_a_whole():
+    case, other = fitted("coulomb_friction"), fitted("coulomb_friction", told=False, seed=4)
+    unseen = experiment_of([other.recording], case.experiment.settings, False)
+    found = shown(unseen, case.before, case.after)
+    assert found["pressure_1"].after_rms < 1.3 * found["pressure_1"].noise_rms
+    assert found["pressure_1"].before_rms > 3 * found["pressure_1"].noise_rms
+    runs = free_runs(unseen, case.after)
+    assert len(runs.residual(0)) > 5000
+
+
+def test_overlays_show_the_worst_second_of_unseen_data():
+    case = fitted("coulomb_friction", motion="rich")
+    found = overlays(case.experiment, case.before, case.after)
+    assert [one.signal for one in found] == ["position", "pressure_1", "pressure_2", "pump_speed"]
+    for one in found:
+        assert len(one.time) == len(one.measured) == len(one.before) == len(one.after) == 1000
+        assert ((np.mod(one.time, 5.0) >= 3.999) | (one.time < 1e-9)).all()
+        worse = np.sqrt(np.mean((one.measured - one.before) ** 2))
+        better = np.sqrt(np.mean((one.measured - one.after) ** 2))
+        assert worse > better
+
+
+def test_parts_agree_once_the_friction_is_named():
+    case = fitted("coulomb_friction", motion="rich")
+    parts = {one.part: one for one in agreement(case.experiment, case.before, case.after)}
+    assert set(parts) == {"slow half", "fast half", "small pressure differences",
+                          "large pressure differences"}
+    slow, fast = parts["slow half"], parts["fast half"]
+    # 40 N at a low speed look like more damping than at a high one.
+    assert slow.before["B"].value > fast.before["B"].value + 200.0
+    for one in parts.values():
+        assert one.after["B"].value == pytest.approx(600.0, rel=0.03)
+        assert one.after["beta_e"].value == pytest.approx(6e8, rel=0.01)
+        assert one.after["B"].unit == "N·s/m"
+
+
+def forced(friction: float, seconds: float = 12.0):
+    """Return a mass on a damper, driven by a force, by exact steps far finer than the samples."""
+    mass, b, fine = 20.0, 100.0, 10
+    t = np.arange(round(seconds * 1e3) * fine) / (1e3 * fine)
+    force = 120.0 * np.sin(2 * np.pi * 0.7 * t) + 40.0 * np.sin(2 * np.pi * 2.3 * t)
+    x, v, h = np.zeros(len(t)), 0.0, t[1]
+    for k in range(len(t) - 1):
+        v += h * (force[k] - b * v - friction * np.tanh(v / 1e-3)) / mass
+        x[k + 1] = x[k] + h * v
+    x = x[::fine] + np.random.default_rng(0).normal(0.0, 1e-6, len(t) // fine)
+    tree = {"rig": {"area_1": None, "area_2": None, "volume_1": None, "volume_2": None,
+                    "pump_displacement": None, "position_gain": None, "mass": mass,
+                    "viscous_damping": b, "sample_time": 1e-3}}
+    settings = settings_from_tree({"/**": {"ros__parameters": tree}}, "forced")
+    return experiment_of([Recording(1e-3, {"x": x, "force": force[::fine]})], settings)
+
+
+def test_force_residual_of_a_mass_on_a_damper():
+    clean = forced(0.0)
+    residual, force = force_residual(clean, first_fit(clean))
+    assert force == pytest.approx(np.hypot(120.0, 40.0) / np.sqrt(2.0), rel=0.1)
+    assert residual < 0.01 * force
+    dry = forced(10.0)
+    found = shown(dry, first_fit(dry), None)
+    assert found["force"].unit == "N"
+    assert 2.0 < found["force"].before_rms < 8.0  # 10 N, of which the damping takes a part
+
+
+@pytest.mark.skipif(not EMPS.exists(), reason=f"no {EMPS.name} in ../shared/data")
+def test_force_residual_of_emps_is_below_the_published_one(tmp_path):
+    from eha_monitor.recordings.importing import import_file
+    from eha_monitor.recordings.read import read_recording
+    from eha_monitor.settings import load_settings
+
+    import_file(EMPS, CONFIG, tmp_path / "emps")
+    settings = load_settings(CONFIG)
+    settings = settings.model_copy(update={"effects": {
+        "coulomb_friction": {"F_c": 20.39, "v_e": 2e-4, "z_0": 1e-5, "t_1": 0.0},
+        "constant_load": {"F_0": -3.16}}})
+    experiment = experiment_of([read_recording(tmp_path / "emps", settings)], settings)
+    residual, force = force_residual(experiment, first_fit(experiment))
+    assert residual < 0.045 * force
