@@ -16,6 +16,7 @@ from eha_monitor.commands.diagnose import diagnose
 from eha_monitor.commands.estimate import estimate
 from eha_monitor.commands.files import config, import_table, simulate
 from eha_monitor.commands.live import monitor, record, replay, simulator
+from eha_monitor.commands.prove import prove
 from eha_monitor.errors import InputError
 
 BAD_INPUT, DEFECT, INTERRUPTED, BROKEN_PIPE = 2, 70, 130, 141
@@ -45,7 +46,7 @@ def cli(context: click.Context) -> None:
 
 
 for _command in (simulator, monitor, replay, record, simulate, estimate, diagnose,
-                 import_table, config):
+                 prove, import_table, config):
     cli.add_command(_command)
 
 

@@ -12,7 +12,13 @@ import math
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.physics.contributions import circuit_of, with_term, with_update
+from eha_monitor.physics.contributions import (
+    circuit_of,
+    shift_memory,
+    with_place,
+    with_term,
+    with_update,
+)
 from eha_monitor.physics.plant import (
     N_OUTPUTS,
     RING,
@@ -53,7 +59,7 @@ def innovate(z, u, p1, p2, mode, dt, steps, theta, active, gains, decay, y, memo
     """
     n = z.shape[0]
     w = circuit_of(theta, active)
-    terms, updates = with_term(active), with_update(active)
+    terms, updates, places = with_term(active), with_update(active), with_place(active)
     c, s = np.zeros(N_CONTRIBUTIONS), np.zeros(N_SIGNALS)
     shown = np.zeros(N_OUTPUTS)
     last = 0
@@ -67,6 +73,7 @@ def innovate(z, u, p1, p2, mode, dt, steps, theta, active, gains, decay, y, memo
             sense(y, t, h, past, last, w, shown)
             shown[4] = speed_now(y, u, 1, k, dt, steps, mode == CLOSED, theta, w, past, last)[1]
         gain = gains[min(k, gains.shape[0] - 1)]
+        predicted = y[Y_X]
         for j in range(N_OUTPUTS):
             difference = z[k, j] - shown[j]
             e[k, j] = difference
@@ -76,6 +83,7 @@ def innovate(z, u, p1, p2, mode, dt, steps, theta, active, gains, decay, y, memo
         if not math.isfinite(y[0]):
             e[k:] = 1e30
             return
+        shift_memory(places, y[Y_X] - predicted, memory)
         for j in range(4):
             past[last, j] = y[j]
         if states.shape[0]:

@@ -1,13 +1,16 @@
 """The model with the named physics: its parameters, its config, what it says about health."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from eha_monitor.mismatch.diagnosis import NamedEffect, Value
 from eha_monitor.mismatch.experiment import Experiment
-from eha_monitor.mismatch.fit import Fit
+from eha_monitor.mismatch.fit import Fit, sensitivities, step_of, whitener
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
 
+BLOCK = 0.5  # s
 COARSE = 3.0  # times the configured noise: an encoder step that the config does not know
 NOTABLE = 0.02  # relative change of a health parameter that is worth a sentence
 
@@ -18,30 +21,42 @@ def values_of(experiment: Experiment, fit: Fit) -> dict[str, Value]:
     known = {f.name for f in fit.free}
     found = {}
     if "B" in known:
-        found["B"] = Value(fit.value("B"), honest(fit, "B"), unit)
+        found["B"] = Value(fit.value("B"), fit.stddev("B"), unit)
     if "beta_e" in known:
-        found["beta_e"] = Value(fit.value("beta_e"), honest(fit, "beta_e"), "Pa")
+        found["beta_e"] = Value(fit.value("beta_e"), fit.stddev("beta_e"), "Pa")
     return found
 
 
-def honest(fit: Fit, name: str) -> float:
-    """Return a standard deviation that counts blocks of the record, not samples.
+def robust(experiment: Experiment, fit: Fit, block: float = BLOCK) -> Fit:
+    """Return a fit whose covariance counts blocks of the record, not samples.
 
-    Where a model is not exact, innovations stay alike for a while and the samples are not
-    independent; the variance of block sums tells by how much.
+    Where a model is not exact to the last newton, its innovations pull the parameters one way in
+    one part of the record and another way in the next.  With slopes d_b and innovations r_b of
+    block b the covariance is H^-1 (sum g_b g_b') H^-1, g_b = d_b r_b (White 1982); the larger of
+    this and the usual H^-1 is kept for each parameter.
+
+    Parameters
+    ----------
+    block : length of a block, s.
     """
-    return fit.stddev(name) * np.sqrt(inflation(fit))
-
-
-def inflation(fit: Fit, length: int = 50) -> float:
-    """Return the largest variance ratio of block sums over the channels, at least 1."""
-    blocks = len(fit.e) // length
-    if blocks < 20:
-        return 1.0
-    e = np.nan_to_num(fit.e[: blocks * length])
-    sums = e.reshape(blocks, length, -1).sum(axis=1)
-    ratio = sums.var(axis=0) / np.maximum(length * e.var(axis=0), 1e-300)
-    return float(max(1.0, ratio.max()))
+    if not fit.free:
+        return fit
+    w = whitener(fit.s)
+    white = np.nan_to_num(fit.e) @ w.T
+    slopes = sensitivities(experiment, fit.theta, fit.active, fit.gains, fit.e,
+                           [step_of(f, fit.theta) for f in fit.free])
+    d = np.stack([np.nan_to_num(slope) @ w.T for slope in slopes])
+    length = max(1, round(block / experiment.dt))
+    count = max(1, white.shape[0] // length)
+    pulls = np.stack([np.einsum("kic,ic->k", part, r) for part, r in zip(
+        np.array_split(d, count, axis=1), np.array_split(white, count, axis=0), strict=True)])
+    pulls = pulls - pulls.mean(axis=0)
+    weight = np.diag([f.spread**-2.0 for f in fit.free])
+    bread = np.linalg.pinv(np.einsum("kic,lic->kl", d, d) + weight, hermitian=True)
+    meat = pulls.T @ pulls * count / max(count - len(fit.free), 1)
+    sandwich = bread @ meat @ bread
+    scale = np.sqrt(np.maximum(np.diag(sandwich) / np.maximum(np.diag(bread), 1e-300), 1.0))
+    return replace(fit, covariance=bread * np.outer(scale, scale))
 
 
 def config_effects(experiment: Experiment, fit: Fit) -> dict[str, dict[str, float]]:

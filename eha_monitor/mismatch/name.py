@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,7 +18,13 @@ from eha_monitor.mismatch.diagnosis import (
 )
 from eha_monitor.mismatch.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.fit import Fit
-from eha_monitor.mismatch.model import config_effects, health_sentences, quantised, values_of
+from eha_monitor.mismatch.model import (
+    config_effects,
+    health_sentences,
+    quantised,
+    robust,
+    values_of,
+)
 from eha_monitor.mismatch.search import THRESHOLD, first_fit, limits_of
 from eha_monitor.mismatch.sizes import size_of
 from eha_monitor.physics.effects import CATALOGUE
@@ -112,6 +119,8 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming,
              calibration: Calibration | None, bags: tuple[str, ...], duration: float,
              started: float, other_bag: bool) -> Diagnosis:
     """Put the answer together."""
+    naming = replace(naming, before=robust(experiment, naming.before),
+                     after=robust(experiment, naming.after))
     before, after = naming.before, naming.after
     verdict, explained = verdict_of(experiment, naming, calibration)
     effects = tuple(named_effect(experiment, naming, name) for name in sorted(

@@ -14,6 +14,7 @@ N_THETA = N_BASE + N_EFFECTS * MAX_PARAMETERS
 _EFFECTS = tuple(CATALOGUE.values())
 _HAS_TERM = np.array([effect.term is not no_term for effect in _EFFECTS])
 _HAS_UPDATE = np.array([effect.update is not no_update for effect in _EFFECTS])
+_HAS_PLACE = np.array([effect.remembers_place for effect in _EFFECTS])
 _HAS_CIRCUIT = np.array([effect.circuit is not no_circuit for effect in _EFFECTS])
 
 
@@ -61,6 +62,19 @@ def with_term(active):
 def with_update(active):
     """Return the places of the active effects that remember, ascending."""
     return np.flatnonzero(active & _HAS_UPDATE)
+
+
+@njit
+def with_place(active):
+    """Return the places of the active effects whose memory holds a position, ascending."""
+    return np.flatnonzero(active & _HAS_PLACE)
+
+
+@njit(forceinline=True)
+def shift_memory(places, by, memory):
+    """Move remembered positions by ``by`` m: a filter has corrected the position, nothing slid."""
+    for which in places:
+        memory[which, 1] += by
 
 
 @njit(forceinline=True)

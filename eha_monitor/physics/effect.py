@@ -100,6 +100,7 @@ class Effect:
     update : compiled ``update(s, p, h, m)``; carries the memory ``m`` over an integration step of
         ``h`` seconds that has ended at the signals ``s``.  A new memory is all zero.
     circuit : compiled ``circuit(p, w)``; adds to the constants ``w`` of drive and sensors.
+    remembers_place : m[1] is a position; it moves along when a filter corrects the position.
     contains : simpler effects that are a special case of this one.
     family : effects of one family explain one another's errors of form ("dry" friction); two of
         them are named only where the second one is large.
@@ -119,6 +120,7 @@ class Effect:
     term: Callable = no_term
     update: Callable = no_update
     circuit: Callable = no_circuit
+    remembers_place: bool = False
     contains: tuple[str, ...] = ()
     family: str = ""
     rarity: int = 1

@@ -62,5 +62,6 @@ EFFECT = Effect(
     starts=lambda r: ({"F_c": 0.01 * r.force, "dF": 0.01 * r.force,
                        "dB": 0.01 * r.force / max(r.speed, 1e-6), **START},),
     contains=("coulomb_friction",),
+    remembers_place=True,
     family="dry",
 )

@@ -45,6 +45,7 @@ EFFECT = Effect(
     rig_check="Push the depressurised rod by hand with a spring balance: the force at which it "
     "keeps creeping is F_c.",
     starts=lambda r: ({"F_c": 0.01 * r.force, **START},),
+    remembers_place=True,
     family="dry",
     rarity=0,
 )

@@ -48,5 +48,6 @@ EFFECT = Effect(
     starts=lambda r: ({"F_c": 0.01 * r.force, **START, "z_0": 2e-5},
                       {"F_c": 0.01 * r.force, **START, "z_0": 1e-4}),
     contains=("coulomb_friction",),
+    remembers_place=True,
     family="dry",
 )

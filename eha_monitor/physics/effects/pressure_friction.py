@@ -53,5 +53,6 @@ EFFECT = Effect(
     rig_check="Raise the charge pressure at the same motion: the friction must rise in "
     "proportion.",
     starts=lambda r: ({"mu": 0.005 * r.force / max(r.mean_pressure, 1e3), **START},),
+    remembers_place=True,
     family="dry",
 )

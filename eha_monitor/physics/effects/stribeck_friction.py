@@ -75,5 +75,6 @@ EFFECT = Effect(
     "as the speed rises.",
     starts=starts,
     contains=("coulomb_friction",),
+    remembers_place=True,
     family="dry",
 )
