@@ -1,0 +1,349 @@
+"""The concealed-effect trial: recordings made, key sealed, diagnosed by others, opened, scored.
+
+The diagnosis of each case is a process of its own, the public ``diagnose`` command, under a guard
+(:mod:`eha_monitor.mismatch.prove_blind`) that lets it open its bag and its nominal config only.
+
+A trial's folder::
+
+    trial.json            seed, number of cases, digest of the draws, SHA-256 of the key
+    key/made/c001.json    what was concealed in a case, and the digest of its recording
+    key/key.json          all of these: the sealed key
+    recordings/c001       bag; c001.yaml its nominal config
+    answers/c001.json     what diagnose said; c001.run.json how it ran
+    oracles/c001.json     what a fit reaches that is told the effects
+    proof.json            the result
+"""
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+from eha_monitor.concealed.cases import Case, truth_of
+from eha_monitor.errors import InputError
+from eha_monitor.mismatch import prove_score as score
+from eha_monitor.mismatch.prove_curve import binned, curves_of
+from eha_monitor.output import write_text
+
+SCHEMA = "eha_monitor/proof/1"
+PACKAGE = Path(__file__).parents[1]
+ROOMS = ("physics", "filters", "mismatch", "recordings", "settings")  # what makes an answer
+LONGEST = 1800.0  # s that a diagnosis may take
+FEW = 4  # cases that are made without processes of their own
+KEEP = ("same", "all", "none")
+
+Report = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What is tried, and how.
+
+    Attributes
+    ----------
+    cases : what is concealed.
+    seed : of the draws.
+    work : folder of the trial.
+    oracle : also fit each case with a model that was told the effects.
+    jobs : processes at a time; each gets its share of the cores.
+    keep : which answers of an earlier run stay: of the ``same`` source, ``all``, ``none``.
+    calibration : let each diagnosis calibrate its threshold.
+    groups : case -> name of a group that is marked by itself.
+    """
+
+    cases: tuple[Case, ...]
+    seed: int
+    work: Path
+    oracle: bool = False
+    jobs: int = 0
+    keep: str = "same"
+    calibration: bool = True
+    groups: tuple[tuple[str, str], ...] = ()
+
+
+def prove(trial: Trial, announce: Callable[[str], None] = print,
+          progress: Report | None = None) -> dict:
+    """Run a trial, or what is left of it, and return its result.
+
+    Parameters
+    ----------
+    announce : told the key's SHA-256 before any recording is read.
+    progress : told what is done and how far it is, 0 to 1.
+
+    Raises
+    ------
+    InputError
+        If the folder holds another trial, or its key is not the one that was sealed.
+    """
+    say = progress or (lambda text, share: None)
+    started = time.perf_counter()
+    begin(trial)
+    made(trial, lambda text, share: say(text, 0.1 * share))
+    sealed = seal(trial)
+    announce(f"sealed key: SHA-256 {sealed}")
+    end = 0.75 if trial.oracle else 1.0
+    answer(trial, lambda text, share: say(text, 0.1 + (end - 0.1) * share))
+    key = opened(trial, sealed)
+    if trial.oracle:
+        ask_oracle(trial, lambda text, share: say(text, end + (1.0 - end) * share))
+    found = result(trial, key, sealed)
+    found["wall_s"] = time.perf_counter() - started
+    write_json(trial.work / "proof.json", found)
+    return found
+
+
+def begin(trial: Trial) -> None:
+    """Make the trial's folder, or check that it is this trial's."""
+    for name in ("", "key/made", "recordings", "answers", "oracles"):
+        (trial.work / name).mkdir(parents=True, exist_ok=True)
+    wanted = {"schema": "eha_monitor/trial/1", "seed": trial.seed, "cases": len(trial.cases),
+              "draws": digest_of(repr(trial.cases).encode())}
+    path = trial.work / "trial.json"
+    if not path.exists():
+        write_json(path, wanted)
+        return
+    there = read_json(path) or {}
+    for name, words in (("seed", "seed"), ("cases", "number of cases"),
+                        ("draws", "generator of cases")):
+        if there.get(name) != wanted[name]:
+            raise InputError(f"{path}: belongs to a trial with another {words} "
+                             f"({there.get(name)}), expected {wanted[name]}; name another "
+                             "folder for this one")
+
+
+def made(trial: Trial, say: Report) -> None:
+    """Write the recordings that are not there yet."""
+    todo = [case for case in trial.cases
+            if read_json(trial.work / "key" / "made" / f"{case.name}.json") is None]
+    jobs = min(jobs_of(trial), len(todo))
+    if len(todo) <= FEW or jobs < 2:
+        for i, case in enumerate(todo):
+            say(f"concealing, {i} of {len(todo)}", i / len(todo))
+            make(case, trial.work)
+        return
+    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+        futures = [pool.submit(make, case, trial.work) for case in todo]
+        for i, future in enumerate(as_completed(futures)):
+            future.result()
+            say(f"concealing, {i + 1} of {len(todo)}", (i + 1) / len(todo))
+
+
+def make(case: Case, work: Path) -> None:
+    """Write one recording with its nominal config, then what is true of it."""
+    from eha_monitor.concealed.generate import write_case
+
+    bag, config = write_case(case, work / "recordings")
+    truth = {
+        "case": case.name, **truth_of(case), "motion": case.motion, "noise": case.noise,
+        "channels": list(case.channels), "rig": case.rig, "nominal": case.nominal,
+        "seed": case.seed,
+        "recording_sha256": {path.name: digest_of(path.read_bytes())
+                             for path in sorted([*bag.iterdir(), config])},
+    }
+    write_json(work / "key" / "made" / f"{case.name}.json", truth)
+
+
+def seal(trial: Trial) -> str:
+    """Put the key together and return its SHA-256; an older one must be the same."""
+    path, about = trial.work / "key" / "key.json", trial.work / "trial.json"
+    there = read_json(about) or {}
+    if "sealed_key_sha256" not in there:
+        cases = [read_json(trial.work / "key" / "made" / f"{case.name}.json")
+                 for case in trial.cases]
+        write_json(path, {"schema": "eha_monitor/key/1", "seed": trial.seed, "cases": cases})
+        there["sealed_key_sha256"] = digest_of(path.read_bytes())
+        write_json(about, there)
+    opened(trial, there["sealed_key_sha256"])
+    return there["sealed_key_sha256"]
+
+
+def opened(trial: Trial, sealed: str) -> dict:
+    """Return the key, if it is still the one that was sealed."""
+    path = trial.work / "key" / "key.json"
+    try:
+        content = path.read_bytes()
+    except OSError as problem:
+        raise InputError(f"{path}: cannot read the key: {problem.strerror}") from problem
+    if digest_of(content) != sealed:
+        raise InputError(f"{path}: is not the key that was sealed: expected SHA-256 {sealed}, "
+                         f"got {digest_of(content)}")
+    return json.loads(content)
+
+
+def answer(trial: Trial, say: Report) -> None:
+    """Have every case diagnosed by a process that sees bag and nominal config only."""
+    source = source_digest()
+
+    def command(name: str) -> list[str]:
+        bag, config, answer = places(trial, name, "answers")
+        words = [sys.executable, "-m", "eha_monitor.mismatch.prove_blind", trial.work, bag,
+                 config, answer, "--", "diagnose", bag, "--config", config, "--json", answer]
+        return [*map(str, words), *([] if trial.calibration else ["--no-calibration"])]
+
+    children(trial, "answers", source, command, say, "diagnosing")
+
+
+def ask_oracle(trial: Trial, say: Report) -> None:
+    """Have every case fitted by a process that is told its effects."""
+    def command(name: str) -> list[str]:
+        bag, config, answer = places(trial, name, "oracles")
+        key = trial.work / "key" / "key.json"
+        return [*map(str, (sys.executable, "-m", "eha_monitor.mismatch.prove_oracle", key, name,
+                           bag, config, answer))]
+
+    children(trial, "oracles", source_digest(), command, say, "asking the oracle")
+
+
+def places(trial: Trial, name: str, folder: str) -> tuple[Path, Path, Path]:
+    """Return a case's bag, config and answer."""
+    recordings = trial.work / "recordings"
+    return recordings / name, recordings / f"{name}.yaml", trial.work / folder / f"{name}.json"
+
+
+def children(trial: Trial, folder: str, source: str, command: Callable[[str], list[str]],
+             say: Report, what: str) -> None:
+    """Run one process for each case without an answer, ``jobs`` at a time, each on its cores."""
+    todo = [case.name for case in trial.cases if not kept(trial, folder, case.name, source)]
+    jobs = max(1, min(jobs_of(trial), len(todo)))
+    cores = sorted(os.sched_getaffinity(0))
+    shares, running, stop = [cores[i::jobs] for i in range(jobs)], set(), threading.Event()
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(
+        [str(PACKAGE.parent), *filter(None, [os.environ.get("PYTHONPATH")])])}
+
+    def one(name: str) -> None:
+        if stop.is_set():
+            return
+        place = shares.pop()
+        os.sched_setaffinity(0, place)  # of this thread; its child inherits it
+        target = trial.work / folder / f"{name}.json"
+        target.unlink(missing_ok=True)
+        started = time.perf_counter()
+        child = subprocess.Popen(command(name), env=environment, stdout=subprocess.DEVNULL,
+                                 stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        running.add(child)
+        try:
+            complaint = child.communicate(timeout=LONGEST)[1].strip()
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.communicate()
+            complaint = f"took more than {LONGEST:.0f} s"
+        finally:
+            running.discard(child)
+            shares.append(place)
+        if stop.is_set():
+            return
+        fine = child.returncode == 0 and read_json(target) is not None
+        write_json(trial.work / folder / f"{name}.run.json", {
+            "status": child.returncode, "seconds": time.perf_counter() - started,
+            "source": source, "cores": len(place),
+            "error": "" if fine else (complaint.splitlines() or ["no answer"])[-1]})
+
+    with ThreadPoolExecutor(jobs) as pool:
+        futures = [pool.submit(one, name) for name in todo]
+        try:
+            for i, future in enumerate(as_completed(futures)):
+                future.result()
+                say(f"{what}, {i + 1} of {len(todo)}", (i + 1) / len(todo))
+        except BaseException:
+            stop.set()
+            for child in list(running):
+                child.terminate()
+            raise
+
+
+def kept(trial: Trial, folder: str, name: str, source: str) -> bool:
+    """Tell whether an answer is there that may stay."""
+    run = read_json(trial.work / folder / f"{name}.run.json") or {}
+    if trial.keep == "none" or run.get("status") != 0 or (
+            trial.keep == "same" and run.get("source") != source):
+        return False
+    return read_json(trial.work / folder / f"{name}.json") is not None
+
+
+def result(trial: Trial, key: dict, sealed: str) -> dict:
+    """Score the answers against the opened key; the contract's keys, then what extends it."""
+    rows, sources, groups = [], {}, dict(trial.groups)
+    for truth in key["cases"]:
+        name = truth["case"]
+        run = read_json(trial.work / "answers" / f"{name}.run.json") or {}
+        sources[run.get("source", "")] = sources.get(run.get("source", ""), 0) + 1
+        oracle = read_json(trial.work / "oracles" / f"{name}.json") if trial.oracle else None
+        rows.append(score.row_of({**truth, "group": groups.get(name)},
+                                 read_json(trial.work / "answers" / f"{name}.json"), oracle, run))
+    return {
+        "schema": SCHEMA, "sealed_key_sha256": sealed, "cases": len(rows),
+        "score": score.score_of(rows), "by_effect": score.by_effect(rows), "rows": rows,
+        "by_strength": score.by_group(
+            [row for row in rows if row["kind"] == "single"],
+            lambda row: score.bin_of(next(iter(row["strength"].values())))),
+        "by_kind": score.by_group(rows, lambda row: row["kind"]),
+        "by_motion": score.by_group(rows, lambda row: row["motion"]),
+        "by_noise": score.by_group(rows, lambda row: f"{row['noise']:g}"),
+        "by_channels": score.by_group(rows, lambda row: ", ".join(row["channels"])),
+        "confusion": score.confusion(rows), "detection": (detection := score.detection(rows)),
+        "detection_curves": curves_of(detection), "detection_bins": binned(detection),
+        "failed": sum(row["verdict"] == score.FAILED for row in rows),
+        "oracle": trial.oracle, "seed": trial.seed, "commit": commit(),
+        "sources": sources, "calibrated": trial.calibration,
+    }
+
+
+def jobs_of(trial: Trial) -> int:
+    """Return how many processes run at a time: as many as there are cores, unless told."""
+    return trial.jobs or len(os.sched_getaffinity(0))
+
+
+def source_digest() -> str:
+    """Return a digest of everything that has a part in an answer."""
+    digest = hashlib.sha256()
+    for room in ROOMS:
+        for path in sorted((PACKAGE / room).rglob("*.py")):
+            if path.name not in ("prove.py", "prove_score.py", "prove_curve.py"):
+                digest.update(str(path.relative_to(PACKAGE)).encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def commit() -> str | None:
+    """Return the commit of a checkout, with ``+`` where it was changed; None without one."""
+    def git(*words: str) -> str | None:
+        try:
+            done = subprocess.run(["git", "-C", str(PACKAGE), *words], capture_output=True,
+                                  text=True, timeout=20, check=True)
+        except (OSError, subprocess.SubprocessError):
+            return None
+        return done.stdout.strip()
+
+    head = git("rev-parse", "--short=12", "HEAD")
+    return f"{head}+" if head and git("status", "--porcelain", "--", ".") else head
+
+
+def digest_of(content: bytes) -> str:
+    """Return the SHA-256 in hexadecimal."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def read_json(path: Path) -> dict | None:
+    """Return what a JSON file holds; None where there is none that can be read."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
+def write_json(path: Path, content: dict) -> None:
+    """Write a JSON file whole."""
+    write_text(path, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
+
+
+def misses(found: dict) -> Sequence[dict]:
+    """Return the rows of a result that are neither exact nor in the declared class."""
+    return [row for row in found["rows"] if not row["within_class"]]

@@ -1,0 +1,149 @@
+"""The oracle of a trial: a fit that is told the concealed effects, for what can be reached.
+
+It runs as ``python -m eha_monitor.mismatch.prove_oracle KEY CASE BAG CONFIG ANSWER``, once the
+key is open.
+"""
+
+import json
+import math
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+
+from eha_monitor.mismatch import show
+from eha_monitor.mismatch.experiment import Experiment, experiment_of
+from eha_monitor.mismatch.fit import Fit, spread
+from eha_monitor.mismatch.screen import Start, possible, starts_of
+from eha_monitor.mismatch.search import (
+    first_fit,
+    from_prior,
+    near_prior,
+    settle,
+    with_effect,
+    without_effect,
+)
+from eha_monitor.output import write_text
+from eha_monitor.physics import signals as s
+from eha_monitor.physics.effects import CATALOGUE
+
+RESOLUTION = "position_quantisation"  # has no parameter that is fitted
+
+
+def oracle(experiment: Experiment, truth: dict) -> dict:
+    """Return what a fit reaches that knows which effects there are.
+
+    Parameters
+    ----------
+    experiment : the recording, with the same samples held out as in the diagnosis.
+    truth : the key's entry: ``effects`` with name and parameters, ``B``, ``beta_e``.
+
+    Returns
+    -------
+    dict
+        ``log_evidence`` effect -> log units lost without it; ``over_simpler`` effect -> log units
+        over the best effect that it contains; ``signals`` as in the answer of ``diagnose``.
+        Effects outside the catalogue are left out.
+    """
+    known = {one["name"]: one["parameters"] for one in truth["effects"]
+             if one["name"] in CATALOGUE}
+    names = tuple(name for name in known if name != RESOLUTION and possible(name, experiment))
+    first = first_fit(experiment)
+    after = told(experiment, first, {name: known[name] for name in names},
+                 {"B": truth["B"], "beta_e": truth["beta_e"]})
+    evidence, simpler = {}, {}
+    for name in names:
+        without = first if names == (name,) else settle(
+            experiment, without_effect(experiment, after, name), 1)
+        evidence[name] = after.log_likelihood - without.log_likelihood
+        beaten = [best_of(experiment, without, other, {}) for other in CATALOGUE[name].contains]
+        if beaten:
+            simpler[name] = after.log_likelihood - max(fit.log_likelihood for fit in beaten)
+    for name in known:
+        if name not in names:
+            evidence[name] = (rounding(experiment, known[name]["q"]) if name == RESOLUTION
+                              else 0.0)
+    signals = {name: asdict(fit) for name, fit in show.shown(experiment, first, after).items()}
+    values = {name: after.value(name) for name in ("B", "beta_e")
+              if any(f.name == name for f in after.free)}
+    return {"log_evidence": evidence, "over_simpler": simpler, "signals": signals,
+            "values": values}
+
+
+def told(experiment: Experiment, first: Fit, known: dict[str, dict], base: dict[str, float]
+         ) -> Fit:
+    """Return the best fit with these effects: from the key's values, and from the catalogue's."""
+    if not known:
+        return first
+    theta = first.theta.copy()
+    theta[s.B], theta[s.BETA_E] = base["B"], base["beta_e"]
+    at_key = replace(first, theta=theta)
+    for name, parameters in known.items():
+        at_key = entered_at(at_key, true_start(experiment, name, parameters))
+    found = [settle(experiment, at_key)]
+    fit, remaining = first, dict(known)
+    while remaining:
+        tried = [best_of(experiment, fit, name, parameters)
+                 for name, parameters in remaining.items()]
+        fit = max(tried, key=lambda one: one.log_likelihood)
+        del remaining[fit.named[-1]]
+    found.append(fit)
+    return max(found, key=lambda one: one.log_likelihood)
+
+
+def best_of(experiment: Experiment, fit: Fit, name: str, parameters: dict) -> Fit:
+    """Return a fit with one more effect, the best over its starts."""
+    starts = starts_of(name, experiment)
+    if parameters:
+        starts.append(true_start(experiment, name, parameters))
+    origins = [fit] if near_prior(fit) else [fit, from_prior(fit)]
+    quick = spread(lambda task: settle(experiment, entered_at(*task), 1, 3, False, 1.0),
+                   [(origin, start) for origin in origins for start in starts])
+    return settle(experiment, max(quick, key=lambda one: one.log_likelihood))
+
+
+def entered_at(fit: Fit, start: Start) -> Fit:
+    """Return a fit with an effect at its start, not refitted."""
+    return with_effect(fit, start, (1.0,) * len(CATALOGUE[start.effect].sizes))
+
+
+def true_start(experiment: Experiment, name: str, parameters: dict) -> Start:
+    """Return the catalogue's start with the key's values where both have the symbol."""
+    start = starts_of(name, experiment)[0]
+    bounds = {p.name: p for p in CATALOGUE[name].parameters}
+
+    def value(symbol: str, own: float) -> float:
+        given = parameters.get(symbol)
+        if not isinstance(given, int | float) or not math.isfinite(given):
+            return own
+        return min(max(float(given), bounds[symbol].lower), bounds[symbol].upper)
+
+    return replace(start, values=tuple((symbol, value(symbol, own))
+                                       for symbol, own in start.values))
+
+
+def rounding(experiment: Experiment, step: float) -> float:
+    """Return the evidence of a resolution of ``step`` m against the configured noise."""
+    level = experiment.settings.noise.position
+    return float(experiment.n * np.log(np.hypot(level, step / np.sqrt(12.0)) / level))
+
+
+def main(arguments: list[str]) -> None:
+    """Answer for one case."""
+    from eha_monitor.recordings.read import read_recording
+    from eha_monitor.settings import load_settings
+
+    key, case, bag, config, answer = arguments
+    truth = next(one for one in json.loads(Path(key).read_text(encoding="utf-8"))["cases"]
+                 if one["case"] == case)
+    settings = load_settings(Path(config))
+    experiment = experiment_of([read_recording(Path(bag), settings)], settings)
+    found = oracle(experiment, truth)
+    text = json.dumps(found, indent=1)
+    write_text(Path(answer), text.replace("-Infinity", "null").replace("Infinity", "null")
+               .replace("NaN", "null") + "\n")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,330 @@
+"""Marks of a trial: what was concealed against what was said.  docs/proof.md defines each mark."""
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Sequence
+
+LARGEST_CLASS = 3  # members of a declared class: the name and at most two rivals
+DETECTABLE = 20.0  # log units that an oracle gains: less need not be found
+JUST = 10.0  # log units: what an oracle can just detect
+CLOSE, BASE_CLOSE, SIGMAS = 0.05, 0.02, 2.0
+NOTABLE = 0.05  # of the error before: an oracle that takes away less says nothing of a removal
+STRENGTHS = {"1": 0.55, "0.3": 0.12, "0.05": 0.0}  # name -> least strength of its bin
+TIMING = ("drive_lag", "command_delay", "feedback_delay")
+PLANT = ("force", "flow")
+# One thing where the mean pressure stays; these effects move it.
+SAME = ({"coulomb_friction", "pressure_friction"},)
+MEAN_PRESSURE = {"external_leakage", "anti_cavitation", "entrained_air",
+                 "position_dependent_volume", "sticking_check_valve"}
+CONTAINED = {"stribeck_friction": ("coulomb_friction",),
+             "asymmetric_friction": ("coulomb_friction",),
+             "presliding_friction": ("coulomb_friction",)}
+# Mark -> words, aim as text, aim as a number, whether more is better.
+MARKS = {
+    "exact": ("named exactly, with nothing added", "", None, True),
+    "within_class": ("named exactly or by a declared class of at most three", "", None, True),
+    "detectable_within_class": ("the same, where an oracle gains 20 log units on every effect",
+                                "at least 95 %", 0.95, True),
+    "located": ("right balance", "at least 98 %", 0.98, True),
+    "null_false_alarm": ("false alarm on clean recordings", "at most 0.5 %", 0.005, False),
+    "sensor_blamed_on_physics": ("sensor or timing blamed on the plant", "never", 0.0, False),
+    "outside_unexplained": ("outside the catalogue: unexplained, in the right place",
+                            "at least 90 %", 0.9, True),
+    "outside_confident_wrong": ("outside the catalogue: a confident wrong name", "at most 2 %",
+                                0.02, False),
+    "held_out_error_removed": ("of the removable error on unseen data, removed",
+                               "at least 90 %", 0.9, True),
+    "named_parameters_within_5_percent": ("parameters of named effects within 5 %", "", None,
+                                          True),
+    "base_parameters_within_2_percent": ("B and the bulk modulus within 2 %", "", None, True),
+    "parameters_inside_2_sigma": ("parameters inside their ± two standard deviations",
+                                  "at least 90 %", 0.9, True),
+}
+NONE, UNEXPLAINED, FAILED = "none", "unexplained", "failed"
+
+
+def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
+           run: dict | None = None) -> dict:
+    """Return the marks of one case.
+
+    Parameters
+    ----------
+    truth : its entry in the key.
+    answer : JSON of ``diagnose``; None where it failed.
+    oracle : what a fit reached that was told the effects.
+    run : how the diagnosis ran: ``seconds``, ``error``.
+    """
+    answer = answer or {"verdict": FAILED, "effects": [], "location": {"balance": {}},
+                        "fit": {"signals": {}}, "parameters": {"after": {}},
+                        "message": (run or {}).get("error") or "no answer"}
+    names = [one["name"] for one in truth["effects"]]
+    evidence = (oracle or {}).get("log_evidence", {})
+    catalogued = [one["name"] for one in truth["effects"] if one["in_catalogue"]]
+    outside = len(catalogued) < len(names)
+    known = [name for name in catalogued if not oracle or (evidence.get(name) or 0) >= DETECTABLE]
+    classes = {one["name"]: tuple(one["indistinguishable_from"]) for one in answer["effects"]}
+    accepted = {name: accepted_for(name, names, oracle) for name in catalogued}
+    pairs = matched(accepted, classes)
+    share = {name: value or 0.0 for name, value in answer["location"]["balance"].items()}
+    located = max(share, key=share.get) if any(share.values()) else ""
+    balances = {one["balance"] for one in truth["effects"]}
+    verdict, null = answer["verdict"], not names
+    place_right = located in balances
+    if null:
+        exact = within = verdict == "consistent" and not classes
+    elif outside:
+        right = verdict == UNEXPLAINED and place_right
+        exact, within = right and not set(classes) - set(names), right
+    else:
+        exact = set(classes) == set(names) and verdict == "mismatch"
+        nothing = not known and not classes
+        within = nothing or (verdict == "mismatch" and set(known) <= set(pairs)
+                             and set(classes) == set(pairs.values()))
+    lost = [one for one in truth["effects"] if one["name"] not in pairs
+            and (one["balance"] == "sensor" or one["name"] in TIMING)]
+    blaming = [one["name"] for one in answer["effects"]
+               if one["balance"] in PLANT and one["name"] not in pairs.values()]
+    before, after = errors(answer["fit"]["signals"])
+    _, reached = errors(oracle["signals"]) if oracle and catalogued else (None, None)
+    return {
+        "case": truth["case"], "truth": names, "named": list(classes), "located": located,
+        "before_rms": before, "after_rms": after, "oracle_rms": reached,
+        "kind": "outside" if outside else ("null", "single", "pair", "triple")[min(
+            len(names), 3)],
+        "verdict": verdict, "message": answer.get("message", ""),
+        "classes": {name: list(rivals) for name, rivals in classes.items()},
+        "pairs": pairs, "strength": {one["name"]: one["strength"] for one in truth["effects"]},
+        "log_evidence": evidence, "expected": known,
+        "detectable": (not oracle or len(known) == len(catalogued)) and not null,
+        "exact": exact, "within_class": within, "located_right": place_right,
+        "sensor_or_timing": any(one["balance"] == "sensor" or one["name"] in TIMING
+                                for one in truth["effects"]),
+        "sensor_blamed": bool(lost and blaming), "confident_wrong":
+            verdict == "mismatch" and bool(set(classes) - set(pairs.values())),
+        "removed": removed(before, after, reached),
+        "parameters": parameter_errors(truth, answer, pairs) if exact and not null else [],
+        "motion": truth.get("motion"), "noise": truth.get("noise"),
+        "channels": truth.get("channels"), "group": truth.get("group"),
+        "wall_s": answer.get("wall_s"), "seconds": (run or {}).get("seconds"),
+    }
+
+
+def accepted_for(name: str, names: Sequence[str], oracle: dict | None) -> set[str]:
+    """Return the names that are right for a concealed effect."""
+    right = {name}
+    if not MEAN_PRESSURE & set(names):
+        for group in SAME:
+            right |= group if name in group else set()
+    over = ((oracle or {}).get("over_simpler") or {}).get(name)
+    if over is not None and over < DETECTABLE:  # the simpler one says as much
+        right |= set(CONTAINED.get(name, ()))
+    return right
+
+
+def matched(accepted: dict[str, set[str]], classes: dict[str, tuple[str, ...]]) -> dict[str, str]:
+    """Return concealed effect -> named effect, each used once, as many as there can be.
+
+    A name stands for a concealed effect if it is right for it, or if its declared class of at
+    most three has a right one.
+    """
+    def stands(name: str, right: set[str]) -> bool:
+        members = {name, *classes[name]}
+        return name in right or (len(members) <= LARGEST_CLASS and bool(members & right))
+
+    def best(todo: list[str], free: list[str]) -> dict[str, str]:
+        if not todo:
+            return {}
+        first, rest = todo[0], todo[1:]
+        found = [{first: name, **best(rest, [other for other in free if other != name])}
+                 for name in sorted(free, key=lambda n: n != first)
+                 if stands(name, accepted[first])]
+        return max([*found, best(rest, free)], key=len)
+
+    return best(list(accepted), list(classes))
+
+
+def errors(signals: dict) -> tuple[float | None, float | None]:
+    """Return the free-run errors before and after, in units of the sensors' noise.
+
+    Root of the mean over the signals of (rms / noise) squared.
+    """
+    found = []
+    for moment in ("before_rms", "after_rms"):
+        squares = [(one[moment] / one["noise_rms"]) ** 2 for one in signals.values()
+                   if one.get(moment) is not None and one.get("noise_rms")]
+        found.append(math.sqrt(sum(squares) / len(squares)) if squares else None)
+    return found[0], found[1]
+
+
+def removed(before: float | None, after: float | None, reached: float | None) -> float | None:
+    """Return the share of the removable held-out error that was removed, 0 to 1.
+
+    Removable is what the oracle removes; without an oracle, all above the noise.
+    """
+    if before is None or after is None or not math.isfinite(before):
+        return None
+    floor = 1.0 if reached is None else reached
+    if before - floor < NOTABLE * before:
+        return None
+    return min(max((before - after) / (before - floor), 0.0), 1.0)
+
+
+def parameter_errors(truth: dict, answer: dict, pairs: dict[str, str]) -> list[dict]:
+    """Return for each parameter of key and answer its error: relative, and in its own sigmas."""
+    found = []
+    said = {one["name"]: one for one in answer["effects"]}
+    for one in truth["effects"]:
+        name = one["name"]
+        if pairs.get(name) != name or name not in said:
+            continue
+        numbers = {symbol: value for symbol, value in one["parameters"].items()
+                   if isinstance(value, int | float)}
+        for symbol, value in said[name]["parameters"].items():
+            if symbol not in numbers or value["value"] is None:
+                continue
+            stem = symbol.split("_")[0]  # b_1, b_2: a sound sensor is judged by the other's error
+            scale = max(abs(number) for other, number in numbers.items()
+                        if other.split("_")[0] == stem)
+            found.append(compared(f"{name}.{symbol}", numbers[symbol], value, scale))
+    for name in ("B", "beta_e"):
+        value = answer["parameters"]["after"].get(name)
+        if value and value.get("value") is not None:
+            found.append(compared(name, truth[name], value, abs(truth[name])))
+    return found
+
+
+def compared(name: str, true: float, said: dict, scale: float) -> dict:
+    """Return one parameter's truth, answer and errors."""
+    error, sigma = said["value"] - true, said.get("stddev") or 0.0
+    return {"name": name, "true": true, "said": said["value"], "stddev": sigma,
+            "relative": abs(error) / scale if scale else None,
+            "sigmas": abs(error) / sigma if sigma > 0 else None}
+
+
+def share(flags: Iterable[bool]) -> float | None:
+    """Return the share of true ones, None of nothing."""
+    flags = list(flags)
+    return sum(map(bool, flags)) / len(flags) if flags else None
+
+
+def score_of(rows: Sequence[dict]) -> dict:
+    """Return the marks of all cases together; None where no case tells."""
+    hidden = [row for row in rows if row["kind"] != "null"]
+    told = [row for row in hidden if row["kind"] == "outside" or row["expected"]]
+    able = [row for row in hidden if row["detectable"] and row["kind"] != "outside"]
+    outside = [row for row in rows if row["kind"] == "outside"]
+    gone = [row["removed"] for row in hidden
+            if row["kind"] != "outside" and row["removed"] is not None]
+    return {
+        "exact": share(row["exact"] for row in rows),
+        "within_class": share(row["within_class"] for row in rows),
+        "located": share(row["located_right"] for row in told),
+        "null_false_alarm": share(not row["exact"] for row in rows if row["kind"] == "null"),
+        "sensor_blamed_on_physics": share(row["sensor_blamed"] for row in rows
+                                          if row["sensor_or_timing"]),
+        "held_out_error_removed": sum(gone) / len(gone) if gone else None,
+        "detectable_exact": share(row["exact"] for row in able),
+        "detectable_within_class": share(row["within_class"] for row in able),
+        "outside_unexplained": share(row["within_class"] for row in outside),
+        "outside_confident_wrong": share(row["confident_wrong"] for row in outside),
+        **parameter_score(rows),
+    }
+
+
+def parameter_score(rows: Sequence[dict]) -> dict:
+    """Return how many parameters of exactly named cases are close, and inside their 2 sigma."""
+    every = [one for row in rows for one in row["parameters"]]
+    base = [one for one in every if one["name"] in ("B", "beta_e")]
+    own = [one for one in every if one["name"] not in ("B", "beta_e")]
+    return {
+        "named_parameters_within_5_percent": share(
+            one["relative"] <= CLOSE for one in own if one["relative"] is not None),
+        "base_parameters_within_2_percent": share(
+            one["relative"] <= BASE_CLOSE for one in base if one["relative"] is not None),
+        "parameters_inside_2_sigma": share(
+            one["sigmas"] <= SIGMAS for one in every if one["sigmas"] is not None),
+    }
+
+
+def bin_of(strength: float) -> str:
+    """Return the strength's bin: 1, 0.3 or 0.05."""
+    return next(name for name, least in STRENGTHS.items() if abs(strength) >= least)
+
+
+def by_effect(rows: Sequence[dict]) -> dict[str, dict]:
+    """Return for each concealed effect how often it was named, in sets as well as alone.
+
+    ``exact`` counts its own name, ``within_class`` also its declared class; ``detectable`` those
+    instances for which an oracle has enough evidence, ``found`` the share of them in the class.
+    """
+    found = {}
+    for name in sorted({name for row in rows for name in row["truth"]}):
+        mine = [row for row in rows if name in row["truth"]]
+        able = [row for row in mine if name in row["expected"]]
+        outside = not any(name in row["pairs"] or name in row["log_evidence"]
+                          or name in row["expected"] for row in mine)
+        found[name] = {
+            "n": len(mine),
+            "exact": share(row["exact"] if row["kind"] == "outside" else name in row["named"]
+                           for row in mine),
+            "within_class": share(row["within_class"] if row["kind"] == "outside"
+                                  else name in row["pairs"] for row in mine),
+            "detectable": len(able),
+            "found": share(name in row["pairs"] for row in able),
+            "outside": outside and all(row["kind"] == "outside" for row in mine),
+        }
+    return found
+
+
+def by_group(rows: Sequence[dict], group) -> dict[str, dict]:
+    """Return the main marks of the rows by what ``group(row)`` says."""
+    names = dict.fromkeys(str(group(row)) for row in rows)
+    found = {}
+    for name in names:
+        mine = [row for row in rows if str(group(row)) == name]
+        able = [row for row in mine if row["detectable"]]
+        found[name] = {"n": len(mine), "exact": share(row["exact"] for row in mine),
+                       "within_class": share(row["within_class"] for row in mine),
+                       "detectable": len(able),
+                       "detectable_within_class": share(row["within_class"] for row in able)}
+    return found
+
+
+def confusion(rows: Sequence[dict]) -> dict[str, dict[str, int]]:
+    """Return concealed effect -> what was said instead of it -> how often.
+
+    A found effect counts under its own name, or under the name whose class has it.  One that was
+    not found counts under each name that stands for nothing, else under ``unexplained`` or
+    ``none``.  The row ``none`` holds what was named on clean recordings and beside complete sets.
+    """
+    table: dict[str, Counter] = {}
+    for row in rows:
+        spare = [name for name in row["named"] if name not in row["pairs"].values()]
+        empty = {FAILED: FAILED, UNEXPLAINED: UNEXPLAINED}.get(row["verdict"], NONE)
+        lost = [name for name in row["truth"] if name not in row["pairs"]]
+        for name in row["truth"]:
+            said = [row["pairs"][name]] if name in row["pairs"] else spare or [empty]
+            table.setdefault(name, Counter()).update(said)
+        if not lost:
+            said = spare or ([empty] if not row["truth"] else [])
+            if said:
+                table.setdefault(NONE, Counter()).update(said)
+    return {name: dict(counts.most_common()) for name, counts in sorted(table.items())}
+
+
+def detection(rows: Sequence[dict]) -> list[dict]:
+    """Return the single effects with their strength in units of what an oracle just detects."""
+    found = []
+    for row in rows:
+        if row["kind"] != "single":
+            continue
+        name = row["truth"][0]
+        gain = row["log_evidence"].get(name)
+        found.append({
+            "case": row["case"], "effect": name, "strength": abs(row["strength"][name]),
+            "units": math.sqrt(max(gain, 0.0) / JUST) if gain is not None else None,
+            "said": ("exact" if row["exact"] else "class" if name in row["pairs"]
+                     and not row["confident_wrong"] else "wrong" if row["named"] else
+                     "unexplained" if row["verdict"] == UNEXPLAINED else "nothing"),
+        })
+    return found

@@ -1,0 +1,142 @@
+"""The HTML report of ``prove``: marks, detection, confusion, and every miss with its picture."""
+
+from pathlib import Path
+
+from eha_monitor.mismatch.prove import misses, read_json
+from eha_monitor.mismatch.prove_score import MARKS
+from eha_monitor.output import write_text
+from eha_monitor.reports.diagnosis_words import effect_words
+from eha_monitor.reports.page import render
+from eha_monitor.reports.proof_figures import curve_of_all, detection_picture, missing_term
+
+GROUPS = {"by_kind": "effects in a recording", "by_strength": "strength (single effects)",
+          "by_motion": "motion", "by_noise": "noise, times the sensors' own",
+          "by_channels": "channels"}
+MOST_PICTURES = 80  # of misses; each is some 30 kB
+
+
+def write_proof_report(path: str | Path, found: dict, work: Path | None = None) -> None:
+    """Write the report of a trial as a single HTML file.
+
+    Parameters
+    ----------
+    path : file to write.
+    found : result of :func:`eha_monitor.mismatch.prove.prove`.
+    work : the trial's folder, for the curves of the misses.
+
+    Raises
+    ------
+    InputError
+        If ``path`` cannot be written.
+    """
+    write_text(path, proof_page(found, work))
+
+
+def proof_page(found: dict, work: Path | None = None) -> str:
+    """Return the report as HTML text."""
+    return render(
+        "proof.html.j2", title="EHA diagnosis: the concealed-effect trial",
+        heading=heading(found), marks=marks(found),
+        groups=[{"title": title, "rows": group_rows(found[name])}
+                for name, title in GROUPS.items() if found.get(name)],
+        pictures=[one for one in (detection_picture(found), curve_of_all(found)) if one],
+        units=bool(found["detection_curves"]),
+        effects=effect_rows(found), confusion=confusion_rows(found),
+        misses=miss_cards(found, work), cases=found["cases"])
+
+
+def percent(value: float | None) -> str:
+    """Return a share as text; a dash where nothing was judged."""
+    return "—" if value is None else f"{100 * value:.1f} %"
+
+
+def heading(found: dict) -> list[tuple[str, str]]:
+    """Return the facts at the head of the page."""
+    facts = [("Recordings", str(found["cases"])), ("Seed", str(found["seed"])),
+             ("Commit", found["commit"] or "not a checkout"),
+             ("SHA-256 of the sealed key", found["sealed_key_sha256"])]
+    facts.append(("Source of the answers", ", ".join(
+        f"{name or 'none'} ({count})" for name, count in found["sources"].items())))
+    facts.append(("Oracle", "asked" if found["oracle"] else "not asked"))
+    if found["failed"]:
+        facts.append(("Diagnoses that failed", str(found["failed"])))
+    return facts
+
+
+def marks(found: dict) -> list[dict]:
+    """Return the rows of the table of marks, each beside its aim."""
+    rows = []
+    for name, (words, aim, limit, more) in MARKS.items():
+        value = found["score"].get(name)
+        kind = ""
+        if value is not None and limit is not None:
+            kind = "good" if (value >= limit if more else value <= limit) else "poor"
+        rows.append({"name": name, "words": words, "value": percent(value), "aim": aim,
+                     "kind": kind})
+    return rows
+
+
+def group_rows(groups: dict) -> list[dict]:
+    """Return the rows of a table by group."""
+    return [{"name": name, "n": one["n"], "exact": percent(one["exact"]),
+             "within": percent(one["within_class"]), "detectable": one["detectable"],
+             "found": percent(one["detectable_within_class"])} for name, one in groups.items()]
+
+
+def effect_rows(found: dict) -> list[dict]:
+    """Return the rows of the table by effect."""
+    curves = found["detection_curves"]
+    return [{"name": name, "n": one["n"], "exact": percent(one["exact"]),
+             "within": percent(one["within_class"]), "detectable": one["detectable"],
+             "found": percent(one["found"]),
+             "point": f"{curves[name]['point_95']:.2g}" if name in curves else "—"}
+            for name, one in found["by_effect"].items()]
+
+
+def confusion_rows(found: dict) -> list[dict]:
+    """Return what was said of each effect, its own name apart from the others."""
+    return [{"name": name, "n": sum(said.values()), "own": said.get(name, 0),
+             "others": ", ".join(f"{other} {count}" for other, count in said.items()
+                                 if other != name)}
+            for name, said in found["confusion"].items()]
+
+
+def miss_cards(found: dict, work: Path | None) -> list[dict]:
+    """Return the misses, the ones with most evidence first."""
+    cards = []
+    rows = sorted(misses(found), key=lambda row: -sum(
+        value or 0.0 for value in row["log_evidence"].values()))
+    for row in rows:
+        answer = read_json(work / "answers" / f"{row['case']}.json") if work else None
+        drawn = len(cards) < MOST_PICTURES
+        cards.append({
+            "case": row["case"], "truth": [truth_words(row, name) for name in row["truth"]]
+            or ["nothing: a clean recording"],
+            "said": said_words(row), "message": row["message"],
+            "place": row["located"] or "nowhere",
+            "place_right": row["located_right"] or not row["truth"],
+            "setting": ", ".join([str(row["motion"]), f"noise × {row['noise']:g}",
+                                  " ".join(row["channels"] or ())]),
+            "picture": missing_term(answer) if drawn else None,
+        })
+    return cards
+
+
+def truth_words(row: dict, name: str) -> str:
+    """Return a concealed effect in words: name, strength, evidence."""
+    words = f"{effect_words(name)} at strength {abs(row['strength'][name]):.3g}"
+    gain = row["log_evidence"].get(name)
+    if gain is not None:
+        words += f", {gain:.3g} log units for an oracle"
+    return words + (": found" if name in row["pairs"] else "")
+
+
+def said_words(row: dict) -> str:
+    """Return what was said, with the declared classes."""
+    if not row["named"]:
+        return row["verdict"].replace("_", " ")
+    named = "; ".join(effect_words(name) + (
+        f" (or {', '.join(map(effect_words, rivals))})" if rivals else "")
+        for name, rivals in row["classes"].items())
+    return named if row["verdict"] == "mismatch" else f"{row['verdict']}, with {named}"
+

@@ -1,0 +1,283 @@
+"""The concealed-effect trial: sealed, blind, resumable, and marked as docs/proof.md says."""
+
+import hashlib
+import json
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from eha_monitor.cli import main
+from eha_monitor.concealed.cases import Case
+from eha_monitor.errors import InputError
+from eha_monitor.mismatch import prove_score as score
+from eha_monitor.mismatch.prove import Trial, prove
+from eha_monitor.mismatch.prove_curve import binned, curve_of, curves_of
+from eha_monitor.reports.proof_report import proof_page
+
+ROOT = Path(__file__).parents[1]
+CASES = (Case("c001", (("coulomb_friction", 1.0),), motion="short", seed=11),
+         Case("c002", motion="short", seed=12),
+         Case("c003", (("position_delay", 1.0),), motion="short", seed=13))
+
+
+@pytest.fixture(scope="module")
+def trial(tmp_path_factory):
+    return Trial(CASES, 4, tmp_path_factory.mktemp("trial"), calibration=False)
+
+
+@pytest.fixture(scope="module")
+def done(trial):
+    told, moments = [], []
+
+    def announce(text):
+        told.append(text)
+        moments.append(sorted(path.name for path in (trial.work / "answers").iterdir()))
+
+    return prove(trial, announce), told, moments
+
+
+def test_key_is_sealed_before_any_recording_is_read(trial, done):
+    found, told, moments = done
+    assert told == [f"sealed key: SHA-256 {found['sealed_key_sha256']}"]
+    assert moments == [[]], "an answer was there before the key was sealed"
+    content = (trial.work / "key" / "key.json").read_bytes()
+    assert hashlib.sha256(content).hexdigest() == found["sealed_key_sha256"]
+    for case in json.loads(content)["cases"]:  # the key holds the recordings fast as well
+        bag = trial.work / "recordings" / case["case"]
+        for path in [*bag.iterdir(), bag.with_suffix(".yaml")]:
+            digest = hashlib.sha256(path.read_bytes()).hexdigest()
+            assert digest == case["recording_sha256"][path.name]
+
+
+def test_result_is_the_contracts(done):
+    found, _, _ = done
+    assert found["schema"] == "eha_monitor/proof/1" and found["cases"] == 3
+    assert not found["failed"], [row["message"] for row in found["rows"]]
+    for mark in ("exact", "within_class", "located", "null_false_alarm",
+                 "sensor_blamed_on_physics", "held_out_error_removed"):
+        assert 0 <= found["score"][mark] <= 1
+    rows = {row["case"]: row for row in found["rows"]}
+    assert set(rows["c001"]) >= {"case", "truth", "named", "located", "before_rms", "after_rms",
+                                 "oracle_rms"}
+    assert rows["c001"]["truth"] == ["coulomb_friction"]
+    assert rows["c001"]["located"] == "force" and rows["c001"]["within_class"]
+    assert rows["c001"]["after_rms"] < 0.2 * rows["c001"]["before_rms"]
+    assert rows["c002"]["exact"] and rows["c003"]["truth"] == ["position_delay"]
+    assert found["by_effect"]["coulomb_friction"]["n"] == 1
+
+
+def test_nothing_that_is_there_is_done_again(trial, done):
+    answers = {name: trial.work / "answers" / f"{name}.json" for name in ("c001", "c002")}
+    stamps = {name: path.stat().st_mtime_ns for name, path in answers.items()}
+    answers["c002"].unlink()
+    shares = []
+    again = prove(replace(trial, keep="all"), lambda text: None,
+                  lambda text, share: shares.append((text, share)))
+    assert [text for text, _ in shares if "diagnosing" in text] == ["diagnosing, 1 of 1"]
+    assert answers["c001"].stat().st_mtime_ns == stamps["c001"]
+    assert answers["c002"].stat().st_mtime_ns > stamps["c002"]
+    assert again["score"] == done[0]["score"]
+
+
+@pytest.mark.parametrize(("change", "words"), [
+    ({"seed": 5}, "another seed (4), expected 5"),
+    ({"cases": CASES[:2]}, "another number of cases (3), expected 2"),
+    ({"cases": (CASES[0], CASES[1], replace(CASES[2], seed=1))}, "another generator of cases"),
+])
+def test_another_trials_folder_is_refused(trial, done, change, words):
+    with pytest.raises(InputError, match=re.escape(words)):
+        prove(replace(trial, **change))
+
+
+def test_an_opened_key_must_be_the_sealed_one(trial, done):
+    path = trial.work / "key" / "key.json"
+    content = path.read_text()
+    path.write_text(content.replace("coulomb_friction", "stribeck_friction"))
+    try:
+        with pytest.raises(InputError, match="is not the key that was sealed"):
+            prove(trial)
+    finally:
+        path.write_text(content)
+
+
+def test_command_refuses_another_seed_in_one_line(trial, done, capsys):
+    assert main(["prove", "--cases", "3", "--seed", "9", "--work", str(trial.work)]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and "belongs to a trial with another seed (4), expected 9" in err
+
+
+def test_report_shows_marks_hash_and_misses(trial, done):
+    found, _, _ = done
+    missed = dict(found["rows"][0], exact=False, within_class=False, named=["spring_load"],
+                  classes={"spring_load": []}, pairs={}, verdict="mismatch")
+    rest = [dict(row, within_class=True) for row in found["rows"][1:]]
+    page = proof_page({**found, "rows": [missed, *rest]}, trial.work)
+    assert found["sealed_key_sha256"] in page and 'data-mark="exact"' in page
+    assert "Misses: 1 of 3" in page and "spring load" in page and "data:image/png" in page
+    assert "http" not in re.sub(r"<meta[^>]*>", "", page)
+
+
+def blind(trial: Path, allowed: Path, code: str) -> subprocess.CompletedProcess:
+    guarded = (f"import sys; from eha_monitor.mismatch.prove_blind import guard;"
+               f"sys.addaudithook(guard({str(trial)!r}, [{str(allowed)!r}])); {code}")
+    return subprocess.run([sys.executable, "-c", guarded], capture_output=True, text=True,
+                          timeout=60, cwd=ROOT)
+
+
+def test_a_diagnosis_sees_its_own_recording_and_nothing_else(tmp_path):
+    own, key = tmp_path / "recordings" / "c001", tmp_path / "key" / "key.json"
+    for path in (own / "a", key, tmp_path / "recordings" / "c001.key"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("seen")
+    (tmp_path / "way_round").symlink_to(key)
+    good = blind(tmp_path, own, f"print(open({str(own / 'a')!r}).read())")
+    assert good.stdout == "seen\n", good.stderr
+    for code in (f"open({str(key)!r})", f"import os; os.open({str(key)!r}, 0)",
+                 f"open({str(tmp_path / 'way_round')!r})",
+                 f"open({str(own / '..' / '..' / 'key' / 'key.json')!r})",
+                 f"open({str(tmp_path / 'recordings' / 'c001.key')!r})",
+                 f"import os; os.listdir({str(tmp_path)!r})",
+                 f"import os; os.chdir({str(tmp_path / 'key')!r})",
+                 "import os; os.system('true')",
+                 "import subprocess; subprocess.run(['true'])",
+                 "import eha_monitor.concealed.draws"):
+        bad = blind(tmp_path, own, code)
+        assert bad.returncode == 1 and "PermissionError" in bad.stderr, code
+
+
+# Marks, by hand.
+
+def concealed(*effects, outside=()) -> dict:
+    """Return a key's entry: (name, balance, parameters) each."""
+    return {"case": "c1", "B": 600.0, "beta_e": 6e8, "motion": "rich", "noise": 1.0,
+            "channels": ["x"], "effects": [
+                {"name": name, "balance": balance, "strength": 1.0, "parameters": parameters,
+                 "in_catalogue": name not in outside} for name, balance, parameters in effects]}
+
+
+def said(*effects, verdict="mismatch", place="force", after=None) -> dict:
+    """Return an answer: (name, balance, rivals, parameters) each."""
+    return {"verdict": verdict, "location": {"balance": {place: 0.9} if place else {}},
+            "message": "", "wall_s": 1.0, "effects": [
+                {"name": name, "balance": balance, "indistinguishable_from": list(rivals),
+                 "parameters": {k: {"value": v, "stddev": s, "unit": ""}
+                                for k, (v, s) in parameters.items()}}
+                for name, balance, rivals, parameters in effects],
+            "parameters": {"after": {"B": {"value": 606.0, "stddev": 2.0},
+                                     "beta_e": {"value": 6.3e8, "stddev": 2e7}}},
+            "fit": {"signals": {"position": {"before_rms": 10e-6, "after_rms": after or 3e-6,
+                                             "noise_rms": 2e-6}}}}
+
+
+COULOMB = ("coulomb_friction", "force", {"F_c": 40.0})
+DELAY = ("position_delay", "sensor", {"T": 2e-3})
+OFFSET = ("pressure_offset", "sensor", {"b_1": 4e4, "b_2": 0.0})
+HUMP = ("position_friction_hump", "force", {"F": 60.0})
+
+
+@pytest.mark.parametrize(("truth", "answer", "exact", "within"), [
+    ([], said(verdict="consistent", place=""), True, True),
+    ([], said(verdict="unexplained"), False, False),
+    ([], said(("spring_load", "force", (), {})), False, False),
+    ([COULOMB], said(("coulomb_friction", "force", (), {})), True, True),
+    ([COULOMB], said(("coulomb_friction", "force", ("a", "b", "c"), {})), True, True),
+    ([COULOMB], said(("spring_load", "force", ("coulomb_friction", "b"), {})), False, True),
+    ([COULOMB], said(("spring_load", "force", ("coulomb_friction", "b", "c"), {})), False, False),
+    ([COULOMB], said(("pressure_friction", "force", (), {})), False, True),
+    ([COULOMB, ("external_leakage", "flow", {})],  # the mean pressure moves
+     said(("pressure_friction", "force", (), {}), ("external_leakage", "flow", (), {})),
+     False, False),
+    ([COULOMB], said(("coulomb_friction", "force", (), {}), ("spring_load", "force", (), {})),
+     False, False),
+    ([COULOMB], said(("coulomb_friction", "force", (), {}), verdict="unexplained"), False, False),
+    ([COULOMB], said(verdict="consistent", place=""), False, False),
+    ([COULOMB, DELAY], said(("coulomb_friction", "force", ("position_delay",), {})),
+     False, False),  # one name stands for one effect
+    ([COULOMB, DELAY], said(("drive_lag", "drive", ("position_delay",), {}),
+                            ("coulomb_friction", "force", (), {})), False, True),
+    ([HUMP], said(verdict="unexplained"), True, True),
+    ([HUMP], said(verdict="unexplained", place="flow"), False, False),
+    ([HUMP], said(("spring_load", "force", (), {}), verdict="unexplained"), False, True),
+    ([HUMP], said(("spring_load", "force", (), {})), False, False),
+])
+def test_marks_of_a_case(truth, answer, exact, within):
+    row = score.row_of(concealed(*truth, outside=("position_friction_hump",)), answer)
+    assert (row["exact"], row["within_class"]) == (exact, within)
+
+
+def test_what_an_oracle_cannot_see_need_not_be_named():
+    truth = concealed(COULOMB, DELAY)
+    oracle = {"log_evidence": {"coulomb_friction": 900.0, "position_delay": 7.0},
+              "over_simpler": {}, "signals": said()["fit"]["signals"]}
+    row = score.row_of(truth, said(("coulomb_friction", "force", (), {})), oracle)
+    assert not row["exact"] and row["within_class"] and not row["detectable"]
+    blind_to_both = score.row_of(truth, said(verdict="consistent", place=""), {
+        **oracle, "log_evidence": {"coulomb_friction": 3.0, "position_delay": 7.0}})
+    assert blind_to_both["within_class"] and not blind_to_both["exact"]
+    stribeck = concealed(("stribeck_friction", "force", {"F_c": 40.0}))
+    simple = said(("coulomb_friction", "force", (), {}))
+    for over, right in ((5.0, True), (500.0, False)):
+        told = {"log_evidence": {"stribeck_friction": 900.0}, "signals": {},
+                "over_simpler": {"stribeck_friction": over}}
+        assert score.row_of(stribeck, simple, told)["within_class"] is right
+
+
+def test_blame_error_removed_and_parameters():
+    blamed = score.row_of(concealed(DELAY), said(("added_mass", "force", (), {})))
+    declared = score.row_of(concealed(DELAY), said(("added_mass", "force",
+                                                    ("position_delay",), {})))
+    drive = score.row_of(concealed(DELAY), said(("drive_lag", "drive", (), {})))
+    assert [row["sensor_blamed"] for row in (blamed, declared, drive)] == [True, False, False]
+    # 5 noises before, 1.5 after, 1.2 with an oracle: 3.5 of the 3.8 that go.
+    oracle = {"log_evidence": {"pressure_offset": 99.0}, "signals": {
+        "position": {"before_rms": 10e-6, "after_rms": 2.4e-6, "noise_rms": 2e-6}}}
+    row = score.row_of(concealed(OFFSET), said(
+        ("pressure_offset", "sensor", (), {"b_1": (4.1e4, 400.0), "b_2": (1e3, 400.0)}),
+        place="sensor"), oracle)
+    assert row["removed"] == pytest.approx(3.5 / 3.8)
+    assert row["oracle_rms"] == pytest.approx(1.2)
+    errors = {one["name"]: (one["relative"], one["sigmas"]) for one in row["parameters"]}
+    assert errors["pressure_offset.b_1"] == pytest.approx((0.025, 2.5))
+    assert errors["pressure_offset.b_2"] == pytest.approx((0.025, 2.5))
+    assert errors["B"] == pytest.approx((0.01, 3.0))
+    assert errors["beta_e"] == pytest.approx((0.05, 1.5))
+    marks = score.score_of([row, blamed])
+    assert marks["exact"] == 0.5 and marks["sensor_blamed_on_physics"] == 0.5
+    assert marks["base_parameters_within_2_percent"] == 0.5
+    assert marks["parameters_inside_2_sigma"] == 0.25
+    assert marks["null_false_alarm"] is None
+
+
+def test_a_diagnosis_that_failed_counts_as_missed():
+    row = score.row_of(concealed(COULOMB), None, None, {"error": "killed"})
+    assert row["verdict"] == "failed" and not row["within_class"] and row["message"] == "killed"
+    clean = score.row_of(concealed(), None)
+    assert score.score_of([row, clean])["null_false_alarm"] == 1.0
+    assert score.confusion([row, clean]) == {"coulomb_friction": {"failed": 1},
+                                             "none": {"failed": 1}}
+
+
+def test_confusion_counts_each_concealed_effect():
+    rows = [score.row_of(concealed(COULOMB), said(("coulomb_friction", "force", (), {}))),
+            score.row_of(concealed(COULOMB), said(("spring_load", "force", (), {}))),
+            score.row_of(concealed(COULOMB), said(verdict="consistent", place="")),
+            score.row_of(concealed(), said(("spring_load", "force", (), {}))),
+            score.row_of(concealed(), said(verdict="consistent", place=""))]
+    assert score.confusion(rows) == {
+        "coulomb_friction": {"coulomb_friction": 1, "spring_load": 1, "none": 1},
+        "none": {"spring_load": 1, "none": 1}}
+
+
+def test_detection_curve_finds_its_95_percent_point():
+    units = [0.2, 0.4, 0.6, 0.8, 1.0, 1.3, 1.6, 2.0, 3.0, 5.0, 9.0, 20.0] * 3
+    marks = [{"effect": "coulomb_friction", "units": u, "said": "exact" if u > 1.1 else "nothing"}
+             for u in units]
+    curve = curves_of(marks)["coulomb_friction"]
+    assert 0.9 < curve["middle"] < 1.4 and curve["middle"] < curve["point_95"] < 2.0
+    assert curve_of([10.0] * 5, [False] * 5)["point_95"] > 20.0
+    assert next(one["share"] for one in binned(marks)) == 0.0
+    assert curves_of([{"effect": "a", "units": None, "said": "exact"}]) == {}
