@@ -12,6 +12,7 @@ from eha_monitor.mismatch.search import (
     THRESHOLD,
     Candidate,
     Round,
+    completed,
     first_fit,
     round_of,
     settle,
@@ -123,7 +124,7 @@ def name_effects(experiment: Experiment, threshold: float = THRESHOLD,
         taken, near = choose(experiment, found, first, threshold)
         if taken is None:
             break
-        fit = settle(experiment, taken.fit)
+        fit = settle(experiment, completed(taken.fit))
         rivals = {name: others for name, others in rivals.items() if name in fit.named}
         rivals[taken.effect] = near
     say("comparing what was named with its rivals", 0.85)

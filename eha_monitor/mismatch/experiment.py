@@ -20,8 +20,7 @@ BURN_IN = 0.15  # s at the start of each stretch in which the filter finds the s
 LONGEST_GAP = 0.02  # s of missing input that is bridged
 SHORTEST = 0.5  # s of a stretch worth fitting
 PERIOD, SHARE = 5.0, 0.2  # of every 5 s the last fifth is held out
-STEP_PHASE = 0.24  # rad of the fastest resonance in one integration step: it turns too fast by
-# 0.24^5/120 of 0.24, 3e-5, and is damped too much by 0.24^6/144 a step, 1e-4 of its damping
+STEP_PHASE = 0.16  # rad of the fastest resonance in one integration step
 MOST_STEPS = 40
 
 
@@ -223,10 +222,13 @@ def stretches_of(recording: Recording, channels: dict, settings: Settings, mode:
         held_out = (np.mod(time, PERIOD) >= PERIOD * (1 - SHARE)) & hold_out
         if (stop - start) * dt < 2 * PERIOD:  # a short record: its last fifth
             held_out = (time >= (1 - SHARE) * (stop - start) * dt) & hold_out
+        # What follows a held-out part starts from a state that has seen it.
+        burn = max(1, int(BURN_IN / dt))
+        seen = np.convolve(held_out, np.ones(burn + 1))[: len(time)] > 0.5
         parts.append(Stretch(
             recording.source, start * dt, z[here].copy(),
             cubics(filled(u[here]), sigma, held), smooth(p1[here], charge),
-            smooth(p2[here], charge), (time >= BURN_IN) & ~held_out, held_out))
+            smooth(p2[here], charge), (time >= BURN_IN) & ~seen, held_out))
     return parts
 
 

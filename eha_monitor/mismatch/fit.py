@@ -49,7 +49,7 @@ class Free:
 
     def inward(self, value: float) -> float:
         """Return the fitted coordinate of a value."""
-        return float(np.log(value)) if self.log else value
+        return float(np.log(max(value, 1e-300))) if self.log else value
 
     def outward(self, coordinate: float) -> float:
         """Return the value of a coordinate, kept within the bounds."""
@@ -152,7 +152,7 @@ def start_of(experiment: Experiment, stretch) -> np.ndarray:
 
 def covariance_of(e: np.ndarray) -> np.ndarray:
     """Return S of the innovations, (c, c); pairs with a missing channel are left out."""
-    good = np.where(np.isfinite(e), e, 0.0)
+    good = np.where(np.isfinite(e), np.clip(e, -1e60, 1e60), 0.0)  # a run that went astray
     count = np.isfinite(e).astype(float)
     return (good.T @ good) / np.maximum(count.T @ count, 1.0)
 

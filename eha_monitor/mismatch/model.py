@@ -11,7 +11,7 @@ from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
 
 BLOCK = 0.5  # s
-COARSE = 3.0  # times the configured noise: an encoder step that the config does not know
+COARSE = 0.7  # times the configured noise: rounding of an encoder that the config does not know
 NOTABLE = 0.02  # relative change of a health parameter that is worth a sentence
 
 
@@ -52,17 +52,21 @@ def robust(experiment: Experiment, fit: Fit, block: float = BLOCK) -> Fit:
         np.array_split(d, count, axis=1), np.array_split(white, count, axis=0), strict=True)])
     pulls = pulls - pulls.mean(axis=0)
     weight = np.diag([f.spread**-2.0 for f in fit.free])
-    bread = np.linalg.pinv(np.einsum("kic,lic->kl", d, d) + weight, hermitian=True)
+    information = np.einsum("kic,lic->kl", d, d) + weight
+    unit = 1.0 / np.sqrt(np.diag(information))  # newtons beside square metres per pascal second
+    bread = np.linalg.pinv(information * np.outer(unit, unit), hermitian=True) * np.outer(
+        unit, unit)
     meat = pulls.T @ pulls * count / max(count - len(fit.free), 1)
     sandwich = bread @ meat @ bread
     scale = np.sqrt(np.maximum(np.diag(sandwich) / np.maximum(np.diag(bread), 1e-300), 1.0))
     return replace(fit, covariance=bread * np.outer(scale, scale))
 
 
-def config_effects(experiment: Experiment, fit: Fit) -> dict[str, dict[str, float]]:
-    """Return the ``effects:`` section: what the config had, and what was named."""
+def config_effects(experiment: Experiment, fit: Fit, names: tuple[str, ...]
+                   ) -> dict[str, dict[str, float]]:
+    """Return the ``effects:`` section: what the config had, and the named ones of ``names``."""
     found = {name: dict(values) for name, values in experiment.settings.effects.items()}
-    for name in fit.named:
+    for name in (name for name in fit.named if name in names):
         found[name] = {}
         for p in CATALOGUE[name].parameters:
             value = float(fit.theta[place_of(f"{name}.{p.name}")])
@@ -88,6 +92,11 @@ def quantised(experiment: Experiment) -> NamedEffect | None:
                        entry.rig_check, f"{step * 1e6:.3g} µm")
 
 
+def spoken(name: str) -> str:
+    """Return the name of an effect as it stands in a sentence."""
+    return name.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
+
+
 def health_sentences(experiment: Experiment, before: dict[str, Value], after: dict[str, Value],
                      effects: tuple[NamedEffect, ...]) -> tuple[str, ...]:
     """Return in plain words what the mismatch did to the health estimates."""
@@ -101,7 +110,7 @@ def health_sentences(experiment: Experiment, before: dict[str, Value], after: di
         change = first.value - then
         if abs(change) < NOTABLE * abs(then) or abs(change) < 3.0 * after[name].stddev:
             continue
-        cause = " and ".join(f"{effect.size} of {effect.name.replace('_', ' ')}".strip()
+        cause = " and ".join(f"{effect.size} of {spoken(effect.name)}".strip()
                              for effect in plant[:3])
         scale, shown = (1e6, "MPa") if name == "beta_e" else (1.0, unit)
         sense = "not wear" if name == "B" else "not the fluid"

@@ -145,7 +145,7 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming,
         show.overlays(shown, before, after),
         considered_of(naming), show.agreement(experiment, before, after),
         health_sentences(experiment, *known, effects), (),
-        config_effects(experiment, after),
+        config_effects(experiment, after, tuple(effect.name for effect in effects)),
         calibration.threshold if calibration else THRESHOLD, calibration is not None,
         explained, duration, time.perf_counter() - started)
 
@@ -179,7 +179,7 @@ def message_of(verdict: str, effects: tuple[NamedEffect, ...], where: Location,
         return "; ".join(effect.statement for effect in effects)
     balance = max(where.balance, key=where.balance.get)
     named = (f"; of the evidence {', '.join(effect.name for effect in effects)} would take away "
-             f"{explained:.0%} only" if effects else "")
+             f"{100 * explained:.0f} % only" if effects else "")
     return (f"something in the {balance} balance is left out that no entry of the catalogue "
             f"explains{named}")
 

@@ -105,7 +105,8 @@ def begin(trial: Trial) -> None:
     for name in ("", "key/made", "recordings", "answers", "oracles"):
         (trial.work / name).mkdir(parents=True, exist_ok=True)
     wanted = {"schema": "eha_monitor/trial/1", "seed": trial.seed, "cases": len(trial.cases),
-              "draws": digest_of(repr(trial.cases).encode())}
+              "draws": digest_of(repr(trial.cases).encode() + b"".join(
+                  path.read_bytes() for path in sorted((PACKAGE / "concealed").glob("*.py"))))}
     path = trial.work / "trial.json"
     if not path.exists():
         write_json(path, wanted)
@@ -199,7 +200,8 @@ def ask_oracle(trial: Trial, say: Report) -> None:
         return [*map(str, (sys.executable, "-m", "eha_monitor.mismatch.prove_oracle", key, name,
                            bag, config, answer))]
 
-    children(trial, "oracles", source_digest(), command, say, "asking the oracle")
+    source = source_digest() + digest_of((PACKAGE / "mismatch" / "prove_oracle.py").read_bytes())
+    children(trial, "oracles", digest_of(source.encode())[:16], command, say, "asking the oracle")
 
 
 def places(trial: Trial, name: str, folder: str) -> tuple[Path, Path, Path]:
@@ -306,7 +308,8 @@ def source_digest() -> str:
     digest = hashlib.sha256()
     for room in ROOMS:
         for path in sorted((PACKAGE / room).rglob("*.py")):
-            if path.name not in ("prove.py", "prove_score.py", "prove_curve.py"):
+            if path.name not in ("prove.py", "prove_score.py", "prove_curve.py", "prove_draws.py",
+                                 "prove_oracle.py"):
                 digest.update(str(path.relative_to(PACKAGE)).encode() + path.read_bytes())
     return digest.hexdigest()[:16]
 

@@ -18,8 +18,6 @@ from eha_monitor.mismatch.fit import Fit, spread
 from eha_monitor.mismatch.screen import Start, possible, starts_of
 from eha_monitor.mismatch.search import (
     first_fit,
-    from_prior,
-    near_prior,
     settle,
     with_effect,
     without_effect,
@@ -97,9 +95,8 @@ def best_of(experiment: Experiment, fit: Fit, name: str, parameters: dict) -> Fi
     starts = starts_of(name, experiment)
     if parameters:
         starts.append(true_start(experiment, name, parameters))
-    origins = [fit] if near_prior(fit) else [fit, from_prior(fit)]
-    quick = spread(lambda task: settle(experiment, entered_at(*task), 1, 3, False, 1.0),
-                   [(origin, start) for origin in origins for start in starts])
+    quick = spread(lambda start: settle(experiment, entered_at(fit, start), 1, 2, False, 1.0),
+                   starts)
     return settle(experiment, max(quick, key=lambda one: one.log_likelihood))
 
 

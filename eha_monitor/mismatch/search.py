@@ -134,8 +134,12 @@ def first_fit(experiment: Experiment) -> Fit:
     return settle(experiment, fit)
 
 
-def with_effect(fit: Fit, start: Start, amplitudes: tuple[float, ...]) -> Fit:
-    """Return a fit with an effect entered at a multiple of its start, not yet refitted."""
+def with_effect(fit: Fit, start: Start, amplitudes: tuple[float, ...],
+                whole: bool = True) -> Fit:
+    """Return a fit with an effect entered at a multiple of its start, not yet refitted.
+
+    ``whole`` False leaves the ``late`` shapes where they start: enough for a ranking.
+    """
     values = dict(start.values)
     for p, a in zip(own_sizes(start), amplitudes, strict=False):
         if np.isfinite(p.neutral):
@@ -148,7 +152,7 @@ def with_effect(fit: Fit, start: Start, amplitudes: tuple[float, ...]) -> Fit:
     gone = (start.replaces + "." if start.replaces else None, start.effect + ".")
     free = tuple(f for f in fit.free if not any(g and f.name.startswith(g) for g in gone))
     named = (*(name for name in fit.named if name != start.replaces), start.effect)
-    return replace(fit, theta=theta, active=active, free=free + free_of(start), named=named)
+    return replace(fit, theta=theta, active=active, free=free + free_of(start, whole), named=named)
 
 
 def without_effect(experiment: Experiment, fit: Fit, name: str) -> Fit:
@@ -189,8 +193,8 @@ def round_of(experiment: Experiment, fit: Fit, demanded: Callable[[str], float] 
              ) -> Round:
     """Screen the catalogue at a fit and refit the best; candidates best first.
 
-    Of effects that contain one another only the simplest enters by itself; the others may take
-    its place in a later round.
+    Of effects that contain one another the simplest enters by itself (:func:`enters_alone`); the
+    others may take its place in a later round.
 
     Parameters
     ----------
@@ -199,7 +203,7 @@ def round_of(experiment: Experiment, fit: Fit, demanded: Callable[[str], float] 
     """
     families = {member for name in fit.named for member in (name, *CATALOGUE[name].contains)}
     starts = [start for name in NAMES
-              if not CATALOGUE[name].contains and name not in families
+              if enters_alone(name) and name not in families
               and not experiment.active[NAMES.index(name)] and possible(name, experiment)
               for start in starts_of(name, experiment)]
     starts += replacements_of(experiment, fit)
@@ -220,7 +224,8 @@ def round_of(experiment: Experiment, fit: Fit, demanded: Callable[[str], float] 
         tasks += [(origin, score)
                   for score in shortlist(screen(experiment, origin, starts), FINALISTS)]
     quick = spread(lambda task: Candidate(task[1].start, *gained(fit, settle(
-        experiment, with_effect(task[0], task[1].start, task[1].amplitudes), 1, 2, False, 1.0))),
+        experiment, with_effect(task[0], task[1].start, task[1].amplitudes, False), 1, 2,
+        False, 1.0))),
         tasks)
     best: dict[str, Candidate] = {}
     for candidate in quick:
@@ -235,6 +240,14 @@ def round_of(experiment: Experiment, fit: Fit, demanded: Callable[[str], float] 
         experiment, c.fit, 2, 6, False, 0.3))), front)
     ranked = sorted([*final, *(c for c in ranked if c not in front)], key=lambda c: -c.gain)
     return Round(fit, tuple(scores), tuple(ranked))
+
+
+def enters_alone(name: str) -> bool:
+    """Tell whether an effect is a first guess: those with more sizes than what they contain wait.
+
+    Each is then judged by what it adds, when it takes the place of the simpler one.
+    """
+    return not CATALOGUE[name].contains or len(CATALOGUE[name].sizes) == 1
 
 
 def shortlist(scores: list[Score], most: int) -> list[Score]:
@@ -265,6 +278,17 @@ def from_prior(fit: Fit) -> Fit:
         if "." not in f.name:
             theta[f.place] = f.outward(f.prior)
     return replace(fit, theta=theta)
+
+
+def completed(fit: Fit) -> Fit:
+    """Return a fit in which the late shapes of the named effects are free too."""
+    have = {f.name for f in fit.free}
+    found = []
+    for name in fit.named:
+        values = tuple((p.name, float(fit.theta[place_of(f"{name}.{p.name}")]))
+                       for p in CATALOGUE[name].parameters)
+        found += [f for f in free_of(Start(name, values)) if f.name not in have]
+    return replace(fit, free=fit.free + tuple(found))
 
 
 def gained(before: Fit, after: Fit) -> tuple[Fit, float]:

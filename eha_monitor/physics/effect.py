@@ -37,6 +37,7 @@ class Parameter:
         with a default is a *shape* inside the non-linearity; it is fitted too.
     neutral : value of a size at which the effect is absent.
     fitted : False keeps a shape at its default when the effect is fitted.
+    late : a shape that is fitted once its effect has been chosen.
     """
 
     name: str
@@ -48,6 +49,7 @@ class Parameter:
     default: float | None = None
     neutral: float = 0.0
     fitted: bool = True
+    late: bool = False
 
 
 @dataclass(frozen=True)

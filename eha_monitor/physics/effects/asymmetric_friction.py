@@ -1,11 +1,14 @@
 """Friction that is not the same in both directions."""
 
+import math
+
 from eha_monitor.compiled import njit
 from eha_monitor.physics.dry_friction import (
     EQUATION,
     SOURCE,
     START,
     T_1,
+    V_D,
     V_E,
     Z_0,
     dry_force,
@@ -23,19 +26,28 @@ def steady(s, p):
     return p[0] * sign + p[1] * abs(sign)
 
 
+@njit(forceinline=True)
+def deflection(s, p):
+    """Return the deflection at which the seal slides this way, m; its stiffness is one."""
+    most = p[0] + abs(p[1])
+    if most <= 0.0:
+        return 0.0
+    return p[4] * abs(p[0] + math.copysign(p[1], s[V])) / most
+
+
 @njit
 def term(s, p, m, c):
     """Add the seal's force and dB |v|: more friction forwards is less backwards.
 
     In positive motion F_c + dF and B + dB act, in negative motion F_c - dF and B - dB.
     """
-    c[FORCE] += dry_force(s, steady(s, p), p[4], p[5], m) + p[2] * abs(s[V])
+    c[FORCE] += dry_force(s, steady(s, p), deflection(s, p), p[5], p[6], m) + p[2] * abs(s[V])
 
 
 @njit
 def update(s, p, h, m):
     """Remember the seal."""
-    remember(s, steady(s, p), p[4], m)
+    remember(s, steady(s, p), deflection(s, p), m)
 
 
 EFFECT = Effect(
@@ -52,6 +64,7 @@ EFFECT = Effect(
         V_E,
         Z_0,
         T_1,
+        V_D,
     ),
     term=term,
     update=update,

@@ -6,6 +6,7 @@ from eha_monitor.physics.dry_friction import (
     SOURCE,
     START,
     T_1,
+    V_D,
     V_E,
     dry_force,
     remember,
@@ -18,7 +19,7 @@ from eha_monitor.physics.signals import FORCE
 @njit
 def term(s, p, m, c):
     """Add F_c against the motion."""
-    c[FORCE] += dry_force(s, p[0] * sliding(s, p[1]), p[2], p[3], m)
+    c[FORCE] += dry_force(s, p[0] * sliding(s, p[1]), p[2], p[3], p[4], m)
 
 
 @njit
@@ -38,6 +39,7 @@ EFFECT = Effect(
         Parameter("z_0", "m", "displacement over which the friction turns", 0.0, 1.2e-5, 4e-6,
                   0.0),
         T_1,
+        V_D,
     ),
     term=term,
     update=update,

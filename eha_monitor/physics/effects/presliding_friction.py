@@ -5,6 +5,7 @@ from eha_monitor.physics.dry_friction import (
     EQUATION,
     START,
     T_1,
+    V_D,
     V_E,
     dry_force,
     remember,
@@ -17,7 +18,7 @@ from eha_monitor.physics.signals import FORCE
 @njit
 def term(s, p, m, c):
     """Add F_c; the same law as Coulomb friction, z_0 is a visible length."""
-    c[FORCE] += dry_force(s, p[0] * sliding(s, p[1]), p[2], p[3], m)
+    c[FORCE] += dry_force(s, p[0] * sliding(s, p[1]), p[2], p[3], p[4], m)
 
 
 @njit
@@ -38,6 +39,7 @@ EFFECT = Effect(
         Parameter("z_0", "m", "displacement over which the friction turns", 1.2e-5, 1e-3, 4e-5,
                   4e-5),
         T_1,
+        V_D,
     ),
     term=term,
     update=update,

@@ -6,6 +6,7 @@ from eha_monitor.physics.dry_friction import (
     SOURCE,
     START,
     T_1,
+    V_D,
     V_E,
     dry_force,
     remember,
@@ -24,7 +25,7 @@ def steady(s, p):
 @njit
 def term(s, p, m, c):
     """Add the seal's force."""
-    c[FORCE] += dry_force(s, steady(s, p), p[2], p[3], m)
+    c[FORCE] += dry_force(s, steady(s, p), p[2], p[3], p[4], m)
 
 
 @njit
@@ -45,6 +46,7 @@ EFFECT = Effect(
         Parameter("z_0", "m", "displacement over which the friction turns", 0.0, 1.2e-5, 4e-6,
                   0.0),
         T_1,
+        V_D,
     ),
     term=term,
     update=update,

@@ -8,6 +8,7 @@ from eha_monitor.physics.dry_friction import (
     SOURCE,
     START,
     T_1,
+    V_D,
     V_E,
     Z_0,
     dry_force,
@@ -35,7 +36,7 @@ def sliding_force(s, p):
 def term(s, p, m, c):
     """Add the seal's force."""
     g, z = sliding_force(s, p)
-    c[FORCE] += dry_force(s, g * sliding(s, p[3]), z, p[5], m)
+    c[FORCE] += dry_force(s, g * sliding(s, p[3]), z, p[5], p[6], m)
 
 
 @njit
@@ -67,6 +68,7 @@ EFFECT = Effect(
         V_E,
         Z_0,
         T_1,
+        V_D,
     ),
     term=term,
     update=update,

@@ -1,0 +1,219 @@
+"""Advice: what a recording can and cannot tell apart, and the cheapest motion that would."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eha_monitor.mismatch.choice import Naming
+from eha_monitor.mismatch.experiment import Experiment
+from eha_monitor.mismatch.fit import Fit
+from eha_monitor.mismatch.information import Gram, Slope, free_slopes, gram_of
+from eha_monitor.mismatch.motions import Limits, Motion, limits_for, looped
+from eha_monitor.mismatch.screen import starts_of
+from eha_monitor.mismatch.search import with_effect
+from eha_monitor.mismatch.separate import (
+    DECISIVE,
+    Check,
+    Question,
+    Tried,
+    checked,
+    instead,
+    search_motion,
+)
+from eha_monitor.mismatch.tells import (
+    HOPELESS,
+    Confusion,
+    Known,
+    Reading,
+    Sight,
+    directions_for,
+    effects_for,
+    named_directions,
+)
+from eha_monitor.physics.effects import CATALOGUE, NAMES
+from eha_monitor.physics.parameters import place_of
+
+COMMON = ("coulomb_friction", "quadratic_friction", "spring_load", "added_mass",
+          "cross_port_leakage")  # what B and beta_e are most often mistaken for
+MOST_QUESTIONS = 4
+Report = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """A question that the recording leaves open.
+
+    ``effect`` or ``rival`` ("": B and beta_e alone); ``parameter`` where the question is what of
+    it is the effect; ``steady``: from the plateaus of speed alone.  ``now`` : log units that the
+    recording has on it; ``then`` : with the proposed motion; both in ``words`` at ``amount``.
+    """
+
+    effect: str
+    rival: str
+    parameter: str
+    steady: bool
+    amount: float
+    symbol: str
+    unit: str
+    now: float
+    then: float
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What a recording tells, what it leaves open, and what to record next.
+
+    Attributes
+    ----------
+    known : the fitted parameters.
+    plateaus : share of the recording in which the speed is steady.
+    confusions : health parameters and effects that take one another's part.
+    sights : from which size on each effect shows.
+    groups : effects that show, but not which of them it is.
+    doubts : what is to be settled; ``motion`` the cheapest that does, None where none does or
+        nothing is in doubt; ``tried`` what was considered, with log units for each doubt.
+    checks : the proposed motion in simulation.
+    plannable : False where the config has too little to simulate a motion.
+    """
+
+    known: tuple[Known, ...]
+    plateaus: float
+    confusions: tuple[Confusion, ...]
+    sights: tuple[Sight, ...]
+    groups: tuple[tuple[str, ...], ...]
+    doubts: tuple[Doubt, ...]
+    motion: Motion | None
+    tried: tuple[Tried, ...]
+    checks: tuple[Check, ...]
+    plannable: bool
+    damping_unit: str = "N·s/m"
+
+
+def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
+           rivals: dict[str, Fit] | None = None, check: bool = True, names: Sequence[str] = NAMES,
+           report: Report | None = None) -> Advice:
+    """Say what a recording tells apart, and which motion would tell the rest.
+
+    Parameters
+    ----------
+    experiment : the recordings; ``fit`` their model, with what was named.
+    doubts : named effect -> effects that may be there instead.
+    rivals : effect -> a fit that has it instead; without it the rival enters at its start.
+    check : put the proposed motion to a simulation with noise.
+    names : effects of the catalogue that are looked at beside the doubts.
+    report : told what is done and how far it is, 0 to 1.
+    """
+    say = report or (lambda text, share: None)
+    say("asking what this recording tells", 0.0)
+    limits = limits_for(experiment)
+    if limits is not None:
+        fit = looped(fit, limits)
+    unit = "N·s/m" if experiment.settings.rig.motion == "linear" else "N·m·s/rad"
+    base = free_slopes(fit)
+    directions, slopes = directions_for(experiment, fit, effects_for(experiment, fit, names))
+    found, found_slopes = named_directions(experiment, fit)
+    pairs = [pair(experiment, fit, effect, rival, (rivals or {}).get(rival))
+             for effect, others in doubts.items() if effect in fit.named for rival in others]
+    here = gram_of(experiment, fit, [*base, *slopes, *found_slopes,
+                                     *(s for q in pairs for s in q.slopes())])
+    reading = Reading(fit, here, base, directions, found)
+    named = [c for d in found for parameter in ("B", "beta_e") if parameter in reading.labels
+             and (c := reading.confusion(d, parameter, d.amount, True)) is not None]
+    confusions = (*named, *reading.confusions())
+    units = {"B": unit, "beta_e": "Pa"} | {
+        f"{name}.{p.name}": p.unit for name in NAMES for p in CATALOGUE[name].parameters}
+    questions = [*pairs, *(hidden(fit, c, reading) for c in open_ones(confusions))]
+    say("looking for a motion", 0.2)
+    asked, motion, tried, here = planned_for(experiment, fit, questions, limits, base, here, names
+                                             is NAMES)
+    now = [q.gain(here, base) for q in asked]
+    then = next((one.gains for one in tried if one.motion is motion), (float("nan"),) * len(asked))
+    checks = []
+    for i, question in enumerate(asked if check and motion is not None and limits else ()):
+        say("checking the motion in simulation", 0.4 + 0.6 * i / len(asked))
+        if then[i] >= DECISIVE:
+            checks.append(checked(experiment, fit, question, motion, limits))
+    return Advice(
+        reading.known(units), reading.plateaus, confusions, reading.sights(), reading.groups(),
+        tuple(Doubt(q.effect, q.rival, q.parameter, q.steady, q.amount, q.symbol, q.unit, a, b)
+              for q, a, b in zip(asked, now, then, strict=True)), motion,
+        tuple(tried), tuple(checks), limits is not None, unit)
+
+
+def open_ones(confusions: Sequence[Confusion]) -> list[Confusion]:
+    """Return the confusions worth a motion: the commonest effects, one for each parameter."""
+    chosen: dict[str, Confusion] = {}
+    for c in confusions:
+        if c.named or CATALOGUE[c.effect].rarity <= 1:
+            chosen.setdefault(c.parameter, c)
+    return list(chosen.values())
+
+
+def hidden(fit: Fit, c: Confusion, reading: Reading) -> Question:
+    """Return the question whether an amount that matters is an effect, or B or beta_e."""
+    steady = abs(c.plateau_correlation) > HOPELESS
+    d = next(d for d in (*reading.directions, *reading.found)
+             if d.effect == c.effect and d.parameter == c.symbol)
+    size = reading.matters(d, steady)
+    if c.named:  # a little less of what was found, and B or beta_e makes up for it
+        key = f"{c.effect}.{c.symbol}"
+        size = min(size, 0.5 * abs(d.amount))
+        theta = fit.theta.copy()
+        theta[place_of(key)] -= size * np.sign(d.amount)
+        less = replace(fit, theta=theta, free=tuple(f for f in fit.free if f.name != key))
+        return Question(c.effect, "", c.parameter, steady, fit, less, size, c.symbol, c.unit)
+    share = size / abs(d.amount)
+    truth = with_effect(fit, d.start, tuple(share if p.name == c.symbol else 0.0
+                                            for p in CATALOGUE[c.effect].sizes))
+    return Question(c.effect, "", c.parameter, steady, truth, fit, size, c.symbol, c.unit,
+                    "other")
+
+
+def pair(experiment: Experiment, fit: Fit, effect: str, rival: str, other: Fit | None
+         ) -> Question:
+    """Return the question which of two effects is there."""
+    p = CATALOGUE[effect].sizes[0]
+    return Question(effect, rival, "", False, fit,
+                    instead(experiment, fit, effect, other, rival,
+                            starts_of(rival, experiment)[0]),
+                    float(fit.theta[place_of(f"{effect}.{p.name}")]), p.name, p.unit)
+
+
+def planned_for(experiment: Experiment, fit: Fit, questions: list[Question],
+                limits: Limits | None, base: Sequence[Slope], here: Gram, every: bool
+                ) -> tuple[list[Question], Motion | None, list[Tried], Gram]:
+    """Return the questions that are open, the motion for them, what was tried, and the Gram."""
+    slopes = [*base, *(s for q in questions for s in q.slopes())]
+    if any(q.label not in here.labels for q in questions):
+        here = gram_of(experiment, fit, slopes)
+    else:
+        places = here.places([s.label for s in slopes])
+        here = Gram(tuple(s.label for s in slopes), here.whole[places][:, places],
+                    here.part[places][:, places], here.count, here.count_part)
+    asked = [q for q in questions if q.gain(here, base) < DECISIVE][:MOST_QUESTIONS]
+    if not asked or limits is None:
+        return asked, None, [], here
+    kept = [*base, *(s for q in asked for s in q.slopes())]
+    places = here.places([s.label for s in kept])
+    here = Gram(tuple(s.label for s in kept), here.whole[places][:, places],
+                here.part[places][:, places], here.count, here.count_part)
+    motion, tried = search_motion(experiment, fit, asked, here, limits, base, every)
+    return asked, motion, tried, here
+
+
+def rival_fits(naming: Naming) -> dict[str, Fit]:
+    """Return the fits of the candidates that were tried, effect -> fit."""
+    found = {}
+    for step in naming.rounds:
+        for candidate in step.candidates:
+            found.setdefault(candidate.effect, candidate.fit)
+    return found
+
+
+def advice_for(experiment: Experiment, naming: Naming, check: bool = False) -> tuple[str, ...]:
+    """Return the advice of a diagnosis in sentences, quickly: its doubts and the usual ones."""
+    from eha_monitor.mismatch.advise_words import sentences
+
+    return sentences(advice(experiment, naming.after, naming.rivals, rival_fits(naming), check,
+                            COMMON))

@@ -1,0 +1,212 @@
+"""Questions that a recording leaves open, the cheapest motion that settles them, and its check."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from eha_monitor.mismatch.calibrate import simulated
+from eha_monitor.mismatch.experiment import Experiment
+from eha_monitor.mismatch.fit import Fit, with_unknowns
+from eha_monitor.mismatch.information import Gram, Slope, free_slopes, gain_of, gram_of
+from eha_monitor.mismatch.innovations import CLOSED
+from eha_monitor.mismatch.motions import Limits, Motion, candidates, planned, share_within
+from eha_monitor.mismatch.screen import Start, free_of
+from eha_monitor.mismatch.search import settle, with_effect, without_effect
+from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.parameters import place_of
+
+DECISIVE = 20.0  # log units that settle a question
+LONGEST = 16.0  # s of two motions together
+USUAL = ("sine_2_hz", "sine_10_hz", "sine_places", "triangle_half", "multisine",
+         "two_triangles")  # motions that a quick search tries
+FORM = 1e-3  # of a trace's squares: no model is right to 3 % of an effect, so less says nothing
+
+
+@dataclass(frozen=True)
+class Question:
+    """Two models between which the recording is to decide.
+
+    Attributes
+    ----------
+    effect : that is there; ``rival`` the effect that may be there instead, or "" where B and
+        beta_e alone may take its part.
+    parameter : ``B`` or ``beta_e`` where the question is what of it is the effect, or "".
+    steady : the recording's plateaus alone are asked, and the motion away from its reversals:
+        the answer then does not hang on how friction turns round.
+    truth, other : the model with the effect, and the other one.
+    amount : of the effect in which they differ, SI; ``symbol`` its size, in ``unit``.
+    reference : which of the two is the fit at which slopes are taken: ``truth`` or ``other``.
+    """
+
+    effect: str
+    rival: str
+    parameter: str
+    steady: bool
+    truth: Fit
+    other: Fit
+    amount: float
+    symbol: str
+    unit: str
+    reference: str = "truth"
+
+    @property
+    def label(self) -> str:
+        """Name of the difference between the two models."""
+        return f"{self.effect}|{self.rival}|{self.parameter}|{self.steady}"
+
+    def slopes(self) -> list[Slope]:
+        """Return the difference of the two models, and what the rival adjusts."""
+        away = self.other if self.reference == "truth" else self.truth
+        model = (away.theta, away.active)
+        found = [Slope(self.label, model)]
+        if self.rival:
+            own = [f for f in self.other.free if f.name.startswith(f"{self.rival}.")]
+            found += free_slopes(replace(self.other, free=tuple(own)), model,
+                                 [f"{self.label}:{f.name}" for f in own])
+        return found
+
+    def absorbing(self, base: Sequence[Slope]) -> list[Slope]:
+        """Return the slopes with which the other model may make up for the difference."""
+        held = f"{self.effect}." + ("" if self.rival else self.symbol)
+        shared = [slope for slope in base if not slope.label.startswith(held)]
+        return shared + self.slopes()[1:]
+
+    def gain(self, gram: Gram, base: Sequence[Slope], steady: bool | None = None) -> float:
+        """Return the log units by which the data of a Gram decide the question."""
+        steady = self.steady if steady is None else steady
+        slopes = self.absorbing(base)
+        left = gram.remaining([self.label], [slope.label for slope in slopes],
+                              {slope.label: slope.weight for slope in slopes}, steady)
+        squares = float(left[0, 0])
+        if steady:
+            (place,) = gram.places([self.label])
+            squares -= FORM * float(gram.part[place, place])
+        return gain_of(squares, gram.count_part if steady else gram.count)
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A motion with the log units by which it decides each question, with the recording."""
+
+    motion: Motion
+    gains: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Check:
+    """A question put to simulated data: the recording's own motion and the proposed one.
+
+    ``predicted`` and ``found`` in log units; ``values`` of B and beta_e as the right model finds
+    them, (found, stddev, true).
+    """
+
+    effect: str
+    rival: str
+    predicted: float
+    found: float
+    values: dict[str, tuple[float, float, float]]
+
+
+def instead(experiment: Experiment, fit: Fit, effect: str, rival: Fit | None, name: str,
+            start: Start) -> Fit:
+    """Return a fit with one named effect replaced by another, not refitted.
+
+    Parameters
+    ----------
+    rival : fit that has the other effect ``name``, or None: it enters at ``start``.
+    """
+    bare = without_effect(experiment, fit, effect)
+    if rival is None:
+        return with_effect(bare, start, ())
+    theta, active = bare.theta.copy(), bare.active.copy()
+    active |= rival.active & ~bare.active & _only(name, active)
+    for p in CATALOGUE[name].parameters:
+        place = place_of(f"{name}.{p.name}")
+        theta[place] = rival.theta[place]
+    free = tuple(f for f in bare.free if not f.name.startswith(f"{name}."))
+    own = tuple(f for f in rival.free if f.name.startswith(f"{name}.")) or free_of(start)
+    return replace(bare, theta=theta, active=active, free=free + own, named=(*bare.named, name))
+
+
+def _only(name: str, active: np.ndarray) -> np.ndarray:
+    """Return a mask of one effect."""
+    mask = np.zeros_like(active)
+    mask[list(CATALOGUE).index(name)] = True
+    return mask
+
+
+def search_motion(experiment: Experiment, fit: Fit, questions: Sequence[Question],
+                  here: Gram, limits: Limits, base: Sequence[Slope], every: bool = True
+                  ) -> tuple[Motion | None, list[Tried]]:
+    """Return the cheapest motion that settles all questions, or most of them, and what was tried.
+
+    Parameters
+    ----------
+    here : what the recording tells; a motion is judged together with it.
+    every : try all motions, for the table; otherwise a few, until one will do.
+    """
+    slopes = [*base, *(slope for q in questions for slope in q.slopes())]
+    tried, grams = [], []
+    for motion in candidates(limits):
+        if not every and motion.name not in USUAL:
+            continue
+        there = gram_of(planned(experiment, fit, limits, motion), fit, slopes, planned=True)
+        grams.append(there)
+        gains = tuple(q.gain(here + there, base) for q in questions)
+        tried.append(Tried(motion, gains))
+        if min(gains) >= DECISIVE and not every:
+            break
+    solved = [sum(gain >= DECISIVE for gain in one.gains) for one in tried]
+    if max(solved) < len(questions):
+        pairs = sorted(((tried[i].motion.duration + tried[j].motion.duration, i, j)
+                        for i, j in combinations(range(len(tried)), 2)), key=lambda row: row[0])
+        for duration, i, j in pairs:
+            if duration > LONGEST:
+                break
+            if share_within(limits, joined(tried[i].motion, tried[j].motion).segments) < 1.0:
+                continue  # the jump from one to the other is too far
+            gains = tuple(q.gain(here + grams[i] + grams[j], base) for q in questions)
+            if sum(gain >= DECISIVE for gain in gains) > max(solved):
+                tried.append(Tried(joined(tried[i].motion, tried[j].motion), gains))
+                solved.append(sum(gain >= DECISIVE for gain in gains))
+    most = max(solved)
+    if most == 0:
+        return None, tried
+    best = min((one for one, count in zip(tried, solved, strict=True) if count == most),
+               key=lambda one: one.motion.duration)
+    return best.motion, tried
+
+
+def joined(first: Motion, second: Motion) -> Motion:
+    """Return two motions, one after the other."""
+    segments = dict(first.segments)
+    for name, segment in second.segments.items():
+        segments[name if name not in segments else f"{name}_2"] = segment
+    return Motion(f"{first.name}_then_{second.name}", f"{first.words}, then {second.words}",
+                  segments)
+
+
+def checked(experiment: Experiment, fit: Fit, question: Question, motion: Motion,
+            limits: Limits, seed: int = 0) -> Check:
+    """Simulate a motion with the effect and noise, fit both models, and compare.
+
+    The recording's own motion is simulated with it, where both are driven alike: the two are
+    diagnosed together.
+    """
+    truth = question.truth
+    there = planned(experiment, truth, limits, motion)
+    both = there.only((*experiment.stretches, *there.stretches)
+                      if experiment.mode == CLOSED else there.stretches)
+    data = simulated(both, truth, seed)
+    right = settle(data, with_unknowns(data, truth, truth.unknowns), 1)
+    wrong = settle(data, with_unknowns(data, question.other, right.unknowns), 1)
+    # What the recording itself lacks is not in the simulation: predicted for its conditions.
+    like = replace(fit, gains=right.gains, s=right.s)
+    base = free_slopes(like)
+    gram = gram_of(both, like, [*base, *question.slopes()])
+    values = {f.name: (right.value(f.name), right.stddev(f.name), float(truth.theta[f.place]))
+              for f in right.free if f.name in ("B", "beta_e")}
+    return Check(question.effect, question.rival, question.gain(gram, base, steady=False),
+                 right.log_likelihood - wrong.log_likelihood, values)
