@@ -11,12 +11,16 @@ from pathlib import Path
 import pytest
 
 from eha_monitor.cli import main
-from eha_monitor.concealed.cases import Case
+from eha_monitor.concealed.cases import Case, effect_names
+from eha_monitor.concealed.generate import nominal_config
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch import prove_score as score
 from eha_monitor.mismatch.prove import Trial, prove
 from eha_monitor.mismatch.prove_curve import binned, curve_of, curves_of
+from eha_monitor.mismatch.prove_draws import DRAWS, cases_of, on_rig
 from eha_monitor.reports.proof_report import proof_page
+from eha_monitor.reports.proof_text import write_result
+from eha_monitor.settings import settings_from_tree
 
 ROOT = Path(__file__).parents[1]
 CASES = (Case("c001", (("coulomb_friction", 1.0),), motion="short", seed=11),
@@ -281,3 +285,37 @@ def test_detection_curve_finds_its_95_percent_point():
     assert curve_of([10.0] * 5, [False] * 5)["point_95"] > 20.0
     assert next(one["share"] for one in binned(marks)) == 0.0
     assert curves_of([{"effect": "a", "units": None, "said": "exact"}]) == {}
+
+
+def test_result_goes_between_the_marks_of_a_text(done, tmp_path):
+    found, _, _ = done
+    text = tmp_path / "proof.md"
+    text.write_text("before\n<!-- result -->\nold\n<!-- end of result -->\nafter\n")
+    write_result(text, found)
+    kept = text.read_text()
+    assert kept.startswith("before\n") and kept.endswith("\nafter\n") and "old" not in kept
+    assert found["sealed_key_sha256"] in kept and "| coulomb_friction | 1 |" in kept
+    text.write_text("no marks")
+    with pytest.raises(InputError, match="expected the lines"):
+        write_result(text, found)
+    assert text.read_text() == "no marks"
+
+
+def test_draws_of_a_seed_are_a_head_of_more_and_the_ladder_has_every_effect():
+    for draw in DRAWS:
+        assert cases_of(draw, 5, 3) == cases_of(draw, 9, 3)[:5] != cases_of(draw, 5, 4)
+    rungs = cases_of("ladder", 3 * len(effect_names()), 3)
+    strengths = {name: sorted(abs(case.effects[0][1]) for case in rungs
+                              if case.effects[0][0] == name) for name in effect_names()}
+    assert all(len(one) == 3 and one[0] < 0.07 and one[2] > 0.18
+               for one in strengths.values())
+
+
+def test_a_config_puts_all_cases_on_its_rig():
+    settings = settings_from_tree({"rig": {"mass": 33.0, "viscous_damping": 700.0}}, "rig")
+    cases = on_rig(cases_of("mixed", 3, 1), settings, "rig")
+    assert {case.rig["M"] for case in cases} == {33.0}
+    assert {nominal_config(case)["/**"]["ros__parameters"]["rig"]["viscous_damping"]
+            for case in cases} == {700.0}
+    with pytest.raises(InputError, match="equal areas"):
+        on_rig(cases, settings_from_tree({"rig": {"area_2": 4e-4}}, "rig"), "rig")

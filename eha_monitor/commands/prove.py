@@ -4,13 +4,15 @@ from pathlib import Path
 
 import click
 
-from eha_monitor.commands.common import check_target
+from eha_monitor.commands.common import check_target, config_option
 from eha_monitor.commands.diagnose import progress_bar
+from eha_monitor.errors import InputError
 
 _PATH = click.Path(path_type=Path)
 
 
 @click.command()
+@config_option
 @click.option("--cases", type=click.IntRange(1, 10000), default=200, show_default=True,
               help="How many recordings.")
 @click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=1, show_default=True,
@@ -18,6 +20,11 @@ _PATH = click.Path(path_type=Path)
 @click.option("--json", "json_file", type=_PATH, metavar="FILE", help="Write the result as JSON.")
 @click.option("--report", "report_file", type=_PATH, metavar="FILE.html",
               help="Write a self-contained HTML report; without it DIR/proof.html.")
+@click.option("--markdown", "text_file", type=_PATH, metavar="FILE.md",
+              help="Put the result into a Markdown file, between its two result marks.")
+@click.option("--draw", type=click.Choice(("mixed", "ladder")), default="mixed",
+              show_default=True, help="Sets of 0 to 3 effects on all rigs and motions; or single "
+              "effects over a ladder of strengths, for a detection curve of each.")
 @click.option("--work", type=_PATH, metavar="DIR",
               help="Folder of recordings, key and answers; by default out/proof/... here. A trial "
               "that was interrupted goes on.")
@@ -31,26 +38,33 @@ _PATH = click.Path(path_type=Path)
               help="Processes at a time; all cores by default.")
 @click.option("--calibration/--no-calibration", default=True,
               help="As in diagnose; without it the usual threshold of evidence is used.")
-def prove(cases: int, seed: int, json_file: Path | None, report_file: Path | None,
-          work: Path | None, keep: str, oracle: bool, jobs: int | None,
-          calibration: bool) -> int:
+def prove(config: Path | None, cases: int, seed: int, json_file: Path | None,
+          report_file: Path | None, text_file: Path | None, draw: str, work: Path | None,
+          keep: str, oracle: bool, jobs: int | None, calibration: bool) -> int:
     """Conceal effects in recordings, seal the key, diagnose blindly, open the key and score.
 
-    The key's SHA-256 is printed before any recording is read.
+    The key's SHA-256 is printed before any recording is read.  With a config all cases are on its
+    rig; without one, on the paper's and others about it.
     """
     check_target(json_file)
     check_target(report_file)
+    if text_file and not text_file.is_file():
+        raise InputError(f"{text_file}: no such file; expected one with the result marks")
 
     from eha_monitor.compiled import announce_first_compilation
-    from eha_monitor.concealed.draws import draw_cases
     from eha_monitor.mismatch.prove import Trial, misses, write_json
     from eha_monitor.mismatch.prove import prove as run
+    from eha_monitor.mismatch.prove_draws import cases_of, on_rig
     from eha_monitor.reports.proof_report import write_proof_report
 
+    drawn = cases_of(draw, cases, seed)
+    if config:
+        from eha_monitor.settings import load_settings
+
+        drawn = on_rig(drawn, load_settings(config), str(config))
     announce_first_compilation()
-    work = (work or Path("out", "proof", f"seed{seed}-{cases}")).resolve()
-    trial = Trial(tuple(draw_cases(cases, seed)), seed, work, oracle, jobs or 0, keep,
-                  calibration)
+    work = (work or Path("out", "proof", f"{draw}-seed{seed}-{cases}")).resolve()
+    trial = Trial(drawn, seed, work, oracle, jobs or 0, keep, calibration)
     with progress_bar() as told:
         found = run(trial, lambda text: click.echo(text), told)
         told("writing the report", 1.0)
@@ -58,6 +72,10 @@ def prove(cases: int, seed: int, json_file: Path | None, report_file: Path | Non
         write_proof_report(report, found, work)
     if json_file:
         write_json(json_file, found)
+    if text_file:
+        from eha_monitor.reports.proof_text import write_result
+
+        write_result(text_file, found)
     click.echo(summary(found))
     click.echo(f"{len(misses(found))} of {found['cases']} missed; written: {report}, "
                f"{json_file or work / 'proof.json'}")

@@ -1,13 +1,21 @@
 """Draws of a trial beside the mixed one: single effects over a ladder of strengths."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from eha_monitor.concealed.cases import Case, effect_names
 from eha_monitor.concealed.draws import draw_cases
 from eha_monitor.concealed.hidden import SIGNED
+from eha_monitor.errors import InputError
+from eha_monitor.settings.monitor import Settings
 
 DRAWS = ("mixed", "ladder")
 WEAKEST, STRONGEST = 0.01, 1.2
+# Constant of the generator's rig -> key of a config.
+RIG_KEYS = {"A": "area_1", "V": "volume_1", "M": "mass", "B": "viscous_damping",
+            "beta_e": "bulk_modulus", "C_T": "leakage", "G": "makeup_conductance",
+            "p_charge": "charge_pressure", "D_p": "pump_displacement", "K_pos": "position_gain"}
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
@@ -37,3 +45,26 @@ def rung(i: int, seed: int) -> Case:
         strength = -strength
     rig = {"B": round(rng.uniform(500.0, 900.0)), "beta_e": round(rng.uniform(4.5, 8.0), 2) * 1e8}
     return Case(f"c{i + 1:03d}", ((name, strength),), seed=int(rng.integers(2**31)), rig=rig)
+
+
+def on_rig(cases: tuple[Case, ...], settings: Settings, source: str) -> tuple[Case, ...]:
+    """Return the cases on the rig of a config in place of the drawn ones.
+
+    Raises
+    ------
+    InputError
+        If the generator cannot be that rig: it is a linear actuator with equal areas and volumes
+        whose position loop is closed.
+    """
+    rig = settings.rig
+    if rig.motion != "linear" or rig.area_1 != rig.area_2 or rig.volume_1 != rig.volume_2:
+        raise InputError(f"{source}: expected a linear actuator with equal areas and volumes: no "
+                         "other can be made for the trial")
+    constants = {symbol: getattr(rig, key) for symbol, key in RIG_KEYS.items()}
+    for symbol, value in constants.items():
+        if value is None:
+            raise InputError(f"{source}: rig.{RIG_KEYS[symbol]}: expected a value, the trial "
+                             "simulates the rig")
+    return tuple(replace(case, rig={symbol: float(value) for symbol, value in constants.items()},
+                         nominal={"B": float(rig.viscous_damping),
+                                  "beta_e": float(rig.bulk_modulus)}) for case in cases)

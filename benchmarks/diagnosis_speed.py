@@ -1,0 +1,177 @@
+"""Wall time of ``diagnose``, start included, beside one scipy simulation fit per candidate.
+
+    python benchmarks/diagnosis_speed.py [--runs N] [--candidates K] [--quick]
+
+The recording is made of 6 s stretches of rich motion at 1 kHz (triangles, multisine, steps) with
+40 N of dry friction in it.  The rival search lets the same compiled simulation run free over the
+whole recording and fits B, beta_e and the candidate's parameters to all channels by
+``scipy.optimize.least_squares``, once for each entry of the catalogue; it is run on K entries and
+the rest is extrapolated, which the table says.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+AIM = 8.0  # s, of 24 s through the whole catalogue on two cores
+LENGTHS = (12, 24, 48)  # s
+MOST_RUNS = 60  # simulations with all slopes that a rival fit may take
+FIRST = ("coulomb_friction", "quadratic_friction", "added_mass", "cross_port_leakage",
+         "pump_dead_zone", "drive_lag", "position_delay", "pressure_offset")
+
+
+def bag_of(seconds: int, folder: Path) -> tuple[Path, Path]:
+    """Make a recording of some 6 s stretches; returns bag and nominal config."""
+    from eha_monitor.concealed.cases import SAMPLE_TIME, Case
+    from eha_monitor.concealed.generate import write_case
+    from eha_monitor.concealed.motions import LENGTHS as MOTIONS
+    from eha_monitor.concealed.motions import demanded_position
+
+    each = MOTIONS["short"]
+    t = np.arange(round(each / SAMPLE_TIME)) * SAMPLE_TIME
+    demand = np.concatenate([demanded_position("short", t, seed)
+                             for seed in range(round(seconds / each))])
+    return write_case(Case(f"speed_{seconds}", (("coulomb_friction", 1.0),), demand=demand,
+                           seed=1), folder)
+
+
+def timed(bag: Path, config: Path, cache: Path) -> float:
+    """Return the wall time of one ``diagnose`` in a process of its own, s."""
+    environment = {**os.environ, "EHA_MONITOR_CACHE": str(cache)}
+    started = time.perf_counter()
+    subprocess.run([sys.executable, "-m", "eha_monitor", "diagnose", str(bag), "--config",
+                    str(config)], env=environment, check=True, capture_output=True,
+                   cwd=Path(__file__).resolve().parent.parent)
+    return time.perf_counter() - started
+
+
+def fresh_cache(folder: Path) -> Path:
+    """Return a cache with the compiled code and without any kept calibration."""
+    from eha_monitor.compiled import CACHE
+
+    place = Path(tempfile.mkdtemp(dir=folder))
+    (place / CACHE.name).symlink_to(CACHE)
+    return place
+
+
+def measure(runs: int, lengths: tuple[int, ...], folder: Path, table: Table) -> None:
+    """Add the rows of the wall time of ``diagnose``."""
+    kept: dict[int, float] = {}
+    for seconds in lengths:
+        bag, config = bag_of(seconds, folder)
+        if seconds == lengths[0]:
+            timed(bag, config, fresh_cache(folder))  # compiles whatever is not compiled yet
+        cache = fresh_cache(folder)
+        without = timed(bag, config, cache)
+        kept[seconds] = float(np.median([timed(bag, config, cache) for _ in range(runs)]))
+        aim = f"≤ {AIM:g}" if seconds == 24 else ""
+        table.add_row(f"diagnose, {seconds} s, calibration kept (median of {runs})",
+                      f"{kept[seconds]:.1f}", aim)
+        table.add_row(f"diagnose, {seconds} s, calibrating", f"{without:.1f}",
+                      "≤ 60 more" if seconds == 24 else "")
+    if len(kept) > 1:
+        slope, start = np.polyfit(list(kept), list(kept.values()), 1)
+        bend = max(abs(value - start - slope * seconds) / value
+                   for seconds, value in kept.items())
+        table.add_row(f"start and what does not grow {start:.1f} s, then {slope:.3f} s for each "
+                      f"s; off that line by at most {bend:.0%}", "", "linear")
+
+
+def rival(count: int, folder: Path) -> tuple[list[tuple[str, float, float]], int]:
+    """Return (effect, seconds, cost) of simulation fits, and how many the catalogue asks for."""
+    from eha_monitor.mismatch.experiment import experiment_of
+    from eha_monitor.mismatch.screen import possible
+    from eha_monitor.physics.effects import NAMES
+    from eha_monitor.recordings.read import read_recording
+    from eha_monitor.settings import load_settings
+
+    bag, config = bag_of(24, folder)
+    settings = load_settings(config)
+    experiment = experiment_of([read_recording(bag, settings)], settings)
+    every = [name for name in NAMES if possible(name, experiment)]
+    order = [*(name for name in FIRST if name in every),
+             *(name for name in every if name not in FIRST)]
+    simulation_fit(experiment, "constant_load", 2)  # compiles
+    found = []
+    for name in order[:count]:
+        started = time.perf_counter()
+        cost = simulation_fit(experiment, name, MOST_RUNS)
+        found.append((name, time.perf_counter() - started, cost))
+    return found, len(every)
+
+
+def simulation_fit(experiment, name: str, most: int) -> float:
+    """Fit B, beta_e and an effect to the free-running simulation; returns rms error in noises."""
+    from scipy.optimize import least_squares
+
+    from eha_monitor.mismatch.fit import filtered
+    from eha_monitor.mismatch.gains import Unknowns, gains_of
+    from eha_monitor.mismatch.screen import entered, free_of, starts_of
+    from eha_monitor.mismatch.search import base_free, limits_of
+
+    start = starts_of(name, experiment)[0]
+    theta, active = entered(experiment.theta, experiment.active, start)
+    free = (*base_free(experiment), *free_of(start))
+    gains = gains_of(experiment, theta, active, Unknowns(*limits_of(experiment)[0].as_array()))
+    noise = experiment.noise[experiment.columns]
+
+    def residual(point: np.ndarray) -> np.ndarray:
+        moved = theta.copy()
+        for f, value in zip(free, point, strict=True):
+            moved[f.place] = f.outward(value)
+        parts = []
+        for stretch in experiment.stretches:
+            e, _ = filtered(experiment, stretch, moved, active, gains,
+                            free=np.ones(len(stretch), dtype=bool))
+            parts.append((e[stretch.counted][:, experiment.columns] / noise).ravel())
+        return np.clip(np.nan_to_num(np.concatenate(parts), nan=1e6), -1e6, 1e6)
+
+    low = [f.inward(f.lower) if not f.log or f.lower > 0 else -50.0 for f in free]
+    high = [f.inward(f.upper) for f in free]
+    first = [min(max(f.inward(theta[f.place]), a + 1e-9 * abs(a)), b)
+             for f, a, b in zip(free, low, high, strict=True)]
+    scale = [1.0 if f.log else max(abs(x), 1e-3 * f.spread)
+             for f, x in zip(free, first, strict=True)]
+    found = least_squares(residual, first, bounds=(low, high), x_scale=scale, max_nfev=most)
+    return float(np.sqrt(2.0 * found.cost / len(found.fun)))
+
+
+def main() -> None:
+    """Print both tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=int, default=3, help="of each length, calibration kept")
+    parser.add_argument("--candidates", type=int, default=len(FIRST),
+                        help="simulation fits that are run")
+    parser.add_argument("--quick", action="store_true", help="24 s only, one run")
+    options = parser.parse_args()
+    table = Table(title=f"diagnose on {len(os.sched_getaffinity(0))} cores, start included")
+    for column in ("", "wall time, s", "has to be, s"):
+        table.add_column(column)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        measure(1 if options.quick else options.runs, (24,) if options.quick else LENGTHS,
+                folder, table)
+        fits, every = rival(options.candidates, folder)
+    spent = sum(seconds for _, seconds, _ in fits)
+    best = min(fits, key=lambda one: one[2])
+    table.add_section()
+    for name, seconds, cost in fits:
+        table.add_row(f"simulation fit of {name}: {cost:.2f} noises left", f"{seconds:.1f}", "")
+    table.add_row(f"simulation fits of the catalogue, one round, {every} of them, on one core; "
+                  + ("all run" if len(fits) == every else f"extrapolated from {len(fits)}"),
+                  f"{spent / len(fits) * every:.0f}", "")
+    Console(width=120).print(table)
+    print(f"the simulation fits prefer {best[0]}; concealed is coulomb_friction")
+
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+    main()
