@@ -12,6 +12,7 @@ import traceback
 import click
 
 from eha_monitor import __version__
+from eha_monitor.commands.advise import advise
 from eha_monitor.commands.diagnose import diagnose
 from eha_monitor.commands.estimate import estimate
 from eha_monitor.commands.files import config, import_table, simulate
@@ -45,7 +46,7 @@ def cli(context: click.Context) -> None:
                                "expected no --ros-args")
 
 
-for _command in (simulator, monitor, replay, record, simulate, estimate, diagnose,
+for _command in (simulator, monitor, replay, record, simulate, estimate, diagnose, advise,
                  prove, import_table, config):
     cli.add_command(_command)
 

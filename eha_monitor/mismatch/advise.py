@@ -5,11 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eha_monitor.mismatch.choice import Naming
-from eha_monitor.mismatch.experiment import Experiment
+from eha_monitor.errors import InputError
+from eha_monitor.mismatch.choice import Naming, name_effects
+from eha_monitor.mismatch.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.fit import Fit
-from eha_monitor.mismatch.information import Gram, Slope, free_slopes, gram_of
-from eha_monitor.mismatch.motions import Limits, Motion, limits_for, looped
+from eha_monitor.mismatch.information import Slope, Traces, free_slopes
+from eha_monitor.mismatch.motions import Motion, limits_for, looped
 from eha_monitor.mismatch.screen import starts_of
 from eha_monitor.mismatch.search import with_effect
 from eha_monitor.mismatch.separate import (
@@ -33,9 +34,12 @@ from eha_monitor.mismatch.tells import (
 )
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.monitor import Settings
 
 COMMON = ("coulomb_friction", "quadratic_friction", "spring_load", "added_mass",
           "cross_port_leakage")  # what B and beta_e are most often mistaken for
+LEAST_MOTION = 20.0  # times the position's noise: less motion says nothing
 MOST_QUESTIONS = 4
 Report = Callable[[str, float], None]
 
@@ -91,7 +95,7 @@ class Advice:
 
 
 def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
-           rivals: dict[str, Fit] | None = None, check: bool = True, names: Sequence[str] = NAMES,
+           rivals: dict[str, Fit] | None = None, check: bool = True, thorough: bool = True,
            report: Report | None = None) -> Advice:
     """Say what a recording tells apart, and which motion would tell the rest.
 
@@ -101,7 +105,7 @@ def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
     doubts : named effect -> effects that may be there instead.
     rivals : effect -> a fit that has it instead; without it the rival enters at its start.
     check : put the proposed motion to a simulation with noise.
-    names : effects of the catalogue that are looked at beside the doubts.
+    thorough : look at the whole catalogue and at all motions; otherwise at the usual ones.
     report : told what is done and how far it is, 0 to 1.
     """
     say = report or (lambda text, share: None)
@@ -110,13 +114,15 @@ def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
     if limits is not None:
         fit = looped(fit, limits)
     unit = "N·s/m" if experiment.settings.rig.motion == "linear" else "N·m·s/rad"
-    base = free_slopes(fit)
-    directions, slopes = directions_for(experiment, fit, effects_for(experiment, fit, names))
+    base = [s for s in free_slopes(fit) if thorough or not small_timing(s.label, fit)]
+    directions, slopes = directions_for(experiment, fit, effects_for(
+        experiment, fit, NAMES if thorough else COMMON))
     found, found_slopes = named_directions(experiment, fit)
     pairs = [pair(experiment, fit, effect, rival, (rivals or {}).get(rival))
              for effect, others in doubts.items() if effect in fit.named for rival in others]
-    here = gram_of(experiment, fit, [*base, *slopes, *found_slopes,
-                                     *(s for q in pairs for s in q.slopes())])
+    everything = [*base, *slopes, *found_slopes, *(s for q in pairs for s in q.slopes())]
+    traces = Traces(experiment, fit, everything)
+    here = traces.gram([s.label for s in [*base, *slopes, *found_slopes]])
     reading = Reading(fit, here, base, directions, found)
     named = [c for d in found for parameter in ("B", "beta_e") if parameter in reading.labels
              and (c := reading.confusion(d, parameter, d.amount, True)) is not None]
@@ -125,9 +131,11 @@ def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
         f"{name}.{p.name}": p.unit for name in NAMES for p in CATALOGUE[name].parameters}
     questions = [*pairs, *(hidden(fit, c, reading) for c in open_ones(confusions))]
     say("looking for a motion", 0.2)
-    asked, motion, tried, here = planned_for(experiment, fit, questions, limits, base, here, names
-                                             is NAMES)
-    now = [q.gain(here, base) for q in asked]
+    asked, now = open_questions(traces, questions, base)
+    motion, tried = None, []
+    if asked and limits is not None:
+        here = traces.gram([s.label for s in [*base, *(s for q in asked for s in q.slopes())]])
+        motion, tried = search_motion(experiment, fit, asked, here, limits, base, thorough)
     then = next((one.gains for one in tried if one.motion is motion), (float("nan"),) * len(asked))
     checks = []
     for i, question in enumerate(asked if check and motion is not None and limits else ()):
@@ -180,26 +188,51 @@ def pair(experiment: Experiment, fit: Fit, effect: str, rival: str, other: Fit |
                     float(fit.theta[place_of(f"{effect}.{p.name}")]), p.name, p.unit)
 
 
-def planned_for(experiment: Experiment, fit: Fit, questions: list[Question],
-                limits: Limits | None, base: Sequence[Slope], here: Gram, every: bool
-                ) -> tuple[list[Question], Motion | None, list[Tried], Gram]:
-    """Return the questions that are open, the motion for them, what was tried, and the Gram."""
-    slopes = [*base, *(s for q in questions for s in q.slopes())]
-    if any(q.label not in here.labels for q in questions):
-        here = gram_of(experiment, fit, slopes)
-    else:
-        places = here.places([s.label for s in slopes])
-        here = Gram(tuple(s.label for s in slopes), here.whole[places][:, places],
-                    here.part[places][:, places], here.count, here.count_part)
-    asked = [q for q in questions if q.gain(here, base) < DECISIVE][:MOST_QUESTIONS]
-    if not asked or limits is None:
-        return asked, None, [], here
-    kept = [*base, *(s for q in asked for s in q.slopes())]
-    places = here.places([s.label for s in kept])
-    here = Gram(tuple(s.label for s in kept), here.whole[places][:, places],
-                here.part[places][:, places], here.count, here.count_part)
-    motion, tried = search_motion(experiment, fit, asked, here, limits, base, every)
-    return asked, motion, tried, here
+def open_questions(traces: Traces, questions: Sequence[Question], base: Sequence[Slope]
+                   ) -> tuple[list[Question], list[float]]:
+    """Return the questions that the recording leaves open, and the log units it has on each."""
+    found = []
+    for question in questions:
+        traces.add(question.slopes())
+        now = question.gain(traces.gram([s.label for s in [*base, *question.slopes()]]), base)
+        if now < DECISIVE:
+            found.append((question, now))
+    found = found[:MOST_QUESTIONS]
+    return [question for question, _ in found], [now for _, now in found]
+
+
+def small_timing(name: str, fit: Fit) -> bool:
+    """Tell whether a parameter is one of the small timing errors that every record has."""
+    effect, dot, _ = name.partition(".")
+    return bool(dot) and effect not in fit.named
+
+
+def advise(recordings: list[Recording], settings: Settings, check: bool = True,
+           report: Report | None = None) -> tuple[Naming, Advice]:
+    """Name what recordings of one rig support, and say what they leave open.
+
+    Parameters
+    ----------
+    settings : nominal config; its effects count as known.
+    check : put the proposed motion to a simulation with noise.
+    report : told what is done and how far it is, 0 to 1.
+
+    Raises
+    ------
+    InputError
+        If the recordings hold nothing that a model predicts, or hardly any motion.
+    """
+    say = report or (lambda text, share: None)
+    experiment = experiment_of(recordings, settings, hold_out=False)
+    moved = experiment.ranges.position
+    if moved < LEAST_MOTION * experiment.noise[0]:
+        raise InputError(f"{recordings[0].source}: expected a piston that moves, found "
+                         f"±{moved:.2g} m with {experiment.noise[0]:.2g} m of noise: any motion "
+                         "tells more")
+    naming = name_effects(experiment, report=lambda text, share: say(text, 0.6 * share))
+    found = advice(experiment, naming.after, naming.rivals, rival_fits(naming), check,
+                   report=lambda text, share: say(text, 0.6 + 0.4 * share))
+    return naming, found
 
 
 def rival_fits(naming: Naming) -> dict[str, Fit]:
@@ -216,4 +249,4 @@ def advice_for(experiment: Experiment, naming: Naming, check: bool = False) -> t
     from eha_monitor.mismatch.advise_words import sentences
 
     return sentences(advice(experiment, naming.after, naming.rivals, rival_fits(naming), check,
-                            COMMON))
+                            thorough=False))

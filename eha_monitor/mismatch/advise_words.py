@@ -13,6 +13,7 @@ from eha_monitor.reports.quantities import number, quantity
 from eha_monitor.settings.rig import Segment
 
 NOTABLE = 0.02  # of B or beta_e: a shift below is of no matter
+HARDLY = 100.0  # variance inflation: standard deviations are ten times as large
 MOST = 4  # sentences of a kind
 PARAMETERS = {"B": "B", "beta_e": "βe"}
 
@@ -28,11 +29,12 @@ def sentences(advice: Advice) -> tuple[str, ...]:
     found += blind_words(advice)
     found += motion_words(advice)
     found += [check_words(check, advice.damping_unit) for check in advice.checks]
-    return tuple(text for text in found if text)
+    return tuple(found)
 
 
 def amount(value: float, unit: str, digits: int = 3) -> str:
     """Return an SI value in a unit that people write: ``0.12 bar`` is kPa, ``1`` is %."""
+    value = float(f"{value:.6g}")
     unit = (unit.replace("^2", "²").replace("^3", "³").replace("^0.5", "^½").replace("*", "·"))
     if unit == "1":
         return f"{number(100.0 * value, digits)} %"
@@ -43,7 +45,7 @@ def rounded(value: float) -> float:
     """Return 1, 2 or 5 times a power of ten, at most a value."""
     power = 10.0 ** math.floor(math.log10(abs(value)))
     step = next(step for step in (5.0, 2.0, 1.0) if step * power <= abs(value) * (1 + 1e-9))
-    return math.copysign(step * power, value)
+    return float(f"{math.copysign(step * power, value):.6g}")
 
 
 def unit_of(parameter: str, advice: Advice) -> str:
@@ -77,9 +79,14 @@ def confusion_words(c: Confusion, advice: Advice) -> str:
                      f"{abs(c.correlation):.3f}, inflation {number(c.inflation, 2)} over all), "
                      "as far as the model of the turn-round is right")
         return text
-    return (f"{parameter} and {effect}: correlation {abs(c.correlation):.3f}, variance inflation "
-            f"{number(c.inflation, 2)}: this recording hardly tells them apart; {parameter} may "
-            f"be off by {amount(share * abs(c.shift), unit)} for {size} of it")
+    text = (f"{parameter} and {effect}: correlation {abs(c.correlation):.3f}, variance inflation "
+            f"{number(c.inflation, 2)}")
+    if c.inflation > HARDLY:
+        text += ": this recording hardly tells them apart"
+    shift = amount(share * abs(c.shift), unit)
+    return (f"{text}; without the {size} of it that was found, {parameter} would be off by "
+            f"{shift}" if c.named else
+            f"{text}; {size} of it, left out, would put {parameter} off by {shift}")
 
 
 def known_words(one: Known) -> str:

@@ -110,6 +110,8 @@ def gain_of(squares: float, count: int) -> float:
 def free_slopes(fit: Fit, model: Model | None = None, names: Sequence[str] = ()) -> list[Slope]:
     """Return the slopes of a fit's free parameters, in their fitted coordinates.
 
+    Those of a rival that stand at a bound are held there.
+
     Parameters
     ----------
     model : where they are taken, where that is another than the fit.
@@ -119,14 +121,16 @@ def free_slopes(fit: Fit, model: Model | None = None, names: Sequence[str] = ())
     found = []
     for i, f in enumerate(fit.free):
         other, step = step_of(f, theta)
+        if model is not None and min(abs(theta[f.place] - f.lower), abs(
+                theta[f.place] - f.upper)) <= 1e-6 * abs(theta[f.place]):
+            continue
         found.append(Slope(names[i] if names else f.name, (other, active), step, f.spread**-2.0,
                            None if model is None else model))
     return found
 
 
-def gram_of(experiment: Experiment, fit: Fit, slopes: Sequence[Slope], planned: bool = False
-            ) -> Gram:
-    """Return the products of slopes over an experiment, each one or two runs of the filter.
+class Traces:
+    """Whitened traces of slopes in the innovations of one experiment.
 
     Parameters
     ----------
@@ -134,27 +138,57 @@ def gram_of(experiment: Experiment, fit: Fit, slopes: Sequence[Slope], planned: 
     planned : a motion that is only simulated: its part is what is away from reversals; that of
         a recording is its plateaus.
     """
-    models = [(fit.theta, fit.active)]
-    for slope in slopes:
-        for model in (slope.model, slope.origin):
-            if model is not None and not any(model is known for known in models):
-                models.append(model)
-    runs = spread(lambda m: np.nan_to_num(innovations(experiment, *m, fit.gains)), models)
 
-    def run(model):
-        return runs[next(i for i, known in enumerate(models) if known is model)]
+    def __init__(self, experiment: Experiment, fit: Fit, slopes: Sequence[Slope],
+                 planned: bool = False):
+        self.experiment, self.fit = experiment, fit
+        self.part = sliding(experiment) if planned else steady(experiment, fit)
+        self.runs: list[tuple[Model, np.ndarray]] = []
+        self.rows: dict[str, np.ndarray] = {}
+        self.w = whitener(fit.s)
+        self.add(slopes)
 
-    w = whitener(fit.s).T
-    here = []
-    for slope in slopes:
-        origin = runs[0] if slope.origin is None else run(slope.origin)
-        d = (run(slope.model) - origin) @ w / slope.step
-        here.append(d if np.isfinite(d).all() and np.abs(d).max() < 1e9 else np.zeros_like(d))
-    d = np.stack(here) if here else np.zeros((0, *runs[0].shape))
-    part = sliding(experiment) if planned else steady(experiment, fit)
-    flat, few = d.reshape(len(d), -1), d[:, part].reshape(len(d), -1)
-    return Gram(tuple(slope.label for slope in slopes), flat @ flat.T, few @ few.T,
-                d.shape[1], int(part.sum()))
+    def add(self, slopes: Sequence[Slope]) -> None:
+        """Run the filter for slopes that are not there yet."""
+        slopes = [slope for slope in slopes if slope.label not in self.rows]
+        here = (self.fit.theta, self.fit.active)
+        wanted = [here, *(model for slope in slopes for model in (slope.model, slope.origin)
+                          if model is not None)]
+        new: list[Model] = []
+        for model in wanted:
+            if self.run(model) is None and not any(model[0] is other[0] for other in new):
+                new.append(model)
+        found = spread(lambda m: np.nan_to_num(innovations(self.experiment, *m, self.fit.gains)),
+                       new)
+        self.runs += zip(new, found, strict=True)
+        for slope in slopes:
+            d = self.run(slope.model) - self.run(slope.origin or here)
+            # Not by @: BLAS would start threads for it that wait for one another.
+            d = np.stack([sum(w * d[:, j] for j, w in enumerate(row) if w) for row in self.w],
+                         axis=1) / slope.step
+            good = np.isfinite(d).all() and np.abs(d).max() < 1e9
+            self.rows[slope.label] = d if good else np.zeros_like(d)
+        self.runs = self.runs[:1]
+
+    def run(self, model: Model) -> np.ndarray | None:
+        """Return the innovations of a model, None where it was not run."""
+        return next((e for known, e in self.runs if known[0] is model[0]), None)
+
+    def gram(self, labels: Sequence[str]) -> Gram:
+        """Return the products of some traces."""
+        d = [self.rows[label] for label in labels]
+        few = [row[self.part] for row in d]
+        return Gram(tuple(labels), products(d), products(few), len(self.part),
+                    int(self.part.sum()))
+
+
+def products(rows: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the products of traces with one another, (m, m)."""
+    found = np.zeros((len(rows), len(rows)))
+    for i, a in enumerate(rows):
+        for j, b in enumerate(rows[:i + 1]):
+            found[i, j] = found[j, i] = np.einsum("nc,nc->", a, b)
+    return found
 
 
 def speeds(experiment: Experiment, fit: Fit) -> list[np.ndarray]:

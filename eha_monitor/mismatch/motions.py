@@ -17,6 +17,7 @@ from eha_monitor.settings.rig import Segment
 USED = 0.9  # of the recording's pump speed
 LOOP = 0.1  # s with which a rig follows its demand, where its gain is not known
 SETTLED = 8.0  # loop time constants for which a triangle's speed must last
+SHORTEST = 2.0  # s
 DIGITS = 3  # of amplitudes
 
 
@@ -78,7 +79,8 @@ def candidates(limits: Limits) -> list[Motion]:
 
     def triangle(speed: float, where: float = middle, most: float = reach) -> Segment:
         lasting = min(period, 4.0 * most / speed)
-        return Segment(kind="triangle", duration=_tidy(2.0 * lasting), frequency=_tidy(
+        count = max(2, int(np.ceil(SHORTEST / lasting)))
+        return Segment(kind="triangle", duration=_tidy(count * lasting), frequency=_tidy(
             1.0 / lasting), amplitude=speed * lasting / 4.0, offset=where)
 
     def sine(frequency: float, where: float = middle, most: float = reach,

@@ -9,7 +9,7 @@ import numpy as np
 from eha_monitor.mismatch.calibrate import simulated
 from eha_monitor.mismatch.experiment import Experiment
 from eha_monitor.mismatch.fit import Fit, with_unknowns
-from eha_monitor.mismatch.information import Gram, Slope, free_slopes, gain_of, gram_of
+from eha_monitor.mismatch.information import Gram, Slope, Traces, free_slopes, gain_of
 from eha_monitor.mismatch.innovations import CLOSED
 from eha_monitor.mismatch.motions import Limits, Motion, candidates, planned, share_within
 from eha_monitor.mismatch.screen import Start, free_of
@@ -19,8 +19,7 @@ from eha_monitor.physics.parameters import place_of
 
 DECISIVE = 20.0  # log units that settle a question
 LONGEST = 16.0  # s of two motions together
-USUAL = ("sine_2_hz", "sine_10_hz", "sine_places", "triangle_half", "multisine",
-         "two_triangles")  # motions that a quick search tries
+USUAL = ("sine_2_hz", "sine_10_hz", "sine_places", "triangle_half", "multisine")  # quick search
 FORM = 1e-3  # of a trace's squares: no model is right to 3 % of an effect, so less says nothing
 
 
@@ -148,11 +147,12 @@ def search_motion(experiment: Experiment, fit: Fit, questions: Sequence[Question
     every : try all motions, for the table; otherwise a few, until one will do.
     """
     slopes = [*base, *(slope for q in questions for slope in q.slopes())]
+    labels = [slope.label for slope in slopes]
     tried, grams = [], []
     for motion in candidates(limits):
         if not every and motion.name not in USUAL:
             continue
-        there = gram_of(planned(experiment, fit, limits, motion), fit, slopes, planned=True)
+        there = Traces(planned(experiment, fit, limits, motion), fit, slopes, True).gram(labels)
         grams.append(there)
         gains = tuple(q.gain(here + there, base) for q in questions)
         tried.append(Tried(motion, gains))
@@ -205,7 +205,8 @@ def checked(experiment: Experiment, fit: Fit, question: Question, motion: Motion
     # What the recording itself lacks is not in the simulation: predicted for its conditions.
     like = replace(fit, gains=right.gains, s=right.s)
     base = free_slopes(like)
-    gram = gram_of(both, like, [*base, *question.slopes()])
+    slopes = [*base, *question.slopes()]
+    gram = Traces(both, like, slopes).gram([slope.label for slope in slopes])
     values = {f.name: (right.value(f.name), right.stddev(f.name), float(truth.theta[f.place]))
               for f in right.free if f.name in ("B", "beta_e")}
     return Check(question.effect, question.rival, question.gain(gram, base, steady=False),

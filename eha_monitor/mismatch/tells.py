@@ -170,6 +170,8 @@ class Reading:
         correlation = covariance / np.outer(sigma, sigma) - np.eye(len(sigma))
         found = []
         for i, f in enumerate(self.fit.free):
+            if f.name not in self.labels:
+                continue
             others = [label for label in self.labels if label != f.name]
             alone = self.gram.remaining([f.name], (), {})[0, 0] + self.weights[f.name]
             left = (self.gram.remaining([f.name], others, self.weights)[0, 0]

@@ -44,7 +44,8 @@ def sentence(text: str) -> str:
     text = text.strip()
     if not text:
         return ""
-    return text[0].upper() + text[1:] + ("" if text[-1] in ".!?" else ".")
+    first = text[0].upper() if text[0].isascii() else text[0]  # βe is a symbol, no word
+    return first + text[1:] + ("" if text[-1] in ".!?" else ".")
 
 
 def place_words(found: Diagnosis) -> str:
