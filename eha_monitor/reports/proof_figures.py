@@ -58,7 +58,8 @@ def detection_picture(found: dict) -> Picture | None:
     axis.margins(x=0.04)
     axis.set_xlabel("strength, in units of what an oracle just detects" if by_units
                     else "strength; 1 is clear")
-    legend_above(axis)
+    axis.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.02, 1.0), borderaxespad=0.1,
+                columnspacing=1.4, frameon=False, fontsize=9.5)
     return picture(figure, "what was said of each single concealed effect, by its strength")
 
 

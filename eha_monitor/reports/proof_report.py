@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from eha_monitor.mismatch.prove import misses, read_json
-from eha_monitor.mismatch.prove_score import MARKS
+from eha_monitor.mismatch.prove_score import MARKS, UNEXPLAINED
 from eha_monitor.output import write_text
 from eha_monitor.reports.diagnosis_words import effect_words
 from eha_monitor.reports.page import render
@@ -94,11 +94,15 @@ def effect_rows(found: dict) -> list[dict]:
 
 
 def confusion_rows(found: dict) -> list[dict]:
-    """Return what was said of each effect, its own name apart from the others."""
-    return [{"name": name, "n": sum(said.values()), "own": said.get(name, 0),
-             "others": ", ".join(f"{other} {count}" for other, count in said.items()
-                                 if other != name)}
-            for name, said in found["confusion"].items()]
+    """Return what was said of each effect, the right answer apart from the others."""
+    rows = []
+    for name, said in found["confusion"].items():
+        outside = found["by_effect"].get(name, {}).get("outside")
+        right = UNEXPLAINED if outside else name
+        rows.append({"name": name, "n": sum(said.values()), "own": said.get(right, 0),
+                     "others": ", ".join(f"{other} {count}" for other, count in said.items()
+                                         if other != right)})
+    return rows
 
 
 def miss_cards(found: dict, work: Path | None) -> list[dict]:

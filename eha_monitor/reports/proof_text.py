@@ -52,7 +52,7 @@ def result_text(found: dict) -> str:
     parts.append(table(("effect", "cases", "exact", "within class", "detectable",
                         "found of these", "95 % point, units"),
                        [tuple(row.values()) for row in effect_rows(found)]))
-    parts.append(table(("concealed", "cases", "own name", "said instead"),
+    parts.append(table(("concealed", "answers", "right", "said instead"),
                        [tuple(row.values()) for row in confusion_rows(found)]))
     missed = misses(found)
     parts.append(f"Misses: {len(missed)} of {found['cases']}.")
