@@ -19,7 +19,7 @@ from rig_tools import BETA, C_T, D_P, SINE, TRIANGLE, V0, A, B, M, simulated
 
 from eha_monitor.compiled import njit
 from eha_monitor.physics import signals as s
-from eha_monitor.physics.dry_friction import direction, remember
+from eha_monitor.physics.dry_friction import dry_force, remember, sliding
 from eha_monitor.physics.effects import CATALOGUE
 
 V, CHARGE, MAKEUP = 0.04, 2e6, 1e-13
@@ -44,7 +44,7 @@ FORCES = {
     "stribeck_friction": ({"F_c": 7.0, "F_d": 11.0, "v_s": 0.05, "z_0": 4e-6},
                           lambda d, x: d * (7.0 + 11.0 * math.exp(-0.64))),
     "quadratic_friction": ({"a_1": 8000.0}, lambda d, x: 12.8 * d),
-    "asymmetric_friction": ({"dB": 100.0, "dF": 3.0}, lambda d, x: 7.0),
+    "asymmetric_friction": ({"F_c": 9.0, "dF": 3.0, "dB": 100.0}, lambda d, x: 9.0 * d + 7.0),
     "pressure_friction": ({"mu": 3e-6}, lambda d, x: 12.0 * d),
     "constant_load": ({"F_0": 15.0}, lambda d, x: 15.0),
     "spring_load": ({"k": 900.0, "x_0": 0.01}, lambda d, x: 900.0 * (x - 0.01)),
@@ -156,14 +156,15 @@ def test_line_is_stable_for_any_step(share):
 
 
 @njit
-def friction_along(x, v, v_e, z_0, level):
+def friction_along(x, v, v_e, z_0, t_1, v_d, level):
     """Friction force along a path, with its memory."""
     m, row, force = np.zeros(2), np.zeros(s.N_SIGNALS), np.zeros(len(x))
     m[1] = x[0]
     for k in range(len(x)):
         row[s.X], row[s.V] = x[k], v[k]
-        force[k] = level * direction(row, v_e, z_0, m)
-        remember(row, v_e, z_0, m)
+        steady = level * sliding(row, v_e)
+        force[k] = dry_force(row, steady, z_0, t_1, v_d, m)
+        remember(row, steady, z_0, m)
     return force
 
 
@@ -174,7 +175,7 @@ def test_loop_of_dry_friction_has_dahl_s_area(z_0):
     there = np.linspace(-stroke, stroke, 20001)
     x = np.concatenate([there, there[::-1]] * 5)
     v = np.repeat(np.tile([0.1, -0.1], 5), 20001)
-    force = friction_along(x, v, 1e-4, z_0, 20.0)[-40002:]
+    force = friction_along(x, v, 1e-4, z_0, 0.0, 5e-3, 20.0)[-40002:]
     area = np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(x[-40002:]))
     exact = 4 * 20.0 * (stroke - z_0 * math.tanh(stroke / z_0))
     assert area == pytest.approx(exact, rel=2e-3)
@@ -188,7 +189,7 @@ def test_dry_friction_gives_back_no_more_than_it_stored(turns, z_0):
     x = np.concatenate([np.linspace(a, b, 400, endpoint=False)
                         for a, b in zip([0.0, *turns], turns, strict=False)])
     v = np.gradient(x) / 1e-3
-    force = friction_along(x, v, 1e-6, z_0, 20.0)
+    force = friction_along(x, v, 1e-6, z_0, 0.0, 5e-3, 20.0)
     work = np.concatenate([[0.0], np.cumsum(0.5 * (force[1:] + force[:-1]) * np.diff(x))])
     stored = 20.0 * z_0 * (1 - math.log(2))  # the most that a Dahl element gives back
     assert work.min() >= -stored - 1e-6
@@ -196,5 +197,49 @@ def test_dry_friction_gives_back_no_more_than_it_stored(turns, z_0):
 
 def test_pushed_within_the_presliding_it_is_a_spring():
     x = np.linspace(0, 1e-6, 50)
-    force = friction_along(x, np.full(50, 0.1), 1e-4, 1e-4, 20.0)
+    force = friction_along(x, np.full(50, 0.1), 1e-4, 1e-4, 0.0, 5e-3, 20.0)
     assert force[1:] == pytest.approx(20.0 / 1e-4 * x[1:], rel=0.01)
+
+
+def test_shaken_within_the_presliding_it_is_spring_and_damper():
+    """sigma_0 x + sigma_1 v with sigma_0 = F_c / z_0, sigma_1 = t_1 sigma_0, as in LuGre."""
+    level, z_0, t_1, omega, n = 20.0, 1e-3, 3e-3, 2 * np.pi * 10.0, 4000
+    phase = 2 * np.pi * np.arange(4 * n) / n
+    x, v = 1e-7 * np.sin(phase), 1e-7 * omega * np.cos(phase)
+    force = friction_along(x, v, 1e-9, z_0, t_1, 1.0, level)[-n:]
+    answer = 2 * np.mean(force * np.exp(-1j * phase[-n:]))  # to x = 1e-7 Re(-i e^(i phase))
+    assert answer / -1e-7j == pytest.approx(level / z_0 * (1 + 1j * omega * t_1), rel=2e-3)
+
+
+@pytest.mark.parametrize("v, v_d", [(1e-3, 5e-3), (4e-3, 5e-3), (1e-2, 5e-3), (4e-2, 5e-3)])
+def test_micro_damping_fades_with_the_speed(v, v_d):
+    """After a reversal at a speed v: F_c - 2 F_c e^(-x/z_0) (1 - t_1 v / z_0 e^-(v/v_d)^2)."""
+    x = np.concatenate([[-1e-3, 0.0], np.linspace(0.0, 2e-5, 100)])
+    speed = np.where(np.arange(len(x)) < 2, -v, v)
+    z_0, t_1 = 5e-6, 1e-3
+    force = friction_along(x, speed, 1e-7, z_0, t_1, v_d, 20.0)[2:]
+    damped = t_1 * v / z_0 * math.exp(-(v / v_d) ** 2)
+    assert force == pytest.approx(20.0 - 40.0 * np.exp(-x[2:] / z_0) * (1 - damped), abs=1e-9)
+
+
+def first_force(effect, values, x, v):
+    """Force of an entry that was at rest at 0 and now is at x with the velocity v, N."""
+    entry = CATALOGUE[effect]
+    p = np.array([values.get(q.name, q.default if q.default is not None else q.neutral)
+                  for q in entry.parameters])
+    row, m, c = np.zeros(s.N_SIGNALS), np.zeros(2), np.zeros(s.N_CONTRIBUTIONS)
+    row[s.X], row[s.V] = x, v
+    entry.term(row, p, m, c)
+    return c[s.FORCE]
+
+
+@pytest.mark.parametrize("effect, values, most", [
+    ("stribeck_friction", {"F_c": 7.0, "F_d": 11.0, "v_s": 5e-3}, 18.0),
+    ("asymmetric_friction", {"F_c": 9.0, "dF": 5.0, "dB": 0.0}, 14.0),
+    ("asymmetric_friction", {"F_c": 9.0, "dF": -5.0, "dB": 0.0}, 14.0)])
+@pytest.mark.parametrize("v", [1e-2, -1e-2, 5e-2, -5e-2])
+def test_seal_is_as_stiff_in_each_direction_and_at_each_speed(effect, values, most, v):
+    x = math.copysign(1e-9, v)
+    shape = {"v_e": 1e-6, "z_0": 4e-6, "t_1": 0.0}
+    assert first_force(effect, {**values, **shape}, x, v) == pytest.approx(
+        most / 4e-6 * x, rel=2e-3)

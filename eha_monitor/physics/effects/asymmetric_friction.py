@@ -32,7 +32,7 @@ def deflection(s, p):
     most = p[0] + abs(p[1])
     if most <= 0.0:
         return 0.0
-    return p[4] * abs(p[0] + math.copysign(p[1], s[V])) / most
+    return p[4] * abs(p[0] + math.copysign(1.0, s[V]) * p[1]) / most
 
 
 @njit
