@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from eha_monitor.mismatch import locate, show
+from eha_monitor.mismatch import advise, locate, show
 from eha_monitor.mismatch.calibrate import Calibration, calibrate
 from eha_monitor.mismatch.choice import Naming, name_effects
 from eha_monitor.mismatch.diagnosis import (
@@ -28,6 +28,7 @@ from eha_monitor.mismatch.model import (
 from eha_monitor.mismatch.search import THRESHOLD, first_fit, limits_of
 from eha_monitor.mismatch.sizes import size_of
 from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.parameters import place_of
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
@@ -144,7 +145,8 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming,
         "held_out_bag" if other_bag else "held_out", signals, curves,
         show.overlays(shown, before, after),
         considered_of(naming), show.agreement(experiment, before, after),
-        health_sentences(experiment, *known, effects), (),
+        health_sentences(experiment, *known, effects),
+        advise.advice_for(experiment, naming),
         config_effects(experiment, after, tuple(effect.name for effect in effects)),
         calibration.threshold if calibration else THRESHOLD, calibration is not None,
         explained, duration, time.perf_counter() - started)
@@ -156,8 +158,6 @@ def named_effect(experiment: Experiment, naming: Naming, name: str) -> NamedEffe
     parameters, numbers = {}, {}
     fitted = {f.name for f in fit.free}
     for p in entry.parameters:
-        from eha_monitor.physics.parameters import place_of
-
         key = f"{name}.{p.name}"
         value = float(fit.theta[place_of(key)])
         numbers[p.name] = value
