@@ -140,7 +140,8 @@ def simulation_fit(experiment, name: str, most: int) -> float:
              for f, a, b in zip(free, low, high, strict=True)]
     scale = [1.0 if f.log else max(abs(x), 1e-3 * f.spread)
              for f, x in zip(free, first, strict=True)]
-    found = least_squares(residual, first, bounds=(low, high), x_scale=scale, max_nfev=most)
+    found = least_squares(residual, first, bounds=(low, high), x_scale=scale, max_nfev=most,
+                          diff_step=1e-3)  # scipy's own steps drown in the simulation's rounding
     return float(np.sqrt(2.0 * found.cost / len(found.fun)))
 
 
