@@ -22,6 +22,7 @@ from eha_monitor.reports.proof_report import proof_page
 from eha_monitor.reports.proof_text import write_result
 from eha_monitor.settings import settings_from_tree
 
+pytestmark = pytest.mark.timeout(600)  # 20 s; minutes where all has to be compiled first
 ROOT = Path(__file__).parents[1]
 CASES = (Case("c001", (("coulomb_friction", 1.0),), motion="short", seed=11),
          Case("c002", motion="short", seed=12),

@@ -22,8 +22,8 @@ def judged(found: Estimate) -> tuple[tuple[Alarm, ...], tuple[Alarm, ...]]:
               for name, stage in stages.items()}
     temperature = recording.get("temperature") if recording.has("temperature") else None
     measured = np.isfinite(recording.get("x")) if recording.has("x") else None
-    tainted = found.model.message if found.model.status == "mismatch" else None
-    return judge_series(found.settings, recording.time, series, temperature, measured, tainted)
+    return judge_series(found.settings, recording.time, series, temperature, measured,
+                        found.model.tainted)
 
 
 def unhealthy(found: Estimate, alarms: tuple[Alarm, ...]) -> bool:

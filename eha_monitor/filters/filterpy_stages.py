@@ -23,9 +23,13 @@ from eha_monitor.filters.stage_two import BETA_0, MASS
 from eha_monitor.filters.supervision import (
     BLOCK,
     BLOCKS,
+    CHANGES,
+    FROZEN,
     INFORMATION,
+    NET,
     SCORE,
     SLOW,
+    TRAVEL,
     gave_up,
     honest_factor,
     look,
@@ -105,6 +109,21 @@ class _Stage:
         """Look for changes only in what comes from now on."""
         self.watch[SCORE] = self.watch[INFORMATION] = self.watch[BLOCKS] = 0.0
 
+    def forget(self, changes: float, memory: float) -> None:
+        """Let old changes count less, and what a parameter that is held rests on.
+
+        What is hours ago is no hopping to and fro; and an average over hours would hide wear.
+
+        Parameters
+        ----------
+        changes, memory : shares that are kept.
+        """
+        if self.watch[FROZEN] == 0.0:
+            self.watch[[CHANGES, NET, TRAVEL]] *= changes
+        else:
+            self.ekf.P[-1, -1] = min(self.ekf.P[-1, -1] / memory,
+                                     max(self.ekf.P[-1, -1], self.prior_variance))
+
     @property
     def factor(self) -> float:
         """Factor on sigma that the scores ask for."""
@@ -174,6 +193,13 @@ class FilterpyStageOne(_Stage):
         self.ekf.P[2, :] = self.ekf.P[:, 2] = 0.0
         self.ekf.P[2, 2] = self.prior_variance
         self.watch = new_supervision(frozen=True)
+
+    def carry_on(self, value: float, stddev: float) -> None:
+        """Go on from a B that the last seconds gave, and look for changes again."""
+        self.ekf.x[2] = value
+        self.ekf.P[2, :] = self.ekf.P[:, 2] = 0.0
+        self.ekf.P[2, 2] = stddev**2
+        self.watch = new_supervision()
 
     def _advance(self, u0, u1, q, p1, p2):
         x, v, b = self.ekf.x
@@ -307,6 +333,11 @@ class FilterpyStageTwo(_Stage):
         per_c = self.value / max(self.ekf.x[3], 1e-9)
         return float(per_c) * math.sqrt(self.factor**2 * self.ekf.P[3, 3]
                                  + self.sens[3] ** 2 * self._b_variance)
+
+    @property
+    def sensitivity(self) -> float:
+        """Relative change of the effective bulk modulus with B, per N·s/m."""
+        return float(-self.sens[3] / max(self.ekf.x[3], 1e-9))
 
     @property
     def acceleration(self) -> float:

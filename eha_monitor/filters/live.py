@@ -6,11 +6,9 @@ of a few samples, because the hold of an input looks at its neighbours on both s
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.filters.consistency import judge
 from eha_monitor.filters.filterpy_stages import FilterpyStageOne, FilterpyStageTwo
 from eha_monitor.filters.inputs import (
     Known,
@@ -21,9 +19,9 @@ from eha_monitor.filters.inputs import (
     quantum_of,
 )
 from eha_monitor.filters.live_buffer import LiveBuffer
+from eha_monitor.filters.live_model import JUDGE_EVERY_S, JUDGED_S, Fit, LiveModel
 from eha_monitor.filters.noise import noise_levels
-from eha_monitor.filters.pipeline import MISSING_ONE, MISSING_TWO, model_status, unless_unexcited
-from eha_monitor.filters.results import Consistency, Event, ModelStatus, ParameterEstimate
+from eha_monitor.filters.results import Event, LiveSnapshot, ParameterEstimate
 from eha_monitor.filters.run_two import LARGE, force_noise_variance, run_stage_two_kernel
 from eha_monitor.filters.status import CONVERGED, judge_parameter, no_data, units_of
 from eha_monitor.physics.signals import (
@@ -41,25 +39,13 @@ LAG = 8  # rows that the hold looks ahead
 CONTEXT = 16  # rows that it looks back
 BUFFER_S = 20.0
 NOISE_AGAIN_S = (1.0, 4.0, 10.0)  # after the start; then every 10 s
-JUDGED_S = 10.0  # the model is tested over the last so many seconds
+CHANGES_COUNT_S = 300.0  # a change counts as hopping for about so long
+HELD_S = 30.0  # memory of a parameter that is held because the model does not fit
+TRY_EVERY_S = 1.0  # while a mismatch stands: does the last window fit again?
 PATIENCE_S = 2.0  # wait for stage one before stage two takes the nominal damping
 SETTLED_S = 0.5  # B counts as changing for so long after it was seen to change
 CHANGING_STDDEV = 0.05  # relative, while it does
 LONG_GAP_S = 0.5  # a longer gap starts the buffer anew
-
-
-@dataclass(frozen=True)
-class LiveSnapshot:
-    """What the live estimator knows now; ``events`` are those since the last snapshot."""
-
-    time_s: float
-    parameters: dict[str, ParameterEstimate]
-    position: float
-    velocity: float
-    model: ModelStatus
-    events: tuple[Event, ...]
-    temperature: float | None
-    consistency: dict[str, Consistency | None]
 
 
 class LiveEstimator:
@@ -89,8 +75,9 @@ class LiveEstimator:
         self._piece = 0  # first row that the present damping holds for
         self._stale_piece = False  # B has changed since stage two was run over the buffer
         self._changes: dict[str, list[tuple[int, float, float, int]]] = {"one": [], "two": []}
-        self._verdicts: dict[str, Consistency | None] = {"one": None, "two": None}
-        self._judged_at = 0
+        self._tester = LiveModel(self.settings)
+        self._tried_at = 0
+        self._clean = 0  # row from which on stage two is run again
         self._noise_at = list(NOISE_AGAIN_S)
         self._announced: set[str] = set()
         if reason:
@@ -128,7 +115,9 @@ class LiveEstimator:
         self._events.append(Event(time_s, "monitor", f"no data for {gap:.2f} s"))
         self._take(everything=True)
         self._buffer = LiveBuffer(BUFFER_S, self.dt)
-        self._origin, self._taken, self._piece, self._judged_at = time_s, 0, 0, 0
+        self._origin, self._taken, self._piece = time_s, 0, 0
+        self._tried_at = self._clean = 0
+        self._tester.restart_rows()
         self._changes = {"one": [], "two": []}
         for stage in (self._one, self._two):
             if stage is not None:
@@ -271,8 +260,7 @@ class LiveEstimator:
                 self._noise_at.append(last + 10.0)
         if self._no_drive is None:
             self._hand_over(since_start)
-        if (self._taken - self._judged_at) * self.dt >= 1.0:
-            self._judged_at = self._taken
+        if (self._taken - self._tester.judged_at) * self.dt >= JUDGE_EVERY_S:
             self._judge()
         for name, estimate in self._parameters().items():
             if estimate.status == "converged" and name not in self._announced:
@@ -313,16 +301,12 @@ class LiveEstimator:
     def _run_two_again(self) -> None:
         """Run stage two over the buffer with the present damping; filterpy goes on from there."""
         buffer = self._buffer
-        start, stop = buffer.first, self._taken
+        start, stop = max(buffer.first, self._clean), self._taken
         b, variance = buffer.column("b", start, stop), buffer.column("b_variance", start, stop)
         edge = max(self._piece - start, 0)  # from where the last change was first at work
         b[edge:], variance[edge:] = self._handed[0], self._handed[1] ** 2
         b[np.isnan(b)], variance[np.isnan(variance)] = self._handed[0], self._handed[1] ** 2
-        # The rows after them are needed to read late channels; the filter stops before.
-        recording = buffer.recording(start, buffer.end)
-        inputs = StageInputs.of(
-            recording, self.settings, self._known(start), self._time_of(start) - self._began)
-        inputs = inputs.part(0, stop - start)
+        inputs = self._inputs(start, stop)
         result = run_stage_two_kernel(inputs, self.settings, b, variance)
         broad = (self.settings.stage_two.prior_stddev / self.settings.stage_two.prior) ** 2
         self._two = FilterpyStageTwo(
@@ -333,22 +317,52 @@ class LiveEstimator:
         self._changes["two"] = [(start + int(row[0]), row[1], row[2], int(row[3]))
                                 for row in result.changes]
 
+    def _inputs(self, start: int, stop: int) -> StageInputs:
+        """Return the stages' inputs of rows that were filtered."""
+        # The rows after them are needed to read late channels.
+        recording = self._buffer.recording(start, self._buffer.end)
+        inputs = StageInputs.of(
+            recording, self.settings, self._known(start), self._time_of(start) - self._began)
+        return inputs.part(0, stop - start)
+
     def _judge(self) -> None:
-        """Test the model on the last seconds' innovations."""
-        buffer = self._buffer
-        start = max(buffer.first, self._taken - round(JUDGED_S / self.dt))
-        for which, words, missing in (("one", "stage one", MISSING_ONE),
-                                      ("two", "stage two", MISSING_TWO)):
-            seen = list(self._changes["one"])
-            if which == "two":
-                seen += self._changes["two"]
-            changes = np.array([(n - start, a, b, w) for n, a, b, w in seen
-                                if n + w + 500 >= start]).reshape(-1, 4)
-            parameter = self._parameters()["B" if which == "one" else "beta_e"]
-            self._verdicts[which] = unless_unexcited(parameter, judge(
-                buffer.column(f"nu_{which}", start, self._taken).copy(),
-                buffer.column(f"sd_{which}", start, self._taken).copy(), self.dt, words, missing,
-                changes, start=self._time_of(start)))
+        """Test the model on the last window; while it does not fit, ask whether it does again."""
+        tester, now = self._tester, self._time_of(self._taken)
+        for stage in tester.judge(self._buffer, self._taken, self._changes, self._parameters(),
+                                  self._quantum, self._time_of):
+            self._events.append(Event(
+                now, stage, f"mismatch: {tester.watches[stage].standing.message}"))
+        for stage in (self._one, self._two):
+            if stage is not None:
+                stage.forget(math.exp(-JUDGE_EVERY_S / CHANGES_COUNT_S),
+                             math.exp(-JUDGE_EVERY_S / HELD_S))
+        standing = [stage for stage in ("one", "two") if tester.standing(stage)]
+        start = self._taken - round(JUDGED_S / self.dt)
+        if (not standing or start < self._buffer.first
+                or (self._taken - self._tried_at) * self.dt < TRY_EVERY_S):
+            return
+        self._tried_at = self._taken
+        # Stage two's misfit may be a wrong B's: it is asked once stage one fits.
+        fit = tester.try_again(standing[0], self._inputs(start, self._taken), self._damping, now)
+        if fit is not None:
+            self._adopt(standing[0], fit, start)
+
+    def _adopt(self, stage: str, fit: Fit, start: int) -> None:
+        """Carry on from a window that fits: what came before it no longer counts."""
+        self._events.append(Event(self._time_of(self._taken), stage, "the model fits again since "
+                                  f"t = {self._time_of(start):.1f} s"))
+        buffer, stop = self._buffer, self._taken
+        if stage == "one":
+            self._one.carry_on(fit.value, fit.stddev)
+            buffer.column("nu_one", start, stop)[:] = fit.innovation
+            buffer.column("sd_one", start, stop)[:] = fit.innovation_stddev
+            self._changes["one"] = []
+            self._tester.first["one"] = start
+            self._handed, self._handed_at = (fit.value, fit.stddev), stop * self.dt
+            self._piece, self._stale_piece = start, False
+        if self._two is not None:
+            self._clean = self._tester.first["two"] = start
+            self._run_two_again()
 
     # ---- what is known ---------------------------------------------------------------------
 
@@ -373,8 +387,9 @@ class LiveEstimator:
     def snapshot(self) -> LiveSnapshot:
         """Return the present estimates; the events are handed out once."""
         events, self._events = tuple(self._events), []
-        model = model_status(self._verdicts.values())
+        model = self._tester.status(self._now, self._parameters(),
+                                    self._two.sensitivity if self._two else math.nan)
         state = self._one or self._two
         position, velocity = (state.ekf.x[0], state.ekf.x[1]) if state else (math.nan, math.nan)
         return LiveSnapshot(self._now, self._parameters(), float(position), float(velocity),
-                            model, events, self._temperature, dict(self._verdicts))
+                            model, events, self._temperature, dict(self._tester.verdicts))

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,11 +11,13 @@ from eha_monitor.filters.consistency import judge
 from eha_monitor.filters.inputs import StageInputs, moved_mass
 from eha_monitor.filters.joint import fits, run_joint
 from eha_monitor.filters.known import new_known_memory
+from eha_monitor.filters.model_watch import BALANCE, tainted_by
 from eha_monitor.filters.results import (
     Consistency,
     Estimate,
     Event,
     JointResult,
+    Mismatch,
     ModelStatus,
     ParameterEstimate,
     StageResult,
@@ -57,7 +60,7 @@ def estimate(recording: Recording, settings: Settings) -> Estimate:
     joint = run_joint(inputs, recording, settings, one, two, since)
     return Estimate(
         recording, settings, one, two, joint,
-        model_status((one.consistency, two.consistency), joint),
+        tested_model(one, two, joint, settings),
         tuple(sorted(events, key=lambda event: event.time_s)), inputs.noise,
         time.perf_counter() - started, tuple(warnings_of(inputs, settings)))
 
@@ -197,10 +200,11 @@ def run_stage_two(inputs: StageInputs, recording: Recording, settings: Settings,
     if settings.discretisation == "euler":
         from eha_monitor.filters.euler import run_printed
 
-        out, changes = run_printed(inputs, settings, damping), NO_CHANGES
+        out, changes, sensitivity = run_printed(inputs, settings, damping), NO_CHANGES, np.nan
     else:
-        result = run_stage_two_kernel(inputs, settings, damping, damping_variance)
-        out, changes = result.out, result.changes
+        found = run_stage_two_kernel(inputs, settings, damping, damping_variance)
+        out, changes = found.out, found.changes
+        sensitivity = -float(found.sensitivity[3] / max(found.state[3], 1e-9))
     if not np.isfinite(out[6]).any():
         return empty_stage("two", no_data(
             "beta_e", unit, "stage two found no stretch with position and drive together"
@@ -217,7 +221,8 @@ def run_stage_two(inputs: StageInputs, recording: Recording, settings: Settings,
     events += change_events(changes, len(changes), inputs.dt, "two", "beta_e", unit)
     result = StageResult(
         "two", parameter,
-        recording.time, out[3], out[5], out[0], out[1], out[2], out[6], out[7], verdict)
+        recording.time, out[3], out[5], out[0], out[1], out[2], out[6], out[7], verdict,
+        sensitivity)
     return result, changes
 
 
@@ -235,6 +240,23 @@ def model_status(verdicts: Iterable[Consistency | None],
     if not judged:
         return ModelStatus("not_judged", "no stage has had enough data to test the model")
     return ModelStatus("consistent", "; ".join(verdict.message for verdict in judged))
+
+
+def tested_model(one: StageResult, two: StageResult, joint: JointResult | None,
+                 settings: Settings) -> ModelStatus:
+    """Return the verdict on the model with the misfits behind it and what they taint."""
+    status = model_status((one.consistency, two.consistency), joint)
+    if status.status != "mismatch":
+        return status
+    found = [Mismatch(stage.stage, BALANCE[stage.stage], v.first_time_s, v.nis, v.variance_ratio,
+                      v.peak_time_s, v.message)
+             for stage in (one, two) if (v := stage.consistency) is not None
+             and not v.consistent]
+    if not found:
+        found = [Mismatch("joint", BALANCE["joint"], 0.0, np.nan, np.nan, np.nan, status.message)]
+    bias = one.estimate.value - settings.rig.viscous_damping
+    return replace(status, mismatches=tuple(found),
+                   tainted=tainted_by(found, abs(two.sensitivity * bias)))
 
 
 def warnings_of(inputs: StageInputs, settings: Settings) -> list[str]:

@@ -1,5 +1,6 @@
 """What the filters return: immutable records with a status and a sentence."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -46,6 +47,8 @@ class Consistency:
     peak_time_s : where the largest windowed excess lies, s; NaN if none.
     consistent : the verdict.
     message : the verdict as a sentence.
+    first_time_s : where the first windowed excess lies; the start where none stands out.
+    decisive : False where chance, asked anew for days, would bring such a mismatch about.
     """
 
     samples: int
@@ -55,6 +58,8 @@ class Consistency:
     peak_time_s: float
     consistent: bool
     message: str
+    first_time_s: float = math.nan
+    decisive: bool = False
 
 
 @dataclass(frozen=True)
@@ -70,6 +75,7 @@ class StageResult:
     position, velocity, acceleration : (n,) estimated states, SI; NaN where the stage has none.
     innovation, innovation_stddev : (n,) m; NaN where nothing was measured.
     consistency : verdict on the innovations, or None without data.
+    sensitivity : of stage two: relative change of its parameter with B, per N·s/m.
     """
 
     stage: str
@@ -83,6 +89,7 @@ class StageResult:
     innovation: np.ndarray
     innovation_stddev: np.ndarray
     consistency: Consistency | None
+    sensitivity: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -109,11 +116,66 @@ class JointResult:
 
 
 @dataclass(frozen=True)
+class Mismatch:
+    """A misfit that stands.
+
+    Attributes
+    ----------
+    stage : ``one``, ``two`` or ``joint``: whose innovations show it.
+    balance : what it points to, in words.
+    since_s : when it began, s.
+    nis, variance_ratio, worst_time_s : of the last window that showed it, see
+        :class:`Consistency`; NaN for ``joint``.
+    message : a sentence.
+    """
+
+    stage: str
+    balance: str
+    since_s: float
+    nis: float
+    variance_ratio: float
+    worst_time_s: float
+    message: str
+
+
+@dataclass(frozen=True)
+class Taint:
+    """Why a parameter deserves doubt, and since when, s.
+
+    ``testing``: it has just moved, and the model is being tested on what came since.
+    """
+
+    reason: str
+    since_s: float
+    testing: bool = False
+
+
+@dataclass(frozen=True)
 class ModelStatus:
-    """Whether the model explains the recording: ``consistent``, ``mismatch`` or ``unknown``."""
+    """Whether the model explains the recording: ``consistent``, ``mismatch``, ``not_judged``.
+
+    ``mismatches`` are those that stand; ``tainted`` maps ``B`` and ``beta_e`` to the reason for
+    which the value is in doubt.
+    """
 
     status: str
     message: str
+    mismatches: tuple[Mismatch, ...] = ()
+    tainted: dict[str, Taint] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class LiveSnapshot:
+    """What the live estimator knows now; ``events`` are those since the last snapshot."""
+
+    time_s: float
+    parameters: dict[str, ParameterEstimate]
+    position: float
+    velocity: float
+    model: ModelStatus
+    events: tuple[Event, ...]
+    temperature: float | None
+    consistency: dict[str, Consistency | None]
 
 
 @dataclass(frozen=True)

@@ -3,15 +3,18 @@
 A limit is passed when the value lies beyond it by ``thresholds.confidence`` standard
 deviations.  An alarm is raised when its limit was passed for the whole of ``hold_time``, and
 clears when the value itself is back inside by the relative ``hysteresis``.  A parameter that
-the motion does not excite is not judged: an alarm that was raised before is held.
+the motion does not excite is not judged: an alarm that was raised before is held.  A parameter
+that a model mismatch taints is not judged either, or by its change (``monitor.on_mismatch``).
 """
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from eha_monitor.filters.results import ParameterEstimate
+from eha_monitor.filters.results import ParameterEstimate, Taint
 from eha_monitor.filters.status import units_of
+from eha_monitor.health.rebase import Rebase
 from eha_monitor.settings.monitor import Limits, Settings, Viscosity
 
 Level = Literal["OK", "WARN", "ERROR", "STALE"]
@@ -19,6 +22,7 @@ Level = Literal["OK", "WARN", "ERROR", "STALE"]
 _RAISED: tuple[Level, ...] = ("OK", "WARN", "ERROR")
 # Sums of sample times miss the hold time by rounding.
 _TIME_TOLERANCE = 1e-6
+ADVICE = "`eha-monitor diagnose` on a recording says what is missing"
 
 
 @dataclass(frozen=True)
@@ -82,9 +86,12 @@ class _Judge:
         while self.raised and self.limits[self.raised - 1] is None:
             self.raised -= 1
 
-    def judge(self, time_s: float, value: float, margin: float) -> None:
-        """Raise or clear on one value; ``margin`` is confidence times standard deviation."""
-        while self.raised and self._clear(self.limits[self.raised - 1], value):
+    def judge(self, time_s: float, value: float, margin: float, trial: bool = False) -> None:
+        """Raise or clear on one value; ``margin`` is confidence times standard deviation.
+
+        On ``trial`` the level stays, while the hold time runs.
+        """
+        while not trial and self.raised and self._clear(self.limits[self.raised - 1], value):
             self.raised -= 1
         for place in (0, 1):
             limit = self.limits[place]
@@ -94,7 +101,7 @@ class _Judge:
             if self.since[place] is None:
                 self.since[place] = time_s
             held = time_s - self.since[place] >= self.hold_time - _TIME_TOLERANCE
-            if held and place + 1 > self.raised:
+            if held and not trial and place + 1 > self.raised:
                 self.raised = place + 1
 
     def _clear(self, limit: float | None, value: float) -> bool:
@@ -112,6 +119,20 @@ class _Judge:
         return True
 
 
+@dataclass(frozen=True)
+class _Seen:
+    """A value at the reference temperature, rebased where asked for; ``shown`` makes its words.
+
+    ``held`` is why it may raise no alarm, ``note`` what a reader should know.
+    """
+
+    value: float
+    stddev: float
+    shown: Callable[[], str]
+    held: Taint | None = None
+    note: str = ""
+
+
 class AlarmBoard:
     """The four alarms, judged as the estimates come.
 
@@ -126,10 +147,12 @@ class AlarmBoard:
 
     def __init__(self, settings: Settings):
         self.history: list[Alarm] = []
-        units = units_of(settings.rig.motion)
-        watched = [replace(w, unit=units[w.symbol]) for w in WATCHED]
+        self._units = units_of(settings.rig.motion)
+        watched = [replace(w, unit=self._units[w.symbol]) for w in WATCHED]
         self._judges = [_Judge(w, sign) for w in watched for sign in (1.0, -1.0)]
         self._last: float | None = None
+        self._rebase = {"B": Rebase(settings.rig.viscous_damping, by_ratio=False),
+                        "beta_e": Rebase(settings.rig.bulk_modulus, by_ratio=True)}
         self.configure(settings)
 
     def configure(self, settings: Settings) -> None:
@@ -137,6 +160,7 @@ class AlarmBoard:
         self._viscosity = settings.viscosity
         self._confidence = settings.thresholds.confidence
         self._longest_step = settings.monitor.stale_after
+        self._on_mismatch = settings.monitor.on_mismatch
         for judge in self._judges:
             judge.configure(getattr(settings.thresholds, judge.watched.section))
 
@@ -146,7 +170,8 @@ class AlarmBoard:
         return tuple(self._alarm(judge) for judge in self._judges)
 
     def update(self, time_s: float, parameters: dict[str, ParameterEstimate],
-               temperature: float | None = None, tainted: str | None = None) -> list[Alarm]:
+               temperature: float | None = None,
+               tainted: Mapping[str, Taint] | None = None) -> list[Alarm]:
         """Judge the estimates at one time and return the alarms whose level changed.
 
         Parameters
@@ -154,16 +179,20 @@ class AlarmBoard:
         time_s : s, on the clock of the recording.
         parameters : ``B`` and ``beta_e``; an absent one counts as ``no_data``.
         temperature : oil temperature in °C, or None where it is not measured.
-        tainted : why the values deserve doubt, e.g. a model mismatch; goes into the messages.
+        tainted : by symbol, why a value deserves doubt, e.g. a model mismatch; what that does to
+            its alarms is ``monitor.on_mismatch``.
         """
         # Nothing is known about a limit while no data came: the hold time starts anew.
         if self._last is not None and not 0 <= time_s - self._last <= self._longest_step:
             self._forget()
         self._last = time_s
-        changed = []
+        changed, seen = [], {}
+        for symbol in self._rebase:
+            seen[symbol] = self._see(symbol, time_s, parameters.get(symbol), temperature,
+                                     (tainted or {}).get(symbol))
         for judge in self._judges:
-            estimate = parameters.get(judge.watched.symbol)
-            if self._judge_one(judge, time_s, estimate, temperature, tainted):
+            symbol = judge.watched.symbol
+            if self._judge_one(judge, time_s, parameters.get(symbol), seen[symbol]):
                 changed.append(self._alarm(judge))
         self.history += changed
         return changed
@@ -187,30 +216,69 @@ class AlarmBoard:
             return judge.take("OK", time_s, ("off",))
         return judge.take("STALE", time_s, ("stale", reason, judge.raised))
 
-    def _judge_one(self, judge, time_s, estimate, temperature, tainted) -> bool:
+    def _see(self, symbol: str, time_s: float, estimate: ParameterEstimate | None,
+             temperature: float | None, taint: Taint | None) -> _Seen | None:
+        """Return a value as the limits should see it, or None where there is none to judge."""
+        if (estimate is None or estimate.status != "converged"
+                or not (math.isfinite(estimate.value) and math.isfinite(estimate.stddev))):
+            return None
+        factor = 1.0
+        if symbol == "B" and temperature is not None and math.isfinite(temperature):
+            factor = viscosity_factor(self._viscosity, temperature)
+        else:
+            temperature = None
+        value, stddev = factor * estimate.value, factor * estimate.stddev
+        shown = self._shown(symbol, estimate, value, stddev, temperature)
+        if taint is None:
+            self._rebase[symbol].fits(value)
+            return _Seen(value, stddev, shown)
+        if self._on_mismatch == "ignore":
+            return _Seen(value, stddev, shown, note=f"in doubt: {taint.reason}")
+        if taint.testing:
+            return _Seen(value, stddev, shown, held=taint)
+        if self._on_mismatch == "rebase":
+            rebase = self._rebase[symbol]
+            read = rebase.read(time_s, value, stddev, taint.since_s)
+            if read is not None:
+                return _Seen(*read, shown, note=f"read by its change from {rebase.settled:.4g}, "
+                             f"where it settled, for {rebase.before:.4g} before: {taint.reason}")
+        return _Seen(value, stddev, shown, held=taint)
+
+    def _judge_one(self, judge: _Judge, time_s: float, estimate: ParameterEstimate | None,
+                   seen: _Seen | None) -> bool:
         if judge.off:
             return judge.take("OK", time_s, ("off",))
         if estimate is None or estimate.status == "no_data":
             judge.since = [None, None]
             reason = estimate.message if estimate else ""
             return self._take_stale(judge, time_s, reason or "no data for this parameter")
-        known = math.isfinite(estimate.value) and math.isfinite(estimate.stddev)
-        if estimate.status != "converged" or not known:
+        if seen is None:
             judge.since = [None, None]
+            known = math.isfinite(estimate.value) and math.isfinite(estimate.stddev)
             reason = estimate.message or (
                 estimate.status.replace("_", " ") if known else "the estimate is not finite")
             return judge.take(_RAISED[judge.raised], time_s,
                               ("held" if judge.raised else "unjudged", reason))
-        factor = 1.0
-        if judge.watched.symbol == "B" and temperature is not None and math.isfinite(temperature):
-            factor = viscosity_factor(self._viscosity, temperature)
+        if seen.held is not None and not seen.held.testing:
+            judge.since = [None, None]
         else:
-            temperature = None
-        value, stddev = factor * estimate.value, factor * estimate.stddev
-        judge.judge(time_s, value, self._confidence * stddev)
+            judge.judge(time_s, seen.value, self._confidence * seen.stddev,
+                        trial=seen.held is not None)
         return judge.take(_RAISED[judge.raised], time_s,
-                          ("judged", estimate.value, estimate.stddev, value, stddev,
-                           temperature, tainted))
+                          ("judged" if seen.held is None else "tainted", seen))
+
+    def _shown(self, symbol: str, estimate: ParameterEstimate, value: float, stddev: float,
+               temperature: float | None) -> Callable[[], str]:
+        """Return what makes the value's words; most are never read."""
+        def words() -> str:
+            unit = self._units[symbol]
+            shown = quantity(estimate.value, estimate.stddev, unit)
+            if temperature is None:
+                return shown
+            return (f"{shown} at {temperature:.1f} °C, which is "
+                    f"{quantity(value, stddev, unit)} at the reference temperature of "
+                    f"{self._viscosity.reference_temperature:g} °C,")
+        return words
 
     def _alarm(self, judge: _Judge) -> Alarm:
         return Alarm(judge.name, judge.level or "STALE", self._sentence(judge), judge.time_s)
@@ -227,15 +295,14 @@ class AlarmBoard:
         if kind == "stale":
             before = f" (was {_RAISED[rest[1]]} before)" if rest[1] else ""
             return f"no judgement: {rest[0]}{before}"
-        raw, raw_stddev, value, stddev, temperature, tainted = rest
-        unit = judge.watched.unit
-        shown = quantity(raw, raw_stddev, unit)
-        if temperature is not None:
-            shown = (f"{shown} at {temperature:.1f} °C, which is "
-                     f"{quantity(value, stddev, unit)} at the reference temperature of "
-                     f"{self._viscosity.reference_temperature:g} °C,")
-        text = f"{judge.watched.words} {shown} {self._against_limit(judge, value)}"
-        return f"{text}; in doubt: {tainted}" if tainted else text
+        seen = rest[0]
+        if kind == "tainted":
+            advice = "" if seen.held.testing else f"; {ADVICE}"
+            head = f"{_RAISED[judge.raised]} held" if judge.raised else "not judged"
+            return f"{head}: {judge.watched.words} {seen.shown()}, but {seen.held.reason}{advice}"
+        text = (f"{judge.watched.words} {seen.shown()} "
+                f"{self._against_limit(judge, seen.value)}")
+        return f"{text}; {seen.note}" if seen.note else text
 
     @staticmethod
     def _against_limit(judge: _Judge, value: float) -> str:

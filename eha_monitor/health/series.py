@@ -1,10 +1,11 @@
 """The alarms of a whole recording: the live board, driven at a reduced rate."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eha_monitor.filters.results import ParameterEstimate
+from eha_monitor.filters.results import ParameterEstimate, Taint
 from eha_monitor.health.alarms import Alarm, AlarmBoard
 from eha_monitor.settings.monitor import Settings
 
@@ -32,7 +33,8 @@ class ParameterSeries:
 
 def judge_series(settings: Settings, time: np.ndarray, parameters: dict[str, ParameterSeries],
                  temperature: np.ndarray | None = None, measured: np.ndarray | None = None,
-                 tainted: str | None = None) -> tuple[tuple[Alarm, ...], tuple[Alarm, ...]]:
+                 tainted: Mapping[str, Taint] | None = None
+                 ) -> tuple[tuple[Alarm, ...], tuple[Alarm, ...]]:
     """Run the alarms over a recording.
 
     Parameters
@@ -42,7 +44,7 @@ def judge_series(settings: Settings, time: np.ndarray, parameters: dict[str, Par
     parameters : ``B`` and ``beta_e`` as they converged.
     temperature : (n,) °C with NaN where not measured (the last one counts), or None.
     measured : (n,) bool, False in gaps of the data; None means everywhere.
-    tainted : see :meth:`AlarmBoard.update`.
+    tainted : see :meth:`AlarmBoard.update`; each counts from its ``since_s`` on.
 
     Returns
     -------
@@ -75,7 +77,8 @@ def judge_series(settings: Settings, time: np.ndarray, parameters: dict[str, Par
                                                 "converged")
             else:
                 row[symbol] = unjudged[symbol]
-        board.update(at, row, None if warmth is None else warmth[k], tainted)
+        doubts = {name: taint for name, taint in (tainted or {}).items() if at >= taint.since_s}
+        board.update(at, row, None if warmth is None else warmth[k], doubts)
     return board.alarms, tuple(board.history)
 
 

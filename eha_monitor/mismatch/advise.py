@@ -1,33 +1,36 @@
 """Advice: what a recording can and cannot tell apart, and the cheapest motion that would."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from eha_monitor.errors import InputError
+from eha_monitor.mismatch.advise_words import sentences
 from eha_monitor.mismatch.choice import Naming, name_effects
 from eha_monitor.mismatch.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.fit import Fit
 from eha_monitor.mismatch.information import Slope, Traces, free_slopes
-from eha_monitor.mismatch.motions import Motion, limits_for, looped
+from eha_monitor.mismatch.motions import Limits, Motion, limits_for, looped
 from eha_monitor.mismatch.screen import starts_of
 from eha_monitor.mismatch.search import with_effect
 from eha_monitor.mismatch.separate import (
     DECISIVE,
+    WANTED,
+    Advice,
     Check,
+    Doubt,
     Question,
     Tried,
+    cheapest,
     checked,
     instead,
-    search_motion,
+    try_motions,
 )
 from eha_monitor.mismatch.tells import (
     HOPELESS,
     Confusion,
-    Known,
     Reading,
-    Sight,
     directions_for,
     effects_for,
     named_directions,
@@ -40,58 +43,9 @@ from eha_monitor.settings.monitor import Settings
 COMMON = ("coulomb_friction", "quadratic_friction", "spring_load", "added_mass",
           "cross_port_leakage")  # what B and beta_e are most often mistaken for
 LEAST_MOTION = 20.0  # times the position's noise: less motion says nothing
+ATTEMPTS = 3  # motions that are put to a simulation
 MOST_QUESTIONS = 4
 Report = Callable[[str, float], None]
-
-
-@dataclass(frozen=True)
-class Doubt:
-    """A question that the recording leaves open.
-
-    ``effect`` or ``rival`` ("": B and beta_e alone); ``parameter`` where the question is what of
-    it is the effect; ``steady``: from the plateaus of speed alone.  ``now`` : log units that the
-    recording has on it; ``then`` : with the proposed motion; both in ``words`` at ``amount``.
-    """
-
-    effect: str
-    rival: str
-    parameter: str
-    steady: bool
-    amount: float
-    symbol: str
-    unit: str
-    now: float
-    then: float
-
-
-@dataclass(frozen=True)
-class Advice:
-    """What a recording tells, what it leaves open, and what to record next.
-
-    Attributes
-    ----------
-    known : the fitted parameters.
-    plateaus : share of the recording in which the speed is steady.
-    confusions : health parameters and effects that take one another's part.
-    sights : from which size on each effect shows.
-    groups : effects that show, but not which of them it is.
-    doubts : what is to be settled; ``motion`` the cheapest that does, None where none does or
-        nothing is in doubt; ``tried`` what was considered, with log units for each doubt.
-    checks : the proposed motion in simulation.
-    plannable : False where the config has too little to simulate a motion.
-    """
-
-    known: tuple[Known, ...]
-    plateaus: float
-    confusions: tuple[Confusion, ...]
-    sights: tuple[Sight, ...]
-    groups: tuple[tuple[str, ...], ...]
-    doubts: tuple[Doubt, ...]
-    motion: Motion | None
-    tried: tuple[Tried, ...]
-    checks: tuple[Check, ...]
-    plannable: bool
-    damping_unit: str = "N·s/m"
 
 
 def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
@@ -132,16 +86,14 @@ def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
     questions = [*pairs, *(hidden(fit, c, reading) for c in open_ones(confusions))]
     say("looking for a motion", 0.2)
     asked, now = open_questions(traces, questions, base)
-    motion, tried = None, []
+    motion, tried, checks = None, [], []
     if asked and limits is not None:
         here = traces.gram([s.label for s in [*base, *(s for q in asked for s in q.slopes())]])
-        motion, tried = search_motion(experiment, fit, asked, here, limits, base, thorough)
-    then = next((one.gains for one in tried if one.motion is motion), (float("nan"),) * len(asked))
-    checks = []
-    for i, question in enumerate(asked if check and motion is not None and limits else ()):
-        say("checking the motion in simulation", 0.4 + 0.6 * i / len(asked))
-        if then[i] >= DECISIVE:
-            checks.append(checked(experiment, fit, question, motion, limits))
+        tried = try_motions(experiment, fit, asked, here, limits, base, thorough)
+        motion = cheapest(tried)
+        if check:
+            motion, checks = proven(experiment, fit, asked, tried, limits, say)
+    then = next((one.gains for one in tried if one.motion is motion), (np.nan,) * len(asked))
     return Advice(
         reading.known(units), reading.plateaus, confusions, reading.sights(), reading.groups(),
         tuple(Doubt(q.effect, q.rival, q.parameter, q.steady, q.amount, q.symbol, q.unit, a, b)
@@ -201,6 +153,36 @@ def open_questions(traces: Traces, questions: Sequence[Question], base: Sequence
     return [question for question, _ in found], [now for _, now in found]
 
 
+def proven(experiment: Experiment, fit: Fit, asked: Sequence[Question], tried: Sequence[Tried],
+           limits: Limits, say: Report) -> tuple[Motion | None, list[Check]]:
+    """Return the cheapest motion that also decides in simulation, with its checks.
+
+    None where none does; the checks then show it.  The prediction is linear, and where friction
+    sticks or a limit is reached it can be far off: after a failure more is asked of the next one.
+    """
+    rejected: list[str] = []
+    best, most, failed = None, 0, []
+    for attempt in range(ATTEMPTS):
+        motion = cheapest(tried, rejected, WANTED * 4.0**attempt)
+        if motion is None:
+            break
+        gains = next(one.gains for one in tried if one.motion is motion)
+        checks = []
+        for i, question in enumerate(asked):
+            say(f"checking in simulation: {motion.words}",
+                0.4 + 0.6 * (attempt + i / len(asked)) / ATTEMPTS)
+            if gains[i] >= DECISIVE:
+                checks.append(checked(experiment, fit, question, motion, limits))
+        held = sum(one.found >= DECISIVE for one in checks)
+        if held == len(checks):
+            return motion, checks
+        if held > most:
+            best, most, failed = motion, held, checks
+        failed = failed or checks
+        rejected.append(motion.name)
+    return best, failed
+
+
 def small_timing(name: str, fit: Fit) -> bool:
     """Tell whether a parameter is one of the small timing errors that every record has."""
     effect, dot, _ = name.partition(".")
@@ -246,7 +228,5 @@ def rival_fits(naming: Naming) -> dict[str, Fit]:
 
 def advice_for(experiment: Experiment, naming: Naming, check: bool = False) -> tuple[str, ...]:
     """Return the advice of a diagnosis in sentences, quickly: its doubts and the usual ones."""
-    from eha_monitor.mismatch.advise_words import sentences
-
     return sentences(advice(experiment, naming.after, naming.rivals, rival_fits(naming), check,
                             thorough=False))

@@ -2,10 +2,9 @@
 
 import math
 
-from eha_monitor.mismatch.advise import Advice, Doubt
 from eha_monitor.mismatch.calibrate import LEAST
 from eha_monitor.mismatch.motions import Motion
-from eha_monitor.mismatch.separate import DECISIVE, Check
+from eha_monitor.mismatch.separate import DECISIVE, Advice, Check, Doubt
 from eha_monitor.mismatch.tells import BASE, CONFUSED, HOPELESS, Confusion, Known, Sight
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.reports.diagnosis_words import effect_words, listed
@@ -167,7 +166,9 @@ def motion_words(advice: Advice) -> list[str]:
     if not advice.doubts:
         return ["nothing that was named is in doubt: this recording tells it from its rivals"
                 ] if not advice.groups and not advice.confusions else []
-    settled = [d for d in advice.doubts if d.then >= DECISIVE]
+    failed = {(c.effect, c.rival) for c in advice.checks if c.found < DECISIVE}
+    settled = [d for d in advice.doubts
+               if d.then >= DECISIVE and (d.effect, d.rival) not in failed]
     if advice.motion is not None and settled:
         gains = listed([f"{doubt_words(d)} by {number(d.then, 3)} log units (this recording alone "
                         f"{number(max(d.now, 0.0), 2)})" for d in settled])
@@ -181,6 +182,10 @@ def motion_words(advice: Advice) -> list[str]:
         if not advice.plannable:
             found.append(f"this recording cannot tell {doubt_words(doubt)}, and the config has "
                          f"too little to plan a motion (areas and pump); at the rig: {check}")
+            continue
+        if (doubt.effect, doubt.rival) in failed:
+            found.append(f"no motion tells {doubt_words(doubt)}: what was predicted to fails in "
+                         f"simulation; at the rig: {check}")
             continue
         best = max((one.gains[advice.doubts.index(doubt)] for one in advice.tried), default=0.0)
         found.append(f"no motion within the travel and the pump speed of this recording tells "
@@ -197,6 +202,7 @@ def check_words(check: Check, damping_unit: str) -> str:
                          (name, row, damping_unit if name == "B" else "Pa")
                          for name, row in check.values.items())])
     other = f" against {effect_words(check.rival)}" if check.rival else ""
+    failed = "" if check.found >= DECISIVE else ", so that motion does not decide"
     return (f"checked in simulation with noise: {effect_words(check.effect)}{other} "
             f"gives {number(check.found, 3)} log units, {number(check.predicted, 3)} were "
-            f"predicted; {values}")
+            f"predicted{failed}; {values}")

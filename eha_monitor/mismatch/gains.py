@@ -14,7 +14,7 @@ from eha_monitor.mismatch.innovations import (
     transition,
 )
 from eha_monitor.physics import signals as s
-from eha_monitor.physics.contributions import new_memory
+from eha_monitor.physics.contributions import circuit_of, new_memory
 from eha_monitor.physics.plant import (
     N_STATE,
     Y_FLOW,
@@ -29,6 +29,7 @@ from eha_monitor.physics.plant import (
 )
 
 CORRELATION = 0.02  # s, for which an unknown force, flow or speed lasts
+FORGOTTEN = 1e-3  # share left after a sample
 TRANSIENT = 3000  # samples after a start until the gains stand
 
 
@@ -115,6 +116,12 @@ def linear_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
     elif experiment.mode == OPEN:
         away[Y_OMEGA] = True
     a[away], a[:, away], h[:, away] = 0.0, 0.0, 0.0
+    late = circuit_of(theta, active)[s.PRESSURE_DELAY]
+    if late > 0.0 and experiment.mode != FORCED:
+        # A gain that takes an old pressure for a new one makes the filter swing.
+        kept = np.flatnonzero(~away)
+        back = power_of(a[np.ix_(kept, kept)] / size[kept, None] * size[kept], -late / dt)
+        h[np.ix_([2, 3], kept)] = (h[np.ix_([2, 3], kept)] * size[kept]) @ back / size[kept]
     intensity = unknowns.as_array()
     q = np.zeros(N_FILTERED)
     q[:5] = (1e-7 * size[:5]) ** 2  # rounding and integration: keeps P positive
@@ -130,6 +137,14 @@ def linear_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
     start[Y_FORCE:] = intensity**2
     start[away] = 0.0
     return Linear(a, h, q, noise**2, start)
+
+
+def power_of(a: np.ndarray, exponent: float) -> np.ndarray:
+    """Return A^exponent of a diagonalisable matrix with eigenvalues off the negative axis."""
+    values, vectors = np.linalg.eig(a)
+    # What is forgotten within a sample (the speed of a drive without lag) has no past.
+    lasting = np.where(np.abs(values) > FORGOTTEN, values, 1.0).astype(complex)
+    return np.real((vectors * lasting**exponent) @ np.linalg.inv(vectors))
 
 
 def gains_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray,

@@ -86,7 +86,8 @@ def quantised(experiment: Experiment) -> NamedEffect | None:
     if step <= 1.5 * known or step / np.sqrt(12.0) <= COARSE * levels.position:
         return None
     entry = CATALOGUE["position_quantisation"]
-    against = experiment.n * np.log(step / np.sqrt(12.0) / levels.position)
+    ratio = step / np.sqrt(12.0) / levels.position
+    against = 0.5 * experiment.n * np.log1p(ratio**2)
     return NamedEffect("position_quantisation", entry.balance, entry.statement.format(q=step),
                        {"q": Value(step, 0.0, "m")}, float(against), (), entry.equation,
                        entry.rig_check, f"{step * 1e6:.3g} µm")

@@ -35,6 +35,7 @@ LARGEST_UNKNOWN = 3e4  # times the smallest: three times what the record covers
 PROMISE = 0.03  # of the best score: what an effect must score to be refitted
 SHORTLIST = 8  # effects that are refitted in each round
 LIKELY = 0.15  # of the demanded gain
+STIFF = 30.0  # times the smallest unknowns
 STRAYED = 0.7  # of the logarithm: B or beta_e is off its prior by a factor of two
 FINALISTS, WORTH = 4, 0.5  # how many are fitted to the end, and what share of the best they have
 THRESHOLD = 12.0  # log units, where no calibration is at hand
@@ -218,15 +219,22 @@ def round_of(experiment: Experiment, fit: Fit, demanded: Callable[[str], float] 
     tasks = [(fit, score) for score in promising]
     if not near_prior(fit):
         # A wrong model can carry B and beta_e so far that the right effect points the wrong way
-        # there, and does not find back.
-        origin = with_unknowns(experiment, from_prior(fit), fit.unknowns)
+        # there, and does not find back.  With small unknowns the filter leans on the model, and
+        # what the model lacks shows at its full size.
+        small = limits_of(experiment)[0].as_array()
+        origin = with_unknowns(experiment, from_prior(fit), Unknowns(*(STIFF * small)))
         tasks += [(origin, score) for score in promising]
         tasks += [(origin, score)
                   for score in shortlist(screen(experiment, origin, starts), FINALISTS)]
-    quick = spread(lambda task: Candidate(task[1].start, *gained(fit, settle(
-        experiment, with_effect(task[0], task[1].start, task[1].amplitudes, False), 1, 2,
-        False, 1.0))),
-        tasks)
+
+    def tried(task: tuple[Fit, Score]) -> Candidate:
+        base, score = task
+        entered_fit = with_effect(base, score.start, score.amplitudes, False)
+        astray = base is not fit
+        return Candidate(score.start, *gained(fit, settle(
+            experiment, entered_fit, 1, 4 if astray else 2, astray, 1.0)))
+
+    quick = spread(tried, tasks)
     best: dict[str, Candidate] = {}
     for candidate in quick:
         if not np.isfinite(candidate.gain):

@@ -14,10 +14,12 @@ from eha_monitor.mismatch.innovations import CLOSED
 from eha_monitor.mismatch.motions import Limits, Motion, candidates, planned, share_within
 from eha_monitor.mismatch.screen import Start, free_of
 from eha_monitor.mismatch.search import settle, with_effect, without_effect
+from eha_monitor.mismatch.tells import Confusion, Known, Sight
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
 
 DECISIVE = 20.0  # log units that settle a question
+WANTED = 40.0  # log units that are asked of a prediction, so that they do
 LONGEST = 16.0  # s of two motions together
 USUAL = ("sine_2_hz", "sine_10_hz", "sine_places", "triangle_half", "multisine")  # quick search
 FORM = 1e-3  # of a trace's squares: no model is right to 3 % of an effect, so less says nothing
@@ -108,6 +110,56 @@ class Check:
     values: dict[str, tuple[float, float, float]]
 
 
+@dataclass(frozen=True)
+class Doubt:
+    """A question that the recording leaves open.
+
+    ``effect`` or ``rival`` ("": B and beta_e alone); ``parameter`` where the question is what of
+    it is the effect; ``steady``: from the plateaus of speed alone.  ``now`` : log units that the
+    recording has on it; ``then`` : with the proposed motion; both in ``words`` at ``amount``.
+    """
+
+    effect: str
+    rival: str
+    parameter: str
+    steady: bool
+    amount: float
+    symbol: str
+    unit: str
+    now: float
+    then: float
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What a recording tells, what it leaves open, and what to record next.
+
+    Attributes
+    ----------
+    known : the fitted parameters.
+    plateaus : share of the recording in which the speed is steady.
+    confusions : health parameters and effects that take one another's part.
+    sights : from which size on each effect shows.
+    groups : effects that show, but not which of them it is.
+    doubts : what is to be settled; ``motion`` the cheapest that does, None where none does or
+        nothing is in doubt; ``tried`` what was considered, with log units for each doubt.
+    checks : the proposed motion in simulation.
+    plannable : False where the config has too little to simulate a motion.
+    """
+
+    known: tuple[Known, ...]
+    plateaus: float
+    confusions: tuple[Confusion, ...]
+    sights: tuple[Sight, ...]
+    groups: tuple[tuple[str, ...], ...]
+    doubts: tuple[Doubt, ...]
+    motion: Motion | None
+    tried: tuple[Tried, ...]
+    checks: tuple[Check, ...]
+    plannable: bool
+    damping_unit: str = "N·s/m"
+
+
 def instead(experiment: Experiment, fit: Fit, effect: str, rival: Fit | None, name: str,
             start: Start) -> Fit:
     """Return a fit with one named effect replaced by another, not refitted.
@@ -136,10 +188,9 @@ def _only(name: str, active: np.ndarray) -> np.ndarray:
     return mask
 
 
-def search_motion(experiment: Experiment, fit: Fit, questions: Sequence[Question],
-                  here: Gram, limits: Limits, base: Sequence[Slope], every: bool = True
-                  ) -> tuple[Motion | None, list[Tried]]:
-    """Return the cheapest motion that settles all questions, or most of them, and what was tried.
+def try_motions(experiment: Experiment, fit: Fit, questions: Sequence[Question], here: Gram,
+                limits: Limits, base: Sequence[Slope], every: bool = True) -> list[Tried]:
+    """Return motions with what they tell; two after one another where one does not do.
 
     Parameters
     ----------
@@ -156,9 +207,9 @@ def search_motion(experiment: Experiment, fit: Fit, questions: Sequence[Question
         grams.append(there)
         gains = tuple(q.gain(here + there, base) for q in questions)
         tried.append(Tried(motion, gains))
-        if min(gains) >= DECISIVE and not every:
+        if min(gains) >= WANTED and not every:
             break
-    solved = [sum(gain >= DECISIVE for gain in one.gains) for one in tried]
+    solved = [sum(gain >= WANTED for gain in one.gains) for one in tried]
     if max(solved) < len(questions):
         pairs = sorted(((tried[i].motion.duration + tried[j].motion.duration, i, j)
                         for i, j in combinations(range(len(tried)), 2)), key=lambda row: row[0])
@@ -168,15 +219,27 @@ def search_motion(experiment: Experiment, fit: Fit, questions: Sequence[Question
             if share_within(limits, joined(tried[i].motion, tried[j].motion).segments) < 1.0:
                 continue  # the jump from one to the other is too far
             gains = tuple(q.gain(here + grams[i] + grams[j], base) for q in questions)
-            if sum(gain >= DECISIVE for gain in gains) > max(solved):
+            if sum(gain >= WANTED for gain in gains) > max(solved):
                 tried.append(Tried(joined(tried[i].motion, tried[j].motion), gains))
-                solved.append(sum(gain >= DECISIVE for gain in gains))
-    most = max(solved)
+                solved.append(sum(gain >= WANTED for gain in gains))
+    return tried
+
+
+def cheapest(tried: Sequence[Tried], rejected: Sequence[str] = (), wanted: float = WANTED
+             ) -> Motion | None:
+    """Return the shortest of the motions that settle most questions; None where none does.
+
+    Parameters
+    ----------
+    wanted : log units that must be predicted.
+    """
+    left = [(sum(gain >= wanted for gain in one.gains), one) for one in tried
+            if one.motion.name not in rejected]
+    most = max((count for count, _ in left), default=0)
     if most == 0:
-        return None, tried
-    best = min((one for one, count in zip(tried, solved, strict=True) if count == most),
-               key=lambda one: one.motion.duration)
-    return best.motion, tried
+        return None
+    return min((one.motion for count, one in left if count == most),
+               key=lambda motion: motion.duration)
 
 
 def joined(first: Motion, second: Motion) -> Motion:

@@ -10,7 +10,9 @@ from eha_monitor.mismatch.experiment import Experiment
 from eha_monitor.mismatch.fit import Fit
 from eha_monitor.mismatch.information import LEAST_STEADY, Gram, Slope, gain_of
 from eha_monitor.mismatch.screen import Start, directions_of, own_sizes, possible, starts_of
+from eha_monitor.mismatch.search import without_effect
 from eha_monitor.physics.effects import CATALOGUE, NAMES
+from eha_monitor.physics.parameters import place_of
 
 MATTERS = 5.0  # times an effect's start, which is 1 % of what its balance does
 SHIFT = 0.05  # of B or beta_e: an effect that shifts them by so much matters
@@ -238,10 +240,12 @@ class Reading:
         """Return the correlation of two estimates, all others estimated as well."""
         left = self.gram.remaining([one, two], others, self.weights, steady)
         full = self.gram.part if steady else self.gram.whole
-        for i, label in enumerate((one, two)):
-            (place,) = self.gram.places([label])
-            if left[i, i] <= 1e-9 * full[place, place] or left[i, i] < 1.0:
-                return 0.0  # does not show at all: a blind spot, no confusion
+        # What does not show at all is a blind spot, no confusion; nor is what the prior says.
+        if left[0, 0] * MATTERS**2 < 1.0 or left[1, 1] < self.weights[two]:
+            return 0.0
+        for i, place in enumerate(self.gram.places([one, two])):
+            if left[i, i] <= 1e-9 * full[place, place]:
+                return 0.0
         return float(np.clip(-left[0, 1] / np.sqrt(left[0, 0] * left[1, 1]), -1.0, 1.0))
 
     def sights(self) -> tuple[Sight, ...]:
@@ -313,9 +317,6 @@ def largest_cosine(aa: np.ndarray, ab: np.ndarray, bb: np.ndarray) -> float:
 def named_directions(experiment: Experiment, fit: Fit) -> tuple[list[Direction], list[Slope]]:
     """Return the named effects' first sizes, as found, with the slopes of taking them out."""
     found, slopes = [], []
-    from eha_monitor.mismatch.search import without_effect
-    from eha_monitor.physics.parameters import place_of
-
     for name in fit.named:
         p = CATALOGUE[name].sizes[0]
         value = float(fit.theta[place_of(f"{name}.{p.name}")])

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field
 
 from eha_monitor.filters.results import Consistency, Event, ModelStatus, ParameterEstimate
-from eha_monitor.health.alarms import WATCHED, AlarmBoard
+from eha_monitor.health.alarms import ADVICE, WATCHED, AlarmBoard
 from eha_monitor.ros.messages import Finding, alarm_finding
 from eha_monitor.settings.monitor import Settings
 
@@ -35,7 +35,7 @@ def all_findings(settings: Settings, board: AlarmBoard,
                  parameters: dict[str, ParameterEstimate],
                  consistency: dict[str, Consistency | None], model: ModelStatus,
                  events: dict[str, Event], data: DataState) -> list[Finding]:
-    """Return the alarms, the two stages, the model and the data, in this order.
+    """Return the alarms, the two stages, the model, its mismatch and the data, in this order.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def all_findings(settings: Settings, board: AlarmBoard,
         watched = next(w for w in WATCHED if alarm.name.startswith(w.section))
         side = alarm.name.removeprefix(f"{watched.section}_")
         limits = getattr(settings.thresholds, watched.section)
-        values = _numbers(parameters.get(watched.symbol))
+        values = _numbers(parameters.get(watched.symbol)) | _doubts(model, watched.symbol)
         for degree in ("warn", "error"):
             limit = getattr(limits, f"{side}_{degree}")
             values[f"limit_{degree}"] = math.nan if limit is None else float(limit)
@@ -58,6 +58,7 @@ def all_findings(settings: Settings, board: AlarmBoard,
     level = "STALE" if data.stopped else _MODEL_LEVEL.get(model.status, "OK")
     found.append(Finding("model", level, data.stopped or model.message or model.status,
                          {"status": model.status}))
+    found.append(_mismatch(model, consistency, data))
     level = "STALE" if data.stopped else "WARN" if data.problems else "OK"
     message = data.stopped or "; ".join(data.problems) or "data come"
     found.append(Finding("data", level, message, {**data.values, **_last(events.get("monitor"))}))
@@ -69,6 +70,47 @@ def _numbers(estimate: ParameterEstimate | None) -> dict[str, float | int | str]
         return {}
     key = KEYS[estimate.name]
     return {key: estimate.value, f"{key}_stddev": estimate.stddev}
+
+
+def _doubts(model: ModelStatus, symbol: str) -> dict[str, float | int | str]:
+    taint = model.tainted.get(symbol)
+    standing = taint is not None and not taint.testing
+    values: dict[str, float | int | str] = {
+        "tainted": int(standing), "on_trial": int(taint is not None and taint.testing)}
+    if standing:
+        values["tainted_since_s"] = float(taint.since_s)
+    return values
+
+
+def _mismatch(model: ModelStatus, consistency: dict[str, Consistency | None],
+              data: DataState) -> Finding:
+    """Return the test of the model as a finding of its own; plain numbers, for plotting."""
+    values: dict[str, float | int | str] = {"mismatch": int(bool(model.mismatches))}
+    for stage in STAGES:
+        verdict = consistency.get(stage)
+        standing = next((m for m in model.mismatches if m.stage == stage), None)
+        values[f"stage_{stage}_mismatch"] = int(standing is not None)
+        if standing is not None:
+            values[f"stage_{stage}_since_s"] = float(standing.since_s)
+        if verdict is not None:
+            values |= {f"stage_{stage}_nis_ratio": verdict.nis,
+                       f"stage_{stage}_variance_ratio": verdict.variance_ratio,
+                       f"stage_{stage}_block_s": verdict.block_length_s,
+                       f"stage_{stage}_worst_time_s": verdict.peak_time_s}
+    for watched in WATCHED:
+        values[f"{watched.section}_tainted"] = _doubts(model, watched.symbol)["tainted"]
+    name = "model_mismatch"
+    if data.stopped or model.status in ("unknown", "not_judged"):
+        return Finding(name, "STALE", data.stopped or "no data yet: " + model.message, values)
+    if not model.mismatches:
+        return Finding(name, "OK", model.message, values)
+    first = min(model.mismatches, key=lambda m: m.since_s)
+    values |= {"balance": "; ".join(m.balance for m in model.mismatches),
+               "since_s": float(first.since_s)}
+    doubted = [w.words for w in WATCHED if values[f"{w.section}_tainted"]]
+    in_doubt = f"; in doubt: {' and '.join(doubted)}" if doubted else ""
+    return Finding(name, "WARN", f"the model does not fit since t = {first.since_s:.1f} s: "
+                   f"{model.message}{in_doubt}; {ADVICE}", values)
 
 
 def _last(event: Event | None) -> dict[str, float | str]:

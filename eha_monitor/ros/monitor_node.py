@@ -157,9 +157,8 @@ class Monitor:
             reason = self._unfed(symbol)
             parameters[symbol] = estimate if reason is None else replace(
                 estimate, status="no_data", message=reason)
-        doubt = self._model.message if self._model.status == "mismatch" else None
         self._announce(self.board.update(self._seconds(), parameters, snapshot.temperature,
-                                         doubt))
+                                         self._model.tainted))
         self._publish_health(only_changes=True)
 
     def _seconds(self) -> float:

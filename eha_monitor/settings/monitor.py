@@ -165,6 +165,10 @@ class Monitor(Section):
     publish_rate: Si("Hz", "rate of the estimates", gt=0, le=1000) = 10.0
     stale_after: Si("s", "data missing for this long make the health STALE", gt=0) = 1.0
     latency: Si("s", "how long a row waits for its last channel", gt=0) = 0.02
+    on_mismatch: Literal["hold", "rebase", "ignore"] = Field(
+        "hold", description="alarms of an estimate that a model mismatch taints; hold: none is "
+        "raised or cleared; rebase: once settled, judged by the change since; ignore: judged as "
+        "if the model fitted")
 
 
 class Settings(Section):
