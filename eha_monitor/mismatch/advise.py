@@ -12,7 +12,6 @@ from eha_monitor.mismatch.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.fit import Fit
 from eha_monitor.mismatch.information import Slope, Traces, free_slopes
 from eha_monitor.mismatch.motions import Limits, Motion, limits_for, looped
-from eha_monitor.mismatch.screen import starts_of
 from eha_monitor.mismatch.search import with_effect
 from eha_monitor.mismatch.separate import (
     DECISIVE,
@@ -24,6 +23,7 @@ from eha_monitor.mismatch.separate import (
     Tried,
     cheapest,
     checked,
+    entered_at,
     instead,
     try_motions,
 )
@@ -72,10 +72,10 @@ def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
     directions, slopes = directions_for(experiment, fit, effects_for(
         experiment, fit, NAMES if thorough else COMMON))
     found, found_slopes = named_directions(experiment, fit)
-    pairs = [pair(experiment, fit, effect, rival, (rivals or {}).get(rival))
+    traces = Traces(experiment, fit, [*base, *slopes, *found_slopes])
+    pairs = [pair(experiment, fit, effect, rival,
+                  (rivals or {}).get(rival) or entered_at(experiment, traces, effect, rival, base))
              for effect, others in doubts.items() if effect in fit.named for rival in others]
-    everything = [*base, *slopes, *found_slopes, *(s for q in pairs for s in q.slopes())]
-    traces = Traces(experiment, fit, everything)
     here = traces.gram([s.label for s in [*base, *slopes, *found_slopes]])
     reading = Reading(fit, here, base, directions, found)
     named = [c for d in found for parameter in ("B", "beta_e") if parameter in reading.labels
@@ -130,13 +130,11 @@ def hidden(fit: Fit, c: Confusion, reading: Reading) -> Question:
                     "other")
 
 
-def pair(experiment: Experiment, fit: Fit, effect: str, rival: str, other: Fit | None
-         ) -> Question:
+def pair(experiment: Experiment, fit: Fit, effect: str, rival: str, other: Fit) -> Question:
     """Return the question which of two effects is there."""
     p = CATALOGUE[effect].sizes[0]
     return Question(effect, rival, "", False, fit,
-                    instead(experiment, fit, effect, other, rival,
-                            starts_of(rival, experiment)[0]),
+                    instead(experiment, fit, effect, other, rival),
                     float(fit.theta[place_of(f"{effect}.{p.name}")]), p.name, p.unit)
 
 

@@ -140,7 +140,8 @@ def within(limits: Limits, segments: dict[str, Segment]) -> dict[str, Segment]:
 def resized(limits: Limits, segment: Segment, share: float, moved: bool) -> Segment:
     """Return a segment at a share of its amplitude, and of its distance from the middle."""
     if share >= 1.0:
-        return segment.model_copy(update={"amplitude": _tidy(segment.amplitude)})
+        return segment.model_copy(update={"amplitude": _tidy(segment.amplitude),
+                                          "offset": _tidy(segment.offset)})
     offset = limits.middle + share * (segment.offset - limits.middle) if moved else segment.offset
     return segment.model_copy(update={"amplitude": _tidy(0.999 * share * segment.amplitude),
                                       "offset": _tidy(offset)})
@@ -214,5 +215,5 @@ def excitation_tree(motion: Motion) -> dict:
             "steps": ("frequency", "amplitude", "seed"), "rest": ()}
     return {name: {"kind": segment.kind, "duration": segment.duration,
                    **{key: getattr(segment, key) for key in kept[segment.kind]},
-                   "offset": _tidy(segment.offset)}
+                   "offset": segment.offset}
             for name, segment in motion.segments.items()}

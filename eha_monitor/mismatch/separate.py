@@ -4,18 +4,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
-import numpy as np
-
 from eha_monitor.mismatch.calibrate import simulated
 from eha_monitor.mismatch.experiment import Experiment
 from eha_monitor.mismatch.fit import Fit, with_unknowns
 from eha_monitor.mismatch.information import Gram, Slope, Traces, free_slopes, gain_of
 from eha_monitor.mismatch.innovations import CLOSED
 from eha_monitor.mismatch.motions import Limits, Motion, candidates, planned, share_within
-from eha_monitor.mismatch.screen import Start, free_of
+from eha_monitor.mismatch.screen import directions_of, starts_of
 from eha_monitor.mismatch.search import settle, with_effect, without_effect
 from eha_monitor.mismatch.tells import Confusion, Known, Sight
-from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
 
 DECISIVE = 20.0  # log units that settle a question
@@ -160,32 +158,45 @@ class Advice:
     damping_unit: str = "N·s/m"
 
 
-def instead(experiment: Experiment, fit: Fit, effect: str, rival: Fit | None, name: str,
-            start: Start) -> Fit:
-    """Return a fit with one named effect replaced by another, not refitted.
-
-    Parameters
-    ----------
-    rival : fit that has the other effect ``name``, or None: it enters at ``start``.
-    """
+def instead(experiment: Experiment, fit: Fit, effect: str, rival: Fit, name: str) -> Fit:
+    """Return a fit with one named effect replaced by another, as a rival fit has it."""
     bare = without_effect(experiment, fit, effect)
-    if rival is None:
-        return with_effect(bare, start, ())
     theta, active = bare.theta.copy(), bare.active.copy()
-    active |= rival.active & ~bare.active & _only(name, active)
+    active[NAMES.index(name)] = True
     for p in CATALOGUE[name].parameters:
         place = place_of(f"{name}.{p.name}")
         theta[place] = rival.theta[place]
     free = tuple(f for f in bare.free if not f.name.startswith(f"{name}."))
-    own = tuple(f for f in rival.free if f.name.startswith(f"{name}.")) or free_of(start)
+    own = tuple(f for f in rival.free if f.name.startswith(f"{name}."))
     return replace(bare, theta=theta, active=active, free=free + own, named=(*bare.named, name))
 
 
-def _only(name: str, active: np.ndarray) -> np.ndarray:
-    """Return a mask of one effect."""
-    mask = np.zeros_like(active)
-    mask[list(CATALOGUE).index(name)] = True
-    return mask
+def entered_at(experiment: Experiment, traces: Traces, effect: str, name: str,
+               base: Sequence[Slope]) -> Fit:
+    """Return a fit with one named effect replaced by another, its sizes by linear regression.
+
+    What both have, such as the way in which friction turns round, begins where the named one has
+    it.
+    """
+    fit = traces.fit
+    bare = without_effect(experiment, fit, effect)
+    start = starts_of(name, experiment)[0]
+    values, bounds = dict(start.values), {p.name: p for p in CATALOGUE[name].parameters}
+    for p in CATALOGUE[effect].parameters:
+        now = float(fit.theta[place_of(f"{effect}.{p.name}")])
+        if p.name in values and p.default is not None and (
+                bounds[p.name].lower <= now <= bounds[p.name].upper):
+            values[p.name] = now
+    start = replace(start, values=tuple(values.items()))
+    origin, gone = (bare.theta, bare.active), f"{effect}|{name}|gone"
+    own = [Slope(f"{effect}|{name}|size {i}", model, 1.0, 0.0, origin)
+           for i, model in enumerate(directions_of(bare, start))]
+    traces.add([Slope(gone, origin), *own])
+    shared = [slope for slope in base if not slope.label.startswith(f"{effect}.")]
+    labels = [slope.label for slope in [*shared, *own]]
+    moved = traces.gram([gone, *labels]).absorbed(
+        gone, labels, {slope.label: slope.weight for slope in shared})
+    return with_effect(bare, start, tuple(-moved[slope.label] for slope in own))
 
 
 def try_motions(experiment: Experiment, fit: Fit, questions: Sequence[Question], here: Gram,
