@@ -240,3 +240,20 @@ def test_bad_usage_is_one_line(capsys, arguments, words):
     assert main(["advise", *arguments]) == 2
     error = capsys.readouterr().err
     assert words in error and error.count("\n") == 1
+
+
+def test_rig_with_a_measured_force_gets_a_motion_too():
+    """No pump is known: the motion keeps the recording's speed, travel and force."""
+    time = np.arange(6000) * 1e-3
+    case = Case("case", demand=triangle(time, 3.0, SPEED * 0.75), seed=2)
+    channels, _ = recording_of(case)
+    force = 5.05e-4 * (channels["p1"] - channels["p2"])
+    rig = {"area_1": None, "area_2": None, "volume_1": None, "volume_2": None,
+           "pump_displacement": None, "position_gain": None}
+    experiment = experiment_of([Recording(1e-3, {"x": channels["x"], "force": force})],
+                               settings_from_tree({"rig": rig}, "case"), hold_out=False)
+    found = advise.advice(experiment, first_fit(experiment), {})
+    doubt = next(d for d in found.doubts if d.effect == "coulomb_friction")
+    assert doubt.now < advise.DECISIVE
+    assert found.motion is not None and doubt.then > advise.DECISIVE
+    assert found.checks[0].found > advise.DECISIVE

@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eha_monitor.filters.results import ParameterEstimate
+from eha_monitor.filters.results import ParameterEstimate, Taint
 from eha_monitor.health.alarms import ALARM_NAMES, AlarmBoard, quantity, viscosity_factor
+from eha_monitor.health.rebase import Rebase
 from eha_monitor.settings import Settings, settings_from_tree
 
 LIMIT = 1000.0
@@ -184,10 +185,91 @@ def test_the_viscosity_factor_is_finite(temperature):
     assert 0 < viscosity_factor(Settings().viscosity, temperature) < math.inf
 
 
-def test_doubt_goes_into_the_message():
+DOUBT = {"B": Taint("the model does not fit since t = 1.0 s (force balance or a sensor)", 1.0)}
+ON_TRIAL = {"B": Taint("it has moved from 600 to 1200, and the model is being tested", 1.0, True)}
+
+
+def on_mismatch(mode, **limits):
+    tree = settings(**limits).model_dump()
+    tree["monitor"]["on_mismatch"] = mode
+    return settings_from_tree(tree, "test")
+
+
+def doubtful(board, values, doubt=DOUBT, start=1.0):
+    levels = []
+    for k, value in enumerate(values):
+        board.update(start + k * STEP, damping(value), tainted=doubt)
+        levels.append(high(board).level)
+    return levels
+
+
+def test_doubt_goes_into_the_message_where_it_is_ignored():
+    board = AlarmBoard(on_mismatch("ignore"))
+    assert doubtful(board, [1600.0] * 20)[-1] == "ERROR"
+    assert high(board).message.endswith(f"; in doubt: {DOUBT['B'].reason}")
+
+
+def test_a_tainted_value_raises_nothing_and_says_why():
     board = AlarmBoard(settings())
-    board.update(0.0, damping(600.0), tainted="the model does not explain the data")
-    assert high(board).message.endswith("in doubt: the model does not explain the data")
+    drive(board, [600.0] * 20)
+    assert set(doubtful(board, [1600.0] * 100)) == {"OK"}
+    assert high(board).message == (
+        "not judged: viscous damping 1600.0 ± 1.0 N·s/m, but the model does not fit since t = "
+        "1.0 s (force balance or a sensor); `eha-monitor diagnose` on a recording says what is "
+        "missing")
+    assert board.alarms[3].message.endswith("is above the WARN limit of 4e+08 Pa")  # not beta_e
+    assert drive(board, [1600.0] * 20, start=6.0)[-1] == "ERROR"  # it fits again
+
+
+def test_an_alarm_that_stands_when_the_model_ceases_to_fit_stays():
+    board = AlarmBoard(settings())
+    drive(board, [1200.0] * 20)
+    assert set(doubtful(board, [1600.0, 600.0] * 20)) == {"WARN"}
+    assert high(board).message.startswith("WARN held: viscous damping 600.0 ± 1.0 N·s/m, but")
+    assert drive(board, [600.0], start=3.0) == ["OK"]
+
+
+def test_on_trial_the_hold_time_runs_but_nothing_is_raised():
+    board = AlarmBoard(settings())
+    assert set(doubtful(board, [1200.0] * 30, ON_TRIAL)) == {"OK"}
+    assert high(board).message.startswith("not judged: viscous damping 1200.0")
+    assert "diagnose" not in high(board).message
+    assert drive(board, [1200.0], start=1.0 + 30 * STEP) == ["WARN"]  # it has stood the test
+
+
+def test_rebased_an_alarm_still_tells_of_wear():
+    board = AlarmBoard(on_mismatch("rebase"))
+    drive(board, [600.0] * 20)
+    settled = round(11.0 / STEP)
+    assert set(doubtful(board, [1300.0] * settled)) == {"OK"}  # 700 of it is the mismatch
+    assert "read by its change from 1300, where it settled, for 600 before" in high(board).message
+    assert set(doubtful(board, [1690.0] * 40, start=12.0)) == {"OK"}
+    assert doubtful(board, [1710.0] * 20, start=14.0)[-1] == "WARN"
+    assert doubtful(board, [2300.0] * 20, start=15.0)[-1] == "ERROR"
+    assert doubtful(board, [1600.0], start=16.0) == ["OK"]
+
+
+def test_rebasing_waits_until_the_value_has_settled_and_starts_anew_with_each_mismatch():
+    board = AlarmBoard(on_mismatch("rebase"))
+    restless = [1300.0 + 200.0 * (k // 20 % 2) for k in range(600)]
+    assert set(doubtful(board, restless)) == {"OK"}
+    assert "not judged" in high(board).message
+    doubtful(board, [1300.0] * 220, start=31.0)
+    # No value without mismatch was ever seen: the nominal 600 N·s/m stands for it.
+    assert "for 600 before" in high(board).message
+    later = {"B": Taint("again", 50.0)}
+    doubtful(board, [1400.0] * 10, later, start=50.0)
+    assert "not judged" in high(board).message
+
+
+def test_the_modulus_is_rebased_by_its_ratio():
+    rebase = Rebase(6e8, by_ratio=True)
+    for k in range(101):
+        read = rebase.read(0.1 * k, 1.2e9, 1e6, since_s=0.0)
+    assert read == pytest.approx((6e8, 5e5))
+    assert rebase.read(10.1, 6e8, 1e6, since_s=0.0) == pytest.approx((3e8, 5e5))
+    rebase.fits(5e8)
+    assert rebase.read(11.0, 1e9, 1e6, since_s=11.0) is None
 
 
 def test_other_thresholds_take_effect_at_once():

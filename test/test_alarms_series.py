@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 
-from eha_monitor.filters.results import ParameterEstimate
+from eha_monitor.filters.results import ParameterEstimate, Taint
 from eha_monitor.health.series import ParameterSeries, judge_series
 from eha_monitor.settings import Settings
 
@@ -71,3 +71,9 @@ def test_no_data_and_no_samples_are_stale():
 def test_a_constant_cold_temperature_is_accounted_for():
     alarms, _ = judge_series(Settings(), TIME, series(np.full(N, 1100.0)), np.full(N, 20.0))
     assert alarms[0].level == "OK"
+
+
+def test_a_doubt_counts_from_when_the_mismatch_began():
+    values = np.where(TIME < 30.0, 1200.0, 1600.0)
+    _, history = judge_series(Settings(), TIME, series(values), tainted={"B": Taint("x", 30.0)})
+    assert [a.level for a in history if a.name == "viscous_damping_high"] == ["OK", "WARN"]

@@ -14,7 +14,7 @@ AROUND = 500  # samples beside a detected change that may still lag behind it
 RESOLVED = 0.6  # quanta: a rounding error that stays the same for a while is this large
 WINDOW = 100  # samples of the windows in which the worst place is sought
 LOCAL = 25.0  # NIS of a window that is a mismatch by itself, however short (white: 1 +- 0.14)
-PER_CHANGE = 72.0  # squared deviation that a seen change explains: twice its own six sigmas
+PER_CHANGE = 400.0  # excess of squares that a seen change explains (measured on ramps: to 200)
 FIRST = 2.0  # NIS of a window that is taken for the beginning of a mismatch
 
 
@@ -80,7 +80,8 @@ def one_way(changes: np.ndarray) -> bool:
 
 def judge(innovation: np.ndarray, stddev: np.ndarray, dt: float, stage: str,
           missing: str, changes: np.ndarray | None = None,
-          quantum: float = 0.0, start: float = 0.0) -> Consistency | None:
+          quantum: float = 0.0, start: float = 0.0, drifting: bool = False
+          ) -> Consistency | None:
     """Judge one stage's innovations.
 
     Parameters
@@ -92,6 +93,8 @@ def judge(innovation: np.ndarray, stddev: np.ndarray, dt: float, stage: str,
         out, unless that would be more than a third of the record.
     quantum : resolution of the measurement; slow errors below it are no mismatch.
     start : time of the first sample, s.
+    drifting : a window of a longer record: a parameter that drifts may be a little behind also
+        where it was not seen to change.
 
     Returns
     -------
@@ -111,10 +114,11 @@ def judge(innovation: np.ndarray, stddev: np.ndarray, dt: float, stage: str,
     size = np.sqrt(ratios / lengths) * float(np.median(stddev[index]))  # rms of block means
     judged = np.where((excess > SIGNIFICANCE) & (ratios > TOLERANCE)
                       & (size > RESOLVED * quantum), ratios, 0.0)
-    if changes is not None and len(changes) and not left_out.any() and one_way(changes):
-        # A parameter that drifts all the time is always a little behind: each change that was
-        # seen tells how much of the excess that explains.
-        explained = PER_CHANGE * len(changes)
+    if (changes is not None and len(changes) and one_way(changes)
+            and (drifting or not left_out.any())):
+        # A parameter that drifts is always a little behind: each change that was seen, and the
+        # next one, explain so much of the excess.
+        explained = PER_CHANGE * (len(changes) + 1)
         judged[(ratios - 1.0) * (len(values) // lengths) <= explained] = 0.0
     worst = int(np.argmax(judged if judged.any() else ratios))
     ratio, length = float(ratios[worst]), int(lengths[worst])

@@ -9,12 +9,14 @@ from eha_monitor.mismatch.experiment import BURN_IN, Experiment, Stretch
 from eha_monitor.mismatch.fit import Fit
 from eha_monitor.mismatch.innovations import CLOSED, FORCED
 from eha_monitor.mismatch.inputs import cubics
+from eha_monitor.mismatch.sizes import contributions_along
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.excitation import demanded_position, total_duration
 from eha_monitor.physics.plant import N_OUTPUTS
 from eha_monitor.settings.rig import Segment
 
 USED = 0.9  # of the recording's pump speed
+STRAINED = 1.2  # times the largest force of the recording
 LOOP = 0.1  # s with which a rig follows its demand, where its gain is not known
 SETTLED = 8.0  # loop time constants for which a triangle's speed must last
 SHORTEST = 2.0  # s
@@ -28,8 +30,8 @@ class Limits:
     Attributes
     ----------
     middle, reach : mean position and largest distance from it, m.
-    speed : largest |v|, m/s; ``pump_speed`` largest |omega|, rad/s.
-    gain : of the position loop, rad/s per m; ``loop`` its time constant, s.
+    speed : largest |v|, m/s; ``pump_speed`` largest |omega|, rad/s, or |v| without a pump.
+    gain : of the position loop, rad/s per m, or 1/s; ``loop`` its time constant, s.
     """
 
     middle: float
@@ -60,16 +62,19 @@ class Motion:
 def limits_for(experiment: Experiment) -> Limits | None:
     """Return what the recording went to; None where no motion can be simulated."""
     rig, r = experiment.settings.rig, experiment.ranges
-    if experiment.mode == FORCED or None in (rig.area_1, rig.pump_displacement):
+    if experiment.mode == FORCED:  # any controller will do: what is asked of is the speed
+        per_speed, gain, fastest = 1.0, 1.0 / LOOP, r.speed
+    elif None in (rig.area_1, rig.pump_displacement):
         return None
-    per_speed = rig.area_1 / rig.pump_displacement  # rad/s of pump for 1 m/s of piston
-    gain = rig.position_gain or per_speed / LOOP
+    else:
+        per_speed = rig.area_1 / rig.pump_displacement  # rad/s of pump for 1 m/s of piston
+        gain, fastest = rig.position_gain or per_speed / LOOP, r.pump_speed[3]
     x = np.concatenate([stretch.z[:, 0] for stretch in experiment.stretches])
     low, high = np.nanmin(x), np.nanmax(x)
     reach = float(0.5 * (high - low))
     grid = 10.0 ** np.floor(np.log10(max(0.05 * reach, 1e-9)))
     return Limits(float(np.round(0.5 * (low + high) / grid) * grid), reach, r.speed,
-                  r.pump_speed[3], gain, per_speed / gain)
+                  fastest, gain, per_speed / gain)
 
 
 def candidates(limits: Limits) -> list[Motion]:
@@ -173,7 +178,7 @@ def _tidy(value: float) -> float:
 
 def planned(experiment: Experiment, fit: Fit, limits: Limits, motion: Motion) -> Experiment:
     """Return a motion as an experiment: the fitted model's own outputs, without noise."""
-    blank = with_motion(experiment, limits, motion)
+    blank = with_motion(experiment, fit, limits, motion)
     stretch = blank.stretches[0]
     start = stretch.z
     zero = replace(stretch, z=np.where(np.isfinite(start), 0.0, np.nan))
@@ -182,8 +187,10 @@ def planned(experiment: Experiment, fit: Fit, limits: Limits, motion: Motion) ->
     return blank.only((replace(stretch, z=clean),))
 
 
-def with_motion(experiment: Experiment, limits: Limits, motion: Motion) -> Experiment:
+def with_motion(experiment: Experiment, fit: Fit, limits: Limits, motion: Motion) -> Experiment:
     """Return the rig at rest where a motion begins, driven by it."""
+    if experiment.mode == FORCED:
+        return forced(experiment, fit, limits, motion)
     rig, dt = experiment.settings.rig, experiment.dt
     time = np.arange(max(4, round(motion.duration / dt))) * dt
     x_d = demanded_position(motion.segments, time)
@@ -196,6 +203,42 @@ def with_motion(experiment: Experiment, limits: Limits, motion: Motion) -> Exper
     stretch = Stretch(motion.name, 0.0, z, cubics(x_d, 0.0), np.full(len(time), charge),
                       np.full(len(time), charge_2), counted, np.zeros(len(time), dtype=bool))
     return replace(experiment, mode=CLOSED, stretches=(stretch,))
+
+
+def forced(experiment: Experiment, fit: Fit, limits: Limits, motion: Motion) -> Experiment:
+    """Return a motion of a rig whose driving force is measured: the force that it takes."""
+    from scipy.signal import lfilter
+
+    dt = experiment.dt
+    time = np.arange(max(4, round(motion.duration / dt))) * dt
+    x_d = demanded_position(motion.segments, time)
+    left, x = np.exp(-2.0 * dt / limits.loop), x_d - x_d[0]
+    for _ in range(2):  # two poles, so that the force stays finite at corners
+        x = lfilter([1.0 - left], [1.0, -left], x)
+    states = np.zeros((len(time), 4))
+    states[:, 0] = x + x_d[0]
+    states[:, 1] = np.gradient(x, dt)
+    for column, name in ((2, "p1"), (3, "p2")):
+        states[:, column] = np.mean([np.mean(getattr(one, name)) for one in experiment.stretches])
+    added = np.zeros((len(time), s.N_CONTRIBUTIONS))
+    contributions_along(time, states, np.zeros(len(time)), x_d, dt, fit.theta, fit.active, added)
+    force = ((fit.theta[s.M] + added[:, s.MASS]) * np.gradient(states[:, 1], dt)
+             + fit.theta[s.B] * states[:, 1] + added[:, s.FORCE])
+    z = np.full((len(time), N_OUTPUTS), np.nan)
+    z[:, 0] = x_d[0]
+    if experiment.used[1]:
+        z[:, 1] = 0.0
+    stretch = Stretch(motion.name, 0.0, z, cubics(force, 0.0), states[:, 2], states[:, 3],
+                      time >= BURN_IN, np.zeros(len(time), dtype=bool))
+    return experiment.only((stretch,))
+
+
+def strained(experiment: Experiment, there: Experiment) -> bool:
+    """Tell whether a motion takes much more force than the recording shows, where it is known."""
+    if experiment.mode != FORCED:
+        return False
+    shown = max(float(np.abs(one.u[:, 0]).max()) for one in experiment.stretches)
+    return bool(np.abs(there.stretches[0].u[:, 0]).max() > STRAINED * shown)
 
 
 def looped(fit: Fit, limits: Limits) -> Fit:

@@ -14,6 +14,7 @@ from eha_monitor.mismatch.diagnosis import (
     Diagnosis,
     Location,
     NamedEffect,
+    SignalFit,
     Value,
 )
 from eha_monitor.mismatch.experiment import Experiment, experiment_of
@@ -35,6 +36,7 @@ from eha_monitor.settings.monitor import Settings
 LEAST_MOTION = 20.0  # times the position's noise: less motion says nothing
 EXPLAINED = 0.75  # share of the evidence that names must take away, or it is unexplained
 LARGE_PART = 0.5  # of the evidence: what an effect must take away to be named beside an unknown
+WORSE = 1.02  # ratio of squared errors on unseen data that is beyond chance
 UNKNOWN = 0.01  # of what a balance does: an unknown above is a mismatch, named or not
 
 Report = Callable[[str, float], None]
@@ -110,6 +112,13 @@ def verdict_of(experiment: Experiment, naming: Naming, calibration: Calibration 
             else "consistent"), explained
 
 
+def worse(signals: dict[str, SignalFit]) -> bool:
+    """Tell whether the error on unseen data, in units of the noise, has grown."""
+    pairs = [(fit.before_rms / fit.noise_rms, fit.after_rms / fit.noise_rms)
+             for fit in signals.values() if fit.noise_rms > 0]
+    return sum(after**2 for _, after in pairs) > WORSE * sum(before**2 for before, _ in pairs)
+
+
 def expected_likelihood(experiment: Experiment, fit: Fit) -> float:
     """Return the likelihood of a right model, whose innovations are the sensors' noise."""
     return float(-np.sum(np.log(experiment.noise[experiment.columns])
@@ -124,6 +133,9 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming,
                      after=robust(experiment, naming.after))
     before, after = naming.before, naming.after
     verdict, explained = verdict_of(experiment, naming, calibration)
+    signals = show.shown(shown, before, after)
+    if after.named and worse(signals):  # a fit that fails on unseen data has named nothing
+        verdict, explained = "unexplained", min(explained, 1.0 - EXPLAINED)
     effects = tuple(named_effect(experiment, naming, name) for name in sorted(
         after.named, key=lambda name: -naming.evidence[name]))
     if verdict == "unexplained":  # what takes away a small part only is a confident wrong name
@@ -133,7 +145,6 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming,
     if step is not None:
         effects = (*effects, step)
         verdict = "mismatch" if verdict == "consistent" else verdict
-    signals = show.shown(shown, before, after)
     evidence = {effect.name: effect.log_evidence for effect in effects}
     where = (locate.location_of(experiment, before, after, evidence)
              if verdict != "consistent" else

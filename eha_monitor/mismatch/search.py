@@ -32,12 +32,12 @@ from eha_monitor.physics.parameters import place_of
 
 LARGEST_UNKNOWN = 3e4  # times the smallest: three times what the record covers
 
-PROMISE = 0.03  # of the best score: what an effect must score to be refitted
+PROMISE = 0.1  # of the best score: what an effect must score to be refitted
 SHORTLIST = 8  # effects that are refitted in each round
 LIKELY = 0.15  # of the demanded gain
 STIFF = 30.0  # times the smallest unknowns
 STRAYED = 0.7  # of the logarithm: B or beta_e is off its prior by a factor of two
-FINALISTS, WORTH = 4, 0.5  # how many are fitted to the end, and what share of the best they have
+FINALISTS, WORTH = 3, 0.6  # how many are fitted to the end, and what share of the best they have
 THRESHOLD = 12.0  # log units, where no calibration is at hand
 TIMING = 0.05  # samples: timing errors up to here need no name
 
@@ -245,7 +245,7 @@ def round_of(experiment: Experiment, fit: Fit, demanded: Callable[[str], float] 
     # What is far behind after a few steps does not catch up: only the front runners go on.
     front = [c for c in ranked if c.gain > WORTH * ranked[0].gain][:FINALISTS]
     final = spread(lambda c: Candidate(c.start, *gained(fit, settle(
-        experiment, c.fit, 2, 6, False, 0.3))), front)
+        experiment, c.fit, 2, 4, False, 1.0))), front)
     ranked = sorted([*final, *(c for c in ranked if c not in front)], key=lambda c: -c.gain)
     return Round(fit, tuple(scores), tuple(ranked))
 

@@ -8,8 +8,14 @@ from eha_monitor.mismatch.calibrate import simulated
 from eha_monitor.mismatch.experiment import Experiment
 from eha_monitor.mismatch.fit import Fit, with_unknowns
 from eha_monitor.mismatch.information import Gram, Slope, Traces, free_slopes, gain_of
-from eha_monitor.mismatch.innovations import CLOSED
-from eha_monitor.mismatch.motions import Limits, Motion, candidates, planned, share_within
+from eha_monitor.mismatch.motions import (
+    Limits,
+    Motion,
+    candidates,
+    planned,
+    share_within,
+    strained,
+)
 from eha_monitor.mismatch.screen import directions_of, starts_of
 from eha_monitor.mismatch.search import settle, with_effect, without_effect
 from eha_monitor.mismatch.tells import Confusion, Known, Sight
@@ -214,12 +220,17 @@ def try_motions(experiment: Experiment, fit: Fit, questions: Sequence[Question],
     for motion in candidates(limits):
         if not every and motion.name not in USUAL:
             continue
-        there = Traces(planned(experiment, fit, limits, motion), fit, slopes, True).gram(labels)
+        ran = planned(experiment, fit, limits, motion)
+        if strained(experiment, ran):
+            continue
+        there = Traces(ran, fit, slopes, True).gram(labels)
         grams.append(there)
         gains = tuple(q.gain(here + there, base) for q in questions)
         tried.append(Tried(motion, gains))
         if min(gains) >= WANTED and not every:
             break
+    if not tried:
+        return []
     solved = [sum(gain >= WANTED for gain in one.gains) for one in tried]
     if max(solved) < len(questions):
         pairs = sorted(((tried[i].motion.duration + tried[j].motion.duration, i, j)
@@ -272,7 +283,7 @@ def checked(experiment: Experiment, fit: Fit, question: Question, motion: Motion
     truth = question.truth
     there = planned(experiment, truth, limits, motion)
     both = there.only((*experiment.stretches, *there.stretches)
-                      if experiment.mode == CLOSED else there.stretches)
+                      if experiment.mode == there.mode else there.stretches)
     data = simulated(both, truth, seed)
     right = settle(data, with_unknowns(data, truth, truth.unknowns), 1)
     wrong = settle(data, with_unknowns(data, question.other, right.unknowns), 1)
