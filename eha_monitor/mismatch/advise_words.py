@@ -12,6 +12,7 @@ from eha_monitor.reports.quantities import number, quantity
 from eha_monitor.settings.rig import Segment
 
 NOTABLE = 0.02  # of B or beta_e: a shift below is of no matter
+HOPELESS_INFLATION = 1000.0
 HARDLY = 100.0  # variance inflation: standard deviations are ten times as large
 MOST = 4  # sentences of a kind
 PARAMETERS = {"B": "B", "beta_e": "βe"}
@@ -67,7 +68,8 @@ def confusion_words(c: Confusion, advice: Advice) -> str:
     share = 1.0 if c.named else rounded(c.amount) / c.amount
     size = amount(share * c.amount, c.unit)
     if abs(c.plateau_correlation) > HOPELESS:
-        text = (f"{parameter} and {effect} cannot be told apart from the plateaus of steady speed "
+        can = "cannot" if c.plateau_inflation > HOPELESS_INFLATION else "can hardly"
+        text = (f"{parameter} and {effect} {can} be told apart from the plateaus of steady speed "
                 f"({advice.plateaus:.0%} of this recording): correlation "
                 f"{abs(c.plateau_correlation):.3f}, variance inflation "
                 f"{number(c.plateau_inflation, 2)}; {parameter} may be off by "
@@ -188,7 +190,7 @@ def motion_words(advice: Advice) -> list[str]:
                          f"simulation; at the rig: {check}")
             continue
         best = max((one.gains[advice.doubts.index(doubt)] for one in advice.tried), default=0.0)
-        found.append(f"no motion within the travel and the pump speed of this recording tells "
+        found.append(f"no motion within the travel and the speed of this recording tells "
                      f"{doubt_words(doubt)} (at best {number(max(best, 0.0), 2)} log units); "
                      f"at the rig: {check}")
     return found
