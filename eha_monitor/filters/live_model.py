@@ -1,0 +1,175 @@
+"""The live test of the model: window after window, and whether the record fits again."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from eha_monitor.filters.consistency import judge
+from eha_monitor.filters.inputs import StageInputs
+from eha_monitor.filters.live_buffer import LiveBuffer
+from eha_monitor.filters.model_watch import StageWatch, Trial, tainted_by
+from eha_monitor.filters.pipeline import (
+    MISSING_ONE,
+    MISSING_TWO,
+    model_status,
+    run_one_kernel,
+    unless_unexcited,
+)
+from eha_monitor.filters.results import Consistency, ModelStatus, ParameterEstimate
+from eha_monitor.filters.run_two import run_stage_two_kernel
+from eha_monitor.filters.status import judge_parameter
+from eha_monitor.filters.supervision import gave_up, new_supervision
+from eha_monitor.settings.monitor import Settings
+
+JUDGED_S = 10.0  # the model is tested over the last so many seconds
+JUDGE_EVERY_S = 0.5
+PARAMETER = {"one": "B", "two": "beta_e"}
+_WORDS = {"one": ("stage one", MISSING_ONE), "two": ("stage two", MISSING_TWO)}
+_PLACE = {"one": (4, 5), "two": (6, 7)}  # innovation and its stddev in the kernels' output
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The last window run anew by a compiled stage: ``fits`` None where it shows nothing."""
+
+    fits: bool | None
+    value: float
+    stddev: float
+    innovation: np.ndarray
+    innovation_stddev: np.ndarray
+
+
+class LiveModel:
+    """What the live estimator knows about its own model.
+
+    Attributes
+    ----------
+    verdicts : on the last window of each stage, None where it could not be judged.
+    first : row from which on a stage is judged; what came before was explained otherwise.
+    """
+
+    def __init__(self, settings: Settings):
+        self.settings = settings
+        self.watches = {stage: StageWatch(stage) for stage in PARAMETER}
+        self.verdicts: dict[str, Consistency | None] = dict.fromkeys(PARAMETER)
+        self.first = dict.fromkeys(PARAMETER, 0)
+        self.judged_at = 0
+        self._trials = {name: Trial() for name in PARAMETER.values()}
+        self._settled = math.nan  # B while no mismatch stood
+
+    def restart_rows(self) -> None:
+        """Rows are counted anew after a gap; what is known stays."""
+        self.judged_at = 0
+        self.first = dict.fromkeys(PARAMETER, 0)
+
+    def standing(self, stage: str) -> bool:
+        """Tell whether a stage's mismatch stands."""
+        return self.watches[stage].standing is not None
+
+    def judge(self, buffer: LiveBuffer, taken: int, changes: dict[str, list],
+              parameters: dict[str, ParameterEstimate], quantum: float,
+              time_of: Callable[[int], float]) -> list[str]:
+        """Test the model on the last window; return the stages whose mismatch begins now.
+
+        Parameters
+        ----------
+        taken : row after the last one that was filtered.
+        changes : per stage (row, before, after, samples that showed it).
+        parameters : the present estimates.
+        quantum : resolution of the position, m.
+        time_of : time of a row, s.
+        """
+        self.judged_at = taken
+        begun = []
+        for stage, (words, missing) in _WORDS.items():
+            start = max(buffer.first, taken - round(JUDGED_S / buffer.dt), self.first[stage])
+            seen = list(changes["one"]) + (changes["two"] if stage == "two" else [])
+            rows = np.array([(n - start, a, b, w) for n, a, b, w in seen
+                             if n + w + 500 >= start]).reshape(-1, 4)
+            verdict = unless_unexcited(parameters[PARAMETER[stage]], judge(
+                buffer.column(f"nu_{stage}", start, taken).copy(),
+                buffer.column(f"sd_{stage}", start, taken).copy(), buffer.dt, words, missing,
+                rows, quantum, time_of(start), drifting=True))
+            self.verdicts[stage] = verdict
+            if self.watches[stage].update(time_of(taken), verdict):
+                begun.append(stage)
+        damping = parameters["B"]
+        if (damping.status == "converged" and not self.standing("one")
+                and self._trials["B"].taint is None):
+            self._settled = damping.value
+        return begun
+
+    def try_again(self, stage: str, inputs: StageInputs, damping: tuple[float, float],
+                  time_s: float) -> Fit | None:
+        """Run a stage anew over a window; return the fit if its mismatch ends by it.
+
+        Parameters
+        ----------
+        inputs : of the last ``JUDGED_S``.
+        damping : B and its variance, for stage two.
+        time_s : the window's end.
+        """
+        run = self._stage_one if stage == "one" else self._stage_two
+        fit = run(inputs, damping)
+        return fit if self.watches[stage].test(time_s, fit.fits) else None
+
+    def _stage_one(self, inputs: StageInputs, damping: tuple[float, float]) -> Fit:
+        out, _, _, watch = run_one_kernel(inputs, self.settings, new_supervision())
+        prior = self.settings.stage_one
+        parameter = judge_parameter("B", out[2, -1], out[3, -1], "", prior.prior,
+                                    prior.prior_stddev)
+        return self._fit("one", inputs, out, gave_up(watch), parameter)
+
+    def _stage_two(self, inputs: StageInputs, damping: tuple[float, float]) -> Fit:
+        rows = len(inputs.x)
+        found = run_stage_two_kernel(inputs, self.settings, np.full(rows, damping[0]),
+                                     np.full(rows, damping[1]))
+        prior = self.settings.stage_two
+        parameter = judge_parameter("beta_e", found.out[3, -1], found.out[5, -1], "",
+                                    prior.prior, prior.prior_stddev, prior.largest)
+        return self._fit("two", inputs, found.out, gave_up(found.watch), parameter)
+
+    def _fit(self, stage: str, inputs: StageInputs, out: np.ndarray, astray: bool,
+             parameter: ParameterEstimate) -> Fit:
+        # Changes excuse nothing here: one value must explain the whole window.
+        innovation, stddev = (out[place] for place in _PLACE[stage])
+        fits = None
+        if parameter.status == "converged":
+            verdict = judge(innovation, stddev, inputs.dt, *_WORDS[stage],
+                            quantum=inputs.quantum)
+            fits = None if verdict is None else verdict.consistent and not astray
+        elif parameter.status == "diverged" or astray:
+            fits = False
+        return Fit(fits, parameter.value, parameter.stddev, innovation, stddev)
+
+    def status(self, time_s: float, parameters: dict[str, ParameterEstimate],
+               sensitivity: float) -> ModelStatus:
+        """Return what is known about the model now, and which estimates are in doubt.
+
+        Parameters
+        ----------
+        sensitivity : relative change of beta_e with B, per N·s/m.
+        """
+        tainted = {}
+        for name, trial in self._trials.items():
+            known = parameters[name].status == "converged"
+            taint = trial.update(time_s, parameters[name].value if known else None)
+            if taint is not None:
+                tainted[name] = taint
+        standing = tuple(watch.standing for watch in self.watches.values() if watch.standing)
+        if not standing:
+            fitting = [v for v in self.verdicts.values() if v is None or v.consistent]
+            status = model_status(fitting)
+            return ModelStatus(status.status, status.message, (), tainted)
+        tainted |= tainted_by(standing, abs(sensitivity * self._bias(parameters["B"])))
+        return ModelStatus("mismatch", "; ".join(m.message for m in standing), standing, tainted)
+
+    def _bias(self, damping: ParameterEstimate) -> float:
+        """Return how far B may be off: from what it was, or else from the nominal value."""
+        if damping.status != "converged":
+            return math.inf
+        before = self._settled
+        return damping.value - (self.settings.rig.viscous_damping if math.isnan(before)
+                                else before)

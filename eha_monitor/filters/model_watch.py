@@ -1,0 +1,146 @@
+"""From verdicts on windows to a mismatch that stands: when it begins and ends, what it taints.
+
+Pure decisions on times and numbers, for live rows and for recordings alike.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+
+from eha_monitor.filters.results import Consistency, Mismatch, Taint
+
+CHANCE_S = 12.0  # a mismatch that chance could bring about must stand for longer than a window
+FITTING_S = 2.0  # for so long must window after window fit before a mismatch is over
+SOON_S = 30.0  # one that comes back within so long was not over
+LONGEST_FITTING_S = 60.0
+# A value that has moved so far is on trial for so long before it may raise an alarm.
+MOVED = 0.05
+TRIAL_S = 2.5
+LONGEST_TRIAL_S = 10.0
+MATTERS = 0.02  # relative change of beta_e by a wrong B that matters
+
+BALANCE = {"one": "force balance or a sensor", "two": "flow balance, drive or a sensor",
+           "joint": "a sensor's scale or the pump"}
+_ORDER = ("one", "two", "joint")
+
+
+class StageWatch:
+    """One stage's mismatch, with hysteresis.
+
+    It begins with a window that chance does not explain, or with doubtful windows for longer
+    than a window lasts.  It ends when the windows have fitted for ``FITTING_S``; that time
+    doubles whenever the mismatch comes back soon, because a motion that shows it now and then
+    must not make alarms flutter.
+
+    Parameters
+    ----------
+    stage : ``one`` or ``two``.
+
+    Attributes
+    ----------
+    standing : the mismatch, or None.
+    """
+
+    def __init__(self, stage: str):
+        self.stage = stage
+        self.standing: Mismatch | None = None
+        self._doubted: float | None = None  # since when the windows are doubtful
+        self._fitting: float | None = None  # since when they fit
+        self._required = FITTING_S
+        self._ended = -math.inf
+
+    def update(self, time_s: float, verdict: Consistency | None) -> bool:
+        """Take the verdict on the window that ends at ``time_s``; True if a mismatch begins."""
+        if verdict is None or verdict.consistent:
+            self._doubted = None
+            return False
+        if self._doubted is None:
+            self._doubted = time_s
+        if self.standing is not None:
+            self.standing = self._mismatch(verdict, self.standing.since_s)
+            return False
+        if not (verdict.decisive or time_s - self._doubted > CHANCE_S):
+            return False
+        soon = time_s - self._ended < max(SOON_S, 2.0 * self._required)
+        self._required = min(2.0 * self._required, LONGEST_FITTING_S) if soon else FITTING_S
+        self._fitting = None
+        first = verdict.first_time_s
+        since = min(first, time_s) if math.isfinite(first) else time_s
+        self.standing = self._mismatch(verdict, max(since, self._ended))
+        return True
+
+    def _mismatch(self, verdict: Consistency, since: float) -> Mismatch:
+        return Mismatch(self.stage, BALANCE[self.stage], since, verdict.nis,
+                        verdict.variance_ratio, verdict.peak_time_s, verdict.message)
+
+    def test(self, time_s: float, fits: bool | None) -> bool:
+        """Take whether the last window fits by itself; True if the mismatch ends.
+
+        None, e.g. at rest, says nothing: the mismatch stays, and the time does not run.
+        """
+        if self.standing is None:
+            return False
+        if not fits:
+            self._fitting = None
+            return False
+        if self._fitting is None:
+            self._fitting = time_s
+        if time_s - self._fitting < self._required:
+            return False
+        self.standing, self._doubted, self._ended = None, None, time_s
+        return True
+
+
+class Trial:
+    """Whether a value that has moved has stood the test of the model since.
+
+    A friction that appears looks like damping until the motion shows otherwise.  A slow drift
+    is never on trial, and none lasts longer than ``LONGEST_TRIAL_S``.
+    """
+
+    def __init__(self):
+        self._anchor = math.nan
+        self._before = math.nan
+        self._moved = self._began = -math.inf
+        self.taint: Taint | None = None
+
+    def update(self, time_s: float, value: float | None) -> Taint | None:
+        """Take the value, None while it is not known; return the doubt that it deserves."""
+        if value is None or not math.isfinite(value):
+            self.taint = None
+            return None
+        if not abs(value - self._anchor) <= MOVED * abs(self._anchor):
+            if self.taint is None:
+                self._began, self._before = time_s, self._anchor
+            self._anchor, self._moved = value, time_s
+        on_trial = (time_s - self._moved < TRIAL_S
+                    and time_s - self._began < LONGEST_TRIAL_S)
+        self.taint = Taint(self._reason(), self._began, True) if on_trial else None
+        return self.taint
+
+    def _reason(self) -> str:
+        what = ("it is new" if math.isnan(self._before)
+                else f"it has moved from {self._before:.4g} to {self._anchor:.4g}")
+        return f"{what}, and the model is being tested on the data since t = {self._began:.1f} s"
+
+
+def tainted_by(mismatches: Iterable[Mismatch], by_damping: float = math.inf) -> dict[str, Taint]:
+    """Return which of ``B`` and ``beta_e`` the mismatches that stand put in doubt, and why.
+
+    Parameters
+    ----------
+    mismatches : those that stand.
+    by_damping : relative change of beta_e that a wrong B could have made; inf if unknown.
+    """
+    found: dict[str, Taint] = {}
+    for mismatch in sorted(mismatches, key=lambda m: _ORDER.index(m.stage)):
+        taint = Taint(f"the model does not fit since t = {mismatch.since_s:.1f} s "
+                      f"({mismatch.balance})", mismatch.since_s)
+        if mismatch.stage in ("one", "joint"):
+            found["B"] = taint
+        if mismatch.stage in ("two", "joint"):
+            found["beta_e"] = taint  # its own reason goes before that of B
+        elif not by_damping <= MATTERS:
+            found["beta_e"] = replace(taint, reason=f"{taint.reason}; B, which the bulk modulus "
+                                      "rests on, carries it")
+    return found
