@@ -24,7 +24,7 @@ from eha_monitor.mismatch.search import first_fit
 from eha_monitor.output import write_text
 from eha_monitor.physics.effects import NAMES
 
-DRAWS = 12
+DRAWS = 8
 FALSE_ALARM = 0.002  # probability that a clean record names something
 LEAST = 10.0  # log units: never ask for less
 SMALLEST_SCALE = 1.0  # of the Gumbel law: that of a chi-squared's tail
