@@ -105,7 +105,7 @@ TERMS = {
     "cross_port_leakage": (lambda r, p: across(p["L"] * r.dp), {"L": 3e-12}),
     "turbulent_leakage": (
         lambda r, p: across(p["c"] * np.sign(r.dp) * np.sqrt(np.abs(r.dp))
-                            / (1 + (p["dp_0"] / max(abs(r.dp), 1e-9)) ** 2) ** 0.25),
+                            / (1 + (p["dp_0"] / max(abs(r.dp), 1e-60)) ** 2) ** 0.25),
         {"c": 4e-9, "dp_0": 2e4}),
     "leakage_offset": (lambda r, p: across(p["Q_0"] * np.tanh(r.dp / p["dp_e"])),
                        {"Q_0": 1e-6, "dp_e": 1e5}),

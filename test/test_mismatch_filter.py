@@ -1,0 +1,250 @@
+"""The filter of the diagnosis and its likelihood against independent ones."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+from rig_tools import BETA, C_T, D_P, K_POS, MULTISINE, V0, A, B, M, settings, simulated, without
+from scipy.linalg import expm, solve_discrete_are
+
+from eha_monitor.mismatch.experiment import experiment_of
+from eha_monitor.mismatch.fit import (
+    filtered,
+    innovations,
+    log_likelihood_of,
+    prior_exponent,
+    refine,
+    start_of,
+    with_unknowns,
+)
+from eha_monitor.mismatch.gains import CORRELATION, Unknowns, gains_of, linear_of
+from eha_monitor.mismatch.innovations import N_FILTERED, riccati
+from eha_monitor.mismatch.model import robust
+from eha_monitor.mismatch.screen import screen, starts_of
+from eha_monitor.mismatch.search import first_fit, with_effect
+from eha_monitor.physics.plant import N_OUTPUTS, Y_OMEGA
+
+MAKEUP, CHARGE, DT = 1e-13, 2e6, 1e-3
+UNKNOWNS = Unknowns(3.0, 2e-6, 0.5)
+KEPT = [i for i in range(N_FILTERED) if i != Y_OMEGA]  # without a lag the speed is no state
+
+
+@pytest.fixture(scope="module")
+def run():
+    return simulated(MULTISINE, 4.0)
+
+
+@pytest.fixture(scope="module")
+def experiment(run):
+    return experiment_of([run.recording(1)], settings())
+
+
+# ---- gains ------------------------------------------------------------------------------------
+
+
+@given(seed=st.integers(0, 10**6), radius=st.floats(0.3, 0.97), count=st.integers(1, N_OUTPUTS))
+@hypothesis_settings(max_examples=30, deadline=None)
+def test_gains_end_at_the_algebraic_riccati_equation(seed, radius, count):
+    rng = np.random.default_rng(seed)
+    a = rng.standard_normal((N_FILTERED, N_FILTERED))
+    a *= radius / np.abs(np.linalg.eigvals(a)).max()
+    h = rng.standard_normal((N_OUTPUTS, N_FILTERED))
+    q, r = rng.uniform(0.1, 1.0, N_FILTERED), rng.uniform(0.1, 1.0, N_OUTPUTS)
+    used = np.arange(N_OUTPUTS) < count
+    gains = np.zeros((3000, N_FILTERED, N_OUTPUTS))
+    last = riccati(a, h, q, r, np.eye(N_FILTERED), used, gains)
+    hs = h[used]
+    p = solve_discrete_are(a.T, hs.T, np.diag(q), np.diag(r[used]))
+    steady = p @ hs.T @ np.linalg.inv(hs @ p @ hs.T + np.diag(r[used]))
+    assert last < 3000 and not gains[last - 1][:, ~used].any()
+    assert gains[last - 1][:, used] == pytest.approx(steady, rel=1e-4, abs=1e-6)
+
+
+def linear_plant(b=B, beta=BETA):
+    """x', v', p1', p2' with force, flow and speed unknown, 1, x_d and its slope: (10, 10)."""
+    stiff, leak = beta / V0, 0.5 * (C_T - MAKEUP)
+    a = np.zeros((10, 10))
+    x, v, p1, p2, force, flow, speed, one, x_d, slope = range(10)
+    a[x, v] = 1.0
+    a[v, [v, p1, p2, force]] = -b / M, A / M, -A / M, -1.0 / M
+    for p, other, sign in ((p1, p2, 1.0), (p2, p1, -1.0)):
+        a[p, [x_d, x, speed]] = sign * D_P * np.array([K_POS, -K_POS, 1.0]) * stiff
+        a[p, [v, flow]] = -sign * A * stiff, sign * stiff
+        a[p, [p, other]] = (-leak - MAKEUP) * stiff, leak * stiff
+        a[p, one] = MAKEUP * CHARGE * stiff
+    a[x_d, slope] = 1.0
+    return a
+
+
+def test_linearised_plant_is_the_exponential_of_its_matrix(experiment):
+    m = linear_of(experiment, experiment.theta, experiment.active, UNKNOWNS)
+    exact = expm(linear_plant() * DT)[:7, :7]
+    decay = np.exp(-DT / CORRELATION)
+    exact[4:] *= decay
+    scale = np.sqrt(m.start[KEPT])
+    assert m.a[np.ix_(KEPT, KEPT)] * scale / scale[:, None] == pytest.approx(
+        exact * scale / scale[:, None], rel=1e-3, abs=1e-3)
+    assert m.q[KEPT[4:]] == pytest.approx(
+        np.array([3.0, 2e-6, 0.5]) ** 2 * (1 - decay**2), rel=1e-12)
+    h = np.zeros((N_OUTPUTS, N_FILTERED))
+    h[[0, 1, 2, 3], [0, 1, 2, 3]] = 1.0
+    h[4, [0, 7]] = -K_POS, 1.0
+    assert m.h == pytest.approx(h, abs=1e-9 * K_POS)
+
+
+def test_innovations_are_those_of_an_independent_kalman_filter(run):
+    """The nominal plant is linear: filterpy's filter with the exact matrices, from any start."""
+    experiment = experiment_of([run.recording(1)], settings(), hold_out=False)
+    theta, active = experiment.theta, experiment.active
+    stretch, m = experiment.stretches[0], linear_of(experiment, theta, active, UNKNOWNS)
+    e, states = filtered(experiment, stretch, theta, active,
+                         gains_of(experiment, theta, active, UNKNOWNS), states=True)
+
+    decay = np.exp(-DT / CORRELATION)
+    step = expm(linear_plant() * DT)
+    step[4:7] *= decay
+    used = experiment.columns
+    h = np.zeros((N_OUTPUTS, 7))
+    h[[0, 2, 3], [0, 2, 3]] = 1.0
+    h[4, [0, 6]] = -K_POS, 1.0
+    kalman = KalmanFilter(dim_x=7, dim_z=len(used))
+    kalman.F, kalman.H = step[:7, :7], h[used]
+    kalman.Q, kalman.R = np.diag(m.q[KEPT]), np.diag(experiment.noise[used] ** 2)
+    kalman.P = np.diag(m.start[KEPT])
+    kalman.x = start_of(experiment, stretch)[KEPT][:, None]
+    x_d = stretch.u[:, 0]
+    expected, found = np.zeros((1500, len(used))), np.zeros((1500, 7))
+    for k in range(1500):
+        offset = np.where(used == 4, K_POS * x_d[k], 0.0)
+        kalman.update(stretch.z[k, used] - offset)
+        expected[k], found[k] = kalman.y[:, 0], kalman.x[:, 0]
+        driven = np.array([1.0, x_d[k], (x_d[k + 1] - x_d[k]) / DT])
+        kalman.predict()
+        kalman.x += step[:7, 7:] @ driven[:, None]
+    sigma = experiment.noise[used]
+    assert np.abs((e[:1500, used] - expected) / sigma).max() < 2e-2
+    assert np.abs((e[500:1500, used] - expected[500:]) / sigma).std() < 5e-3
+    spread = np.sqrt(np.diag(kalman.P))
+    assert np.abs((states[500:1500][:, KEPT] - found[500:]) / spread).max() < 0.05
+
+
+def test_free_run_corrects_nothing_and_a_missing_channel_changes_nothing(run, experiment):
+    theta, active, stretch = experiment.theta, experiment.active, experiment.stretches[0]
+    gains = gains_of(experiment, theta, active, UNKNOWNS)
+    e, states = filtered(experiment, stretch, theta, active, gains, states=True,
+                         free=np.ones(len(stretch), bool))
+    alone, same = filtered(experiment, stretch, theta, active, np.zeros_like(gains), states=True)
+    assert np.array_equal(states, same) and np.array_equal(e, alone, equal_nan=True)
+    lacking = experiment_of([without(run.recording(1), "p2", "omega")], settings())
+    z = experiment.stretches[0].z.copy()
+    z[:20, [3, 4]] = np.nan  # there the start would be seen in them
+    whole = replace(lacking, stretches=(replace(lacking.stretches[0], z=z),))
+    gains = gains_of(lacking, theta, active, UNKNOWNS)
+    assert np.array_equal(innovations(lacking, theta, active, gains),
+                          innovations(whole, theta, active, gains))
+
+
+# ---- likelihood -------------------------------------------------------------------------------
+
+
+@given(seed=st.integers(0, 10**6), n=st.integers(20, 300), scale=st.floats(1e-6, 1e6))
+@hypothesis_settings(max_examples=40, deadline=None)
+def test_likelihood_is_that_of_gaussians_with_their_own_covariance(seed, n, scale):
+    """-(N/2) log det S is the Gaussian log density at its best covariance, constants left out."""
+    from scipy.stats import multivariate_normal
+
+    rng = np.random.default_rng(seed)
+    e = rng.standard_normal((n, 3)) @ (scale * rng.standard_normal((3, 3)) + 3 * scale * np.eye(3))
+    s = e.T @ e / n
+    density = multivariate_normal(np.zeros(3), s, allow_singular=True).logpdf(e).sum()
+    constants = -0.5 * n * 3 * (np.log(2 * np.pi) + 1.0)
+    assert log_likelihood_of(e) == pytest.approx(density - constants, rel=1e-6, abs=1e-4)
+
+
+def test_likelihood_counts_a_slow_channel_as_often_as_it_was_measured():
+    rng = np.random.default_rng(0)
+    e = rng.standard_normal((100000, 2)) * [2.0, 5.0]
+    e[np.arange(100000) % 4 > 0, 1] = np.nan
+    expected = -100000 * np.log(2.0) - 25000 * np.log(5.0)
+    assert log_likelihood_of(e) == pytest.approx(expected, rel=3e-3)
+    assert log_likelihood_of(np.zeros((10, 2))) == -np.inf
+    assert log_likelihood_of(np.full((10, 1), 1e30)) == -np.inf
+
+
+# ---- fit --------------------------------------------------------------------------------------
+
+
+@pytest.mark.xfail(reason="first_fit starts beside large unknowns only: beta_e runs off")
+def test_fit_is_unbiased_and_its_deviation_is_the_scatter_over_seeds(run):
+    fits = [first_fit(experiment_of([run.recording(seed)], settings(
+        stage_one={"prior": 900.0}, stage_two={"prior": 9e8}))) for seed in range(14)]
+    for name, truth in (("B", B), ("beta_e", BETA)):
+        values = np.array([fit.value(name) for fit in fits])
+        stddev = np.array([fit.stddev(name) for fit in fits])
+        assert values == pytest.approx(truth, rel=0.05)
+        z = (values - truth) / stddev
+        assert 0.25 < np.mean(z**2) < 2.6, name  # chi squared of 14: 99.9 %
+        assert abs(z.mean()) < 3.3 / np.sqrt(len(z)), name
+    assert all(fit.converged for fit in fits)
+
+
+@pytest.mark.parametrize("effect, values, tolerance", [
+    ("constant_load", {"F_0": 4.0}, 0.05), ("spring_load", {"k": 300.0, "x_0": 0.0}, 0.1)])
+def test_what_the_score_test_promises_is_what_the_fit_gains(effect, values, tolerance):
+    """Small and linear in its size: one Gauss-Newton step from the clean model is all."""
+    run = simulated(MULTISINE, 4.0, effects={effect: values})
+    experiment = experiment_of([run.recording(3)], settings())
+    first = first_fit(experiment)
+    score = screen(experiment, first, starts_of(effect, experiment))[0]
+    refined = refine(experiment, with_effect(first, score.start, score.amplitudes))
+    gained = refined.log_likelihood - first.log_likelihood
+    assert 10.0 < score.gain < 2e4
+    assert gained == pytest.approx(score.gain, rel=tolerance, abs=1.0)
+    size = next(iter(values))
+    assert refined.value(f"{effect}.{size}") == pytest.approx(
+        values[size], abs=4 * refined.stddev(f"{effect}.{size}"))
+
+
+@pytest.mark.xfail(reason="refine stops where a step would carry a timing over its bound")
+def test_refined_likelihood_is_a_maximum(experiment):
+    fit = first_fit(experiment)
+    for f in fit.free:
+        for sign in (-1, 1):
+            theta = fit.theta.copy()
+            theta[f.place] = f.outward(f.inward(theta[f.place]) + sign * 3 * np.sqrt(
+                fit.covariance[fit.free.index(f), fit.free.index(f)]))
+            e = innovations(experiment, theta, fit.active, fit.gains)
+            reached = log_likelihood_of(e) + prior_exponent(fit.free, theta)
+            assert reached < fit.log_likelihood + 0.05, f.name
+
+
+def test_unknowns_never_spoil_a_clean_record(experiment):
+    """With none the model is right already: with large ones the likelihood is lower."""
+    fit = first_fit(experiment)
+    large = with_unknowns(experiment, fit, Unknowns(50.0, 1e-5, 5.0))
+    assert large.log_likelihood < fit.log_likelihood
+
+
+# ---- how sure ---------------------------------------------------------------------------------
+
+
+def test_robust_deviation_is_never_the_smaller_one(experiment):
+    fit = first_fit(experiment)
+    safe = robust(experiment, fit)
+    ratio = np.sqrt(np.diag(safe.covariance) / np.diag(fit.covariance))
+    assert (ratio > 0.97).all() and ratio[0] < 2.0 and ratio[1] < 2.0
+
+
+def test_robust_deviation_grows_where_the_model_is_wrong():
+    rubbing = simulated(MULTISINE, 4.0, effects={"coulomb_friction": {"F_c": 20.0}})
+    experiment = experiment_of([rubbing.recording(0)], settings())
+    fit = first_fit(experiment)
+    safe = robust(experiment, fit)
+    assert safe.stddev("B") > 1.5 * fit.stddev("B")
+    assert np.array_equal(safe.theta, fit.theta)
+    assert np.linalg.eigvalsh(safe.covariance / np.sqrt(np.outer(
+        np.diag(safe.covariance), np.diag(safe.covariance)))).min() > 0
