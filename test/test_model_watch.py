@@ -18,7 +18,7 @@ from eha_monitor.filters.model_watch import (
     Trial,
     tainted_by,
 )
-from eha_monitor.filters.results import Consistency, Mismatch
+from eha_monitor.filters.results import Consistency, Mismatch, Taint
 
 
 def verdict(consistent=False, decisive=True, first=3.0):
@@ -91,6 +91,12 @@ def test_a_new_mismatch_does_not_begin_before_the_last_one_ended():
     assert watch.standing.since_s == 5.0
 
 
+def test_a_parameter_that_was_on_trial_dates_it_back():
+    watch = StageWatch("one")
+    watch.update(7.0, verdict(first=6.1), Taint("it has moved", 4.2, testing=True))
+    assert watch.standing.since_s == 4.2
+
+
 @given(st.lists(st.sampled_from(["bad", "doubtful", "good", None]), max_size=100),
        st.lists(st.sampled_from([True, False, None]), max_size=100))
 def test_any_sequence_keeps_its_order(verdicts, fits):
@@ -160,8 +166,8 @@ def test_a_parameter_that_drifts_excuses_its_lag_and_hopping_does_not():
     hops = drift.copy()
     hops[:, 1], hops[:, 2] = 600.0 + rows % 1000.0, 1100.0 - rows % 1000.0
 
-    def found(changes, drifting=True):
+    def found(changes):
         return judge(1e-6 * e, np.full(len(e), 1e-6), 1e-3, "stage one", "x", changes,
-                     drifting=drifting).consistent
+                     window_s=10.0).consistent
 
     assert not found(None) and found(drift) and not found(hops)

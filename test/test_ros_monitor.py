@@ -28,7 +28,8 @@ MS = 1_000_000
 BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 START_NS = 1_700_000_000 * 1_000_000_000
 STATUSES = ["viscous_damping_high", "viscous_damping_low", "bulk_modulus_high",
-            "bulk_modulus_low", "stage_one", "stage_two", "model", "data"]
+            "bulk_modulus_low", "stage_one", "stage_two", "model",
+            "model_mismatch", "data"]
 
 
 class Recorder:
@@ -128,6 +129,7 @@ def test_rows_estimates_and_health(graph):
     assert {s.hardware_id for s in late[0].status} == {"eha"}
     values = {v.key: v.value for v in late[0].status[0].values}
     assert float(values["viscous_damping_Ns_per_m"]) == 600.0
+    assert (values["tainted"], values["on_trial"]) == ("0", "0")
     assert values["limit_warn"] == "1000" and "600.0 ± 2.0 N·s/m" in late[0].status[0].message
 
 

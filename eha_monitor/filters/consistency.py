@@ -56,11 +56,12 @@ def normal_deviate(ratio: np.ndarray, blocks: np.ndarray) -> np.ndarray:
     return (np.cbrt(ratio) - (1.0 - spread)) / np.sqrt(spread)
 
 
-def while_changing(n: int, changes: np.ndarray | None) -> np.ndarray:
+def while_changing(n: int, changes: np.ndarray | None, whole: int = 0) -> np.ndarray:
     """Return (n,) bool, True on the samples that showed a change of the parameter.
 
     A parameter that hops to and fro for more than a third of the record, or that never settles,
-    is no fault that grows but a model that does not fit: then nothing is left out.
+    is no fault that grows but a model that does not fit: then nothing is left out.  The record
+    counts as ``whole`` samples long at least.
     """
     mask = np.zeros(n, dtype=bool)
     if changes is None or not len(changes):
@@ -69,7 +70,7 @@ def while_changing(n: int, changes: np.ndarray | None) -> np.ndarray:
         around = max(window, AROUND)
         mask[max(0, int(sample - 2 * around)) : max(0, int(sample + around) + 1)] = True
     allowed = MOST_GROWING if one_way(changes) else MOST_HOPPING
-    return mask if mask.mean() <= allowed else np.zeros(n, dtype=bool)
+    return mask if mask.sum() <= allowed * max(n, whole) else np.zeros(n, dtype=bool)
 
 
 def one_way(changes: np.ndarray) -> bool:
@@ -80,7 +81,7 @@ def one_way(changes: np.ndarray) -> bool:
 
 def judge(innovation: np.ndarray, stddev: np.ndarray, dt: float, stage: str,
           missing: str, changes: np.ndarray | None = None,
-          quantum: float = 0.0, start: float = 0.0, drifting: bool = False
+          quantum: float = 0.0, start: float = 0.0, window_s: float = 0.0
           ) -> Consistency | None:
     """Judge one stage's innovations.
 
@@ -93,8 +94,8 @@ def judge(innovation: np.ndarray, stddev: np.ndarray, dt: float, stage: str,
         out, unless that would be more than a third of the record.
     quantum : resolution of the measurement; slow errors below it are no mismatch.
     start : time of the first sample, s.
-    drifting : a window of a longer record: a parameter that drifts may be a little behind also
-        where it was not seen to change.
+    window_s : this is a window of so many seconds of a longer record: then a parameter that
+        drifts may be a little behind also where it was not seen to change.
 
     Returns
     -------
@@ -102,7 +103,7 @@ def judge(innovation: np.ndarray, stddev: np.ndarray, dt: float, stage: str,
         None with fewer than 200 innovations: too few to judge.
     """
     e = whitened(innovation, stddev)
-    left_out = while_changing(len(e), changes)
+    left_out = while_changing(len(e), changes, round(window_s / dt))
     index = np.flatnonzero(np.isfinite(e) & ~left_out)
     if len(index) < SMALLEST_SAMPLES:
         return None
@@ -115,7 +116,7 @@ def judge(innovation: np.ndarray, stddev: np.ndarray, dt: float, stage: str,
     judged = np.where((excess > SIGNIFICANCE) & (ratios > TOLERANCE)
                       & (size > RESOLVED * quantum), ratios, 0.0)
     if (changes is not None and len(changes) and one_way(changes)
-            and (drifting or not left_out.any())):
+            and (window_s or not left_out.any())):
         # A parameter that drifts is always a little behind: each change that was seen, and the
         # next one, explain so much of the excess.
         explained = PER_CHANGE * (len(changes) + 1)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.filters.consistency import judge
+from eha_monitor.filters.consistency import AROUND, judge
 from eha_monitor.filters.inputs import StageInputs
 from eha_monitor.filters.live_buffer import LiveBuffer
 from eha_monitor.filters.model_watch import StageWatch, Trial, tainted_by
@@ -83,23 +83,35 @@ class LiveModel:
         """
         self.judged_at = taken
         begun = []
+        # A change that has not yet been told apart must not count against the model.
+        stop = taken - AROUND
         for stage, (words, missing) in _WORDS.items():
-            start = max(buffer.first, taken - round(JUDGED_S / buffer.dt), self.first[stage])
-            seen = list(changes["one"]) + (changes["two"] if stage == "two" else [])
-            rows = np.array([(n - start, a, b, w) for n, a, b, w in seen
-                             if n + w + 500 >= start]).reshape(-1, 4)
+            start = max(buffer.first, stop - round(JUDGED_S / buffer.dt), self.first[stage])
+            rows = self._changes_since(start, stage, changes, parameters)
             verdict = unless_unexcited(parameters[PARAMETER[stage]], judge(
-                buffer.column(f"nu_{stage}", start, taken).copy(),
-                buffer.column(f"sd_{stage}", start, taken).copy(), buffer.dt, words, missing,
-                rows, quantum, time_of(start), drifting=True))
+                buffer.column(f"nu_{stage}", start, stop).copy(),
+                buffer.column(f"sd_{stage}", start, stop).copy(), buffer.dt, words, missing,
+                rows, quantum, time_of(start), JUDGED_S))
             self.verdicts[stage] = verdict
-            if self.watches[stage].update(time_of(taken), verdict):
+            trial = self._trials[PARAMETER[stage]].taint
+            if self.watches[stage].update(time_of(taken), verdict, trial):
                 begun.append(stage)
         damping = parameters["B"]
         if (damping.status == "converged" and not self.standing("one")
                 and self._trials["B"].taint is None):
             self._settled = damping.value
         return begun
+
+    @staticmethod
+    def _changes_since(start: int, stage: str, changes: dict[str, list],
+                       parameters: dict[str, ParameterEstimate]) -> np.ndarray:
+        """Return (k, 4) changes that a stage's window shows, counted from ``start``."""
+        seen = list(changes[stage])
+        if stage == "two":  # a change of B shows there too; in shares, beside those of beta_e
+            scale = parameters["beta_e"].value / parameters["B"].value
+            seen += [(n, a * scale, b * scale, w) for n, a, b, w in changes["one"]]
+        return np.array([(n - start, a, b, w) for n, a, b, w in seen
+                         if n + w + AROUND >= start]).reshape(-1, 4)
 
     def try_again(self, stage: str, inputs: StageInputs, damping: tuple[float, float],
                   time_s: float) -> Fit | None:

@@ -49,8 +49,12 @@ class StageWatch:
         self._required = FITTING_S
         self._ended = -math.inf
 
-    def update(self, time_s: float, verdict: Consistency | None) -> bool:
-        """Take the verdict on the window that ends at ``time_s``; True if a mismatch begins."""
+    def update(self, time_s: float, verdict: Consistency | None,
+               trial: Taint | None = None) -> bool:
+        """Take the verdict on the window that ends at ``time_s``; True if a mismatch begins.
+
+        A parameter that was on ``trial`` has moved because of it: it began no later.
+        """
         if verdict is None or verdict.consistent:
             self._doubted = None
             return False
@@ -66,6 +70,7 @@ class StageWatch:
         self._fitting = None
         first = verdict.first_time_s
         since = min(first, time_s) if math.isfinite(first) else time_s
+        since = min(since, trial.since_s) if trial is not None else since
         self.standing = self._mismatch(verdict, max(since, self._ended))
         return True
 

@@ -35,7 +35,7 @@ LARGEST_UNKNOWN = 3e4  # times the smallest: three times what the record covers
 PROMISE = 0.1  # of the best score: what an effect must score to be refitted
 SHORTLIST = 8  # effects that are refitted in each round
 LIKELY = 0.15  # of the demanded gain
-STIFF = 30.0  # times the smallest unknowns
+STIFF, YIELDING = 30.0, 300.0  # times the smallest unknowns
 STRAYED = 0.7  # of the logarithm: B or beta_e is off its prior by a factor of two
 FINALISTS, WORTH = 3, 0.6  # how many are fitted to the end, and what share of the best they have
 THRESHOLD = 12.0  # log units, where no calibration is at hand
@@ -127,12 +127,22 @@ def first_fit(experiment: Experiment) -> Fit:
         effect, dot, _ = f.name.partition(".")
         if dot:
             active[NAMES.index(effect)] = True
-    small, _ = limits_of(experiment)
-    middle = Unknowns(*(300.0 * small.as_array()))
+    small = limits_of(experiment)[0].as_array()
     empty = np.zeros((len(free), len(free)))
-    fit = Fit(theta, active, free, middle, gains_of(experiment, theta, active, middle),
-              np.zeros((0, 0)), np.zeros((0, 0)), -np.inf, empty)
-    return settle(experiment, fit)
+
+    def started(factor: float, nominal: bool) -> Fit:
+        begin = theta.copy()
+        if nominal:
+            begin[s.B], begin[s.BETA_E] = experiment.theta[s.B], experiment.theta[s.BETA_E]
+        unknowns = Unknowns(*(factor * small))
+        fit = Fit(begin, active, free, unknowns, gains_of(experiment, begin, active, unknowns),
+                  np.zeros((0, 0)), np.zeros((0, 0)), -np.inf, empty)
+        return settle(experiment, fit)
+
+    # Where the oil column rings the likelihood has many peaks; a stiff and a yielding filter,
+    # from the config's values and from the priors, do not fall into the same wrong one.
+    fits = spread(lambda start: started(*start), ((YIELDING, False), (STIFF, True)))
+    return max(fits, key=lambda fit: fit.log_likelihood)
 
 
 def with_effect(fit: Fit, start: Start, amplitudes: tuple[float, ...],

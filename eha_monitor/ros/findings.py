@@ -11,6 +11,7 @@ from eha_monitor.settings.monitor import Settings
 STAGES = {"one": WATCHED[0], "two": WATCHED[1]}
 # Keys of the values that dashboards plot.
 KEYS = {"B": "viscous_damping_Ns_per_m", "beta_e": "bulk_modulus_Pa"}
+MISMATCH = "model_mismatch"
 _STATUS_LEVEL = {"converged": "OK", "not_excited": "OK", "diverged": "ERROR", "no_data": "STALE"}
 _MODEL_LEVEL = {"consistent": "OK", "mismatch": "WARN"}
 
@@ -99,17 +100,16 @@ def _mismatch(model: ModelStatus, consistency: dict[str, Consistency | None],
                        f"stage_{stage}_worst_time_s": verdict.peak_time_s}
     for watched in WATCHED:
         values[f"{watched.section}_tainted"] = _doubts(model, watched.symbol)["tainted"]
-    name = "model_mismatch"
     if data.stopped or model.status in ("unknown", "not_judged"):
-        return Finding(name, "STALE", data.stopped or "no data yet: " + model.message, values)
+        return Finding(MISMATCH, "STALE", data.stopped or "no data yet: " + model.message, values)
     if not model.mismatches:
-        return Finding(name, "OK", model.message, values)
+        return Finding(MISMATCH, "OK", model.message, values)
     first = min(model.mismatches, key=lambda m: m.since_s)
     values |= {"balance": "; ".join(m.balance for m in model.mismatches),
                "since_s": float(first.since_s)}
     doubted = [w.words for w in WATCHED if values[f"{w.section}_tainted"]]
     in_doubt = f"; in doubt: {' and '.join(doubted)}" if doubted else ""
-    return Finding(name, "WARN", f"the model does not fit since t = {first.since_s:.1f} s: "
+    return Finding(MISMATCH, "WARN", f"the model does not fit since t = {first.since_s:.1f} s: "
                    f"{model.message}{in_doubt}; {ADVICE}", values)
 
 

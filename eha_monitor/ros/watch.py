@@ -11,6 +11,7 @@ from std_msgs.msg import Float64
 
 from eha_monitor.health.alarms import ALARM_NAMES, WATCHED, Watched, quantity
 from eha_monitor.ros import running
+from eha_monitor.ros.findings import MISMATCH
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
                      durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -38,7 +39,7 @@ class Seen:
 
 
 class Watcher:
-    """Subscribes to the estimates and the health of one monitor and says what comes."""
+    """Subscribes to estimates, alarms and model test of one monitor and says what comes."""
 
     def __init__(self, node: Node, say: Say):
         self.seen = Seen()
@@ -80,13 +81,13 @@ class Watcher:
         for status in message.status:
             name = status.name.rpartition(": ")[2]
             level = _LEVELS.get(status.level)
-            if name not in ALARM_NAMES or level is None:
+            if name not in (*ALARM_NAMES, MISMATCH) or level is None:
                 continue
             before = self._levels.get(name, "OK")
             self._levels[name] = level
             if level != before and {level, before} & {"WARN", "ERROR"}:
                 self._say(f"{self._clock()}  {level:5} {name}: {status.message}", level)
-            if level in ("WARN", "ERROR"):
+            if level in ("WARN", "ERROR") and name in ALARM_NAMES:
                 self.seen.raised.add(name)
 
 
