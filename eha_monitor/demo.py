@@ -150,7 +150,7 @@ def reported(out: Path) -> Path:
 
 def diagnosed(out: Path) -> Path:
     """Ask of a bag that hides dry friction what the model leaves out, and write the report."""
-    print("4. Another bag, hidden_friction: the monitor alone would call it wear.", flush=True)
+    print("4. Another bag, hidden_friction: B alone would look like wear.", flush=True)
     report, answer = out / "diagnosis.html", out / "diagnosis.json"
     run("diagnose", resource("bags/hidden_friction"), "--report", str(report), "--json",
         str(answer))

@@ -1,0 +1,103 @@
+"""The live test of the model: a mismatch that comes, is told, and goes; and offline the same."""
+
+import pytest
+from rig_tools import BETA, MULTISINE, SINE, TRIANGLE, settings, simulated
+from test_live_estimator import Stream, rows_of
+
+from eha_monitor.commands.answer import answer, judged
+from eha_monitor.filters.pipeline import estimate
+from eha_monitor.health.alarms import AlarmBoard
+
+
+def friction(start, end=None, force=40.0):
+    faults = {"on": {"parameter": "coulomb_friction.F_c", "start": start, "value": force}}
+    if end is not None:
+        faults["off"] = {"parameter": "coulomb_friction.F_c", "start": end, "value": -force}
+    return faults
+
+
+def history_of_alarms(stream, **config):
+    board = AlarmBoard(settings(**config))
+    for snapshot in stream.history:
+        board.update(snapshot.time_s, snapshot.parameters, None, snapshot.model.tainted)
+    return [(a.level, round(a.time_s, 1)) for a in board.history
+            if a.name == "viscous_damping_high"]
+
+
+@pytest.fixture(scope="module")
+def coming_and_going():
+    made = Stream()
+    made.push(rows_of(simulated(SINE, 24.0, faults=friction(4.0, 8.0)).recording(0)))
+    return made
+
+
+def test_a_mismatch_is_told_within_seconds_and_ends_when_the_record_fits(coming_and_going):
+    history = coming_and_going.history
+    standing = [s.time_s for s in history if any(m.stage == "one" for m in s.model.mismatches)]
+    assert 4.0 < standing[0] < 7.5
+    assert 18.0 < standing[-1] < 21.5  # a window of 10 s that fits, and 2 s more
+    since = {round(m.since_s, 1) for s in history for m in s.model.mismatches
+             if m.stage == "one"}
+    assert since <= {4.0, 4.1, 4.2}
+    end = history[-1]
+    assert end.model.status == "consistent" and end.model.tainted == {}
+    assert end.parameters["B"].value == pytest.approx(600, rel=0.01)
+    assert end.parameters["beta_e"].value == pytest.approx(BETA, rel=0.02)
+    assert coming_and_going.told("the model fits again since t = ")
+
+
+def test_while_it_stands_no_alarm_is_raised_unless_asked_for(coming_and_going):
+    worst = max(s.parameters["B"].value for s in coming_and_going.history
+                if s.parameters["B"].status == "converged")
+    assert worst > 1200  # beyond the limit of WARN
+    assert [level for level, _ in history_of_alarms(coming_and_going)] == ["STALE", "OK"]
+    ignoring = history_of_alarms(coming_and_going, monitor={"on_mismatch": "ignore"})
+    assert "WARN" in [level for level, _ in ignoring]
+
+
+def test_at_a_triangle_the_misread_damping_waits_for_the_reversal():
+    made = Stream()
+    made.push(rows_of(simulated(TRIANGLE, 11.0, faults=friction(4.5)).recording(0)))
+    assert made.history[-1].parameters["B"].value > 1500
+    assert made.history[-1].model.tainted["B"].testing is False
+    assert [level for level, _ in history_of_alarms(made)] == ["STALE", "OK"]
+
+
+@pytest.mark.parametrize("shape, duration, value", [(SINE, 0.0, 1300.0), (SINE, 12.0, 1300.0)])
+def test_wear_is_no_mismatch_and_alarms(shape, duration, value):
+    fault = {"wear": {"parameter": "viscous_damping", "start": 3.0, "duration": duration,
+                      "value": value}}
+    made = Stream()
+    made.push(rows_of(simulated(shape, 8.0 + duration, faults=fault).recording(0)))
+    assert not any(s.model.mismatches for s in made.history)
+    levels = history_of_alarms(made)
+    assert levels[-1][0] == "WARN"
+    assert levels[-1][1] < 3.0 + duration + 4.0
+
+
+def test_a_flow_that_is_missing_taints_the_modulus_alone():
+    fault = {"dead": {"parameter": "pump_dead_zone.omega_0", "start": 4.0, "value": 8.0}}
+    made = Stream()
+    end = made.push(rows_of(simulated(MULTISINE, 8.0, faults=fault).recording(0)))
+    assert [m.stage for m in end.model.mismatches] == ["two"]
+    assert set(end.model.tainted) == {"beta_e"}
+    assert "flow balance, drive or a sensor" in end.model.tainted["beta_e"].reason
+    assert end.parameters["B"].value == pytest.approx(600, rel=0.01)
+
+
+def test_offline_the_answer_says_what_is_tainted_and_holds_its_alarms():
+    recording = simulated(MULTISINE, 8.0, effects={"coulomb_friction": {"F_c": 40.0}})
+    recording = recording.recording(0)
+    found = estimate(recording, settings())
+    alarms, history = judged(found)
+    tree = answer(found, alarms, history)["model"]
+    assert tree["status"] == "mismatch"
+    assert tree["mismatches"][0]["stage"] == "one" and tree["mismatches"][0]["since_s"] < 0.5
+    assert tree["tainted"]["B"]["reason"].startswith("the model does not fit since t = ")
+    assert found.parameters["B"].value > 1500
+    assert not {a.level for a in history if a.name == "viscous_damping_high"} & {"WARN", "ERROR"}
+    assert "does not fit" in alarms[0].message
+    alarms, _ = judged(estimate(recording, settings(monitor={"on_mismatch": "ignore"})))
+    assert alarms[0].level == "ERROR"
+    known = estimate(recording, settings(effects={"coulomb_friction": {"F_c": 40.0}}))
+    assert known.model.tainted == {} and known.model.mismatches == ()
