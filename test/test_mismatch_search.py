@@ -315,7 +315,6 @@ def test_named_physics_goes_through_a_config_and_explains_the_record():
     assert active[NAMES.index("coulomb_friction")]
 
 
-@pytest.mark.xfail(reason="first_fit starts beside large unknowns only: it ends short")
 def test_a_model_that_is_known_explains_the_record_as_well_as_when_it_was_found():
     case = fitted("coulomb_friction")
     effects = config_effects(case.experiment, case.after, ("coulomb_friction",))

@@ -149,7 +149,8 @@ def test_force_residual_of_emps_is_below_the_published_one(tmp_path):
     import_file(EMPS, CONFIG, tmp_path / "emps")
     settings = load_settings(CONFIG)
     settings = settings.model_copy(update={"effects": {
-        "coulomb_friction": {"F_c": 20.39, "v_e": 2e-4, "z_0": 1e-5, "t_1": 0.0},
+        "coulomb_friction": {"F_c": 20.39, "v_e": 2e-4, "z_0": 1e-5, "t_1": 0.0,
+                             "v_d": 5e-3},
         "constant_load": {"F_0": -3.16}}})
     experiment = experiment_of([read_recording(tmp_path / "emps", settings)], settings)
     residual, force = force_residual(experiment, first_fit(experiment))
