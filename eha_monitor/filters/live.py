@@ -41,7 +41,7 @@ BUFFER_S = 20.0
 NOISE_AGAIN_S = (1.0, 4.0, 10.0)  # after the start; then every 10 s
 CHANGES_COUNT_S = 300.0  # a change counts as hopping for about so long
 HELD_S = 30.0  # memory of a parameter that is held because the model does not fit
-TRY_EVERY_S = 1.0  # while a mismatch stands: does the last window fit again?
+TRY_EVERY_S = 1.0, 8.0  # while a mismatch stands: does the last window fit again?
 PATIENCE_S = 2.0  # wait for stage one before stage two takes the nominal damping
 SETTLED_S = 0.5  # B counts as changing for so long after it was seen to change
 CHANGING_STDDEV = 0.05  # relative, while it does
@@ -76,7 +76,7 @@ class LiveEstimator:
         self._stale_piece = False  # B has changed since stage two was run over the buffer
         self._changes: dict[str, list[tuple[int, float, float, int]]] = {"one": [], "two": []}
         self._tester = LiveModel(self.settings)
-        self._tried_at = 0
+        self._tried_at, self._try_every = 0, TRY_EVERY_S[0]
         self._clean = 0  # row from which on stage two is run again
         self._noise_at = list(NOISE_AGAIN_S)
         self._announced: set[str] = set()
@@ -115,13 +115,12 @@ class LiveEstimator:
         self._events.append(Event(time_s, "monitor", f"no data for {gap:.2f} s"))
         self._take(everything=True)
         self._buffer = LiveBuffer(BUFFER_S, self.dt)
-        self._origin, self._taken, self._piece = time_s, 0, 0
-        self._tried_at = self._clean = 0
+        self._origin = time_s  # rows are counted anew
+        self._taken = self._piece = self._tried_at = self._clean = 0
         self._tester.restart_rows()
         self._changes = {"one": [], "two": []}
-        for stage in (self._one, self._two):
-            if stage is not None:
-                stage.lost = True
+        for stage in filter(None, (self._one, self._two)):
+            stage.lost = True
 
     def _start(self) -> None:
         """Measure the sample time and the noise on the first rows, then take them."""
@@ -164,9 +163,8 @@ class LiveEstimator:
         self._quantum = quantum_of(recording.channels)
         scale = 1.0 + self._model.circuit[POSITION_SCALE]
         self._r = position_variance(self._noise, self._quantum) / scale**2
-        for stage in (self._one, self._two):
-            if stage is not None:
-                stage.ekf.R[0, 0] = self._r
+        for stage in filter(None, (self._one, self._two)):
+            stage.ekf.R[0, 0] = self._r
 
     def _known(self, start: int) -> Known:
         """Return what is known about the rows from ``start`` on."""
@@ -255,9 +253,7 @@ class LiveEstimator:
         since_start = self._taken * self.dt
         if self._noise_at and since_start >= self._noise_at[0]:
             self._measure_noise()
-            last = self._noise_at.pop(0)
-            if not self._noise_at:
-                self._noise_at.append(last + 10.0)
+            self._noise_at = self._noise_at[1:] or [self._noise_at[0] + 10.0]
         if self._no_drive is None:
             self._hand_over(since_start)
         if (self._taken - self._tester.judged_at) * self.dt >= JUDGE_EVERY_S:
@@ -295,7 +291,8 @@ class LiveEstimator:
         if self._changing() or now - self._handed_at < PATIENCE_S:
             return False
         sharper = b.stddev < 0.5 * self._handed[1]
-        weak = self._two.stddev > CONVERGED * self._two.value
+        weak = (self._two.stddev > CONVERGED * self._two.value
+                and not self._tester.standing("two"))  # a wrong model gets no better by it
         return self._stale_piece or sharper or weak
 
     def _run_two_again(self) -> None:
@@ -330,22 +327,32 @@ class LiveEstimator:
         tester, now = self._tester, self._time_of(self._taken)
         for stage in tester.judge(self._buffer, self._taken, self._changes, self._parameters(),
                                   self._quantum, self._time_of):
-            self._events.append(Event(
-                now, stage, f"mismatch: {tester.watches[stage].standing.message}"))
-        for stage in (self._one, self._two):
-            if stage is not None:
-                stage.forget(math.exp(-JUDGE_EVERY_S / CHANGES_COUNT_S),
-                             math.exp(-JUDGE_EVERY_S / HELD_S))
+            self._try_every = TRY_EVERY_S[0]
+            words = tester.watches[stage].standing.message
+            self._events.append(Event(now, stage, f"mismatch: {words}"))
+        for stage in filter(None, (self._one, self._two)):
+            stage.forget(math.exp(-JUDGE_EVERY_S / CHANGES_COUNT_S),
+                         math.exp(-JUDGE_EVERY_S / HELD_S))
         standing = [stage for stage in ("one", "two") if tester.standing(stage)]
         start = self._taken - round(JUDGED_S / self.dt)
         if (not standing or start < self._buffer.first
-                or (self._taken - self._tried_at) * self.dt < TRY_EVERY_S):
+                or (self._taken - self._tried_at) * self.dt < self._try_every):
             return
         self._tried_at = self._taken
         # Stage two's misfit may be a wrong B's: it is asked once stage one fits.
-        fit = tester.try_again(standing[0], self._inputs(start, self._taken), self._damping, now)
-        if fit is not None:
+        fit, ended = tester.try_again(
+            standing[0], self._inputs(start, self._taken), self._damping, now)
+        # To ask costs much where the answer is no: then it is asked less and less often.
+        self._try_every = (TRY_EVERY_S[0] if fit.fits
+                           else min(2.0 * self._try_every, TRY_EVERY_S[1]))
+        if ended:
             self._adopt(standing[0], fit, start)
+
+    def rehearse(self) -> None:
+        """Do once what a mismatch will ask for, so that its compiled code is loaded."""
+        for stage in ("one", "two"):
+            self._tester.try_again(stage, self._inputs(self._buffer.first, self._taken),
+                                   self._damping, self._now)
 
     def _adopt(self, stage: str, fit: Fit, start: int) -> None:
         """Carry on from a window that fits: what came before it no longer counts."""

@@ -18,9 +18,9 @@ from eha_monitor.filters.pipeline import (
     unless_unexcited,
 )
 from eha_monitor.filters.results import Consistency, ModelStatus, ParameterEstimate
-from eha_monitor.filters.run_two import run_stage_two_kernel
+from eha_monitor.filters.run_two import run_from
 from eha_monitor.filters.status import judge_parameter
-from eha_monitor.filters.supervision import gave_up, new_supervision
+from eha_monitor.filters.supervision import new_supervision
 from eha_monitor.settings.monitor import Settings
 
 JUDGED_S = 10.0  # the model is tested over the last so many seconds
@@ -114,8 +114,8 @@ class LiveModel:
                          if n + w + AROUND >= start]).reshape(-1, 4)
 
     def try_again(self, stage: str, inputs: StageInputs, damping: tuple[float, float],
-                  time_s: float) -> Fit | None:
-        """Run a stage anew over a window; return the fit if its mismatch ends by it.
+                  time_s: float) -> tuple[Fit, bool]:
+        """Run a stage anew over a window; return the fit, and whether its mismatch ends by it.
 
         Parameters
         ----------
@@ -125,34 +125,35 @@ class LiveModel:
         """
         run = self._stage_one if stage == "one" else self._stage_two
         fit = run(inputs, damping)
-        return fit if self.watches[stage].test(time_s, fit.fits) else None
+        return fit, self.watches[stage].test(time_s, fit.fits)
 
     def _stage_one(self, inputs: StageInputs, damping: tuple[float, float]) -> Fit:
-        out, _, _, watch = run_one_kernel(inputs, self.settings, new_supervision())
+        # Changes excuse nothing here: one value must explain the whole window.
+        out = run_one_kernel(inputs, self.settings, new_supervision(frozen=True))[0]
         prior = self.settings.stage_one
         parameter = judge_parameter("B", out[2, -1], out[3, -1], "", prior.prior,
                                     prior.prior_stddev)
-        return self._fit("one", inputs, out, gave_up(watch), parameter)
+        return self._fit("one", inputs, out, parameter)
 
     def _stage_two(self, inputs: StageInputs, damping: tuple[float, float]) -> Fit:
         rows = len(inputs.x)
-        found = run_stage_two_kernel(inputs, self.settings, np.full(rows, damping[0]),
-                                     np.full(rows, damping[1]))
+        out = np.full((8, rows), np.nan)
+        run_from(0, inputs, self.settings, np.full(rows, damping[0]), np.full(rows, damping[1]),
+                 out, frozen=True)
         prior = self.settings.stage_two
-        parameter = judge_parameter("beta_e", found.out[3, -1], found.out[5, -1], "",
-                                    prior.prior, prior.prior_stddev, prior.largest)
-        return self._fit("two", inputs, found.out, gave_up(found.watch), parameter)
+        parameter = judge_parameter("beta_e", out[3, -1], out[5, -1], "", prior.prior,
+                                    prior.prior_stddev, prior.largest)
+        return self._fit("two", inputs, out, parameter)
 
-    def _fit(self, stage: str, inputs: StageInputs, out: np.ndarray, astray: bool,
+    def _fit(self, stage: str, inputs: StageInputs, out: np.ndarray,
              parameter: ParameterEstimate) -> Fit:
-        # Changes excuse nothing here: one value must explain the whole window.
         innovation, stddev = (out[place] for place in _PLACE[stage])
         fits = None
         if parameter.status == "converged":
             verdict = judge(innovation, stddev, inputs.dt, *_WORDS[stage],
                             quantum=inputs.quantum)
-            fits = None if verdict is None else verdict.consistent and not astray
-        elif parameter.status == "diverged" or astray:
+            fits = None if verdict is None else verdict.consistent
+        elif parameter.status == "diverged":
             fits = False
         return Fit(fits, parameter.value, parameter.stddev, innovation, stddev)
 

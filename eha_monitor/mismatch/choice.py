@@ -7,7 +7,7 @@ import numpy as np
 
 from eha_monitor.mismatch.experiment import Experiment
 from eha_monitor.mismatch.fit import Fit, spread
-from eha_monitor.mismatch.screen import starts_of
+from eha_monitor.mismatch.screen import Start, own_sizes, starts_of
 from eha_monitor.mismatch.search import (
     THRESHOLD,
     Candidate,
@@ -16,6 +16,7 @@ from eha_monitor.mismatch.search import (
     first_fit,
     round_of,
     settle,
+    with_effect,
     without_effect,
 )
 from eha_monitor.physics.effects import CATALOGUE
@@ -25,6 +26,7 @@ MOST_EFFECTS = 4
 SLACK, SLACK_SHARE = 6.0, 0.003  # rivals lie so near the best: log units, share of its gain
 FORM_SHARE = 0.01  # of the evidence so far: the named effects' own error of form
 FAMILY_SHARE = 0.05  # the same within a family
+CONTENDING = 0.7  # of the taken effect's gain: who may yet take its place
 NEGLIGIBLE = 0.25  # times an effect's start, which is about 1 % of what its balance does
 
 Report = Callable[[str, float], None]
@@ -129,8 +131,60 @@ def name_effects(experiment: Experiment, threshold: float = THRESHOLD,
         rivals[taken.effect] = near
     say("comparing what was named with its rivals", 0.85)
     fit, evidence = prune(experiment, fit, first, threshold)
+    if len(fit.named) > 1:  # the rounds judged each effect beside an incomplete model
+        fit, evidence, rivals = contested(experiment, fit, rounds, evidence, rivals)
     rivals = {name: others for name, others in rivals.items() if name in fit.named}
     return Naming(first, fit, tuple(rounds), evidence, rivals)
+
+
+def contested(experiment: Experiment, fit: Fit, rounds: list[Round], evidence: dict[str, float],
+              rivals: dict[str, tuple[str, ...]]
+              ) -> tuple[Fit, dict[str, float], dict[str, tuple[str, ...]]]:
+    """Try the contenders of each named effect in its place, beside all the others.
+
+    Returns the model that stays, the evidence of its effects, and who cannot be told from whom.
+    """
+    found = dict(rivals)
+    for name in fit.named:
+        tried = [(c, substituted(experiment, fit, name, c))
+                 for c in contenders(rounds, fit, name)]
+        done = spread(lambda item: settle(experiment, item[1], 1, 4, False, 0.3), tried)
+        slack = slack_of(evidence[name])
+        near = {c.effect: other for (c, _), other in zip(tried, done, strict=True)
+                if other.log_likelihood > fit.log_likelihood - slack}
+        best = min([name, *near], key=lambda other: (
+            0 if other in near and near[other].log_likelihood > fit.log_likelihood + slack else 1,
+            CATALOGUE[other].rarity, other != name))
+        group = tuple(other for other in (name, *near) if other != best
+                      and best not in CATALOGUE[other].contains)
+        if best != name:
+            gained_by_swap = near[best].log_likelihood - fit.log_likelihood
+            fit = settle(experiment, completed(near[best]))
+            evidence = {best if key == name else key: value + (gained_by_swap if key == name
+                                                               else 0.0)
+                        for key, value in evidence.items()}
+            found.pop(name, None)
+        found[best] = group
+    return fit, evidence, found
+
+
+def contenders(rounds: list[Round], fit: Fit, name: str) -> list[Candidate]:
+    """Return what came near an effect in the round in which it was found, best first."""
+    for step in rounds:
+        own = next((c for c in step.candidates if c.effect == name), None)
+        if own is not None and name not in step.before.named:
+            return [c for c in step.candidates if c is not own and c.effect not in fit.named
+                    and c.gain > CONTENDING * own.gain][:3]
+    return []
+
+
+def substituted(experiment: Experiment, fit: Fit, name: str, rival: Candidate) -> Fit:
+    """Return the model with a rival in place of a named effect, where its own fit left it."""
+    values = tuple((p.name, float(rival.fit.theta[place_of(f"{rival.effect}.{p.name}")]))
+                   for p in CATALOGUE[rival.effect].parameters)
+    start = Start(rival.effect, values)
+    return with_effect(without_effect(experiment, fit, name), start,
+                       (1.0,) * len(own_sizes(start)))
 
 
 def prune(experiment: Experiment, fit: Fit, first: Fit, threshold: float

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from eha_monitor.mismatch import advise, locate, show
-from eha_monitor.mismatch.calibrate import Calibration, calibrate
+from eha_monitor.mismatch.calibrate import DRAWS, Calibration, calibrate
 from eha_monitor.mismatch.choice import Naming, name_effects
 from eha_monitor.mismatch.diagnosis import (
     Considered,
@@ -19,6 +19,7 @@ from eha_monitor.mismatch.diagnosis import (
 )
 from eha_monitor.mismatch.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.fit import Fit
+from eha_monitor.mismatch.innovations import CLOSED
 from eha_monitor.mismatch.model import (
     config_effects,
     health_sentences,
@@ -71,21 +72,28 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
                             f"{experiment.noise[0]:.2g} m of noise: nothing can be told")
     say("fitting the nominal model", 0.02)
     first = first_fit(experiment)
-    calibration = calibrated(experiment, first, say) if calibrate else None
-    threshold = calibration.threshold if calibration else THRESHOLD
+    calibration = calibrated(experiment, first, say, calibrate)
+    threshold = calibration.threshold if calibrate and calibration else THRESHOLD
     base = 0.5 if calibrate else 0.05
     naming = name_effects(experiment, threshold,
                           lambda text, share: say(text, base + (0.85 - base) * share), first)
     say("showing the fit on unseen data", 0.88)
     shown = experiment if held_out is None else experiment_of([held_out], settings, False)
     return assemble(experiment, shown, naming, calibration, bags, duration, started,
-                    held_out is not None)
+                    held_out is not None, threshold if calibrate else np.nan)
 
 
-def calibrated(experiment: Experiment, first: Fit, say: Report) -> Calibration:
-    """Return the threshold of evidence, progress told between 5 and 50 %."""
-    return calibrate(experiment, first,
-                     report=lambda text, share: say(text, 0.05 + 0.45 * share))
+def calibrated(experiment: Experiment, first: Fit, say: Report, whole: bool
+               ) -> Calibration | None:
+    """Return the threshold of evidence and the likelihood of a right model; 5 to 50 % done.
+
+    Not ``whole``: where a measured input brings its own noise into every innovation, two draws
+    tell the likelihood; else the sensors' noise does.
+    """
+    if not whole and experiment.mode == CLOSED:
+        return None
+    return calibrate(experiment, first, DRAWS if whole else 2,
+                     lambda text, share: say(text, 0.05 + 0.45 * share))
 
 
 def insufficient(bags: tuple[str, ...], duration: float, started: float, why: str) -> Diagnosis:
@@ -127,8 +135,8 @@ def expected_likelihood(experiment: Experiment, fit: Fit) -> float:
 
 def assemble(experiment: Experiment, shown: Experiment, naming: Naming,
              calibration: Calibration | None, bags: tuple[str, ...], duration: float,
-             started: float, other_bag: bool) -> Diagnosis:
-    """Put the answer together."""
+             started: float, other_bag: bool, threshold: float) -> Diagnosis:
+    """Put the answer together; ``threshold`` NaN where it was not calibrated."""
     naming = replace(naming, before=robust(experiment, naming.before),
                      after=robust(experiment, naming.after))
     before, after = naming.before, naming.after
@@ -159,7 +167,7 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming,
         health_sentences(experiment, *known, effects),
         advise.advice_for(experiment, naming),
         config_effects(experiment, after, tuple(effect.name for effect in effects)),
-        calibration.threshold if calibration else THRESHOLD, calibration is not None,
+        threshold if np.isfinite(threshold) else THRESHOLD, bool(np.isfinite(threshold)),
         explained, duration, time.perf_counter() - started)
 
 

@@ -299,6 +299,7 @@ def warm_up() -> None:
     for k, values in enumerate(zip(*(shown[name].tolist() for name in shown), strict=True)):
         estimator.push(k * simulator.dt, dict(zip(shown, values, strict=True)))
     estimator.snapshot()
+    estimator.rehearse()
 
 
 def run_monitor(config: Path | None, ros_args: list[str], duration: float | None = None) -> int:
