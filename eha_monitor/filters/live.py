@@ -39,8 +39,8 @@ LAG = 8  # rows that the hold looks ahead
 CONTEXT = 16  # rows that it looks back
 BUFFER_S = 20.0
 NOISE_AGAIN_S = (1.0, 4.0, 10.0)  # after the start; then every 10 s
-CHANGES_COUNT_S = 300.0  # a change counts as hopping for about so long
-HELD_S = 30.0  # memory of a parameter that is held because the model does not fit
+# Kept from look to look: of changes that count as hopping, of what a held parameter rests on.
+KEPT = math.exp(-JUDGE_EVERY_S / 300.0), math.exp(-JUDGE_EVERY_S / 30.0)
 TRY_EVERY_S = 1.0, 8.0  # while a mismatch stands: does the last window fit again?
 PATIENCE_S = 2.0  # wait for stage one before stage two takes the nominal damping
 SETTLED_S = 0.5  # B counts as changing for so long after it was seen to change
@@ -325,14 +325,12 @@ class LiveEstimator:
     def _judge(self) -> None:
         """Test the model on the last window; while it does not fit, ask whether it does again."""
         tester, now = self._tester, self._time_of(self._taken)
-        for stage in tester.judge(self._buffer, self._taken, self._changes, self._parameters(),
+        for found in tester.judge(self._buffer, self._taken, self._changes, self._parameters(),
                                   self._quantum, self._time_of):
             self._try_every = TRY_EVERY_S[0]
-            words = tester.watches[stage].standing.message
-            self._events.append(Event(now, stage, f"mismatch: {words}"))
+            self._events.append(Event(now, found.stage, f"mismatch: {found.message}"))
         for stage in filter(None, (self._one, self._two)):
-            stage.forget(math.exp(-JUDGE_EVERY_S / CHANGES_COUNT_S),
-                         math.exp(-JUDGE_EVERY_S / HELD_S))
+            stage.forget(*KEPT)
         standing = [stage for stage in ("one", "two") if tester.standing(stage)]
         start = self._taken - round(JUDGED_S / self.dt)
         if (not standing or start < self._buffer.first
@@ -340,10 +338,10 @@ class LiveEstimator:
             return
         self._tried_at = self._taken
         # Stage two's misfit may be a wrong B's: it is asked once stage one fits.
-        fit, ended = tester.try_again(
-            standing[0], self._inputs(start, self._taken), self._damping, now)
-        # To ask costs much where the answer is no: then it is asked less and less often.
-        self._try_every = (TRY_EVERY_S[0] if fit.fits
+        rows = self._inputs(start, self._taken)
+        fit, ended = tester.try_again(standing[0], rows, self._damping, now)
+        # To ask stage two costs much where the answer is no: it is asked less and less often.
+        self._try_every = (TRY_EVERY_S[0] if fit.fits or standing[0] == "one"
                            else min(2.0 * self._try_every, TRY_EVERY_S[1]))
         if ended:
             self._adopt(standing[0], fit, start)

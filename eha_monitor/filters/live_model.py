@@ -17,7 +17,7 @@ from eha_monitor.filters.pipeline import (
     run_one_kernel,
     unless_unexcited,
 )
-from eha_monitor.filters.results import Consistency, ModelStatus, ParameterEstimate
+from eha_monitor.filters.results import Consistency, Mismatch, ModelStatus, ParameterEstimate
 from eha_monitor.filters.run_two import run_from
 from eha_monitor.filters.status import judge_parameter
 from eha_monitor.filters.supervision import new_supervision
@@ -70,8 +70,8 @@ class LiveModel:
 
     def judge(self, buffer: LiveBuffer, taken: int, changes: dict[str, list],
               parameters: dict[str, ParameterEstimate], quantum: float,
-              time_of: Callable[[int], float]) -> list[str]:
-        """Test the model on the last window; return the stages whose mismatch begins now.
+              time_of: Callable[[int], float]) -> list[Mismatch]:
+        """Test the model on the last window; return the mismatches that begin now.
 
         Parameters
         ----------
@@ -95,7 +95,7 @@ class LiveModel:
             self.verdicts[stage] = verdict
             trial = self._trials[PARAMETER[stage]].taint
             if self.watches[stage].update(time_of(taken), verdict, trial):
-                begun.append(stage)
+                begun.append(self.watches[stage].standing)
         damping = parameters["B"]
         if (damping.status == "converged" and not self.standing("one")
                 and self._trials["B"].taint is None):
