@@ -178,7 +178,6 @@ def test_likelihood_counts_a_slow_channel_as_often_as_it_was_measured():
 # ---- fit --------------------------------------------------------------------------------------
 
 
-@pytest.mark.xfail(reason="refine stops where a step would carry a timing over its bound")
 def test_fit_is_unbiased_and_its_deviation_is_the_scatter_over_seeds(run):
     fits = [first_fit(experiment_of([run.recording(seed)], settings(
         stage_one={"prior": 900.0}, stage_two={"prior": 9e8}))) for seed in range(14)]
@@ -209,7 +208,6 @@ def test_what_the_score_test_promises_is_what_the_fit_gains(effect, values, tole
         values[size], abs=4 * refined.stddev(f"{effect}.{size}"))
 
 
-@pytest.mark.xfail(reason="refine stops where a step would carry a timing over its bound")
 def test_refined_likelihood_is_a_maximum(experiment):
     fit = first_fit(experiment)
     for f in fit.free:

@@ -204,11 +204,30 @@ def step_of(f: Free, theta: np.ndarray) -> tuple[np.ndarray, float]:
     return other, f.inward(other[f.place]) - now
 
 
+def step_within(matrix: np.ndarray, gradient: np.ndarray, bounds: np.ndarray) -> np.ndarray:
+    """Solve ``matrix @ step = gradient`` for a step within ``bounds`` (k, 2), (k,).
+
+    What would cross a bound stops there; the others are solved for again.
+    """
+    step, on = np.zeros(len(gradient)), np.ones(len(gradient), dtype=bool)
+    while on.any():
+        right = gradient[on] - matrix[np.ix_(on, ~on)] @ step[~on]
+        step[on] = np.linalg.solve(matrix[np.ix_(on, on)], right)
+        within = np.clip(step, bounds[:, 0], bounds[:, 1])
+        out = on & (step != within)
+        if not out.any():
+            break
+        step[out] = within[out]
+        on &= ~out
+    return step
+
+
 def refine(experiment: Experiment, fit: Fit, steps: int = 12, tolerance: float = 0.02) -> Fit:
     """Carry a fit to its optimum with held gains: damped Gauss-Newton.
 
-    The slopes of the base parameters hardly change on the way and are taken once; those of the
-    effects' parameters, which stand inside non-linearities, at every step.
+    Beside named effects the slopes of the base parameters hardly change on the way and are taken
+    once; those of the effects' parameters, inside non-linearities, at every step.  A parameter that a
+    step would carry over a bound stops there, and the others answer to that.
 
     Parameters
     ----------
@@ -221,6 +240,7 @@ def refine(experiment: Experiment, fit: Fit, steps: int = 12, tolerance: float =
     best = log_likelihood_of(e) + prior_exponent(free, theta)
     damping, converged = 1e-6, False
     information = np.zeros((len(free), len(free)))
+    bounds = np.array([[f.inward(f.lower), f.inward(f.upper)] for f in free]).reshape(-1, 2)
     slopes: list[np.ndarray] = []
     for _ in range(steps):
         if not np.isfinite(best):
@@ -228,7 +248,7 @@ def refine(experiment: Experiment, fit: Fit, steps: int = 12, tolerance: float =
         w = whitener(covariance_of(e))
         white = np.nan_to_num(e) @ w.T
         moving = [i for i, f in enumerate(free)
-                  if not slopes or f.name.partition(".")[0] in fit.named]
+                  if not slopes or not fit.named or f.name.partition(".")[0] in fit.named]
         fresh = sensitivities(experiment, theta, fit.active, fit.gains, e,
                               [step_of(free[i], theta) for i in moving])
         slopes = slopes or fresh
@@ -244,7 +264,8 @@ def refine(experiment: Experiment, fit: Fit, steps: int = 12, tolerance: float =
         matrix = (information + np.diag(weight)) / np.outer(scale, scale)
         improved = False
         for _ in range(8):
-            step = np.linalg.solve(matrix + damping * np.eye(len(free)), gradient / scale) / scale
+            step = step_within(matrix + damping * np.eye(len(free)), gradient / scale,
+                               scale[:, None] * (bounds - now[:, None])) / scale
             other = theta.copy()
             for f, value in zip(free, now + step, strict=True):
                 other[f.place] = f.outward(value)
