@@ -226,8 +226,8 @@ def refine(experiment: Experiment, fit: Fit, steps: int = 12, tolerance: float =
     """Carry a fit to its optimum with held gains: damped Gauss-Newton.
 
     Beside named effects the slopes of the base parameters hardly change on the way and are taken
-    once; those of the effects' parameters, inside non-linearities, at every step.  A parameter that a
-    step would carry over a bound stops there, and the others answer to that.
+    once; those of the effects' parameters, inside non-linearities, at every step.  A parameter
+    that a step would carry over a bound stops there, and the others answer to that.
 
     Parameters
     ----------
