@@ -184,7 +184,9 @@ def test_ctrl_c_ends_quietly(tmp_path):
     child = start("config", "--config", pipe, stdout=subprocess.PIPE)
     with pipe.open("w"):  # opens when the child reads: it is in the middle of its work
         child.send_signal(signal.SIGINT)
-        out, error = child.communicate(timeout=60)
+    # The pipe is closed by now: a signal that came between Python's last look and its read would
+    # else wait for as long as the read does.
+    out, error = child.communicate(timeout=60)
     assert (child.returncode, out, error) == (130, "", "")
 
 
