@@ -181,7 +181,9 @@ def test_a_full_disk_is_one_line():
 def test_ctrl_c_ends_quietly(tmp_path):
     pipe = tmp_path / "config.yaml"
     os.mkfifo(pipe)
-    child = start("config", "--config", pipe, stdout=subprocess.PIPE)
+    # Whoever runs the tests in the background may have SIGINT ignored, and children inherit that.
+    child = start("config", "--config", pipe, stdout=subprocess.PIPE,
+                  preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
     with pipe.open("w"):  # opens when the child reads: it is in the middle of its work
         child.send_signal(signal.SIGINT)
     # The pipe is closed by now: a signal that came between Python's last look and its read would
