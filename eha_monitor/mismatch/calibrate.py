@@ -16,7 +16,7 @@ import numpy as np
 from eha_monitor.compiled import CACHE
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.experiment import Experiment, Stretch
-from eha_monitor.mismatch.fit import Fit, filtered, spread
+from eha_monitor.mismatch.fit import Fit, free_run, spread
 from eha_monitor.mismatch.innovations import CLOSED
 from eha_monitor.mismatch.inputs import cubics
 from eha_monitor.mismatch.screen import possible, screen, starts_of
@@ -51,15 +51,12 @@ def simulated(experiment: Experiment, fit: Fit, seed: int) -> Experiment:
     rng = np.random.default_rng(seed)
     parts = []
     for stretch in experiment.stretches:
-        n = len(stretch)
-        blank = replace(stretch, z=np.where(np.isfinite(stretch.z), 0.0, np.nan))
-        start = replace(stretch, z=stretch.z)
-        clean = -free_run(experiment, blank, start, fit)
+        clean = free_run(experiment, stretch, fit)
         z = clean + np.nan_to_num(experiment.noise) * rng.standard_normal(clean.shape)
         step = experiment.position_step
         if step > 0:
             z[:, 0] = step * np.round(
-                (clean[:, 0] + white_part(experiment) * rng.standard_normal(n)) / step)
+                (clean[:, 0] + white_part(experiment) * rng.standard_normal(len(stretch))) / step)
         z[~np.isfinite(stretch.z)] = np.nan
         parts.append(replace(stretch, z=z, u=noisy_input(experiment, stretch, rng)))
     return experiment.only(tuple(parts))
@@ -79,17 +76,6 @@ def noisy_input(experiment: Experiment, stretch: Stretch, rng: np.random.Generat
     if noise <= 0:
         return stretch.u
     return cubics(stretch.u[:, 0] + noise * rng.standard_normal(len(stretch)), noise)
-
-
-def free_run(experiment: Experiment, blank: Stretch, start: Stretch, fit: Fit) -> np.ndarray:
-    """Return minus the model's outputs, (n, N_OUTPUTS), running free from the record's start."""
-    n = len(blank)
-    first = replace(blank, z=blank.z.copy())
-    head = min(20, n)
-    first.z[:head] = start.z[:head]  # only tells where the motion starts
-    e, _ = filtered(experiment, first, fit.theta, fit.active, fit.gains, free=np.ones(n, bool))
-    e[:head] -= np.where(np.isfinite(first.z[:head]), first.z[:head], 0.0)
-    return e
 
 
 def calibrate(experiment: Experiment, fit: Fit, draws: int = DRAWS,

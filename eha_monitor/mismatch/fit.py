@@ -23,8 +23,6 @@ from eha_monitor.mismatch.innovations import N_FILTERED, innovate
 from eha_monitor.physics.contributions import new_memory
 from eha_monitor.physics.plant import N_OUTPUTS, new_past, new_state
 
-CLIP = 6.0  # sigmas at which a whitened innovation stops to pull harder
-
 
 @dataclass(frozen=True)
 class Free:
@@ -121,16 +119,27 @@ def innovations(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
 
 
 def filtered(experiment: Experiment, stretch, theta, active, gains, states: bool = False,
-             free: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Filter one stretch; returns all innovations (n, N_OUTPUTS) and the states, if wanted."""
+             free: np.ndarray | None = None, begin=None) -> tuple[np.ndarray, np.ndarray]:
+    """Filter one stretch; returns all innovations (n, N_OUTPUTS) and the states, if wanted.
+
+    ``free`` (n,) marks samples that correct nothing; ``begin`` is the stretch that tells the
+    state at the start, if it is another.
+    """
     n = len(stretch)
     e = np.empty((n, N_OUTPUTS))
     kept = np.empty((n if states else 0, N_FILTERED))
-    y = start_of(experiment, stretch)
+    y = start_of(experiment, stretch if begin is None else begin)
     innovate(stretch.z, stretch.u, stretch.p1, stretch.p2, experiment.mode, experiment.dt,
              experiment.steps, theta, active, gains, decay_of(experiment.dt), y, new_memory(),
              new_past(y), np.zeros(n, dtype=np.bool_) if free is None else free, e, kept)
     return e, kept
+
+
+def free_run(experiment: Experiment, stretch, fit: Fit) -> np.ndarray:
+    """Return what the model shows on a stretch, running free from its start, (n, N_OUTPUTS)."""
+    zero = replace(stretch, z=np.zeros_like(stretch.z))
+    return -filtered(experiment, zero, fit.theta, fit.active, fit.gains,
+                     free=np.ones(len(stretch), dtype=np.bool_), begin=stretch)[0]
 
 
 def start_of(experiment: Experiment, stretch) -> np.ndarray:

@@ -7,13 +7,12 @@ recordings add up, so a second motion is judged together with what is there alre
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.mismatch.calibrate import free_run
 from eha_monitor.mismatch.experiment import Experiment
-from eha_monitor.mismatch.fit import Fit, innovations, spread, step_of, whitener
+from eha_monitor.mismatch.fit import Fit, free_run, innovations, spread, step_of, whitener
 
 STEADY_SPAN = 0.05  # s to either side in which a plateau's speed hardly changes
 STEADY_CHANGE = 0.01  # of the record's largest speed
@@ -195,8 +194,7 @@ def speeds(experiment: Experiment, fit: Fit) -> list[np.ndarray]:
     """Return the speed of the model along each stretch, running free; (n,) m/s."""
     found = []
     for stretch in experiment.stretches:
-        blank = np.zeros_like(stretch.z)
-        x = -free_run(experiment, replace(stretch, z=blank), stretch, fit)[:, 0]
+        x = free_run(experiment, stretch, fit)[:, 0]
         found.append(np.gradient(x, experiment.dt))
     return found
 

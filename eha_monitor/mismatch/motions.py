@@ -4,13 +4,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eha_monitor.mismatch.calibrate import free_run
 from eha_monitor.mismatch.experiment import BURN_IN, Experiment, Stretch
-from eha_monitor.mismatch.fit import Fit
+from eha_monitor.mismatch.fit import Fit, free_run
 from eha_monitor.mismatch.innovations import CLOSED, FORCED
 from eha_monitor.mismatch.inputs import cubics
-from eha_monitor.mismatch.sizes import contributions_along
+from eha_monitor.mismatch.missing import contributions_along
 from eha_monitor.physics import signals as s
+from eha_monitor.physics.contributions import new_memory
 from eha_monitor.physics.excitation import demanded_position, total_duration
 from eha_monitor.physics.plant import N_OUTPUTS
 from eha_monitor.settings.rig import Segment
@@ -180,10 +180,8 @@ def planned(experiment: Experiment, fit: Fit, limits: Limits, motion: Motion) ->
     """Return a motion as an experiment: the fitted model's own outputs, without noise."""
     blank = with_motion(experiment, fit, limits, motion)
     stretch = blank.stretches[0]
-    start = stretch.z
-    zero = replace(stretch, z=np.where(np.isfinite(start), 0.0, np.nan))
-    clean = -free_run(blank, zero, stretch, fit)
-    clean[~np.isfinite(start)] = np.nan
+    clean = free_run(blank, stretch, fit)
+    clean[~np.isfinite(stretch.z)] = np.nan
     return blank.only((replace(stretch, z=clean),))
 
 
@@ -215,20 +213,22 @@ def forced(experiment: Experiment, fit: Fit, limits: Limits, motion: Motion) -> 
     left, x = np.exp(-2.0 * dt / limits.loop), x_d - x_d[0]
     for _ in range(2):  # two poles, so that the force stays finite at corners
         x = lfilter([1.0 - left], [1.0, -left], x)
-    states = np.zeros((len(time), 4))
-    states[:, 0] = x + x_d[0]
-    states[:, 1] = np.gradient(x, dt)
-    for column, name in ((2, "p1"), (3, "p2")):
-        states[:, column] = np.mean([np.mean(getattr(one, name)) for one in experiment.stretches])
+    track = np.zeros((len(time), s.N_SIGNALS))
+    track[:, s.T], track[:, s.X_D] = time, x_d
+    track[:, s.X] = x + x_d[0]
+    track[:, s.V] = np.gradient(x, dt)
+    for column, name in ((s.P1, "p1"), (s.P2, "p2")):
+        track[:, column] = np.mean([np.mean(getattr(one, name)) for one in experiment.stretches])
     added = np.zeros((len(time), s.N_CONTRIBUTIONS))
-    contributions_along(time, states, np.zeros(len(time)), x_d, dt, fit.theta, fit.active, added)
-    force = ((fit.theta[s.M] + added[:, s.MASS]) * np.gradient(states[:, 1], dt)
-             + fit.theta[s.B] * states[:, 1] + added[:, s.FORCE])
+    contributions_along(track, dt, experiment.steps, fit.theta, fit.active, new_memory(), added)
+    force = ((fit.theta[s.M] + added[:, s.MASS]) * np.gradient(track[:, s.V], dt)
+             + fit.theta[s.B] * track[:, s.V] + added[:, s.FORCE])
     z = np.full((len(time), N_OUTPUTS), np.nan)
     z[:, 0] = x_d[0]
     if experiment.used[1]:
         z[:, 1] = 0.0
-    stretch = Stretch(motion.name, 0.0, z, cubics(force, 0.0), states[:, 2], states[:, 3],
+    stretch = Stretch(motion.name, 0.0, z, cubics(force, 0.0), track[:, s.P1].copy(),
+                      track[:, s.P2].copy(),
                       time >= BURN_IN, np.zeros(len(time), dtype=bool))
     return experiment.only((stretch,))
 

@@ -28,7 +28,8 @@ from eha_monitor.mismatch.model import (
     values_of,
 )
 from eha_monitor.mismatch.search import THRESHOLD, first_fit, limits_of
-from eha_monitor.mismatch.sizes import size_of
+from eha_monitor.mismatch.sizes import filtered_tracks, size_of
+from eha_monitor.mismatch.terms import BALANCES, missing_terms
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
 from eha_monitor.recordings.recording import Recording
@@ -98,7 +99,7 @@ def calibrated(experiment: Experiment, first: Fit, say: Report, whole: bool
 
 def insufficient(bags: tuple[str, ...], duration: float, started: float, why: str) -> Diagnosis:
     """Return the answer for a record that says nothing."""
-    nowhere = Location(dict.fromkeys(("force", "flow", "drive", "sensor"), 0.0), "", ())
+    nowhere = Location(dict.fromkeys(BALANCES, 0.0), "", ())
     return Diagnosis(bags, "insufficient_data", why, nowhere, (), {}, {}, "held_out", {},
                      duration_s=duration, wall_s=time.perf_counter() - started)
 
@@ -144,7 +145,8 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming,
     signals = show.shown(shown, before, after)
     if after.named and worse(signals):  # a fit that fails on unseen data has named nothing
         verdict, explained = "unexplained", min(explained, 1.0 - EXPLAINED)
-    effects = tuple(named_effect(experiment, naming, name) for name in sorted(
+    tracks = filtered_tracks(experiment, after) if after.named else []
+    effects = tuple(named_effect(experiment, naming, name, tracks) for name in sorted(
         after.named, key=lambda name: -naming.evidence[name]))
     if verdict == "unexplained":  # what takes away a small part only is a confident wrong name
         against = max(after.log_likelihood - before.log_likelihood, 1e-9) / max(explained, 1e-9)
@@ -154,10 +156,13 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming,
         effects = (*effects, step)
         verdict = "mismatch" if verdict == "consistent" else verdict
     evidence = {effect.name: effect.log_evidence for effect in effects}
-    where = (locate.location_of(experiment, before, after, evidence)
-             if verdict != "consistent" else
-             Location(dict.fromkeys(("force", "flow", "drive", "sensor"), 0.0), "", ()))
-    curves = locate.latent_curves(experiment, before, after) if verdict != "consistent" else ()
+    if verdict == "consistent":
+        where, curves = Location(dict.fromkeys(BALANCES, 0.0), "", ()), ()
+    else:
+        terms = missing_terms(experiment, before, after)
+        where = locate.location_of(experiment, before, after, evidence,
+                                   terms if verdict == "mismatch" else None)
+        curves = locate.latent_curves(experiment, before, after, terms)
     known = values_of(experiment, before), values_of(experiment, after)
     return Diagnosis(
         bags, verdict, message_of(verdict, effects, where, explained), where, effects, *known,
@@ -171,8 +176,9 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming,
         explained, duration, time.perf_counter() - started)
 
 
-def named_effect(experiment: Experiment, naming: Naming, name: str) -> NamedEffect:
-    """Return the record of a named effect."""
+def named_effect(experiment: Experiment, naming: Naming, name: str, tracks: list[np.ndarray]
+                 ) -> NamedEffect:
+    """Return the record of a named effect; ``tracks`` as :func:`sizes.size_of` takes them."""
     entry, fit = CATALOGUE[name], naming.after
     parameters, numbers = {}, {}
     fitted = {f.name for f in fit.free}
@@ -186,7 +192,7 @@ def named_effect(experiment: Experiment, naming: Naming, name: str) -> NamedEffe
             parameters[p.name] = Value(value, 0.0, p.unit.replace("*", "·"))
     return NamedEffect(name, entry.balance, entry.statement.format(**numbers), parameters,
                        naming.evidence[name], naming.rivals.get(name, ()), entry.equation,
-                       entry.rig_check, size_of(experiment, fit, name))
+                       entry.rig_check, size_of(experiment, fit, name, tracks))
 
 
 def message_of(verdict: str, effects: tuple[NamedEffect, ...], where: Location,

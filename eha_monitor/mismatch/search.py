@@ -15,7 +15,7 @@ from eha_monitor.mismatch.fit import (
     with_unknowns,
 )
 from eha_monitor.mismatch.gains import Unknowns, gains_of, smallest_unknowns
-from eha_monitor.mismatch.innovations import FORCED
+from eha_monitor.mismatch.innovations import CLOSED, FORCED
 from eha_monitor.mismatch.screen import (
     Score,
     Start,
@@ -99,7 +99,7 @@ def limits_of(experiment: Experiment) -> tuple[Unknowns, Unknowns]:
     large = LARGEST_UNKNOWN * small
     if experiment.mode == FORCED:
         large[1:] = small[1:]
-    elif experiment.mode != 0 or not experiment.used[4]:
+    elif experiment.mode != CLOSED or not experiment.used[4]:
         large[2] = small[2]  # without a measured speed it is the same as an unknown flow
     return Unknowns(*small), Unknowns(*large)
 

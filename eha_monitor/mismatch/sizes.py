@@ -2,17 +2,11 @@
 
 import numpy as np
 
-from eha_monitor.compiled import njit
 from eha_monitor.mismatch.experiment import Experiment
 from eha_monitor.mismatch.fit import Fit, filtered
+from eha_monitor.mismatch.missing import contributed, signals_along
 from eha_monitor.physics import signals as s
-from eha_monitor.physics.contributions import (
-    add_contributions,
-    circuit_of,
-    update_memory,
-    with_term,
-    with_update,
-)
+from eha_monitor.physics.contributions import circuit_of
 from eha_monitor.physics.effects import NAMES
 
 SHARE = 0.98  # quantile of the size over the record that counts as its largest
@@ -31,42 +25,18 @@ _CIRCUIT_WORDS = {
 }
 
 
-@njit
-def contributions_along(time, states, speed, demanded, dt, theta, active, out):
-    """Write what active effects add along a trajectory.
+def filtered_tracks(experiment: Experiment, fit: Fit) -> list[np.ndarray]:
+    """Return the signals along each stretch as the filter has them, (n, N_SIGNALS) each."""
+    return [signals_along(experiment, stretch, filtered(
+        experiment, stretch, fit.theta, fit.active, fit.gains, states=True)[1])
+        for stretch in experiment.stretches]
 
-    Parameters
-    ----------
-    time : (n,) s; states : (n, >= 4) x, v, p1, p2; speed, demanded : (n,) rad/s and m.
-    out : (n, N_CONTRIBUTIONS) written.
+
+def size_of(experiment: Experiment, fit: Fit, name: str, tracks: list[np.ndarray]) -> str:
+    """Return how much a named effect does at its largest in this record, in words.
+
+    tracks : :func:`filtered_tracks` of the fit.
     """
-    terms, updates = with_term(active), with_update(active)
-    memory = np.zeros((len(active), s.MAX_MEMORY))
-    signals = np.zeros(s.N_SIGNALS)
-    for k in range(len(time)):
-        signals[s.T], signals[s.X], signals[s.V] = time[k], states[k, 0], states[k, 1]
-        signals[s.P1], signals[s.P2] = states[k, 2], states[k, 3]
-        signals[s.OMEGA], signals[s.X_D] = speed[k], demanded[k]
-        add_contributions(signals, theta, terms, memory, out[k])
-        update_memory(signals, theta, updates, dt, memory)
-
-
-def trajectory(experiment: Experiment, fit: Fit, stretch) -> tuple[np.ndarray, np.ndarray]:
-    """Return the filtered states (n, 8) of a stretch and the pump speed (n,), rad/s."""
-    states = filtered(experiment, stretch, fit.theta, fit.active, fit.gains, states=True)[1]
-    speed = stretch.z[:, 4]
-    if not np.isfinite(speed).any():
-        gain = fit.theta[s.K_POS]
-        speed = (gain * (stretch.u[:, 0] - states[:, 0]) if experiment.mode == 0
-                 else stretch.u[:, 0])
-    states = states.copy()
-    if experiment.mode == 2:
-        states[:, 2], states[:, 3] = stretch.p1, stretch.p2
-    return states, np.nan_to_num(speed)
-
-
-def size_of(experiment: Experiment, fit: Fit, name: str) -> str:
-    """Return how much a named effect does at its largest in this record, in words."""
     alone = np.zeros(len(NAMES), dtype=bool)
     alone[NAMES.index(name)] = True
     found = []
@@ -75,13 +45,7 @@ def size_of(experiment: Experiment, fit: Fit, name: str) -> str:
         value = w[place] * factor
         if value != 0 and np.isfinite(value) and abs(value) < 1e6:
             found.append(f"{abs(value):.3g} {words}")
-    rows = []
-    for stretch in experiment.stretches:
-        states, speed = trajectory(experiment, fit, stretch)
-        out = np.zeros((len(stretch), s.N_CONTRIBUTIONS))
-        contributions_along(np.arange(len(stretch)) * experiment.dt, states, speed,
-                            stretch.u[:, 0], experiment.dt, fit.theta, alone, out)
-        rows.append(out)
+    rows = [contributed(experiment, fit, track, (name,)) for track in tracks]
     most = np.quantile(np.abs(np.concatenate(rows)), SHARE, axis=0)
     flow = max(most[s.FLOW_1], most[s.FLOW_2], fit.theta[s.D_P] * most[s.SPEED]
                if np.isfinite(fit.theta[s.D_P]) else 0.0) * LITRES_PER_MINUTE
