@@ -10,11 +10,15 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from rig_tools import MULTISINE, TRIANGLE, A, settings, simulated, with_channels, without
 
+from eha_monitor.concealed.cases import Case
+from eha_monitor.concealed.generate import nominal_config, recording_of
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.experiment import BURN_IN, experiment_of, present
 from eha_monitor.mismatch.innovations import CLOSED, FORCED, OPEN
-from eha_monitor.mismatch.inputs import cubics, filled
+from eha_monitor.mismatch.inputs import course_of, cubics, filled
 from eha_monitor.physics import signals as s
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.load import settings_from_tree
 
 NO_RIG = {"area_1": None, "area_2": None}
 
@@ -92,6 +96,42 @@ def test_a_sampled_drive_holds_its_input():
     c = cubics(u, 0.0, sampled=True)
     assert np.array_equal(c[:, 0], u) and not c[:, 1:].any()
     assert np.array_equal(cubics(u[:3], 0.0)[:, 0], u[:3])  # too few for a cubic
+
+
+def smooth_step(k, start, length, height):
+    """A demand that leaves rest and comes to rest in ``length`` samples, 3 s^2 - 2 s^3."""
+    s = np.clip((k - start) / length, 0.0, 1.0)
+    return height * s**2 * (3.0 - 2.0 * s)
+
+
+def test_where_a_demand_begins_to_move_its_course_is_not_known():
+    """No cubic through four samples knows when between two of them a motion began."""
+    k, fine = np.arange(80.0), (np.arange(4000) + 0.5) / 4000
+    c, off = course_of(smooth_step(k, 40, 5, 0.012), 0.0)
+    exact = np.array([smooth_step(at + fine, 40, 5, 0.012).mean() for at in k])
+    wrong = np.abs(c @ [1, 1 / 2, 1 / 3, 1 / 4] - exact)
+    assert off.max() == pytest.approx(wrong.max(), rel=0.5) and wrong.max() > 5e-5
+    assert (off[wrong > 1e-6] > 0.2 * wrong[wrong > 1e-6]).all()
+    assert not off[:36].any() and not off[49:].any()
+
+
+@pytest.mark.parametrize("u", [
+    lambda k: 1e-3 * np.abs(k - 40.0), lambda k: 1e-3 * np.abs(k - 40.4),
+    lambda k: 2e-3 * np.clip(k - 40.0, 0.0, 6.0), lambda k: 0.01 * (k >= 40)])
+def test_lines_corners_and_jumps_are_taken_as_they_are(u):
+    assert course_of(u(np.arange(80.0)), 0.0)[1].max() < 1e-15
+
+
+def test_only_such_samples_take_the_pressures_from_the_sensors():
+    k = np.arange(3000.0)
+    x_d = smooth_step(k, 1500, 5, 0.012)
+    case = Case("a", demand=x_d, seed=1)
+    channels, _ = recording_of(case)
+    config = settings_from_tree(nominal_config(case), "a")
+    stretch, = experiment_of([Recording(1e-3, channels)], config).stretches
+    loose = np.flatnonzero(stretch.loose)
+    assert 1499 <= loose.min() < loose.max() <= 1507
+    assert (stretch.loose[loose] < 1.0).all() and not stretch.counted[loose].any()
 
 
 def test_gaps_of_an_input_are_bridged_by_lines():

@@ -8,12 +8,13 @@ from eha_monitor.errors import InputError
 from eha_monitor.filters.inputs import force_of, without_spikes
 from eha_monitor.filters.noise import noise_levels, quantum
 from eha_monitor.mismatch.innovations import CLOSED, FORCED, OPEN
-from eha_monitor.mismatch.inputs import cubics, filled
+from eha_monitor.mismatch.inputs import course_of, filled
 from eha_monitor.physics.effect import Ranges
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.physics.plant import N_OUTPUTS
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.rig import Rig
 
 OUTPUTS = ("x", "v", "p1", "p2", "omega")
 BURN_IN = 0.15  # s at the start of each stretch in which the filter finds the state
@@ -22,6 +23,7 @@ SHORTEST = 0.5  # s of a stretch worth fitting
 PERIOD, SHARE = 5.0, 0.2  # of every 5 s the last fifth is held out
 STEP_PHASE = 0.16  # rad of the fastest resonance in one integration step
 MOST_STEPS = 40
+LOOSE = 0.01  # of the pressure noise squared: what an unknown course of the demand may do
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,8 @@ class Stretch:
     p1, p2 : (n,) pressures for a forced model, Pa.
     counted : (n,) bool, samples whose innovations are fitted.
     held_out : (n,) bool, samples kept aside for the proof.
+    loose : (n,) share of the pressure difference that is taken from the sensors because the
+        input's course before the sample is not known, or None.
     """
 
     source: str
@@ -46,6 +50,7 @@ class Stretch:
     p2: np.ndarray
     counted: np.ndarray
     held_out: np.ndarray
+    loose: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.z)
@@ -219,6 +224,12 @@ def stretches_of(recording: Recording, channels: dict, settings: Settings, mode:
             continue
         here = slice(start, stop)
         time = np.arange(stop - start) * dt
+        course, off = course_of(filled(u[here]), sigma, held)
+        loose = np.zeros(stop - start)
+        if mode == CLOSED and "p1" in levels and "p2" in levels:
+            known = 0.5 * (levels["p1"][-1]**2 + levels["p2"][-1]**2)
+            entered = pressure_of(off, rig, dt)[:-1] ** 2
+            loose[1:] = np.where(entered > LOOSE * known, entered / (entered + 0.5 * known), 0.0)
         held_out = (np.mod(time, PERIOD) >= PERIOD * (1 - SHARE)) & hold_out
         if (stop - start) * dt < 2 * PERIOD:  # a short record: its last fifth
             held_out = (time >= (1 - SHARE) * (stop - start) * dt) & hold_out
@@ -227,9 +238,15 @@ def stretches_of(recording: Recording, channels: dict, settings: Settings, mode:
         seen = np.convolve(held_out, np.ones(burn + 1))[: len(time)] > 0.5
         parts.append(Stretch(
             recording.source, start * dt, z[here].copy(),
-            cubics(filled(u[here]), sigma, held), smooth(p1[here], charge),
-            smooth(p2[here], charge), (time >= BURN_IN) & ~seen, held_out))
+            course, smooth(p1[here], charge), smooth(p2[here], charge),
+            (time >= BURN_IN) & ~seen & (loose == 0.0), held_out, loose))
     return parts
+
+
+def pressure_of(off: np.ndarray, rig: Rig, dt: float) -> np.ndarray:
+    """Return what a demand off by ``off`` m over a sample does to the pressures, (n,) Pa."""
+    volume = rig.position_gain * off * rig.pump_displacement * dt
+    return volume * rig.bulk_modulus / min(rig.volume_1, rig.volume_2)
 
 
 def present(u: np.ndarray, x: np.ndarray, longest: int) -> list[tuple[int, int]]:

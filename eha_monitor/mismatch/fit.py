@@ -19,7 +19,7 @@ import numpy as np
 
 from eha_monitor.mismatch.experiment import Experiment
 from eha_monitor.mismatch.gains import Unknowns, decay_of, gains_of
-from eha_monitor.mismatch.innovations import N_FILTERED, innovate
+from eha_monitor.mismatch.innovations import FREE, N_FILTERED, innovate
 from eha_monitor.physics.contributions import new_memory
 from eha_monitor.physics.plant import N_OUTPUTS, new_past, new_state
 
@@ -127,11 +127,14 @@ def filtered(experiment: Experiment, stretch, theta, active, gains, states: bool
     """
     n = len(stretch)
     e = np.empty((n, N_OUTPUTS))
+    role = np.zeros(n) if stretch.loose is None else stretch.loose.copy()
+    if free is not None:
+        role[free] = FREE
     kept = np.empty((n if states else 0, N_FILTERED))
     y = start_of(experiment, stretch if begin is None else begin)
     innovate(stretch.z, stretch.u, stretch.p1, stretch.p2, experiment.mode, experiment.dt,
              experiment.steps, theta, active, gains, decay_of(experiment.dt), y, new_memory(),
-             new_past(y), np.zeros(n, dtype=np.bool_) if free is None else free, e, kept)
+             new_past(y), role, e, kept)
     return e, kept
 
 

@@ -24,6 +24,8 @@ from eha_monitor.physics.plant import (
     RING,
     Y_FLOW,
     Y_FORCE,
+    Y_P1,
+    Y_P2,
     Y_SPEED,
     Y_V,
     Y_X,
@@ -32,15 +34,16 @@ from eha_monitor.physics.plant import (
     sense,
     speed_now,
 )
-from eha_monitor.physics.signals import N_CONTRIBUTIONS, N_SIGNALS
+from eha_monitor.physics.signals import AREA_1, AREA_2, N_CONTRIBUTIONS, N_SIGNALS, M
 
 CLOSED, OPEN, FORCED = 0, 1, 2  # input: x_d with the loop, pump speed, force
+FREE = -1.0  # role of a sample that corrects nothing
 N_FILTERED = 8  # x, v, p1, p2, omega, force, flow, speed: the head of the plant's state
 
 
 @njit(nogil=True)
 def innovate(z, u, p1, p2, mode, dt, steps, theta, active, gains, decay, y, memory, past,
-             free, e, states):
+             role, e, states):
     """Filter one stretch of a record.
 
     Parameters
@@ -53,7 +56,9 @@ def innovate(z, u, p1, p2, mode, dt, steps, theta, active, gains, decay, y, memo
     gains : (m, N_FILTERED, N_OUTPUTS), of the first m samples; the last serves from there on.
     decay : share of the unknowns that is left after a sample.
     y, memory, past : state at the start, carried on.
-    free : (n,) bool, True where the filter is not to correct (free run).
+    role : (n,) what is done with each sample: ``FREE`` (nothing), or the share, 0 to 1, of the
+        pressure difference that is taken from the sensors because the volume that entered since
+        the last sample is not known.
     e : (n, N_OUTPUTS) written: innovations, NaN where nothing was measured.
     states : (n, N_FILTERED) written after the correction, or (0, N_FILTERED) where not wanted.
     """
@@ -77,9 +82,15 @@ def innovate(z, u, p1, p2, mode, dt, steps, theta, active, gains, decay, y, memo
         for j in range(N_OUTPUTS):
             difference = z[k, j] - shown[j]
             e[k, j] = difference
-            if math.isfinite(difference) and not free[k]:
+            if math.isfinite(difference) and role[k] != FREE:
                 for i in range(N_FILTERED):
                     y[i] += gain[i, j] * difference
+        if role[k] > 0.0 and math.isfinite(z[k, 2]) and math.isfinite(z[k, 3]):
+            half = 0.5 * role[k] * (z[k, 2] - y[Y_P1] - z[k, 3] + y[Y_P2])
+            y[Y_P1] += half
+            y[Y_P2] -= half
+            # On the mean it entered in the middle of the sample, and has pushed since.
+            y[Y_V] += 0.5 * dt * half * (theta[AREA_1] + theta[AREA_2]) / theta[M]
         if not math.isfinite(y[0]):
             e[k:] = 1e30
             return

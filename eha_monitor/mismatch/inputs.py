@@ -3,8 +3,13 @@
 import numpy as np
 
 JUMP = 20.0  # times the neighbouring steps: a jump, held until its stamp
-CORNER = 4.0  # times the bends outside: a corner lies between two samples
+# A corner's bend is a change of slope, of first order in the sample time; a curve's is of second
+# order, also where the curve begins.
+CORNER = 20.0  # times the bends outside: a corner lies between two samples
 VISIBLE = 6.0  # noise sigmas by which a jump or corner must stand out
+
+
+BEND = 1.0 / 24.0  # of the fourth difference: how far a cubic's mean may be off where it bends
 
 
 def cubics(u: np.ndarray, sigma: float, sampled: bool = False) -> np.ndarray:
@@ -19,11 +24,20 @@ def cubics(u: np.ndarray, sigma: float, sampled: bool = False) -> np.ndarray:
     sigma : standard deviation of the noise on them, in their unit.
     sampled : the input is held over each sample, a digital drive.
     """
+    return course_of(u, sigma, sampled)[0]
+
+
+def course_of(u: np.ndarray, sigma: float, sampled: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """Return the cubics, and by how much the mean of each may be off, (n,) in the input's unit.
+
+    Where a demand begins to move smoothly within a few samples, its course between two of them is
+    not known; a straight piece, a corner or a jump is taken as it is.
+    """
     n = len(u)
     c = np.zeros((n, 4))
     c[:, 0] = u
     if sampled or n < 4:
-        return c
+        return c, np.zeros(n)
     p = np.concatenate([[2 * u[0] - u[1]], u, [2 * u[-1] - u[-2], 3 * u[-1] - 2 * u[-2]]])
     p_, p0, p1, p2 = p[:n], p[1 : n + 1], p[2 : n + 2], p[3 : n + 3]
     c[:, 1] = -p_ / 3 - p0 / 2 + p1 - p2 / 6
@@ -51,7 +65,11 @@ def cubics(u: np.ndarray, sigma: float, sampled: bool = False) -> np.ndarray:
     c[corner, 1] = (p1 - p0 - bow)[corner]
     c[corner, 2], c[corner, 3] = bow[corner], 0.0
     c[jump, 1:] = 0.0
-    return c
+    fourth = np.zeros(n)
+    fourth[2:-2] = np.abs(np.diff(u, 4))
+    off = BEND * np.maximum(fourth, np.append(fourth[1:], 0.0))
+    off[np.convolve(corner | jump, np.ones(7), "same") > 0.5] = 0.0  # as far as five samples reach
+    return c, off
 
 
 def _largest_beside(values: np.ndarray, reach: int) -> np.ndarray:
