@@ -149,12 +149,15 @@ def follow(kind, start, end, seen, lead, sampled, p1, p2, dt, theta, pump, updat
                 x_signal[P2] = (1.0 - along) * p2[k - 1] + along * p2[k]
                 contributions(x_signal, theta, pump, memory, c)
                 if len(updates) > 0:  # an update looks at the end of its step
+                    along = (j + 1.0) / PARTS
+                    x_signal[P1] = (1.0 - along) * p1[k - 1] + along * p1[k]
+                    x_signal[P2] = (1.0 - along) * p2[k - 1] + along * p2[k]
                     x_signal[OMEGA] = omega if kind == 1 and slow else (
                         value + 0.5 / PARTS * rise)
                     remember(x_signal, theta, updates, h, memory)
                 value += c[SPEED]
             mean += value / PARTS
-            tilt += (along - 0.5) * value / PARTS
+            tilt += ((j + 0.5) / PARTS - 0.5) * value / PARTS
         tilt /= spread
         out_start[k - 1], out_end[k] = mean - 0.5 * tilt, mean + 0.5 * tilt
         if math.isnan(mean):

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -14,8 +15,10 @@ from eha_monitor.mismatch.search import (
     Round,
     completed,
     first_fit,
+    limits_of,
     round_of,
     settle,
+    stubborn,
     with_effect,
     without_effect,
 )
@@ -27,6 +30,9 @@ SLACK, SLACK_SHARE = 6.0, 0.003  # rivals lie so near the best: log units, share
 FORM_SHARE = 0.01  # of the evidence so far: the named effects' own error of form
 FAMILY_SHARE = 0.05  # the same within a family
 CONTENDING = 0.7  # of the taken effect's gain: who may yet take its place
+EXPLAINED = 0.75  # share of the evidence that names must take away, or it is unexplained
+NOTHING = 0.01  # log units a sample: what speaks against a model with no more is nothing
+UNKNOWN = 0.01  # of what a balance does: an unknown above is a mismatch, named or not
 NEGLIGIBLE = 0.25  # times an effect's start, which is about 1 % of what its balance does
 
 Report = Callable[[str, float], None]
@@ -105,6 +111,51 @@ def choose(experiment: Experiment, found: Round, first: Fit, threshold: float
     return taken, rivals
 
 
+def add_effects(experiment: Experiment, first: Fit, threshold: float, say: Report, fit: Fit,
+                rounds: tuple[Round, ...], rivals: dict[str, tuple[str, ...]]
+                ) -> tuple[Fit, tuple[Round, ...], dict[str, tuple[str, ...]]]:
+    """Take effect after effect until none is worth it; returns the model, rounds and rivals.
+
+    Parameters
+    ----------
+    fit, rounds, rivals : where to begin.
+    """
+    while len(fit.named) < MOST_EFFECTS and len(rounds) < MOST_EFFECTS + 2:
+        say(f"trying the catalogue, round {len(rounds) + 1}", min(0.15 + 0.25 * len(rounds), 0.8))
+        found = round_of(experiment, fit,
+                         lambda name, fit=fit: demanded_gain(fit, first, name, threshold))
+        rounds = (*rounds, found)
+        taken, near = choose(experiment, found, first, threshold)
+        if taken is None:
+            break
+        if any(p.log for p in CATALOGUE[taken.effect].parameters):
+            other = stubborn(experiment, taken.fit)
+            taken = other if other is not None and other.gain > 0.0 else taken
+        fit = settle(experiment, completed(taken.fit))
+        rivals = {name: others for name, others in rivals.items() if name in fit.named}
+        rivals[taken.effect] = near
+    return fit, rounds, rivals
+
+
+def unexplained(experiment: Experiment, first: Fit, fit: Fit) -> bool:
+    """Tell whether most of what speaks against the nominal model is still there."""
+    against = expected_likelihood(experiment, first) - first.log_likelihood
+    return against > NOTHING * len(first.e) and (
+        fit.log_likelihood - first.log_likelihood < EXPLAINED * against)
+
+
+def expected_likelihood(experiment: Experiment, fit: Fit) -> float:
+    """Return the likelihood of a right model, whose innovations are the sensors' noise."""
+    return float(-np.sum(np.log(experiment.noise[experiment.columns])
+                         * np.isfinite(fit.e).sum(axis=0)))
+
+
+def lacking(experiment: Experiment, fit: Fit) -> bool:
+    """Tell whether a fit needs an unknown that matters, named or not."""
+    small = limits_of(experiment)[0].as_array()
+    return bool((fit.unknowns.as_array() > UNKNOWN / 1e-4 * small).any())
+
+
 def name_effects(experiment: Experiment, threshold: float = THRESHOLD,
                  report: Report | None = None, first: Fit | None = None) -> Naming:
     """Find the effects that an experiment supports.
@@ -118,23 +169,19 @@ def name_effects(experiment: Experiment, threshold: float = THRESHOLD,
     say("fitting the nominal model", 0.05)
     first = first_fit(experiment) if first is None else first
     fit, rounds, rivals = first, [], {}
-    while len(fit.named) < MOST_EFFECTS and len(rounds) < MOST_EFFECTS + 2:
-        say(f"trying the catalogue, round {len(rounds) + 1}", min(0.15 + 0.25 * len(rounds), 0.8))
-        found = round_of(experiment, fit,
-                         lambda name, fit=fit: demanded_gain(fit, first, name, threshold))
-        rounds.append(found)
-        taken, near = choose(experiment, found, first, threshold)
-        if taken is None:
-            break
-        fit = settle(experiment, completed(taken.fit))
-        rivals = {name: others for name, others in rivals.items() if name in fit.named}
-        rivals[taken.effect] = near
+    steps = partial(add_effects, experiment, first, threshold, say)
+    fit, rounds, rivals = steps(fit, (), {})
+    if unexplained(experiment, first, fit):
+        other = stubborn(experiment, first)
+        if other is not None and other.fit.log_likelihood > fit.log_likelihood + threshold:
+            start = Round(first, rounds[0].scores, (other, *rounds[0].candidates))
+            fit, rounds, rivals = steps(other.fit, (start,), {other.effect: ()})
     say("comparing what was named with its rivals", 0.85)
     fit, evidence = prune(experiment, fit, first, threshold)
     if len(fit.named) > 1:  # the rounds judged each effect beside an incomplete model
         fit, evidence, rivals = contested(experiment, fit, rounds, evidence, rivals)
     rivals = {name: others for name, others in rivals.items() if name in fit.named}
-    return Naming(first, fit, tuple(rounds), evidence, rivals)
+    return Naming(first, fit, rounds, evidence, rivals)
 
 
 def contested(experiment: Experiment, fit: Fit, rounds: list[Round], evidence: dict[str, float],

@@ -23,6 +23,10 @@ from eha_monitor.mismatch.innovations import FREE, N_FILTERED, innovate
 from eha_monitor.physics.contributions import new_memory
 from eha_monitor.physics.plant import N_OUTPUTS, new_past, new_state
 
+MOVED = 0.03  # of the logarithm of a base parameter: its own and the others' slopes have changed
+NARROW = 1e-3  # smallest eigenvalue of the scaled information: old slopes lead out of the valley
+LEAST_DAMPING, SHORTER = 1e-9, 0.3
+
 
 @dataclass(frozen=True)
 class Free:
@@ -207,7 +211,7 @@ def sensitivities(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
 def step_of(f: Free, theta: np.ndarray) -> tuple[np.ndarray, float]:
     """Return theta with one parameter moved by a small step, and the step's length."""
     now = f.inward(theta[f.place])
-    step = 1e-3 * f.spread if not f.log else 1e-3
+    step = 1e-3 * f.spread if not f.log else 2e-5
     step = max(step, 1e-5 * abs(now)) if not f.log else step
     other = theta.copy()
     if f.outward(now + step) >= f.upper:
@@ -237,9 +241,10 @@ def step_within(matrix: np.ndarray, gradient: np.ndarray, bounds: np.ndarray) ->
 def refine(experiment: Experiment, fit: Fit, steps: int = 12, tolerance: float = 0.02) -> Fit:
     """Carry a fit to its optimum with held gains: damped Gauss-Newton.
 
-    Beside named effects the slopes of the base parameters hardly change on the way and are taken
-    once; those of the effects' parameters, inside non-linearities, at every step.  A parameter
-    that a step would carry over a bound stops there, and the others answer to that.
+    Beside named effects the slopes of the base parameters change little on the way and are taken
+    again only where one has moved by ``MOVED`` or parameters nearly trade; those of the effects'
+    parameters, inside non-linearities, at every step.  A parameter that a step would carry over a
+    bound stops there, and the others answer to that.
 
     Parameters
     ----------
@@ -250,17 +255,21 @@ def refine(experiment: Experiment, fit: Fit, steps: int = 12, tolerance: float =
     theta, free = fit.theta.copy(), fit.free
     e = innovations(experiment, theta, fit.active, fit.gains)
     best = log_likelihood_of(e) + prior_exponent(free, theta)
-    damping, converged = 1e-6, False
+    damping, converged = LEAST_DAMPING, False
     information = np.zeros((len(free), len(free)))
     bounds = np.array([[f.inward(f.lower), f.inward(f.upper)] for f in free]).reshape(-1, 2)
     slopes: list[np.ndarray] = []
+    taken, narrow = theta, False
     for _ in range(steps):
         if not np.isfinite(best):
             break
         w = whitener(covariance_of(e))
         white = np.nan_to_num(e) @ w.T
-        moving = [i for i, f in enumerate(free)
-                  if not slopes or not fit.named or f.name.partition(".")[0] in fit.named]
+        afar = any(f.log and f.name.partition(".")[0] not in fit.named and abs(
+            f.inward(theta[f.place]) - f.inward(taken[f.place])) > MOVED for f in free)
+        moving = [i for i, f in enumerate(free) if not slopes or not fit.named or afar or narrow
+                  or f.name.partition(".")[0] in fit.named]
+        taken = theta if afar or not slopes else taken
         fresh = sensitivities(experiment, theta, fit.active, fit.gains, e,
                               [step_of(free[i], theta) for i in moving])
         slopes = slopes or fresh
@@ -274,10 +283,15 @@ def refine(experiment: Experiment, fit: Fit, steps: int = 12, tolerance: float =
         gradient = -(d @ white.ravel()) - weight * (now - prior)
         scale = np.sqrt(np.diag(information) + weight)
         matrix = (information + np.diag(weight)) / np.outer(scale, scale)
+        if not np.isfinite(matrix).all():  # a run went astray
+            break
+        narrow = np.linalg.eigvalsh(matrix)[0] < NARROW
         improved = False
-        for _ in range(8):
+        for attempt in range(9):
             step = step_within(matrix + damping * np.eye(len(free)), gradient / scale,
                                scale[:, None] * (bounds - now[:, None])) / scale
+            # Shorter first: along a valley the direction is right, and damping would turn it.
+            step *= SHORTER if attempt == 1 else 1.0
             other = theta.copy()
             for f, value in zip(free, now + step, strict=True):
                 other[f.place] = f.outward(value)
@@ -286,7 +300,8 @@ def refine(experiment: Experiment, fit: Fit, steps: int = 12, tolerance: float =
             if reached > best:
                 improved = True
                 break
-            damping = max(damping * 10.0, 1e-3)
+            if attempt:
+                damping = max(damping * 10.0, 1e-3)
             if damping > 1e6:
                 break
         if not improved:
@@ -294,7 +309,7 @@ def refine(experiment: Experiment, fit: Fit, steps: int = 12, tolerance: float =
             break
         gained = reached - best
         theta, e, best = other, e_other, reached
-        damping = max(damping / 10.0, 1e-7)
+        damping = max(damping / 10.0, LEAST_DAMPING)
         if gained < tolerance:
             converged = True
             break
@@ -305,8 +320,14 @@ def refine(experiment: Experiment, fit: Fit, steps: int = 12, tolerance: float =
 
 
 def with_unknowns(experiment: Experiment, fit: Fit, unknowns: Unknowns) -> Fit:
-    """Return the same parameters under other unknowns: new gains, innovations, likelihood."""
-    gains = gains_of(experiment, fit.theta, fit.active, unknowns)
+    """Return the same parameters under other unknowns: new gains, innovations, likelihood.
+
+    Parameters that no filter can follow have a likelihood of zero.
+    """
+    try:
+        gains = gains_of(experiment, fit.theta, fit.active, unknowns)
+    except np.linalg.LinAlgError:
+        return replace(fit, unknowns=unknowns, log_likelihood=-np.inf)
     e = innovations(experiment, fit.theta, fit.active, gains)
     return replace(fit, unknowns=unknowns, gains=gains, e=e, s=covariance_of(e),
                    log_likelihood=log_likelihood_of(e) + prior_exponent(fit.free, fit.theta))

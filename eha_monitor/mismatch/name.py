@@ -8,7 +8,14 @@ import numpy as np
 
 from eha_monitor.mismatch import advise, locate, show
 from eha_monitor.mismatch.calibrate import DRAWS, Calibration, calibrate
-from eha_monitor.mismatch.choice import Naming, name_effects
+from eha_monitor.mismatch.choice import (
+    EXPLAINED,
+    NOTHING,
+    Naming,
+    expected_likelihood,
+    lacking,
+    name_effects,
+)
 from eha_monitor.mismatch.diagnosis import (
     Considered,
     Diagnosis,
@@ -27,7 +34,7 @@ from eha_monitor.mismatch.model import (
     robust,
     values_of,
 )
-from eha_monitor.mismatch.search import THRESHOLD, first_fit, limits_of
+from eha_monitor.mismatch.search import THRESHOLD, first_fit
 from eha_monitor.mismatch.sizes import filtered_tracks, size_of
 from eha_monitor.mismatch.terms import BALANCES, missing_terms
 from eha_monitor.physics.effects import CATALOGUE
@@ -36,10 +43,8 @@ from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
 LEAST_MOTION = 20.0  # times the position's noise: less motion says nothing
-EXPLAINED = 0.75  # share of the evidence that names must take away, or it is unexplained
 LARGE_PART = 0.5  # of the evidence: what an effect must take away to be named beside an unknown
 WORSE = 1.02  # ratio of squared errors on unseen data that is beyond chance
-UNKNOWN = 0.01  # of what a balance does: an unknown above is a mismatch, named or not
 
 Report = Callable[[str, float], None]
 
@@ -113,11 +118,10 @@ def verdict_of(experiment: Experiment, naming: Naming, calibration: Calibration 
     against = floor - before.log_likelihood
     taken = after.log_likelihood - before.log_likelihood
     explained = float(np.clip(taken / max(against, taken, 1e-9), 0.0, 1.0)) if taken > 0 else 0.0
-    small = limits_of(experiment)[0].as_array()
-    left = bool((after.unknowns.as_array() > UNKNOWN / 1e-4 * small).any())
+    left = lacking(experiment, after)
     if after.named:
         return ("mismatch" if explained >= EXPLAINED else "unexplained"), explained
-    return ("unexplained" if left and floor - after.log_likelihood > 0.01 * len(after.e)
+    return ("unexplained" if left and floor - after.log_likelihood > NOTHING * len(after.e)
             else "consistent"), explained
 
 
@@ -126,12 +130,6 @@ def worse(signals: dict[str, SignalFit]) -> bool:
     pairs = [(fit.before_rms / fit.noise_rms, fit.after_rms / fit.noise_rms)
              for fit in signals.values() if fit.noise_rms > 0]
     return sum(after**2 for _, after in pairs) > WORSE * sum(before**2 for before, _ in pairs)
-
-
-def expected_likelihood(experiment: Experiment, fit: Fit) -> float:
-    """Return the likelihood of a right model, whose innovations are the sensors' noise."""
-    return float(-np.sum(np.log(experiment.noise[experiment.columns])
-                         * np.isfinite(fit.e).sum(axis=0)))
 
 
 def assemble(experiment: Experiment, shown: Experiment, naming: Naming,

@@ -33,11 +33,13 @@ class Start:
     effect : its name.
     values : all parameters, a small but visible instance.
     replaces : named effect that it contains and takes the place of, or "".
+    among : how many starts the effect has.
     """
 
     effect: str
     values: tuple[tuple[str, float], ...]
     replaces: str = ""
+    among: int = 1
 
 
 @dataclass(frozen=True)
@@ -70,15 +72,15 @@ def possible(name: str, experiment: Experiment) -> bool:
 def starts_of(name: str, experiment: Experiment) -> list[Start]:
     """Return where a fit of an effect begins, within its bounds."""
     effect = CATALOGUE[name]
-    found = []
-    for given in effect.starts(experiment.ranges):
+    found, places = [], effect.starts(experiment.ranges)
+    for given in places:
         values = []
         for p in effect.parameters:
             value = given.get(p.name, p.default if p.default is not None else p.neutral)
             if np.isfinite(value):  # a limit that is not there stays at infinity
                 value = min(max(value, p.lower), p.upper)
             values.append((p.name, float(value)))
-        found.append(Start(name, tuple(values)))
+        found.append(Start(name, tuple(values), among=len(places)))
     return found
 
 
@@ -97,6 +99,9 @@ def free_parameter(effect: Effect, p: Parameter, value: float) -> Free:
     """Return how a parameter is fitted that starts at ``value``."""
     place = place_of(f"{effect.name}.{p.name}")
     name = f"{effect.name}.{p.name}"
+    if p.log:
+        return Free(name, place, max(p.lower, value / SPREAD), p.upper, float(np.log(value)),
+                    float(np.log(SPREAD)), True)
     if p.default is None and np.isfinite(p.neutral):
         return Free(name, place, p.lower, p.upper, p.neutral,
                     max(SPREAD * abs(value), 1e-3 * p.scale))

@@ -38,6 +38,7 @@ LIKELY = 0.15  # of the demanded gain
 STIFF, YIELDING = 30.0, 300.0  # times the smallest unknowns
 STRAYED = 0.7  # of the logarithm: B or beta_e is off its prior by a factor of two
 FINALISTS, WORTH = 3, 0.6  # how many are fitted to the end, and what share of the best they have
+LEAST_SHARE, LEAST_OF_MANY = 0.05, 0.3  # of its start: where a size enters at least
 THRESHOLD = 12.0  # log units, where no calibration is at hand
 TIMING = 0.05  # samples: timing errors up to here need no name
 
@@ -152,11 +153,13 @@ def with_effect(fit: Fit, start: Start, amplitudes: tuple[float, ...],
     ``whole`` False leaves the ``late`` shapes where they start: enough for a ranking.
     """
     values = dict(start.values)
+    # Of several starts each stands for its surroundings; the linear guess leads out of them.
+    least = LEAST_OF_MANY if start.among > 1 else LEAST_SHARE
     for p, a in zip(own_sizes(start), amplitudes, strict=False):
         if np.isfinite(p.neutral):
             value = a * values[p.name]
             if p.lower >= 0:
-                value = max(value, 0.05 * values[p.name])
+                value = max(value, least * values[p.name])
             values[p.name] = min(max(value, p.lower), p.upper)
     placed = replace(start, values=tuple(values.items()))
     theta, active = entered(fit.theta, fit.active, placed)
@@ -196,7 +199,7 @@ def replacements_of(experiment: Experiment, fit: Fit) -> list[Start]:
                     now = float(fit.theta[place_of(f"{name}.{p.name}")])
                     if p.name in values and bounds[p.name].lower <= now <= bounds[p.name].upper:
                         values[p.name] = now
-                found.append(Start(other, tuple(values.items()), name))
+                found.append(replace(start, values=tuple(values.items()), replaces=name))
     return found
 
 
@@ -258,6 +261,32 @@ def round_of(experiment: Experiment, fit: Fit, demanded: Callable[[str], float] 
         experiment, c.fit, 2, 4, False, 1.0))), front)
     ranked = sorted([*final, *(c for c in ranked if c not in front)], key=lambda c: -c.gain)
     return Round(fit, tuple(scores), tuple(ranked))
+
+
+def stubborn(experiment: Experiment, fit: Fit) -> Candidate | None:
+    """Refit the effects whose score tells nothing from every start, and return the best.
+
+    A resonance that is a little off its place explains nothing, so a score test does not see it;
+    and from most starts a fit ends at another one's foot.
+    """
+    starts = [start for name in NAMES
+              if any(p.log for p in CATALOGUE[name].parameters)
+              and (name in fit.named or not experiment.active[NAMES.index(name)])
+              and possible(name, experiment) for start in starts_of(name, experiment)]
+
+    def tried(task: tuple[Fit, Start]) -> Candidate:
+        base, start = task
+        if start.effect in fit.named:
+            base = without_effect(experiment, base, start.effect)
+        entered_fit = with_effect(base, start, (1.0,) * len(own_sizes(start)))
+        return Candidate(start, *gained(fit, settle(experiment, entered_fit, 1, 6, True, 2.0)))
+
+    origin = from_prior(fit)
+    done = spread(tried, [(base, start) for start in starts for base in (fit, origin)])
+    best = max(done, key=lambda c: c.gain, default=None)
+    if best is None or not np.isfinite(best.gain):
+        return None
+    return Candidate(best.start, *gained(fit, settle(experiment, best.fit, 6, 12)))
 
 
 def enters_alone(name: str) -> bool:

@@ -38,6 +38,7 @@ class Parameter:
     neutral : value of a size at which the effect is absent.
     fitted : False keeps a shape at its default when the effect is fitted.
     late : a shape that is fitted once its effect has been chosen.
+    log : a size that is fitted as its logarithm: what it does is not proportional to it.
     """
 
     name: str
@@ -50,6 +51,7 @@ class Parameter:
     neutral: float = 0.0
     fitted: bool = True
     late: bool = False
+    log: bool = False
 
 
 @dataclass(frozen=True)

@@ -1,17 +1,23 @@
-"""A line between pump and cylinder: its oil has mass, so the flow arrives late and may ring.
+"""A line between pump and cylinder: its oil has mass and yields, so flow arrives late and rings.
 
-The memory holds the line's output q and T_l q' half a step ahead, driven by the shaft speed at the
-step's end: centred on both sides, so second order in the step.  The step is the exact response to
-a constant input, stable for any h / T_l.
+The pump fills a volume, from there the oil must be set going against the chambers:
+
+    T_l dp_l' = Z (omega - n),   Z T_l n' = dp_l - dp - 2 zeta Z n,   Q = D_p n
+
+with n (rad/s) the flow that reaches the chambers, in shaft speed.  With the line's inertance I,
+its resistance R and the volume V_l at the pump, T_l^2 = I V_l/(2 beta_e), zeta = R T_l/(2 I) and
+Z = D_p I/T_l, which does not depend on the length: with T_l = 0 there is no line.  dp loads the
+line: a model without it has another resonance.
+
+Both are staggered by half a step (leapfrog): m[0] is n half a step ahead, m[1] is dp_l with half a
+step of the shaft's flow on top, which the next step would otherwise have to remember.
 """
-
-import math
 
 from eha_monitor.compiled import njit
 from eha_monitor.physics.effect import Effect, Parameter
-from eha_monitor.physics.signals import OMEGA, SPEED
+from eha_monitor.physics.signals import OMEGA, P1, P2, SPEED
 
-SHORTEST = 0.5  # integration steps: a faster line is not resolved, and left out
+SHORTEST = 1.0  # integration steps: a faster line is not resolved, and left out
 
 
 @njit
@@ -23,42 +29,54 @@ def term(s, p, m, c):
 
 @njit
 def update(s, p, h, m):
-    """Carry q and T_l q' over one step of constant input."""
-    omega = s[OMEGA]
-    if p[0] < SHORTEST * h:
+    """Carry both over one step that has ended at the signals ``s``."""
+    time, impedance = p[0], p[2]
+    omega, dp = s[OMEGA], s[P1] - s[P2]
+    if time < SHORTEST * h:
         m[0] = 0.0
         m[1] = 0.0
         return
+    filling = 0.5 * h * impedance / time  # Pa for half a step of 1 rad/s
+    braking = p[1] * h / time
     if m[0] == 0.0 and m[1] == 0.0:  # new: the line starts in steady flow
         m[0] = omega
+        m[1] = dp + 2.0 * p[1] * impedance * omega + filling * omega
         return
-    zeta = p[1]
-    root = math.sqrt(1.0 - zeta * zeta)
-    along = h / p[0]
-    decay = math.exp(-zeta * along)
-    sine, cosine = math.sin(root * along), math.cos(root * along)
-    error, rate = m[0] - omega, m[1]
-    m[0] = omega + decay * (error * cosine + (rate + zeta * error) / root * sine)
-    m[1] = decay * (rate * cosine - (error + zeta * rate) / root * sine)
+    pressure = m[1] + filling * (omega - 2.0 * m[0])
+    m[0] = ((1.0 - braking) * m[0] + h / (impedance * time) * (pressure - dp)) / (1.0 + braking)
+    m[1] = pressure + filling * omega
+
+
+def starts(r) -> tuple[dict[str, float], ...]:
+    """Return lines of two lengths, in each of which the oil flows at 5 m/s, or at 0.5 m/s.
+
+    Those are the speeds for which lines are laid out.  In a line of cross-section a, with rho c
+    of 7e5 Pa*s/m, Z is about 2 D_p rho c/a, which is 7e6 Pa over the shaft speed that fills it.
+    """
+    impedance = 7e6 / max(r.pump_speed[3], 1e-3)
+    return tuple({"T_l": share * r.sample_time, "zeta": 0.1, "Z": weight * impedance}
+                 for share in (1.0, 4.0) for weight in (0.1, 1.0))
 
 
 EFFECT = Effect(
     name="line_dynamics",
     balance="flow",
-    equation="T_l^2 Q'' + 2 zeta T_l Q' + Q = D_p omega",
+    equation="T_l dp_l' = Z (omega - n),  Z T_l n' = dp_l - dp - 2 zeta Z n,  Q = D_p n",
     source="lumped inertance, resistance and capacitance of a line, Merritt 1967, Sec. 3-6; "
     "Watton 2009, Ch. 4",
     parameters=(
-        Parameter("T_l", "s", "one over the line's natural frequency in rad/s", 0.0, 0.5, 1e-3),
-        Parameter("zeta", "1", "damping ratio of the line", 0.01, 0.99, 0.2, 0.2),
+        Parameter("T_l", "s", "one over the line's natural frequency in rad/s, chambers blocked "
+                  "at constant pressure", 0.0, 0.5, 1e-3, log=True),
+        Parameter("zeta", "1", "damping ratio of the line", 0.005, 5.0, 0.2, 0.2),
+        Parameter("Z", "Pa*s/rad", "impedance of the line to pump speed, D_p sqrt(2 beta_e I/V_l)",
+                  1.0, 1e7, 1e4, 1e4),
     ),
     term=term,
     update=update,
-    statement="the line delivers the pump's flow through a second-order lag of {T_l:.3g} s with a "
-    "damping ratio of {zeta:.2g}",
+    statement="the oil in the line rings with a period of 2 pi times {T_l:.3g} s, damping ratio "
+    "{zeta:.2g}: flow reaches the chambers late",
     rig_check="Step the pump speed with the rod blocked: the pressure must ring with a period of "
-    "2 pi T_l.",
-    starts=lambda r: tuple({"T_l": share * r.sample_time, "zeta": 0.2}
-                           for share in (0.5, 2.0, 8.0)),
+    "about 2 pi T_l.",
+    starts=starts,
     rarity=2,
 )
