@@ -13,12 +13,14 @@ from scipy.linalg import expm, solve_discrete_are
 
 from eha_monitor.mismatch.experiment import experiment_of
 from eha_monitor.mismatch.fit import (
+    covariance_of,
     filtered,
     innovations,
     log_likelihood_of,
     prior_exponent,
     refine,
     start_of,
+    whitener,
     with_unknowns,
 )
 from eha_monitor.mismatch.gains import CORRELATION, Unknowns, gains_of, linear_of
@@ -150,6 +152,17 @@ def test_free_run_corrects_nothing_and_a_missing_channel_changes_nothing(run, ex
 
 
 # ---- likelihood -------------------------------------------------------------------------------
+
+
+def test_a_run_that_went_astray_can_be_whitened():
+    """All channels follow one curve: their covariance has rank one but for rounding."""
+    curve = np.exp(0.05 * np.arange(400.0))
+    e = np.outer(curve, [1e-7, 2e3, -2e3, 0.3])
+    w = whitener(covariance_of(e))
+    assert np.isfinite(w).all()
+    rng = np.random.default_rng(1)
+    good = covariance_of(rng.standard_normal((500, 4)) * [1e-6, 2e3, 1e3, 0.1])
+    assert whitener(good) @ good @ whitener(good).T == pytest.approx(np.eye(4), abs=1e-9)
 
 
 @given(seed=st.integers(0, 10**6), n=st.integers(20, 300), scale=st.floats(1e-6, 1e6))

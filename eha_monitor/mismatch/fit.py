@@ -25,6 +25,7 @@ from eha_monitor.physics.plant import N_OUTPUTS, new_past, new_state
 
 MOVED = 0.03  # of the logarithm of a base parameter: its own and the others' slopes have changed
 NARROW = 1e-3  # smallest eigenvalue of the scaled information: old slopes lead out of the valley
+SINGULAR = 1e-12  # of a correlation: what rounding may make of it
 LEAST_DAMPING, SHORTER = 1e-9, 0.3
 
 
@@ -188,8 +189,14 @@ def log_likelihood_of(e: np.ndarray) -> float:
 
 
 def whitener(s: np.ndarray) -> np.ndarray:
-    """Return W with W S W' = 1, (c, c)."""
-    return np.linalg.inv(np.linalg.cholesky(s))
+    """Return W with W S W' = 1, (c, c).
+
+    A run that went astray has innovations that are one curve in all channels; rounding then makes
+    their S singular, or worse.
+    """
+    scale = np.sqrt(np.diag(s))
+    correlation = s / np.outer(scale, scale) + SINGULAR * np.eye(len(s))
+    return np.linalg.inv(np.linalg.cholesky(correlation)) / scale
 
 
 def prior_exponent(free: Sequence[Free], theta: np.ndarray) -> float:
