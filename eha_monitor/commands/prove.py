@@ -9,12 +9,20 @@ from eha_monitor.commands.diagnose import progress_bar
 from eha_monitor.errors import InputError
 
 _PATH = click.Path(path_type=Path)
+GROUNDS = ("draws", "mcmaster", "simulator", "triangle")
+DRAWS = 200
 
 
 @click.command()
 @config_option
-@click.option("--cases", type=click.IntRange(1, 10000), default=200, show_default=True,
-              help="How many recordings.")
+@click.option("--ground", type=click.Choice(GROUNDS), default="draws", show_default=True,
+              help="What is tried: draws of the independent plant; the published McMaster plant "
+              "in its three states; recordings of a fluid-power simulator (--data); the paper's "
+              "triangle with Coulomb friction and a second recording as advised.")
+@click.option("--cases", type=click.IntRange(1, 10000), default=None,
+              help="How many recordings, or rigs; 200 draws, or all that a ground has.")
+@click.option("--data", type=_PATH, metavar="DIR",
+              help="Folder of the simulator's recordings, with its key.json; needs --config.")
 @click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=1, show_default=True,
               help="Seed of the draws; the first cases of a longer trial are the same.")
 @click.option("--json", "json_file", type=_PATH, metavar="FILE", help="Write the result as JSON.")
@@ -38,35 +46,37 @@ _PATH = click.Path(path_type=Path)
               help="Processes at a time; all cores by default.")
 @click.option("--calibration/--no-calibration", default=True,
               help="As in diagnose; without it the usual threshold of evidence is used.")
-def prove(config: Path | None, cases: int, seed: int, json_file: Path | None,
-          report_file: Path | None, text_file: Path | None, draw: str, work: Path | None,
-          keep: str, oracle: bool, jobs: int | None, calibration: bool) -> int:
+def prove(config: Path | None, ground: str, cases: int | None, data: Path | None, seed: int,
+          json_file: Path | None, report_file: Path | None, text_file: Path | None, draw: str,
+          work: Path | None, keep: str, oracle: bool, jobs: int | None, calibration: bool) -> int:
     """Conceal effects in recordings, seal the key, diagnose blindly, open the key and score.
 
     The key's SHA-256 is printed before any recording is read.  With a config all cases are on its
     rig; without one, on the paper's and others about it.
     """
+    check_ground(ground, config, data, oracle)
     check_target(json_file)
     check_target(report_file)
     if text_file and not text_file.is_file():
         raise InputError(f"{text_file}: no such file; expected one with the result marks")
 
     from eha_monitor.compiled import announce_first_compilation
-    from eha_monitor.mismatch.prove import Trial, misses, write_json
-    from eha_monitor.mismatch.prove import prove as run
-    from eha_monitor.mismatch.prove_draws import cases_of, on_rig
+    from eha_monitor.mismatch.prove import misses, write_json
     from eha_monitor.reports.proof_report import write_proof_report
 
-    drawn = cases_of(draw, cases, seed)
-    if config:
-        from eha_monitor.settings import load_settings
-
-        drawn = on_rig(drawn, load_settings(config), str(config))
     announce_first_compilation()
-    work = (work or Path("out", "proof", f"{draw}-seed{seed}-{cases}")).resolve()
-    trial = Trial(drawn, seed, work, oracle, jobs or 0, keep, calibration)
+    folder = f"{draw}-seed{seed}-{cases or DRAWS}" if ground == "draws" else (
+        f"{ground}-seed{seed}" + (f"-{cases}" if cases else ""))
+    work = (work or Path("out", "proof", folder)).resolve()
     with progress_bar() as told:
-        found = run(trial, lambda text: click.echo(text), told)
+        if ground == "draws":
+            found = on_draws(config, draw, cases or DRAWS, seed, work, oracle, jobs, keep,
+                             calibration, told)
+        else:
+            from eha_monitor.mismatch.prove_ground import Ground
+
+            found = on_ground(ground, Ground(work, seed, cases or 0, jobs or 0, keep,
+                                             calibration), data, config, told)
         told("writing the report", 1.0)
         report = report_file or work / "proof.html"
         write_proof_report(report, found, work)
@@ -76,10 +86,72 @@ def prove(config: Path | None, cases: int, seed: int, json_file: Path | None,
         from eha_monitor.reports.proof_text import write_result
 
         write_result(text_file, found)
+    for fact in found.get("facts", ()):
+        click.echo(f"  {fact}")
+    if "parameters" in found:
+        click.echo(parameter_lines(found["parameters"]))
     click.echo(summary(found))
     click.echo(f"{len(misses(found))} of {found['cases']} missed; written: {report}, "
                f"{json_file or work / 'proof.json'}")
     return 0
+
+
+def check_ground(ground: str, config: Path | None, data: Path | None, oracle: bool) -> None:
+    """Refuse options that a ground has no use for, and say what it needs."""
+    if ground == "simulator" and (data is None or config is None):
+        raise InputError("--ground simulator: expected --data DIR, the folder of the recordings "
+                         "and key.json, and --config FILE, the nominal config with the table "
+                         "section of the import")
+    if ground != "simulator" and data is not None:
+        raise InputError(f"--data: --ground {ground} reads no recordings, expected --ground "
+                         "simulator")
+    if ground in ("mcmaster", "triangle") and config is not None:
+        raise InputError(f"--config: --ground {ground} has its own rig, expected none")
+    if ground != "draws" and oracle:
+        raise InputError(f"--oracle: --ground {ground} has none, expected --ground draws")
+
+
+def on_draws(config: Path | None, draw: str, cases: int, seed: int, work: Path, oracle: bool,
+             jobs: int | None, keep: str, calibration: bool, told) -> dict:
+    """Run the trial on draws of the independent plant."""
+    from eha_monitor.mismatch.prove import Trial
+    from eha_monitor.mismatch.prove import prove as run
+    from eha_monitor.mismatch.prove_draws import cases_of, on_rig
+
+    drawn = cases_of(draw, cases, seed)
+    if config:
+        from eha_monitor.settings import load_settings
+
+        drawn = on_rig(drawn, load_settings(config), str(config))
+    return run(Trial(drawn, seed, work, oracle, jobs or 0, keep, calibration), click.echo, told)
+
+
+def on_ground(name: str, ground, data: Path | None, config: Path | None, told) -> dict:
+    """Run the trial on one of the other grounds."""
+    if name == "mcmaster":
+        from eha_monitor.mismatch.prove_mcmaster import prove_mcmaster
+
+        return prove_mcmaster(ground, click.echo, told)
+    if name == "simulator":
+        from eha_monitor.mismatch.prove_simulator import prove_simulator
+
+        return prove_simulator(ground, data, config, click.echo, told)
+    from eha_monitor.mismatch.prove_triangle import prove_triangle
+
+    return prove_triangle(ground, click.echo, told)
+
+
+def parameter_lines(rows: list[dict]) -> str:
+    """Return the parameters of a ground as lines: true, said, error."""
+    lines = []
+    for row in rows:
+        said = ("not named" if row["said"] is None else
+                f"{row['said']:.5g} ± {2 * row['stddev']:.2g}")
+        error = "" if row["relative"] is None else f" ({row['relative']:.1%} off)"
+        mark = "" if not row["aim"] else "  " if row["within"] else "! "
+        lines.append(f"  {mark:2}{row['group']}  {row['name']}: {row['true']:.5g} true, "
+                     f"{said}{error}")
+    return "\n".join(lines)
 
 
 def summary(found: dict) -> str:

@@ -62,8 +62,12 @@ def nominal_config(case: Case) -> dict:
         "charge_pressure": nominal["p_charge"], "makeup_conductance": nominal["G"],
         "sample_time": SAMPLE_TIME,
     }
+    # Whoever states B and the bulk modulus of a rig also expects them there.
+    expected = {stage: {"prior": case.nominal[key], "prior_stddev": 2.0 * case.nominal[key]}
+                for stage, key in (("stage_one", "B"), ("stage_two", "beta_e"))
+                if key in case.nominal}
     return {"/**": {"ros__parameters": {
-        "rig": rig, "simulation": {"noise": dict(noise)}, "noise": dict(noise)}}}
+        "rig": rig, **expected, "simulation": {"noise": dict(noise)}, "noise": dict(noise)}}}
 
 
 def write_case(case: Case, folder: str | Path) -> tuple[Path, Path]:

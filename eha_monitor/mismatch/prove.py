@@ -45,6 +45,24 @@ Report = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
+class Question:
+    """One process that is asked, with what it is handed.
+
+    Attributes
+    ----------
+    name : of the answer.
+    bags : names of the recordings; the config is that of the first.
+    command : ``diagnose`` or ``advise``.
+    held_out : name of a recording on which the fit is shown.
+    """
+
+    name: str
+    bags: tuple[str, ...]
+    command: str = "diagnose"
+    held_out: str = ""
+
+
+@dataclass(frozen=True)
 class Trial:
     """What is tried, and how.
 
@@ -58,6 +76,9 @@ class Trial:
     keep : which answers of an earlier run stay: of the ``same`` source, ``all``, ``none``.
     calibration : let each diagnosis calibrate its threshold.
     groups : case -> name of a group that is marked by itself.
+    questions : what is asked; without them one diagnosis of each recording by itself.
+    conceal : writes the recording of a case into a folder and returns what is true of it.
+    complete : given the opened key, returns it with what lies elsewhere and was sealed by digest.
     """
 
     cases: tuple[Case, ...]
@@ -68,6 +89,13 @@ class Trial:
     keep: str = "same"
     calibration: bool = True
     groups: tuple[tuple[str, str], ...] = ()
+    questions: tuple[Question, ...] = ()
+    conceal: Callable[[Case, Path], dict] | None = None
+    complete: Callable[[dict], dict] | None = None
+
+    def asked(self) -> tuple[Question, ...]:
+        """Return what is asked."""
+        return self.questions or tuple(Question(case.name, (case.name,)) for case in self.cases)
 
 
 def prove(trial: Trial, announce: Callable[[str], None] = print,
@@ -95,7 +123,7 @@ def prove(trial: Trial, announce: Callable[[str], None] = print,
     key = opened(trial, sealed)
     if trial.oracle:
         ask_oracle(trial, lambda text, share: say(text, end + (1.0 - end) * share))
-    found = result(trial, key, sealed)
+    found = result(trial, trial.complete(key) if trial.complete else key, sealed)
     found["wall_s"] = time.perf_counter() - started
     write_json(trial.work / "proof.json", found)
     return found
@@ -129,28 +157,34 @@ def made(trial: Trial, say: Report) -> None:
     if len(todo) <= FEW or jobs < 2:
         for i, case in enumerate(todo):
             say(f"concealing, {i} of {len(todo)}", i / len(todo))
-            make(case, trial.work)
+            make(case, trial.work, trial.conceal)
         return
     with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
-        futures = [pool.submit(make, case, trial.work) for case in todo]
+        futures = [pool.submit(make, case, trial.work, trial.conceal) for case in todo]
         for i, future in enumerate(as_completed(futures)):
             future.result()
             say(f"concealing, {i + 1} of {len(todo)}", (i + 1) / len(todo))
 
 
-def make(case: Case, work: Path) -> None:
+def make(case: Case, work: Path, conceal: Callable[[Case, Path], dict] | None = None) -> None:
     """Write one recording with its nominal config, then what is true of it."""
+    folder = work / "recordings"
+    truth = (conceal or concealed)(case, folder)
+    bag, config = folder / case.name, folder / f"{case.name}.yaml"
+    digests = {path.name: digest_of(path.read_bytes()) for path in sorted([*bag.iterdir(),
+                                                                           config])}
+    write_json(work / "key" / "made" / f"{case.name}.json",
+               {**truth, "case": case.name, "recording_sha256": digests})
+
+
+def concealed(case: Case, folder: Path) -> dict:
+    """Write a recording of the independent plant; returns its entry in the key."""
     from eha_monitor.concealed.generate import write_case
 
-    bag, config = write_case(case, work / "recordings")
-    truth = {
-        "case": case.name, **truth_of(case), "motion": case.motion, "noise": case.noise,
-        "channels": list(case.channels), "rig": case.rig, "nominal": case.nominal,
-        "seed": case.seed,
-        "recording_sha256": {path.name: digest_of(path.read_bytes())
-                             for path in sorted([*bag.iterdir(), config])},
-    }
-    write_json(work / "key" / "made" / f"{case.name}.json", truth)
+    write_case(case, folder)
+    return {**truth_of(case), "motion": case.motion, "noise": case.noise,
+            "channels": list(case.channels), "rig": case.rig, "nominal": case.nominal,
+            "seed": case.seed}
 
 
 def seal(trial: Trial) -> str:
@@ -180,17 +214,23 @@ def opened(trial: Trial, sealed: str) -> dict:
     return json.loads(content)
 
 
-def answer(trial: Trial, say: Report) -> None:
-    """Have every case diagnosed by a process that sees bag and nominal config only."""
-    source = source_digest()
+def answer(trial: Trial, say: Report, what: str = "diagnosing") -> None:
+    """Have every question answered by a process that sees its bags and nominal config only."""
+    questions = {question.name: question for question in trial.asked()}
 
     def command(name: str) -> list[str]:
-        bag, config, answer = places(trial, name, "answers")
-        words = [sys.executable, "-m", "eha_monitor.mismatch.prove_blind", trial.work, bag,
-                 config, answer, "--", "diagnose", bag, "--config", config, "--json", answer]
-        return [*map(str, words), *([] if trial.calibration else ["--no-calibration"])]
+        question = questions[name]
+        config, answer = places(trial, question.bags[0], "")[1], places(trial, name, "answers")[2]
+        bags = [places(trial, bag, "")[0] for bag in question.bags]
+        unseen = [places(trial, bag, "")[0] for bag in (question.held_out,) if bag]
+        words = [question.command, *bags, "--config", config, "--json", answer,
+                 *(["--held-out", *unseen] if unseen else [])]
+        if question.command == "diagnose" and not trial.calibration:
+            words.append("--no-calibration")
+        return [*map(str, (sys.executable, "-m", "eha_monitor.mismatch.prove_blind", trial.work,
+                           *bags, *unseen, config, answer, "--", *words))]
 
-    children(trial, "answers", source, command, say, "diagnosing")
+    children(trial, tuple(questions), "answers", source_digest(), command, say, what)
 
 
 def ask_oracle(trial: Trial, say: Report) -> None:
@@ -202,7 +242,9 @@ def ask_oracle(trial: Trial, say: Report) -> None:
                            bag, config, answer))]
 
     source = source_digest() + digest_of((PACKAGE / "mismatch" / "prove_oracle.py").read_bytes())
-    children(trial, "oracles", digest_of(source.encode())[:16], command, say, "asking the oracle")
+    names = tuple(case.name for case in trial.cases)
+    children(trial, names, "oracles", digest_of(source.encode())[:16], command, say,
+             "asking the oracle")
 
 
 def places(trial: Trial, name: str, folder: str) -> tuple[Path, Path, Path]:
@@ -211,10 +253,10 @@ def places(trial: Trial, name: str, folder: str) -> tuple[Path, Path, Path]:
     return recordings / name, recordings / f"{name}.yaml", trial.work / folder / f"{name}.json"
 
 
-def children(trial: Trial, folder: str, source: str, command: Callable[[str], list[str]],
-             say: Report, what: str) -> None:
-    """Run one process for each case without an answer, ``jobs`` at a time, each on its cores."""
-    todo = [case.name for case in trial.cases if not kept(trial, folder, case.name, source)]
+def children(trial: Trial, names: Sequence[str], folder: str, source: str,
+             command: Callable[[str], list[str]], say: Report, what: str) -> None:
+    """Run one process for each name without an answer, ``jobs`` at a time, each on its cores."""
+    todo = [name for name in names if not kept(trial, folder, name, source)]
     jobs = max(1, min(jobs_of(trial), len(todo)))
     cores = sorted(os.sched_getaffinity(0))
     shares, running, stop = [cores[i::jobs] for i in range(jobs)], set(), threading.Event()
@@ -277,12 +319,15 @@ def kept(trial: Trial, folder: str, name: str, source: str) -> bool:
 def result(trial: Trial, key: dict, sealed: str) -> dict:
     """Score the answers against the opened key; the contract's keys, then what extends it."""
     rows, sources, groups = [], {}, dict(trial.groups)
-    for truth in key["cases"]:
-        name = truth["case"]
+    truths = {truth["case"]: truth for truth in key["cases"]}
+    for question in trial.asked():
+        if question.command != "diagnose":
+            continue
+        name, truth = question.name, truths[question.bags[0]]
         run = read_json(trial.work / "answers" / f"{name}.run.json") or {}
         sources[run.get("source", "")] = sources.get(run.get("source", ""), 0) + 1
         oracle = read_json(trial.work / "oracles" / f"{name}.json") if trial.oracle else None
-        rows.append(score.row_of({**truth, "group": groups.get(name)},
+        rows.append(score.row_of({**truth, "case": name, "group": groups.get(name)},
                                  read_json(trial.work / "answers" / f"{name}.json"), oracle, run))
     return {
         "schema": SCHEMA, "sealed_key_sha256": sealed, "cases": len(rows),
@@ -312,8 +357,7 @@ def source_digest() -> str:
     digest = hashlib.sha256()
     for room in ROOMS:
         for path in sorted((PACKAGE / room).rglob("*.py")):
-            if path.name not in ("prove.py", "prove_score.py", "prove_curve.py", "prove_draws.py",
-                                 "prove_oracle.py"):
+            if not path.name.startswith("prove") or path.name == "prove_blind.py":
                 digest.update(str(path.relative_to(PACKAGE)).encode() + path.read_bytes())
     return digest.hexdigest()[:16]
 

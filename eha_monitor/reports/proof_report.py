@@ -6,9 +6,21 @@ from eha_monitor.mismatch.prove import misses, read_json
 from eha_monitor.mismatch.prove_score import MARKS, UNEXPLAINED
 from eha_monitor.output import write_text
 from eha_monitor.reports.diagnosis_words import effect_words
+from eha_monitor.reports.ground_figures import parameter_pictures
 from eha_monitor.reports.page import render
 from eha_monitor.reports.proof_figures import curve_of_all, detection_picture, missing_term
 
+GROUNDS = {
+    "mcmaster": ("The second published EHA", "The independent plant with the published numbers, "
+                 "in three states; the nominal config has viscous friction alone and the leakage "
+                 "of the paper's EHA."),
+    "simulator": ("Recordings of an independent fluid-power simulator", "Read through the import "
+                  "path, with sensor noise and resolution added; the key is the simulator's own "
+                  "file, opened last."),
+    "triangle": ("Concealed inside a parameter: the paper's triangle", "Coulomb friction reads "
+                 "as viscous friction there. The advice is asked first, the second motion is "
+                 "recorded as advised, and both recordings are diagnosed together."),
+}
 GROUPS = {"by_kind": "effects in a recording", "by_strength": "strength (single effects)",
           "by_motion": "motion", "by_noise": "noise, times the sensors' own",
           "by_channels": "channels"}
@@ -42,7 +54,27 @@ def proof_page(found: dict, work: Path | None = None) -> str:
         pictures=[one for one in (detection_picture(found), curve_of_all(found)) if one],
         units=bool(found["detection_curves"]),
         effects=effect_rows(found), confusion=confusion_rows(found),
-        misses=miss_cards(found, work), cases=found["cases"])
+        misses=miss_cards(found, work), cases=found["cases"], ground=ground_of(found))
+
+
+def ground_of(found: dict) -> dict | None:
+    """Return what a ground beside the draws shows; None of the draws."""
+    if "ground" not in found:
+        return None
+    title, words = GROUNDS[found["ground"]]
+    return {"title": title, "words": words, "facts": found["facts"],
+            "pictures": parameter_pictures(found["parameters"]),
+            "rows": [parameter_row(row) for row in found["parameters"]]}
+
+
+def parameter_row(row: dict) -> dict:
+    """Return a parameter as text: recording, name, true, found, error, and whether it is good."""
+    said = "not named" if row["said"] is None else (
+        f"{row['said']:.5g} ± {2 * row['stddev']:.2g}")
+    return {"group": row["group"], "name": row["name"], "true": f"{row['true']:.5g}",
+            "said": said, "error": percent(row["relative"]),
+            "aim": percent(row["aim"]) if row["aim"] else "",
+            "kind": "" if not row["aim"] else "good" if row["within"] else "poor"}
 
 
 def percent(value: float | None) -> str:

@@ -12,6 +12,7 @@ from eha_monitor.reports.proof_report import (
     group_rows,
     heading,
     marks,
+    parameter_row,
     said_words,
     truth_words,
 )
@@ -31,17 +32,32 @@ def write_result(path: Path, found: dict) -> None:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as problem:
         raise InputError(f"{path}: cannot read: {problem}") from problem
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
+    opening, closing = marks_of(found.get("ground"))
+    before, begin, rest = text.partition(opening)
+    _, end, after = rest.partition(closing)
     if not begin or not end:
-        raise InputError(f"{path}: expected the lines {BEGIN} and {END}, to put the result "
+        raise InputError(f"{path}: expected the lines {opening} and {closing}, to put the result "
                          "between them")
-    write_text(path, f"{before}{BEGIN}\n{result_text(found)}\n{END}{after}")
+    write_text(path, f"{before}{opening}\n{result_text(found)}\n{closing}{after}")
+
+
+def marks_of(ground: str | None) -> tuple[str, str]:
+    """Return the lines between which a result stands, those of a ground if it is one."""
+    if ground is None:
+        return BEGIN, END
+    return BEGIN.replace("result", f"{ground} result"), END.replace("result", f"{ground} result")
 
 
 def result_text(found: dict) -> str:
     """Return a result as Markdown: facts, marks, groups, effects, confusion, misses."""
     parts = ["\n".join(f"- {label}: {text}" for label, text in heading(found))]
+    if "ground" in found:
+        parts.append("\n".join(f"- {fact}" for fact in found["facts"]))
+        parts.append(table(("recording", "parameter", "true", "found", "off by", "aim"), [
+            tuple(row.values())[:6] for row in map(parameter_row, found["parameters"])]))
+        answers = [(row["case"], ", ".join(row["truth"]) or "clean", said_words(row),
+                    row["located"] or "-") for row in found["rows"]]
+        return "\n\n".join([*parts, table(("recording", "concealed", "said", "balance"), answers)])
     parts.append(table(("mark", "reached", "aim"), [
         (row["words"], row["value"], row["aim"]) for row in marks(found)]))
     head = ("cases", "exact", "within class", "detectable", "within class of these")

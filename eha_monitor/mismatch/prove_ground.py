@@ -1,0 +1,63 @@
+"""What the grounds of the proof beside the draws share: how they are run, and their figures."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from eha_monitor.concealed.cases import Case
+from eha_monitor.mismatch.prove import Question, Trial, write_json
+
+
+@dataclass(frozen=True)
+class Ground:
+    """How a ground is run; the meaning is that of :class:`eha_monitor.mismatch.prove.Trial`.
+
+    ``cases`` 0 takes the ground's own number.
+    """
+
+    work: Path
+    seed: int = 1
+    cases: int = 0
+    jobs: int = 0
+    keep: str = "same"
+    calibration: bool = True
+
+    def trial(self, cases: tuple[Case, ...], questions: tuple[Question, ...] = (),
+              **more) -> Trial:
+        """Return the trial of some recordings."""
+        return Trial(cases, self.seed, self.work, False, self.jobs, self.keep, self.calibration,
+                     questions=questions, **more)
+
+
+def said_of(answer: dict, effect: str, symbol: str, added: float = 0.0) -> dict | None:
+    """Return what an answer says of a parameter, None where it does not name the effect.
+
+    An effect that has it in its declared class, and a parameter of the same name, stands for it.
+
+    Parameters
+    ----------
+    added : to the value, in its unit.
+    """
+    for one in answer.get("effects", ()):
+        if effect in (one["name"], *one["indistinguishable_from"]) and symbol in one["parameters"]:
+            value = one["parameters"][symbol]
+            return {**value, "value": value["value"] + added}
+    return None
+
+
+def compared_row(group: str, name: str, true: float, said: dict | None, aim: float) -> dict:
+    """Return a parameter's truth and answer; ``aim`` is the relative error allowed, 0 for none."""
+    value = (said or {}).get("value")
+    sigma = (said or {}).get("stddev") or 0.0
+    error = None if value is None or not true else abs(value / true - 1.0)
+    return {"group": group, "name": name, "true": true, "said": value, "stddev": sigma,
+            "relative": error, "aim": aim, "within": error is not None and error <= aim}
+
+
+def with_ground(found: dict, name: str, facts: Sequence[str], parameters: Sequence[dict],
+                work: Path, **more) -> dict:
+    """Return a trial's result with what the ground adds, and write it."""
+    found = {**found, "ground": name, "facts": list(facts), "parameters": list(parameters),
+             **more}
+    write_json(work / "proof.json", found)
+    return found

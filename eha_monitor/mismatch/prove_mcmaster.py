@@ -1,0 +1,93 @@
+"""A ground of the proof: the second published EHA, in its three states.
+
+The plant is the independent one with the published numbers; docs/proof.md says what the nominal
+config holds.  Besides the blind diagnoses a linear model is fitted, to show what it makes of the
+friction that it lacks.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from eha_monitor.concealed.cases import SAMPLE_TIME, Case
+from eha_monitor.concealed.draws import MCMASTER, MCMASTER_RIG, mcmaster_case
+from eha_monitor.concealed.generate import nominal_config, recording_of
+from eha_monitor.concealed.motions import triangle
+from eha_monitor.mismatch.prove import prove, read_json
+from eha_monitor.mismatch.prove_ground import Ground, compared_row, said_of, with_ground
+
+CLOSE = 0.1
+PUMP_SPEED = 100.0  # rad/s of the published linear fits
+PERIOD, SECONDS = 4.0, 24.0
+PUBLISHED = {"triangle": 16457.0, "sine": 19343.0}  # N s/m, of the normal state
+STATES = tuple(MCMASTER)
+
+
+def prove_mcmaster(ground: Ground, announce: Callable[[str], None],
+                   say: Callable[[str, float], None]) -> dict:
+    """Run the trial on the published plant; ``ground.cases`` counts recordings, three a round."""
+    cases = tuple(case_of(i, ground.seed) for i in range(ground.cases or len(STATES)))
+    found = prove(ground.trial(cases), announce, say)
+    ratios = [row for case in cases for row in parameters(case, ground.work)]
+    fits = [linear_fit(shape) for shape in PUBLISHED]
+    good = sum(row["within"] for row in ratios if row["aim"])
+    facts = [f"a linear fit reads B = {fit['B']:.0f} N·s/m on a {fit['motion']} at "
+             f"{PUMP_SPEED:.0f} rad/s of the pump; the literature has {fit['published']:.0f}, and "
+             f"{MCMASTER['normal'][3]:.0f} is true" for fit in fits]
+    facts.append(f"{good} of {sum(row['aim'] > 0 for row in ratios)} parameters (a1, a2, a3, L, "
+                 f"Q_L0) within {CLOSE:.0%} after the diagnosis")
+    return with_ground(found, "mcmaster", facts, ratios, ground.work, linear_fits=fits)
+
+
+def case_of(i: int, seed: int) -> Case:
+    """Return the i-th recording: the states in turn, each round with another motion."""
+    from dataclasses import replace
+
+    state = STATES[i % len(STATES)]
+    case = mcmaster_case(state, seed=seed + i)
+    return replace(case, name=f"m{i + 1:02d}_{state}")
+
+
+def parameters(case: Case, work: Path) -> list[dict]:
+    """Return the published parameters of a recording beside what the diagnosis found."""
+    answer = read_json(work / "answers" / f"{case.name}.json") or {}
+    true = {name: next(iter(values.values())) for name, values in case.options.items()}
+    base = 0.5 * MCMASTER_RIG["C_T"]
+    state = case.name.partition("_")[2]
+    after = answer.get("parameters", {}).get("after", {})
+    return [
+        compared_row(state, "a1", true["quadratic_friction"],
+                     said_of(answer, "quadratic_friction", "a_1"), CLOSE),
+        compared_row(state, "a2", case.rig["B"], after.get("B"), CLOSE),
+        compared_row(state, "a3", true["coulomb_friction"],
+                     said_of(answer, "coulomb_friction", "F_c"), CLOSE),
+        compared_row(state, "L", base + true["cross_port_leakage"],
+                     said_of(answer, "cross_port_leakage", "L", base), CLOSE),
+        compared_row(state, "Q_L0", true["leakage_offset"],
+                     said_of(answer, "leakage_offset", "Q_0"), CLOSE),
+        compared_row(state, "βe", MCMASTER_RIG["beta_e"], after.get("beta_e"), 0.0),
+    ]
+
+
+def linear_fit(shape: str, state: str = "normal") -> dict:
+    """Return what the monitor's linear model reads as B on a triangle or a sine.
+
+    The piston's speed, or its amplitude, is that of the pump at ``PUMP_SPEED``.
+    """
+    from eha_monitor.filters.pipeline import estimate
+    from eha_monitor.recordings.recording import Recording
+    from eha_monitor.settings.load import settings_from_tree
+
+    speed = PUMP_SPEED * MCMASTER_RIG["D_p"] / MCMASTER_RIG["A"]
+    time = np.arange(round(SECONDS / SAMPLE_TIME)) * SAMPLE_TIME
+    turn = 2.0 * np.pi / PERIOD
+    lag = turn * MCMASTER_RIG["A"] / (MCMASTER_RIG["D_p"] * MCMASTER_RIG["K_pos"])
+    demand = (triangle(time, PERIOD, speed * PERIOD / 4.0) if shape == "triangle"
+              else speed / turn * np.hypot(1.0, lag) * np.sin(turn * time))
+    case = mcmaster_case(state, demand=demand)
+    channels, _ = recording_of(case)
+    settings = settings_from_tree(nominal_config(case), "McMaster")
+    said = estimate(Recording(SAMPLE_TIME, channels, 0, shape), settings).parameters["B"]
+    return {"motion": shape, "B": float(said.value), "stddev": float(said.stddev),
+            "status": said.status, "published": PUBLISHED[shape]}

@@ -1,0 +1,221 @@
+"""The further grounds of the proof: published plant, another simulator, the paper's triangle."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eha_monitor.cli import main
+from eha_monitor.concealed.cases import truth_of
+from eha_monitor.concealed.draws import MCMASTER, MCMASTER_RIG, mcmaster_case
+from eha_monitor.concealed.generate import nominal_config, recording_of
+from eha_monitor.errors import InputError
+from eha_monitor.mismatch import prove_mcmaster, prove_simulator, prove_triangle
+from eha_monitor.mismatch.prove import Question, write_json
+from eha_monitor.mismatch.prove_ground import Ground, compared_row, said_of, with_ground
+from eha_monitor.reports.proof_report import proof_page
+from eha_monitor.reports.proof_text import write_result
+from eha_monitor.settings import load_settings, settings_from_tree
+
+ROOT = Path(__file__).parents[1]
+DATA = ROOT.parent / "shared" / "data" / "fluid_power_sim"
+CONFIG = ROOT / "config" / "fluid_power_sim.yaml"
+pytestmark = pytest.mark.timeout(600)  # 10 s; minutes where all has to be compiled first
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"{DATA} is absent")
+
+
+def said(*effects, after=None) -> dict:
+    """Return an answer: (name, rivals, parameters) each."""
+    return {"effects": [{"name": name, "indistinguishable_from": list(rivals), "parameters": {
+        key: {"value": value, "stddev": 0.01 * abs(value)} for key, value in parameters.items()}}
+        for name, rivals, parameters in effects], "parameters": {"after": after or {}}}
+
+
+# McMaster.
+
+def test_published_leakage_is_the_configs_and_the_concealed_one_together():
+    for state, (leak, offset, _, a_2, _) in MCMASTER.items():
+        case = mcmaster_case(state)
+        truth = {one["name"]: one["parameters"] for one in truth_of(case)["effects"]}
+        total = truth["cross_port_leakage"]["L"] + 0.5 * MCMASTER_RIG["C_T"]
+        assert total == pytest.approx(leak, rel=1e-12)
+        assert truth["leakage_offset"]["Q_0"] == offset and case.rig["B"] == a_2
+
+
+def test_nominal_config_of_the_published_rig_has_viscous_friction_alone():
+    tree = nominal_config(mcmaster_case("friction"))
+    settings = settings_from_tree(tree, "nominal")
+    assert not settings.effects
+    assert settings.rig.viscous_damping == MCMASTER["normal"][3] == settings.stage_one.prior
+    assert settings.stage_two.prior == MCMASTER_RIG["beta_e"]
+    assert settings.rig.leakage == 5e-13
+
+
+@pytest.mark.parametrize("state", list(MCMASTER))
+def test_no_motion_of_the_published_rig_comes_near_cavitation(state):
+    shown, _ = recording_of(mcmaster_case(state))
+    assert min(shown["p1"].min(), shown["p2"].min()) > 2e6
+    assert np.abs(shown["omega"]).max() < 600.0
+    assert 0.02 < np.abs(shown["x"]).max() < 0.05
+
+
+@pytest.mark.parametrize("shape", ["triangle", "sine"])
+def test_a_linear_fit_reads_the_friction_it_lacks_as_viscous(shape):
+    fit = prove_mcmaster.linear_fit(shape)
+    assert fit["B"] == pytest.approx(prove_mcmaster.PUBLISHED[shape], rel=0.1)
+
+
+def test_parameters_are_compared_with_the_published_ones(tmp_path):
+    case = prove_mcmaster.case_of(0, 1)
+    leak, offset, a_1, a_2, a_3 = MCMASTER["normal"]
+    (tmp_path / "answers").mkdir()
+    write_json(tmp_path / "answers" / f"{case.name}.json", said(
+        ("quadratic_friction", (), {"a_1": 1.05 * a_1}),
+        ("presliding_friction", ("coulomb_friction",), {"F_c": a_3}),
+        ("cross_port_leakage", (), {"L": leak - 2.5e-13}),
+        after={"B": {"value": 1.2 * a_2, "stddev": 1.0}}))
+    rows = {row["name"]: row for row in prove_mcmaster.parameters(case, tmp_path)}
+    assert [name for name, row in rows.items() if row["within"]] == ["a1", "a3", "L"]
+    assert rows["L"]["relative"] == pytest.approx(0.0, abs=1e-9)
+    assert rows["a2"]["relative"] == pytest.approx(0.2)
+    assert rows["Q_L0"]["said"] is None and rows["Q_L0"]["true"] == offset
+
+
+# The simulator.
+
+def test_the_simulators_key_in_the_catalogues_terms():
+    entry = {"B": 900.0, "beta_e": 8e8, "C_T": 1e-12, "effects": [
+        {"name": "stribeck_friction", "parameters": {
+            "coulomb_N": 7.0, "static_N": 18.0, "stribeck_velocity_m_s": 0.004, "law": "f"}},
+        {"name": "pump_flow_gain", "parameters": {"flow_factor": 0.97}},
+        {"name": "pressure_offset", "parameters": {"sensor": "p2", "bias_Pa": 2.5e4}},
+        {"name": "sticking_vane", "parameters": {"force_N": 3.0}}]}
+    found = {one["name"]: one for one in prove_simulator.truth_of(entry, 5e-13)["effects"]}
+    assert found["stribeck_friction"]["parameters"] == pytest.approx(
+        {"F_c": 7.0, "F_d": 11.0, "v_s": 0.004})
+    assert found["pump_flow_gain"]["parameters"] == pytest.approx({"k": -0.03})
+    assert found["pressure_offset"]["parameters"] == {"b_1": 0.0, "b_2": 2.5e4}
+    assert not found["sticking_vane"]["in_catalogue"]
+    # What the config does not have is other than configured.
+    assert found["cross_port_leakage"]["parameters"]["L"] == pytest.approx(2.5e-13)
+    assert "cross_port_leakage" not in {one["name"] for one in prove_simulator.truth_of(
+        {**entry, "C_T": 5e-13}, 5e-13)["effects"]}
+
+
+@needs_data
+def test_simulators_recordings_come_through_the_import_with_noise(tmp_path):
+    from eha_monitor.recordings.read import read_recording
+
+    table = prove_simulator.Table("h32_tri", DATA / "h32_tri.csv.gz", CONFIG, 1)
+    entry = prove_simulator.conceal(table, tmp_path)
+    assert "effects" not in entry and len(entry["key_sha256"]) == 64
+    recording = read_recording(tmp_path / "h32_tri", load_settings(tmp_path / "h32_tri.yaml"))
+    plain = np.genfromtxt(DATA / "h32_tri.csv.gz", delimiter=",", names=True)
+    n = len(recording)
+    for name, column in (("x", "x"), ("p1", "p1"), ("omega", "w")):
+        noise, step = prove_simulator.SENSORS[name]
+        left = recording.channels[name] - plain[column][:n]
+        assert np.std(left) == pytest.approx(np.hypot(noise, step / np.sqrt(12)), rel=0.05)
+    assert recording.channels["x_d"] == pytest.approx(plain["xd"][:n], abs=1e-12)
+
+
+@needs_data
+def test_simulators_key_must_be_the_sealed_one():
+    entry = {"case": "h32_tri", "key_sha256": "0" * 64}
+    with pytest.raises(InputError, match="is not the key that was sealed"):
+        prove_simulator.completed({"cases": [entry]}, DATA, CONFIG)
+
+
+@needs_data
+def test_each_motion_is_asked_alone_and_all_of_a_rig_together():
+    tables = prove_simulator.tables_of(DATA, CONFIG, Ground(Path("out"), cases=1))
+    assert [q.bags for q in prove_simulator.questions_of(tables)] == [
+        ("h03_rich",), ("h03_tri",), ("h03_rich", "h03_tri")]
+    assert [q.name for q in prove_simulator.questions_of(tables, ("both",))] == ["h03_both"]
+
+
+# The triangle.
+
+def test_an_advised_motion_becomes_a_demand():
+    x_d = prove_triangle.demanded({"sine": {"kind": "sine", "duration": 2.0, "frequency": 2.0,
+                                            "amplitude": 0.01, "offset": 0.001}})
+    assert len(x_d) == 2000 and x_d[125] == pytest.approx(0.011)
+
+
+def test_what_the_advice_must_say(tmp_path, monkeypatch):
+    monkeypatch.setattr(prove_triangle, "linear_fit", lambda case, work: 900.0)
+    case = prove_triangle.triangle_case(0, 1)
+    force, true = case.options["coulomb_friction"]["F_c"], case.rig["B"]
+    (tmp_path / "answers").mkdir()
+    write_json(tmp_path / "answers" / f"{case.name}_both.json", {**said(
+        ("coulomb_friction", (), {"F_c": 1.01 * force}),
+        after={"B": {"value": 0.99 * true, "stddev": 2.0}}), "fit": {"data": "held_out_bag"}})
+    advice = {"confusions": [{"parameter": "B", "effect": "coulomb_friction", "amount": 20.0,
+                              "plateau_correlation": -0.99999, "plateau_shift": -500.0}],
+              "doubts": [{"parameter": "B", "effect": "coulomb_friction", "then": 800.0}],
+              "motion": {"words": "a sine", "excitation": {}}}
+    row = prove_triangle.judged(case, advice, tmp_path)
+    assert row["shift_right"] and row["decides"] and row["named"] == ["coulomb_friction"]
+    facts = prove_triangle.facts_of([row])
+    assert [fact.split(":")[0] for fact in facts[:3]] == ["1 of 1"] * 3
+    rows = prove_triangle.parameters(case, tmp_path)
+    assert [row["within"] for row in rows] == [False, False, True, True]
+    wrong = prove_triangle.judged(case, {**advice, "motion": None, "doubts": []}, tmp_path)
+    assert not wrong["decides"]
+
+
+# What a ground adds to a result.
+
+def result() -> dict:
+    """Return a result with nothing judged."""
+    return {"schema": "eha_monitor/proof/1", "sealed_key_sha256": "a" * 64, "cases": 1,
+            "score": {}, "by_effect": {}, "rows": [{
+                "case": "m01_normal", "truth": ["coulomb_friction"], "named": [], "classes": {},
+                "verdict": "consistent", "located": "", "within_class": True}],
+            "confusion": {}, "detection": [], "detection_curves": {}, "detection_bins": [],
+            "failed": 0, "oracle": False, "seed": 1, "commit": None, "sources": {}}
+
+
+def test_report_and_markdown_of_a_ground(tmp_path):
+    rows = [compared_row("normal", "a1", 100.0, {"value": 104.0, "stddev": 3.0}, 0.1),
+            compared_row("normal", "coulomb_friction.F_c", 436.0, None, 0.1)]
+    found = with_ground(result(), "mcmaster", ["a linear fit reads B = 16 457"], rows, tmp_path)
+    assert json.loads((tmp_path / "proof.json").read_text())["ground"] == "mcmaster"
+    page = proof_page(found)
+    assert 'id="facts"' in page and "16 457" in page and "not named" in page
+    assert page.count("data:image/png") == 1
+    text = tmp_path / "proof.md"
+    text.write_text("a\n<!-- result -->\nkept\n<!-- end of result -->\n"
+                    "<!-- mcmaster result -->\nold\n<!-- end of mcmaster result -->\nz\n")
+    write_result(text, found)
+    written = text.read_text()
+    assert "kept" in written and "old" not in written and "| normal | a1 | 100 |" in written
+
+
+def test_a_parameter_may_be_said_under_a_declared_class():
+    answer = said(("turbulent_leakage", ("cross_port_leakage",), {"c": 1e-9}),
+                  ("presliding_friction", ("coulomb_friction",), {"F_c": 40.0}))
+    assert said_of(answer, "cross_port_leakage", "L") is None
+    assert said_of(answer, "coulomb_friction", "F_c", 2.0)["value"] == 42.0
+
+
+@pytest.mark.parametrize(("words", "wrong"), [
+    (["--ground", "simulator"], "expected --data DIR"),
+    (["--ground", "triangle", "--config", str(CONFIG)], "has its own rig"),
+    (["--data", "."], "reads no recordings"),
+    (["--ground", "mcmaster", "--oracle"], "has none"),
+    (["--ground", "simulator", "--data", "/nowhere", "--config", str(CONFIG)],
+     "expected RIG_MOTION.csv.gz files and key.json"),
+])
+def test_options_of_a_ground_are_checked_in_one_line(words, wrong, capsys, tmp_path):
+    assert main(["prove", *words, "--work", str(tmp_path / "work")]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and wrong in err
+
+
+def test_questions_of_a_trial(tmp_path):
+    case = replace(mcmaster_case("normal"), name="a")
+    trial = Ground(tmp_path).trial((case,))
+    assert trial.asked() == (Question("a", ("a",)),)
