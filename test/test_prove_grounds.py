@@ -83,6 +83,13 @@ def test_parameters_are_compared_with_the_published_ones(tmp_path):
     assert rows["Q_L0"]["said"] is None and rows["Q_L0"]["true"] == offset
 
 
+def test_dry_friction_may_be_said_as_pressure_friction():
+    mu = 436.0 / 16e6
+    answer = said(("pressure_friction", ("coulomb_friction",), {"mu": mu}))
+    assert prove_mcmaster.dry_friction(answer)["value"] == pytest.approx(436.0)
+    assert prove_mcmaster.dry_friction(said(("pressure_friction", (), {"mu": mu}))) is None
+
+
 # The simulator.
 
 def test_the_simulators_key_in_the_catalogues_terms():

@@ -216,12 +216,23 @@ def contested(experiment: Experiment, fit: Fit, rounds: list[Round], evidence: d
 
 
 def contenders(rounds: list[Round], fit: Fit, name: str) -> list[Candidate]:
-    """Return what came near an effect in the round in which it was found, best first."""
+    """Return what may take an effect's place, best first.
+
+    That is what came near it in the round in which it was found.  Where a balance has two named
+    effects, also what else was tried in that balance, however far behind: of two that were
+    missing, the first round takes one that is like both together (a root is like a line and a
+    step), and only the second shows which they are.
+    """
+    balance = CATALOGUE[name].balance
+    shared = sum(CATALOGUE[other].balance == balance for other in fit.named) > 1
     for step in rounds:
         own = next((c for c in step.candidates if c.effect == name), None)
         if own is not None and name not in step.before.named:
-            return [c for c in step.candidates if c is not own and c.effect not in fit.named
-                    and c.gain > CONTENDING * own.gain][:3]
+            others = [c for c in step.candidates if c is not own and c.effect not in fit.named]
+            near = [c for c in others if c.gain > CONTENDING * own.gain]
+            beside = [c for c in others if c not in near and shared
+                      and CATALOGUE[c.effect].balance == balance]
+            return near[:3] + beside[:3]
     return []
 
 
