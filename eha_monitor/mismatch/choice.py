@@ -26,9 +26,11 @@ from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
 
 MOST_EFFECTS = 4
+MOST_OF_ALL = 6  # where each balance has a likelihood of its own
 SLACK, SLACK_SHARE = 6.0, 0.003  # rivals lie so near the best: log units, share of its gain
 FORM_SHARE = 0.01  # of the evidence so far: the named effects' own error of form
 FAMILY_SHARE = 0.05  # the same within a family
+ROUGH_SHARE = 0.3  # the same on a circuit that no model knows to the last newton
 CONTENDING = 0.7  # of the taken effect's gain: who may yet take its place
 EXPLAINED = 0.75  # share of the evidence that names must take away, or it is unexplained
 NOTHING = 0.01  # log units a sample: what speaks against a model with no more is nothing
@@ -83,16 +85,19 @@ def material(experiment: Experiment, fit: Fit, name: str) -> bool:
     return False
 
 
-def demanded_gain(fit: Fit, first: Fit, name: str, threshold: float) -> float:
+def demanded_gain(fit: Fit, first: Fit, name: str, threshold: float, rough: bool = False
+                  ) -> float:
     """Return what a further effect must gain beside the named ones, log units.
 
     The named effects' own form is never exact; a share of their evidence may be left for others
-    to pick up.
+    to pick up.  ``rough`` : what is left over is no sensor's noise, and a second form of the same
+    thing must gain much.
     """
     sofar = fit.log_likelihood - first.log_likelihood
     family = CATALOGUE[name].family
     kin = family and any(CATALOGUE[other].family == family for other in fit.named)
-    return max(threshold, (FAMILY_SHARE if kin else FORM_SHARE) * sofar)
+    share = (ROUGH_SHARE if rough else FAMILY_SHARE) if kin else FORM_SHARE
+    return max(threshold, share * sofar)
 
 
 def choose(experiment: Experiment, found: Round, first: Fit, threshold: float
@@ -100,15 +105,24 @@ def choose(experiment: Experiment, found: Round, first: Fit, threshold: float
     """Return the candidate that a round takes, or None, and its rivals."""
     fit = found.before
     worthy = [c for c in found.candidates
-              if c.gain >= demanded_gain(fit, first, c.effect, threshold)
+              if c.gain >= demanded_gain(fit, first, c.effect, threshold, experiment.inverse)
               and material(experiment, c.fit, c.effect)]
     if not worthy:
         return None, ()
-    near = [c for c in worthy if c.gain >= worthy[0].gain - slack_of(worthy[0].gain)]
+    near = [c for c in worthy if c.gain >= worthy[0].gain - slack_of(worthy[0].gain)
+            and comparable(experiment, worthy[0].effect, c.effect)]
     taken = min(near, key=preference)
     rivals = tuple(c.effect for c in near if c is not taken
                    and taken.effect not in CATALOGUE[c.effect].contains)
     return taken, rivals
+
+
+def comparable(experiment: Experiment, name: str, other: str) -> bool:
+    """Tell whether two effects can explain one another's evidence at all.
+
+    Where the balances' own errors are compared, what is left of one says nothing of another.
+    """
+    return not experiment.inverse or CATALOGUE[name].balance == CATALOGUE[other].balance
 
 
 def add_effects(experiment: Experiment, first: Fit, threshold: float, say: Report, fit: Fit,
@@ -120,15 +134,17 @@ def add_effects(experiment: Experiment, first: Fit, threshold: float, say: Repor
     ----------
     fit, rounds, rivals : where to begin.
     """
-    while len(fit.named) < MOST_EFFECTS and len(rounds) < MOST_EFFECTS + 2:
+    most = MOST_OF_ALL if experiment.inverse else MOST_EFFECTS
+    while len(fit.named) < most and len(rounds) < most + 2:
         say(f"trying the catalogue, round {len(rounds) + 1}", min(0.15 + 0.25 * len(rounds), 0.8))
         found = round_of(experiment, fit,
-                         lambda name, fit=fit: demanded_gain(fit, first, name, threshold))
+                         lambda name, fit=fit: demanded_gain(fit, first, name, threshold,
+                                                             experiment.inverse))
         rounds = (*rounds, found)
         taken, near = choose(experiment, found, first, threshold)
         if taken is None:
             break
-        if any(p.log for p in CATALOGUE[taken.effect].parameters):
+        if not experiment.inverse and any(p.log for p in CATALOGUE[taken.effect].parameters):
             other = stubborn(experiment, taken.fit)
             taken = other if other is not None and other.gain > 0.0 else taken
         fit = settle(experiment, completed(taken.fit))
@@ -171,7 +187,7 @@ def name_effects(experiment: Experiment, threshold: float = THRESHOLD,
     fit, rounds, rivals = first, [], {}
     steps = partial(add_effects, experiment, first, threshold, say)
     fit, rounds, rivals = steps(fit, (), {})
-    if unexplained(experiment, first, fit):
+    if not experiment.inverse and unexplained(experiment, first, fit):
         other = stubborn(experiment, first)
         if other is not None and other.fit.log_likelihood > fit.log_likelihood + threshold:
             start = Round(first, rounds[0].scores, (other, *rounds[0].candidates))
@@ -194,7 +210,8 @@ def contested(experiment: Experiment, fit: Fit, rounds: list[Round], evidence: d
     found = dict(rivals)
     for name in fit.named:
         tried = [(c, substituted(experiment, fit, name, c))
-                 for c in contenders(rounds, fit, name)]
+                 for c in contenders(rounds, fit, name)
+                 if comparable(experiment, name, c.effect)]
         done = spread(lambda item: settle(experiment, item[1], 1, 4, False, 0.3), tried)
         slack = slack_of(evidence[name])
         near = {c.effect: other for (c, _), other in zip(tried, done, strict=True)

@@ -8,10 +8,11 @@ from eha_monitor.errors import InputError
 from eha_monitor.filters.inputs import force_of, without_spikes
 from eha_monitor.filters.noise import noise_levels, quantum
 from eha_monitor.mismatch.innovations import CLOSED, FORCED, OPEN
-from eha_monitor.mismatch.inputs import course_of, filled
+from eha_monitor.mismatch.inputs import course_of, filled, noise_governs
 from eha_monitor.physics.effect import Ranges
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.physics.plant import N_OUTPUTS
+from eha_monitor.physics.signals import K_POS
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
@@ -22,7 +23,10 @@ LONGEST_GAP = 0.02  # s of missing input that is bridged
 SHORTEST = 0.5  # s of a stretch worth fitting
 PERIOD, SHARE = 5.0, 0.2  # of every 5 s the last fifth is held out
 STEP_PHASE = 0.16  # rad of the fastest resonance in one integration step
+MOST_DAMPING = 3.0  # times the prior of B: how far a fit may take it
+STEP_DECAY = 1.5  # times the fastest decay in one; Runge-Kutta runs away from 2.8
 MOST_STEPS = 40
+PULL = 1.0  # rad/s for a metre: what stands for K_pos where the wanted speed is recorded
 LOOSE = 0.01  # of the pressure noise squared: what an unknown course of the demand may do
 
 
@@ -72,6 +76,9 @@ class Experiment:
     ranges : what the record covers.
     position_step : resolution of the position sensor, m; 0 where it is continuous.
     input_noise : standard deviation of the noise on a measured input, in its unit.
+    wanted_speed : the input of ``CLOSED`` is the speed that the drive was told, not x_d.
+    inverse : the balances' own errors are compared (:mod:`equation_error`), not predictions.
+    drift : by how much the circuit outside the model moves a chamber's pressure in a sample, Pa.
     """
 
     settings: Settings
@@ -87,6 +94,9 @@ class Experiment:
     position_step: float = 0.0
     input_noise: float = 0.0
     spikes: dict[str, int] = field(default_factory=dict)
+    wanted_speed: bool = False
+    drift: float = 0.0
+    inverse: bool = False
 
     @property
     def n(self) -> int:
@@ -115,6 +125,9 @@ def experiment_of(recordings: list[Recording], settings: Settings,
     first = recordings[0]
     mode = mode_of(first, settings)
     theta, active = theta_of(settings.rig, settings.effects)
+    wanted = mode == CLOSED and wants_speed(first)
+    if wanted:
+        theta[K_POS] = PULL
     levels, spikes, parts, columns = {}, {}, [], []
     for recording in recordings:
         if abs(recording.sample_time - first.sample_time) > 1e-6 * first.sample_time:
@@ -143,7 +156,8 @@ def experiment_of(recordings: list[Recording], settings: Settings,
     return Experiment(settings, mode, first.sample_time,
                       integration_steps(settings, mode, first.sample_time), used, sigma, theta,
                       active, tuple(parts), ranges, step, input_noise(mode, settings, levels),
-                      spikes)
+                      spikes, wanted, circuit_drift(settings, mode, columns),
+                      by_equations(settings, mode, columns))
 
 
 def input_noise(mode: int, settings: Settings, levels: dict) -> float:
@@ -174,6 +188,8 @@ def mode_of(recording: Recording, settings: Settings) -> int:
     if not recording.has("x"):
         raise InputError(f"{recording.source}: expected a position (channel x), found "
                          f"{', '.join(recording.channels) or 'nothing'}")
+    if known and wants_speed(recording):
+        return CLOSED
     if known and rig.position_gain is not None and recording.has("x_d"):
         return CLOSED if settings.command_hold == "continuous" else OPEN
     if known and recording.has("omega"):
@@ -184,6 +200,45 @@ def mode_of(recording: Recording, settings: Settings) -> int:
                      "rig.position_gain), omega, or force or p1 and p2")
 
 
+def circuit_drift(settings: Settings, mode: int, columns: list[dict]) -> float:
+    """Return by how much the circuit outside the model moves a chamber's pressure, Pa a sample.
+
+    A single-rod cylinder takes more oil on one side than it gives on the other.  Valves and an
+    accumulator make up for that; where the config holds no path for it the model cannot say
+    what the mean pressure does, and must not be judged by it.  The record says how fast it moves.
+    """
+    rig = settings.rig
+    if mode == FORCED or rig.area_1 == rig.area_2 or rig.makeup_conductance > 0.0:
+        return 0.0
+    steps = [np.diff(smooth(0.5 * (c["p1"] + c["p2"]), rig.charge_pressure))
+             for c in columns if "p1" in c and "p2" in c]
+    return float(np.sqrt(np.mean(np.concatenate(steps) ** 2))) if steps else 0.0
+
+
+def by_equations(settings: Settings, mode: int, columns: list[dict]) -> bool:
+    """Tell whether the balances' own errors are compared (:mod:`equation_error`).
+
+    So it is where noise governs the force that is measured, where the motion answers to it within
+    a sample, so that there is nothing to integrate, and around a single-rod cylinder whose
+    circuit the config does not hold.
+    """
+    if mode == FORCED:
+        quick = settings.stage_one.prior / settings.rig.mass * settings.rig.sample_time > 1.0
+        return quick or noise_governs([force_of(settings.rig, c) for c in columns])
+    rig = settings.rig
+    return (rig.area_1 != rig.area_2 and rig.makeup_conductance == 0.0
+            and all(name in c for c in columns for name in ("p1", "p2", "omega")))
+
+
+def wants_speed(recording: Recording) -> bool:
+    """Tell whether the speed that the drive was told is there, and what it made of it.
+
+    Such a record tells drive and position loop apart, whatever that loop is; with x_d alone the
+    loop must be the config's own.
+    """
+    return recording.has("omega_d", "omega")
+
+
 def integration_steps(settings: Settings, mode: int, dt: float) -> int:
     """Return Runge-Kutta steps in a sample, so that the resonance turns little in each."""
     rig = settings.rig
@@ -192,7 +247,9 @@ def integration_steps(settings: Settings, mode: int, dt: float) -> int:
         stiff = 2.0 * max(rig.bulk_modulus, settings.stage_two.prior) * (
             rig.area_1**2 / rig.volume_1 + rig.area_2**2 / rig.volume_2)
         fastest = np.sqrt(0.5 * stiff / rig.mass)
-    return int(np.clip(np.ceil(fastest * dt / STEP_PHASE), 2, MOST_STEPS))
+    decay = MOST_DAMPING * settings.stage_one.prior / rig.mass
+    return int(np.clip(np.ceil(max(fastest * dt / STEP_PHASE, decay * dt / STEP_DECAY)), 2,
+                       MOST_STEPS))
 
 
 def stretches_of(recording: Recording, channels: dict, settings: Settings, mode: int,
@@ -201,7 +258,10 @@ def stretches_of(recording: Recording, channels: dict, settings: Settings, mode:
     n, dt, rig = len(recording), recording.sample_time, settings.rig
     sampled = settings.command_hold == "sampled"
     nothing = np.full(n, np.nan)
-    if mode == CLOSED:
+    if mode == CLOSED and wants_speed(recording):
+        # omega = K_pos (x_d - x) with a K_pos so small that a metre more or less does not count.
+        u, sigma, held = channels["omega_d"] / PULL + channels["x"], 0.0, False
+    elif mode == CLOSED:
         u, sigma, held = channels["x_d"], 0.0, False
     elif mode == OPEN and rig.position_gain is not None and "x_d" in channels:
         u = rig.position_gain * (channels["x_d"] - channels["x"])
@@ -226,7 +286,7 @@ def stretches_of(recording: Recording, channels: dict, settings: Settings, mode:
         time = np.arange(stop - start) * dt
         course, off = course_of(filled(u[here]), sigma, held)
         loose = np.zeros(stop - start)
-        if mode == CLOSED and "p1" in levels and "p2" in levels:
+        if mode == CLOSED and not wants_speed(recording) and "p1" in levels and "p2" in levels:
             known = 0.5 * (levels["p1"][-1]**2 + levels["p2"][-1]**2)
             entered = pressure_of(off, rig, dt)[:-1] ** 2
             loose[1:] = np.where(entered > LOOSE * known, entered / (entered + 0.5 * known), 0.0)

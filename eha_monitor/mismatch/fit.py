@@ -116,6 +116,10 @@ def spread(function: Callable, items: Iterable) -> list:
 def innovations(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
                 gains: np.ndarray) -> np.ndarray:
     """Return the innovations of the used channels at the counted samples, (N, c); NaN if none."""
+    if experiment.inverse:
+        from eha_monitor.mismatch.equation_error import residuals  # it uses what stands on fits
+
+        return residuals(experiment, theta, active)
     parts = []
     for stretch in experiment.stretches:
         e = filtered(experiment, stretch, theta, active, gains)[0]
@@ -138,7 +142,7 @@ def filtered(experiment: Experiment, stretch, theta, active, gains, states: bool
     kept = np.empty((n if states else 0, N_FILTERED))
     y = start_of(experiment, stretch if begin is None else begin)
     innovate(stretch.z, stretch.u, stretch.p1, stretch.p2, experiment.mode, experiment.dt,
-             experiment.steps, theta, active, gains, decay_of(experiment.dt), y, new_memory(),
+             experiment.steps, theta, active, gains, decay_of(experiment), y, new_memory(),
              new_past(y), role, e, kept)
     return e, kept
 
@@ -351,6 +355,8 @@ def tune(experiment: Experiment, fit: Fit, smallest: Unknowns, largest: Unknowns
     smallest, largest : between which they are sought, on a grid of ``factors``.
     upward : False where they can only fall: an effect has just entered.
     """
+    if experiment.inverse:  # no filter, nothing to tune
+        return fit
     low, high = smallest.as_array(), largest.as_array()
     for factor in factors:
         for i in range(3):

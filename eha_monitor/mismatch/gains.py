@@ -16,6 +16,7 @@ from eha_monitor.mismatch.innovations import (
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import circuit_of, new_memory
 from eha_monitor.physics.plant import (
+    N_OUTPUTS,
     N_STATE,
     Y_FLOW,
     Y_FORCE,
@@ -29,6 +30,7 @@ from eha_monitor.physics.plant import (
 )
 
 CORRELATION = 0.02  # s, for which an unknown force, flow or speed lasts
+SHORT = 5.0  # samples: the shortest
 FORGOTTEN = 1e-3  # share left after a sample
 TRANSIENT = 3000  # samples after a start until the gains stand
 
@@ -46,9 +48,16 @@ class Unknowns:
         return np.array([self.force, self.flow, self.speed])
 
 
-def decay_of(dt: float) -> float:
-    """Share of an unknown that is left after a sample."""
-    return float(np.exp(-dt / max(CORRELATION, 5.0 * dt)))
+def decay_of(experiment: Experiment) -> float:
+    """Share of an unknown that is left after a sample.
+
+    Where the force drives the model, the force balance is all there is, and what an unknown force
+    of some length takes over is taken from friction: there it is as short as can be, so that
+    what lasts falls to the parameters, as in a fit of the balance itself.
+    """
+    dt = experiment.dt
+    lasting = 0.0 if experiment.mode == FORCED else CORRELATION
+    return float(np.exp(-dt / max(lasting, SHORT * dt)))
 
 
 def smallest_unknowns(experiment: Experiment) -> Unknowns:
@@ -94,7 +103,7 @@ def linear_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
               unknowns: Unknowns) -> Linear:
     """Linearise the plant with parameters ``theta`` and ``active`` effects in typical motion."""
     dt, r = experiment.dt, experiment.ranges
-    decay = decay_of(dt)
+    decay = decay_of(experiment)
     y = operating_point(experiment)
     u = np.zeros((1, 4))
     if experiment.mode == CLOSED:
@@ -125,6 +134,7 @@ def linear_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
     intensity = unknowns.as_array()
     q = np.zeros(N_FILTERED)
     q[:5] = (1e-7 * size[:5]) ** 2  # rounding and integration: keeps P positive
+    q[[Y_P1, Y_P2]] += experiment.drift**2
     q[5:] = intensity**2 * (1.0 - decay**2)
     q[away] = 0.0
     start = np.zeros(N_FILTERED)
@@ -156,6 +166,8 @@ def gains_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
     theta, active : parameters and effects at which the plant is linearised.
     unknowns : deviations of the unknown force, flow and speed.
     """
+    if experiment.inverse:
+        return np.zeros((1, N_FILTERED, N_OUTPUTS))
     m = linear_of(experiment, theta, active, unknowns)
     longest = max(len(stretch) for stretch in experiment.stretches)
     gains = np.zeros((min(TRANSIENT, longest), N_FILTERED, len(m.r)))

@@ -3,6 +3,9 @@
 import numpy as np
 
 JUMP = 20.0  # times the neighbouring steps: a jump, held until its stamp
+REACH = 25  # samples over which an input's own change is told from its noise
+GOVERNS = 10.0  # times the steps' variance
+KEPT = 0.95  # share of the smallest squares that count: jumps and spikes aside
 # A corner's bend is a change of slope, of first order in the sample time; a curve's is of second
 # order, also where the curve begins.
 CORNER = 20.0  # times the bends outside: a corner lies between two samples
@@ -87,3 +90,22 @@ def filled(u: np.ndarray) -> np.ndarray:
         return u
     index = np.arange(len(u))
     return np.interp(index, index[good], u[good])
+
+
+def noise_governs(parts: list[np.ndarray]) -> bool:
+    """Tell whether a measured input's own noise outweighs its change from sample to sample.
+
+    The change over one sample and over ``REACH`` tells the variances q of a wandering level's
+    steps and r of the noise beside it.
+    """
+    def change(reach):
+        squares = np.concatenate([(part[reach:] - part[:-reach]) ** 2 for part in parts
+                                  if len(part) > reach] or [np.zeros(0)])
+        squares = squares[np.isfinite(squares)]
+        kept = int(KEPT * len(squares))
+        return float(np.partition(squares, kept - 1)[:kept].mean()) if kept else 0.0
+
+    near, far = change(1), change(REACH)
+    q = max((far - near) / (REACH - 1), 0.0)
+    r = 0.5 * (near - q)
+    return bool(r > GOVERNS * q)

@@ -11,6 +11,7 @@ from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
 
 BLOCK = 0.5  # s
+INVERSE_BLOCK = 10  # compared samples of the balances, a second
 COARSE = 0.7  # times the configured noise: rounding of an encoder that the config does not know
 NOTABLE = 0.02  # relative change of a health parameter that is worth a sentence
 
@@ -46,7 +47,7 @@ def robust(experiment: Experiment, fit: Fit, block: float = BLOCK) -> Fit:
     slopes = sensitivities(experiment, fit.theta, fit.active, fit.gains, fit.e,
                            [step_of(f, fit.theta) for f in fit.free])
     d = np.stack([np.nan_to_num(slope) @ w.T for slope in slopes])
-    length = max(1, round(block / experiment.dt))
+    length = INVERSE_BLOCK if experiment.inverse else max(1, round(block / experiment.dt))
     count = max(1, white.shape[0] // length)
     pulls = np.stack([np.einsum("kic,ic->k", part, r) for part, r in zip(
         np.array_split(d, count, axis=1), np.array_split(white, count, axis=0), strict=True)])

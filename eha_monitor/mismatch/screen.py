@@ -22,6 +22,7 @@ from eha_monitor.physics.parameters import place_of
 
 SPREAD = 100.0  # times its start: a size's prior deviation, that is about the record's range
 SHAPE_SPREAD = 1.5  # of the logarithm of a shape
+LOOP_ONLY = ("feedback_delay",)  # shows only where the position loop is part of the model
 
 
 @dataclass(frozen=True)
@@ -57,9 +58,14 @@ class Score:
 def possible(name: str, experiment: Experiment) -> bool:
     """Tell whether an effect can show in these channels at all."""
     effect = CATALOGUE[name]
+    if experiment.inverse and (effect.balance == "sensor" or name in ("backlash",
+                                                                      "line_dynamics")):
+        return False  # the sensors' errors move all balances, a line is beyond their band
     if effect.balance == "force":
         return name != "backlash" or experiment.mode == CLOSED
     if experiment.mode == FORCED:
+        return False
+    if experiment.wanted_speed and name in LOOP_ONLY:
         return False
     pressures = experiment.used[2] or experiment.used[3]
     if effect.balance == "drive":
@@ -158,7 +164,8 @@ def screen(experiment: Experiment, fit: Fit, starts: list[Start]) -> list[Score]
     q = np.linalg.qr(np.stack(basis, axis=1))[0] if basis else np.zeros((white.size, 0))
     r = white.ravel()
     r = r - q @ (q.T @ r)
-    before = log_likelihood_of(r.reshape(white.shape))
+    missing = ~np.isfinite(fit.e)
+    before = log_likelihood_of(np.where(missing, np.nan, r.reshape(white.shape)))
     tasks = [(i, theta, active) for i, start in enumerate(starts)
              for theta, active in directions_of(fit, start)]
 
@@ -176,13 +183,16 @@ def screen(experiment: Experiment, fit: Fit, starts: list[Start]) -> list[Score]
         block = [d for task, d in zip(tasks, moved, strict=True) if task[0] == i]
         if not block or any(d is None for d in block):
             continue
-        scores.append(score_of(start, np.stack(block), r, white.shape, before))
+        scores.append(score_of(start, np.stack(block), r, missing, before))
     return sorted(scores, key=lambda score: -score.gain)
 
 
-def score_of(start: Start, d: np.ndarray, r: np.ndarray, shape: tuple[int, int],
+def score_of(start: Start, d: np.ndarray, r: np.ndarray, missing: np.ndarray,
              before: float) -> Score:
-    """Return the score of a start from its projected directions ``d`` (k, N*c)."""
+    """Return the score of a start from its projected directions ``d`` (k, N*c).
+
+    ``missing`` (N, c) marks what was not measured; ``before`` is the likelihood without it.
+    """
     sizes = own_sizes(start)
     matrix = d @ d.T
     scale = np.sqrt(np.diag(matrix))
@@ -195,5 +205,6 @@ def score_of(start: Start, d: np.ndarray, r: np.ndarray, shape: tuple[int, int],
             a[j] = 0.0
     if not sizes:
         a = np.clip(a, 0.0, 1.0)
-    gain = log_likelihood_of((r + a @ d).reshape(shape)) - before
+    gain = log_likelihood_of(
+        np.where(missing, np.nan, (r + a @ d).reshape(missing.shape))) - before
     return Score(start, float(max(gain, 0.0)), tuple(float(v) for v in a))

@@ -74,7 +74,9 @@ def base_free(experiment: Experiment) -> tuple[Free, ...]:
     one, two = experiment.settings.stage_one, experiment.settings.stage_two
     rig = experiment.settings.rig
     scale = max(one.prior_stddev, one.prior, rig.viscous_damping)
-    found = [Free("B", s.B, -1e3 * scale, 1e5 * scale, one.prior, 10.0 * scale)]
+    # Beside dry and quadratic friction at one speed nothing but this keeps B off a negative value.
+    lowest = 0.01 * one.prior if experiment.inverse else -1e3 * scale
+    found = [Free("B", s.B, lowest, 1e5 * scale, one.prior, 10.0 * scale)]
     if experiment.mode != FORCED:
         found.append(Free("beta_e", s.BETA_E, 1e5, 1e12, float(np.log(two.prior)), 3.0, True))
     return tuple(found)
@@ -86,6 +88,8 @@ def timing_free(experiment: Experiment) -> tuple[Free, ...]:
     Sensors lag by some microseconds and stamps jitter; with 24 000 samples a delay of 2 % of a
     sample is beyond doubt, and is nobody's fault.  What is larger must be named.
     """
+    if experiment.inverse:  # far below the band of the balances
+        return ()
     limit = TIMING * experiment.dt
     found = []
     for name in ("command_delay", "position_delay", "pressure_delay"):
@@ -208,7 +212,8 @@ def round_of(experiment: Experiment, fit: Fit, demanded: Callable[[str], float] 
     """Screen the catalogue at a fit and refit the best; candidates best first.
 
     Of effects that contain one another the simplest enters by itself (:func:`enters_alone`); the
-    others may take its place in a later round.
+    others may take its place in a later round.  Where the balances' own errors are compared all
+    enter: a friction that differs by direction may be nothing at all on average.
 
     Parameters
     ----------
@@ -217,7 +222,7 @@ def round_of(experiment: Experiment, fit: Fit, demanded: Callable[[str], float] 
     """
     families = {member for name in fit.named for member in (name, *CATALOGUE[name].contains)}
     starts = [start for name in NAMES
-              if enters_alone(name) and name not in families
+              if (experiment.inverse or enters_alone(name)) and name not in families
               and not experiment.active[NAMES.index(name)] and possible(name, experiment)
               for start in starts_of(name, experiment)]
     starts += replacements_of(experiment, fit)

@@ -80,7 +80,9 @@ def read_table(file: str | Path, settings: Settings, *, map_source: str = "confi
     series = {}
     for name, column in table.columns.items():
         with np.errstate(over="ignore", invalid="ignore"):
-            values = column.scale * cells[column.column][good][order] + column.offset
+            raw = cells[column.column][good][order]
+            below = column.scale if column.negative_scale is None else column.negative_scale
+            values = np.where(raw < 0, below, column.scale) * raw + column.offset
         if not np.isfinite(values).any():
             losses.append(f"{name}: column '{column.column}' holds no number")
             continue

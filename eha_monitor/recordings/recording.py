@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 # Every channel there can be, in the order in which tables show them.
-CHANNELS = ("x", "v", "x_d", "omega", "p1", "p2", "force", "temperature")
+CHANNELS = ("x", "v", "x_d", "omega", "omega_d", "p1", "p2", "force", "temperature")
 
 
 @dataclass(frozen=True)

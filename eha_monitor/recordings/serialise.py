@@ -72,7 +72,8 @@ def _topics(store, channels):
     joint = _joints(store, header, channels, joints)
     if joint:
         yield "joint_states", JOINT, *joint
-    joint = _joints(store, header, channels, {"piston": {"position": "x_d"}})
+    joint = _joints(store, header, channels, {"piston": {"position": "x_d"},
+                                              "pump": {"velocity": "omega_d"}})
     if joint:
         yield "command", JOINT, *joint
     for topic, msgtype, field, channel in (

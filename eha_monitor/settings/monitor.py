@@ -8,9 +8,9 @@ from eha_monitor.settings.rig import Rig, Section, SensorNoise, Simulation, effe
 from eha_monitor.settings.table import Table
 from eha_monitor.units import Si
 
-CHANNELS = ("x", "v", "x_d", "omega", "p1", "p2", "force", "temperature")
-CHANNEL_UNITS = {"x": "m", "v": "m/s", "x_d": "m", "omega": "rad/s", "p1": "Pa", "p2": "Pa",
-                 "force": "N", "temperature": "°C"}
+CHANNELS = ("x", "v", "x_d", "omega", "omega_d", "p1", "p2", "force", "temperature")
+CHANNEL_UNITS = {"x": "m", "v": "m/s", "x_d": "m", "omega": "rad/s",
+                 "omega_d": "rad/s", "p1": "Pa", "p2": "Pa", "force": "N", "temperature": "°C"}
 
 
 class Channel(Section):
@@ -39,6 +39,7 @@ DEFAULT_CHANNELS = {
     "force": Channel(topic="joint_states", name="piston", field="effort"),
     "omega": Channel(topic="joint_states", name="pump", field="velocity"),
     "x_d": Channel(topic="command", name="piston", field="position"),
+    "omega_d": Channel(topic="command", name="pump", field="velocity"),
     "p1": Channel(topic="pressure/chamber_1", field="fluid_pressure"),
     "p2": Channel(topic="pressure/chamber_2", field="fluid_pressure"),
     "temperature": Channel(topic="temperature", field="temperature"),

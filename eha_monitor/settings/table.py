@@ -7,7 +7,7 @@ from pydantic import BeforeValidator, Field
 from eha_monitor.settings.rig import Section
 from eha_monitor.units import Si
 
-CHANNEL_NAMES = ("x", "v", "x_d", "omega", "p1", "p2", "force", "temperature")
+CHANNEL_NAMES = ("x", "v", "x_d", "omega", "omega_d", "p1", "p2", "force", "temperature")
 
 
 def _name(value):
@@ -22,6 +22,9 @@ class Column(Section):
         min_length=1, description="CSV: name or index from 0; MAT: variable, or variable[:,k]")
     scale: float = Field(1.0, allow_inf_nan=False, description="SI units per unit of the file")
     offset: float = Field(0.0, allow_inf_nan=False, description="SI value at zero of the file")
+    negative_scale: float | None = Field(
+        None, allow_inf_nan=False, description="scale of cells below zero, where it is another: "
+        "a pump whose valves turn it from one area of the piston to the other")
     delay: Si("s", "how late the row is against the quantity") = 0.0
 
 

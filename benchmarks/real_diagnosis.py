@@ -1,0 +1,95 @@
+"""`import` and `diagnose` on the real recordings in ../shared/data, with the configs of config/.
+
+    python benchmarks/real_diagnosis.py [--data ../shared/data] [--only emps]
+
+The recordings state no licence, so they stay where they are; without them this says so and ends.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+ROOT = Path(__file__).resolve().parent.parent
+HSM = ("hsm150/idf_pos_0.06_1.mat", "hsm150/idf_pos_0.065_2.mat", "hsm150/idf_neg_0.04_1.mat",
+       "hsm150/idf_neg_0.045_3.mat")
+SEALS = tuple(f"pneumatic_seals/1_O-ring257_{bar}bar.csv" for bar in (1, 3, 5, 7))
+EHA = tuple(f"ivliev_eha/exp_data_{name}.csv" for name in ("1_2", "1_4", "2_3", "3_4", "4_2",
+                                                          "5_4"))
+# config, files that are diagnosed together, what has to come out
+CASES = (
+    ("emps", ("emps/DATA_EMPS.mat",), "B 203.5, F_c 20.39, by direction"),
+    *(("hsm150", (file,), "B 7.03e-5, load or Coulomb") for file in HSM),
+    ("hsm150", HSM, "B 7.03e-5, Coulomb"),
+    *(("ivliev_eha", (file,), "friction, leakage") for file in EHA[:-1]),
+    ("ivliev_eha", EHA[-1:], "friction, leakage, saturation"),
+    ("ivliev_eha", ("ivliev_eha/extra_2024_10_14_5.csv",), "friction, leakage"),
+    *(("pneumatic_seals", (file,), "friction 5.4 to 10.2 N") for file in SEALS[::3]),
+    ("pneumatic_seals", SEALS, "pressure friction"),
+    ("hanging_load", ("hanging_load/HangingLoad.csv",), "refusal"),
+)
+
+
+def run(*arguments: str) -> str:
+    """Run one command of the package; returns its own words on failure."""
+    done = subprocess.run([sys.executable, "-m", "eha_monitor", *arguments], text=True,
+                          capture_output=True)
+    return done.stderr.strip() if done.returncode else ""
+
+
+def row_of(config: str, files: tuple[str, ...], data: Path, folder: Path) -> tuple[str, ...]:
+    """Return verdict, names, B, force residual before and after, and seconds, as text."""
+    settings = str(ROOT / "config" / f"{config}.yaml")
+    bags = []
+    for file in files:
+        bags.append(str(folder / Path(file).stem))
+        if not Path(bags[-1]).exists():
+            failed = run("import", str(data / file), "--map", settings, "--out", bags[-1])
+            if failed:
+                return "not imported", failed, "", "", ""
+    answer, began = folder / "answer.json", time.perf_counter()
+    failed = run("diagnose", *bags, "--config", settings, "--json", str(answer))
+    seconds = f"{time.perf_counter() - began:.0f}"
+    if failed:
+        return "refused", failed.replace(str(folder), ""), "", "", seconds
+    found = json.loads(answer.read_text())
+    names = "; ".join(
+        effect["name"] + "".join(f" {key} {value['value']:.4g}" for key, value
+                                 in list(effect["parameters"].items())[:3])
+        + "".join(f" / {rival}" for rival in effect["indistinguishable_from"])
+        for effect in found["effects"])
+    b = [f"{found['parameters'][side]['B']['value']:.4g}" for side in ("before", "after")
+         if "B" in found["parameters"][side]]
+    force = found["fit"]["signals"].get("force")
+    left = f"{force['before_rms']:.3g} → {force['after_rms']:.3g}" if force else ""
+    return found["verdict"], names, " → ".join(b), left, seconds
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
+    parser.add_argument("--only", default="", help="config whose recordings are run")
+    options = parser.parse_args()
+    if not options.data.is_dir():
+        print(f"{options.data}: not here; the real recordings are not part of this repository")
+        return
+    table = Table(title="diagnose on recordings that this project did not make", show_lines=True)
+    for head in ("recording", "has to be", "verdict", "named", "B", "force left, N", "s"):
+        table.add_column(head)
+    with tempfile.TemporaryDirectory() as folder:
+        for config, files, expected in CASES:
+            if options.only in ("", config):
+                table.add_row(" + ".join(Path(file).stem for file in files), expected,
+                              *row_of(config, files, options.data, Path(folder)))
+    Console(width=190).print(table)
+
+
+if __name__ == "__main__":
+    main()

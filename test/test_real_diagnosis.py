@@ -1,0 +1,78 @@
+"""The diagnosis of real recordings, read from beside the repository; skipped where absent."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eha_monitor.mismatch.experiment import experiment_of
+from eha_monitor.mismatch.name import diagnose
+from eha_monitor.recordings.importing import read_table
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings import load_settings
+
+ROOT = Path(__file__).resolve().parent.parent
+DATA = ROOT.parent / "shared" / "data"
+
+
+def read(rig: str, *files: str):
+    """Return recordings and settings of a rig."""
+    if not (DATA / files[0]).exists():
+        pytest.skip(f"{DATA / files[0]} is not here: the real recordings state no licence")
+    settings = load_settings(ROOT / "config" / f"{rig}.yaml")
+    return [read_table(DATA / file, settings) for file in files], settings
+
+
+def test_torque_of_one_direction_cannot_tell_friction_from_load():
+    recordings, settings = read("hsm150", "hsm150/idf_pos_0.06_1.mat")
+    found = diagnose(recordings, settings)
+    named = {found.effects[0].name, *found.effects[0].indistinguishable_from}
+    assert found.verdict == "mismatch" and len(found.effects) == 1
+    assert {"constant_load", "coulomb_friction"} <= named
+    assert found.after["B"].value == pytest.approx(7.03e-5, rel=0.15)  # the catalogue's
+    assert found.before["B"].value > 2e-4  # as a viscous term alone reads it
+
+
+def test_both_directions_name_dry_friction():
+    files = [f"hsm150/idf_{name}.mat" for name in ("pos_0.06_1", "neg_0.04_1")]
+    recordings, settings = read("hsm150", *files)
+    found = diagnose(recordings, settings)
+    assert found.effects[0].name in ("coulomb_friction", "asymmetric_friction")
+    assert found.after["B"].value == pytest.approx(7.03e-5, rel=0.15)
+    assert found.effects[0].parameters["F_c"].value == pytest.approx(0.034, rel=0.15)
+
+
+def test_screw_drive_agrees_with_the_published_friction():
+    recordings, settings = read("emps", "emps/DATA_EMPS.mat")
+    found = diagnose(recordings, settings, calibrate=False)
+    effect = found.effects[0]
+    assert effect.name == "asymmetric_friction"
+    assert found.after["B"].value == pytest.approx(203.5, rel=0.03)
+    assert effect.parameters["F_c"].value == pytest.approx(20.39, rel=0.03)
+    assert found.signals["force"].after_rms < 0.2 * found.signals["force"].before_rms
+
+
+def test_eha_at_its_largest_load_saturates():
+    recordings, settings = read("ivliev_eha", "ivliev_eha/exp_data_5_4.csv")
+    found = diagnose(recordings, settings)
+    names = [effect.name for effect in found.effects]
+    assert "drive_saturation" in names
+    assert any(name.endswith("friction") for name in names)
+    assert found.signals["force"].after_rms < 0.5 * found.signals["force"].before_rms
+
+
+def test_balances_of_a_quick_rig_are_taken_as_they_stand():
+    settings = load_settings(ROOT / "config" / "hsm150.yaml")
+    rng = np.random.default_rng(1)
+    t = np.arange(0.0, 20.0, 1e-3)
+    torque = np.where(t < 10.0, 0.04, 0.05)
+    speed = np.zeros_like(t)
+    for k in range(len(t) - 1):
+        speed[k + 1] = speed[k] + 1e-3 / 1.2e-4 * (torque[k] - 0.03 - 7e-5 * speed[k])
+    x = np.round(np.cumsum(speed) * 1e-3 / 6.283185e-4) * 6.283185e-4
+    recording = Recording(1e-3, {"x": x, "force": torque + 0.03 * rng.standard_normal(len(t))})
+    assert experiment_of([recording], settings).inverse
+    clean = Recording(1e-3, {"x": x, "force": np.cumsum(rng.standard_normal(len(t))) * 1e-3})
+    assert not experiment_of([clean], settings).inverse
+    found = diagnose([recording], settings)
+    assert found.after["B"].value == pytest.approx(7e-5, rel=0.1)
