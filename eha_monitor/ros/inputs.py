@@ -19,6 +19,8 @@ DEFAULT_TYPES = {"position": "sensor_msgs/msg/JointState",
                  "temperature": "sensor_msgs/msg/Temperature", "data": "std_msgs/msg/Float64"}
 # The oil's temperature is slow: its last value counts.
 HELD = frozenset({"temperature"})
+# What the diagnosis reads from recordings, and no stage of the live monitor.
+UNUSED = frozenset({"omega_d"})
 _STEP = re.compile(r"(\w+)(?:\[(\d+)\])?")
 
 
@@ -60,6 +62,8 @@ def topics_of(settings: Settings, source: str = "config") -> list[Topic]:
                          "rows")
     streams: dict[str, dict[tuple, list]] = {}
     for name, channel in settings.channels.items():
+        if name in UNUSED:
+            continue
         for key in ("topic", "field"):
             if not getattr(channel, key):
                 raise InputError(f"{source}: channels.{name}.{key}: expected a {key} to "

@@ -17,7 +17,7 @@ INPUT_QOS = QoSProfile(depth=4000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 # Neither stage needs these; that a rig does not have them is no fault.
-OPTIONAL = frozenset({"temperature", "v", "omega", "omega_d", "force"})
+OPTIONAL = frozenset({"temperature", "v", "omega", "force"})
 
 
 class TopicInput:
