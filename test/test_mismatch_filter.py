@@ -8,7 +8,21 @@ from filterpy.kalman import KalmanFilter
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
-from rig_tools import BETA, C_T, D_P, K_POS, MULTISINE, V0, A, B, M, settings, simulated, without
+from rig_tools import (
+    BETA,
+    C_T,
+    D_P,
+    K_POS,
+    MULTISINE,
+    V0,
+    A,
+    B,
+    M,
+    settings,
+    simulated,
+    with_channels,
+    without,
+)
 from scipy.linalg import expm, solve_discrete_are
 
 from eha_monitor.mismatch.experiment import experiment_of
@@ -152,6 +166,20 @@ def test_free_run_corrects_nothing_and_a_missing_channel_changes_nothing(run, ex
 
 
 # ---- likelihood -------------------------------------------------------------------------------
+
+
+def test_an_unknown_course_of_the_demand_is_no_error_of_a_sensor(run, experiment):
+    """A pressure taken from its sensor is taken with the error that the model gives the sensor."""
+    config = settings(effects={"pressure_offset": {"b_1": 2.5e4, "b_2": 0.0}})
+    recording = run.recording(1)
+    wrong = with_channels(recording, p1=recording.channels["p1"] + 2.5e4)
+    ends = []
+    for one, known in ((recording, settings()), (wrong, config)):
+        built = experiment_of([one], known)
+        stretch = replace(built.stretches[0], loose=np.full(len(recording), 0.4))
+        gains = gains_of(built, built.theta, built.active, UNKNOWNS)
+        ends.append(filtered(built, stretch, built.theta, built.active, gains, True)[1][-1])
+    assert ends[1][:4] == pytest.approx(ends[0][:4], rel=1e-3, abs=1e-4)
 
 
 def test_a_run_that_went_astray_can_be_whitened():

@@ -78,7 +78,7 @@ def innovate(z, u, p1, p2, mode, dt, steps, theta, active, gains, decay, y, memo
             sense(y, t, h, past, last, w, shown)
             shown[4] = speed_now(y, u, 1, k, dt, steps, mode == CLOSED, theta, w, past, last)[1]
         gain = gains[min(k, gains.shape[0] - 1)]
-        predicted = y[Y_X]
+        predicted, before_1, before_2 = y[Y_X], y[Y_P1], y[Y_P2]
         for j in range(N_OUTPUTS):
             difference = z[k, j] - shown[j]
             e[k, j] = difference
@@ -86,7 +86,8 @@ def innovate(z, u, p1, p2, mode, dt, steps, theta, active, gains, decay, y, memo
                 for i in range(N_FILTERED):
                     y[i] += gain[i, j] * difference
         if role[k] > 0.0 and math.isfinite(z[k, 2]) and math.isfinite(z[k, 3]):
-            half = 0.5 * role[k] * (z[k, 2] - y[Y_P1] - z[k, 3] + y[Y_P2])
+            # Less what the gains have corrected; the innovations know the sensors' own errors.
+            half = 0.5 * role[k] * (e[k, 2] - y[Y_P1] + before_1 - e[k, 3] + y[Y_P2] - before_2)
             y[Y_P1] += half
             y[Y_P2] -= half
             # On the mean it entered in the middle of the sample, and has pushed since.
