@@ -101,6 +101,7 @@ def judged(case: Case, advice: dict, work: Path) -> dict:
         "shift_right": amount > 0 and abs(shift * SPEED / amount - 1.0) < SHIFT_CLOSE,
         "motion": motion.get("words", ""), "gain": gain, "decides": gain >= DECISIVE,
         "named": [one["name"] for one in both.get("effects", ())],
+        "verdict": both.get("verdict", ""),
         "F_c_said": said_of(both, COULOMB, "F_c"),
         "B_said": both.get("parameters", {}).get("after", {}).get("B"),
         "data": both.get("fit", {}).get("data", ""),
@@ -140,7 +141,7 @@ def facts_of(rows: list[dict]) -> list[str]:
              f"advised: {row['motion'] or 'no motion'}" for row in rows]
     confused = sum(row["correlation"] > CONFUSED and row["shift_right"] for row in rows)
     decided = sum(row["decides"] for row in rows)
-    named = sum(row["named"] == [COULOMB] for row in rows)
+    named = sum(row["named"] == [COULOMB] and row["verdict"] == "mismatch" for row in rows)
     return [
         f"{confused} of {count}: the advice says that the plateaus cannot tell B from Coulomb "
         f"friction, and by how much B may be off (F_c / v0 within {SHIFT_CLOSE:.0%})",
