@@ -158,7 +158,8 @@ def test_what_the_advice_must_say(tmp_path, monkeypatch):
     (tmp_path / "answers").mkdir()
     write_json(tmp_path / "answers" / f"{case.name}_both.json", {**said(
         ("coulomb_friction", (), {"F_c": 1.01 * force}),
-        after={"B": {"value": 0.99 * true, "stddev": 2.0}}), "fit": {"data": "held_out_bag"}, "verdict": "mismatch"})
+        after={"B": {"value": 0.99 * true, "stddev": 2.0}}),
+        "fit": {"data": "held_out_bag"}, "verdict": "mismatch"})
     advice = {"confusions": [{"parameter": "B", "effect": "coulomb_friction", "amount": 20.0,
                               "plateau_correlation": -0.99999, "plateau_shift": -500.0}],
               "doubts": [{"parameter": "B", "effect": "coulomb_friction", "then": 800.0}],
