@@ -1,20 +1,22 @@
 """Choice among the candidates of a round: enough evidence, a size that matters, rivals."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from eha_monitor.mismatch.experiment import Experiment
-from eha_monitor.mismatch.fit import Fit, spread
+from eha_monitor.mismatch.fit import Fit, spread, with_unknowns
+from eha_monitor.mismatch.gains import Unknowns
 from eha_monitor.mismatch.screen import Start, own_sizes, starts_of
 from eha_monitor.mismatch.search import (
+    STIFF,
     THRESHOLD,
     Candidate,
     Round,
     completed,
     first_fit,
+    from_prior,
     limits_of,
     round_of,
     settle,
@@ -33,6 +35,7 @@ FAMILY_SHARE = 0.05  # the same within a family
 ROUGH_SHARE = 0.3  # the same on a circuit that no model knows to the last newton
 CONTENDING = 0.7  # of the taken effect's gain: who may yet take its place
 EXPLAINED = 0.75  # share of the evidence that names must take away, or it is unexplained
+TIGHT = 100.0  # times the smallest unknowns, 1 % of what the record covers
 NOTHING = 0.01  # log units a sample: what speaks against a model with no more is nothing
 UNKNOWN = 0.01  # of what a balance does: an unknown above is a mismatch, named or not
 NEGLIGIBLE = 0.25  # times an effect's start, which is about 1 % of what its balance does
@@ -125,15 +128,18 @@ def comparable(experiment: Experiment, name: str, other: str) -> bool:
     return not experiment.inverse or CATALOGUE[name].balance == CATALOGUE[other].balance
 
 
+Way = tuple[Fit, tuple[Round, ...], dict[str, tuple[str, ...]]]
+
+
 def add_effects(experiment: Experiment, first: Fit, threshold: float, say: Report, fit: Fit,
-                rounds: tuple[Round, ...], rivals: dict[str, tuple[str, ...]]
-                ) -> tuple[Fit, tuple[Round, ...], dict[str, tuple[str, ...]]]:
+                rounds: tuple[Round, ...] = ()) -> Way:
     """Take effect after effect until none is worth it; returns the model, rounds and rivals.
 
     Parameters
     ----------
-    fit, rounds, rivals : where to begin.
+    fit, rounds : where to begin.
     """
+    rivals: dict[str, tuple[str, ...]] = dict.fromkeys(fit.named, ())
     most = MOST_OF_ALL if experiment.inverse else MOST_EFFECTS
     while len(fit.named) < most and len(rounds) < most + 2:
         say(f"trying the catalogue, round {len(rounds) + 1}", min(0.15 + 0.25 * len(rounds), 0.8))
@@ -151,6 +157,34 @@ def add_effects(experiment: Experiment, first: Fit, threshold: float, say: Repor
         rivals = {name: others for name, others in rivals.items() if name in fit.named}
         rivals[taken.effect] = near
     return fit, rounds, rivals
+
+
+def strictly(experiment: Experiment, first: Fit, threshold: float, say: Report,
+             rounds: tuple[Round, ...]) -> Way | None:
+    """Search once more while little may stay unknown.
+
+    Where several large effects come together, the nominal model needs unknowns that follow nearly
+    everything; what is then left for an effect to explain says little.  Held tight, and with B
+    and beta_e where the config has them, each effect shows.
+    """
+    tight = replace(experiment, largest_unknown=TIGHT)
+    small, large = (limit.as_array() for limit in limits_of(tight))
+    start = settle(tight, with_unknowns(tight, from_prior(first), Unknowns(
+        *np.minimum(STIFF * small, large))))
+    fit, rounds, rivals = add_effects(tight, start, threshold, say, start)
+    if not fit.named:
+        return None
+    return settle(experiment, fit, 3), rounds, rivals
+
+
+def resonant(experiment: Experiment, first: Fit, threshold: float, say: Report,
+             rounds: tuple[Round, ...]) -> Way | None:
+    """Search once more from the effects whose score tells nothing."""
+    other = stubborn(experiment, first)
+    if other is None:
+        return None
+    start = Round(first, rounds[0].scores, (other, *rounds[0].candidates))
+    return add_effects(experiment, first, threshold, say, other.fit, (start,))
 
 
 def unexplained(experiment: Experiment, first: Fit, fit: Fit) -> bool:
@@ -184,14 +218,14 @@ def name_effects(experiment: Experiment, threshold: float = THRESHOLD,
     say = report or (lambda text, share: None)
     say("fitting the nominal model", 0.05)
     first = first_fit(experiment) if first is None else first
-    fit, rounds, rivals = first, [], {}
-    steps = partial(add_effects, experiment, first, threshold, say)
-    fit, rounds, rivals = steps(fit, (), {})
-    if not experiment.inverse and unexplained(experiment, first, fit):
-        other = stubborn(experiment, first)
-        if other is not None and other.fit.log_likelihood > fit.log_likelihood + threshold:
-            start = Round(first, rounds[0].scores, (other, *rounds[0].candidates))
-            fit, rounds, rivals = steps(other.fit, (start,), {other.effect: ()})
+    fit, rounds, rivals = add_effects(experiment, first, threshold, say, first)
+    for other_way in (strictly, resonant):
+        if not unexplained(experiment, first, fit):
+            break
+        say("trying again from elsewhere", 0.8)
+        other = other_way(experiment, first, threshold, say, rounds)
+        if other is not None and other[0].log_likelihood > fit.log_likelihood + threshold:
+            fit, rounds, rivals = other
     say("comparing what was named with its rivals", 0.85)
     fit, evidence = prune(experiment, fit, first, threshold)
     if len(fit.named) > 1:  # the rounds judged each effect beside an incomplete model

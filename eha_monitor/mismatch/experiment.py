@@ -76,6 +76,8 @@ class Experiment:
     ranges : what the record covers.
     position_step : resolution of the position sensor, m; 0 where it is continuous.
     input_noise : standard deviation of the noise on a measured input, in its unit.
+    largest_unknown : how far unknown force, flow and speed may go, times their smallest; 1e4
+        times is what the record covers.
     wanted_speed : the input of ``CLOSED`` is the speed that the drive was told, not x_d.
     inverse : the balances' own errors are compared (:mod:`equation_error`), not predictions.
     drift : by how much the circuit outside the model moves a chamber's pressure in a sample, Pa.
@@ -97,6 +99,7 @@ class Experiment:
     wanted_speed: bool = False
     drift: float = 0.0
     inverse: bool = False
+    largest_unknown: float = 3e4
 
     @property
     def n(self) -> int:

@@ -125,18 +125,20 @@ def linear_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
     elif experiment.mode == OPEN:
         away[Y_OMEGA] = True
     a[away], a[:, away], h[:, away] = 0.0, 0.0, 0.0
-    late = circuit_of(theta, active)[s.PRESSURE_DELAY]
-    if late > 0.0 and experiment.mode != FORCED:
-        # A gain that takes an old pressure for a new one makes the filter swing.
-        kept = np.flatnonzero(~away)
-        back = power_of(a[np.ix_(kept, kept)] / size[kept, None] * size[kept], -late / dt)
-        h[np.ix_([2, 3], kept)] = (h[np.ix_([2, 3], kept)] * size[kept]) @ back / size[kept]
     intensity = unknowns.as_array()
     q = np.zeros(N_FILTERED)
     q[:5] = (1e-7 * size[:5]) ** 2  # rounding and integration: keeps P positive
     q[[Y_P1, Y_P2]] += experiment.drift**2
     q[5:] = intensity**2 * (1.0 - decay**2)
     q[away] = 0.0
+    variance = noise**2
+    late = circuit_of(theta, active)[s.PRESSURE_DELAY]
+    if late > 0.0 and experiment.mode != FORCED:
+        kept = np.flatnonzero(~away)
+        rows, more = looking_back(a[np.ix_(kept, kept)], h[np.ix_([2, 3], kept)], q[kept],
+                                  size[kept], late / dt)
+        h[np.ix_([2, 3], kept)] = rows
+        variance[[2, 3]] += more
     start = np.zeros(N_FILTERED)
     start[Y_X] = (2.0 * noise[0]) ** 2
     start[Y_V] = r.speed**2
@@ -146,7 +148,29 @@ def linear_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
     start[Y_OMEGA] = pump**2
     start[Y_FORCE:] = intensity**2
     start[away] = 0.0
-    return Linear(a, h, q, noise**2, start)
+    return Linear(a, h, q, variance, start)
+
+
+def looking_back(a: np.ndarray, h: np.ndarray, q: np.ndarray, size: np.ndarray, late: float
+                 ) -> tuple[np.ndarray, np.ndarray]:
+    """Return how an old reading depends on the present state, and its further variance.
+
+    A gain that takes an old pressure for a new one makes the filter swing.  With
+    x(t) = A^m x(t - T) + sum A^i w, y = H x(t - T) is H A^-m x(t) less the noise since.
+
+    Parameters
+    ----------
+    a, h, q, size : (n, n) of one sample, (k, n), (n,) variances, (n,) scales of the state.
+    late : samples.
+    """
+    scaled = a / size[:, None] * size
+    rows = (h * size) @ power_of(scaled, -late) / size
+    one_back = power_of(scaled, -1.0)
+    more, past = np.zeros(len(h)), h * size
+    for i in range(int(np.ceil(late))):
+        past = past @ one_back
+        more += min(1.0, late - i) * ((past / size) ** 2 @ q)
+    return rows, more
 
 
 def power_of(a: np.ndarray, exponent: float) -> np.ndarray:

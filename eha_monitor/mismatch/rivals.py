@@ -279,6 +279,7 @@ def gains_from(experiment: Experiment, base: Base) -> list[tuple[Rival, float]]:
 def shares_of(gains: dict[str, tuple[Rival, float]]) -> tuple[dict[str, float], float, list[int]]:
     """Return shares of force, flow, drive and sensor, the best gain, and the sensors suspected."""
     shares = dict.fromkeys(("force", "flow", "drive", "sensor"), 0.0)
+    gains = {name: gain for name, gain in gains.items() if np.isfinite(gain[1])}
     best = max((value for _, value in gains.values()), default=0.0)
     if best <= 0.0:
         return shares, 0.0, []

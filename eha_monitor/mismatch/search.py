@@ -30,14 +30,13 @@ from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
 
-LARGEST_UNKNOWN = 3e4  # times the smallest: three times what the record covers
-
 PROMISE = 0.1  # of the best score: what an effect must score to be refitted
 SHORTLIST = 8  # effects that are refitted in each round
 LIKELY = 0.15  # of the demanded gain
 STIFF, YIELDING = 30.0, 300.0  # times the smallest unknowns
 STRAYED = 0.7  # of the logarithm: B or beta_e is off its prior by a factor of two
 FINALISTS, WORTH = 3, 0.6  # how many are fitted to the end, and what share of the best they have
+AFAR = 2  # how many more that start at the priors
 LEAST_SHARE, LEAST_OF_MANY = 0.05, 0.3  # of its start: where a size enters at least
 THRESHOLD = 12.0  # log units, where no calibration is at hand
 TIMING = 0.05  # samples: timing errors up to here need no name
@@ -101,7 +100,7 @@ def timing_free(experiment: Experiment) -> tuple[Free, ...]:
 def limits_of(experiment: Experiment) -> tuple[Unknowns, Unknowns]:
     """Return the smallest and the largest unknowns that are tried."""
     small = smallest_unknowns(experiment).as_array()
-    large = LARGEST_UNKNOWN * small
+    large = experiment.largest_unknown * small
     if experiment.mode == FORCED:
         large[1:] = small[1:]
     elif experiment.mode != CLOSED or not experiment.used[4]:
@@ -253,19 +252,27 @@ def round_of(experiment: Experiment, fit: Fit, demanded: Callable[[str], float] 
             experiment, entered_fit, 1, 4 if astray else 2, astray, 1.0)))
 
     quick = spread(tried, tasks)
-    best: dict[str, Candidate] = {}
-    for candidate in quick:
-        if not np.isfinite(candidate.gain):
-            continue
-        if candidate.effect not in best or candidate.gain > best[candidate.effect].gain:
-            best[candidate.effect] = candidate
-    ranked = sorted(best.values(), key=lambda c: -c.gain)
-    # What is far behind after a few steps does not catch up: only the front runners go on.
+    ranked = best_of_each(quick)
+    # What is far behind after a few steps does not catch up: only the front runners go on, and
+    # two of those that came from the priors, which have the longer way.
     front = [c for c in ranked if c.gain > WORTH * ranked[0].gain][:FINALISTS]
+    known = {id(c) for c in front}
+    afar = [c for c in best_of_each(quick[len(promising):]) if id(c) not in known][:AFAR]
     final = spread(lambda c: Candidate(c.start, *gained(fit, settle(
-        experiment, c.fit, 2, 4, False, 1.0))), front)
-    ranked = sorted([*final, *(c for c in ranked if c not in front)], key=lambda c: -c.gain)
+        experiment, c.fit, 2, *((4, False) if id(c) in known else (6, True)), 1.0))),
+        [*front, *afar])
+    ranked = best_of_each([*final, *ranked])
     return Round(fit, tuple(scores), tuple(ranked))
+
+
+def best_of_each(candidates: list[Candidate]) -> list[Candidate]:
+    """Return the best candidate of each effect, best first."""
+    best: dict[str, Candidate] = {}
+    for candidate in candidates:
+        if np.isfinite(candidate.gain) and (candidate.effect not in best
+                                            or candidate.gain > best[candidate.effect].gain):
+            best[candidate.effect] = candidate
+    return sorted(best.values(), key=lambda c: -c.gain)
 
 
 def stubborn(experiment: Experiment, fit: Fit) -> Candidate | None:
