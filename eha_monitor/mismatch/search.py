@@ -93,7 +93,9 @@ def timing_free(experiment: Experiment) -> tuple[Free, ...]:
     found = []
     for name in ("command_delay", "position_delay", "pressure_delay"):
         if possible(name, experiment) and not experiment.active[NAMES.index(name)]:
-            found.append(Free(f"{name}.T", place_of(f"{name}.T"), 0.0, limit, 0.0, limit))
+            # A pump speed that is read late looks like a late command and an early position.
+            lower = -limit if name == "position_delay" else 0.0
+            found.append(Free(f"{name}.T", place_of(f"{name}.T"), lower, limit, 0.0, limit))
     return tuple(found)
 
 
