@@ -25,7 +25,7 @@ from eha_monitor.mismatch.search import (
     without_effect,
 )
 from eha_monitor.physics.effects import CATALOGUE
-from eha_monitor.physics.parameters import place_of
+from eha_monitor.physics.parameters import effect_values
 
 MOST_EFFECTS = 4
 MOST_OF_ALL = 6  # where each balance has a likelihood of its own
@@ -79,11 +79,11 @@ def material(experiment: Experiment, fit: Fit, name: str) -> bool:
     for start in starts_of(name, experiment):
         for key, value in start.values:
             smallest[key] = min(abs(value), smallest.get(key, np.inf))
+    values = effect_values(fit.theta, name)
     for p in CATALOGUE[name].sizes:
-        value = float(fit.theta[place_of(f"{name}.{p.name}")])
         if not np.isfinite(p.neutral):  # a limit: it was reached, or it would have no evidence
             return True
-        if abs(value) > NEGLIGIBLE * smallest.get(p.name, 0.0):
+        if abs(values[p.name]) > NEGLIGIBLE * smallest.get(p.name, 0.0):
             return True
     return False
 
@@ -289,9 +289,7 @@ def contenders(rounds: list[Round], fit: Fit, name: str) -> list[Candidate]:
 
 def substituted(experiment: Experiment, fit: Fit, name: str, rival: Candidate) -> Fit:
     """Return the model with a rival in place of a named effect, where its own fit left it."""
-    values = tuple((p.name, float(rival.fit.theta[place_of(f"{rival.effect}.{p.name}")]))
-                   for p in CATALOGUE[rival.effect].parameters)
-    start = Start(rival.effect, values)
+    start = Start(rival.effect, tuple(effect_values(rival.fit.theta, rival.effect).items()))
     return with_effect(without_effect(experiment, fit, name), start,
                        (1.0,) * len(own_sizes(start)))
 

@@ -8,7 +8,7 @@ from eha_monitor.mismatch.diagnosis import NamedEffect, Value
 from eha_monitor.mismatch.experiment import Experiment
 from eha_monitor.mismatch.fit import Fit, sensitivities, step_of, whitener
 from eha_monitor.physics.effects import CATALOGUE
-from eha_monitor.physics.parameters import place_of
+from eha_monitor.physics.parameters import effect_values
 
 BLOCK = 0.5  # s
 INVERSE_BLOCK = 10  # compared samples of the balances, a second
@@ -68,10 +68,9 @@ def config_effects(experiment: Experiment, fit: Fit, names: tuple[str, ...]
     """Return the ``effects:`` section: what the config had, and the named ones of ``names``."""
     found = {name: dict(values) for name, values in experiment.settings.effects.items()}
     for name in (name for name in fit.named if name in names):
-        found[name] = {}
-        for p in CATALOGUE[name].parameters:
-            value = float(fit.theta[place_of(f"{name}.{p.name}")])
-            found[name][p.name] = float(min(max(value, p.lower), p.upper))
+        values = effect_values(fit.theta, name)
+        found[name] = {p.name: float(min(max(values[p.name], p.lower), p.upper))
+                       for p in CATALOGUE[name].parameters}
     return found
 
 

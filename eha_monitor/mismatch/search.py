@@ -28,7 +28,7 @@ from eha_monitor.mismatch.screen import (
 )
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import CATALOGUE, NAMES
-from eha_monitor.physics.parameters import place_of
+from eha_monitor.physics.parameters import effect_values, place_of
 
 PROMISE = 0.1  # of the best score: what an effect must score to be refitted
 SHORTLIST = 8  # effects that are refitted in each round
@@ -57,6 +57,11 @@ class Candidate:
     def effect(self) -> str:
         """Name of the effect."""
         return self.start.effect
+
+
+def candidate_of(start: Start, before: Fit, after: Fit) -> Candidate:
+    """Return a refitted model as a candidate, with what it gained over ``before``."""
+    return Candidate(start, after, after.log_likelihood - before.log_likelihood)
 
 
 @dataclass(frozen=True)
@@ -200,10 +205,10 @@ def replacements_of(experiment: Experiment, fit: Fit) -> list[Start]:
             bounds = {p.name: p for p in CATALOGUE[other].parameters}
             for start in starts_of(other, experiment):
                 values = dict(start.values)
-                for p in CATALOGUE[name].parameters:  # what both have starts where it stands
-                    now = float(fit.theta[place_of(f"{name}.{p.name}")])
-                    if p.name in values and bounds[p.name].lower <= now <= bounds[p.name].upper:
-                        values[p.name] = now
+                for key, now in effect_values(fit.theta, name).items():
+                    # What both have starts where it stands.
+                    if key in values and bounds[key].lower <= now <= bounds[key].upper:
+                        values[key] = now
                 found.append(replace(start, values=tuple(values.items()), replaces=name))
     return found
 
@@ -250,8 +255,8 @@ def round_of(experiment: Experiment, fit: Fit, demanded: Callable[[str], float] 
         base, score = task
         entered_fit = with_effect(base, score.start, score.amplitudes, False)
         astray = base is not fit
-        return Candidate(score.start, *gained(fit, settle(
-            experiment, entered_fit, 1, 4 if astray else 2, astray, 1.0)))
+        return candidate_of(score.start, fit, settle(
+            experiment, entered_fit, 1, 4 if astray else 2, astray, 1.0))
 
     quick = spread(tried, tasks)
     ranked = best_of_each(quick)
@@ -260,8 +265,8 @@ def round_of(experiment: Experiment, fit: Fit, demanded: Callable[[str], float] 
     front = [c for c in ranked if c.gain > WORTH * ranked[0].gain][:FINALISTS]
     known = {id(c) for c in front}
     afar = [c for c in best_of_each(quick[len(promising):]) if id(c) not in known][:AFAR]
-    final = spread(lambda c: Candidate(c.start, *gained(fit, settle(
-        experiment, c.fit, 2, *((4, False) if id(c) in known else (6, True)), 1.0))),
+    final = spread(lambda c: candidate_of(c.start, fit, settle(
+        experiment, c.fit, 2, *((4, False) if id(c) in known else (6, True)), 1.0)),
         [*front, *afar])
     ranked = best_of_each([*final, *ranked])
     return Round(fit, tuple(scores), tuple(ranked))
@@ -293,14 +298,14 @@ def stubborn(experiment: Experiment, fit: Fit) -> Candidate | None:
         if start.effect in fit.named:
             base = without_effect(experiment, base, start.effect)
         entered_fit = with_effect(base, start, (1.0,) * len(own_sizes(start)))
-        return Candidate(start, *gained(fit, settle(experiment, entered_fit, 1, 6, True, 2.0)))
+        return candidate_of(start, fit, settle(experiment, entered_fit, 1, 6, True, 2.0))
 
     origin = from_prior(fit)
     done = spread(tried, [(base, start) for start in starts for base in (fit, origin)])
     best = max(done, key=lambda c: c.gain, default=None)
     if best is None or not np.isfinite(best.gain):
         return None
-    return Candidate(best.start, *gained(fit, settle(experiment, best.fit, 6, 12)))
+    return candidate_of(best.start, fit, settle(experiment, best.fit, 6, 12))
 
 
 def enters_alone(name: str) -> bool:
@@ -346,12 +351,6 @@ def completed(fit: Fit) -> Fit:
     have = {f.name for f in fit.free}
     found = []
     for name in fit.named:
-        values = tuple((p.name, float(fit.theta[place_of(f"{name}.{p.name}")]))
-                       for p in CATALOGUE[name].parameters)
-        found += [f for f in free_of(Start(name, values)) if f.name not in have]
+        start = Start(name, tuple(effect_values(fit.theta, name).items()))
+        found += [f for f in free_of(start) if f.name not in have]
     return replace(fit, free=fit.free + tuple(found))
-
-
-def gained(before: Fit, after: Fit) -> tuple[Fit, float]:
-    """Return a fit and what it gained over another, log units."""
-    return after, after.log_likelihood - before.log_likelihood

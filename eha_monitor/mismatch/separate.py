@@ -20,7 +20,7 @@ from eha_monitor.mismatch.screen import directions_of, starts_of
 from eha_monitor.mismatch.search import settle, with_effect, without_effect
 from eha_monitor.mismatch.tells import Confusion, Known, Sight
 from eha_monitor.physics.effects import CATALOGUE, NAMES
-from eha_monitor.physics.parameters import place_of
+from eha_monitor.physics.parameters import effect_values, place_of
 
 DECISIVE = 20.0  # log units that settle a question
 WANTED = 40.0  # log units that are asked of a prediction, so that they do
@@ -188,8 +188,9 @@ def entered_at(experiment: Experiment, traces: Traces, effect: str, name: str,
     bare = without_effect(experiment, fit, effect)
     start = starts_of(name, experiment)[0]
     values, bounds = dict(start.values), {p.name: p for p in CATALOGUE[name].parameters}
+    held = effect_values(fit.theta, effect)
     for p in CATALOGUE[effect].parameters:
-        now = float(fit.theta[place_of(f"{effect}.{p.name}")])
+        now = held[p.name]
         if p.name in values and p.default is not None and (
                 bounds[p.name].lower <= now <= bounds[p.name].upper):
             values[p.name] = now

@@ -43,6 +43,12 @@ def place_of(parameter: str) -> int:
     return signals.N_BASE + NAMES.index(effect) * signals.MAX_PARAMETERS + names.index(name)
 
 
+def effect_values(theta: np.ndarray, effect: str) -> dict[str, float]:
+    """Return an effect's parameters as they stand in theta, by name, SI."""
+    return {p.name: float(theta[place_of(f"{effect}.{p.name}")])
+            for p in CATALOGUE[effect].parameters}
+
+
 def require_plant(rig: Rig, source: str) -> None:
     """Raise InputError if a constant that the whole plant needs is null."""
     for key in BASE_KEYS.values():
