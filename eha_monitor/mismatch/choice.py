@@ -219,7 +219,8 @@ def name_effects(experiment: Experiment, threshold: float = THRESHOLD,
     say("fitting the nominal model", 0.05)
     first = first_fit(experiment) if first is None else first
     fit, rounds, rivals = add_effects(experiment, first, threshold, say, first)
-    for other_way in (strictly, resonant):
+    # Balances that are compared as they stand have neither unknowns nor a resonance.
+    for other_way in () if experiment.inverse else (strictly, resonant):
         if not unexplained(experiment, first, fit):
             break
         say("trying again from elsewhere", 0.8)
