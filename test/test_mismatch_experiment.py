@@ -117,9 +117,15 @@ def test_where_a_demand_begins_to_move_its_course_is_not_known():
 
 @pytest.mark.parametrize("u", [
     lambda k: 1e-3 * np.abs(k - 40.0), lambda k: 1e-3 * np.abs(k - 40.4),
-    lambda k: 2e-3 * np.clip(k - 40.0, 0.0, 6.0), lambda k: 0.01 * (k >= 40)])
-def test_lines_corners_and_jumps_are_taken_as_they_are(u):
+    lambda k: 2e-3 * np.clip(k - 40.0, 0.0, 6.0)])
+def test_lines_and_corners_are_taken_as_they_are(u):
     assert course_of(u(np.arange(80.0)), 0.0)[1].max() < 1e-15
+
+
+def test_when_between_two_stamps_a_demand_jumps_is_not_known():
+    _, off = course_of(0.01 * (np.arange(80.0) >= 40), 0.0)
+    assert off[39] == pytest.approx(0.01 / np.sqrt(3.0)) and np.flatnonzero(off).tolist() == [39]
+    assert not course_of(0.01 * (np.arange(80.0) >= 40), 0.0, True)[1].any()  # a digital drive
 
 
 def test_only_such_samples_take_the_pressures_from_the_sensors():

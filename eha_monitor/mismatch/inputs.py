@@ -12,6 +12,7 @@ CORNER = 20.0  # times the bends outside: a corner lies between two samples
 VISIBLE = 6.0  # noise sigmas by which a jump or corner must stand out
 
 
+JUMPED = 3.0**-0.5  # rms of what a jump at any time between two stamps adds to the mean
 BEND = 1.0 / 24.0  # of the fourth difference: how far a cubic's mean may be off where it bends
 
 
@@ -34,7 +35,8 @@ def course_of(u: np.ndarray, sigma: float, sampled: bool = False) -> tuple[np.nd
     """Return the cubics, and by how much the mean of each may be off, (n,) in the input's unit.
 
     Where a demand begins to move smoothly within a few samples, its course between two of them is
-    not known; a straight piece, a corner or a jump is taken as it is.
+    not known, nor is the time between two stamps at which it jumps; a straight piece or a corner
+    is taken as it is.
     """
     n = len(u)
     c = np.zeros((n, 4))
@@ -72,6 +74,7 @@ def course_of(u: np.ndarray, sigma: float, sampled: bool = False) -> tuple[np.nd
     fourth[2:-2] = np.abs(np.diff(u, 4))
     off = BEND * np.maximum(fourth, np.append(fourth[1:], 0.0))
     off[np.convolve(corner | jump, np.ones(7), "same") > 0.5] = 0.0  # as far as five samples reach
+    off[jump] = JUMPED * step[jump]
     return c, off
 
 
