@@ -30,6 +30,8 @@ MISSING = {"force": "missing force", "flow": "missing flow", "drive": "missing d
 _SYMBOL_OF = {"velocity": "velocity v", "position": "position x", "omega": "pump speed ω",
               "pump_speed": "pump speed ω", "pressure_difference": "pressure difference Δp",
               "time": "time"}
+# In steady motion pump and piston go together; a force hangs on the piston.
+_INDIRECT, _STAND_IN = ("force", "pump_speed"), 0.5
 _MOST_BARS = 70  # points with a bar each; more get a band
 
 
@@ -50,7 +52,8 @@ def telling(found: Diagnosis) -> list[Curve]:
     drawable = [curve for curve in found.curves
                 if np.isfinite(curve.measured * curve.x).sum() >= 2]
     return sorted(drawable, key=lambda curve: (
-        curve.balance != blamed, curve.against == "time", -_contrast(curve)))
+        curve.balance != blamed, curve.against == "time",
+        -_contrast(curve) * (_STAND_IN if (curve.balance, curve.against) == _INDIRECT else 1.0)))
 
 
 def _contrast(curve: Curve) -> float:
