@@ -87,9 +87,9 @@ def test_phi_functions_of_nothing():
 # ---- stage two's step --------------------------------------------------------------------------
 
 
-def constants(loop=True, beta_0=5e8, extra=0.0, **rig):
+def constants(loop=True, beta_0=5e8, extra=0.0, line=(0.0, 0.0, 0.0), **rig):
     theta, _ = theta_of(settings(rig=rig).rig, {})
-    return hydraulics(theta, beta_0, extra, loop)
+    return hydraulics(theta, beta_0, extra, loop, line)
 
 
 def step_by_scipy(loop, b, beta, leak, dt, mass=M, two_s=2 * A**2 / V0, gain=2 * A * D_P / V0):
@@ -140,6 +140,31 @@ def test_two_area_hydraulics_are_the_sum_of_both_chambers():
     mine = discretised(k, B, 5e8 / BETA, leak, T_S)
     theirs = step_by_scipy(True, B, BETA, leak, T_S, two_s=two_s, gain=gain)
     assert relative_columns(mine, theirs).max() < 1e-8
+
+
+@pytest.mark.parametrize("loop", [True, False])
+@pytest.mark.parametrize("time", [1e-5, 1e-3, 0.1])
+def test_step_with_a_line_is_the_exponential_of_both_together(loop, time):
+    a1, a2, v1, v2, zeta, impedance = 1.96e-3, 1.65e-3, 3e-4, 2e-4, 0.05, 1.2e4
+    k = constants(loop, line=(time, zeta, impedance), area_1=a1, area_2=a2, volume_1=v1,
+                  volume_2=v2)
+    n = np.zeros((9, 9))  # x, v, F, n, dp_l, input, its slope, force, rate of force per beta
+    n[0, 1] = n[5, 6] = 1
+    n[1, 1], n[1, 2], n[1, 7] = -B / M, 1 / M, -1 / M
+    two_s = a1**2 / v1 + a2**2 / v2
+    n[2, 1:4] = BETA * np.array([-two_s, -LEAK, two_s / a1 * D_P])
+    n[2, 8] = BETA
+    n[3, 2:5] = np.array([-2 / (a1 + a2), -2 * zeta * impedance, 1.0]) / (impedance * time)
+    n[4, 3], n[4, 5] = -impedance / time, impedance / time * (K_POS if loop else 1.0)
+    n[4, 0] = -impedance / time * (K_POS if loop else 0.0)
+    e = expm(n * T_S)
+    g1 = e[:5, 6] / T_S
+    theirs = np.column_stack([e[:5, :3], e[:5, 5] - g1, g1, e[:5, 7:], e[:5, 3:5]])
+    mine = np.empty((5, 9))
+    discretise_at(k, B, 5e8 / BETA, LEAK, T_S, np.empty((10, 5, 5)), mine)
+    rows = np.array([1.0, 1 / 30.0, 1 / (M * 1e4), 1e-3, 1e-7])[:, None]
+    mine, theirs = mine * rows, theirs * rows
+    assert (np.abs(mine - theirs).max(axis=0) < 1e-7 * np.abs(theirs).max(axis=0)).all()
 
 
 def test_air_in_the_model_softens_the_step():

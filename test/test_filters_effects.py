@@ -52,7 +52,7 @@ def test_the_drive_is_followed_where_the_pump_speed_is_not_recorded(case):
     assert reached(known), told(known)
 
 
-@pytest.mark.parametrize("case", ["cross_port_leakage", "pump_volumetric_loss"])
+@pytest.mark.parametrize("case", ["cross_port_leakage", "pump_volumetric_loss", "line_dynamics"])
 def test_pressures_that_are_not_recorded_come_from_the_stage_itself(case):
     recording, effects = recording_of(case, ("x", "x_d", "omega"), seconds=12.0)
     beta = answer(recording, effects).parameters["beta_e"]

@@ -25,6 +25,7 @@ from eha_monitor.filters import kernel_one, kernel_two
 from eha_monitor.filters.filterpy_stages import FilterpyStageOne, FilterpyStageTwo
 from eha_monitor.filters.inputs import StageInputs, moved_mass
 from eha_monitor.filters.known import new_known_memory
+from eha_monitor.filters.stage_two import states_beside_c
 from eha_monitor.filters.supervision import new_supervision
 
 GAPS = (slice(700, 701), slice(1500, 1700), slice(2500, 2503))
@@ -118,8 +119,11 @@ def test_filterpy_runs_stage_two_to_the_same_numbers(name):
     b[n // 2 :] = 900.0 if name == "change" else 600.0
     broad = (two.prior_stddev / two.prior) ** 2
     q_f = (config.rig.mass * two.acceleration_noise) ** 2
-    m, p = np.array([np.nan, 0.0, 0.0, 0.8]), np.diag([0, 0, 0, 0.05**2])
-    sens, watch = np.zeros(4), new_supervision()
+    size = states_beside_c(model.hydraulics) + 1
+    assert size == (6 if name == "memory" else 4)  # a line has two states
+    m, p = np.zeros(size), np.zeros((size, size))
+    m[0], m[3], p[3, 3] = np.nan, 0.8, 0.05**2
+    sens, watch = np.zeros(size), new_supervision()
     memory = new_known_memory()
     live = FilterpyStageTwo(model, inputs.dt, inputs.position_variance, q_f, broad, m, p, sens,
                             watch, memory)

@@ -124,7 +124,7 @@ TERMS = {
     "pump_flow_gain": (lambda r, p: {s.SPEED: p["k"] * r.omega}, {"k": -0.08}),
     "pump_volumetric_loss": (lambda r, p: {s.SPEED: -p["k"] * np.abs(r.omega) * r.dp},
                              {"k": 2e-8, "motoring": 1.0}),
-    "line_dynamics": (lambda r, p: {}, {"T_l": 2e-3, "zeta": 0.2}),  # at rest so far
+    "line_dynamics": (lambda r, p: {}, {"T_l": 2e-3, "zeta": 0.2, "Z": 12e3}),  # at rest so far
     "anti_cavitation": (
         lambda r, p: {s.FLOW_1: p["k"] * np.clip(p["p_min"] - r.p1, 0, None),
                       s.FLOW_2: p["k"] * np.clip(p["p_min"] - r.p2, 0, None)},

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
-from eha_monitor.filters import kernel_one, kernel_two
+from eha_monitor.filters import kernel_one, kernel_two, steps_two
 from eha_monitor.filters.inputs import RigModel
 from eha_monitor.filters.known import modelled_force, new_known_memory, steps_in_sample
 from eha_monitor.filters.stage_one import (
@@ -19,7 +19,7 @@ from eha_monitor.filters.stage_one import (
     predict_one_euler,
     slopes_one,
 )
-from eha_monitor.filters.stage_two import BETA_0, MASS
+from eha_monitor.filters.stage_two import BETA_0, C_PLACE, MASS, column, place
 from eha_monitor.filters.supervision import (
     BLOCK,
     BLOCKS,
@@ -37,9 +37,6 @@ from eha_monitor.filters.supervision import (
 )
 from eha_monitor.physics.signals import N_CONTRIBUTIONS, N_SIGNALS
 
-_H3 = np.array([[1.0, 0.0, 0.0]])
-_H4 = np.array([[1.0, 0.0, 0.0, 0.0]])
-
 
 def _first(state: np.ndarray) -> np.ndarray:
     return state[:1]
@@ -50,17 +47,19 @@ class _Stage:
 
     Attributes
     ----------
-    ekf : the filterpy filter; ``ekf.x`` is (n,), ``ekf.P`` (n, n), the parameter comes last.
+    ekf : the filterpy filter; ``ekf.x`` is (n,), ``ekf.P`` (n, n).
+    place : of the parameter among the states.
     innovation, innovation_stddev : of the last sample, m; NaN where nothing was measured.
     changes : detected changes as (value before, value after) since the last look.
     """
 
-    def __init__(self, size: int, h: np.ndarray, r: float, prior_variance: float):
+    def __init__(self, size: int, place: int, r: float, prior_variance: float):
         self.ekf = ExtendedKalmanFilter(dim_x=size, dim_z=1)
         self.ekf.x = np.zeros(size)
         self.ekf.P = np.zeros((size, size))
         self.ekf.R = np.array([[r]])
-        self._h = h
+        self._h = np.eye(1, size)
+        self.place = place
         self.prior_variance = prior_variance
         self.watch = new_supervision()
         self.samples = 0
@@ -90,7 +89,7 @@ class _Stage:
             self.spikes += 1
             return False
         self.spikes = 0
-        h = ekf.P[0, -1] / ekf.P[-1, -1]
+        h = ekf.P[0, self.place] / ekf.P[self.place, self.place]
         self.watch[SCORE] += h * nu / s
         self.watch[INFORMATION] += h * h / s
         ekf.update(np.array([z]), lambda x: self._h, _first)
@@ -101,7 +100,8 @@ class _Stage:
         self.samples += 1
         if self.samples % BLOCK:
             return None
-        delta, information, window = look(self.watch, self.ekf.x[-1], self.ekf.P[-1, -1],
+        at = self.place
+        delta, information, window = look(self.watch, self.ekf.x[at], self.ekf.P[at, at],
                                           self.prior_variance)
         return (delta, information, window) if information > 0 else None
 
@@ -121,8 +121,8 @@ class _Stage:
         if self.watch[FROZEN] == 0.0:
             self.watch[[CHANGES, NET, TRAVEL]] *= changes
         else:
-            self.ekf.P[-1, -1] = min(self.ekf.P[-1, -1] / memory,
-                                     max(self.ekf.P[-1, -1], self.prior_variance))
+            now = self.ekf.P[self.place, self.place]
+            self.ekf.P[self.place, self.place] = min(now / memory, max(now, self.prior_variance))
 
     @property
     def factor(self) -> float:
@@ -144,7 +144,7 @@ class FilterpyStageOne(_Stage):
 
     def __init__(self, model: RigModel, mass: float, dt: float, r: float, prior: float,
                  prior_stddev: float, euler: bool = False):
-        super().__init__(3, _H3, r, prior_stddev**2)
+        super().__init__(3, 2, r, prior_stddev**2)
         self.mass, self.dt, self.euler = mass, dt, euler
         self._lowest = -kernel_one.NEGATIVE * mass / dt
         self._set_effects(model, new_known_memory())
@@ -247,20 +247,21 @@ class FilterpyStageTwo(_Stage):
     model : the rig and its modelled effects.
     dt, r, q_f : s, m^2, N^2.
     prior_variance : of c = beta_0/beta_e.
-    m, p, sens, watch, memory : state (4,), covariance (4, 4), sensitivity (4,), supervision, what
-        the effects remember.
+    m, p, sens, watch, memory : state (n,), covariance (n, n), sensitivity (n,), supervision,
+        what the effects remember.
     """
 
     def __init__(self, model: RigModel, dt: float, r: float, q_f: float, prior_variance: float,
                  m: np.ndarray, p: np.ndarray, sens: np.ndarray, watch: np.ndarray,
                  memory: np.ndarray):
-        super().__init__(4, _H4, r, prior_variance)
+        super().__init__(len(m), C_PLACE, r, prior_variance)
         self.dt, self.q_f = dt, q_f
         self.ekf.x, self.ekf.P = m.copy(), p.copy()
         self.sens, self.watch = sens.copy(), watch.copy()
         self.lost = bool(np.isnan(m[0]))
         self._set_effects(model, memory)
-        self._matrices, self._found, self._work, *self._scratch = kernel_two.new_work()
+        self._matrices, self._found, *self._work, s, c = kernel_two.new_work(model.hydraulics)
+        self._scratch = s, c
         self._found[kernel_two.STEPS] = steps_in_sample(dt, *self._effects, self.memory,
                                                         *self._scratch)
         self._damping = math.nan
@@ -282,18 +283,17 @@ class FilterpyStageTwo(_Stage):
             self._found[kernel_two.TOLD_FORCE] = 0.0
         if not math.isnan(x):
             if self.lost:
-                kernel_two.start_two(ekf.x, ekf.P, x, ekf.R[0, 0], self.dt,
-                                     self.model.hydraulics[MASS])
-                self.sens[:3] = 0.0
+                steps_two.restart_two(ekf.x, ekf.P, self.sens, x, ekf.R[0, 0], self.dt,
+                                      self.model.hydraulics)
                 self.lost = False
             elif self._correct(x):
                 self.sens = self.sens - ekf.K[:, 0] * self.sens[0]
-                ekf.x[3] = max(ekf.x[3], kernel_two.STIFFEST)
+                ekf.x[3] = max(ekf.x[3], steps_two.STIFFEST)
         change = self._close_block()
         if change is None:
             return None
         before = self.value
-        kernel_two.jump_two(ekf.x, ekf.P, *change[:2])
+        steps_two.jump_two(ekf.x, ekf.P, *change[:2])
         return before, self.value, change[2]
 
     def _advance(self, u0, u1, i0, i1, q_u, b, leak_flow, mean):
@@ -302,23 +302,24 @@ class FilterpyStageTwo(_Stage):
         if not kernel_two.advance_two(
                 new, covariance, sens, u0, u1, i0, i1, b, model.hydraulics, model.leak, leak_flow,
                 self.dt, self.q_f, q_u, mean, *self._effects, model.flows, self.memory,
-                self._trial, True, self._matrices, self._found, self._work, *self._scratch):
+                self._trial, True, self._matrices, self._found, *self._work, *self._scratch):
             self.lost = True
             return
         step, slope = self._matrices[5], self._matrices[6]
         force, flow, q_f = (self._found[place] for place in (
             kernel_two.CONSTANT_FORCE, kernel_two.CONSTANT_FLOW, kernel_two.NOISE_FORCE))
-        f = np.eye(4)
-        f[:3, :3] = step[:, :3]
-        told = np.array([*ekf.x[:3], i0, i1, force, flow])
-        f[:3, 3] = slope @ told
-        lean = slope[2, :3] @ ekf.P[:3, 3]
-        noise = (slope[2, :3] @ ekf.P[:3, :3] @ slope[2, :3] - lean**2 / ekf.P[3, 3]
+        rows = range(len(step))
+        at, own = [place(i) for i in rows], [column(i) for i in rows]
+        f, g_u, g_f = np.eye(len(new)), np.zeros(len(new)), np.zeros(len(new))
+        f[np.ix_(at, at)] = step[:, own]
+        f[at, C_PLACE] = slope[:, own] @ ekf.x[at] + slope[:, 3:7] @ (i0, i1, force, flow)
+        bend = slope[2, own]
+        lean = bend @ ekf.P[at, C_PLACE]
+        noise = (bend @ ekf.P[np.ix_(at, at)] @ bend - lean**2 / ekf.P[C_PLACE, C_PLACE]
                  + q_u * (slope[2, 3] + slope[2, 4]) ** 2)
-        if f[2, 3] ** 2 < UNSEEN * noise:
-            f[:3, 3] = 0.0
-        g_u, g_f = np.zeros(4), np.zeros(4)
-        g_u[:3], g_f[:3] = step[:, 3] + step[:, 4], step[:, 5]
+        if f[2, C_PLACE] ** 2 < UNSEEN * noise:
+            f[at, C_PLACE] = 0.0
+        g_u[at], g_f[at] = step[:, 3] + step[:, 4], step[:, 5]
         self.sens = sens
         self._predict(f, new, q_u * np.outer(g_u, g_u) + q_f * np.outer(g_f, g_f))
 

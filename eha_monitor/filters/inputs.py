@@ -14,12 +14,13 @@ from eha_monitor.filters.stage_two import LOOP, STIFF, hydraulics
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import circuit_of, with_term, with_update
 from eha_monitor.physics.effects import NAMES
-from eha_monitor.physics.parameters import theta_of
+from eha_monitor.physics.parameters import place_of, theta_of
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
 SMOOTHED = 5  # samples on each side over which the mean pressure is smoothed
+LINE = NAMES.index("line_dynamics")
 FLOW_BALANCE = ("FLOW_1", "FLOW_2", "COMPLIANCE_1", "COMPLIANCE_2", "VOLUME_1", "VOLUME_2")
 SPIKE_SPAN, SPIKE_SIGMAS = 10.0, 30.0
 
@@ -72,6 +73,11 @@ class RigModel:
                                   if speaks_of(NAMES[which], *names)], dtype=np.int64)
                   for kind, names in (("force", ("FORCE",)), ("pump", ("SPEED",)),
                                       ("flows", FLOW_BALANCE))}
+        # A line is part of stage two's own flow balance (:mod:`stage_two`).
+        line = (0.0, 0.0, 0.0)
+        if active[LINE]:
+            line = tuple(theta[place_of(f"{NAMES[LINE]}.{one}")] for one in ("T_l", "zeta", "Z"))
+            places["pump"] = places["pump"][places["pump"] != LINE]
         updates = with_update(active)
         remember = np.isin(places["force"], updates)
         circuit = circuit_of(theta, active)
@@ -89,7 +95,7 @@ class RigModel:
         at_rest = rest_contributions(theta, active, pressure)
         theta[s.M] += at_rest[s.MASS]
         extra = 0.5 * (at_rest[s.COMPLIANCE_1] + at_rest[s.COMPLIANCE_2])
-        constants = hydraulics(theta, beta_0, extra, loop) if known else None
+        constants = hydraulics(theta, beta_0, extra, loop, line) if known else None
         leak = 0.0
         if known:
             leak = 0.5 * theta[s.C_T] * (1 / theta[s.VOL_1] + 1 / theta[s.VOL_2])

@@ -6,9 +6,9 @@ import numpy as np
 
 from eha_monitor.compiled import njit
 from eha_monitor.filters.kernel_one import GATE, SPIKES
-from eha_monitor.filters.kernel_two import start_two
 from eha_monitor.filters.stage_one import UNSEEN
 from eha_monitor.filters.stage_two import BETA_0, MASS, discretise
+from eha_monitor.filters.steps_two import start_two
 
 # x, v, F, B, c = beta_0/beta_e, leak = C_T/2 (1/V1 + 1/V2), and the present sample's error of the
 # input: it acts in this step and the next, so it must be a state for the innovations to be white.

@@ -5,14 +5,28 @@ import math
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.filters.kernel_one import BROAD, GATE, SPIKES
+from eha_monitor.filters.kernel_one import GATE, SPIKES
 from eha_monitor.filters.known import flow_balance, modelled_force, steps_in_sample
-from eha_monitor.filters.stage_one import UNSEEN
-from eha_monitor.filters.stage_two import BETA_0, LOOP, MASS, discretise
-from eha_monitor.filters.supervision import BLOCK, INFORMATION, SCORE, honest_factor, look
+from eha_monitor.filters.stage_two import (
+    BETA_0,
+    LOOP,
+    MASS,
+    column,
+    discretise,
+    place,
+    states_beside_c,
+)
+from eha_monitor.filters.steps_two import (
+    STIFFEST,
+    correct_two,
+    jump_two,
+    predict_chambers,
+    predict_line,
+    restart_two,
+)
+from eha_monitor.filters.supervision import BLOCK, honest_factor, look
 from eha_monitor.physics.signals import N_CONTRIBUTIONS, N_SIGNALS
 
-STIFFEST = 1e-2  # smallest compliance beta_0/beta_e: a hundred times stiffer than the prior
 # Places in what advance_two finds: where the matrices were made, the c that they were last
 # expanded to, force of the sample, its part that does not follow the states, flow likewise,
 # variance of the force, integration steps in a sample.
@@ -22,148 +36,35 @@ REFRESH = 5e-3  # relative change of c that asks for a new exact step; between, 
 
 
 @njit
-def start_two(m, p, x, r, dt, mass):
-    """(Re)start (x, v, F) at a measurement; the compliance and its variance stay.
-
-    m : (n,) x, v, F, then parameters;  p : (n, n).
-    """
-    m[0], m[1], m[2] = x, 0.0, 0.0
-    broad_v = BROAD * math.sqrt(r) / dt
-    for i in range(3):
-        for j in range(p.shape[0]):
-            p[i, j] = 0.0
-            p[j, i] = 0.0
-    p[0, 0] = r
-    p[1, 1] = broad_v * broad_v
-    p[2, 2] = (mass * broad_v / dt) ** 2
-
-
-@njit
-def predict_two(m, p, sens, step, b_step, d_b, u0, u1, i0, i1, force, flow, q_f, q_u):
-    """Predict state, covariance and the sensitivity to B over one sample.
-
-    Parameters
-    ----------
-    m : (4,) x, v, F, c;  p : (4, 4) covariance;  sens : (4,) d m/d B.
-    step : (3, 7) transition at the present (B, c); b_step : (3, 7) its derivative to c;
-    d_b : (3, 7) its derivative to B.
-    u0, u1 : drive input at the two ends; i0, i1 : its instrument there.
-    force, flow : modelled extra force (N) and flow (N/Pa/s).
-    q_f, q_u : variances of an unmodelled force (N^2) and of the drive input on a sample.
-    """
-    x, v, f = m[0], m[1], m[2]
-    f_c0 = f_c1 = f_c2 = 0.0
-    for i in range(3):
-        new = (step[i, 0] * x + step[i, 1] * v + step[i, 2] * f + step[i, 3] * u0
-               + step[i, 4] * u1 + step[i, 5] * force + step[i, 6] * flow)
-        slope = (b_step[i, 0] * x + b_step[i, 1] * v + b_step[i, 2] * f + b_step[i, 3] * i0
-                 + b_step[i, 4] * i1 + b_step[i, 5] * force + b_step[i, 6] * flow)
-        m[i] = new
-        if i == 0:
-            f_c0 = slope
-        elif i == 1:
-            f_c1 = slope
-        else:
-            f_c2 = slope
-    # Where the slope is no larger than what the states' own uncertainty makes of it, it is noise
-    # and tells nothing about c; a filter that takes it for information drifts at rest.
-    w0 = b_step[2, 0] * p[0, 0] + b_step[2, 1] * p[1, 0] + b_step[2, 2] * p[2, 0]
-    w1 = b_step[2, 0] * p[0, 1] + b_step[2, 1] * p[1, 1] + b_step[2, 2] * p[2, 1]
-    w2 = b_step[2, 0] * p[0, 2] + b_step[2, 1] * p[1, 2] + b_step[2, 2] * p[2, 2]
-    lean = b_step[2, 0] * p[0, 3] + b_step[2, 1] * p[1, 3] + b_step[2, 2] * p[2, 3]
-    if f_c2 * f_c2 < UNSEEN * (b_step[2, 0] * w0 + b_step[2, 1] * w1 + b_step[2, 2] * w2
-                               - lean * lean / p[3, 3]
-                               + q_u * (b_step[2, 3] + b_step[2, 4]) ** 2):
-        f_c0 = f_c1 = f_c2 = 0.0
-    s0, s1, s2, s3 = sens[0], sens[1], sens[2], sens[3]
-    for i in range(3):
-        from_b = (d_b[i, 0] * x + d_b[i, 1] * v + d_b[i, 2] * f + d_b[i, 3] * u0
-                  + d_b[i, 4] * u1)
-        f_c = f_c0 if i == 0 else (f_c1 if i == 1 else f_c2)
-        sens[i] = step[i, 0] * s0 + step[i, 1] * s1 + step[i, 2] * s2 + f_c * s3 + from_b
-    # P = [[Phi, f_c], [0, 1]] P [..]' + Q, upper triangle then mirrored.
-    cc = p[3, 3]
-    g0 = step[0, 0] * p[0, 3] + step[0, 1] * p[1, 3] + step[0, 2] * p[2, 3] + f_c0 * cc
-    g1 = step[1, 0] * p[0, 3] + step[1, 1] * p[1, 3] + step[1, 2] * p[2, 3] + f_c1 * cc
-    g2 = step[2, 0] * p[0, 3] + step[2, 1] * p[1, 3] + step[2, 2] * p[2, 3] + f_c2 * cc
-    for j in range(3):  # rows of Phi P_ss + f_c P_cs, one column j at a time, kept in p[:, j]
-        c0, c1, c2, c3 = p[0, j], p[1, j], p[2, j], p[j, 3]
-        p[0, j] = step[0, 0] * c0 + step[0, 1] * c1 + step[0, 2] * c2 + f_c0 * c3
-        p[1, j] = step[1, 0] * c0 + step[1, 1] * c1 + step[1, 2] * c2 + f_c1 * c3
-        p[2, j] = step[2, 0] * c0 + step[2, 1] * c1 + step[2, 2] * c2 + f_c2 * c3
-    for i in range(3):
-        a0, a1, a2 = p[i, 0], p[i, 1], p[i, 2]
-        g = g0 if i == 0 else (g1 if i == 1 else g2)
-        gu = step[i, 3] + step[i, 4]
-        for j in range(i, 3):
-            f_c = f_c0 if j == 0 else (f_c1 if j == 1 else f_c2)
-            p[i, j] = (step[j, 0] * a0 + step[j, 1] * a1 + step[j, 2] * a2 + g * f_c
-                       + q_f * step[i, 5] * step[j, 5] + q_u * gu * (step[j, 3] + step[j, 4]))
-    p[1, 0], p[2, 0], p[2, 1] = p[0, 1], p[0, 2], p[1, 2]
-    p[0, 3], p[1, 3], p[2, 3] = g0, g1, g2
-    p[3, 0], p[3, 1], p[3, 2] = g0, g1, g2
-
-
-@njit
-def correct_two(m, p, sens, z, r, w):
-    """Update with a position and its variance; the caller has gated it."""
-    s = p[0, 0] + r
-    nu = z - m[0]
-    h = p[0, 3] / p[3, 3]
-    w[SCORE] += h * nu / s
-    w[INFORMATION] += h * h / s
-    k0, k1, k2, k3 = p[0, 0] / s, p[1, 0] / s, p[2, 0] / s, p[3, 0] / s
-    lead = sens[0]
-    m[0] += k0 * nu
-    m[1] += k1 * nu
-    m[2] += k2 * nu
-    m[3] = max(m[3] + k3 * nu, STIFFEST)
-    sens[0] -= k0 * lead
-    sens[1] -= k1 * lead
-    sens[2] -= k2 * lead
-    sens[3] -= k3 * lead
-    a0, a1, a2, a3 = p[0, 0], p[0, 1], p[0, 2], p[0, 3]
-    p[0, 0] -= k0 * a0
-    p[0, 1] -= k0 * a1
-    p[0, 2] -= k0 * a2
-    p[0, 3] -= k0 * a3
-    p[1, 1] -= k1 * a1
-    p[1, 2] -= k1 * a2
-    p[1, 3] -= k1 * a3
-    p[2, 2] -= k2 * a2
-    p[2, 3] -= k2 * a3
-    p[3, 3] -= k3 * a3
-    p[1, 0], p[2, 0], p[2, 1] = p[0, 1], p[0, 2], p[1, 2]
-    p[3, 0], p[3, 1], p[3, 2] = p[0, 3], p[1, 3], p[2, 3]
-
-
-@njit
-def new_work():
+def new_work(constants):
     """Return the scratch of :func:`advance_two`: matrices, and what it found for the last sample.
 
-    The matrices (7, 3, 7): the exact step at ``at[AT_C]``, its first and second derivative to c,
-    those to B and to the leakage, then the step and its slope to c as taken.
+    The matrices (7, 3, 7), with a line (7, 5, 9): the exact step at ``at[AT_C]``, its first and
+    second derivative to c, those to B and to the leakage, then the step and its slope to c as
+    taken.
     """
     at = np.zeros(N_AT)
     at[AT_C] = math.nan
-    return np.zeros((7, 3, 7)), at, np.empty((10, 3, 3)), np.zeros(N_SIGNALS), np.zeros(
-        N_CONTRIBUTIONS)
+    rows = states_beside_c(constants)
+    return np.zeros((7, rows, rows + 4)), at, np.empty((10, rows, rows)), np.empty(
+        (2, rows + 1, rows + 1)), np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS)
 
 
 @njit
 def advance_two(m, p, sens, u0, u1, i0, i1, b, constants, leak, leak_flow, dt, q_f, q_u, mean,
-                theta, plain, remembering, flows, memory, trial, slopes, matrices, at, work, s, c):
+                theta, plain, remembering, flows, memory, trial, slopes, matrices, at, work, pair,
+                s, c):
     """Carry the stage over one sample with the modelled effects; False where it cannot.
 
     Parameters
     ----------
-    m, p, sens : updated, as :func:`predict_two`.
+    m, p, sens : updated, as :func:`steps_two.predict_with`.
     b, leak_flow, mean : damping, measured leakage and mean pressure over the sample.
     plain, remembering, flows : places of the modelled effects that make force, without and with
         memory, and of those in the flow balance.
     memory, trial : their memory, updated, and a copy of it.
     slopes : whether the states' covariance is to follow the modelled force.
-    matrices, at, work, s, c : :func:`new_work`.
+    matrices, at, work, pair, s, c : :func:`new_work`.
     """
     any_force, any_flow = len(plain) + len(remembering) > 0, len(flows) > 0
     if (any_force or any_flow) and math.isnan(mean):  # a pressure that an effect needs
@@ -183,19 +84,21 @@ def advance_two(m, p, sens, u0, u1, i0, i1, b, constants, leak, leak_flow, dt, q
                    matrices[3], matrices[4])
         at[LAST_C] = math.nan
     step, slope = matrices[5], matrices[6]
+    rows, columns = step.shape
     if any_force or any_flow or not abs(own - at[LAST_C]) <= 1e-6 * own:
         e = own - at[AT_C]
-        for i in range(3):
-            for j in range(7):
+        for i in range(rows):
+            for j in range(columns):
                 step[i, j] = matrices[0, i, j] + e * (
                     matrices[1, i, j] + 0.5 * e * matrices[2, i, j])
                 slope[i, j] = to_own * (matrices[1, i, j] + e * matrices[2, i, j])
         at[LAST_C] = own
     force = 0.0
     if any_force or any_flow:
-        ahead = (step[2, 0] * m[0] + step[2, 1] * m[1] + step[2, 2] * m[2] + step[2, 3] * u0
-                 + step[2, 4] * u1 + step[2, 5] * at[TOLD_FORCE]
+        ahead = (step[2, 3] * u0 + step[2, 4] * u1 + step[2, 5] * at[TOLD_FORCE]
                  + step[2, 6] * (flow + leak_flow))
+        for i in range(rows):
+            ahead += step[2, column(i)] * m[place(i)]
         if any_flow:  # the flow at the middle of the sample, and how it follows the force
             h = max(math.sqrt(max(p[2, 2], 0.0)), 1e-3)
             middle = 0.5 * (m[2] + ahead)
@@ -215,20 +118,25 @@ def advance_two(m, p, sens, u0, u1, i0, i1, b, constants, leak, leak_flow, dt, q
             q_f += unknown
             at[TOLD_FORCE] = force
             force -= slope_x * m[0] + slope_v * m[1]
-            for i in range(3):
+            for i in range(rows):
                 step[i, 0] += step[i, 5] * slope_x
                 step[i, 1] += step[i, 5] * slope_v
                 slope[i, 0] += slope[i, 5] * slope_x
                 slope[i, 1] += slope[i, 5] * slope_v
         flow -= to_force * m[2]
-        for i in range(3):
+        for i in range(rows):
             step[i, 2] += step[i, 6] * to_force
             slope[i, 2] += slope[i, 6] * to_force
     flow += leak_flow
     if math.isnan(force + flow):
         return False
     at[CONSTANT_FORCE], at[CONSTANT_FLOW], at[NOISE_FORCE] = force, flow, q_f
-    predict_two(m, p, sens, step, slope, matrices[3], u0, u1, i0, i1, force, flow, q_f, q_u)
+    if rows == 3:
+        predict_chambers(m, p, sens, step, slope, matrices[3], u0, u1, i0, i1, force, flow, q_f,
+                         q_u, pair[0], pair[1])
+    else:
+        predict_line(m, p, sens, step, slope, matrices[3], u0, u1, i0, i1, force, flow, q_f, q_u,
+                     pair[0], pair[1])
     return True
 
 
@@ -251,7 +159,8 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
     mean : (n,) or (1,) mean of both absolute pressures over the sample before each, Pa.
     theta, plain, remembering, flows, memory : modelled effects (:func:`advance_two`); their
         memory is updated.
-    m, p, sens : (4,) x, v, F, c; (4, 4); (4,) sensitivity to B; updated.  m[0] NaN: fresh start.
+    m, p, sens : (4,) x, v, F, c; (4, 4); (4,) sensitivity to B; updated.  With a line 6 of them:
+        its n and dp_l.  m[0] NaN: fresh start.
     w : supervision, updated.
     out : (8, n) written: x, v, a, beta_e, sigma of the filter, sigma with the uncertainty of B,
         innovation, innovation sigma.
@@ -263,7 +172,7 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
         Number of events.
     """
     n = x.shape[0]
-    matrices, at, work, s_scratch, c_scratch = new_work()
+    matrices, at, work, pair, s_scratch, c_scratch = new_work(constants)
     trial = memory.copy()
     at[STEPS] = steps_in_sample(dt, theta, plain, remembering, memory, s_scratch, c_scratch)
     mass = constants[MASS]
@@ -280,15 +189,14 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
                 lost = not advance_two(
                     m, p, sens, u0, u1, instrument[k - 1], instrument[k], b[k], constants, leak,
                     leak_flow[k], dt, q_f, q_u[k], mean[i], theta, plain, remembering, flows,
-                    memory, trial, True, matrices, at, work, s_scratch, c_scratch)
+                    memory, trial, True, matrices, at, work, pair, s_scratch, c_scratch)
         if lost:
             at[TOLD_FORCE] = 0.0
         z = x[k]
         nu, sd = nan, nan
         if not math.isnan(z):
             if lost:
-                start_two(m, p, z, r, dt, mass)
-                sens[0], sens[1], sens[2] = 0.0, 0.0, 0.0
+                restart_two(m, p, sens, z, r, dt, constants)
             else:
                 s = p[0, 0] + r
                 nu = z - m[0]
@@ -325,19 +233,6 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
 
 
 @njit
-def jump_two(m, p, delta, information):
-    """Move c by ``delta`` and forget, as :func:`kernel_one.jump_one`."""
-    h0, h1, h2 = p[0, 3] / p[3, 3], p[1, 3] / p[3, 3], p[2, 3] / p[3, 3]
-    grown = max(4.0 / information, p[3, 3]) - p[3, 3]
-    h = (h0, h1, h2, 1.0)
-    for i in range(4):
-        m[i] += h[i] * delta
-        for j in range(4):
-            p[i, j] += h[i] * h[j] * grown
-    m[3] = max(m[3], STIFFEST)
-
-
-@njit
 def log_likelihood_two(x, start, end, q_u, instrument, b, c, constants, leak, leak_flow, dt, r,
                        q_f, mean, theta, plain, remembering, flows, memory):
     """Return the log likelihood of a stretch under a fixed compliance ``c``.
@@ -347,10 +242,11 @@ def log_likelihood_two(x, start, end, q_u, instrument, b, c, constants, leak, le
     of these linear filters finds the right one.  Arguments as :func:`run_two`; ``b`` is one
     number.
     """
-    matrices, at, work, s_scratch, c_scratch = new_work()
+    matrices, at, work, pair, s_scratch, c_scratch = new_work(constants)
     memory, trial = memory.copy(), memory.copy()
     at[STEPS] = steps_in_sample(dt, theta, plain, remembering, memory, s_scratch, c_scratch)
-    m, p, sens, w = np.zeros(4), np.zeros((4, 4)), np.zeros(4), np.zeros(2)
+    size = states_beside_c(constants) + 1
+    m, p, sens, w = np.zeros(size), np.zeros((size, size)), np.zeros(size), np.zeros(2)
     m[3] = c
     lost = True
     spikes = 0
@@ -365,12 +261,12 @@ def log_likelihood_two(x, start, end, q_u, instrument, b, c, constants, leak, le
                 lost = not advance_two(
                     m, p, sens, u0, u1, instrument[k - 1], instrument[k], b, constants, leak,
                     leak_flow[k], dt, q_f, q_u[k], mean[i], theta, plain, remembering, flows,
-                    memory, trial, False, matrices, at, work, s_scratch, c_scratch)
+                    memory, trial, False, matrices, at, work, pair, s_scratch, c_scratch)
                 m[3] = c
         if math.isnan(x[k]):
             continue
         if lost:
-            start_two(m, p, x[k], r, dt, constants[MASS])
+            restart_two(m, p, sens, x[k], r, dt, constants)
             p[3, 3] = 1e-30
             at[TOLD_FORCE] = 0.0
             lost = False

@@ -4,8 +4,6 @@ import math
 
 from eha_monitor.compiled import njit
 
-STATES = 3
-
 
 @njit(inline="always")
 def damped_mass_integrals(g):
@@ -36,17 +34,18 @@ def damped_mass_integrals(g):
 
 @njit
 def _multiply(a, b, out):
-    for i in range(STATES):
-        for j in range(STATES):
+    states = a.shape[0]
+    for i in range(states):
+        for j in range(states):
             total = 0.0
-            for k in range(STATES):
+            for k in range(states):
                 total += a[i, k] * b[k, j]
             out[i, j] = total
 
 
 @njit
 def matrix_phi(a, rate, phi0, phi1, phi2, work):
-    """Write exp(a), phi_1(a), phi_2(a), phi_k(a) = sum_n a^n/(n+k)!, for a (3, 3) matrix.
+    """Write exp(a), phi_1(a), phi_2(a), phi_k(a) = sum_n a^n/(n+k)!, for an (n, n) matrix.
 
     Taylor series after scaling by a power of two, then doubling:
     phi_2(2z) = (e^z phi_2(z) + phi_1(z) + phi_2(z))/4, phi_1(2z) = phi_1(z)(e^z + 1)/2
@@ -54,19 +53,20 @@ def matrix_phi(a, rate, phi0, phi1, phi2, work):
 
     Parameters
     ----------
-    a : (3, 3), dimensionless (matrix times step).
+    a : (n, n), dimensionless (matrix times step).
     rate : bound of the modulus of its eigenvalues; sets the scaling, since the matrix is far
         from balanced and its norm says nothing.
-    phi0, phi1, phi2 : (3, 3) written.  work : (3, 3, 3) scratch.
+    phi0, phi1, phi2 : (n, n) written.  work : (3, n, n) scratch.
     """
+    states = a.shape[0]
     doublings = 0
     scale = 1.0
     while rate * scale > 0.25 and doublings < 40:
         scale *= 0.5
         doublings += 1
     power, product, other = work[0], work[1], work[2]
-    for i in range(STATES):
-        for j in range(STATES):
+    for i in range(states):
+        for j in range(states):
             one = 1.0 if i == j else 0.0
             power[i, j] = one
             phi0[i, j] = one
@@ -76,8 +76,8 @@ def matrix_phi(a, rate, phi0, phi1, phi2, work):
     for n in range(1, 13):
         factorial *= n
         _multiply(power, a, product)
-        for i in range(STATES):
-            for j in range(STATES):
+        for i in range(states):
+            for j in range(states):
                 value = product[i, j] * scale
                 power[i, j] = value
                 phi0[i, j] += value / factorial
@@ -85,12 +85,12 @@ def matrix_phi(a, rate, phi0, phi1, phi2, work):
                 phi2[i, j] += value / (factorial * (n + 1) * (n + 2))
     for _ in range(doublings):
         _multiply(phi0, phi2, product)
-        for i in range(STATES):
-            for j in range(STATES):
+        for i in range(states):
+            for j in range(states):
                 phi2[i, j] = 0.25 * (product[i, j] + phi1[i, j] + phi2[i, j])
         _multiply(phi1, phi0, product)
         _multiply(phi0, phi0, other)
-        for i in range(STATES):
-            for j in range(STATES):
+        for i in range(states):
+            for j in range(states):
                 phi1[i, j] = 0.5 * (product[i, j] + phi1[i, j])
                 phi0[i, j] = other[i, j]

@@ -7,6 +7,7 @@ import numpy as np
 from eha_monitor.filters import kernel_two
 from eha_monitor.filters.inputs import StageInputs
 from eha_monitor.filters.known import new_known_memory
+from eha_monitor.filters.stage_two import C_PLACE, states_beside_c
 from eha_monitor.filters.supervision import gave_up, new_supervision
 from eha_monitor.settings.monitor import Settings
 
@@ -158,10 +159,11 @@ def run_from(begin: int, inputs: StageInputs, settings: Settings, damping: np.nd
     # Once more from where it led, if that is sharp: what the filter learns from a ringing oil
     # column is right only near the answer.
     for _ in range(2):
-        m = np.array([np.nan, 0.0, 0.0, start])
-        p = np.zeros((4, 4))
-        p[3, 3] = variance
-        sens, watch, memory = np.zeros(4), new_supervision(frozen), new_known_memory()
+        m = np.zeros(states_beside_c(model.hydraulics) + 1)
+        m[0], m[C_PLACE] = np.nan, start
+        p = np.zeros((len(m), len(m)))
+        p[C_PLACE, C_PLACE] = variance
+        sens, watch, memory = np.zeros(len(m)), new_supervision(frozen), new_known_memory()
         found = kernel_two.run_two(
             part.x, drive.start, drive.end, drive.variance, drive.instrument, b, b_variance,
             model.hydraulics, model.leak, part.leak_flow, inputs.dt, inputs.position_variance,

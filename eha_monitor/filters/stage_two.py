@@ -6,6 +6,11 @@ small term B C_T beta_e/(M V) kept), and the parameter is the relative complianc
 c = beta_0/beta_e: the equations are nearly linear in c, so that the filter converges from a
 guess that is ten times off, where it overshoots in beta_e.  ``discretisation: euler`` runs
 Eq. 5 as printed, in its own states.
+
+A line between pump and cylinder (:mod:`physics.effects.line_dynamics`) has two states of its own,
+the speed n whose flow reaches the chambers and the pressure dp_l at the pump.  The chambers load
+it and it feeds them: both oscillate together.  Fed with measured pressures instead, the lightly
+damped line would ring with the sensors' noise.  What the pump loses or gains acts behind the line.
 """
 
 import math
@@ -13,14 +18,18 @@ import math
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.filters.phi import STATES, matrix_phi
+from eha_monitor.filters.phi import matrix_phi
 
 # Places in the constants vector of the two-sided hydraulics.
-(MASS, STIFF, LEAK, GAIN, LOOP, BETA_0, EXTRA_C) = range(7)
+(MASS, STIFF, LEAK, GAIN, LOOP, BETA_0, EXTRA_C, LINE_TIME, LINE_DAMPING, LINE_IMPEDANCE,
+ LINE_LOAD) = range(11)
+C_PLACE = 3  # of the compliance among the states (x, v, F, c), after which come a line's n, dp_l
+FASTEST_LINE = 1e-9  # s: a shorter one is none
 
 
-def hydraulics(theta, beta_0: float, extra_compliance: float, loop: bool) -> np.ndarray:
-    """Return the (7,) constants of the lumped flow balance of two chambers.
+def hydraulics(theta, beta_0: float, extra_compliance: float, loop: bool,
+               line: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> np.ndarray:
+    """Return the (11,) constants of the lumped flow balance of two chambers.
 
     With both chambers at one bulk modulus beta the flow balances give for the force F
 
@@ -35,6 +44,9 @@ def hydraulics(theta, beta_0: float, extra_compliance: float, loop: bool) -> np.
     beta_0 : Pa, scale of the compliance state c = beta_0/beta_e.
     extra_compliance : 1/Pa of modelled effects (entrained air), kept out of beta_e.
     loop : True where omega = K_pos (x_d - x) closes the loop, False where omega is the input.
+    line : T_l (s), zeta and Z (Pa*s/rad) of a line; T_l = 0: none.  It is loaded by
+        p1 - p2 = 2 (F + (A2 - A1) mean)/(A1 + A2); dp_l is counted from the mean's share, which
+        moves slowly.
     """
     from eha_monitor.physics import signals as s
 
@@ -42,28 +54,59 @@ def hydraulics(theta, beta_0: float, extra_compliance: float, loop: bool) -> np.
     leak = 0.5 * theta[s.C_T] * (1.0 / theta[s.VOL_1] + 1.0 / theta[s.VOL_2])
     gain = stiff / theta[s.AREA_1] * theta[s.D_P]
     return np.array([theta[s.M], stiff, leak, gain, theta[s.K_POS] if loop else 0.0, beta_0,
-                     extra_compliance * beta_0])
+                     extra_compliance * beta_0, *line, 2.0 / (theta[s.AREA_1] + theta[s.AREA_2])])
+
+
+@njit
+def states_beside_c(k):
+    """Return how many states the filter has beside c: x, v, F, and a line's n and dp_l."""
+    return 5 if k[LINE_TIME] > FASTEST_LINE else 3
+
+
+@njit
+def place(i):
+    """Return the place in the filter of a state beside c."""
+    return i if i < C_PLACE else i + 1
+
+
+@njit
+def column(i):
+    """Return the place of a state in a row of the step: the line's come last."""
+    return i if i < 3 else i + 4
 
 
 @njit
 def system_matrix(k, b, c, leak, dt, a):
-    """Write A(B, c, leak) dt for the state (x, v, F) and return the bound of its eigenvalues."""
+    """Write A(B, c, leak) dt for the state (x, v, F) and return the bound of its eigenvalues.
+
+    a : (3, 3), or (5, 5) with the states n and dp_l of a line.
+    """
     beta = k[BETA_0] / max(c + k[EXTRA_C], 1e-9)
     a[0, 0], a[0, 1], a[0, 2] = 0.0, dt, 0.0
     a[1, 0], a[1, 1], a[1, 2] = 0.0, -b / k[MASS] * dt, dt / k[MASS]
     a[2, 0] = -beta * k[GAIN] * k[LOOP] * dt
     a[2, 1] = -beta * k[STIFF] * dt
     a[2, 2] = -beta * leak * dt
-    return max(
-        max(abs(b) / k[MASS], beta * leak) * dt,
-        math.sqrt(beta * k[STIFF] / k[MASS]) * dt,
-        (beta * k[GAIN] * k[LOOP] / k[MASS]) ** (1.0 / 3.0) * dt,
-    )
+    chambers = max(max(abs(b) / k[MASS], beta * leak), math.sqrt(beta * k[STIFF] / k[MASS])) * dt
+    if a.shape[0] == 3:
+        return max(chambers, (beta * k[GAIN] * k[LOOP] / k[MASS]) ** (1.0 / 3.0) * dt)
+    time, zeta, impedance = k[LINE_TIME], k[LINE_DAMPING], k[LINE_IMPEDANCE]
+    a[:, 3:] = 0.0
+    a[3:, :] = 0.0
+    a[2, 0], a[2, 3] = 0.0, beta * k[GAIN] * dt
+    a[3, 2] = -k[LINE_LOAD] / (impedance * time) * dt
+    a[3, 3], a[3, 4] = -2.0 * zeta / time * dt, dt / (impedance * time)
+    a[4, 0], a[4, 3] = -impedance * k[LOOP] / time * dt, -impedance / time * dt
+    return chambers + dt * (
+        (1.0 + 2.0 * zeta) / time + math.sqrt(beta * k[GAIN] * k[LINE_LOAD] / (impedance * time))
+        + (beta * k[GAIN] * k[LOOP] / (k[MASS] * time * time)) ** 0.2)
 
 
 @njit
 def discretise_at(k, b, c, leak, dt, work, out):
     """Write the exact step of (x, v, F): out = [Phi | Gamma_0 | Gamma_1 | Gamma_f | Gamma_q].
+
+    With a line there are five rows, and two columns more at the end, for n and dp_l.
 
     Gamma_0, Gamma_1 act on the drive input (x_d or omega) at the sample's two ends, between
     which it runs linearly; Gamma_f on a force (N, against positive motion) and Gamma_q on the
@@ -73,12 +116,15 @@ def discretise_at(k, b, c, leak, dt, work, out):
     rate = system_matrix(k, b, c, leak, dt, a)
     matrix_phi(a, rate, phi0, phi1, phi2, work[4:7])
     beta = k[BETA_0] / max(c + k[EXTRA_C], 1e-9)
-    drive = beta * k[GAIN] * (k[LOOP] if k[LOOP] > 0.0 else 1.0) * dt
-    for i in range(STATES):
-        for j in range(STATES):
-            out[i, j] = phi0[i, j]
-        out[i, 4] = phi2[i, 2] * drive
-        out[i, 3] = phi1[i, 2] * drive - out[i, 4]
+    driven, drive = 2, beta * k[GAIN] * dt
+    if a.shape[0] > 3:
+        driven, drive = 4, k[LINE_IMPEDANCE] / k[LINE_TIME] * dt
+    drive *= k[LOOP] if k[LOOP] > 0.0 else 1.0
+    for i in range(a.shape[0]):
+        for j in range(a.shape[0]):
+            out[i, column(j)] = phi0[i, j]
+        out[i, 4] = phi2[i, driven] * drive
+        out[i, 3] = phi1[i, driven] * drive - out[i, 4]
         out[i, 5] = -phi1[i, 1] * dt / k[MASS]
         out[i, 6] = phi1[i, 2] * beta * dt
 
@@ -87,28 +133,29 @@ def discretise_at(k, b, c, leak, dt, work, out):
 def discretise(k, b, c, leak, dt, work, step, d_c, d_cc, d_b, d_leak):
     """Write the step at (B, c, leak) and its derivatives to c (first, second), B and leak.
 
-    Central differences of the exact step; all arrays (3, 7).  ``work`` is (10, 3, 3).
+    Central differences of the exact step; all arrays (3, 7), or (5, 9) with a line.
+    ``work`` is (10, 3, 3) or (10, 5, 5).
     """
-    lower = np.empty((3, 7))
-    upper = np.empty((3, 7))
+    lower, upper = np.empty_like(step), np.empty_like(step)
+    rows, columns = step.shape
     discretise_at(k, b, c, leak, dt, work, step)
     h = 1e-3 * max(c, 1e-3)
     discretise_at(k, b, c - h, leak, dt, work, lower)
     discretise_at(k, b, c + h, leak, dt, work, upper)
-    for i in range(3):
-        for j in range(7):
+    for i in range(rows):
+        for j in range(columns):
             d_c[i, j] = (upper[i, j] - lower[i, j]) / (2.0 * h)
             d_cc[i, j] = (upper[i, j] - 2.0 * step[i, j] + lower[i, j]) / (h * h)
     h = 1e-3 * max(abs(b), 1e-2 * k[MASS] / dt)
     discretise_at(k, b - h, c, leak, dt, work, lower)
     discretise_at(k, b + h, c, leak, dt, work, upper)
-    for i in range(3):
-        for j in range(7):
+    for i in range(rows):
+        for j in range(columns):
             d_b[i, j] = (upper[i, j] - lower[i, j]) / (2.0 * h)
     beta = k[BETA_0] / max(c + k[EXTRA_C], 1e-9)
     h = 1e-3 * max(leak, 1e-2 / (beta * dt))
     discretise_at(k, b, c, leak - h, dt, work, lower)
     discretise_at(k, b, c, leak + h, dt, work, upper)
-    for i in range(3):
-        for j in range(7):
+    for i in range(rows):
+        for j in range(columns):
             d_leak[i, j] = (upper[i, j] - lower[i, j]) / (2.0 * h)

@@ -1,0 +1,178 @@
+"""What stage two's kernels and its live filter do to state and covariance, compiled."""
+
+import math
+
+from eha_monitor.compiled import njit
+from eha_monitor.filters.kernel_one import BROAD
+from eha_monitor.filters.stage_one import UNSEEN
+from eha_monitor.filters.stage_two import (
+    C_PLACE,
+    GAIN,
+    LINE_DAMPING,
+    LINE_IMPEDANCE,
+    LINE_LOAD,
+    MASS,
+    STIFF,
+    column,
+    place,
+)
+from eha_monitor.filters.supervision import INFORMATION, SCORE
+
+STIFFEST = 1e-2  # smallest compliance beta_0/beta_e: a hundred times stiffer than the prior
+
+
+@njit
+def start_two(m, p, x, r, dt, mass):
+    """(Re)start (x, v, F) at a measurement; the compliance and its variance stay.
+
+    m : (n,) x, v, F, then parameters;  p : (n, n).
+    """
+    m[0], m[1], m[2] = x, 0.0, 0.0
+    broad_v = BROAD * math.sqrt(r) / dt
+    for i in range(3):
+        for j in range(p.shape[0]):
+            p[i, j] = 0.0
+            p[j, i] = 0.0
+    p[0, 0] = r
+    p[1, 1] = broad_v * broad_v
+    p[2, 2] = (mass * broad_v / dt) ** 2
+
+
+@njit
+def restart_two(m, p, sens, x, r, dt, k):
+    """(Re)start all states at a measurement, a line's too; ``k`` the lumped hydraulics."""
+    start_two(m, p, x, r, dt, k[MASS])
+    for i in range(m.shape[0]):
+        if i != C_PLACE:
+            sens[i] = 0.0
+    if m.shape[0] == C_PLACE + 1:
+        return
+    speed = math.sqrt(p[1, 1]) * k[STIFF] / k[GAIN]
+    load = k[LINE_LOAD] * math.sqrt(p[2, 2])
+    for i, broad in ((4, speed), (5, load + (1.0 + k[LINE_DAMPING]) * k[LINE_IMPEDANCE] * speed)):
+        m[i] = 0.0
+        for j in range(m.shape[0]):
+            p[i, j] = 0.0
+            p[j, i] = 0.0
+        p[i, i] = broad * broad
+
+
+def predict_with(rows):
+    """Return the prediction for so many states beside c: their loops unroll."""
+    n = rows + 1
+
+    @njit
+    def predict(m, p, sens, step, b_step, d_b, u0, u1, i0, i1, force, flow, q_f, q_u, f, fp):
+        """Predict state, covariance and the sensitivity to B over one sample.
+
+        Parameters
+        ----------
+        m : (n,) x, v, F, c, and with a line n, dp_l;  p : (n, n) covariance;  sens : (n,) d m/d B.
+        step : (3, 7) or (5, 9) transition at the present (B, c); b_step : its derivative to c;
+        d_b : its derivative to B.
+        u0, u1 : drive input at the two ends; i0, i1 : its instrument there.
+        force, flow : modelled extra force (N) and flow (N/Pa/s).
+        q_f, q_u : variances of an unmodelled force (N^2) and of the drive input on a sample.
+        f, fp : (n, n) scratch; f is left as the transition with its slope to c.
+        """
+        for i in range(rows):
+            row = place(i)
+            new = (step[i, 3] * u0 + step[i, 4] * u1 + step[i, 5] * force + step[i, 6] * flow)
+            slope = (b_step[i, 3] * i0 + b_step[i, 4] * i1 + b_step[i, 5] * force
+                     + b_step[i, 6] * flow)
+            from_b = d_b[i, 3] * u0 + d_b[i, 4] * u1
+            for j in range(rows):
+                value, along = m[place(j)], column(j)
+                new += step[i, along] * value
+                slope += b_step[i, along] * value
+                from_b += d_b[i, along] * value
+                f[row, place(j)] = step[i, along]
+            f[row, C_PLACE] = slope
+            fp[0, row], fp[1, row] = new, from_b
+        for j in range(n):
+            f[C_PLACE, j] = 1.0 if j == C_PLACE else 0.0
+        # Where the slope is no larger than what the states' own uncertainty makes of it, it is
+        # noise and tells nothing about c; a filter that takes it for information drifts at rest.
+        noise, lean = q_u * (b_step[2, 3] + b_step[2, 4]) ** 2, 0.0
+        for i in range(rows):
+            lean += b_step[2, column(i)] * p[place(i), C_PLACE]
+            for j in range(rows):
+                noise += b_step[2, column(i)] * p[place(i), place(j)] * b_step[2, column(j)]
+        if f[2, C_PLACE] ** 2 < UNSEEN * (noise - lean * lean / p[C_PLACE, C_PLACE]):
+            for i in range(rows):
+                f[place(i), C_PLACE] = 0.0
+        for i in range(rows):
+            m[place(i)] = fp[0, place(i)]
+            total = fp[1, place(i)]
+            for j in range(n):
+                total += f[place(i), j] * sens[j]
+            fp[2, place(i)] = total
+        for i in range(rows):
+            sens[place(i)] = fp[2, place(i)]
+        for i in range(n):
+            for j in range(n if i != C_PLACE else 0):  # c stays, and so does its row
+                total = 0.0
+                for k in range(n):
+                    total += f[i, k] * p[k, j]
+                fp[i, j] = total
+        for i in range(rows):
+            gain, row = step[i, 3] + step[i, 4], place(i)
+            p[row, C_PLACE] = p[C_PLACE, row] = fp[row, C_PLACE]
+            for j in range(i, rows):
+                total = (q_f * step[i, 5] * step[j, 5] + q_u * gain * (step[j, 3] + step[j, 4]))
+                for k in range(n):
+                    total += fp[row, k] * f[place(j), k]
+                p[row, place(j)] = total
+                p[place(j), row] = total
+
+    return predict
+
+
+def correct_with(rows):
+    """Return the correction for so many states beside c."""
+    n = rows + 1
+
+    @njit
+    def correct(m, p, sens, z, r, w):
+        """Update with a position and its variance; the caller has gated it."""
+        s = p[0, 0] + r
+        nu = z - m[0]
+        h = p[0, C_PLACE] / p[C_PLACE, C_PLACE]
+        w[SCORE] += h * nu / s
+        w[INFORMATION] += h * h / s
+        lead = sens[0]
+        for i in range(n):
+            m[i] += p[0, i] / s * nu
+            sens[i] -= p[0, i] / s * lead
+        m[C_PLACE] = max(m[C_PLACE], STIFFEST)
+        for i in range(n - 1, -1, -1):  # the first row, by which all are changed, last
+            for j in range(n - 1, i - 1, -1):
+                p[i, j] -= p[0, i] / s * p[0, j]
+                p[j, i] = p[i, j]
+
+    return correct
+
+
+predict_chambers, predict_line = predict_with(3), predict_with(5)
+correct_chambers, correct_line = correct_with(3), correct_with(5)
+
+
+@njit
+def correct_two(m, p, sens, z, r, w):
+    """Update with a position and its variance; the caller has gated it."""
+    if m.shape[0] == C_PLACE + 1:
+        correct_chambers(m, p, sens, z, r, w)
+    else:
+        correct_line(m, p, sens, z, r, w)
+
+
+@njit
+def jump_two(m, p, delta, information):
+    """Move c by ``delta`` and forget, as :func:`kernel_one.jump_one`."""
+    h = p[:, 3] / p[3, 3]
+    grown = max(4.0 / information, p[3, 3]) - p[3, 3]
+    for i in range(m.shape[0]):
+        m[i] += h[i] * delta
+        for j in range(m.shape[0]):
+            p[i, j] += h[i] * h[j] * grown
+    m[3] = max(m[3], STIFFEST)
