@@ -21,6 +21,8 @@ from eha_monitor.mismatch.choice import (
     prune,
     slack_of,
 )
+from eha_monitor.mismatch.fit import with_unknowns
+from eha_monitor.mismatch.gains import expected_covariance
 from eha_monitor.mismatch.model import config_effects
 from eha_monitor.mismatch.name import EXPLAINED, expected_likelihood, verdict_of
 from eha_monitor.mismatch.screen import screen, starts_of
@@ -89,6 +91,14 @@ def test_of_equally_common_ones_the_one_with_fewer_numbers_is_taken(clean):
 def test_what_contains_the_one_taken_is_not_its_rival(clean):
     few = candidate(clean, "coulomb_friction", 96.0), candidate(clean, "stribeck_friction", 100.0)
     assert chosen(clean, *few) == ("coulomb_friction", set())
+
+
+def test_what_cannot_be_told_from_one_that_matters_matters_too(clean):
+    """The same flow of leakage: a line of little, or a step that is smoothed into that line."""
+    line = candidate(clean, "cross_port_leakage", 100.0, amplitude=0.5 * NEGLIGIBLE)
+    assert chosen(clean, line) == (None, set())
+    assert chosen(clean, line, candidate(clean, "leakage_offset", 97.0)) == (
+        "cross_port_leakage", {"leakage_offset"})
 
 
 @pytest.mark.parametrize("gain, slack", [(0.0, 6.0), (100.0, 6.0), (2000.0, 6.0), (1e5, 300.0)])
@@ -276,6 +286,44 @@ def test_names_that_take_the_evidence_away_are_a_mismatch(clean):
     assert verdict(clean, named, 1e4 * EXPLAINED + 1)[0] == "mismatch"
     assert verdict(clean, named, 1e4 * EXPLAINED - 1)[0] == "unexplained"
     assert verdict(clean, named, 2e4) == ("mismatch", 1.0)  # better than chance expects
+
+
+@pytest.mark.parametrize("factor", [1.0, 300.0])
+def test_a_filter_expects_the_innovations_that_it_has(clean, factor):
+    small = limits_of(clean.experiment)[0].as_array()
+    unknowns = type(clean.before.unknowns)(factor * small[0], *small[1:])
+    fit = with_unknowns(clean.experiment, clean.before, unknowns)
+    expected = np.diag(expected_covariance(clean.experiment, fit.theta, fit.active, unknowns,
+                                           fit.gains))
+    had = np.diag(fit.s) / expected
+    if factor == 1.0:
+        assert had == pytest.approx(1.0, abs=0.1)
+    else:  # it is prepared for an unknown force that is not there
+        assert had.max() < 1.02 and had.min() < 0.9
+
+
+def left_over(clean, needed=900.0, still=1.0, gain=0.0, found=("coulomb_friction",), wrong=1.0):
+    """Verdict where half of the evidence is left, after an unknown force fell to ``still``."""
+    small = limits_of(clean.experiment)[0].as_array()
+    unknowns = type(clean.before.unknowns)
+    before = replace(clean.before, unknowns=unknowns(needed * small[0], *small[1:]))
+    after = with_unknowns(clean.experiment, clean.before,
+                          unknowns(still * small[0], *small[1:]))
+    after = replace(after, named=("coulomb_friction",), s=wrong * after.s,
+                    log_likelihood=before.log_likelihood + 5e3)
+    last = Round(replace(after, named=found), (), (candidate(clean, "spring_load", gain),))
+    floor = (before.log_likelihood + 1e4) / len(before.e)
+    return verdict_of(clean.experiment, Naming(before, after, (last,), {}, {}),
+                      Calibration(THRESHOLD, (), floor))[0]
+
+
+def test_evidence_that_is_left_over_by_a_small_unknown_is_a_names_error_of_form(clean):
+    assert left_over(clean) == "mismatch"
+    assert left_over(clean, still=190.0) == "unexplained"  # a fifth of 900 is 180
+    assert left_over(clean, needed=90.0) == "unexplained"  # none was needed
+    assert left_over(clean, gain=501.0) == "unexplained"  # another effect has a claim
+    assert left_over(clean, found=()) == "unexplained"  # nobody asked whether one has
+    assert left_over(clean, wrong=2.0) == "unexplained"  # that is no unknown force
 
 
 def test_without_names_an_unknown_that_matters_is_unexplained(clean):

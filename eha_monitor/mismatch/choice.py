@@ -7,7 +7,7 @@ import numpy as np
 
 from eha_monitor.mismatch.experiment import Experiment
 from eha_monitor.mismatch.fit import Fit, spread, with_unknowns
-from eha_monitor.mismatch.gains import Unknowns
+from eha_monitor.mismatch.gains import Unknowns, expected_covariance
 from eha_monitor.mismatch.screen import Start, own_sizes, starts_of
 from eha_monitor.mismatch.search import (
     STIFF,
@@ -38,6 +38,9 @@ EXPLAINED = 0.75  # share of the evidence that names must take away, or it is un
 TIGHT = 100.0  # times the smallest unknowns, 1 % of what the record covers
 NOTHING = 0.01  # log units a sample: what speaks against a model with no more is nothing
 UNKNOWN = 0.01  # of what a balance does: an unknown above is a mismatch, named or not
+SHRUNK, LITTLE = 0.2, 0.03  # of the nominal model's unknown, and of what the balance does
+EXPECTED = 1.5  # times the variance that a filter expects of its innovations
+FURTHER = 0.1  # of the evidence that is left: what gains no more has no claim on it
 NEGLIGIBLE = 0.25  # times an effect's start, which is about 1 % of what its balance does
 
 Report = Callable[[str, float], None]
@@ -105,15 +108,19 @@ def demanded_gain(fit: Fit, first: Fit, name: str, threshold: float, rough: bool
 
 def choose(experiment: Experiment, found: Round, first: Fit, threshold: float
            ) -> tuple[Candidate | None, tuple[str, ...]]:
-    """Return the candidate that a round takes, or None, and its rivals."""
+    """Return the candidate that a round takes, or None, and its rivals.
+
+    What a record cannot tell apart does the same there, and is as large, whatever the scale of
+    its own size: a step of leakage smoothed into a line has that of a step.
+    """
     fit = found.before
-    worthy = [c for c in found.candidates
-              if c.gain >= demanded_gain(fit, first, c.effect, threshold, experiment.inverse)
-              and material(experiment, c.fit, c.effect)]
-    if not worthy:
+    able = [c for c in found.candidates
+            if c.gain >= demanded_gain(fit, first, c.effect, threshold, experiment.inverse)]
+    leading = next((c for c in able if material(experiment, c.fit, c.effect)), None)
+    if leading is None:
         return None, ()
-    near = [c for c in worthy if c.gain >= worthy[0].gain - slack_of(worthy[0].gain)
-            and comparable(experiment, worthy[0].effect, c.effect)]
+    near = [c for c in able if abs(c.gain - leading.gain) <= slack_of(leading.gain)
+            and comparable(experiment, leading.effect, c.effect)]
     taken = min(near, key=preference)
     rivals = tuple(c.effect for c in near if c is not taken
                    and taken.effect not in CATALOGUE[c.effect].contains)
@@ -204,6 +211,34 @@ def lacking(experiment: Experiment, fit: Fit) -> bool:
     """Tell whether a fit needs an unknown that matters, named or not."""
     small = limits_of(experiment)[0].as_array()
     return bool((fit.unknowns.as_array() > UNKNOWN / 1e-4 * small).any())
+
+
+def little_left(experiment: Experiment, naming: Naming, left: float) -> bool:
+    """Tell whether what is left is small in newtons or litres per minute, however certain it is.
+
+    Evidence grows with the logarithm of what is left: beside good sensors a tenth of a hard
+    stick-slip's force is half of it.  Four things are asked.  Each unknown that the nominal model
+    needs has shrunk to ``SHRUNK``, 4 % of its variance, and is ``LITTLE``.  Unknowns of that size
+    account for the innovations; larger ones show something that no unknown stands for, such as a
+    wrong mean pressure.  And nothing else in the catalogue has a claim on what is left.
+
+    Parameters
+    ----------
+    left : evidence against the final model, log units.
+    """
+    before, after = naming.before, naming.after
+    last = naming.rounds[-1] if naming.rounds else None
+    if last is None or set(last.before.named) != set(after.named) or any(
+            one.gain > FURTHER * left for one in (*last.candidates, *last.scores)):
+        return False
+    small = limits_of(experiment)[0].as_array()
+    needed, still = before.unknowns.as_array(), after.unknowns.as_array()
+    lacked = needed > UNKNOWN / 1e-4 * small
+    expected = expected_covariance(experiment, after.theta, after.active, after.unknowns,
+                                   after.gains)
+    return bool(lacked.any() and (still[lacked] <= SHRUNK * needed[lacked]).all()
+                and (still <= LITTLE / 1e-4 * small).all()
+                and (np.diag(after.s) <= EXPECTED * np.diag(expected)).all())
 
 
 def name_effects(experiment: Experiment, threshold: float = THRESHOLD,

@@ -197,3 +197,14 @@ def gains_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
     gains = np.zeros((min(TRANSIENT, longest), N_FILTERED, len(m.r)))
     count = riccati(m.a, m.h, m.q, m.r, np.diag(m.start), experiment.used, gains)
     return gains[:count]
+
+
+def expected_covariance(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
+                        unknowns: Unknowns, gains: np.ndarray) -> np.ndarray:
+    """Return the innovations' covariance that the steady filter leads to expect, (c, c) SI.
+
+    By R = (1 - H K) S, of the used channels.
+    """
+    m, used = linear_of(experiment, theta, active, unknowns), experiment.columns
+    return np.linalg.solve(np.eye(len(used)) - m.h[used] @ gains[-1][:, used],
+                           np.diag(m.r[used]))

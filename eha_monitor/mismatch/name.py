@@ -14,6 +14,7 @@ from eha_monitor.mismatch.choice import (
     Naming,
     expected_likelihood,
     lacking,
+    little_left,
     name_effects,
 )
 from eha_monitor.mismatch.diagnosis import (
@@ -127,10 +128,11 @@ def verdict_of(experiment: Experiment, naming: Naming, calibration: Calibration 
     against = floor - before.log_likelihood
     taken = after.log_likelihood - before.log_likelihood
     explained = float(np.clip(taken / max(against, taken, 1e-9), 0.0, 1.0)) if taken > 0 else 0.0
-    left = lacking(experiment, after)
+    left = floor - after.log_likelihood
     if after.named:
-        return ("mismatch" if explained >= EXPLAINED else "unexplained"), explained
-    return ("unexplained" if left and floor - after.log_likelihood > NOTHING * len(after.e)
+        right = explained >= EXPLAINED or little_left(experiment, naming, left)
+        return ("mismatch" if right else "unexplained"), explained
+    return ("unexplained" if lacking(experiment, after) and left > NOTHING * len(after.e)
             else "consistent"), explained
 
 

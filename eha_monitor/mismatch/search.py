@@ -170,6 +170,8 @@ def with_effect(fit: Fit, start: Start, amplitudes: tuple[float, ...],
             value = a * values[p.name]
             if p.lower >= 0:
                 value = max(value, least * values[p.name])
+            if start.among > 1 and p.unit in ("s", "m"):  # a shift is linear near itself only
+                value = min(value, values[p.name] / LEAST_OF_MANY)
             values[p.name] = min(max(value, p.lower), p.upper)
     placed = replace(start, values=tuple(values.items()))
     theta, active = entered(fit.theta, fit.active, placed)
