@@ -99,6 +99,9 @@ def test_what_cannot_be_told_from_one_that_matters_matters_too(clean):
     assert chosen(clean, line) == (None, set())
     assert chosen(clean, line, candidate(clean, "leakage_offset", 97.0)) == (
         "cross_port_leakage", {"leakage_offset"})
+    gain_of_pump = candidate(clean, "pump_flow_gain", 80.0)
+    assert chosen(clean, line, gain_of_pump) == ("cross_port_leakage", set())
+    assert chosen(clean, line, replace(gain_of_pump, gain=60.0)) == ("pump_flow_gain", set())
 
 
 @pytest.mark.parametrize("gain, slack", [(0.0, 6.0), (100.0, 6.0), (2000.0, 6.0), (1e5, 300.0)])
