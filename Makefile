@@ -58,6 +58,7 @@ bench: setup
 
 proof: setup
 	@$(PYTHON) -m eha_monitor prove
+	@$(PYTHON) -m pytest -m slow
 
 # The lock names no index, so it installs from whichever index pip is configured for.
 lock:

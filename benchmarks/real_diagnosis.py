@@ -22,6 +22,8 @@ HSM = ("hsm150/idf_pos_0.06_1.mat", "hsm150/idf_pos_0.065_2.mat", "hsm150/idf_ne
 SEALS = tuple(f"pneumatic_seals/1_O-ring257_{bar}bar.csv" for bar in (1, 3, 5, 7))
 EHA = tuple(f"ivliev_eha/exp_data_{name}.csv" for name in ("1_2", "1_4", "2_3", "3_4", "4_2",
                                                           "5_4"))
+LOSSES = {"cross_port_leakage", "external_leakage", "turbulent_leakage", "leakage_offset",
+          "pump_volumetric_loss", "pump_flow_gain", "pump_dead_zone"}
 # config, files that are diagnosed together, what has to come out
 CASES = (
     ("emps", ("emps/DATA_EMPS.mat",), "B 203.5, F_c 20.39, by direction"),
@@ -29,6 +31,7 @@ CASES = (
     ("hsm150", HSM, "B 7.03e-5, Coulomb"),
     *(("ivliev_eha", (file,), "friction, leakage") for file in EHA[:-1]),
     ("ivliev_eha", EHA[-1:], "friction, leakage, saturation"),
+    ("ivliev_eha", (EHA[1], EHA[3], EHA[5]), "friction, leakage, saturation"),
     ("ivliev_eha", ("ivliev_eha/extra_2024_10_14_5.csv",), "friction, leakage"),
     *(("pneumatic_seals", (file,), "friction 5.4 to 10.2 N") for file in SEALS[::3]),
     ("pneumatic_seals", SEALS, "pressure friction"),
@@ -43,8 +46,33 @@ def run(*arguments: str) -> str:
     return done.stderr.strip() if done.returncode else ""
 
 
+def number(text: str, name: str, symbol: str, effects: list[dict]) -> str:
+    """Return what a recording reached beside what is published, as text."""
+    for effect in effects:
+        if effect["name"] in name.split("|") and symbol in effect["parameters"]:
+            return f"{text} {effect['parameters'][symbol]['value']:.4g}"
+    return f"{text} not named"
+
+
+def reached(config: str, found: dict) -> str:
+    """Return the figures that are to be compared with what has to be."""
+    effects = found["effects"]
+    b = found["parameters"]["after"].get("B")
+    words = [f"B {b['value']:.4g}"] if b else []
+    if config in ("emps", "hsm150"):
+        words.append(number("F_c", "asymmetric_friction|coulomb_friction", "F_c", effects))
+    if config == "pneumatic_seals":
+        words.append(number("mu", "pressure_friction", "mu", effects))
+    if config == "ivliev_eha":
+        named = {effect["name"] for effect in effects}
+        words = [word for word, names in (
+            ("friction", [name for name in named if name.endswith("friction")]),
+            ("flow loss", named & LOSSES), ("saturation", named & {"drive_saturation"})) if names]
+    return ", ".join(words)
+
+
 def row_of(config: str, files: tuple[str, ...], data: Path, folder: Path) -> tuple[str, ...]:
-    """Return verdict, names, B, force residual before and after, and seconds, as text."""
+    """Return verdict, names, what was reached, force residual, its share, seconds, as text."""
     settings = str(ROOT / "config" / f"{config}.yaml")
     bags = []
     for file in files:
@@ -52,23 +80,25 @@ def row_of(config: str, files: tuple[str, ...], data: Path, folder: Path) -> tup
         if not Path(bags[-1]).exists():
             failed = run("import", str(data / file), "--map", settings, "--out", bags[-1])
             if failed:
-                return "not imported", failed, "", "", ""
+                return "not imported", failed, "", "", "", ""
     answer, began = folder / "answer.json", time.perf_counter()
     failed = run("diagnose", *bags, "--config", settings, "--json", str(answer))
     seconds = f"{time.perf_counter() - began:.0f}"
     if failed:
-        return "refused", failed.replace(str(folder), ""), "", "", seconds
+        return "refused", failed.replace(str(folder), ""), "", "", "", seconds
     found = json.loads(answer.read_text())
     names = "; ".join(
-        effect["name"] + "".join(f" {key} {value['value']:.4g}" for key, value
-                                 in list(effect["parameters"].items())[:3])
+        effect["name"] + "".join(f" {key} {effect['parameters'][key]['value']:.4g}"
+                                 for key in list(effect["parameters"])[:2])
         + "".join(f" / {rival}" for rival in effect["indistinguishable_from"])
         for effect in found["effects"])
-    b = [f"{found['parameters'][side]['B']['value']:.4g}" for side in ("before", "after")
-         if "B" in found["parameters"][side]]
     force = found["fit"]["signals"].get("force")
     left = f"{force['before_rms']:.3g} → {force['after_rms']:.3g}" if force else ""
-    return found["verdict"], names, " → ".join(b), left, seconds
+    share = ""
+    if force and force.get("signal_rms"):
+        share = " → ".join(f"{100 * force[key] / force['signal_rms']:.3g}"
+                           for key in ("before_rms", "after_rms"))
+    return found["verdict"], names, reached(config, found), left, share, seconds
 
 
 def main() -> None:
@@ -81,13 +111,16 @@ def main() -> None:
         print(f"{options.data}: not here; the real recordings are not part of this repository")
         return
     table = Table(title="diagnose on recordings that this project did not make", show_lines=True)
-    for head in ("recording", "has to be", "verdict", "named", "B", "force left, N", "s"):
+    for head in ("recording", "has to be", "verdict", "named", "reached", "force left, N",
+                 "% of the force", "s"):
         table.add_column(head)
+    chosen = [case for case in CASES if options.only in ("", case[0])]
     with tempfile.TemporaryDirectory() as folder:
-        for config, files, expected in CASES:
-            if options.only in ("", config):
-                table.add_row(" + ".join(Path(file).stem for file in files), expected,
-                              *row_of(config, files, options.data, Path(folder)))
+        for i, (config, files, expected) in enumerate(chosen, 1):
+            name = " + ".join(Path(file).stem for file in files)
+            row = row_of(config, files, options.data, Path(folder))
+            print(f"{i}/{len(chosen)} {name}: {row[0]}, {row[-1]} s", file=sys.stderr, flush=True)
+            table.add_row(name, expected, *row)
     Console(width=190).print(table)
 
 

@@ -1,5 +1,6 @@
 """The diagnosis of real recordings, read from beside the repository; skipped where absent."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,9 @@ from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import load_settings
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "benchmarks"))
+from inverse_trial import CASES, MAKERS, right  # noqa: E402
+
 DATA = ROOT.parent / "shared" / "data"
 
 
@@ -42,6 +46,8 @@ def test_both_directions_name_dry_friction():
     assert found.effects[0].parameters["F_c"].value == pytest.approx(0.034, rel=0.15)
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_screw_drive_agrees_with_the_published_friction():
     recordings, settings = read("emps", "emps/DATA_EMPS.mat")
     found = diagnose(recordings, settings, calibrate=False)
@@ -59,6 +65,22 @@ def test_eha_at_its_largest_load_saturates():
     assert "drive_saturation" in names
     assert any(name.endswith("friction") for name in names)
     assert found.signals["force"].after_rms < 0.5 * found.signals["force"].before_rms
+
+
+def test_seals_name_friction_that_grows_with_pressure():
+    files = [f"pneumatic_seals/1_O-ring257_{bar}bar.csv" for bar in (1, 7)]
+    recordings, settings = read("pneumatic_seals", *files)
+    found = diagnose(recordings, settings)
+    assert found.verdict == "mismatch" and "pressure_friction" in [e.name for e in found.effects]
+    assert found.after["B"].value > 0.0
+    assert found.signals["force"].after_rms < 0.5 * found.signals["force"].before_rms
+
+
+@pytest.mark.parametrize(("rig", "case"), [("eha", "clean"), ("hsm", "clean"), ("seals", "clean"),
+                                           ("eha", "leakage")])
+def test_simulated_rigs_are_told_what_they_have(rig, case):
+    found = diagnose(*MAKERS[rig](case, 77))
+    assert right(case, found, CASES[rig][case])
 
 
 def test_balances_of_a_quick_rig_are_taken_as_they_stand():

@@ -15,6 +15,7 @@ import numpy as np
 
 from eha_monitor.compiled import CACHE
 from eha_monitor.errors import InputError
+from eha_monitor.mismatch.clean_balances import simulated_balances
 from eha_monitor.mismatch.experiment import Experiment, Stretch
 from eha_monitor.mismatch.fit import Fit, free_run, spread
 from eha_monitor.mismatch.innovations import CLOSED
@@ -48,6 +49,8 @@ class Calibration:
 
 def simulated(experiment: Experiment, fit: Fit, seed: int) -> Experiment:
     """Return the experiment with the fitted model's own outputs in place of the measured ones."""
+    if experiment.inverse:
+        return simulated_balances(experiment, fit, seed)
     rng = np.random.default_rng(seed)
     parts = []
     for stretch in experiment.stretches:

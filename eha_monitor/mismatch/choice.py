@@ -32,7 +32,6 @@ MOST_OF_ALL = 6  # where each balance has a likelihood of its own
 SLACK, SLACK_SHARE = 6.0, 0.003  # rivals lie so near the best: log units, share of its gain
 FORM_SHARE = 0.01  # of the evidence so far: the named effects' own error of form
 FAMILY_SHARE = 0.05  # the same within a family
-ROUGH_SHARE = 0.3  # the same on a circuit that no model knows to the last newton
 CONTENDING = 0.7  # of the taken effect's gain: who may yet take its place
 EXPLAINED = 0.75  # share of the evidence that names must take away, or it is unexplained
 TIGHT = 100.0  # times the smallest unknowns, 1 % of what the record covers
@@ -91,18 +90,16 @@ def material(experiment: Experiment, fit: Fit, name: str) -> bool:
     return False
 
 
-def demanded_gain(fit: Fit, first: Fit, name: str, threshold: float, rough: bool = False
-                  ) -> float:
+def demanded_gain(fit: Fit, first: Fit, name: str, threshold: float) -> float:
     """Return what a further effect must gain beside the named ones, log units.
 
     The named effects' own form is never exact; a share of their evidence may be left for others
-    to pick up.  ``rough`` : what is left over is no sensor's noise, and a second form of the same
-    thing must gain much.
+    to pick up.
     """
     sofar = fit.log_likelihood - first.log_likelihood
     family = CATALOGUE[name].family
     kin = family and any(CATALOGUE[other].family == family for other in fit.named)
-    share = (ROUGH_SHARE if rough else FAMILY_SHARE) if kin else FORM_SHARE
+    share = FAMILY_SHARE if kin else FORM_SHARE
     return max(threshold, share * sofar)
 
 
@@ -116,7 +113,8 @@ def choose(experiment: Experiment, found: Round, first: Fit, threshold: float
     """
     fit = found.before
     able = [c for c in found.candidates
-            if c.gain >= demanded_gain(fit, first, c.effect, threshold, experiment.inverse)]
+            if c.gain >= demanded_gain(fit, first, c.effect,
+                                       threshold * lasting(experiment, fit, c))]
     leading = next((c for c in able if material(experiment, c.fit, c.effect)), None)
     if leading is None:
         return None, ()
@@ -129,6 +127,29 @@ def choose(experiment: Experiment, found: Round, first: Fit, threshold: float
     rivals = tuple(c.effect for c in near if c is not taken
                    and taken.effect not in CATALOGUE[c.effect].contains)
     return taken, rivals
+
+
+def lasting(experiment: Experiment, before: Fit, candidate: Candidate) -> float:
+    """Return how many compared samples count as one for a candidate's evidence, 1 or more.
+
+    Innovations are white.  What a circuit that no model knows leaves in a balance is not, and the
+    noise of a regressor's size grows by 1 + 2 sum(r_e r_d), with the correlations of what is left
+    and of what the candidate makes (Bartlett 1946).
+    """
+    if not experiment.inverse:
+        return 1.0
+    column = ("force", "flow", "drive").index(CATALOGUE[candidate.effect].balance)
+    left, made = candidate.fit.e[:, column], before.e[:, column] - candidate.fit.e[:, column]
+    good = np.isfinite(left) & np.isfinite(made)
+    left, made = left[good] - left[good].mean(), made[good] - made[good].mean()
+    n, total = len(left), 1.0
+    size = max(float(left @ left) * float(made @ made), 1e-300)
+    for lag in range(1, n // 4):
+        of_left = float(left[lag:] @ left[:-lag])
+        if of_left < 2.0 / np.sqrt(n) * float(left @ left):  # chance, from here on
+            break
+        total += 2.0 * of_left * float(made[lag:] @ made[:-lag]) / size
+    return max(total, 1.0)
 
 
 def comparable(experiment: Experiment, name: str, other: str) -> bool:
@@ -155,8 +176,7 @@ def add_effects(experiment: Experiment, first: Fit, threshold: float, say: Repor
     while len(fit.named) < most and len(rounds) < most + 2:
         say(f"trying the catalogue, round {len(rounds) + 1}", min(0.15 + 0.25 * len(rounds), 0.8))
         found = round_of(experiment, fit,
-                         lambda name, fit=fit: demanded_gain(fit, first, name, threshold,
-                                                             experiment.inverse))
+                         lambda name, fit=fit: demanded_gain(fit, first, name, threshold))
         rounds = (*rounds, found)
         taken, near = choose(experiment, found, first, threshold)
         if taken is None:

@@ -61,7 +61,8 @@ class SignalFit:
 
     ``before_rms`` nominal model with B and beta_e fitted, ``after_rms`` with the effects,
     ``noise_rms`` the sensor's own noise.  ``before_whiteness``, ``after_whiteness`` : largest
-    variance ratio of block sums of the one-step innovations; 1 is white.
+    variance ratio of block sums of the one-step innovations; 1 is white.  ``signal_rms`` : of
+    the signal itself, where its size matters.
     """
 
     unit: str
@@ -70,6 +71,7 @@ class SignalFit:
     noise_rms: float
     before_whiteness: float = np.nan
     after_whiteness: float = np.nan
+    signal_rms: float = np.nan
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ that of the chamber with the higher pressure, the one that the pump fills.
 from functools import lru_cache
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.signal import butter, sosfiltfilt
 
 from eha_monitor.mismatch.experiment import Experiment, Stretch
@@ -25,6 +26,8 @@ from eha_monitor.physics.contributions import circuit_of, new_memory
 MOTION, BAND = 20.0, 5.0  # Hz: pass bands of the motion, and of every balance
 FINE, COARSE = 8, 4  # points in a period of ``BAND``; each so-many-th of them is compared
 STANDING = 0.02  # of the top speed: below, dry friction takes any value, and tells nothing
+SETTLING, RISING = 0.5, 0.05  # s; share of the highest pressure that it may change by in that
+DIED_OUT = 2.5  # periods of the cutoff after which a low-pass has forgotten
 APART = 0.1  # s on both sides of what is not counted that the low-pass mixes with it
 MOST_KEPT = 256  # stretches whose motion is kept at hand
 
@@ -33,22 +36,23 @@ class Motion:
     """The measured motion of a stretch on a grid of ``FINE * BAND`` Hz; SI, (m,) each.
 
     ``track`` (m, N_SIGNALS) signals; ``acceleration``, ``rate_1``, ``rate_2`` in m/s^2 and Pa/s;
-    ``force`` that drives, N; ``compared`` places that enter the fit, ``moving`` (m,) bool.
+    ``force`` that drives, N; ``compared`` places that enter the fit; ``telling`` for force, flow
+    and drive (m,) bool, where the balance tells something.
     """
 
     def __init__(self, experiment: Experiment, stretch: Stretch):
         dt = experiment.dt
         self.every = max(1, round(1.0 / (FINE * BAND * dt)))
         self.dt = self.every * dt
-        cutoff = min(MOTION, 0.2 / dt)
-        self.smooth = low_pass(cutoff, dt)
-        self.band = low_pass(BAND, self.dt)
+        smooth = low_pass(min(MOTION, 0.2 / dt), dt)
+        self.smooth = Smoother(min(MOTION, 0.2 / dt), dt, self.every)
+        self.band = Smoother(BAND, self.dt)
 
         def fine(values):
-            return self.smooth(filled(values))[:: self.every]
+            return smooth(filled(values))[:: self.every]
 
         rig, z = experiment.settings.rig, stretch.z
-        x = self.smooth(filled(z[:, 0]))
+        x = smooth(filled(z[:, 0]))
         v = np.gradient(x, dt)
         self.track = np.zeros((len(x[:: self.every]), s.N_SIGNALS))
         self.track[:, s.T] = np.arange(len(self.track)) * self.dt
@@ -70,13 +74,46 @@ class Motion:
         self.compared = np.arange(0, len(self.track), COARSE)
         self.compared = self.compared[~apart[:: self.every][self.compared]]
         fast = np.abs(self.track[:, s.V]) > STANDING * experiment.ranges.speed
-        self.moving = np.convolve(~fast, np.ones(5), mode="same") < 0.5
+        moving = np.convolve(~fast, np.ones(5), mode="same") < 0.5
+        self.telling = (moving, self._settled(), np.ones(len(moving), dtype=bool))
+
+    def _settled(self) -> np.ndarray:
+        """Tell where the higher pressure stays, (m,) bool.
+
+        While it rises, hoses and accumulator swallow what no parameter of the chambers stands for.
+        """
+        pressure = self.band(np.maximum(self.track[:, s.P1], self.track[:, s.P2]))
+        reach = max(1, round(0.5 * SETTLING / self.dt))
+        padded = np.pad(pressure, reach, mode="edge")
+        change = np.abs(padded[2 * reach :] - padded[: -2 * reach])
+        return change < RISING * max(float(np.quantile(pressure, 0.98)), 1e-300)
 
 
 def low_pass(cutoff: float, dt: float):
     """Return a zero-phase low-pass (Butterworth, fourth order, both ways) of ``cutoff`` Hz."""
     sections = butter(4, cutoff, fs=1.0 / dt, output="sos")
     return lambda values: sosfiltfilt(sections, values)
+
+
+class Smoother:
+    """The same low-pass as its impulse response, cut where it has died out: much quicker.
+
+    ``every`` : of its output each so-many-th value is kept.
+    """
+
+    def __init__(self, cutoff: float, dt: float, every: int = 1):
+        self.reach, self.every = max(4, round(DIED_OUT / cutoff / dt)), every
+        impulse = np.zeros(6 * self.reach + 1)
+        impulse[3 * self.reach] = 1.0
+        taps = low_pass(cutoff, dt)(impulse)[2 * self.reach : 4 * self.reach + 1]
+        self.taps = taps / taps.sum()
+
+    def __call__(self, values: np.ndarray) -> np.ndarray:
+        """Return the low-passed values, (n / every,); both ends are mirrored through a point."""
+        longer = np.pad(values, self.reach, mode="reflect", reflect_type="odd")
+        if self.every == 1:
+            return np.convolve(longer, self.taps, mode="valid")
+        return sliding_window_view(longer, len(self.taps))[:: self.every] @ self.taps
 
 
 @lru_cache(maxsize=MOST_KEPT)
@@ -121,22 +158,33 @@ def residuals(experiment: Experiment, theta: np.ndarray, active: np.ndarray) -> 
 
 def _residuals_of(experiment, stretch, theta, active) -> np.ndarray:
     motion = motion_of(experiment, stretch)
+    left = np.stack([motion.band(row) for row in left_along(
+        experiment, stretch, theta, active)], axis=1)
+    for j in range(left.shape[1]):
+        left[~motion.telling[j], j] = np.nan
+    return left[motion.compared]
+
+
+def left_along(experiment: Experiment, stretch: Stretch, theta: np.ndarray, active: np.ndarray
+               ) -> list[np.ndarray]:
+    """Return what is left of each balance on the fine grid of a stretch, not yet low-passed.
+
+    Force in N, flow in m^3/s, shaft speed in rad/s; (m,) each.
+    """
+    motion = motion_of(experiment, stretch)
     track = motion.track
     c = np.zeros((len(track), s.N_CONTRIBUTIONS))
     contributions_along(track, motion.dt, 2, theta, active, new_memory(), c)
-    v = track[:, s.V]
-    force = (motion.force - theta[s.B] * v - c[:, s.FORCE]
-             - (theta[s.M] + c[:, s.MASS]) * motion.acceleration)
-    found = [np.where(motion.moving, motion.band(force), np.nan)]
+    found = [motion.force - theta[s.B] * track[:, s.V] - c[:, s.FORCE]
+             - (theta[s.M] + c[:, s.MASS]) * motion.acceleration]
     if experiment.mode != FORCED:
-        found.append(motion.band(_flow(theta, track, motion, c)))
+        found.append(_flow(theta, track, motion, c))
     if experiment.mode == CLOSED:
         made = np.zeros(len(stretch))
         drive_along(filled(stretch.z[:, 0]), stretch.u, experiment.dt, 1, theta,
                     circuit_of(theta, active), made)
-        speed = track[:, s.OMEGA] - motion.smooth(made)[:: motion.every]
-        found.append(motion.band(speed))
-    return np.stack(found, axis=1)[motion.compared]
+        found.append(track[:, s.OMEGA] - motion.smooth(made))
+    return found
 
 
 def _flow(theta, track, motion, c) -> np.ndarray:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from eha_monitor.mismatch import advise, locate, show
+from eha_monitor.mismatch import advise, balance_show, locate, show
 from eha_monitor.mismatch.calibrate import DRAWS, Calibration, calibrate
 from eha_monitor.mismatch.choice import (
     EXPLAINED,
@@ -25,10 +25,8 @@ from eha_monitor.mismatch.diagnosis import (
     SignalFit,
     Value,
 )
-from eha_monitor.mismatch.equation_error import residuals
 from eha_monitor.mismatch.experiment import Experiment, experiment_of
-from eha_monitor.mismatch.fit import Fit, spread, tune, with_unknowns
-from eha_monitor.mismatch.gains import Unknowns
+from eha_monitor.mismatch.fit import Fit
 from eha_monitor.mismatch.innovations import CLOSED
 from eha_monitor.mismatch.model import (
     config_effects,
@@ -37,7 +35,7 @@ from eha_monitor.mismatch.model import (
     robust,
     values_of,
 )
-from eha_monitor.mismatch.search import THRESHOLD, YIELDING, first_fit, limits_of
+from eha_monitor.mismatch.search import THRESHOLD, first_fit
 from eha_monitor.mismatch.sizes import filtered_tracks, size_of
 from eha_monitor.mismatch.terms import BALANCES, missing_terms
 from eha_monitor.physics.effects import CATALOGUE
@@ -82,8 +80,6 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
                             f"{experiment.noise[0]:.2g} m of noise: nothing can be told")
     say("fitting the nominal model", 0.02)
     first = first_fit(experiment)
-    if experiment.inverse:
-        calibrate = False  # what is left over is no sensor's noise: no clean record has it
     calibration = calibrated(experiment, first, say, calibrate)
     threshold = calibration.threshold if calibrate and calibration else THRESHOLD
     base = 0.5 if calibrate else 0.05
@@ -102,7 +98,7 @@ def calibrated(experiment: Experiment, first: Fit, say: Report, whole: bool
     Not ``whole``: where a measured input brings its own noise into every innovation, two draws
     tell the likelihood; else the sensors' noise does.
     """
-    if experiment.inverse or (not whole and experiment.mode == CLOSED):
+    if not whole and (experiment.inverse or experiment.mode == CLOSED):
         return None
     return calibrate(experiment, first, DRAWS if whole else 2,
                      lambda text, share: say(text, 0.05 + 0.45 * share))
@@ -120,9 +116,12 @@ def verdict_of(experiment: Experiment, naming: Naming, calibration: Calibration 
     """Return the verdict and the share of the evidence that the named effects take away."""
     before, after = naming.before, naming.after
     if experiment.inverse:
+        closed = balance_show.balances_of(experiment, after)
+        if not after.named:
+            return ("unexplained" if closed.open.any() else "consistent"), 0.0
         explained = variance_removed(before, after)
-        named = "mismatch" if explained >= MOSTLY else "unexplained"
-        return (named if after.named else "unexplained"), explained
+        return ("mismatch" if explained >= MOSTLY or not closed.open.any()
+                else "unexplained"), explained
     floor = (calibration.per_sample * len(before.e) if calibration
              else expected_likelihood(experiment, before))
     against = floor - before.log_likelihood
@@ -145,38 +144,8 @@ def variance_removed(before: Fit, after: Fit) -> float:
     return float(np.clip(1.0 - left.min(), 0.0, 1.0))
 
 
-def as_filtered(experiment: Experiment, naming: Naming) -> tuple[Experiment, Naming]:
-    """Return experiment and models as the filter takes them, which shows what it is given."""
-    plain = replace(experiment, inverse=False)
-    small, large = limits_of(plain)
-    start = Unknowns(*(YIELDING * small.as_array()))
-
-    def one(fit: Fit) -> Fit:
-        return tune(plain, with_unknowns(plain, fit, start), small, large, (10.0,))
-
-    before, after = spread(one, (naming.before, naming.after))
-    return plain, replace(naming, before=before, after=after)
-
-
-def moving_force(experiment: Experiment, before: Fit, after: Fit) -> SignalFit:
-    """Return what is left of the force balance on unseen data while the piston moves, N rms.
-
-    At rest dry friction holds whatever force there is, and none is left to compare.
-    """
-    there = experiment.only(tuple(
-        replace(stretch, counted=mask)
-        for stretch, mask in zip(experiment.stretches, show.unseen(experiment), strict=True)))
-    left = [residuals(there, fit.theta, fit.active)[:, 0] for fit in (before, after)]
-    return SignalFit("N", *(show.rms(one[np.isfinite(one)]) for one in left), float("nan"))
-
-
-def worse(signals: dict[str, SignalFit], by_equations: bool = False) -> bool:
-    """Tell whether the error on unseen data, in units of the noise, has grown.
-
-    ``by_equations`` : the balances were fitted, so the force residual is what counts.
-    """
-    if by_equations:
-        return signals["force"].after_rms > WORSE * signals["force"].before_rms
+def worse(signals: dict[str, SignalFit]) -> bool:
+    """Tell whether the error on unseen data, in units of the noise, has grown."""
     pairs = [(fit.before_rms / fit.noise_rms, fit.after_rms / fit.noise_rms)
              for fit in signals.values() if fit.noise_rms > 0]
     return sum(after**2 for _, after in pairs) > WORSE * sum(before**2 for before, _ in pairs)
@@ -189,18 +158,18 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming,
     naming = replace(naming, before=robust(experiment, naming.before),
                      after=robust(experiment, naming.after))
     verdict, explained = verdict_of(experiment, naming, calibration)
+    before, after = naming.before, naming.after
     by_equations = experiment.inverse
     if by_equations:
-        experiment, naming = as_filtered(experiment, naming)
-        shown = replace(shown, inverse=False)
-    before, after = naming.before, naming.after
-    signals = show.shown(shown, before, after)
-    if by_equations:
-        signals["force"] = moving_force(shown, before, after)
+        closed = balance_show.balances_of(experiment, after)
+        signals = balance_show.signals_of(shown, before, after, closed.floor)
+        tracks = balance_show.tracks_of(experiment)
+    else:
+        signals = show.shown(shown, before, after)
+        tracks = filtered_tracks(experiment, after) if after.named else []
     # A fit that fails on unseen data has named nothing.
-    if after.named and worse(signals, by_equations):
+    if after.named and worse(signals):
         verdict, explained = "unexplained", min(explained, 1.0 - EXPLAINED)
-    tracks = filtered_tracks(experiment, after) if after.named else []
     effects = tuple(named_effect(experiment, naming, name, tracks) for name in sorted(
         after.named, key=lambda name: -naming.evidence[name]))
     if verdict == "unexplained":  # what takes away a small part only is a confident wrong name
@@ -213,19 +182,24 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming,
     evidence = {effect.name: effect.log_evidence for effect in effects}
     if verdict == "consistent":
         where, curves = Location(dict.fromkeys(BALANCES, 0.0), "", ()), ()
+    elif by_equations:
+        terms = balance_show.terms_of(experiment, before, after)
+        where = balance_show.location_of(experiment, effects, terms, closed)
+        curves = tuple(curve for term in terms for curve in locate.curves_of(experiment, term))
     else:
         terms = missing_terms(experiment, before, after)
         where = locate.location_of(experiment, before, after, evidence,
                                    terms if verdict == "mismatch" else None)
         curves = locate.latent_curves(experiment, before, after, terms)
+    how = balance_show if by_equations else show
     known = values_of(experiment, before), values_of(experiment, after)
     return Diagnosis(
         bags, verdict, message_of(verdict, effects, where, explained), where, effects, *known,
         "held_out_bag" if other_bag else "held_out", signals, curves,
-        show.overlays(shown, before, after), considered_of(naming),
-        () if by_equations else show.agreement(experiment, before, after),
+        how.overlays(shown, before, after), considered_of(naming),
+        how.agreement(experiment, before, after),
         health_sentences(experiment, *known, effects),
-        advise.advice_for(experiment, naming),
+        balance_show.doubts(effects) if by_equations else advise.advice_for(experiment, naming),
         config_effects(experiment, after, tuple(effect.name for effect in effects)),
         threshold if np.isfinite(threshold) else THRESHOLD, bool(np.isfinite(threshold)),
         explained, duration, time.perf_counter() - started)

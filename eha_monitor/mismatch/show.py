@@ -13,6 +13,7 @@ from eha_monitor.mismatch.fit import Fit, filtered, refine, spread
 from eha_monitor.mismatch.innovations import FORCED, N_FILTERED
 from eha_monitor.mismatch.inputs import filled
 from eha_monitor.mismatch.missing import modelled_force, signals_along
+from eha_monitor.mismatch.sizes import filtered_tracks
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.plant import N_OUTPUTS, Y_P1, Y_P2, Y_V, Y_X
@@ -153,8 +154,9 @@ def shown(experiment: Experiment, before: Fit, after: Fit | None,
         found[SIGNALS[j]] = SignalFit(UNITS[j], errors[0], errors[-1], float(experiment.noise[j]),
                                       float(white[0][j]), float(white[-1][j]))
     if experiment.mode == FORCED and found:
-        forces = [force_residual(experiment, fit)[0] for fit in models]
-        found["force"] = SignalFit("N", forces[0], forces[-1], float("nan"))
+        forces = [force_residual(experiment, fit) for fit in models]
+        found["force"] = SignalFit("N", forces[0][0], forces[-1][0], float("nan"),
+                                   signal_rms=forces[-1][1])
     return found
 
 
@@ -228,14 +230,11 @@ def overlays(experiment: Experiment, before: Fit, after: Fit | None,
     return tuple(found)
 
 
-def parts_of(experiment: Experiment, fit: Fit) -> list[tuple[str, list[np.ndarray]]]:
+def parts_of(experiment: Experiment, tracks: list[np.ndarray]
+             ) -> list[tuple[str, list[np.ndarray]]]:
     """Return (name, counted mask of each stretch) of slow and fast, small and large."""
-    speeds, loads = [], []
-    for stretch in experiment.stretches:
-        _, states = filtered(experiment, stretch, fit.theta, fit.active, fit.gains, states=True)
-        track = signals_along(experiment, stretch, states)
-        speeds.append(np.abs(track[:, s.V]))
-        loads.append(np.abs(track[:, s.P1] - track[:, s.P2]))
+    speeds = [np.abs(track[:, s.V]) for track in tracks]
+    loads = [np.abs(track[:, s.P1] - track[:, s.P2]) for track in tracks]
     counted = [stretch.counted for stretch in experiment.stretches]
     found = []
     for values, low, high in ((speeds, "slow half", "fast half"),
@@ -252,13 +251,16 @@ def parts_of(experiment: Experiment, fit: Fit) -> list[tuple[str, list[np.ndarra
     return found
 
 
-def agreement(experiment: Experiment, before: Fit, after: Fit | None) -> tuple[Agreement, ...]:
+def agreement(experiment: Experiment, before: Fit, after: Fit | None,
+              tracks: list[np.ndarray] | None = None) -> tuple[Agreement, ...]:
     """Return B and beta_e from parts of the record, all else held.
 
-    A model that lacks nothing finds the same in each of them.
+    A model that lacks nothing finds the same in each of them.  ``tracks`` : signals along each
+    stretch, (n, N_SIGNALS) each, where they are at hand; else the filter's.
     """
     models = [before] if after is None or after is before else [before, after]
-    parts = parts_of(experiment, models[-1])
+    parts = parts_of(experiment, filtered_tracks(experiment, models[-1])
+                     if tracks is None else tracks)
 
     def one(task: tuple[list[np.ndarray], Fit]) -> dict[str, Value]:
         masks, fit = task
