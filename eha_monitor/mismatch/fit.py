@@ -24,7 +24,7 @@ from eha_monitor.physics.contributions import new_memory
 from eha_monitor.physics.plant import N_OUTPUTS, new_past, new_state
 
 MOVED = 0.03  # of the logarithm of a base parameter: its own and the others' slopes have changed
-NARROW = 1e-3  # smallest eigenvalue of the scaled information: old slopes lead out of the valley
+NARROW = 1e-4  # smallest eigenvalue of the scaled information: old slopes lead out of the valley
 SINGULAR = 1e-12  # of a correlation: what rounding may make of it
 LEAST_DAMPING, SHORTER = 1e-9, 0.3
 

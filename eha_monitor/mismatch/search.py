@@ -32,7 +32,7 @@ from eha_monitor.physics.parameters import effect_values, place_of
 
 PROMISE = 0.1  # of the best score: what an effect must score to be refitted
 SHORTLIST = 8  # effects that are refitted in each round
-LIKELY = 0.15  # of the demanded gain
+LIKELY = 0.4  # of the demanded gain
 STIFF, YIELDING = 30.0, 300.0  # times the smallest unknowns
 STRAYED = 0.7  # of the logarithm: B or beta_e is off its prior by a factor of two
 FINALISTS, WORTH = 3, 0.6  # how many are fitted to the end, and what share of the best they have

@@ -30,6 +30,6 @@ EFFECT = Effect(
     statement="a flow of {Q_0:.3g} m³/s leaks across the piston whatever the pressure difference",
     rig_check="Block the rod and hold a small and a large pressure difference: the flow to hold "
     "them must have the same constant part.",
-    starts=lambda r: ({"Q_0": 0.01 * r.flow,
+    starts=lambda r: ({"Q_0": 0.003 * r.flow,  # at each reversal it is the whole flow
                        "dp_e": min(1e4, 0.05 * max(r.pressure_difference[3], 200.0))},),
 )

@@ -22,5 +22,5 @@ EFFECT = Effect(
     term=term,
     statement="below {omega_0:.3g} rad/s the pump gives no flow, and above it that much less",
     rig_check="Turn the pump slowly with the rod free: the rod must not move below omega_0.",
-    starts=lambda r: ({"omega_0": 0.01 * r.pump_speed[3]},),
+    starts=lambda r: ({"omega_0": 0.003 * r.pump_speed[3]},),  # it shows at small speeds
 )
