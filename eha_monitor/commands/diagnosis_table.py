@@ -97,7 +97,8 @@ def _fit(found: Diagnosis) -> Table:
         share = removed(fit)
         table.add_row(escape(name.replace("_", " ")), *cells,
                       percent(share) if math.isfinite(share) else "—")
-    table.caption = f"root mean square, free run; on {DATA.get(found.data, found.data)}"
+    how = "free run" if "position" in found.signals else "what is left of each balance below 5 Hz"
+    table.caption = f"root mean square, {how}; on {DATA.get(found.data, found.data)}"
     table.caption_justify = "left"
     return table
 

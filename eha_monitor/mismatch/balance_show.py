@@ -48,13 +48,17 @@ class Balances:
         return (self.left > CLEAN * self.floor) & (more > NOTHING * self.driven)
 
 
-def balances_of(experiment: Experiment, fit: Fit) -> Balances:
-    """Return how well a model closes the balances."""
+def balances_of(experiment: Experiment, before: Fit, fit: Fit) -> Balances:
+    """Return how well a model closes the balances.
+
+    ``before`` : the nominal model.  It sets the floor: no demand brings a drive over its limit, so
+    a clean record of a saturated one cannot be written down from the measured speed.
+    """
     rows = [driven_along(experiment, stretch, fit) for stretch in experiment.stretches]
     driven = np.array([show.rms(np.concatenate([row[j] for row in rows]))
                        for j in range(len(rows[0]))])
     left = np.sqrt(np.nanmean(fit.e**2, axis=0))
-    return Balances(floor_of(experiment, fit), driven, left)
+    return Balances(floor_of(experiment, before), driven, left)
 
 
 def driven_along(experiment: Experiment, stretch: Stretch, fit: Fit) -> list[np.ndarray]:

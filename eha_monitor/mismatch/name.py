@@ -1,5 +1,6 @@
 """The diagnosis from end to end: locate, name, model, show, advise."""
 
+import re
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -116,7 +117,7 @@ def verdict_of(experiment: Experiment, naming: Naming, calibration: Calibration 
     """Return the verdict and the share of the evidence that the named effects take away."""
     before, after = naming.before, naming.after
     if experiment.inverse:
-        closed = balance_show.balances_of(experiment, after)
+        closed = balance_show.balances_of(experiment, before, after)
         if not after.named:
             return ("unexplained" if closed.open.any() else "consistent"), 0.0
         explained = variance_removed(before, after)
@@ -161,7 +162,7 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming,
     before, after = naming.before, naming.after
     by_equations = experiment.inverse
     if by_equations:
-        closed = balance_show.balances_of(experiment, after)
+        closed = balance_show.balances_of(experiment, before, after)
         signals = balance_show.signals_of(shown, before, after, closed.floor)
         tracks = balance_show.tracks_of(experiment)
     else:
@@ -219,9 +220,14 @@ def named_effect(experiment: Experiment, naming: Naming, name: str, tracks: list
             parameters[p.name] = Value(value, fit.stddev(key), p.unit.replace("*", "·"))
         elif np.isfinite(value):
             parameters[p.name] = Value(value, 0.0, p.unit.replace("*", "·"))
-    return NamedEffect(name, entry.balance, entry.statement.format(**numbers), parameters,
+    return NamedEffect(name, entry.balance, stated(entry.statement, numbers), parameters,
                        naming.evidence[name], naming.rivals.get(name, ()), entry.equation,
                        entry.rig_check, size_of(experiment, fit, name, tracks))
+
+
+def stated(statement: str, numbers: dict[str, float]) -> str:
+    """Return an effect's sentence; a limit that the record did not reach is left out."""
+    return re.sub(r" and inf [^\s,;]+|inf [^\s,;]+ and ", "", statement.format(**numbers))
 
 
 def message_of(verdict: str, effects: tuple[NamedEffect, ...], where: Location,

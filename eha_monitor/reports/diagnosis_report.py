@@ -79,6 +79,7 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
         effects=[_effect(effect) for effect in found.effects],
         considered=_considered(found.considered),
         fit=_fit(found),
+        by_balances="position" not in found.signals,
         fit_data=words.DATA.get(found.data, found.data),
         overlays=_overlays(found),
         agreement=_agreement(found),
