@@ -12,7 +12,7 @@ from eha_monitor.physics.parameters import effect_values
 
 BLOCK = 0.5  # s
 INVERSE_BLOCK = 10  # compared samples of the balances, a second
-COARSE = 0.7  # times the configured noise: rounding of an encoder that the config does not know
+COARSE = 0.5  # times the configured noise: rounding that makes it a tenth larger is worth a name
 NOTABLE = 0.02  # relative change of a health parameter that is worth a sentence
 
 
