@@ -245,7 +245,7 @@ def test_bad_usage_is_one_line(capsys, arguments, words):
 def test_rig_with_a_measured_force_gets_a_motion_too():
     """No pump is known: the motion keeps the recording's speed, travel and force."""
     time = np.arange(6000) * 1e-3
-    case = Case("case", demand=triangle(time, 3.0, SPEED * 0.75), seed=2)
+    case = Case("case", demand=triangle(time, 12.0, SPEED * 0.75), seed=2)  # it turns round once
     channels, _ = recording_of(case)
     force = 5.05e-4 * (channels["p1"] - channels["p2"])
     rig = {"area_1": None, "area_2": None, "volume_1": None, "volume_2": None,

@@ -10,9 +10,10 @@ from eha_monitor.mismatch.advise_words import sentences
 from eha_monitor.mismatch.choice import Naming, name_effects
 from eha_monitor.mismatch.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.fit import Fit
+from eha_monitor.mismatch.gains import Unknowns
 from eha_monitor.mismatch.information import Slope, Traces, free_slopes
 from eha_monitor.mismatch.motions import Limits, Motion, limits_for, looped
-from eha_monitor.mismatch.search import with_effect
+from eha_monitor.mismatch.search import YIELDING, limits_of, settle, with_effect
 from eha_monitor.mismatch.separate import (
     DECISIVE,
     WANTED,
@@ -48,6 +49,13 @@ MOST_QUESTIONS = 4
 Report = Callable[[str, float], None]
 
 
+def predicting(experiment: Experiment, fit: Fit) -> tuple[Experiment, Fit]:
+    """Return both as the filter takes them: a motion is judged by what its prediction shows."""
+    plain = replace(experiment, inverse=False)
+    unknowns = Unknowns(*(YIELDING * limits_of(plain)[0].as_array()))
+    return plain, settle(plain, replace(fit, unknowns=unknowns))
+
+
 def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
            rivals: dict[str, Fit] | None = None, check: bool = True, thorough: bool = True,
            report: Report | None = None) -> Advice:
@@ -64,6 +72,8 @@ def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
     """
     say = report or (lambda text, share: None)
     say("asking what this recording tells", 0.0)
+    if experiment.inverse:
+        experiment, fit = predicting(experiment, fit)
     limits = limits_for(experiment)
     if limits is not None:
         fit = looped(fit, limits)

@@ -107,9 +107,9 @@ def choose(experiment: Experiment, found: Round, first: Fit, threshold: float
            ) -> tuple[Candidate | None, tuple[str, ...]]:
     """Return the candidate that a round takes, or None, and its rivals.
 
-    Where something that matters is there, the best is taken, whatever the scale of its own size:
-    not a gain of the pump because a leakage that explains more has another scale, and not a
-    combination of large effects that stand in for a small one.
+    What takes most of the same evidence away does about the same there and is about as large,
+    whatever the scale of its own size, so where one of them matters the best is taken: not a gain
+    of the pump because a leakage that explains more has another scale.
     """
     fit = found.before
     able = [c for c in found.candidates
@@ -118,7 +118,8 @@ def choose(experiment: Experiment, found: Round, first: Fit, threshold: float
     leading = next((c for c in able if material(experiment, c.fit, c.effect)), None)
     if leading is None:
         return None, ()
-    if comparable(experiment, leading.effect, able[0].effect):
+    if (leading.gain > CONTENDING * able[0].gain
+            and comparable(experiment, leading.effect, able[0].effect)):
         leading = able[0]
     near = [c for c in able if abs(c.gain - leading.gain) <= slack_of(leading.gain)
             and comparable(experiment, leading.effect, c.effect)]
