@@ -362,7 +362,8 @@ def prune(experiment: Experiment, fit: Fit, first: Fit, threshold: float
     while True:
         without = spread(lambda name, fit=fit: settle(
             experiment, without_effect(experiment, fit, name), 1), fit.named)
-        evidence = {name: fit.log_likelihood - other.log_likelihood
+        # A fit that went astray without an effect says no more than the nominal model does.
+        evidence = {name: fit.log_likelihood - max(other.log_likelihood, first.log_likelihood)
                     for name, other in zip(fit.named, without, strict=True)}
         if not evidence:
             return fit, evidence
