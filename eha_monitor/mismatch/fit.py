@@ -54,6 +54,11 @@ class Free:
         """Return the fitted coordinate of a value."""
         return float(np.log(max(value, 1e-300))) if self.log else value
 
+    def at_bound(self, value: float) -> bool:
+        """Tell whether a value stands on one of the bounds."""
+        reach = 1e-6 * (self.upper - self.lower)
+        return not self.lower + reach < value < self.upper - reach
+
     def outward(self, coordinate: float) -> float:
         """Return the value of a coordinate, kept within the bounds."""
         value = float(np.exp(min(coordinate, 600.0))) if self.log else coordinate

@@ -159,12 +159,14 @@ def screen(experiment: Experiment, fit: Fit, starts: list[Start]) -> list[Score]
 
     With whitened innovations r and their change d for a start, base and named parameters
     projected out of both, the start explains r down to |r + a d|, a = -(d.r)/(d.d); the gain is
-    what that does to the likelihood.
+    what that does to the likelihood.  A parameter that stands on its bound is not projected out:
+    a delay that is too long for the timing which needs no name would be taken for explained.
     """
     w = whitener(fit.s)
     white = np.nan_to_num(fit.e) @ w.T
     own = sensitivities(experiment, fit.theta, fit.active, fit.gains, fit.e,
-                        [step_of(f, fit.theta) for f in fit.free])
+                        [step_of(f, fit.theta) for f in fit.free
+                         if f.log or not f.at_bound(fit.theta[f.place])])
     basis = [(np.nan_to_num(d) @ w.T).ravel() for d in own]
     q = np.linalg.qr(np.stack(basis, axis=1))[0] if basis else np.zeros((white.size, 0))
     r = white.ravel()
