@@ -181,7 +181,7 @@ def add_effects(experiment: Experiment, first: Fit, threshold: float, say: Repor
         taken, near = choose(experiment, found, first, threshold)
         if taken is None:
             break
-        if not experiment.inverse and any(p.log for p in CATALOGUE[taken.effect].parameters):
+        if not experiment.inverse and CATALOGUE[taken.effect].resonant:
             other = stubborn(experiment, taken.fit)
             taken = other if other is not None and other.gain > 0.0 else taken
         fit = settle(experiment, completed(taken.fit))
@@ -283,7 +283,8 @@ def name_effects(experiment: Experiment, threshold: float = THRESHOLD,
         if not unexplained(experiment, first, fit):
             break
         say("trying again from elsewhere", 0.8)
-        other = other_way(experiment, first, threshold, say, rounds)
+        other = other_way(experiment, first, threshold,
+                          lambda text, share: say(text, max(share, 0.8)), rounds)
         if other is not None and other[0].log_likelihood > fit.log_likelihood + threshold:
             fit, rounds, rivals = other
     say("comparing what was named with its rivals", 0.85)
@@ -294,8 +295,8 @@ def name_effects(experiment: Experiment, threshold: float = THRESHOLD,
     return Naming(first, fit, rounds, evidence, rivals)
 
 
-def contested(experiment: Experiment, fit: Fit, rounds: list[Round], evidence: dict[str, float],
-              rivals: dict[str, tuple[str, ...]]
+def contested(experiment: Experiment, fit: Fit, rounds: tuple[Round, ...],
+              evidence: dict[str, float], rivals: dict[str, tuple[str, ...]]
               ) -> tuple[Fit, dict[str, float], dict[str, tuple[str, ...]]]:
     """Try the contenders of each named effect in its place, beside all the others.
 
@@ -326,7 +327,7 @@ def contested(experiment: Experiment, fit: Fit, rounds: list[Round], evidence: d
     return fit, evidence, found
 
 
-def contenders(rounds: list[Round], fit: Fit, name: str) -> list[Candidate]:
+def contenders(rounds: tuple[Round, ...], fit: Fit, name: str) -> list[Candidate]:
     """Return what may take an effect's place, best first.
 
     That is what came near it in the round in which it was found.  Where a balance has two named

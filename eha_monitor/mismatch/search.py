@@ -297,7 +297,7 @@ def stubborn(experiment: Experiment, fit: Fit) -> Candidate | None:
     and from most starts a fit ends at another one's foot.
     """
     starts = [start for name in NAMES
-              if any(p.log for p in CATALOGUE[name].parameters)
+              if CATALOGUE[name].resonant
               and (name in fit.named or not experiment.active[NAMES.index(name)])
               and possible(name, experiment) for start in starts_of(name, experiment)]
 

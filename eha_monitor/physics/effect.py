@@ -133,3 +133,8 @@ class Effect:
     def sizes(self) -> tuple[Parameter, ...]:
         """The parameters without which the effect is absent."""
         return tuple(p for p in self.parameters if p.default is None)
+
+    @property
+    def resonant(self) -> bool:
+        """Whether its size sets a resonance, which shows only where it is nearly in place."""
+        return any(p.log for p in self.parameters)
