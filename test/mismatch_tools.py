@@ -33,9 +33,10 @@ def experiment_with(recording: Recording, settings) -> Experiment:
 
 
 @lru_cache(maxsize=16)
-def fitted(*effects: str, motion: str = "short", told: bool = True, seed: int = 3) -> Fitted:
-    """Fit a concealed case at full strength, without its effects and told them."""
-    case = Case("test", tuple((name, 1.0) for name in effects), motion=motion, seed=seed)
+def fitted(*effects: str, motion: str = "short", told: bool = True, seed: int = 3,
+           strength: float = 1.0) -> Fitted:
+    """Fit a concealed case, without its effects and told them."""
+    case = Case("test", tuple((name, strength) for name in effects), motion=motion, seed=seed)
     channels, time = recording_of(case)
     recording = Recording(time[1] - time[0], channels, 0, "case")
     experiment = experiment_with(recording, settings_from_tree(nominal_config(case), "nominal"))

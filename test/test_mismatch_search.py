@@ -19,22 +19,24 @@ from eha_monitor.mismatch.choice import (
     demanded_gain,
     material,
     prune,
-    slack_of,
 )
+from eha_monitor.mismatch.contest import slack_of
 from eha_monitor.mismatch.fit import with_unknowns
-from eha_monitor.mismatch.gains import expected_covariance
+from eha_monitor.mismatch.gains import Unknowns, expected_covariance
 from eha_monitor.mismatch.model import config_effects
-from eha_monitor.mismatch.name import EXPLAINED, expected_likelihood, verdict_of
+from eha_monitor.mismatch.name import EXPLAINED, verdict_of
 from eha_monitor.mismatch.screen import screen, starts_of
 from eha_monitor.mismatch.search import (
     Candidate,
     Round,
     completed,
     enters_alone,
+    expected_likelihood,
     first_fit,
     limits_of,
     settle,
     shortlist,
+    ways_of,
     with_effect,
     without_effect,
 )
@@ -159,6 +161,27 @@ def test_shortlist_keeps_two_starts_of_each_of_the_best(clean):
 
 
 # ---- in and out --------------------------------------------------------------------------------
+
+
+def test_a_mass_that_takes_the_ringing_out_of_step_is_scored_near_zero():
+    """2.5 % of mass moves the phase by a radian at the end of a reversal's ringing."""
+    case = fitted("added_mass", motion="triangle", told=False, strength=0.17)
+    (score,) = screen(case.experiment, case.before, starts_of("added_mass", case.experiment))
+    start = dict(score.start.values)["dM"]
+    assert score.gain > 30.0
+    assert score.amplitudes[0] * start == pytest.approx(1.0, abs=0.3)  # kg
+
+
+def test_where_unknowns_took_what_is_missing_the_filter_leans_on_the_model_first(clean):
+    small = limits_of(clean.experiment)[0].as_array()
+    loose = with_unknowns(clean.experiment, clean.before, Unknowns(1000.0 * small[0], *small[1:]))
+    first, second = ways_of(clean.experiment, loose)
+    assert second is loose
+    assert (first.unknowns.as_array() <= 30.0 * small * (1 + 1e-9)).all()
+    held = replace(clean.experiment, largest_unknown=100.0)
+    assert ways_of(held, loose) == [loose]
+    stiff = with_unknowns(clean.experiment, clean.before, Unknowns(*small))
+    assert ways_of(clean.experiment, stiff) == [stiff]
 
 
 def test_taking_an_effect_out_leaves_the_model_without_it(clean):

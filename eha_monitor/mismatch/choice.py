@@ -5,35 +5,36 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eha_monitor.mismatch.contest import CONTENDING, comparable, contested, slack_of
 from eha_monitor.mismatch.experiment import Experiment
-from eha_monitor.mismatch.fit import Fit, spread, with_unknowns
-from eha_monitor.mismatch.gains import Unknowns, expected_covariance
-from eha_monitor.mismatch.screen import Start, own_sizes, starts_of
+from eha_monitor.mismatch.fit import Fit, spread
+from eha_monitor.mismatch.gains import expected_covariance
+from eha_monitor.mismatch.resonance import stubborn
+from eha_monitor.mismatch.screen import starts_of
 from eha_monitor.mismatch.search import (
-    STIFF,
     THRESHOLD,
     Candidate,
     Round,
     completed,
+    expected_likelihood,
     first_fit,
     from_prior,
     limits_of,
     round_of,
     settle,
-    stubborn,
-    with_effect,
+    stiffened,
     without_effect,
+    yielding,
 )
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import effect_values
 
 MOST_EFFECTS = 4
 MOST_OF_ALL = 6  # where each balance has a likelihood of its own
-SLACK, SLACK_SHARE = 6.0, 0.003  # rivals lie so near the best: log units, share of its gain
 FORM_SHARE = 0.01  # of the evidence so far: the named effects' own error of form
 FAMILY_SHARE = 0.05  # the same within a family
-CONTENDING = 0.7  # of the taken effect's gain: who may yet take its place
 EXPLAINED = 0.75  # share of the evidence that names must take away, or it is unexplained
+IN_THE_WAY = 0.2  # of what speaks against the nominal model: a resonance that hides the rest
 TIGHT = 100.0  # times the smallest unknowns, 1 % of what the record covers
 NOTHING = 0.01  # log units a sample: what speaks against a model with no more is nothing
 UNKNOWN = 0.01  # of what a balance does: an unknown above is a mismatch, named or not
@@ -62,11 +63,6 @@ class Naming:
     rounds: tuple[Round, ...]
     evidence: dict[str, float]
     rivals: dict[str, tuple[str, ...]]
-
-
-def slack_of(gain: float) -> float:
-    """Return how far behind the best a rival may lie, log units."""
-    return max(SLACK, SLACK_SHARE * gain)
 
 
 def preference(candidate: Candidate) -> tuple[int, int, float]:
@@ -152,14 +148,6 @@ def lasting(experiment: Experiment, before: Fit, candidate: Candidate) -> float:
     return max(total, 1.0)
 
 
-def comparable(experiment: Experiment, name: str, other: str) -> bool:
-    """Tell whether two effects can explain one another's evidence at all.
-
-    Where the balances' own errors are compared, what is left of one says nothing of another.
-    """
-    return not experiment.inverse or CATALOGUE[name].balance == CATALOGUE[other].balance
-
-
 Way = tuple[Fit, tuple[Round, ...], dict[str, tuple[str, ...]]]
 
 
@@ -199,9 +187,7 @@ def strictly(experiment: Experiment, first: Fit, threshold: float, say: Report,
     and beta_e where the config has them, each effect shows.
     """
     tight = replace(experiment, largest_unknown=TIGHT)
-    small, large = (limit.as_array() for limit in limits_of(tight))
-    start = settle(tight, with_unknowns(tight, from_prior(first), Unknowns(
-        *np.minimum(STIFF * small, large))))
+    start = settle(tight, stiffened(tight, from_prior(first)))
     fit, rounds, rivals = add_effects(tight, start, threshold, say, start)
     if not fit.named:
         return None
@@ -212,7 +198,8 @@ def resonant(experiment: Experiment, first: Fit, threshold: float, say: Report,
              rounds: tuple[Round, ...]) -> Way | None:
     """Search once more from the effects whose score tells nothing."""
     other = stubborn(experiment, first)
-    if other is None:
+    against = expected_likelihood(experiment, first) - first.log_likelihood
+    if other is None or other.gain < IN_THE_WAY * against:
         return None
     start = Round(first, rounds[0].scores, (other, *rounds[0].candidates))
     return add_effects(experiment, first, threshold, say, other.fit, (start,))
@@ -223,12 +210,6 @@ def unexplained(experiment: Experiment, first: Fit, fit: Fit) -> bool:
     against = expected_likelihood(experiment, first) - first.log_likelihood
     return against > NOTHING * len(first.e) and (
         fit.log_likelihood - first.log_likelihood < EXPLAINED * against)
-
-
-def expected_likelihood(experiment: Experiment, fit: Fit) -> float:
-    """Return the likelihood of a right model, whose innovations are the sensors' noise."""
-    return float(-np.sum(np.log(experiment.noise[experiment.columns])
-                         * np.isfinite(fit.e).sum(axis=0)))
 
 
 def lacking(experiment: Experiment, fit: Fit) -> bool:
@@ -291,68 +272,13 @@ def name_effects(experiment: Experiment, threshold: float = THRESHOLD,
     fit, evidence = prune(experiment, fit, first, threshold)
     if len(fit.named) > 1:  # the rounds judged each effect beside an incomplete model
         fit, evidence, rivals = contested(experiment, fit, rounds, evidence, rivals)
+    if fit.named and yielding(experiment, fit):  # from the wrong side of large unknowns
+        again = settle(experiment, stiffened(experiment, fit))
+        gained = again.log_likelihood - fit.log_likelihood
+        if gained > 0.0:
+            fit, evidence = again, {name: value + gained for name, value in evidence.items()}
     rivals = {name: others for name, others in rivals.items() if name in fit.named}
     return Naming(first, fit, rounds, evidence, rivals)
-
-
-def contested(experiment: Experiment, fit: Fit, rounds: tuple[Round, ...],
-              evidence: dict[str, float], rivals: dict[str, tuple[str, ...]]
-              ) -> tuple[Fit, dict[str, float], dict[str, tuple[str, ...]]]:
-    """Try the contenders of each named effect in its place, beside all the others.
-
-    Returns the model that stays, the evidence of its effects, and who cannot be told from whom.
-    """
-    found = dict(rivals)
-    for name in fit.named:
-        tried = [(c, substituted(experiment, fit, name, c))
-                 for c in contenders(rounds, fit, name)
-                 if comparable(experiment, name, c.effect)]
-        done = spread(lambda item: settle(experiment, item[1], 1, 4, False, 0.3), tried)
-        slack = slack_of(evidence[name])
-        near = {c.effect: other for (c, _), other in zip(tried, done, strict=True)
-                if other.log_likelihood > fit.log_likelihood - slack}
-        best = min([name, *near], key=lambda other: (
-            0 if other in near and near[other].log_likelihood > fit.log_likelihood + slack else 1,
-            CATALOGUE[other].rarity, other != name))
-        group = tuple(other for other in (name, *near) if other != best
-                      and best not in CATALOGUE[other].contains)
-        if best != name:
-            gained_by_swap = near[best].log_likelihood - fit.log_likelihood
-            fit = settle(experiment, completed(near[best]))
-            evidence = {best if key == name else key: value + (gained_by_swap if key == name
-                                                               else 0.0)
-                        for key, value in evidence.items()}
-            found.pop(name, None)
-        found[best] = group
-    return fit, evidence, found
-
-
-def contenders(rounds: tuple[Round, ...], fit: Fit, name: str) -> list[Candidate]:
-    """Return what may take an effect's place, best first.
-
-    That is what came near it in the round in which it was found.  Where a balance has two named
-    effects, also what else was tried in that balance, however far behind: of two that were
-    missing, the first round takes one that is like both together (a root is like a line and a
-    step), and only the second shows which they are.
-    """
-    balance = CATALOGUE[name].balance
-    shared = sum(CATALOGUE[other].balance == balance for other in fit.named) > 1
-    for step in rounds:
-        own = next((c for c in step.candidates if c.effect == name), None)
-        if own is not None and name not in step.before.named:
-            others = [c for c in step.candidates if c is not own and c.effect not in fit.named]
-            near = [c for c in others if c.gain > CONTENDING * own.gain]
-            beside = [c for c in others if c not in near and shared
-                      and CATALOGUE[c.effect].balance == balance]
-            return near[:3] + beside[:3]
-    return []
-
-
-def substituted(experiment: Experiment, fit: Fit, name: str, rival: Candidate) -> Fit:
-    """Return the model with a rival in place of a named effect, where its own fit left it."""
-    start = Start(rival.effect, tuple(effect_values(rival.fit.theta, rival.effect).items()))
-    return with_effect(without_effect(experiment, fit, name), start,
-                       (1.0,) * len(own_sizes(start)))
 
 
 def prune(experiment: Experiment, fit: Fit, first: Fit, threshold: float

@@ -13,7 +13,6 @@ from eha_monitor.mismatch.choice import (
     EXPLAINED,
     NOTHING,
     Naming,
-    expected_likelihood,
     lacking,
     little_left,
     name_effects,
@@ -36,7 +35,7 @@ from eha_monitor.mismatch.model import (
     robust,
     values_of,
 )
-from eha_monitor.mismatch.search import THRESHOLD, first_fit
+from eha_monitor.mismatch.search import THRESHOLD, expected_likelihood, first_fit
 from eha_monitor.mismatch.sizes import filtered_tracks, size_of
 from eha_monitor.mismatch.terms import BALANCES, missing_terms
 from eha_monitor.physics.effects import CATALOGUE

@@ -26,6 +26,7 @@ SHAPE_SPREAD = 1.5  # of the logarithm of a shape
 # while the pressure rises, and there the flow is not compared.  The sensors' errors move them all.
 UNSEEN = ("backlash", "line_dynamics", "entrained_air", "position_dependent_volume")
 LOOP_ONLY = ("feedback_delay",)  # shows only where the position loop is part of the model
+TANGENT = 0.05  # of a start's sizes: where the innovations answer in proportion
 
 
 @dataclass(frozen=True)
@@ -139,19 +140,39 @@ def own_sizes(start: Start) -> list[Parameter]:
             if values[p.name] != p.neutral and p.name not in shared]
 
 
-def directions_of(fit: Fit, start: Start) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return (theta, active) with one size of the start at a time, or with all of its shape."""
+def directions_of(fit: Fit, start: Start, share: float = 1.0
+                  ) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return (theta, active) with one size of the start at a time, or with all of its shape.
+
+    Parameters
+    ----------
+    share : of the start's sizes.
+    """
     sizes = own_sizes(start)
     if not sizes:
         return [entered(fit.theta, fit.active, start)]
-    found = []
+    values, found = dict(start.values), []
     for size in sizes:
         theta, active = entered(fit.theta, fit.active, start)
         for other in sizes:
-            if other is not size:
-                theta[place_of(f"{start.effect}.{other.name}")] = other.neutral
+            theta[place_of(f"{start.effect}.{other.name}")] = other.neutral
+        value = values[size.name]
+        if share != 1.0:
+            value = size.neutral + share * (value - size.neutral)
+        theta[place_of(f"{start.effect}.{size.name}")] = value
         found.append((theta, active))
     return found
+
+
+def shares_of(start: Start) -> tuple[float, ...]:
+    """Return at which shares of its sizes a start is scored.
+
+    One that stands for its surroundings, among others, is scored where it is.  What enters
+    smoothly is scored near zero too: a mass of 2 % takes the ringing of a column out of step.
+    """
+    sizes = own_sizes(start)
+    smooth = start.among == 1 and sizes and all(np.isfinite(p.neutral) for p in sizes)
+    return (1.0, TANGENT) if smooth else (1.0,)
 
 
 def screen(experiment: Experiment, fit: Fit, starts: list[Start]) -> list[Score]:
@@ -173,11 +194,12 @@ def screen(experiment: Experiment, fit: Fit, starts: list[Start]) -> list[Score]
     r = r - q @ (q.T @ r)
     missing = ~np.isfinite(fit.e)
     before = log_likelihood_of(np.where(missing, np.nan, r.reshape(white.shape)))
-    tasks = [(i, theta, active) for i, start in enumerate(starts)
-             for theta, active in directions_of(fit, start)]
+    tasks = [(i, share, theta, active) for i, start in enumerate(starts)
+             for share in shares_of(start)
+             for theta, active in directions_of(fit, start, share)]
 
     def one(task):
-        _, theta, active = task
+        _, _, theta, active = task
         e = innovations(experiment, theta, active, fit.gains)
         d = (np.nan_to_num(e - fit.e) @ w.T).ravel()
         if not np.isfinite(d).all() or np.abs(d).max() > 1e12:
@@ -187,10 +209,12 @@ def screen(experiment: Experiment, fit: Fit, starts: list[Start]) -> list[Score]
     moved = spread(one, tasks)
     scores = []
     for i, start in enumerate(starts):
-        block = [d for task, d in zip(tasks, moved, strict=True) if task[0] == i]
-        if not block or any(d is None for d in block):
-            continue
-        scores.append(score_of(start, np.stack(block), r, missing, before))
+        found = []
+        for share in shares_of(start):
+            block = [d for task, d in zip(tasks, moved, strict=True) if task[:2] == (i, share)]
+            if block and all(d is not None for d in block):
+                found.append(score_of(start, np.stack(block) / share, r, missing, before))
+        scores += [max(found, key=lambda score: score.gain)] if found else []
     return sorted(scores, key=lambda score: -score.gain)
 
 

@@ -248,16 +248,6 @@ def round_of(experiment: Experiment, fit: Fit, demanded: Callable[[str], float] 
 
     promising = shortlist([score for score in scores if score.gain >= least(score.start.effect)],
                           SHORTLIST)
-    tasks = [(fit, score) for score in promising]
-    if not near_prior(fit):
-        # A wrong model can carry B and beta_e so far that the right effect points the wrong way
-        # there, and does not find back.  With small unknowns the filter leans on the model, and
-        # what the model lacks shows at its full size.
-        small = limits_of(experiment)[0].as_array()
-        origin = with_unknowns(experiment, from_prior(fit), Unknowns(*(STIFF * small)))
-        tasks += [(origin, score) for score in promising]
-        tasks += [(origin, score)
-                  for score in shortlist(screen(experiment, origin, starts), FINALISTS)]
 
     def tried(task: tuple[Fit, Score]) -> Candidate:
         base, score = task
@@ -266,18 +256,56 @@ def round_of(experiment: Experiment, fit: Fit, demanded: Callable[[str], float] 
         return candidate_of(score.start, fit, settle(
             experiment, entered_fit, 1, 4 if astray else 2, astray, 1.0))
 
-    quick = spread(tried, tasks)
+    quick: list[Candidate] = []
+    far: list[Candidate] = []
+    enough = expected_likelihood(experiment, fit)
+
+    def reached() -> bool:
+        return any(c.fit.log_likelihood >= enough for c in quick)
+
+    for base in ways_of(experiment, fit):
+        if reached():
+            break  # nothing is left that another way could show
+        if base is fit:
+            quick += spread(tried, [(fit, score) for score in promising])
+        else:
+            own = shortlist(screen(experiment, base, starts), FINALISTS)
+            known = {score.start for score in own}
+            far = spread(tried, [(base, score) for score in (
+                *own, *(score for score in promising if score.start not in known))])
+            quick += far
     ranked = best_of_each(quick)
     # What is far behind after a few steps does not catch up: only the front runners go on, and
-    # two of those that came from the priors, which have the longer way.
+    # two of those that came from elsewhere, which have the longer way.
     front = [c for c in ranked if c.gain > WORTH * ranked[0].gain][:FINALISTS]
-    known = {id(c) for c in front}
-    afar = [c for c in best_of_each(quick[len(promising):]) if id(c) not in known][:AFAR]
+    ahead = {id(c) for c in front}
+    afar = [c for c in best_of_each(far) if id(c) not in ahead][:0 if reached() else AFAR]
     final = spread(lambda c: candidate_of(c.start, fit, settle(
-        experiment, c.fit, 2, *((4, False) if id(c) in known else (6, True)), 1.0)),
+        experiment, c.fit, 2, *((4, False) if id(c) in ahead else (6, True)), 1.0)),
         [*front, *afar])
     ranked = best_of_each([*final, *ranked])
     return Round(fit, tuple(scores), tuple(ranked))
+
+
+def ways_of(experiment: Experiment, fit: Fit) -> list[Fit]:
+    """Return the fits from which the effects of a round are tried, in turn.
+
+    A wrong model needs unknowns that take most of what the right effect would show, and can carry
+    B and beta_e so far that it points the wrong way there, and does not find back.  With small
+    unknowns the filter leans on the model, and what the model lacks shows at its full size.
+    """
+    if experiment.largest_unknown <= YIELDING:  # it leans already
+        return [fit]
+    near = near_prior(fit)
+    if yielding(experiment, fit):
+        return [stiffened(experiment, fit if near else from_prior(fit)), fit]
+    return [fit] if near else [fit, stiffened(experiment, from_prior(fit))]
+
+
+def expected_likelihood(experiment: Experiment, fit: Fit) -> float:
+    """Return the likelihood of a right model, whose innovations are the sensors' noise."""
+    return float(-np.sum(np.log(experiment.noise[experiment.columns])
+                         * np.isfinite(fit.e).sum(axis=0)))
 
 
 def best_of_each(candidates: list[Candidate]) -> list[Candidate]:
@@ -290,30 +318,18 @@ def best_of_each(candidates: list[Candidate]) -> list[Candidate]:
     return sorted(best.values(), key=lambda c: -c.gain)
 
 
-def stubborn(experiment: Experiment, fit: Fit) -> Candidate | None:
-    """Refit the effects whose score tells nothing from every start, and return the best.
+def stiffened(experiment: Experiment, fit: Fit) -> Fit:
+    """Return a fit whose filter leans on the model: little may stay unknown."""
+    small, large = (limit.as_array() for limit in limits_of(experiment))
+    return with_unknowns(experiment, fit, Unknowns(*np.minimum(STIFF * small, large)))
 
-    A resonance that is a little off its place explains nothing, so a score test does not see it;
-    and from most starts a fit ends at another one's foot.
-    """
-    starts = [start for name in NAMES
-              if CATALOGUE[name].resonant
-              and (name in fit.named or not experiment.active[NAMES.index(name)])
-              and possible(name, experiment) for start in starts_of(name, experiment)]
 
-    def tried(task: tuple[Fit, Start]) -> Candidate:
-        base, start = task
-        if start.effect in fit.named:
-            base = without_effect(experiment, base, start.effect)
-        entered_fit = with_effect(base, start, (1.0,) * len(own_sizes(start)))
-        return candidate_of(start, fit, settle(experiment, entered_fit, 1, 6, True, 2.0))
-
-    origin = from_prior(fit)
-    done = spread(tried, [(base, start) for start in starts for base in (fit, origin)])
-    best = max(done, key=lambda c: c.gain, default=None)
-    if best is None or not np.isfinite(best.gain):
-        return None
-    return candidate_of(best.start, fit, settle(experiment, best.fit, 6, 12))
+def yielding(experiment: Experiment, fit: Fit) -> bool:
+    """Tell whether a fit's unknowns are so large that they take what an effect would show."""
+    if experiment.inverse:
+        return False
+    small = limits_of(experiment)[0].as_array()
+    return bool((fit.unknowns.as_array() > STIFF * small).any())
 
 
 def enters_alone(name: str) -> bool:
