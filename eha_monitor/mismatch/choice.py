@@ -9,6 +9,7 @@ from eha_monitor.mismatch.contest import CONTENDING, comparable, contested, slac
 from eha_monitor.mismatch.experiment import Experiment
 from eha_monitor.mismatch.fit import Fit, spread
 from eha_monitor.mismatch.gains import expected_covariance
+from eha_monitor.mismatch.innovations import CLOSED
 from eha_monitor.mismatch.resonance import stubborn
 from eha_monitor.mismatch.screen import starts_of
 from eha_monitor.mismatch.search import (
@@ -35,6 +36,7 @@ FORM_SHARE = 0.01  # of the evidence so far: the named effects' own error of for
 FAMILY_SHARE = 0.05  # the same within a family
 EXPLAINED = 0.75  # share of the evidence that names must take away, or it is unexplained
 IN_THE_WAY = 0.2  # of what speaks against the nominal model: a resonance that hides the rest
+NIBBLE = 0.05  # of what is left: what takes no more does not lead to a name for it
 TIGHT = 100.0  # times the smallest unknowns, 1 % of what the record covers
 NOTHING = 0.01  # log units a sample: what speaks against a model with no more is nothing
 UNKNOWN = 0.01  # of what a balance does: an unknown above is a mismatch, named or not
@@ -167,7 +169,7 @@ def add_effects(experiment: Experiment, first: Fit, threshold: float, say: Repor
                          lambda name, fit=fit: demanded_gain(fit, first, name, threshold))
         rounds = (*rounds, found)
         taken, near = choose(experiment, found, first, threshold)
-        if taken is None:
+        if taken is None or hopeless(experiment, fit, taken):
             break
         if not experiment.inverse and CATALOGUE[taken.effect].resonant:
             other = stubborn(experiment, taken.fit)
@@ -176,6 +178,18 @@ def add_effects(experiment: Experiment, first: Fit, threshold: float, say: Repor
         rivals = {name: others for name, others in rivals.items() if name in fit.named}
         rivals[taken.effect] = near
     return fit, rounds, rivals
+
+
+def hopeless(experiment: Experiment, fit: Fit, best: Candidate) -> bool:
+    """Tell whether even the best effect takes next to nothing of much that is left.
+
+    What has no name is nibbled at by one effect after the other, and each round costs a search.
+    Only a closed loop says what is left: elsewhere the input's own noise is in every innovation.
+    """
+    if experiment.mode != CLOSED or experiment.inverse or not yielding(experiment, fit):
+        return False
+    left = expected_likelihood(experiment, fit) - fit.log_likelihood
+    return left > NOTHING * len(fit.e) and best.gain < NIBBLE * left
 
 
 def strictly(experiment: Experiment, first: Fit, threshold: float, say: Report,

@@ -26,6 +26,7 @@ STEP_PHASE = 0.16  # rad of the fastest resonance in one integration step
 MOST_DAMPING = 3.0  # times the prior of B: how far a fit may take it
 STEP_DECAY = 1.5  # times the fastest decay in one; Runge-Kutta runs away from 2.8
 MOST_STEPS = 40
+ABOVE = 1.3  # times a fitted B: quadratic friction adds to it at the highest speed
 PULL = 1.0  # rad/s for a metre: what stands for K_pos where the wanted speed is recorded
 LOOSE = 0.01  # of the pressure noise squared: what an unknown course of the demand may do
 
@@ -250,9 +251,25 @@ def integration_steps(settings: Settings, mode: int, dt: float) -> int:
         stiff = 2.0 * max(rig.bulk_modulus, settings.stage_two.prior) * (
             rig.area_1**2 / rig.volume_1 + rig.area_2**2 / rig.volume_2)
         fastest = np.sqrt(0.5 * stiff / rig.mass)
-    decay = MOST_DAMPING * settings.stage_one.prior / rig.mass
-    return int(np.clip(np.ceil(max(fastest * dt / STEP_PHASE, decay * dt / STEP_DECAY)), 2,
-                       MOST_STEPS))
+    steps = max(fastest * dt / STEP_PHASE, damping_steps(
+        settings, MOST_DAMPING * settings.stage_one.prior, dt))
+    return int(np.clip(np.ceil(steps), 2, MOST_STEPS))
+
+
+def damping_steps(settings: Settings, damping: float, dt: float) -> float:
+    """Return how many steps of a sample a viscous damping, N s/m, needs."""
+    return damping / settings.rig.mass * dt / STEP_DECAY
+
+
+def resolving(experiment: Experiment, damping: float) -> Experiment:
+    """Return the experiment with steps short enough for a viscous damping, N s/m.
+
+    Where they are too long Runge-Kutta runs away, and a fit stops there in place of at the
+    optimum, or adds a mass so that it does not.
+    """
+    steps = damping_steps(experiment.settings, ABOVE * damping, experiment.dt)
+    return replace(experiment, steps=max(experiment.steps,
+                                         int(np.clip(np.ceil(steps), 2, MOST_STEPS))))
 
 
 def stretches_of(recording: Recording, channels: dict, settings: Settings, mode: int,

@@ -35,7 +35,7 @@ from eha_monitor.mismatch.model import (
     robust,
     values_of,
 )
-from eha_monitor.mismatch.search import THRESHOLD, expected_likelihood, first_fit
+from eha_monitor.mismatch.search import THRESHOLD, expected_likelihood, nominal
 from eha_monitor.mismatch.sizes import filtered_tracks, size_of
 from eha_monitor.mismatch.terms import BALANCES, missing_terms
 from eha_monitor.physics.effects import CATALOGUE
@@ -79,14 +79,15 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
                             f"the piston moves by ±{experiment.ranges.position:.2g} m only, with "
                             f"{experiment.noise[0]:.2g} m of noise: nothing can be told")
     say("fitting the nominal model", 0.02)
-    first = first_fit(experiment)
+    experiment, first = nominal(experiment)
     calibration = calibrated(experiment, first, say, calibrate)
     threshold = calibration.threshold if calibrate and calibration else THRESHOLD
     base = 0.5 if calibrate else 0.05
     naming = name_effects(experiment, threshold,
                           lambda text, share: say(text, base + (0.85 - base) * share), first)
     say("showing the fit on unseen data", 0.88)
-    shown = experiment if held_out is None else experiment_of([held_out], settings, False)
+    shown = experiment if held_out is None else replace(
+        experiment_of([held_out], settings, False), steps=experiment.steps)
     return assemble(experiment, shown, naming, calibration, bags, duration, started,
                     held_out is not None, threshold if calibrate else np.nan)
 

@@ -17,7 +17,7 @@ from eha_monitor.mismatch.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.fit import Fit, spread
 from eha_monitor.mismatch.screen import Start, possible, starts_of
 from eha_monitor.mismatch.search import (
-    first_fit,
+    nominal,
     settle,
     with_effect,
     without_effect,
@@ -47,7 +47,7 @@ def oracle(experiment: Experiment, truth: dict) -> dict:
     known = {one["name"]: one["parameters"] for one in truth["effects"]
              if one["name"] in CATALOGUE}
     names = tuple(name for name in known if name != RESOLUTION and possible(name, experiment))
-    first = first_fit(experiment)
+    experiment, first = nominal(experiment)
     after = told(experiment, first, {name: known[name] for name in names},
                  {"B": truth["B"], "beta_e": truth["beta_e"]})
     evidence, simpler = {}, {}

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eha_monitor.mismatch.experiment import Experiment
+from eha_monitor.mismatch.experiment import Experiment, resolving
 from eha_monitor.mismatch.fit import (
     Fit,
     Free,
@@ -160,6 +160,16 @@ def first_fit(experiment: Experiment) -> Fit:
     # from the config's values and from the priors, do not fall into the same wrong one.
     fits = spread(lambda start: started(*start), ((YIELDING, False), (STIFF, True)))
     return max(fits, key=lambda fit: fit.log_likelihood)
+
+
+def nominal(experiment: Experiment) -> tuple[Experiment, Fit]:
+    """Fit the nominal model; returns the experiment with steps that resolve the B it finds."""
+    while True:
+        fit = first_fit(experiment)
+        finer = experiment if experiment.inverse else resolving(experiment, fit.theta[s.B])
+        if finer.steps == experiment.steps:
+            return experiment, fit
+        experiment = finer
 
 
 def with_effect(fit: Fit, start: Start, amplitudes: tuple[float, ...],
