@@ -36,6 +36,7 @@ LIKELY = 0.4  # of the demanded gain
 STIFF, YIELDING = 30.0, 300.0  # times the smallest unknowns
 STRAYED = 0.7  # of the logarithm: B or beta_e is off its prior by a factor of two
 FINALISTS, WORTH = 3, 0.6  # how many are fitted to the end, and what share of the best they have
+OUTRUN = 0.3  # of the best: what gained less on the first way is not tried on the second
 AFAR = 2  # how many more that start at the priors
 LEAST_SHARE, LEAST_OF_MANY = 0.05, 0.3  # of its start: where a size enters at least
 THRESHOLD = 12.0  # log units, where no calibration is at hand
@@ -277,7 +278,8 @@ def round_of(experiment: Experiment, fit: Fit, demanded: Callable[[str], float] 
         if reached():
             break  # nothing is left that another way could show
         if base is fit:
-            quick += spread(tried, [(fit, score) for score in promising])
+            quick += spread(tried, [(fit, score) for score in promising
+                                    if not outrun(score.start.effect, quick)])
         else:
             own = shortlist(screen(experiment, base, starts), FINALISTS)
             known = {score.start for score in own}
@@ -288,13 +290,19 @@ def round_of(experiment: Experiment, fit: Fit, demanded: Callable[[str], float] 
     # What is far behind after a few steps does not catch up: only the front runners go on, and
     # two of those that came from elsewhere, which have the longer way.
     front = [c for c in ranked if c.gain > WORTH * ranked[0].gain][:FINALISTS]
-    ahead = {id(c) for c in front}
-    afar = [c for c in best_of_each(far) if id(c) not in ahead][:0 if reached() else AFAR]
+    ahead = {c.effect for c in front}
+    afar = [c for c in best_of_each(far) if c.effect not in ahead][:0 if reached() else AFAR]
     final = spread(lambda c: candidate_of(c.start, fit, settle(
-        experiment, c.fit, 2, *((4, False) if id(c) in ahead else (6, True)), 1.0)),
+        experiment, c.fit, 2, *((4, False) if c.effect in ahead else (6, True)), 1.0)),
         [*front, *afar])
     ranked = best_of_each([*final, *ranked])
     return Round(fit, tuple(scores), tuple(ranked))
+
+
+def outrun(effect: str, tried: list[Candidate]) -> bool:
+    """Tell whether an effect found its way in the first attempt and is far behind the best."""
+    gains = {c.effect: c.gain for c in best_of_each(tried)}
+    return 0.0 < gains.get(effect, 0.0) < OUTRUN * max(gains.values(), default=0.0)
 
 
 def ways_of(experiment: Experiment, fit: Fit) -> list[Fit]:
