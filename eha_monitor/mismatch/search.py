@@ -269,7 +269,7 @@ def round_of(experiment: Experiment, fit: Fit, demanded: Callable[[str], float] 
 
     quick: list[Candidate] = []
     far: list[Candidate] = []
-    enough = expected_likelihood(experiment, fit)
+    enough = np.inf if experiment.inverse else expected_likelihood(experiment, fit)
 
     def reached() -> bool:
         return any(c.fit.log_likelihood >= enough for c in quick)
