@@ -8,6 +8,7 @@ import pytest
 from rig_tools import settings
 from test_physics_effects import VALUES, contributions, signal_row
 
+from eha_monitor.filters.known import speaks_of
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import (
     N_THETA,
@@ -108,6 +109,13 @@ def test_only_friction_remembers_a_place_and_families_are_of_one_balance():
         for inner in effect.contains:
             assert effect.rarity >= CATALOGUE[inner].rarity, name
             assert effect.family == CATALOGUE[inner].family
+
+
+def test_what_changes_the_pump_and_remembers_is_a_resonance():
+    """Stage two follows the pump without memory; a line's is a state of its own."""
+    remembering = {NAMES[i] for i in with_update(np.ones(len(NAMES), dtype=np.bool_))}
+    assert {name for name in remembering if speaks_of(name, "SPEED")} == {
+        name for name, effect in CATALOGUE.items() if effect.resonant}
 
 
 def test_parameter_vector_has_one_place_for_each_value():

@@ -1,5 +1,6 @@
 """``prove``: effects are concealed in recordings, the key is sealed, the diagnosis is scored."""
 
+import signal
 from pathlib import Path
 
 import click
@@ -54,6 +55,8 @@ def prove(config: Path | None, ground: str, cases: int | None, data: Path | None
     The key's SHA-256 is printed before any recording is read.  With a config all cases are on its
     rig; without one, on the paper's and others about it.
     """
+    # A trial that is ended must take its processes with it, as on Ctrl-C.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     check_ground(ground, config, data, oracle)
     check_target(json_file)
     check_target(report_file)

@@ -7,7 +7,7 @@ import numpy as np
 
 from eha_monitor.compiled import njit
 from eha_monitor.filters.hold import Hold, hold_of, instrument_of
-from eha_monitor.filters.known import contributions, remember
+from eha_monitor.filters.known import contributions, new_known_memory
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.balances import drive_speed
 from eha_monitor.physics.plant import shaft_speed
@@ -16,8 +16,6 @@ from eha_monitor.physics.signals import (
     N_CONTRIBUTIONS,
     N_SIGNALS,
     OMEGA,
-    P1,
-    P2,
     SLEW_LIMIT,
     SPEED,
 )
@@ -97,8 +95,8 @@ def lagging(omega, first, last, h, lag, keep, slew):
 
 
 @njit
-def follow(kind, start, end, seen, lead, sampled, p1, p2, dt, theta, pump, updates, w, memory,
-           kept, out_start, out_end):
+def follow(kind, start, end, seen, lead, sampled, dt, theta, pump, w, memory, kept, out_start,
+           out_end):
     """Follow drive and pump through all samples; write the input's line in each.
 
     Parameters
@@ -107,11 +105,10 @@ def follow(kind, start, end, seen, lead, sampled, p1, p2, dt, theta, pump, updat
     start, end : (n,) hold of x_d in m or of the shaft's speed in rad/s.
     seen : (n,) position as the drive reads it, m; ``lead`` samples later it is the present one.
     sampled : the drive reads once in a sample and holds.
-    p1, p2 : (n,) Pa, of pump effects.
-    pump, updates : places of the effects that add to the speed, and of those that remember.
-    memory : of all effects, updated.
-    kept : (n, 1 + 2 len(updates)) written after each sample: the lagging speed and the memory;
-        row 0 is where it starts, NaN for a fresh start.
+    pump : places of the effects that add to the speed, whatever the pressure; none remembers.
+    memory : of all effects, fresh.
+    kept : (n, 1) written after each sample: the lagging speed; row 0 is where it starts, NaN for
+        a fresh start.
     out_start, out_end : (n,) written, as ``start`` and ``end``: the line of least squares.
     """
     n = start.shape[0]
@@ -121,10 +118,6 @@ def follow(kind, start, end, seen, lead, sampled, p1, p2, dt, theta, pump, updat
     slow = lag > 0.0 or slew < np.inf
     keep = math.exp(-h / lag) if lag > 0.0 else 0.0
     omega = kept[0, 0]
-    for j in range(len(updates)):
-        for i in range(2):
-            value = kept[0, 1 + 2 * j + i]
-            memory[updates[j], i] = 0.0 if math.isnan(value) else value
     late = w[s.COMMAND_DELAY] / dt if kind < 2 else 0.0
     spread = (PARTS * PARTS - 1.0) / (12.0 * PARTS * PARTS)  # mean square of the parts' places
     for k in range(1, n):
@@ -133,28 +126,18 @@ def follow(kind, start, end, seen, lead, sampled, p1, p2, dt, theta, pump, updat
             along = (j + 0.5) / PARTS
             place = k - 1 + (0.0 if sampled else along)
             value = held(start, end, place - late)
-            rise = 0.0 if sampled else end[k] - start[k - 1]  # a sample
             if kind == 1:
                 half = 0.0 if sampled else 0.5 / PARTS
                 first = wanted_at(start, end, seen, place - half, late, lead, theta, w)
                 last = wanted_at(start, end, seen, place + half - EDGE, late, lead, theta, w)
-                value, rise = 0.5 * (first + last), PARTS * (last - first)
+                value = 0.5 * (first + last)
                 if slow:
                     if math.isnan(omega):
                         omega = first
                     omega, value = lagging(omega, first, last, h, lag, keep, slew)
             if len(pump) > 0:
                 x_signal[OMEGA] = value
-                x_signal[P1] = (1.0 - along) * p1[k - 1] + along * p1[k]
-                x_signal[P2] = (1.0 - along) * p2[k - 1] + along * p2[k]
                 contributions(x_signal, theta, pump, memory, c)
-                if len(updates) > 0:  # an update looks at the end of its step
-                    along = (j + 1.0) / PARTS
-                    x_signal[P1] = (1.0 - along) * p1[k - 1] + along * p1[k]
-                    x_signal[P2] = (1.0 - along) * p2[k - 1] + along * p2[k]
-                    x_signal[OMEGA] = omega if kind == 1 and slow else (
-                        value + 0.5 / PARTS * rise)
-                    remember(x_signal, theta, updates, h, memory)
                 value += c[SPEED]
             mean += value / PARTS
             tilt += ((j + 0.5) / PARTS - 0.5) * value / PARTS
@@ -162,25 +145,19 @@ def follow(kind, start, end, seen, lead, sampled, p1, p2, dt, theta, pump, updat
         out_start[k - 1], out_end[k] = mean - 0.5 * tilt, mean + 0.5 * tilt
         if math.isnan(mean):
             omega = math.nan
-            for which in updates:
-                memory[which, 0] = 0.0
-                memory[which, 1] = 0.0
         kept[k, 0] = omega
-        for j in range(len(updates)):
-            kept[k, 1 + 2 * j] = memory[updates[j], 0]
-            kept[k, 2 + 2 * j] = memory[updates[j], 1]
 
 
 @dataclass(frozen=True)
 class DriveInput:
-    """Stage two's input, and what drive and pump remember after each sample, (n, k)."""
+    """Stage two's input, and what the drive remembers after each sample, (n, 1)."""
 
     hold: Hold
     kept: np.ndarray
 
 
-def drive_input(model, recorded: dict, channels: dict, noise: dict, memory: np.ndarray,
-                dt: float, started: np.ndarray | None = None) -> DriveInput:
+def drive_input(model, recorded: dict, channels: dict, noise: dict, dt: float,
+                started: np.ndarray | None = None) -> DriveInput:
     """Return stage two's input.
 
     x_d in m where the loop is part of the model; the pump speed in rad/s where it is not: the
@@ -192,12 +169,11 @@ def drive_input(model, recorded: dict, channels: dict, noise: dict, memory: np.n
     model : :class:`inputs.RigModel`.
     recorded, channels : as the sensors showed them, and with their known errors undone.
     noise : of ``channels``.
-    memory : of the effects, fresh.
-    started : what drive and pump remember at the first sample, a row of ``kept``.
+    started : what the drive remembers at the first sample, a row of ``kept``.
     """
     rig, w = model.settings.rig, model.circuit
     n = len(channels["x"])
-    kept = np.full((n, 1 + 2 * len(model.pump_updates)), np.nan)
+    kept = np.full((n, 1), np.nan)
     if started is not None:
         kept[0] = started
     commanded = rig.position_gain is not None and "x_d" in channels
@@ -231,10 +207,8 @@ def drive_input(model, recorded: dict, channels: dict, noise: dict, memory: np.n
         kind, seen = 1, recorded["x"] if in_loop else channels["x"]
         lead = ((w[s.POSITION_DELAY] if in_loop else 0.0) - w[s.FEEDBACK_DELAY]) / dt
     start, end = np.full(n, np.nan), np.full(n, np.nan)
-    charge = np.full(n, rig.charge_pressure)
-    follow(kind, hold.start, hold.end, seen, lead, sampled, channels.get("p1", charge),
-           channels.get("p2", charge), dt, model.theta, model.pump, model.pump_updates, w, memory,
-           kept, start, end)
+    follow(kind, hold.start, hold.end, seen, lead, sampled, dt, model.theta, model.pump, w,
+           new_known_memory(), kept, start, end)
     middle = np.where(np.isfinite(start), start, end)
     variance = hold.variance
     if kind < 2:  # what is uncertain about x_d comes late as well

@@ -36,7 +36,6 @@ class RigModel:
     plain, remembering, flows, pump : places of the active effects that make force, without and
         with memory, that are in the flow balance, and that change the pump's speed whatever the
         pressure.
-    pump_updates : those of the latter that remember.
     circuit : constants of the modelled drive and sensors.
     opened : the drive's effects make the pump speed, not x_d, stage two's input.
     loop : x_d is the input and the drive is part of the model.
@@ -50,7 +49,6 @@ class RigModel:
     remembering: np.ndarray
     flows: np.ndarray
     pump: np.ndarray
-    pump_updates: np.ndarray
     circuit: np.ndarray
     opened: bool
     beta_0: float
@@ -83,7 +81,7 @@ class RigModel:
         circuit = circuit_of(theta, active)
         opened = opens_loop(circuit, places["pump"])
         # What a pump loses to pressure is better told by the stage's own force than by sensors.
-        by_force = np.array([which not in updates and speaks_of(NAMES[which], "P1", "P2")
+        by_force = np.array([speaks_of(NAMES[which], "P1", "P2")
                              for which in places["pump"]], dtype=bool)
         places["flows"] = np.union1d(places["flows"], places["pump"][by_force])
         places["pump"] = places["pump"][~by_force]
@@ -103,8 +101,7 @@ class RigModel:
                 constants[LOOP] = loop_gain(theta, circuit)
         return cls(settings, theta, active, places["force"][~remember],
                    places["force"][remember], places["flows"] if known else places["flows"][:0],
-                   places["pump"], np.intersect1d(places["pump"], updates), circuit, opened,
-                   beta_0, loop, constants, leak)
+                   places["pump"], circuit, opened, beta_0, loop, constants, leak)
 
 
 def rest_contributions(theta: np.ndarray, active: np.ndarray, pressure: float) -> np.ndarray:
@@ -217,8 +214,8 @@ def force_variance(rig: Rig, noise: dict[str, NoiseEstimate], extra: float) -> f
 class Known:
     """What the live estimator knows about its rows and does not measure anew on each batch.
 
-    The reasons are those of the rows that it began with; ``started`` is what drive and pump
-    remember at the first row.
+    The reasons are those of the rows that it began with; ``started`` is what the drive
+    remembers at the first row.
     """
 
     model: RigModel
@@ -239,7 +236,7 @@ class StageInputs:
     ``mean`` is :func:`mean_pressure`.
     ``quantum`` is the position's resolution in m, 0 where it is continuous; ``spikes`` counts the
     samples of each channel that were left out.  ``x``, ``noise`` and all that comes of them have
-    the sensors' known errors undone.  ``kept`` is what drive and pump remember after each sample.
+    the sensors' known errors undone.  ``kept`` is what the drive remembers after each sample.
     """
 
     model: RigModel
@@ -288,8 +285,8 @@ class StageInputs:
             force = with_noise(hold_of(measured_force, variance**0.5,
                                        kinked=settings.command_hold == "sampled"), variance)
         if no_drive is None:
-            made = drive_input(model, recorded, channels, noise, new_known_memory(),
-                               recording.sample_time, known.started if known else None)
+            made = drive_input(model, recorded, channels, noise, recording.sample_time,
+                               known.started if known else None)
             drive, kept = made.hold, made.kept
         both = "p1" in channels and "p2" in channels
         charge = np.array([rig.charge_pressure])
