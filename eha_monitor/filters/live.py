@@ -113,7 +113,8 @@ class LiveEstimator:
         """Go on after a long gap: parameters stay, states and buffered rows do not."""
         gap = time_s - self._origin - self._buffer.end * self.dt
         self._events.append(Event(time_s, "monitor", f"no data for {gap:.2f} s"))
-        self._take(everything=True)
+        if self._model is not None:  # else the gap is among the first rows: nothing to finish
+            self._take(everything=True)
         self._buffer = LiveBuffer(BUFFER_S, self.dt)
         self._origin = time_s  # rows are counted anew
         self._taken = self._piece = self._tried_at = self._clean = 0
@@ -133,8 +134,15 @@ class LiveEstimator:
         self._buffer = LiveBuffer(BUFFER_S, self.dt)
         self._origin = self._began = float(times[0])
         early, self._early = self._early, []
-        for time_s, row in early:
+        first = 0
+        for number, (time_s, row) in enumerate(early):
+            origin = self._origin
             self._place(time_s, row)
+            if self._origin != origin:
+                first = number
+        if first:  # a long gap among them: what came before it is not the same record
+            self._buffer, self._early = None, early[first:]
+            return
         self._set_up()
         self._take()
 
@@ -397,4 +405,5 @@ class LiveEstimator:
         state = self._one or self._two
         position, velocity = (state.ekf.x[0], state.ekf.x[1]) if state else (math.nan, math.nan)
         return LiveSnapshot(self._now, self._parameters(), float(position), float(velocity),
-                            model, events, self._temperature, dict(self._tester.verdicts))
+                            model, events, self._temperature, dict(self._tester.verdicts),
+                            self._time_of(self._taken - 1) if self._taken else math.nan)
