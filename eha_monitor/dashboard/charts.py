@@ -131,7 +131,8 @@ def residual_frame() -> dict:
         dashed = {"color": colour, "width": 2, "type": "dashed"}
         series.append(_line(f"{stage}_variance", f"{words}, drift", colour, lineStyle=dashed))
     series[0]["markLine"] = {"symbol": "none", "silent": True, "data": [
-        {"yAxis": 1.0, "label": {"formatter": "1: the model fits", "position": "insideStartTop"},
+        {"yAxis": 1.0,
+         "label": {"formatter": "1: the model fits", "position": "insideStartBottom"},
          "lineStyle": {"color": _INK, "type": "dotted"}}]}
     frame = _frame(_time_of_day(), "", series, [s["name"] for s in series], "log")
     frame["grid"]["top"] = 62  # the legend takes two lines on a phone

@@ -171,9 +171,7 @@ class Page:
     def _refresh_model(self, view: View) -> None:
         found = view.findings.get("model_mismatch")
         self._model.show(found.level if found else "STALE")
-        model = view.findings.get("model")
-        status = str(model.values.get("status", "")) if model else ""
-        self._model_status.set_text(words.plain_name(status or "unknown"))
+        self._model_status.set_text(words.model_status(view))
         self._model_message.set_text(found.message if found else "nothing heard yet")
         for stage, labels in self._innovations.items():
             for label, text in zip(labels, words.innovation_texts(view, stage), strict=True):

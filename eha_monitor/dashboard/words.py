@@ -80,6 +80,13 @@ def stage_status(view: View, stage: str) -> str:
     return f"{words} (last heard)" if finding.level == "STALE" else words
 
 
+def model_status(view: View) -> str:
+    """Return whether the model fits, in words."""
+    finding = view.findings.get("model")
+    words = plain_name(str(finding.values.get("status") or "unknown")) if finding else "Unknown"
+    return f"{words} (last heard)" if finding and finding.level == "STALE" else words
+
+
 def innovation_texts(view: View, stage: str) -> tuple[str, str, str]:
     """Return NIS, variance ratio and number of innovations as the topic carries them."""
     values = view.findings[stage].values if stage in view.findings else {}
@@ -97,7 +104,7 @@ def silence_text(view: View, settings: Settings, topics: dict[str, str]) -> str:
     """
     limits = dict.fromkeys(topics, settings.monitor.stale_after)
     # The monitor's rate may be slow by choice; one period late is not silent.
-    for name in ("estimates", "estimated"):
+    for name in {"estimates", "estimated"} & set(topics):
         limits[name] += 1.0 / settings.monitor.publish_rate
     limits["health"] = HEALTH_STALE_AFTER
     silent = {name: view.silence[name] for name in topics if view.silence[name] > limits[name]}

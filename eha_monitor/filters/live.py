@@ -88,10 +88,11 @@ class LiveEstimator:
     def push(self, time_s: float, row: dict[str, float]) -> None:
         """Take one aligned row at a rising time; missing channels are absent or NaN."""
         self._now = time_s
-        temperature = row.get("temperature", math.nan)
-        if temperature == temperature:
-            self._temperature = temperature
+        if not math.isnan(row.get("temperature", math.nan)):
+            self._temperature = row["temperature"]
         if self._buffer is None:
+            if self._early and time_s - self._early[-1][0] > LONG_GAP_S:
+                self._early.clear()  # without a model nothing is carried over a long gap
             self._early.append((time_s, row))
             if len(self._early) >= WARM_UP:
                 self._start()
@@ -113,8 +114,7 @@ class LiveEstimator:
         """Go on after a long gap: parameters stay, states and buffered rows do not."""
         gap = time_s - self._origin - self._buffer.end * self.dt
         self._events.append(Event(time_s, "monitor", f"no data for {gap:.2f} s"))
-        if self._model is not None:  # else the gap is among the first rows: nothing to finish
-            self._take(everything=True)
+        self._take(everything=True)
         self._buffer = LiveBuffer(BUFFER_S, self.dt)
         self._origin = time_s  # rows are counted anew
         self._taken = self._piece = self._tried_at = self._clean = 0
@@ -133,16 +133,8 @@ class LiveEstimator:
             self.dt = spacing
         self._buffer = LiveBuffer(BUFFER_S, self.dt)
         self._origin = self._began = float(times[0])
-        early, self._early = self._early, []
-        first = 0
-        for number, (time_s, row) in enumerate(early):
-            origin = self._origin
-            self._place(time_s, row)
-            if self._origin != origin:
-                first = number
-        if first:  # a long gap among them: what came before it is not the same record
-            self._buffer, self._early = None, early[first:]
-            return
+        while self._early:
+            self._place(*self._early.pop(0))
         self._set_up()
         self._take()
 
@@ -217,9 +209,8 @@ class LiveEstimator:
     def _follow(self) -> tuple[float, float]:
         """Return the damping that stage two takes now, and its variance.
 
-        Once handed over it follows stage one from batch to batch.  While B is seen to change,
-        it lags by up to a block; its variance says so, and stage two does not look for changes
-        of its own.
+        Once handed over it follows stage one from batch to batch.  While B is seen to change it
+        lags by up to a block; its variance says so, and stage two looks for no change of its own.
         """
         if self._handed is None:
             return math.nan, math.nan
