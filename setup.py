@@ -62,7 +62,10 @@ setup(
         "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy[fastrtps]"],
         # The page of the `dashboard` command; nothing else needs a web server.
         "dashboard": ["fastapi", "nicegui", "uvicorn"],
-        "test": ["hypothesis", "playwright", "pytest", "pytest-timeout", "ruff"],
+        # Its option --foxglove.
+        "foxglove": ["foxglove-sdk"],
+        "test": ["hypothesis", "playwright", "pytest", "pytest-timeout", "ruff",
+                 "websockets"],
         "colcon": ["colcon-bash", "colcon-core", "colcon-output", "colcon-package-selection",
                    "colcon-python-setup-py", "colcon-recursive-crawl", "colcon-ros"],
     },

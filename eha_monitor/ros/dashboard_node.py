@@ -1,6 +1,8 @@
 """The dashboard node: the topics of rig and monitor into a page on loopback."""
 
+import contextlib
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -100,28 +102,46 @@ class Listener:
         self.state.take_findings(hardware, findings_of(message), time.monotonic())
 
 
+@contextlib.contextmanager
+def _optional(what: str, extra: str) -> Iterator[None]:
+    """Say in one line which extra is missing, where an import inside the block fails."""
+    try:
+        yield
+    except ImportError as problem:
+        if (problem.name or "").startswith("eha_monitor"):
+            raise  # a defect of ours is no missing package
+        raise InputError(f"{what}: {problem}; install eha_monitor[{extra}]") from problem
+
+
 def run_dashboard(config: Path | None, ros_args: list[str], port: int,
-                  duration: float | None = None) -> int:
+                  duration: float | None = None, foxglove: int | None = None) -> int:
     """Serve the page until a signal or for ``duration`` s; returns the exit status.
+
+    Parameters
+    ----------
+    port : of the page, on loopback.
+    foxglove : port of a Foxglove WebSocket, or None for none.
 
     Raises
     ------
     InputError
         If the port is taken, or the config, a parameter or a ROS argument is wrong.
     """
-    try:
+    with _optional("dashboard", "dashboard"):
         from eha_monitor.dashboard.serve import claim, serving
-    except ImportError as problem:
-        if (problem.name or "").startswith("eha_monitor"):
-            raise
-        raise InputError("this command needs NiceGUI, and it cannot be imported "
-                         f"({problem}); install eha_monitor[dashboard]") from problem
+    if foxglove is not None:
+        with _optional("--foxglove", "foxglove"):
+            from eha_monitor.ros.foxglove_server import serving_foxglove
     settings = load_settings(config)
     with (claim(port) as listener, running.ros_session(ros_args),
           running.node("dashboard", settings.monitor.namespace) as node):
         settings = settings_of_node(node, settings)
         heard = Listener(node, settings, source=str(config or "default config"))
-        with serving(heard.state, heard.topics, listener) as address:
-            print(f"dashboard: {address}", flush=True)
+        with contextlib.ExitStack() as open_:
+            if foxglove is not None:
+                socket_ = open_.enter_context(serving_foxglove(node, settings, foxglove))
+                print(f"foxglove: {socket_}", flush=True)
+            page = open_.enter_context(serving(heard.state, heard.topics, listener))
+            print(f"dashboard: {page}", flush=True)
             running.spin(node, duration)
     return 0
