@@ -41,14 +41,20 @@ def browser():
 
 
 @pytest.fixture(scope="module")
-def address():
-    """Run the command on a free port, for all tests; gives the address of its page."""
+def running():
+    """Run the command on a free port, for all tests; gives its process and its page's address."""
     with command("dashboard", "--port", 0) as process:
         line = process.stdout.readline()
         found = re.fullmatch(r"dashboard: (http://127\.0\.0\.1:\d+/)\n", line)
         assert found, line or process.stderr.read()
-        yield found[1]
-        end(process)
+        yield process, found[1]
+        if process.poll() is None:
+            end(process)
+
+
+@pytest.fixture
+def address(running):
+    return running[1]
 
 
 class Eyes:
@@ -210,3 +216,15 @@ def test_only_loopback_and_only_by_its_own_name(address):
     request = urllib.request.Request(address, headers={"Host": "rig.example"})
     with pytest.raises(urllib.error.HTTPError, match="400"):
         urllib.request.urlopen(request, timeout=10)
+
+
+def test_a_page_whose_dashboard_is_gone_says_so(browser, running):
+    """The last test: it ends the dashboard."""
+    process, address = running
+    eyes = Eyes(browser, address)
+    assert not eyes.page.get_by_text("Connection lost").is_visible()
+    eyes.page.wait_for_function("window.socket && window.socket.connected")
+    end(process)
+    eyes.page.get_by_text("Connection lost").wait_for(state="visible", timeout=10_000)
+    faded = "getComputedStyle(document.querySelector('.page')).opacity"
+    assert float(eyes.page.evaluate(faded)) < 0.5
