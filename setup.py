@@ -27,7 +27,7 @@ setup(
     description="Condition monitor for electrohydraulic actuators",
     license="Apache-2.0",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["reports/templates/*"]},
+    package_data={NAME: ["reports/templates/*", "dashboard/*.css"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -60,7 +60,12 @@ setup(
     extras_require={
         # An apt installation of ROS has no distributions of these names, so they are optional.
         "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy[fastrtps]"],
-        "test": ["hypothesis", "pytest", "pytest-timeout", "ruff"],
+        # The page of the `dashboard` command; nothing else needs a web server.
+        "dashboard": ["fastapi", "nicegui", "uvicorn"],
+        # Its option --foxglove.
+        "foxglove": ["foxglove-sdk"],
+        "test": ["hypothesis", "playwright", "pytest", "pytest-timeout", "ruff",
+                 "websockets"],
         "colcon": ["colcon-bash", "colcon-core", "colcon-output", "colcon-package-selection",
                    "colcon-python-setup-py", "colcon-recursive-crawl", "colcon-ros"],
     },

@@ -16,10 +16,12 @@ from eha_monitor.commands.advise import advise
 from eha_monitor.commands.diagnose import diagnose
 from eha_monitor.commands.estimate import estimate
 from eha_monitor.commands.files import config, import_table, simulate
-from eha_monitor.commands.live import monitor, record, replay, simulator
+from eha_monitor.commands.live import dashboard, monitor, record, replay, simulator
 from eha_monitor.commands.prove import prove
 from eha_monitor.errors import InputError
 
+# Those that know what to do with ROS arguments.
+_NODES = ("simulator", "monitor", "dashboard", "replay", "record")
 BAD_INPUT, DEFECT, INTERRUPTED, BROKEN_PIPE = 2, 70, 130, 141
 
 
@@ -41,13 +43,13 @@ def cli(context: click.Context) -> None:
     recorded bag, and raises health alarms.
     """
     ros_args = context.ensure_object(list)
-    if ros_args and context.invoked_subcommand not in ("simulator", "monitor", "replay", "record"):
+    if ros_args and context.invoked_subcommand not in _NODES:
         raise click.UsageError(f"{context.invoked_subcommand} is no ROS node: "
                                "expected no --ros-args")
 
 
-for _command in (simulator, monitor, replay, record, simulate, estimate, diagnose, advise,
-                 prove, import_table, config):
+for _command in (simulator, monitor, dashboard, replay, record, simulate, estimate, diagnose,
+                 advise, prove, import_table, config):
     cli.add_command(_command)
 
 

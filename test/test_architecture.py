@@ -19,6 +19,8 @@ FORBIDDEN = {
     "recordings": ("rclpy", "eha_monitor.ros", "eha_monitor.filters", "eha_monitor.mismatch"),
     "mismatch": ("rclpy", "eha_monitor.ros", "eha_monitor.commands"),
     "reports": ("rclpy", "eha_monitor.ros", "eha_monitor.commands"),
+    "dashboard": ("rclpy", "eha_monitor.ros", "eha_monitor.commands", "eha_monitor.recordings",
+                  "eha_monitor.mismatch"),
 }
 ROS_PACKAGES = ("rclpy", "rcl_interfaces", "sensor_msgs", "std_msgs", "std_srvs",
                 "diagnostic_msgs", "rosgraph_msgs", "builtin_interfaces")

@@ -207,3 +207,21 @@ def test_dry_friction_is_a_mismatch_live_as_well():
     end = Stream().push(rows_of(run.recording(0)))
     assert end.model.status == "mismatch"
     assert end.parameters["B"].value > 750
+
+
+def test_the_state_is_told_with_its_own_time(run, stream):
+    """The rows that wait for their neighbours are not yet in it: 10 ms, up to 2 mm here."""
+    measured = run.recording(0).channels["x"]
+    for seen in stream.history[-20:]:
+        at = round(seen.state_time_s / run.config.rig.sample_time)
+        assert 0 < seen.time_s - seen.state_time_s < 0.05
+        assert abs(measured[at] - seen.position) < 1e-5
+
+
+def test_a_long_gap_among_the_first_rows_starts_the_record_behind_it(run):
+    rows = list(rows_of(run.recording(0)))
+    made = Stream(**FIXED)
+    made.push(rows[:100])
+    made.push([(time + 2.0, row) for time, row in rows[100:3100]])
+    assert made.history[-1].parameters["B"].status == "converged"
+    assert made.history[-1].parameters["B"].value == pytest.approx(600.0, rel=0.01)

@@ -33,6 +33,21 @@ def monitor(ros_args: list[str], config: Path | None, duration: float | None) ->
 
 
 @click.command()
+@config_option
+@duration_option
+@click.option("--port", type=click.IntRange(0, 65535), default=8050, show_default=True,
+              help="Port on 127.0.0.1; 0 takes any that is free.")
+@click.option("--foxglove", type=click.IntRange(0, 65535), metavar="PORT",
+              help="Serve the topics on a Foxglove WebSocket as well; usual is 8765.")
+@click.pass_obj
+def dashboard(ros_args: list[str], config: Path | None, duration: float | None,
+              port: int, foxglove: int | None) -> int:
+    """Serve a live page on loopback: estimates, alarms, residual, the actuator moving."""
+    return ros_module("dashboard_node").run_dashboard(config, ros_args, port, duration,
+                                                      foxglove)
+
+
+@click.command()
 @click.argument("bag", type=click.Path(path_type=Path))
 @click.option("--rate", type=click.FloatRange(min=0, min_open=True), default=1.0,
               show_default=True, help="Times real time.")

@@ -88,10 +88,11 @@ class LiveEstimator:
     def push(self, time_s: float, row: dict[str, float]) -> None:
         """Take one aligned row at a rising time; missing channels are absent or NaN."""
         self._now = time_s
-        temperature = row.get("temperature", math.nan)
-        if temperature == temperature:
-            self._temperature = temperature
+        if not math.isnan(row.get("temperature", math.nan)):
+            self._temperature = row["temperature"]
         if self._buffer is None:
+            if self._early and time_s - self._early[-1][0] > LONG_GAP_S:
+                self._early.clear()  # without a model nothing is carried over a long gap
             self._early.append((time_s, row))
             if len(self._early) >= WARM_UP:
                 self._start()
@@ -132,9 +133,8 @@ class LiveEstimator:
             self.dt = spacing
         self._buffer = LiveBuffer(BUFFER_S, self.dt)
         self._origin = self._began = float(times[0])
-        early, self._early = self._early, []
-        for time_s, row in early:
-            self._place(time_s, row)
+        while self._early:
+            self._place(*self._early.pop(0))
         self._set_up()
         self._take()
 
@@ -209,9 +209,8 @@ class LiveEstimator:
     def _follow(self) -> tuple[float, float]:
         """Return the damping that stage two takes now, and its variance.
 
-        Once handed over it follows stage one from batch to batch.  While B is seen to change,
-        it lags by up to a block; its variance says so, and stage two does not look for changes
-        of its own.
+        Once handed over it follows stage one from batch to batch.  While B is seen to change it
+        lags by up to a block; its variance says so, and stage two looks for no change of its own.
         """
         if self._handed is None:
             return math.nan, math.nan
@@ -397,4 +396,5 @@ class LiveEstimator:
         state = self._one or self._two
         position, velocity = (state.ekf.x[0], state.ekf.x[1]) if state else (math.nan, math.nan)
         return LiveSnapshot(self._now, self._parameters(), float(position), float(velocity),
-                            model, events, self._temperature, dict(self._tester.verdicts))
+                            model, events, self._temperature, dict(self._tester.verdicts),
+                            self._time_of(self._taken - 1) if self._taken else math.nan)

@@ -166,7 +166,11 @@ class ModelStatus:
 
 @dataclass(frozen=True)
 class LiveSnapshot:
-    """What the live estimator knows now; ``events`` are those since the last snapshot."""
+    """What the live estimator knows now; ``events`` are those since the last snapshot.
+
+    ``state_time_s`` is the time of position and velocity: they lag ``time_s`` by the rows that
+    wait for their neighbours, and a piston goes millimetres meanwhile.
+    """
 
     time_s: float
     parameters: dict[str, ParameterEstimate]
@@ -176,6 +180,7 @@ class LiveSnapshot:
     events: tuple[Event, ...]
     temperature: float | None
     consistency: dict[str, Consistency | None]
+    state_time_s: float = math.nan
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 
 from eha_monitor.filters.results import Consistency, Event, ModelStatus, ParameterEstimate
 from eha_monitor.health.alarms import ADVICE, WATCHED, AlarmBoard
-from eha_monitor.ros.messages import Finding, alarm_finding
+from eha_monitor.health.finding import Finding
+from eha_monitor.ros.messages import alarm_finding
 from eha_monitor.settings.monitor import Settings
 
 STAGES = {"one": WATCHED[0], "two": WATCHED[1]}

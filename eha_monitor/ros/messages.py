@@ -1,7 +1,6 @@
 """The one module that fills messages: plain floats, level constants, stamps."""
 
 import math
-from dataclasses import dataclass, field
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -9,27 +8,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from eha_monitor.health.alarms import Alarm
+from eha_monitor.health.finding import Finding
 
 LEVELS = {"OK": DiagnosticStatus.OK, "WARN": DiagnosticStatus.WARN,
           "ERROR": DiagnosticStatus.ERROR, "STALE": DiagnosticStatus.STALE}
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One line of the diagnostics before it is a message.
-
-    Attributes
-    ----------
-    name : stable, without the hardware's name.
-    level : ``OK``, ``WARN``, ``ERROR`` or ``STALE``.
-    message : a sentence.
-    values : key -> number or text; numbers are written so that plotting tools read them.
-    """
-
-    name: str
-    level: str
-    message: str
-    values: dict[str, float | int | str] = field(default_factory=dict)
+_LEVEL_NAMES = {level: name for name, level in LEVELS.items()}
 
 
 def stamp(time_ns: int) -> Time:
@@ -78,6 +61,16 @@ def diagnostics(time_ns: int, findings: list[Finding], hardware: str) -> Diagnos
     message = DiagnosticArray(status=[status(finding, hardware) for finding in findings])
     message.header.stamp = stamp(time_ns)
     return message
+
+
+def findings_of(message: DiagnosticArray) -> list[Finding]:
+    """Return the findings of a message, the values as text; statuses of no known level are not.
+
+    The inverse of :func:`diagnostics`, as far as another process can tell.
+    """
+    return [Finding(entry.name.rpartition(": ")[2], _LEVEL_NAMES[entry.level], entry.message,
+                    {pair.key: pair.value for pair in entry.values})
+            for entry in message.status if entry.level in _LEVEL_NAMES]
 
 
 def alarm_finding(alarm: Alarm, values: dict[str, float]) -> Finding:

@@ -1,6 +1,7 @@
 """The monitor node: live topics in, estimates and health out."""
 
 import gc
+import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -224,7 +225,14 @@ class Monitor:
         if snapshot.position == snapshot.position:  # not NaN
             name = self.settings.channels["x"].name or "piston"
             self._state.publish(messages.joint_state(
-                self._row_ns, name, snapshot.position, snapshot.velocity))
+                self._state_ns(snapshot.state_time_s), name, snapshot.position,
+                snapshot.velocity))
+
+    def _state_ns(self, state_time_s: float) -> int:
+        """Return the stamp of the estimated state, which is some rows old; ns."""
+        if not math.isfinite(state_time_s):
+            return self._row_ns
+        return (self._origin_ns or 0) + round(state_time_s * 1e9)
 
     def _every_second(self) -> None:
         for topic_input in self.inputs:

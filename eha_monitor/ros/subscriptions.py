@@ -29,14 +29,15 @@ class TopicInput:
     topic : topic and the streams it carries.
     aligner : takes the samples.
     on_sample : called after each message with the time of receipt (s, monotonic).
+    qos : of the subscription.
     """
 
     def __init__(self, node: Node, topic: Topic, aligner: RowAligner,
-                 on_sample: Callable[[float], None]):
+                 on_sample: Callable[[float], None], qos: QoSProfile = INPUT_QOS):
         self.topic = topic
         self.lost = 0
         self.messages = 0
-        self._node, self._aligner, self._on_sample = node, aligner, on_sample
+        self._node, self._aligner, self._on_sample, self._qos = node, aligner, on_sample, qos
         self._decoders = [Decoder(entry) for entry in topic.entries]
         self._type: str | None = None
         self._subscription: Subscription | None = None
@@ -65,7 +66,7 @@ class TopicInput:
             self._node.destroy_subscription(self._subscription)
         self._type, self._type_problem = wanted, None
         self._subscription = self._node.create_subscription(
-            kind, self.topic.name, self._callback(has_stamp(kind)), INPUT_QOS,
+            kind, self.topic.name, self._callback(has_stamp(kind)), self._qos,
             event_callbacks=SubscriptionEventCallbacks(message_lost=self._count_lost))
 
     def problems(self, now: float, silent_after: float) -> list[str]:

@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64
@@ -12,11 +12,10 @@ from std_msgs.msg import Float64
 from eha_monitor.health.alarms import ALARM_NAMES, WATCHED, Watched, quantity
 from eha_monitor.ros import running
 from eha_monitor.ros.findings import MISMATCH
+from eha_monitor.ros.messages import findings_of
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
                      durability=DurabilityPolicy.TRANSIENT_LOCAL)
-_LEVELS = {DiagnosticStatus.OK: "OK", DiagnosticStatus.WARN: "WARN",
-           DiagnosticStatus.ERROR: "ERROR", DiagnosticStatus.STALE: "STALE"}
 _SYMBOLS = {"B": "B", "beta_e": "βe"}
 _LINE_EVERY = 1.0  # s
 
@@ -78,15 +77,14 @@ class Watcher:
         return f"{time.monotonic() - self._started:5.1f} s"
 
     def _take_health(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            name = status.name.rpartition(": ")[2]
-            level = _LEVELS.get(status.level)
-            if name not in (*ALARM_NAMES, MISMATCH) or level is None:
+        for finding in findings_of(message):
+            name, level = finding.name, finding.level
+            if name not in (*ALARM_NAMES, MISMATCH):
                 continue
             before = self._levels.get(name, "OK")
             self._levels[name] = level
             if level != before and {level, before} & {"WARN", "ERROR"}:
-                self._say(f"{self._clock()}  {level:5} {name}: {status.message}", level)
+                self._say(f"{self._clock()}  {level:5} {name}: {finding.message}", level)
             if level in ("WARN", "ERROR") and name in ALARM_NAMES:
                 self.seen.raised.add(name)
 

@@ -1,0 +1,207 @@
+"""What the page shows, gathered from the topics; it outlives every page that looks at it."""
+
+import math
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+from eha_monitor.dashboard.history import History, Row
+from eha_monitor.health.alarms import ALARM_NAMES, WATCHED
+from eha_monitor.health.finding import Finding
+from eha_monitor.settings import Settings
+
+# How long and how densely things are kept, s.
+ESTIMATES_SPAN, ESTIMATES_EVERY = 300.0, 0.5
+POSITION_SPAN, POSITION_EVERY = 15.0, 0.04
+# Measured positions among which the one of an estimate's stamp is looked for.
+RECENT = 1000
+# So long a pair of the same stamp is shown when the next ones lack a partner, s.
+PAIR_HOLDS = 0.5
+# Health comes once a second; after this without it, what it said counts no more, s.
+HEALTH_STALE_AFTER = 3.0
+STAGES = ("stage_one", "stage_two")
+# Keys of the innovations in the statuses of the stages.
+NIS, VARIANCE_RATIO, SAMPLES = ("innovation_nis", "innovation_variance_ratio",
+                                "innovation_samples")
+
+
+@dataclass
+class _Number:
+    """The last value of something and when it came (s, monotonic)."""
+
+    value: float = math.nan
+    came: float = -math.inf
+
+
+@dataclass(frozen=True)
+class View:
+    """The present state, as one consistent copy.
+
+    Attributes
+    ----------
+    value, stddev : estimates by symbol, SI; NaN where none has come.
+    measured, estimated : position, m (rad where the motion is rotary); NaN where none has come.
+    same_stamp : whether these two are of the same time, so that their difference means something.
+    findings : the health, by name; what is no longer heard is STALE.
+    hardware : the rig's name as the monitor gives it, or that of the config.
+    silence : s since the last value of each symbol, of any (``estimates``), of each position
+        and of the health; infinite where none has come.
+    """
+
+    value: dict[str, float]
+    stddev: dict[str, float]
+    measured: float
+    estimated: float
+    same_stamp: bool
+    findings: dict[str, Finding]
+    hardware: str
+    silence: dict[str, float] = field(default_factory=dict)
+
+
+class State:
+    """Takes what comes on the topics; a page asks for a view or a history at any time.
+
+    The topics come in one thread and the page is served in another, hence the lock.
+
+    Parameters
+    ----------
+    settings : config: limits until the monitor's own are heard, and when data count as stopped.
+    wall_clock : gives the time of day, s since the epoch.
+    """
+
+    def __init__(self, settings: Settings, wall_clock: Callable[[], float]):
+        self.settings, self._wall_clock = settings, wall_clock
+        self._lock = threading.Lock()
+        self._values = {w.symbol: _Number() for w in WATCHED}
+        self._stddevs = {w.symbol: _Number() for w in WATCHED}
+        self._positions = {"measured": _Number(), "estimated": _Number()}
+        self._recent: deque[tuple[float, float]] = deque(maxlen=RECENT)
+        self._pair: tuple[float, float] | None = None
+        self._pair_came = -math.inf
+        self._findings: dict[str, Finding] = {}
+        self._health_came = -math.inf
+        self._hardware = settings.rig.name
+        gap = settings.monitor.stale_after
+        self._histories = {
+            **{w.symbol: History(ESTIMATES_SPAN, ESTIMATES_EVERY, gap) for w in WATCHED},
+            **{name: History(POSITION_SPAN, POSITION_EVERY, gap) for name in self._positions},
+            **{stage: History(ESTIMATES_SPAN, ESTIMATES_EVERY, HEALTH_STALE_AFTER)
+               for stage in STAGES}}
+
+    def take_value(self, symbol: str, value: float, now: float) -> None:
+        """Take an estimate of ``B`` or ``beta_e``, SI; ``now`` in s, monotonic."""
+        with self._lock:
+            self._values[symbol] = _Number(value, now)
+
+    def take_stddev(self, symbol: str, stddev: float, now: float) -> None:
+        """Take the standard deviation that belongs to the last estimate."""
+        with self._lock:
+            self._stddevs[symbol] = _Number(stddev, now)
+            value = self._values[symbol].value
+            if math.isfinite(value) and math.isfinite(stddev):
+                self._histories[symbol].add(self._wall_clock(), value, stddev)
+
+    def take_position(self, which: str, time_s: float, position: float, now: float) -> None:
+        """Take the ``measured`` or ``estimated`` position, m, with its own stamp, s."""
+        if not math.isfinite(position):
+            return
+        with self._lock:
+            self._positions[which] = _Number(position, now)
+            self._histories[which].add(time_s, position)
+            if which == "measured":
+                self._recent.append((time_s, position))
+            elif (pair := self._paired(time_s, position)) is not None:
+                self._pair, self._pair_came = pair, now
+
+    def _paired(self, time_s: float, estimated: float) -> tuple[float, float] | None:
+        """Return the measured position of the same stamp and the estimated one, or None."""
+        # A moving piston goes millimetres between two stamps that are not the same.
+        within = 0.75 * self.settings.rig.sample_time
+        for stamp, measured in reversed(self._recent):
+            if abs(stamp - time_s) < within:
+                return measured, estimated
+        return None
+
+    def take_findings(self, hardware: str, findings: Iterable[Finding], now: float) -> None:
+        """Take the health as it was published."""
+        with self._lock:
+            self._hardware = hardware or self._hardware
+            self._findings = {finding.name: finding for finding in findings}
+            self._health_came = now
+            for stage in STAGES:
+                finding = self._findings.get(stage)
+                if finding is not None and finding.level != "STALE":
+                    row = (_number(finding, NIS), _number(finding, VARIANCE_RATIO))
+                    if any(math.isfinite(value) for value in row):
+                        self._histories[stage].add(self._wall_clock(), *row)
+
+    def view(self, now: float) -> View:
+        """Return the present state; ``now`` in s, monotonic."""
+        with self._lock:
+            silence = {name: now - n.came
+                       for name, n in (self._values | self._positions).items()}
+            silence["estimates"] = min(silence[symbol] for symbol in self._values)
+            silence["health"] = now - self._health_came
+            findings = self._findings
+            if silence["health"] > HEALTH_STALE_AFTER:
+                findings = {name: _no_longer(f) for name, f in findings.items()}
+            latest = min(silence["measured"], silence["estimated"])
+            pair = self._pair if now - self._pair_came - latest < PAIR_HOLDS else None
+            measured, estimated = pair or (self._positions["measured"].value,
+                                           self._positions["estimated"].value)
+            return View({s: n.value for s, n in self._values.items()},
+                        {s: n.value for s, n in self._stddevs.items()},
+                        measured, estimated, pair is not None, dict(findings), self._hardware,
+                        silence)
+
+    def history(self, name: str) -> list[Row]:
+        """Return the rows of a symbol, a stage or a position.
+
+        Symbols: (time of day s, value, stddev); stages: (time of day s, normalised innovation
+        squared, variance ratio); ``measured`` and ``estimated``: (stamp s, position).
+        """
+        with self._lock:
+            history = self._histories[name]
+            return history.rows(None if name in self._positions else self._wall_clock())
+
+    def limits(self, symbol: str) -> list[tuple[str, str, float]]:
+        """Return the thresholds of a parameter: (``low`` or ``high``, ``WARN`` or ``ERROR``, SI).
+
+        They are those that the monitor says it judges by, else those of the config.
+        """
+        watched = next(w for w in WATCHED if w.symbol == symbol)
+        configured = getattr(self.settings.thresholds, watched.section)
+        with self._lock:
+            findings = self._findings
+        found = []
+        for side in ("low", "high"):
+            heard = findings.get(f"{watched.section}_{side}")
+            for degree in ("warn", "error"):
+                if heard is not None and f"limit_{degree}" in heard.values:
+                    limit = _number(heard, f"limit_{degree}")
+                else:
+                    limit = getattr(configured, f"{side}_{degree}")
+                if limit is not None and math.isfinite(limit):
+                    found.append((side, degree.upper(), float(limit)))
+        return found
+
+
+def alarms(view: View) -> list[Finding]:
+    """Return the alarms in their fixed order; one that was never heard is STALE."""
+    return [view.findings.get(name) or Finding(name, "STALE", "nothing heard from the monitor yet")
+            for name in ALARM_NAMES]
+
+
+def _no_longer(finding: Finding) -> Finding:
+    if finding.level == "STALE":
+        return finding
+    return Finding(finding.name, "STALE", f"last heard {finding.level}: {finding.message}",
+                   finding.values)
+
+
+def _number(finding: Finding, key: str) -> float:
+    try:
+        return float(finding.values.get(key, ""))
+    except ValueError:
+        return math.nan

@@ -1,0 +1,147 @@
+"""The dashboard node: the topics of rig and monitor into a page on loopback."""
+
+import contextlib
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+
+from eha_monitor.dashboard.state import State
+from eha_monitor.errors import InputError
+from eha_monitor.filters.rows import Source
+from eha_monitor.health.alarms import WATCHED
+from eha_monitor.ros import running
+from eha_monitor.ros.inputs import Topic, topics_of
+from eha_monitor.ros.messages import findings_of
+from eha_monitor.ros.parameters import settings_of_node
+from eha_monitor.ros.subscriptions import TopicInput
+from eha_monitor.ros.watch import LATCHED
+from eha_monitor.settings import Settings, load_settings
+
+FOLLOW_PERIOD = 1.0
+# What is shown may miss samples, and must not be late: behind a long queue of positions an alarm
+# would wait for seconds.
+SHOWN_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+def position_topic(settings: Settings, source: str) -> Topic:
+    """Return the topic of the measured position, and of its streams only that one."""
+    for topic in topics_of(settings, source):
+        for entry in topic.entries:
+            position = tuple(pair for pair in entry.channels if pair[0] == "x")
+            if position:
+                stream = replace(entry, channels=position,
+                                 source=Source(entry.source.name, ("x",), entry.source.held))
+                return Topic(topic.name, (stream,))
+    raise InputError(f"{source}: channels.x: expected the position's topic")
+
+
+class _Positions:
+    """Stands where a row aligner stands and hands the samples to the state."""
+
+    def __init__(self, state: State):
+        self._state = state
+
+    def push(self, source: Source, time_ns: int, values: tuple[float, ...], now: float) -> None:
+        source.heard_s = now
+        self._state.take_position("measured", time_ns * 1e-9, values[0], now)
+
+
+class Listener:
+    """Subscribes to what the page shows and keeps it in a state.
+
+    Parameters
+    ----------
+    node : node in the namespace of the topics.
+    settings : validated config.
+    source : name of the config in errors.
+
+    Attributes
+    ----------
+    state : what was heard.
+    topics : full names of the topics, by the keys of ``View.silence``.
+    """
+
+    def __init__(self, node: Node, settings: Settings, source: str = "config"):
+        self.state = State(settings, time.time)
+        name = node.resolve_topic_name
+        measured = position_topic(settings, source)
+        self.topics = {"measured": name(measured.name),
+                       "estimates": ", ".join(name(f"monitor/{w.section}") for w in WATCHED),
+                       "estimated": name("monitor/joint_states"),
+                       "health": name("monitor/health")}
+        self.measured = TopicInput(node, measured, _Positions(self.state), lambda now: None,
+                                   SHOWN_QOS)
+        node.create_timer(FOLLOW_PERIOD, self.measured.follow_graph,
+                          clock=Clock(clock_type=ClockType.STEADY_TIME))
+        for watched in WATCHED:
+            for suffix, take in (("", self.state.take_value),
+                                 ("_stddev", self.state.take_stddev)):
+                node.create_subscription(
+                    Float64, f"monitor/{watched.section}{suffix}",
+                    lambda message, take=take, symbol=watched.symbol:
+                        take(symbol, message.data, time.monotonic()), 10)
+        node.create_subscription(JointState, "monitor/joint_states", self._take_estimated, 10)
+        node.create_subscription(DiagnosticArray, "monitor/health", self._take_health, LATCHED)
+
+    def _take_estimated(self, message: JointState) -> None:
+        if message.position:
+            stamp = message.header.stamp
+            self.state.take_position("estimated", stamp.sec + stamp.nanosec * 1e-9,
+                                     message.position[0], time.monotonic())
+
+    def _take_health(self, message: DiagnosticArray) -> None:
+        hardware = message.status[0].hardware_id if message.status else ""
+        self.state.take_findings(hardware, findings_of(message), time.monotonic())
+
+
+@contextlib.contextmanager
+def _optional(what: str, extra: str) -> Iterator[None]:
+    """Say in one line which extra is missing, where an import inside the block fails."""
+    try:
+        yield
+    except ImportError as problem:
+        if (problem.name or "").startswith("eha_monitor"):
+            raise  # a defect of ours is no missing package
+        raise InputError(f"{what}: {problem}; install eha_monitor[{extra}]") from problem
+
+
+def run_dashboard(config: Path | None, ros_args: list[str], port: int,
+                  duration: float | None = None, foxglove: int | None = None) -> int:
+    """Serve the page until a signal or for ``duration`` s; returns the exit status.
+
+    Parameters
+    ----------
+    port : of the page, on loopback.
+    foxglove : port of a Foxglove WebSocket, or None for none.
+
+    Raises
+    ------
+    InputError
+        If the port is taken, or the config, a parameter or a ROS argument is wrong.
+    """
+    with _optional("dashboard", "dashboard"):
+        from eha_monitor.dashboard.serve import claim, serving
+    if foxglove is not None:
+        with _optional("--foxglove", "foxglove"):
+            from eha_monitor.ros.foxglove_server import serving_foxglove
+    settings = load_settings(config)
+    with (claim(port) as listener, running.ros_session(ros_args),
+          running.node("dashboard", settings.monitor.namespace) as node):
+        settings = settings_of_node(node, settings)
+        heard = Listener(node, settings, source=str(config or "default config"))
+        with contextlib.ExitStack() as open_:
+            if foxglove is not None:
+                socket_ = open_.enter_context(serving_foxglove(node, settings, foxglove))
+                print(f"foxglove: {socket_}", flush=True)
+            page = open_.enter_context(serving(heard.state, heard.topics, listener))
+            print(f"dashboard: {page}", flush=True)
+            running.spin(node, duration)
+    return 0

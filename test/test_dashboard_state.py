@@ -1,0 +1,151 @@
+"""What the dashboard keeps and says, without a browser and without ROS."""
+
+import math
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eha_monitor.dashboard import actuator, charts, words
+from eha_monitor.dashboard.history import History
+from eha_monitor.dashboard.state import ESTIMATES_EVERY, ESTIMATES_SPAN, State, alarms
+from eha_monitor.health.finding import Finding
+from eha_monitor.reports.quantities import Scale
+from eha_monitor.settings import Settings, settings_from_tree
+
+TOPICS = {"measured": "/eha/joint_states", "estimates": "/eha/monitor/viscous_damping",
+          "health": "/eha/monitor/health"}
+
+
+class Clock:
+    """A time of day that a test sets."""
+
+    def __init__(self):
+        self.now = 1.7e9
+
+    def __call__(self):
+        return self.now
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+@pytest.fixture
+def state(clock):
+    return State(Settings(), clock)
+
+
+@given(st.lists(st.floats(0.0, 5.0), max_size=300))
+def test_history_is_bounded_thinned_and_in_order(steps):
+    history, now = History(span=10.0, every=0.5, gap=2.0), 0.0
+    for step in steps:
+        now += step
+        history.add(now, now)
+    rows = history.rows(now)
+    times = [row[0] for row in rows if math.isfinite(row[1])]
+    assert len(history._rows) <= 21 and len(rows) <= 2 * len(times)
+    assert times == sorted(times) and all(now - 10.0 <= t <= now for t in times)
+    assert all(b - a >= 0.5 * (1 - 1e-5) for a, b in pairwise(times))
+    gaps = sum(b - a > 2.0 for a, b in pairwise(times))
+    assert sum(math.isnan(row[1]) for row in rows) == gaps
+
+
+def test_history_starts_anew_when_time_jumps_back():
+    history = History(span=10.0, every=0.5, gap=2.0)
+    for time_s in (100.0, 101.0, 5.0, 6.0):
+        history.add(time_s, 1.0)
+    assert [row[0] for row in history.rows()] == [5.0, 6.0]
+
+
+def test_a_day_of_estimates_does_not_grow(state, clock):
+    for k in range(5000):
+        clock.now += 0.1
+        state.take_value("B", 600.0, 0.1 * k)
+        state.take_stddev("B", 2.0, 0.1 * k)
+    rows = state.history("B")
+    assert 0.95 < len(rows) / (ESTIMATES_SPAN / ESTIMATES_EVERY) <= 1.01
+    assert state.view(500.0).value["B"] == 600.0
+
+
+def test_positions_are_compared_at_the_same_stamp(state):
+    for k in range(100):
+        state.take_position("measured", 1e-3 * k, 1e-4 * k, 0.0)
+    state.take_position("estimated", 0.0801, 0.0079, 0.0)
+    view = state.view(0.0)
+    assert view.same_stamp and (view.measured, view.estimated) == (pytest.approx(0.008), 0.0079)
+    assert words.position_texts(view, Scale(1e3, "mm"))[2] == "difference +100.0 µm"
+    state.take_position("measured", 5.0, 0.03, 2.0)  # the estimate has stopped
+    view = state.view(2.0)
+    assert not view.same_stamp and view.measured == 0.03
+
+
+def test_limits_are_the_monitors_once_it_is_heard(state):
+    assert state.limits("beta_e") == [("low", "WARN", 4e8), ("low", "ERROR", 1.5e8)]
+    heard = Finding("bulk_modulus_low", "OK", "", {"limit_warn": "5e+08", "limit_error": ""})
+    state.take_findings("rig_7", [heard], 0.0)
+    assert state.limits("beta_e") == [("low", "WARN", 5e8)]
+    assert state.view(0.0).hardware == "rig_7"
+
+
+def test_alarms_that_are_no_longer_heard_are_stale(state):
+    assert {alarm.level for alarm in alarms(state.view(0.0))} == {"STALE"}
+    state.take_findings("eha", [Finding("bulk_modulus_low", "ERROR", "too soft")], 10.0)
+    by_name = {alarm.name: alarm for alarm in alarms(state.view(12.0))}
+    assert by_name["bulk_modulus_low"].level == "ERROR"
+    assert words.worst(list(by_name.values())) == "ERROR"
+    by_name = {alarm.name: alarm for alarm in alarms(state.view(14.0))}
+    assert by_name["bulk_modulus_low"].level == "STALE"
+    assert by_name["bulk_modulus_low"].message == "last heard ERROR: too soft"
+
+
+def test_silence_says_which_topic_and_since_when(state):
+    settings = state.settings
+    assert words.silence_text(state.view(0.0), settings, TOPICS).startswith("No data yet on /eha")
+    for now in (10.0, 10.5):
+        state.take_value("B", 600.0, now)
+        state.take_position("measured", now, 0.01, now)
+        state.take_findings("eha", [], now)
+    assert words.silence_text(state.view(11.0), settings, TOPICS) == ""
+    told = words.silence_text(state.view(12.5), settings, TOPICS)
+    assert "(2 s): nothing on /eha/joint_states, /eha/monitor/viscous_damping" in told
+    assert "health" not in told
+    assert words.silence_text(state.view(14.0), settings, TOPICS).endswith(
+        "/eha/monitor/health; the monitor is not heard")
+
+
+@pytest.mark.parametrize(("value", "stddev", "scale", "shown"), [
+    (600.123, 2.34, Scale(1.0, "N·s/m"), ("600.1", "± 2.3", "N·s/m")),
+    (5.9876e8, 1.2e6, Scale(1e-6, "MPa"), ("598.8", "± 1.2", "MPa")),
+    (math.nan, math.nan, Scale(1e-6, "MPa"), ("–", "", "MPa")),
+    (600.0, math.nan, Scale(1.0, "N·s/m"), ("600", "± not known", "N·s/m")),
+])
+def test_numbers_as_people_write_them(value, stddev, scale, shown):
+    found = words.shown(value, stddev, scale)
+    assert (found.value, found.stddev, found.unit) == shown
+
+
+def test_units_follow_the_rig():
+    rotary = words.scales(settings_from_tree({"rig": {"motion": "rotary"}}, "test"))
+    assert rotary["B"].unit == "N·m·s/rad"
+    assert words.scales(Settings())["beta_e"] == Scale(1e-6, "MPa")
+
+
+@given(st.lists(st.floats(-1e12, 1e12) | st.just(math.nan), max_size=50),
+       st.lists(st.floats(0.0, 1e10), max_size=4))
+def test_an_axis_holds_the_limits_and_the_last_value(values, limits):
+    low, high = charts.value_range(values, limits)
+    assert low < high
+    finite = [value for value in values if math.isfinite(value)]
+    for inside in (*limits, *finite[-1:]):
+        assert low <= inside <= high
+
+
+def test_the_scale_of_the_drawing_is_round_and_holds_the_motion():
+    for largest in (1e-6, 0.0011, 0.04, 0.05, 3.3):
+        half = actuator.half_range([0.0, -largest])
+        assert largest <= half < 12.0 * max(largest, 1e-3)
+        assert abs(actuator.place(-largest, half)) <= 150.0
+    assert "−50 mm" in actuator.drawing(0.05, "m")
