@@ -14,7 +14,8 @@ from eha_monitor.errors import InputError
 from eha_monitor.filters.results import Event, ModelStatus, ParameterEstimate
 from eha_monitor.ros import messages
 from eha_monitor.ros.inputs import topics_of
-from eha_monitor.ros.monitor_node import LATCHED, Monitor
+from eha_monitor.ros.monitor_node import Monitor
+from eha_monitor.ros.outputs import LATCHED
 from eha_monitor.ros.parameters import (
     MONITOR_KEYS,
     declare,
