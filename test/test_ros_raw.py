@@ -49,7 +49,8 @@ lists = st.one_of(st.just([]), st.lists(numbers, min_size=3, max_size=3))
 
 
 @hypothesis_settings(max_examples=60, deadline=None)
-@given(st.lists(st.tuples(names, lists, lists, lists, st.text(max_size=5)), min_size=1, max_size=6))
+@given(st.lists(st.tuples(names, lists, lists, lists, st.text(max_size=5)), min_size=1,
+                max_size=6))
 def test_whatever_comes_is_read_as_the_decoders_read_it(messages):
     topic = contract()
     reader = RawReader(topic, JOINT)
@@ -73,8 +74,8 @@ def test_the_contract_is_read_without_the_decoders():
 
 @pytest.mark.parametrize("data", [
     joint(START, ("valve",), (1.0,)), joint(START, ("piston", "pump"), (1.0, 2.0)),
-    joint(START, ("piston", "pump"), (1.0, 2.0), (3.0, 4.0), little_endian=False), b"", b"\0\1\0\0",
-    joint(START, ("piston", "pump"), (math.nan, 2.0))],
+    joint(START, ("piston", "pump"), (1.0, 2.0), (3.0, 4.0), little_endian=False), b"",
+    b"\0\1\0\0", joint(START, ("piston", "pump"), (math.nan, 2.0))],
     ids=["no entry", "no velocity of the pump", "big endian", "empty", "cut", "no number"])
 def test_what_needs_the_decoders_is_left_to_them(data):
     reader = RawReader(contract(), JOINT)

@@ -82,9 +82,10 @@ class Keeper:
             self._service.take_up()
             self._saver.start()
 
-    def problems(self) -> list[str]:
-        """Return why the last bag could not be written, as a sentence."""
-        return [str(self.last)] if self.last is not None and self.last.problem else []
+    @property
+    def unsaved(self) -> str | None:
+        """Why the last bag could not be written, as a sentence, or None."""
+        return str(self.last) if self.last is not None and self.last.problem else None
 
     def values(self) -> dict[str, float | int | str]:
         """Return what the diagnostics say of the buffer and of the last bag."""

@@ -273,7 +273,7 @@ class Monitor:
         limit = self.settings.monitor.stale_after
         self.data.problems = [problem for topic_input in self.inputs
                               for problem in topic_input.problems(now, limit)]
-        self.data.problems += self.keeper.problems()
+        self.data.unsaved = self.keeper.unsaved
         values: dict[str, float | int | str] = {"rows": self.aligner.rows}
         for topic_input in self.inputs:
             key = topic_input.topic.name.strip("/").replace("/", "_")
