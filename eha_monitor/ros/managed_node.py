@@ -35,6 +35,8 @@ class ManagedMonitor(LifecycleNode):
     ----------
     settings : validated config.
     source : name of the config in errors.
+    name : of the node.
+    estimator_factory : see :class:`Monitor`.
 
     Attributes
     ----------
@@ -43,13 +45,14 @@ class ManagedMonitor(LifecycleNode):
     ended : whether it has been shut down.
     """
 
-    def __init__(self, settings: Settings, source: str = "config", name: str = "monitor"):
+    def __init__(self, settings: Settings, source: str = "config", name: str = "monitor",
+                 estimator_factory: Callable[[Settings], object] | None = None):
         super().__init__(name, namespace=settings.monitor.namespace,
                          automatically_declare_parameters_from_overrides=True)
         self.monitor: Monitor | None = None
         self.problem: str | None = None
         self.ended = False
-        self._source = source
+        self._source, self._factory = source, estimator_factory
         self._summary = "was not active"
         self.settings = settings_of_node(self, settings)
         declare(self, self.settings, MONITOR_KEYS, self._take_settings)
@@ -103,6 +106,12 @@ class ManagedMonitor(LifecycleNode):
             self._summarise(monitor)
             monitor.close()
 
+    def destroy_node(self) -> None:
+        """End the node; rclpy alone would leave the services of the states until collected."""
+        self.close()
+        super().destroy_node()
+        self._state_machine.destroy_when_not_in_use()
+
     def summary(self) -> str:
         """Return what was processed, lost and how late, in one line."""
         if self.monitor is not None and self.monitor.active:
@@ -110,7 +119,7 @@ class ManagedMonitor(LifecycleNode):
         return self._summary
 
     def _configure(self) -> None:
-        self.monitor = Monitor(self, self.settings, source=self._source, active=False)
+        self.monitor = Monitor(self, self.settings, self._factory, self._source, active=False)
 
     def _deactivate(self) -> None:
         self._summarise(self.monitor)
@@ -233,5 +242,4 @@ def run_monitor(config: Path | None, ros_args: list[str], duration: float | None
         for node in nodes:
             head = f"{node.settings.rig.name}: " if actuators else ""
             print(f"{head}{node.summary()}", flush=True)
-            node.close()
     return 0
