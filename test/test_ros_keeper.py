@@ -9,6 +9,7 @@ from ros_tools import START_NS, Caller, levels, listen, start
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
+from test_ros_processes import PATIENCE, command, end
 
 from eha_monitor.recordings.bag import iter_raw, topics
 from eha_monitor.ros.outputs import LATCHED
@@ -107,6 +108,20 @@ def test_a_bag_that_cannot_be_written_is_a_diagnostic_and_nothing_is_lost(graph,
     answer = caller.trigger("/eha/monitor/save")
     assert answer.success, answer.message
     assert topics(monitor.keeper.last.path)["/eha/joint_states"].count == 400
+
+
+def test_a_bag_that_is_due_is_written_when_a_signal_ends_the_monitor(graph, tmp_path):
+    blocked = tmp_path / "blocked"
+    blocked.write_text("a file where the folder should be")
+    config = tmp_path / "config.yaml"
+    config.write_text(f"monitor: {{save_folder: '{blocked}'}}")
+    caller = Caller(graph, PATIENCE)
+    with command("monitor", "--config", config) as process:
+        assert not caller.trigger("/eha/monitor/save").success  # to be tried again
+        blocked.unlink()
+        end(process)
+    (bag,) = blocked.iterdir()
+    assert topics(bag)["/eha/monitor/health"].count >= 1
 
 
 def test_the_filter_goes_on_while_a_bag_is_written(graph, tmp_path):

@@ -99,12 +99,13 @@ class Keeper:
         return found
 
     def close(self) -> None:
-        """Let a bag that is being written, or is due, be finished; end service and timer."""
+        """Finish the bag that is being written, write the one that is due, end the service."""
         self._node.destroy_timer(self._timer)
         if self._saver is not None:
             if self._saver.busy:
                 self._take(self._saver.take(wait=True))
-            if self._due is not None:
+            if self._due is not None or self._asked:
+                self._service.take_up()
                 self._saver.start()
                 self._take(self._saver.take(wait=True))
         self._node.destroy_service(self._service.service)

@@ -41,7 +41,7 @@ class ManagedMonitor(LifecycleNode):
     Attributes
     ----------
     monitor : while configured, else None.
-    problem : why it could not be configured, or None.
+    failure : what the last transition failed of, or None.
     ended : whether it has been shut down.
     """
 
@@ -50,7 +50,7 @@ class ManagedMonitor(LifecycleNode):
         super().__init__(name, namespace=settings.monitor.namespace,
                          automatically_declare_parameters_from_overrides=True)
         self.monitor: Monitor | None = None
-        self.problem: str | None = None
+        self.failure: Exception | None = None
         self.ended = False
         self._source, self._factory = source, estimator_factory
         self._summary = "was not active"
@@ -71,8 +71,8 @@ class ManagedMonitor(LifecycleNode):
         self.trigger_configure()
         if active and self.monitor is not None:
             self.trigger_activate()
-        if self.problem is not None:
-            raise InputError(self.problem)
+        if self.failure is not None:
+            raise self.failure
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Make estimator, publishers and services."""
@@ -136,15 +136,15 @@ class ManagedMonitor(LifecycleNode):
 
     def _do(self, work: Callable[[], None]) -> TransitionCallbackReturn:
         """Do the work of a transition and say why it failed: rclpy itself would be silent."""
-        self.problem = None
+        self.failure = None
         try:
             work()
         except InputError as problem:
-            self.problem = str(problem)
-            self.get_logger().error(self.problem)
+            self.failure = problem
+            self.get_logger().error(str(problem))
             return TransitionCallbackReturn.FAILURE
         except Exception as problem:  # noqa: BLE001  told, and rclpy makes it an error
-            self.problem = repr(problem)
+            self.failure = problem
             self.get_logger().error(f"defect: {problem!r}")
             return TransitionCallbackReturn.ERROR
         return TransitionCallbackReturn.SUCCESS
