@@ -92,7 +92,7 @@ def wait_for_health() -> None:
     from rclpy.wait_for_message import wait_for_message
 
     sys.path.insert(0, str(REPOSITORY))
-    from eha_monitor.ros.monitor_node import LATCHED
+    from eha_monitor.ros.outputs import LATCHED
 
     rclpy.init()
     node = rclpy.create_node("benchmark")

@@ -23,7 +23,7 @@ FORBIDDEN = {
                   "eha_monitor.mismatch"),
 }
 ROS_PACKAGES = ("rclpy", "rcl_interfaces", "sensor_msgs", "std_msgs", "std_srvs",
-                "diagnostic_msgs", "rosgraph_msgs", "builtin_interfaces")
+                "diagnostic_msgs", "lifecycle_msgs", "rosgraph_msgs", "builtin_interfaces")
 # The one place that asks whether ROS is there, to say so in one line.
 MAY_ASK_FOR_ROS = {"commands/common.py"}
 

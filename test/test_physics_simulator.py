@@ -196,3 +196,36 @@ def test_encoder_shows_whole_steps(run):
     assert np.abs(x / 1e-5 - np.round(x / 1e-5)).max() < 1e-6
     assert np.abs(x - run.truth[:, s.X]).max() < 1e-5 / 2 + 6e-6
     assert x.std() > 1e-3
+
+
+# ---- test excitation ----------------------------------------------------------------------------
+
+
+def test_a_test_excitation_begins_where_the_demand_stands_and_stops_its_time():
+    moved = settings(simulation={
+        "excitation": {"m": {**TRIANGLE, "duration": 4.0}}, "publish": ["x_d"],
+        "test_excitation": {"t": {**SINE, "duration": 0.5, "offset": 0.03}}})
+    plain, tested = Simulator(moved, 0), Simulator(moved, 0)
+    alone = plain.advance_truth(3000)[:, s.X_D]
+    parts = [tested.advance_truth(700)[:, s.X_D]]
+    assert tested.test_left == 0.0
+    tested.excite()
+    tested.excite()  # one runs already: nothing
+    assert tested.test_left == pytest.approx(0.5)
+    parts += [tested.advance_truth(100)[:, s.X_D] for _ in range(20)]
+    assert tested.test_left == 0.0
+    found = np.concatenate(parts)
+    time = np.arange(500) * 1e-3
+    assert found[:700] == pytest.approx(alone[:700], abs=1e-12)
+    assert found[701:1199] == pytest.approx(
+        alone[700] + 0.01 * np.sin(2 * np.pi * 4 * time[1:499]), abs=1e-6)
+    assert found[1201:2700] == pytest.approx(alone[701:2200], abs=1e-9)
+    tested.excite()
+    again = tested.advance_truth(200)[:, s.X_D]
+    assert np.ptp(again) > 0.015
+
+
+def test_without_a_request_nothing_is_excited():
+    quiet = settings(simulation={"test_excitation": {"t": {**SINE, "duration": 0.5}}})
+    seen, usual = Simulator(quiet, 3).advance(500), Simulator(settings(), 3).advance(500)
+    assert all((seen[name] == usual[name]).all() for name in usual)

@@ -6,15 +6,16 @@ import time
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import FluidPressure, JointState
+from rclpy.qos import DurabilityPolicy
+from ros_tools import MS, START_NS, Recorder, levels, listen, start
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Float32, Float64
 
 from eha_monitor.errors import InputError
-from eha_monitor.filters.results import Event, ModelStatus, ParameterEstimate
 from eha_monitor.ros import messages
 from eha_monitor.ros.inputs import topics_of
-from eha_monitor.ros.monitor_node import LATCHED, Monitor
+from eha_monitor.ros.monitor_node import Monitor
+from eha_monitor.ros.outputs import LATCHED
 from eha_monitor.ros.parameters import (
     MONITOR_KEYS,
     declare,
@@ -24,87 +25,9 @@ from eha_monitor.ros.parameters import (
 )
 from eha_monitor.settings import Settings, settings_from_tree
 
-MS = 1_000_000
-BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
-START_NS = 1_700_000_000 * 1_000_000_000
 STATUSES = ["viscous_damping_high", "viscous_damping_low", "bulk_modulus_high",
             "bulk_modulus_low", "stage_one", "stage_two", "model",
             "model_mismatch", "data"]
-
-
-class Recorder:
-    """Stands where the estimator stands and keeps what the node gave it."""
-
-    def __init__(self, settings):
-        self.rows, self.resets, self.damping = [], [], 600.0
-
-    def push(self, time_s, row):
-        self.rows.append((time_s, row))
-
-    def reset(self, reason):
-        self.resets.append(reason)
-
-    def snapshot(self):
-        from eha_monitor.filters.live import LiveSnapshot
-        make = ParameterEstimate
-        return LiveSnapshot(
-            time_s=self.rows[-1][0], position=0.01, velocity=0.02, temperature=None,
-            parameters={"B": make("B", self.damping, 2.0, "N·s/m", "converged"),
-                        "beta_e": make("beta_e", 6e8, 5e6, "Pa", "converged")},
-            model=ModelStatus("consistent", "the model explains the data"),
-            events=(Event(0.0, "one", "converged"),), consistency={"one": None, "two": None})
-
-
-class Feeder:
-    """Publishes the contract's inputs, sample by sample."""
-
-    def __init__(self, graph, namespace="/eha", names=("piston", "pump")):
-        node = graph.node("feeder", namespace)
-        self.graph, self.names = graph, names
-        self.joints = node.create_publisher(JointState, "joint_states", BEST_EFFORT)
-        self.command = node.create_publisher(JointState, "command", BEST_EFFORT)
-        self.pressures = [node.create_publisher(FluidPressure, f"pressure/chamber_{i}",
-                                                BEST_EFFORT) for i in (1, 2)]
-
-    def matched(self):
-        return all(p.get_subscription_count()
-                   for p in (self.joints, self.command, *self.pressures))
-
-    def send(self, first, count, start_ns=START_NS):
-        """Send samples 1 ms apart, and spin between bursts as a real sender would."""
-        for k in range(first, first + count):
-            stamp = messages.stamp(start_ns + k * MS)
-            values = {"piston": (0.001 * k, 0.5), "pump": (math.nan, 100.0 + k)}
-            joints = JointState(name=list(self.names),
-                                position=[values[n][0] for n in self.names],
-                                velocity=[values[n][1] for n in self.names])
-            command = JointState(name=["piston"], position=[0.002 * k])
-            for publisher, message in ((self.joints, joints), (self.command, command)):
-                message.header.stamp = stamp
-                publisher.publish(message)
-            for publisher, pressure in zip(self.pressures, (2e6, 1e6), strict=False):
-                message = FluidPressure(fluid_pressure=pressure + k)
-                message.header.stamp = stamp
-                publisher.publish(message)
-            self.graph.executor.spin_once(timeout_sec=0)
-
-
-def start(graph, tree=None, **feeder):
-    settings = settings_from_tree(tree or {}, "test")
-    monitor = Monitor(graph.node("monitor", settings.monitor.namespace), settings, Recorder)
-    sender = Feeder(graph, **feeder)
-    graph.until(sender.matched)
-    return monitor, monitor._estimator, sender
-
-
-def listen(graph, kind, topic, qos=10):
-    heard = []
-    graph.node(f"listener_{len(graph.nodes)}").create_subscription(kind, topic, heard.append, qos)
-    return heard
-
-
-def levels(array):
-    return {status.name: status.level for status in array.status}
 
 
 def test_rows_estimates_and_health(graph):

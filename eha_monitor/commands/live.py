@@ -25,11 +25,17 @@ def simulator(ros_args: list[str], config: Path | None, duration: float | None,
 
 @click.command()
 @config_option
+@click.option("--actuator", "actuators", multiple=True, metavar="NAME=CONFIG",
+              help="Monitor an actuator under the namespace /NAME, its config beside it; may be "
+              "given again: one process for all.")
+@click.option("--inactive", is_flag=True,
+              help="Wait for the transition 'activate' of a managed node.")
 @duration_option
 @click.pass_obj
-def monitor(ros_args: list[str], config: Path | None, duration: float | None) -> int:
+def monitor(ros_args: list[str], config: Path | None, actuators: tuple[str, ...], inactive: bool,
+            duration: float | None) -> int:
     """Run the two stages on live topics; publish estimates and health."""
-    return ros_module("monitor_node").run_monitor(config, ros_args, duration)
+    return ros_module("managed_node").run_monitor(config, ros_args, duration, actuators, inactive)
 
 
 @click.command()

@@ -38,11 +38,23 @@ class Simulator:
             start, charge, charge * settings.rig.area_1 / settings.rig.area_2)
         self._past, self._last = plant.new_past(self.y), 0
         self._memory = new_memory()
+        self._tests: list[float] = []  # when each test excitation began, s
 
     @property
     def time(self) -> float:
         """Seconds simulated so far."""
         return self.samples * self.dt
+
+    @property
+    def test_left(self) -> float:
+        """Seconds until the test excitation that runs now ends; 0 if none runs."""
+        whole = excitation.total_duration(self.settings.simulation.test_excitation)
+        return max(0.0, self._tests[-1] + whole - self.time) if self._tests else 0.0
+
+    def excite(self) -> None:
+        """Begin the config's test excitation at the next sample; nothing if one runs."""
+        if not self.test_left:
+            self._tests.append(self.time)
 
     def advance(self, n: int) -> dict[str, np.ndarray]:
         """Simulate the next ``n`` samples and return what the sensors show, channel -> (n,)."""
@@ -69,12 +81,23 @@ class Simulator:
     def _command(self, first: int, n: int, pieces: int) -> np.ndarray:
         """Return x_d from sample ``first`` on as parabolas, (n*pieces, 4)."""
         half = np.arange(n * pieces * 2 + 1) / (2 * pieces)
-        excited = self.settings.simulation.excitation
-        x_d = excitation.demanded_position(
-            excited, np.maximum((first + half) * self.dt, 0.0))
+        x_d = self._demanded(np.maximum((first + half) * self.dt, 0.0))
         start, middle, end = x_d[:-1:2], x_d[1::2], x_d[2::2]
         return np.column_stack([start, 4 * middle - 3 * start - end,
                                 2 * (start + end - 2 * middle), np.zeros_like(start)])
+
+    def _demanded(self, time: np.ndarray) -> np.ndarray:
+        """Return x_d at each time, m; the excitation's own time stands still during a test."""
+        simulation = self.settings.simulation
+        test, own, added = simulation.test_excitation, time, 0.0
+        whole = excitation.total_duration(test)
+        for began in self._tests:
+            local = np.clip(time - began, 0.0, whole)
+            own = own - local
+            inside = np.where(local < whole, local, 0.0)
+            added = added + (excitation.demanded_position(test, inside)
+                             - excitation.demanded_position(test, np.zeros(1)))
+        return excitation.demanded_position(simulation.excitation, own) + added
 
     def theta_over(self, time: np.ndarray) -> np.ndarray:
         """Return theta at each time, (n, N_THETA), or one row where nothing changes."""

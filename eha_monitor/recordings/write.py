@@ -1,5 +1,6 @@
 """Recordings to rosbag2 mcap bags, all at once or message by message."""
 
+import contextlib
 import os
 import shutil
 from dataclasses import dataclass
@@ -137,6 +138,7 @@ class BagWriter:
             self.temporary.parent.mkdir(parents=True, exist_ok=True)
             self._stream = self._file().open("wb")
         except OSError as problem:
+            self.discard()
             raise InputError(f"{path}: cannot write bag: {problem.strerror}") from problem
         self._writer = Writer(self._stream, chunk_size=786_432,
                               compression=COMPRESSIONS[compression])
@@ -145,8 +147,7 @@ class BagWriter:
             for topic, kind in topics.items():
                 self.add_topic(topic, kind)
         except InputError:
-            self._stream.close()
-            self._remove(self.temporary)
+            self.discard()
             raise
 
     def _file(self) -> Path:
@@ -242,6 +243,15 @@ class BagWriter:
                 self._writer.flush()
             finally:
                 stream.close()
+
+    def discard(self) -> None:
+        """Stop and remove what was written."""
+        stream, self._stream = self._stream, None
+        with contextlib.suppress(OSError):  # of a full disk: it is full of what goes now
+            if stream is not None:
+                stream.close()
+        with contextlib.suppress(OSError):
+            self._remove(self.temporary)
 
     def __enter__(self) -> "BagWriter":
         return self

@@ -78,7 +78,7 @@ class Listener:
                        "estimated": name("monitor/joint_states"),
                        "health": name("monitor/health")}
         self.measured = TopicInput(node, measured, _Positions(self.state), lambda now: None,
-                                   SHOWN_QOS)
+                                   qos=SHOWN_QOS)
         node.create_timer(FOLLOW_PERIOD, self.measured.follow_graph,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
         for watched in WATCHED:

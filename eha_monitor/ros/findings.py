@@ -25,11 +25,13 @@ class DataState:
     ----------
     stopped : why there are no rows now, or None.
     problems : sentences about missing channels and the like.
+    unsaved : why the last bag could not be written, or None.
     values : numbers for the diagnostics: rates, counts, latencies, CPU share.
     """
 
     stopped: str | None = "no data yet"
     problems: list[str] = field(default_factory=list)
+    unsaved: str | None = None
     values: dict[str, float | int | str] = field(default_factory=dict)
 
 
@@ -61,8 +63,9 @@ def all_findings(settings: Settings, board: AlarmBoard,
     found.append(Finding("model", level, data.stopped or model.message or model.status,
                          {"status": model.status}))
     found.append(_mismatch(model, consistency, data))
-    level = "STALE" if data.stopped else "WARN" if data.problems else "OK"
-    message = data.stopped or "; ".join(data.problems) or "data come"
+    level = "STALE" if data.stopped else "WARN" if data.problems or data.unsaved else "OK"
+    sentences = [data.stopped] if data.stopped else data.problems or ["data come"]
+    message = "; ".join([*sentences, *([data.unsaved] if data.unsaved else [])])
     found.append(Finding("data", level, message, {**data.values, **_last(events.get("monitor"))}))
     return found
 

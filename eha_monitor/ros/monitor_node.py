@@ -1,32 +1,27 @@
 """The monitor node: live topics in, estimates and health out."""
 
-import gc
 import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64
+from rclpy.timer import Timer
+from std_srvs.srv import Trigger
 
 from eha_monitor.filters.results import Event, ModelStatus
 from eha_monitor.filters.rows import RowAligner
-from eha_monitor.health.alarms import WATCHED, Alarm, AlarmBoard
+from eha_monitor.health.alarms import Alarm, AlarmBoard
 from eha_monitor.health.latency import LatencyMeter, ProcessorMeter
-from eha_monitor.ros import messages, running
+from eha_monitor.ros import messages
 from eha_monitor.ros.findings import DataState, all_findings
 from eha_monitor.ros.inputs import topics_of
-from eha_monitor.ros.parameters import MONITOR_KEYS, declare, settings_of_node
+from eha_monitor.ros.keeper import Keeper
+from eha_monitor.ros.outputs import Outputs
 from eha_monitor.ros.subscriptions import TopicInput
-from eha_monitor.settings import Settings, load_settings
+from eha_monitor.settings import Settings
 
-LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
-                     durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # Channels that a parameter needs, besides the position: one of these sets.
 NEEDS = {"B": (("force",), ("p1", "p2")), "beta_e": (("x_d",),)}
 # Health is judged at this spacing of the data's own time, so that a replay at ten times the
@@ -34,8 +29,6 @@ NEEDS = {"B": (("force",), ("p1", "p2")), "beta_e": (("x_d",),)}
 JUDGE_EVERY_NS = 100_000_000
 WATCH_PERIOD = 0.1
 DIAGNOSTICS_PERIOD = 1.0
-# Past the first second, when stage two is run and the model is tested.
-WARM_UP_ROWS = 3000
 # Stamps further than this from the wall clock are on another clock (a bag, a simulation).
 SAME_CLOCK_S = 5.0
 
@@ -49,24 +42,36 @@ class Monitor:
     settings : validated config.
     estimator_factory : makes the estimator from the settings.
     source : name of the config in errors.
+    active : whether to begin at once; else :meth:`activate` begins.
     """
 
     def __init__(self, node: Node, settings: Settings,
                  estimator_factory: Callable[[Settings], object] | None = None,
-                 source: str = "config"):
+                 source: str = "config", active: bool = True):
         if estimator_factory is None:
             from eha_monitor.filters.live import LiveEstimator as estimator_factory
         self.node, self.settings = node, settings
         self.board = AlarmBoard(settings)
+        self._topics = topics_of(settings, source)
+        self._topic_of = {channel: t.name for t in self._topics for e in t.entries
+                          for channel, _ in e.channels}
+        self._estimator = estimator_factory(settings)
+        self.keeper = Keeper(node, settings)
+        self._outputs = Outputs(node, self.keeper)
+        self._reset_service = node.create_service(Trigger, "monitor/reset", self._on_reset)
+        self.inputs: list[TopicInput] = []
+        self._timers: list[Timer] = []
+        self._begin_anew()
+        if active:
+            self.activate()
+
+    def _begin_anew(self) -> None:
+        """Forget the data that came so far; estimates are the estimator's own."""
         self.latency, self.processor = LatencyMeter(), ProcessorMeter()
         self.data = DataState()
         self.missing_samples = 0
-        topics = topics_of(settings, source)
-        self.aligner = RowAligner([e.source for t in topics for e in t.entries],
-                                  settings.monitor.latency)
-        self._topic_of = {channel: t.name for t in topics for e in t.entries
-                          for channel, _ in e.channels}
-        self._estimator = estimator_factory(settings)
+        self.aligner = RowAligner([e.source for t in self._topics for e in t.entries],
+                                  self.settings.monitor.latency)
         self._snapshot = None
         self._model = ModelStatus("unknown", "no data yet")
         self._events: dict[str, Event] = {}
@@ -77,26 +82,52 @@ class Monitor:
         self._wall_clock: bool | None = None
         self._levels: list | None = None
         self._fresh = False
-        self._make_publishers()
+
+    @property
+    def active(self) -> bool:
+        """Whether data are taken and estimates published."""
+        return bool(self._timers)
+
+    def activate(self) -> None:
+        """Take data and publish, with an estimator that knows nothing yet."""
         self._note_stop(time.monotonic())
-        self.inputs = [TopicInput(node, topic, self.aligner, self.process) for topic in topics]
+        self.inputs = [TopicInput(self.node, topic, self.aligner, self.process, self.keeper)
+                       for topic in self._topics]
         wall = Clock(clock_type=ClockType.STEADY_TIME)  # health must not stop with /clock
-        for period, callback in ((1.0 / settings.monitor.publish_rate, self._publish_estimates),
-                                 (WATCH_PERIOD, self._watch),
-                                 (DIAGNOSTICS_PERIOD, self._every_second)):
-            node.create_timer(period, callback, clock=wall)
+        self._timers = [self.node.create_timer(period, callback, clock=wall)
+                        for period, callback in (
+                            (1.0 / self.settings.monitor.publish_rate, self._publish_estimates),
+                            (WATCH_PERIOD, self._watch),
+                            (DIAGNOSTICS_PERIOD, self._every_second))]
         self._publish_health()
 
-    def _make_publishers(self) -> None:
-        make = self.node.create_publisher
-        self._numbers = {}
-        for watched in WATCHED:
-            topic = f"monitor/{watched.section}"
-            self._numbers[watched.symbol] = (make(Float64, topic, 10),
-                                             make(Float64, f"{topic}_stddev", 10))
-        self._state = make(JointState, "monitor/joint_states", 10)
-        self._health = make(DiagnosticArray, "monitor/health", LATCHED)
-        self._diagnostics = make(DiagnosticArray, "/diagnostics", 10)
+    def deactivate(self) -> None:
+        """Take no more data and publish nothing, after a last health that says so.
+
+        What the estimator knew is forgotten: the plant moves on unseen.  Thresholds, and the
+        minutes in the buffer, stay.
+        """
+        self._end_inputs()
+        self.data.stopped = "the monitor is not active"
+        self.board.stale(self._seconds(), self.data.stopped)
+        self._publish_health()
+        self._topics = topics_of(self.settings)  # streams without a past
+        self._estimator.reset("deactivated")
+        self._begin_anew()
+
+    def close(self) -> None:
+        """End everything on the node, and write the bag that is due."""
+        self._end_inputs()
+        self.keeper.close()
+        self._outputs.close()
+        self.node.destroy_service(self._reset_service)
+
+    def _end_inputs(self) -> None:
+        for timer in self._timers:
+            self.node.destroy_timer(timer)
+        for topic_input in self.inputs:
+            topic_input.close()
+        self._timers, self.inputs = [], []
 
     def reconfigure(self, settings: Settings) -> None:
         """Take other thresholds while running."""
@@ -142,6 +173,13 @@ class Monitor:
         self._origin_ns = None
         self._seen.clear()
 
+    def _on_reset(self, request, response):
+        self._reset("asked for by the service monitor/reset")
+        response.success = True
+        response.message = ("both stages have forgotten their estimates and begin anew; alarms "
+                            "stand as they are until there is something to judge")
+        return response
+
     def _judge(self) -> None:
         """Bring snapshot and alarms up to the last row; publish health if a level changed."""
         if self._origin_ns is None:
@@ -180,6 +218,7 @@ class Monitor:
         return f"no data for {', or '.join(lacking)}" if lacking else None
 
     def _announce(self, changes: list[Alarm]) -> None:
+        self.keeper.note(changes)
         log = self.node.get_logger()
         for alarm in changes:
             text = f"{alarm.name} {alarm.level}: {alarm.message}"
@@ -217,16 +256,13 @@ class Monitor:
         self._fresh = False
         self._judge()
         snapshot = self._snapshot
-        for symbol, (value, stddev) in self._numbers.items():
-            estimate = snapshot.parameters.get(symbol)
-            if estimate is not None and estimate.status != "no_data":
-                value.publish(messages.number(estimate.value))
-                stddev.publish(messages.number(estimate.stddev))
+        for symbol, estimate in snapshot.parameters.items():
+            if estimate.status != "no_data":
+                self._outputs.parameter(symbol, estimate.value, estimate.stddev)
         if snapshot.position == snapshot.position:  # not NaN
             name = self.settings.channels["x"].name or "piston"
-            self._state.publish(messages.joint_state(
-                self._state_ns(snapshot.state_time_s), name, snapshot.position,
-                snapshot.velocity))
+            self._outputs.state(self._state_ns(snapshot.state_time_s), name, snapshot.position,
+                                snapshot.velocity)
 
     def _state_ns(self, state_time_s: float) -> int:
         """Return the stamp of the estimated state, which is some rows old; ns."""
@@ -245,6 +281,7 @@ class Monitor:
         limit = self.settings.monitor.stale_after
         self.data.problems = [problem for topic_input in self.inputs
                               for problem in topic_input.problems(now, limit)]
+        self.data.unsaved = self.keeper.unsaved
         values: dict[str, float | int | str] = {"rows": self.aligner.rows}
         for topic_input in self.inputs:
             key = topic_input.topic.name.strip("/").replace("/", "_")
@@ -254,7 +291,7 @@ class Monitor:
             values[f"latency_{key}_ms"] = value
         values["latency_counts_from"] = "stamp" if self._wall_clock else "receipt"
         values["cpu_share_percent"] = 100.0 * self.processor.share()
-        self.data.values = values
+        self.data.values = values | self.keeper.values()
 
     def counts(self) -> dict[str, int]:
         """Return how much was lost or dropped since the start."""
@@ -275,10 +312,8 @@ class Monitor:
         if only_changes and levels == self._levels:
             return
         self._levels = levels
-        message = messages.diagnostics(self.node.get_clock().now().nanoseconds, found,
-                                       self.settings.rig.name)
-        self._health.publish(message)
-        self._diagnostics.publish(message)
+        self._outputs.health(messages.diagnostics(self.node.get_clock().now().nanoseconds, found,
+                                                  self.settings.rig.name))
 
     def summary(self) -> str:
         """Return what was processed, lost and how late, in one line."""
@@ -289,44 +324,3 @@ class Monitor:
         shown = ", ".join(f"{key} {value:.2f} ms" for key, value in late.items())
         return (f"rows {self.aligner.rows}; {counts}; latency from {since} to processed "
                 f"{shown or 'not measured'}; CPU share {100 * self.processor.total():.1f} %")
-
-
-def warm_up() -> None:
-    """Run the estimator once through all it does, so that compiled code is loaded.
-
-    Otherwise the first hand-over stops the node for a second while messages come.
-    """
-    from eha_monitor.compiled import announce_first_compilation
-    from eha_monitor.filters.live import LiveEstimator
-    from eha_monitor.physics.simulator import Simulator
-
-    announce_first_compilation()
-    settings = Settings()
-    estimator, simulator = LiveEstimator(settings), Simulator(settings)
-    shown = simulator.advance(WARM_UP_ROWS)
-    for k, values in enumerate(zip(*(shown[name].tolist() for name in shown), strict=True)):
-        estimator.push(k * simulator.dt, dict(zip(shown, values, strict=True)))
-    estimator.snapshot()
-    estimator.rehearse()
-
-
-def run_monitor(config: Path | None, ros_args: list[str], duration: float | None = None) -> int:
-    """Run the monitor until a signal or for ``duration`` s; returns the exit status.
-
-    Raises
-    ------
-    InputError
-        If the config, a parameter or a ROS argument is wrong.
-    """
-    settings = load_settings(config)
-    with (running.ros_session(ros_args),
-          running.node("monitor", settings.monitor.namespace) as node):
-        settings = settings_of_node(node, settings)
-        warm_up()
-        monitor = Monitor(node, settings, source=str(config or "default config"))
-        declare(node, settings, MONITOR_KEYS, monitor.reconfigure)
-        gc.collect()
-        gc.freeze()  # what is loaded stays: collections then cost microseconds, not 50 ms
-        running.spin(node, duration)
-        print(monitor.summary(), flush=True)
-    return 0

@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import rclpy
 from rclpy.exceptions import InvalidNamespaceException, InvalidParameterException
@@ -71,8 +71,13 @@ def _ros_problem(what: str) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def node(name: str, namespace: str = "", **options) -> Iterator[Node]:
-    """Make a node whose parameter overrides are all declared, and destroy it at the end.
+def made(name: str, make: Callable[..., Node], *arguments, **options) -> Iterator[Node]:
+    """Make a node, and destroy it at the end.
+
+    Parameters
+    ----------
+    name : for messages.
+    make : called with what follows.
 
     Raises
     ------
@@ -80,19 +85,26 @@ def node(name: str, namespace: str = "", **options) -> Iterator[Node]:
         If a parameter file or the namespace is wrong.
     """
     with _ros_problem(f"node {name}"):
-        made = Node(name, namespace=namespace,
-                    automatically_declare_parameters_from_overrides=True, **options)
+        found = make(*arguments, **options)
     try:
-        yield made
+        yield found
     finally:
-        made.destroy_node()
+        found.destroy_node()
 
 
-def spin(made: Node, duration: float | None = None,
+def node(name: str, namespace: str = "", **options) -> contextlib.AbstractContextManager[Node]:
+    """Make a node whose parameter overrides are all declared; see :func:`made`."""
+    return made(name, Node, name, namespace=namespace,
+                automatically_declare_parameters_from_overrides=True, **options)
+
+
+def spin(nodes: Node | Sequence[Node], duration: float | None = None,
          finished: Callable[[], bool] = lambda: False) -> None:
-    """Run the callbacks of a node until a signal, ``duration`` s, or ``finished()``."""
+    """Run the callbacks of nodes until a signal, ``duration`` s, or ``finished()``."""
+    nodes = [nodes] if isinstance(nodes, Node) else nodes
     executor = EventsExecutor()
-    executor.add_node(made)
+    for each in nodes:
+        executor.add_node(each)
     end = None if duration is None else time.monotonic() + duration
     try:
         with until_shutdown():
@@ -102,5 +114,6 @@ def spin(made: Node, duration: float | None = None,
                     break
                 executor.spin_once(timeout_sec=left)
     finally:
-        executor.remove_node(made)
+        for each in nodes:
+            executor.remove_node(each)
         executor.shutdown()

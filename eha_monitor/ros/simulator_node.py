@@ -11,6 +11,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_srvs.srv import Trigger
 
 from eha_monitor.errors import InputError
 from eha_monitor.physics.simulator import Simulator
@@ -77,6 +78,7 @@ class SimulatorNode:
         self._start_ns = node.get_clock().now().nanoseconds
         self._start = time.monotonic()
         node.create_timer(BURST, self._burst, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.create_service(Trigger, "simulator/excite", self._on_excite)
 
     def _advance(self) -> None:
         shown = self._simulator.advance(BLOCK)
@@ -95,6 +97,21 @@ class SimulatorNode:
                     stream.publish(stamp_ns, self.samples - self._begin, self._block)
                     self.messages += 1
             self.samples += 1
+
+    def _on_excite(self, request, response):
+        """Begin the test excitation with the next block, at most 0.1 s ahead."""
+        stretches = ", ".join(self._simulator.settings.simulation.test_excitation)
+        left = self._simulator.test_left
+        response.success = left == 0.0
+        if response.success:
+            self._simulator.excite()
+            left = self._simulator.test_left
+            response.message = (f"test excitation ({stretches}) for {left:g} s from "
+                                f"t = {self._simulator.time:g} s on")
+        else:
+            response.message = (f"a test excitation ({stretches}) is running, expected none: it "
+                                f"ends in {left:.1f} s")
+        return response
 
     def summary(self) -> str:
         """Return what was published, in one line."""

@@ -6,11 +6,14 @@ from collections.abc import Callable
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
 from eha_monitor.errors import InputError
 from eha_monitor.filters.rows import RowAligner
 from eha_monitor.ros.inputs import Decoder, Topic, has_stamp, message_class
+from eha_monitor.ros.keeper import Keeper
+from eha_monitor.ros.raw import RawReader
 
 # Best effort takes from every publisher; the depth holds some seconds of a stalled process.
 INPUT_QOS = QoSProfile(depth=4000, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -29,12 +32,15 @@ class TopicInput:
     topic : topic and the streams it carries.
     aligner : takes the samples.
     on_sample : called after each message with the time of receipt (s, monotonic).
+    keeper : keeps the messages as they came; None keeps nothing.
     qos : of the subscription.
     """
 
     def __init__(self, node: Node, topic: Topic, aligner: RowAligner,
-                 on_sample: Callable[[float], None], qos: QoSProfile = INPUT_QOS):
+                 on_sample: Callable[[float], None], keeper: Keeper | None = None,
+                 qos: QoSProfile = INPUT_QOS):
         self.topic = topic
+        self._keeper = keeper
         self.lost = 0
         self.messages = 0
         self._node, self._aligner, self._on_sample, self._qos = node, aligner, on_sample, qos
@@ -66,8 +72,14 @@ class TopicInput:
             self._node.destroy_subscription(self._subscription)
         self._type, self._type_problem = wanted, None
         self._subscription = self._node.create_subscription(
-            kind, self.topic.name, self._callback(has_stamp(kind)), self._qos,
+            kind, self.topic.name, self._callback(kind, wanted), self._qos, raw=True,
             event_callbacks=SubscriptionEventCallbacks(message_lost=self._count_lost))
+
+    def close(self) -> None:
+        """End the subscription."""
+        if self._subscription is not None:
+            self._node.destroy_subscription(self._subscription)
+            self._subscription = None
 
     def problems(self, now: float, silent_after: float) -> list[str]:
         """Return what is wrong with the topic at ``now`` (s, monotonic), in sentences."""
@@ -95,27 +107,37 @@ class TopicInput:
     def _count_lost(self, event) -> None:
         self.lost = event.total_count
 
-    def _callback(self, stamped: bool) -> Callable:
-        pairs = [(decoder, entry.source, entry.delay_ns) for decoder, entry in
-                 zip(self._decoders, self.topic.entries, strict=True)]
+    def _callback(self, kind: type, type_name: str) -> Callable:
+        streams = [(entry.source, entry.delay_ns) for entry in self.topic.entries]
         push, done, monotonic = self._aligner.push, self._on_sample, time.monotonic
+        read, stamped = RawReader(self.topic, type_name), has_stamp(kind)
+        ring = self._keeper.ring if self._keeper is not None else None
+        stream = self._keeper.stream(self.topic.name, type_name) if ring is not None else 0
+        now_ns = time.time_ns
 
-        def on_message(message):
+        def on_message(data):
             now = monotonic()
             self.messages += 1
-            if stamped:
-                stamp = message.header.stamp
-                time_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
-                if time_ns == 0:
-                    # One zero may be the start of simulated time, two are no stamps at all.
-                    self._zero_stamps += 1
-                    if self._zero_stamps == 1:
-                        return
-                    time_ns = self._now_ns()
+            if ring is not None:
+                ring.append(stream, now_ns(), data)
+            found = read(data)
+            if found is not None:
+                time_ns, values_of = found
+                for decoder in self._decoders:
+                    decoder.problem = None
             else:
+                message = deserialize_message(data, kind)
+                values_of = [decoder(message) for decoder in self._decoders]
+                stamp = message.header.stamp if stamped else None
+                time_ns = stamp.sec * 1_000_000_000 + stamp.nanosec if stamped else 0
+            if stamped and time_ns == 0:
+                # One zero may be the start of simulated time, two are no stamps at all.
+                self._zero_stamps += 1
+                if self._zero_stamps == 1:
+                    return
+            if time_ns == 0:
                 time_ns = self._now_ns()
-            for decoder, source, delay_ns in pairs:
-                values = decoder(message)
+            for (source, delay_ns), values in zip(streams, values_of, strict=True):
                 if values is not None:
                     push(source, time_ns - delay_ns, values, now)
             done(now)

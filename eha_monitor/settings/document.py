@@ -13,6 +13,7 @@ from eha_monitor.settings.monitor import Settings
 _WIDTH = 99
 _BOUNDS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
 _UNSET = "# "
+_YAML11_BOOLEANS = ("y", "n", "yes", "no", "on", "off", "true", "false")
 _HEAD = """\
 A config of eha_monitor.  Every key may be left out: the value shown is then taken.
 A number is in the SI unit named beside it, or a string with a unit: mass: "20 kg".
@@ -142,7 +143,8 @@ def _scalar(value: Any) -> str:
         return f"[{', '.join(_scalar(item) for item in value)}]"
     if isinstance(value, str):
         plain = value.replace("_", "a").replace("/", "a").isalnum()
-        return value if plain and not value.startswith("/") else f'"{value}"'
+        plain = plain and not value.startswith("/") and value.lower() not in _YAML11_BOOLEANS
+        return value if plain else f'"{value}"'
     return str(value)
 
 

@@ -159,6 +159,11 @@ class Viscosity(Section):
     coefficient: Si("1/K", "relative fall of the viscosity with temperature, k", ge=0) = 0.03
 
 
+def _off(given):
+    """Return the word that YAML 1.1, and so a ROS parameter, reads as false."""
+    return "off" if given is False else given
+
+
 class Monitor(Section):
     """How the live monitor runs."""
 
@@ -170,6 +175,15 @@ class Monitor(Section):
         "hold", description="alarms of an estimate that a model mismatch taints; hold: none is "
         "raised or cleared; rebase: once settled, judged by the change since; ignore: judged as "
         "if the model fitted")
+    buffer_minutes: Si("min", "the inputs as they came, the estimates and the health of the last "
+                       "minutes are kept in memory, compressed, to be saved as a bag (service "
+                       "monitor/save, or save_on); at most 128 MiB, the oldest go first, and at "
+                       "most twice that while a bag is written or cannot be; 0 = off",
+                       ge=0, le=60) = 2.0
+    save_on: Annotated[Literal["off", "warn", "error"], BeforeValidator(_off)] = Field(
+        "off", description="save the kept minutes to a bag when an alarm is raised to this level "
+        "or above")
+    save_folder: str = Field("saved_bags", description="folder of those bags, made when needed")
 
 
 class Settings(Section):

@@ -119,6 +119,11 @@ class Simulation(Section):
     excitation: dict[str, Segment] = Field(
         {"triangle": Segment(kind="triangle", duration=24.0)},
         description="stretches of motion in order, by name", min_length=1)
+    test_excitation: dict[str, Segment] = Field(
+        {"slow": Segment(kind="sine", duration=4.0, amplitude=0.02, frequency=0.5),
+         "fast": Segment(kind="sine", duration=4.0, amplitude=0.005, frequency=4.0)},
+        description="stretches that the service simulator/excite puts in once, about the position "
+        "demanded when they begin; the excitation then goes on where it stood", min_length=1)
     faults: dict[str, Fault] = Field({}, description="parameters that change, by name")
 
 

@@ -1,0 +1,129 @@
+"""The last minutes of a monitor: kept in memory, saved as a bag on an alarm or on request."""
+
+import time
+from pathlib import Path
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+from eha_monitor.health.alarms import Alarm
+from eha_monitor.recordings.ring import Ring
+from eha_monitor.recordings.saver import Saved, Saver
+from eha_monitor.recordings.write import TopicType
+from eha_monitor.ros.services import LateTrigger
+from eha_monitor.settings import Settings
+
+POLL_PERIOD = 0.1
+# A bag that could not be written is tried again after this time.
+RETRY_S = 30.0
+_RANK = {"OK": 0, "WARN": 1, "ERROR": 2}  # what is STALE is neither better nor worse
+
+
+class Keeper:
+    """Ring buffer, its saver, and the service ``monitor/save``.
+
+    Parameters
+    ----------
+    node : node in the namespace of the topics.
+    settings : validated config; ``monitor.buffer_minutes`` = 0 keeps nothing.
+    """
+
+    def __init__(self, node: Node, settings: Settings):
+        self._node = node
+        self._from = _RANK.get(settings.monitor.save_on.upper())
+        self._before: dict[str, int] = {}
+        self._span = 60.0 * settings.monitor.buffer_minutes
+        self.ring = Ring(self._span) if self._span else None
+        self._saver = Saver(self.ring, Path(settings.monitor.save_folder),
+                            settings.rig.name) if self.ring is not None else None
+        self._due: float | None = None  # when the next bag is to be written, s, monotonic
+        self._alarm_bag_until = 0.0
+        self._asked = False
+        self.last: Saved | None = None
+        self._last_good: Saved | None = None
+        self._service = LateTrigger(node, "monitor/save", self._on_request)
+        self._timer = node.create_timer(POLL_PERIOD, self.poll,
+                                        clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def stream(self, topic: str, type_name: str, latched: bool = False) -> int:
+        """Return the number under which a topic's messages are kept."""
+        return self.ring.stream(self._node.resolve_topic_name(topic),
+                                TopicType(type_name, latched)) if self.ring is not None else 0
+
+    def note(self, changes: list[Alarm]) -> None:
+        """Save the last minutes if one of these alarms has been raised far enough.
+
+        An alarm whose past is partly in the bag of one before waits until that bag's end has
+        aged: so the bags of alarms that follow one another join, and do not overlap.
+        """
+        raised = False
+        for alarm in changes:
+            if alarm.level in _RANK:
+                rank = _RANK[alarm.level]
+                raised |= rank > self._before.get(alarm.name, 0) and rank >= (self._from or 9)
+                self._before[alarm.name] = rank
+        if raised and self._saver is not None and self._due is None:
+            self._due = max(time.monotonic(), self._alarm_bag_until)
+
+    def poll(self) -> None:
+        """Take the result of a bag, and begin the next if one is due."""
+        if self._saver is None:
+            return
+        self.ring.trim()
+        result = self._saver.take()
+        if result is not None:
+            self._take(result)
+        now = time.monotonic()
+        due = self._due is not None and now >= self._due
+        if (due or self._asked) and not self._saver.busy:
+            if due:
+                self._due, self._alarm_bag_until = None, now + self._span
+            self._asked = False
+            self._service.take_up()
+            self._saver.start()
+
+    @property
+    def unsaved(self) -> str | None:
+        """Why the last bag could not be written, as a sentence, or None."""
+        return str(self.last) if self.last is not None and self.last.problem else None
+
+    def values(self) -> dict[str, float | int | str]:
+        """Return what the diagnostics say of the buffer and of the last bag."""
+        if self.ring is None:
+            return {}
+        found: dict[str, float | int | str] = {
+            "buffer_messages": self.ring.messages, "buffer_MB": self.ring.megabytes}
+        if self._last_good is not None:
+            found |= {"last_bag": str(self._last_good.path),
+                      "last_bag_span_s": self._last_good.span_s}
+        return found
+
+    def close(self) -> None:
+        """Finish the bag that is being written, write the one that is due, end the service."""
+        self._node.destroy_timer(self._timer)
+        if self._saver is not None:
+            if self._saver.busy:
+                self._take(self._saver.take(wait=True))
+            if self._due is not None or self._asked:
+                self._service.take_up()
+                self._saver.start()
+                self._take(self._saver.take(wait=True))
+        self._node.destroy_service(self._service.service)
+
+    def _on_request(self) -> str | None:
+        if self._saver is None:
+            return "nothing is kept: monitor.buffer_minutes is 0"
+        self._asked = True
+        return None
+
+    def _take(self, result: Saved) -> None:
+        self.last = result
+        good = result.problem is None
+        if good:
+            self._last_good = result
+            self._node.get_logger().info(f"saved {result}")
+        else:
+            self._node.get_logger().error(str(result))
+            if result.count:
+                self._due = time.monotonic() + RETRY_S
+        self._service.answer(good, str(result))

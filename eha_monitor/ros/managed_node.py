@@ -1,0 +1,245 @@
+"""The monitor as managed nodes: one process, one node for each actuator."""
+
+import gc
+import re
+import sys
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+
+from lifecycle_msgs.srv import ChangeState
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+
+from eha_monitor.errors import InputError
+from eha_monitor.ros import running
+from eha_monitor.ros.monitor_node import Monitor
+from eha_monitor.ros.parameters import MONITOR_KEYS, declare, settings_of_node
+from eha_monitor.settings import Settings, load_settings
+
+# Past the first second, when stage two is run and the model is tested.
+WARM_UP_ROWS = 3000
+# How long one thread of Python runs while another waits: a bag is written beside the filter.
+SWITCH_S = 0.0005
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+class ManagedMonitor(LifecycleNode):
+    """A monitor in the states of a managed node.
+
+    Unconfigured there is nothing but the parameters.  Configured, so inactive, there are
+    publishers and services, but no data are taken and nothing is published.  Active it works.
+    Each activation begins with estimators that know nothing; thresholds stay as they were set.
+    Shutting down ends it for good.
+
+    Parameters
+    ----------
+    settings : validated config.
+    source : name of the config in errors.
+    name : of the node.
+    estimator_factory : see :class:`Monitor`.
+
+    Attributes
+    ----------
+    monitor : while configured, else None.
+    failure : what the last transition failed of, or None.
+    ended : whether it has been shut down.
+    """
+
+    def __init__(self, settings: Settings, source: str = "config", name: str = "monitor",
+                 estimator_factory: Callable[[Settings], object] | None = None):
+        super().__init__(name, namespace=settings.monitor.namespace,
+                         automatically_declare_parameters_from_overrides=True)
+        self.monitor: Monitor | None = None
+        self.failure: Exception | None = None
+        self.ended = False
+        self._source, self._factory = source, estimator_factory
+        self._summary = "was not active"
+        self.settings = settings_of_node(self, settings)
+        declare(self, self.settings, MONITOR_KEYS, self._take_settings)
+        for service in self.services:
+            if service.srv_type is ChangeState:
+                service.callback = self._guarded(service.callback)
+
+    def start(self, active: bool = True) -> None:
+        """Configure, and activate unless it is to wait for that.
+
+        Raises
+        ------
+        InputError
+            If it cannot work as it is configured.
+        """
+        self.trigger_configure()
+        if active and self.monitor is not None:
+            self.trigger_activate()
+        if self.failure is not None:
+            raise self.failure
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Make estimator, publishers and services."""
+        return self._do(self._configure)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Take data and publish."""
+        return self._do(lambda: self.monitor.activate())
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Say that the health is unknown from now on, and stop."""
+        return self._do(self._deactivate)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Give up what was made, the minutes in the buffer included."""
+        return self._do(self.close)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End for good."""
+        self.ended = True
+        return self._do(self.close)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """After a defect: back to unconfigured."""
+        return self._do(self.close)
+
+    def close(self) -> None:
+        """End the monitor, if there is one; a bag that is due is written first."""
+        monitor, self.monitor = self.monitor, None
+        if monitor is not None:
+            self._summarise(monitor)
+            monitor.close()
+
+    def destroy_node(self) -> None:
+        """End the node; rclpy alone would leave the services of the states until collected."""
+        self.close()
+        super().destroy_node()
+        self._state_machine.destroy_when_not_in_use()
+
+    def summary(self) -> str:
+        """Return what was processed, lost and how late, in one line."""
+        if self.monitor is not None and self.monitor.active:
+            self._summarise(self.monitor)
+        return self._summary
+
+    def _configure(self) -> None:
+        self.monitor = Monitor(self, self.settings, self._factory, self._source, active=False)
+
+    def _deactivate(self) -> None:
+        self._summarise(self.monitor)
+        self.monitor.deactivate()
+
+    def _summarise(self, monitor: Monitor) -> None:
+        if monitor.active:
+            self._summary = monitor.summary()
+
+    def _take_settings(self, settings: Settings) -> None:
+        self.settings = settings
+        if self.monitor is not None:
+            self.monitor.reconfigure(settings)
+
+    def _do(self, work: Callable[[], None]) -> TransitionCallbackReturn:
+        """Do the work of a transition and say why it failed: rclpy itself would be silent."""
+        self.failure = None
+        try:
+            work()
+        except InputError as problem:
+            self.failure = problem
+            self.get_logger().error(str(problem))
+            return TransitionCallbackReturn.FAILURE
+        except Exception as problem:  # noqa: BLE001  told, and rclpy makes it an error
+            self.failure = problem
+            self.get_logger().error(f"defect: {problem!r}")
+            return TransitionCallbackReturn.ERROR
+        return TransitionCallbackReturn.SUCCESS
+
+    def _guarded(self, change_state: Callable) -> Callable:
+        """Refuse a transition that the state does not have; rclpy would end the process."""
+        def answer(request, response):
+            try:
+                return change_state(request, response)
+            except running.rclpy_implementation.RCLError:
+                wanted = request.transition.label or request.transition.id
+                self.get_logger().warning(f"transition {wanted} is not possible in this state")
+                response.success = False
+                return response
+        return answer
+
+
+def warm_up() -> None:
+    """Run the estimator once through all it does, so that compiled code is loaded.
+
+    Otherwise the first hand-over stops the node for a second while messages come.
+    """
+    from eha_monitor.compiled import announce_first_compilation
+    from eha_monitor.filters.live import LiveEstimator
+    from eha_monitor.physics.simulator import Simulator
+
+    announce_first_compilation()
+    settings = Settings()
+    estimator, simulator = LiveEstimator(settings), Simulator(settings)
+    shown = simulator.advance(WARM_UP_ROWS)
+    for k, values in enumerate(zip(*(shown[name].tolist() for name in shown), strict=True)):
+        estimator.push(k * simulator.dt, dict(zip(shown, values, strict=True)))
+    estimator.snapshot()
+    estimator.rehearse()
+
+
+def actuators_of(given: tuple[str, ...]) -> list[tuple[Settings, str]]:
+    """Return settings and config's name of each ``NAME=CONFIG``.
+
+    The name becomes the namespace of the topics and the ``hardware_id`` of the diagnostics; an
+    empty CONFIG is the paper's EHA.
+
+    Raises
+    ------
+    InputError
+        If one has no name, or a name comes twice, or a config is wrong.
+    """
+    found: dict[str, tuple[Settings, str]] = {}
+    for text in given:
+        name, equals, config = text.partition("=")
+        if not equals or not _NAME.fullmatch(name):
+            raise InputError(f"--actuator {text}: expected NAME=CONFIG, the name in letters, "
+                             "digits and underscores")
+        if name in found:
+            raise InputError(f"--actuator {text}: {name} is there already, expected another name")
+        settings = load_settings(Path(config) if config else None)
+        found[name] = (settings.model_copy(update={
+            "rig": settings.rig.model_copy(update={"name": name}),
+            "monitor": settings.monitor.model_copy(update={"namespace": f"/{name}"})}),
+            config or "default config")
+    return list(found.values())
+
+
+def run_monitor(config: Path | None, ros_args: list[str], duration: float | None = None,
+                actuators: tuple[str, ...] = (), inactive: bool = False) -> int:
+    """Run the monitor until a signal or for ``duration`` s; returns the exit status.
+
+    Parameters
+    ----------
+    actuators : ``NAME=CONFIG`` for each of several actuators; else ``config`` is the only one.
+    inactive : whether to wait for the transition ``activate``.
+
+    Raises
+    ------
+    InputError
+        If a config, a parameter or a ROS argument is wrong.
+    """
+    if actuators and config is not None:
+        raise InputError("--config: expected either it or --actuator NAME=CONFIG")
+    wanted = actuators_of(actuators) or [(load_settings(config), str(config or "default config"))]
+    with running.ros_session(ros_args), ExitStack() as stack:
+        nodes = [stack.enter_context(running.made("monitor", ManagedMonitor, *which))
+                 for which in wanted]
+        names = [node.get_fully_qualified_name() for node in nodes]
+        if len(set(names)) < len(names):
+            raise InputError(f"ROS arguments: two actuators would both be {names[0]}, expected no "
+                             "remap of the namespace or the node's name")
+        warm_up()
+        sys.setswitchinterval(SWITCH_S)
+        for node in nodes:
+            node.start(not inactive)
+        gc.collect()
+        gc.freeze()  # what is loaded stays: collections then cost microseconds, not 50 ms
+        running.spin(nodes, duration, lambda: all(node.ended for node in nodes))
+        for node in nodes:
+            head = f"{node.settings.rig.name}: " if actuators else ""
+            print(f"{head}{node.summary()}", flush=True)
+    return 0

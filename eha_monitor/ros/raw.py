@@ -1,0 +1,112 @@
+"""Numbers straight out of serialised messages, where their layout is the one met before.
+
+Most messages of a topic differ in nothing but stamp and numbers.  Where those stand is found once
+(:mod:`eha_monitor.recordings.cdr`); a message whose lengths and names are the same is then read in
+two microseconds.  Any other is left to the decoders of whole messages.
+"""
+
+import math
+import struct
+
+from rosbags.typesys import Stores, get_typestore
+
+from eha_monitor.recordings.cdr import STAMP, Layout, Want, has_stamp, locate
+from eha_monitor.ros.inputs import Topic
+
+_CODES = {"f4": "f", "f8": "d", "i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I",
+          "i8": "q", "u8": "Q"}
+
+
+class RawReader:
+    """Reads the streams of one topic out of the bytes of its messages.
+
+    Parameters
+    ----------
+    topic : topic and its streams.
+    type_name : type of its messages.
+    """
+
+    def __init__(self, topic: Topic, type_name: str):
+        self._types = get_typestore(Stores.ROS2_JAZZY).fielddefs
+        self._type = type_name
+        self._stamped = type_name in self._types and has_stamp(self._types, type_name)
+        self._wants = [[(Want(channel.field, entry.name), channel.scale, channel.offset)
+                        for _, channel in entry.channels] for entry in topic.entries]
+        self._length, self._complete = -1, False
+        self._fixed: list[tuple[slice, bytes]] = []
+        self._stamp: struct.Struct | None = None
+        self._stamp_at = 0
+        self._numbers: list[list[tuple]] = []
+
+    def __call__(self, data: bytes) -> tuple[int, list[tuple[float, ...]]] | None:
+        """Return the stamp in ns (0 without one) and the values of each stream, SI.
+
+        None stands for a message that is better decoded as a whole: another layout, a wanted
+        entry missing, or a stream without a number.
+        """
+        if len(data) != self._length:
+            self._learn(data)
+        else:
+            for place, content in self._fixed:
+                if data[place] != content:
+                    self._learn(data)
+                    break
+        if not self._complete:
+            return None
+        stamp_ns = 0
+        if self._stamp is not None:
+            seconds, rest = self._stamp.unpack_from(data, self._stamp_at)
+            stamp_ns = seconds * 1_000_000_000 + rest
+        streams = []
+        for numbers in self._numbers:
+            values = tuple([scale * unpack(data, at)[0] + offset
+                            for unpack, at, scale, offset in numbers])
+            for value in values:
+                if value - value == 0.0:  # finite
+                    break
+            else:
+                return None
+            streams.append(values)
+        return stamp_ns, streams
+
+    def _learn(self, data: bytes) -> None:
+        """Find where everything stands in messages like this one."""
+        self._length, self._complete = -1, False
+        wants = tuple(want for stream in self._wants for want, _, _ in stream)
+        stamp = tuple(Want(field) for field in STAMP) if self._stamped else ()
+        try:
+            layout = locate(data, self._types, self._type, (*wants, *stamp))
+        except (ValueError, struct.error, KeyError, RecursionError):
+            return
+        self._length = len(data)
+        self._fixed = [(place, bytes(data[place])) for place in _runs(layout.positions)]
+        # An entry that is there may lack a number, as a list may be empty: that is a NaN.
+        self._complete = all(any(want in layout.places for want, _, _ in stream)
+                             for stream in self._wants)
+        self._numbers = [[(*self._unpacker(layout, want), scale, offset)
+                          for want, scale, offset in stream] for stream in self._wants]
+        self._stamp = struct.Struct("<iI") if stamp else None
+        self._stamp_at = layout.places[stamp[0]][0] if stamp else 0
+
+    @staticmethod
+    def _unpacker(layout: Layout, want: Want) -> tuple:
+        """Return a function (message, offset) -> (number,) and the offset."""
+        if want not in layout.places:
+            return _nothing, 0
+        offset, dtype = layout.places[want]
+        return struct.Struct(f"<{_CODES[dtype.str[1:]]}").unpack_from, offset
+
+
+def _nothing(data: bytes, offset: int) -> tuple[float]:
+    return (math.nan,)
+
+
+def _runs(positions: list[int]) -> list[slice]:
+    """Join byte offsets to slices."""
+    runs: list[slice] = []
+    for at in sorted(set(positions)):
+        if runs and runs[-1].stop == at:
+            runs[-1] = slice(runs[-1].start, at + 1)
+        else:
+            runs.append(slice(at, at + 1))
+    return runs
