@@ -16,7 +16,7 @@ from test_ros_monitor import listen, start
 from test_ros_processes import PATIENCE, command, end
 
 from eha_monitor.ros.messages import findings_of
-from eha_monitor.ros.monitor_node import LATCHED
+from eha_monitor.ros.outputs import LATCHED
 
 # Headless, and without looking for anything outside this machine.
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
