@@ -112,6 +112,8 @@ def test_numbers_equal_the_topics_and_a_reload_loses_nothing(graph, browser, add
         graph.until(lambda: not eyes.shows("silence"))
         before = eyes.read("actuator"), style(eyes)
         graph.until(lambda: style(eyes) != before[1])  # the piston moves
+        # Enough of a history for the reload below: none comes once the simulator has ended.
+        graph.until(lambda: len(eyes.charts()[0][2]) > 4 and len(eyes.charts()[2][0]) > 30)
 
         end(simulator)
         graph.until(lambda: eyes.shows("silence"))
