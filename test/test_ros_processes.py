@@ -125,8 +125,9 @@ def test_replay_feeds_a_monitor_on_simulated_time(graph, tmp_path):
 
 
 def test_replay_pauses_and_resumes_by_service(graph, tmp_path):
-    bag_of_joint_states(tmp_path / "bag", 100)
-    # Reliable: what is best effort may lose a message on a busy machine, and all are counted.
+    bag_of_joint_states(tmp_path / "bag", 1000)
+    # Reliable, so that nothing is lost once both sides know one another.  The publisher may learn
+    # of the subscription later than the other way round: the first messages may go to nobody.
     heard = []
     subscription = graph.node("counter").create_subscription(
         JointState, "/eha/joint_states", heard.append, 1000)
@@ -137,8 +138,11 @@ def test_replay_pauses_and_resumes_by_service(graph, tmp_path):
         graph.until(lambda: answer.done() and subscription.get_publisher_count() == 1, PATIENCE)
         assert answer.result().message == "paused" and not heard
         client.call_async(SetBool.Request(data=False))
-        graph.until(lambda: len(heard) == 100, PATIENCE)
+        graph.until(lambda: heard and heard[-1].position[0] == pytest.approx(0.999), PATIENCE)
         graph.until(lambda: replay.poll() == 0, PATIENCE)
+        assert "published 1000 messages" in replay.communicate()[0]
+        places = [round(1e3 * state.position[0]) for state in heard]
+        assert places == list(range(places[0], 1000)) and len(places) > 100
 
 
 def test_replay_loops_and_leaves_out_what_it_does_not_know(graph, tmp_path):
