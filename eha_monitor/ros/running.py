@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 
 import rclpy
+from rclpy.duration import Duration
 from rclpy.exceptions import InvalidNamespaceException, InvalidParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
@@ -16,6 +17,9 @@ from eha_monitor.errors import InputError
 
 # So often the loop looks up whether it is to end; the executor itself is deaf to signals.
 _LOOK_UP = 1.0
+# So long a node that ends waits for subscribers to confirm its last messages, in seconds; one
+# that was killed never does.
+_DELIVERY = 2.0
 
 
 @contextlib.contextmanager
@@ -72,7 +76,7 @@ def _ros_problem(what: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def made(name: str, make: Callable[..., Node], *arguments, **options) -> Iterator[Node]:
-    """Make a node, and destroy it at the end.
+    """Make a node; at the end deliver what it published last, and destroy it.
 
     Parameters
     ----------
@@ -89,7 +93,26 @@ def made(name: str, make: Callable[..., Node], *arguments, **options) -> Iterato
     try:
         yield found
     finally:
+        deliver(found)
         found.destroy_node()
+
+
+def deliver(node: Node, timeout: float = _DELIVERY) -> bool:
+    """Wait until reliable subscribers have what was published: it would go with the publisher.
+
+    Parameters
+    ----------
+    timeout : for all topics together, in s.
+
+    Returns
+    -------
+    bool
+        Whether all was confirmed in time.
+    """
+    end = time.monotonic() + timeout
+    confirmed = [publisher.wait_for_all_acked(
+        Duration(seconds=max(0.0, end - time.monotonic()))) for publisher in node.publishers]
+    return all(confirmed)  # each was given its time
 
 
 def node(name: str, namespace: str = "", **options) -> contextlib.AbstractContextManager[Node]:
