@@ -26,7 +26,7 @@ from eha_monitor.filters.filterpy_stages import FilterpyStageOne, FilterpyStageT
 from eha_monitor.filters.inputs import StageInputs, moved_mass
 from eha_monitor.filters.known import new_known_memory
 from eha_monitor.filters.stage_two import states_beside_c
-from eha_monitor.filters.supervision import new_supervision
+from eha_monitor.filters.supervision import FROZEN, HELD, new_supervision
 
 GAPS = (slice(700, 701), slice(1500, 1700), slice(2500, 2503))
 CASES = {
@@ -45,6 +45,7 @@ CASES = {
                            "air": {"parameter": "bulk_modulus", "start": 2.5, "value": 3e8}}},
                {}),
     "spikes": ({"spikes": True}, {}),
+    "held": ({}, {}),
     "rest": ({"shape": {"kind": "rest"}}, {}),
     "euler": ({}, {"discretisation": "euler"}),
     "force noise": ({}, {"stage_one": {"force_noise": 3.0},
@@ -124,6 +125,8 @@ def test_filterpy_runs_stage_two_to_the_same_numbers(name):
     m, p = np.zeros(size), np.zeros((size, size))
     m[0], m[3], p[3, 3] = np.nan, 0.8, 0.05**2
     sens, watch = np.zeros(size), new_supervision()
+    if name == "held":
+        watch[FROZEN] = HELD
     memory = new_known_memory()
     live = FilterpyStageTwo(model, inputs.dt, inputs.position_variance, q_f, broad, m, p, sens,
                             watch, memory)
@@ -146,6 +149,8 @@ def test_filterpy_runs_stage_two_to_the_same_numbers(name):
         rows[:, k] = [np.nan if live.lost else live.ekf.x[0], live.ekf.x[1], live.acceleration,
                       live.value, beta / live.ekf.x[3] * live.factor * live.ekf.P[3, 3] ** 0.5,
                       live.stddev, live.innovation, live.innovation_stddev]
+    if name == "held":  # considered: neither value nor sigma moves, and the states know of both
+        assert (m[3], p[3, 3]) == (0.8, 0.05**2) and p[2, 3] != 0.0
     assert found == len(changes) and (name != "change" or found > 0)
     assert np.array(changes).reshape(-1, 4) == pytest.approx(events[:found], rel=1e-5)
     for i in range(8):

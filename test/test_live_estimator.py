@@ -130,6 +130,33 @@ def test_after_a_long_gap_parameters_stay_and_states_start_anew(run):
     assert end.model.status == "consistent" and not made.told("changed")
 
 
+@pytest.mark.parametrize("lacking", [(), ("p1", "p2")])
+@pytest.mark.parametrize("joined", [400, 1500, 2500])
+def test_who_joins_a_steady_motion_claims_no_modulus_before_a_reversal(joined, lacking):
+    """Half a second at constant speed told 4e9 +- 1e8 Pa to a filter that started from the prior,
+    for 6e8; B is there at once."""
+    run = simulated(TRIANGLE, 8.0)
+    made = Stream()
+    made.push(rows_of(without(run.recording(3), *lacking).part(joined, 8000)))
+    for seen in made.history:
+        modulus = seen.parameters["beta_e"]
+        assert (modulus.status in ("no_data", "not_excited")
+                or abs(modulus.value - BETA) < 4.0 * modulus.stddev + 0.01 * BETA), seen.time_s
+        assert seen.model.status != "mismatch" and not made.told("changed")
+    assert made.history[-1].parameters["beta_e"].status == "converged"
+
+
+@pytest.mark.parametrize("late, words", [
+    (("p1",), "p1 came after the start"), (("x_d", "omega"), "omega and x_d came after")])
+def test_channels_that_come_late_are_taken_up(run, late, words):
+    rows = list(rows_of(run.recording(0).part(0, 3500)))
+    made = Stream(**FIXED)
+    made.push([(t, {n: v for n, v in row.items() if k >= 500 or n not in late})
+               for k, (t, row) in enumerate(rows)])
+    assert len(made.told("came after the start")) == 1 and made.told(words)
+    assert {p.status for p in made.history[-1].parameters.values()} == {"converged"}
+
+
 def test_reset_forgets_and_says_why(run):
     rows = list(rows_of(run.recording(0)))
     made = Stream()

@@ -25,6 +25,7 @@ from eha_monitor.filters.supervision import (
     BLOCKS,
     CHANGES,
     FROZEN,
+    HELD,
     INFORMATION,
     NET,
     SCORE,
@@ -92,7 +93,11 @@ class _Stage:
         h = ekf.P[0, self.place] / ekf.P[self.place, self.place]
         self.watch[SCORE] += h * nu / s
         self.watch[INFORMATION] += h * h / s
+        at, own = self.place, (ekf.x[self.place], ekf.P[self.place, self.place])
         ekf.update(np.array([z]), lambda x: self._h, _first)
+        if self.held:  # considered, not estimated: no gain
+            ekf.K[at] = 0.0
+            ekf.x[at], ekf.P[at, at] = own
         return True
 
     def _close_block(self) -> tuple[float, float, int] | None:
@@ -120,9 +125,14 @@ class _Stage:
         """
         if self.watch[FROZEN] == 0.0:
             self.watch[[CHANGES, NET, TRAVEL]] *= changes
-        else:
+        elif not self.held:
             now = self.ekf.P[self.place, self.place]
             self.ekf.P[self.place, self.place] = min(now / memory, max(now, self.prior_variance))
+
+    @property
+    def held(self) -> bool:
+        """Whether the parameter stays at its prior, because nothing has told it yet."""
+        return self.watch[FROZEN] == HELD
 
     @property
     def factor(self) -> float:

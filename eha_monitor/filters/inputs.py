@@ -201,6 +201,11 @@ def drive_missing(settings: Settings, names) -> str | None:
     return "stage two needs the channel x_d with rig.position_gain, or the channel omega"
 
 
+def missing(settings: Settings, names) -> tuple[str | None, str | None]:
+    """Say why stage one and stage two have no input, each None where it has."""
+    return force_missing(settings.rig, names), drive_missing(settings, names)
+
+
 def force_variance(rig: Rig, noise: dict[str, NoiseEstimate], extra: float) -> float:
     """Return the variance of the force on a sample from the sensors' noise, N^2."""
     if "p1" in noise and "p2" in noise and rig.area_1 is not None and rig.area_2 is not None:
@@ -275,7 +280,7 @@ class StageInputs:
             no_force, no_drive = known.no_force, known.no_drive
         else:
             model, step = model_for(channels, settings), quantum_of(channels)
-            no_force, no_drive = force_missing(rig, channels), drive_missing(settings, channels)
+            no_force, no_drive = missing(settings, channels)
         measured_force = np.full(len(recording), np.nan)
         force = drive = Hold(*(measured_force,) * 4)
         kept = np.empty((len(recording), 0))

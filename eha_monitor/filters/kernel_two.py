@@ -24,7 +24,7 @@ from eha_monitor.filters.steps_two import (
     predict_line,
     restart_two,
 )
-from eha_monitor.filters.supervision import BLOCK, honest_factor, look
+from eha_monitor.filters.supervision import BLOCK, N_SUPERVISION, honest_factor, look
 from eha_monitor.physics.signals import N_CONTRIBUTIONS, N_SIGNALS
 
 # Places in what advance_two finds: where the matrices were made, the c that they were last
@@ -246,7 +246,7 @@ def log_likelihood_two(x, start, end, q_u, instrument, b, c, constants, leak, le
     memory, trial = memory.copy(), memory.copy()
     at[STEPS] = steps_in_sample(dt, theta, plain, remembering, memory, s_scratch, c_scratch)
     size = states_beside_c(constants) + 1
-    m, p, sens, w = np.zeros(size), np.zeros((size, size)), np.zeros(size), np.zeros(2)
+    m, p, sens, w = np.zeros(size), np.zeros((size, size)), np.zeros(size), np.zeros(N_SUPERVISION)
     m[3] = c
     lost = True
     spikes = 0

@@ -10,20 +10,22 @@ import math
 import numpy as np
 
 from eha_monitor.filters.filterpy_stages import FilterpyStageOne, FilterpyStageTwo
+from eha_monitor.filters.handover import Handover
 from eha_monitor.filters.inputs import (
     Known,
     RigModel,
     StageInputs,
+    missing,
     moved_mass,
     position_variance,
     quantum_of,
 )
 from eha_monitor.filters.live_buffer import LiveBuffer
-from eha_monitor.filters.live_model import JUDGE_EVERY_S, JUDGED_S, Fit, LiveModel
+from eha_monitor.filters.live_model import JUDGE_EVERY_S, JUDGED_S, KEPT, Fit, LiveModel
 from eha_monitor.filters.noise import noise_levels
 from eha_monitor.filters.results import Event, LiveSnapshot, ParameterEstimate
 from eha_monitor.filters.run_two import LARGE, force_noise_variance, run_stage_two_kernel
-from eha_monitor.filters.status import CONVERGED, judge_parameter, no_data, units_of
+from eha_monitor.filters.status import judge_parameter, no_data, units_of
 from eha_monitor.physics.signals import (
     COMMAND_DELAY,
     FEEDBACK_DELAY,
@@ -39,10 +41,8 @@ LAG = 8  # rows that the hold looks ahead
 CONTEXT = 16  # rows that it looks back
 BUFFER_S = 20.0
 NOISE_AGAIN_S = (1.0, 4.0, 10.0)  # after the start; then every 10 s
-# Kept from look to look: of changes that count as hopping, of what a held parameter rests on.
-KEPT = math.exp(-JUDGE_EVERY_S / 300.0), math.exp(-JUDGE_EVERY_S / 30.0)
-TRY_EVERY_S = 1.0, 8.0  # while a mismatch stands: does the last window fit again?
-PATIENCE_S = 2.0  # wait for stage one before stage two takes the nominal damping
+# Of the position's variance (256 rows give it to 20 %): older innovations then say nothing.
+OTHER_NOISE = 0.05
 SETTLED_S = 0.5  # B counts as changing for so long after it was seen to change
 CHANGING_STDDEV = 0.05  # relative, while it does
 LONG_GAP_S = 0.5  # a longer gap starts the buffer anew
@@ -54,6 +54,7 @@ class LiveEstimator:
     def __init__(self, settings: Settings):
         self.settings = settings
         self._events: list[Event] = []
+        self._now = 0.0
         self.reset("")
 
     def reset(self, reason: str) -> None:
@@ -67,16 +68,14 @@ class LiveEstimator:
         self._taken = 0
         self._origin = self._began = 0.0
         self._lag, self._context = LAG, CONTEXT
-        self._now = 0.0
         self._temperature: float | None = None
-        self._handed: tuple[float, float] | None = None
-        self._handed_at = -math.inf
+        self._handover = Handover(self.settings)
         self._damping = (math.nan, math.nan)
+        self._channels, self._news = frozenset(), 0  # set up for; rows with others
         self._piece = 0  # first row that the present damping holds for
         self._stale_piece = False  # B has changed since stage two was run over the buffer
         self._changes: dict[str, list[tuple[int, float, float, int]]] = {"one": [], "two": []}
         self._tester = LiveModel(self.settings)
-        self._tried_at, self._try_every = 0, TRY_EVERY_S[0]
         self._clean = 0  # row from which on stage two is run again
         self._noise_at = list(NOISE_AGAIN_S)
         self._announced: set[str] = set()
@@ -97,9 +96,22 @@ class LiveEstimator:
             if len(self._early) >= WARM_UP:
                 self._start()
             return
+        if not row.keys() <= self._channels and self._other_channels(row.keys()):
+            return
         self._place(time_s, row)
         if self._buffer.end - self._taken >= BATCH + self._lag:
             self._take()
+
+    def _other_channels(self, names) -> bool:
+        """Begin anew where channels have come, to stay, that let a further stage run."""
+        self._news += 1
+        if self._news < WARM_UP:
+            return False
+        before, self._channels, self._news = self._channels, self._channels | names, 0
+        begin = missing(self.settings, before) != missing(self.settings, self._channels)
+        if begin:
+            self.reset(f"{' and '.join(sorted(names - before))} came after the start")
+        return begin
 
     def _place(self, time_s: float, row: dict[str, float]) -> None:
         number = round((time_s - self._origin) / self.dt)
@@ -112,12 +124,12 @@ class LiveEstimator:
 
     def _after_gap(self, time_s: float) -> None:
         """Go on after a long gap: parameters stay, states and buffered rows do not."""
-        gap = time_s - self._origin - self._buffer.end * self.dt
+        gap = time_s - self._time_of(self._buffer.end)
         self._events.append(Event(time_s, "monitor", f"no data for {gap:.2f} s"))
         self._take(everything=True)
         self._buffer = LiveBuffer(BUFFER_S, self.dt)
         self._origin = time_s  # rows are counted anew
-        self._taken = self._piece = self._tried_at = self._clean = 0
+        self._taken = self._piece = self._clean = 0
         self._tester.restart_rows()
         self._changes = {"one": [], "two": []}
         for stage in filter(None, (self._one, self._two)):
@@ -140,9 +152,9 @@ class LiveEstimator:
 
     def _set_up(self) -> None:
         settings, buffer = self.settings, self._buffer
-        recording = buffer.recording(0, buffer.end)
-        inputs = StageInputs.of(recording, settings)
+        inputs = StageInputs.of(buffer.recording(0, buffer.end), settings)
         self._no_force, self._no_drive = inputs.no_force, inputs.no_drive
+        self._channels = frozenset(buffer.seen)
         self._model = inputs.model
         # A late channel waits for the samples that show the present.
         circuit = self._model.circuit
@@ -161,8 +173,8 @@ class LiveEstimator:
         recording = self._buffer.recording(self._buffer.first, self._buffer.end)
         self._noise = noise_levels(recording, self.settings.noise)
         self._quantum = quantum_of(recording.channels)
-        scale = 1.0 + self._model.circuit[POSITION_SCALE]
-        self._r = position_variance(self._noise, self._quantum) / scale**2
+        self._r = (position_variance(self._noise, self._quantum)
+                   / (1.0 + self._model.circuit[POSITION_SCALE]) ** 2)
         for stage in filter(None, (self._one, self._two)):
             stage.ekf.R[0, 0] = self._r
 
@@ -212,9 +224,9 @@ class LiveEstimator:
         Once handed over it follows stage one from batch to batch.  While B is seen to change it
         lags by up to a block; its variance says so, and stage two looks for no change of its own.
         """
-        if self._handed is None:
+        if self._handover.damping is None:
             return math.nan, math.nan
-        value, stddev = self._handed
+        value, stddev = self._handover.damping
         if self._one is not None and self._parameters()["B"].status == "converged":
             value, stddev = self._one.value, self._one.stddev
         if self._changing() and self._two is not None:
@@ -235,13 +247,17 @@ class LiveEstimator:
             unit = units_of(self.settings.rig.motion)[name]
             self._changes[which].append((number, *change))
             del self._changes[which][:-200]
-            self._events.append(Event(self._time_of(number), which, f"{name} changed from "
-                                      f"{change[0]:.4g} to {change[1]:.4g} {unit}"))
+            self._tell(which, f"{name} changed from {change[0]:.4g} to {change[1]:.4g} {unit}",
+                       number)
             if which == "two" and abs(change[1] / change[0] - 1.0) > LARGE:
                 self._stale_piece = True  # run again from the bank once some seconds show it
             if which == "one":
                 self._piece = max(number - change[2], self._buffer.first)
                 self._stale_piece = True
+
+    def _tell(self, stage: str, text: str, number: int | None = None) -> None:
+        number = self._taken if number is None else number
+        self._events.append(Event(self._time_of(number), stage, text))
 
     def _time_of(self, number: int) -> float:
         return self._origin + number * self.dt
@@ -251,7 +267,10 @@ class LiveEstimator:
     def _supervise(self) -> None:
         since_start = self._taken * self.dt
         if self._noise_at and since_start >= self._noise_at[0]:
+            before = self._r
             self._measure_noise()
+            if abs(self._r / before - 1.0) > OTHER_NOISE:
+                self._tester.judge_from(self._taken)
             self._noise_at = self._noise_at[1:] or [self._noise_at[0] + 10.0]
         if self._no_drive is None:
             self._hand_over(since_start)
@@ -260,39 +279,21 @@ class LiveEstimator:
         for name, estimate in self._parameters().items():
             if estimate.status == "converged" and name not in self._announced:
                 self._announced.add(name)
-                stage = "one" if name == "B" else "two"
-                self._events.append(Event(self._time_of(self._taken), stage,
-                                          f"{name} converged at {estimate.value:.4g} ± "
-                                          f"{estimate.stddev:.2g} {estimate.unit}"))
+                self._tell("one" if name == "B" else "two", f"{name} converged at "
+                           f"{estimate.value:.4g} ± {estimate.stddev:.2g} {estimate.unit}")
 
     def _hand_over(self, since_start: float) -> None:
-        """Give stage two a damping, and run it again when that damping has changed."""
-        now = self._taken * self.dt
-        b = self._parameters()["B"]
-        if b.status == "converged":
-            if self._two is not None and not self._worth_a_rerun(b, now):
-                return
-            self._stale_piece = False
-            handed, why = (b.value, b.stddev), "handed over by stage one"
-        elif self._handed is None and (b.status == "no_data" or since_start > PATIENCE_S):
-            handed = (self.settings.rig.viscous_damping, self.settings.stage_two.damping_stddev)
-            why = f"nominal, stage one gives none ({b.status})"
-        else:
+        """Give stage two a damping, and run it again when that is worth it."""
+        why = None if self._changing() and self._two is not None else self._handover.decide(
+            self._time_of(self._taken), self._parameters()["B"], self._two, waited=since_start,
+            stale=self._stale_piece, fits=not self._tester.standing("two"))
+        if why is None:
             return
         again = "runs" if self._two is None else "re-run"
-        self._handed, self._handed_at = handed, now
+        self._stale_piece = False
         self._run_two_again()
-        self._events.append(Event(self._time_of(self._taken), "two",
-                                  f"{again} with B = {handed[0]:.5g} ± {handed[1]:.2g} {why}"))
-
-    def _worth_a_rerun(self, b: ParameterEstimate, now: float) -> bool:
-        """Tell whether stage two's past was run with a damping that is now known better."""
-        if self._changing() or now - self._handed_at < PATIENCE_S:
-            return False
-        sharper = b.stddev < 0.5 * self._handed[1]
-        weak = (self._two.stddev > CONVERGED * self._two.value
-                and not self._tester.standing("two"))  # a wrong model gets no better by it
-        return self._stale_piece or sharper or weak
+        value, stddev = self._handover.damping
+        self._tell("two", f"{again} with B = {value:.5g} ± {stddev:.2g} {why}")
 
     def _run_two_again(self) -> None:
         """Run stage two over the buffer with the present damping; filterpy goes on from there."""
@@ -300,8 +301,9 @@ class LiveEstimator:
         start, stop = max(buffer.first, self._clean), self._taken
         b, variance = buffer.column("b", start, stop), buffer.column("b_variance", start, stop)
         edge = max(self._piece - start, 0)  # from where the last change was first at work
-        b[edge:], variance[edge:] = self._handed[0], self._handed[1] ** 2
-        b[np.isnan(b)], variance[np.isnan(variance)] = self._handed[0], self._handed[1] ** 2
+        value, stddev = self._handover.damping
+        b[edge:], variance[edge:] = value, stddev**2
+        b[np.isnan(b)], variance[np.isnan(variance)] = value, stddev**2
         inputs = self._inputs(start, stop)
         result = run_stage_two_kernel(inputs, self.settings, b, variance)
         broad = (self.settings.stage_two.prior_stddev / self.settings.stage_two.prior) ** 2
@@ -326,22 +328,18 @@ class LiveEstimator:
         tester, now = self._tester, self._time_of(self._taken)
         for found in tester.judge(self._buffer, self._taken, self._changes, self._parameters(),
                                   self._quantum, self._time_of):
-            self._try_every = TRY_EVERY_S[0]
-            self._events.append(Event(now, found.stage, f"mismatch: {found.message}"))
+            self._tell(found.stage, f"mismatch: {found.message}")
         for stage in filter(None, (self._one, self._two)):
             stage.forget(*KEPT)
         standing = [stage for stage in ("one", "two") if tester.standing(stage)]
         start = self._taken - round(JUDGED_S / self.dt)
-        if (not standing or start < self._buffer.first
-                or (self._taken - self._tried_at) * self.dt < self._try_every):
+        if not standing or start < self._buffer.first or not tester.trying.due(now):
             return
-        self._tried_at = self._taken
         # Stage two's misfit may be a wrong B's: it is asked once stage one fits.
-        rows = self._inputs(start, self._taken)
-        fit, ended = tester.try_again(standing[0], rows, self._damping, now)
+        fit, ended = tester.try_again(standing[0], self._inputs(start, self._taken),
+                                      self._damping, now)
         # To ask stage two costs much where the answer is no: it is asked less and less often.
-        self._try_every = (TRY_EVERY_S[0] if fit.fits or standing[0] == "one"
-                           else min(2.0 * self._try_every, TRY_EVERY_S[1]))
+        tester.trying.answered(now, yes=fit.fits or standing[0] == "one")
         if ended:
             self._adopt(standing[0], fit, start)
 
@@ -353,8 +351,7 @@ class LiveEstimator:
 
     def _adopt(self, stage: str, fit: Fit, start: int) -> None:
         """Carry on from a window that fits: what came before it no longer counts."""
-        self._events.append(Event(self._time_of(self._taken), stage, "the model fits again since "
-                                  f"t = {self._time_of(start):.1f} s"))
+        self._tell(stage, f"the model fits again since t = {self._time_of(start):.1f} s")
         buffer, stop = self._buffer, self._taken
         if stage == "one":
             self._one.carry_on(fit.value, fit.stddev)
@@ -362,7 +359,7 @@ class LiveEstimator:
             buffer.column("sd_one", start, stop)[:] = fit.innovation_stddev
             self._changes["one"] = []
             self._tester.first["one"] = start
-            self._handed, self._handed_at = (fit.value, fit.stddev), stop * self.dt
+            self._handover.give((fit.value, fit.stddev), self._time_of(stop))
             self._piece, self._stale_piece = start, False
         if self._two is not None:
             self._clean = self._tester.first["two"] = start
@@ -394,7 +391,7 @@ class LiveEstimator:
         model = self._tester.status(self._now, self._parameters(),
                                     self._two.sensitivity if self._two else math.nan)
         state = self._one or self._two
-        position, velocity = (state.ekf.x[0], state.ekf.x[1]) if state else (math.nan, math.nan)
-        return LiveSnapshot(self._now, self._parameters(), float(position), float(velocity),
-                            model, events, self._temperature, dict(self._tester.verdicts),
+        position, velocity = map(float, state.ekf.x[:2]) if state else (math.nan, math.nan)
+        return LiveSnapshot(self._now, self._parameters(), position, velocity, model, events,
+                            self._temperature, dict(self._tester.verdicts),
                             self._time_of(self._taken - 1) if self._taken else math.nan)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from eha_monitor.filters.consistency import AROUND, judge
+from eha_monitor.filters.handover import Backoff
 from eha_monitor.filters.inputs import StageInputs
 from eha_monitor.filters.live_buffer import LiveBuffer
 from eha_monitor.filters.model_watch import StageWatch, Trial, tainted_by
@@ -25,6 +26,9 @@ from eha_monitor.settings.monitor import Settings
 
 JUDGED_S = 10.0  # the model is tested over the last so many seconds
 JUDGE_EVERY_S = 0.5
+# Kept from look to look: of changes that count as hopping, of what a held parameter rests on.
+KEPT = math.exp(-JUDGE_EVERY_S / 300.0), math.exp(-JUDGE_EVERY_S / 30.0)
+TRY_EVERY_S = 1.0, 8.0  # while a mismatch stands: does the last window fit again?
 PARAMETER = {"one": "B", "two": "beta_e"}
 _WORDS = {"one": ("stage one", MISSING_ONE), "two": ("stage two", MISSING_TWO)}
 _PLACE = {"one": (4, 5), "two": (6, 7)}  # innovation and its stddev in the kernels' output
@@ -48,6 +52,7 @@ class LiveModel:
     ----------
     verdicts : on the last window of each stage, None where it could not be judged.
     first : row from which on a stage is judged; what came before was explained otherwise.
+    trying : when to ask whether the last window fits again.
     """
 
     def __init__(self, settings: Settings):
@@ -57,12 +62,17 @@ class LiveModel:
         self.first = dict.fromkeys(PARAMETER, 0)
         self.judged_at = 0
         self._trials = {name: Trial() for name in PARAMETER.values()}
+        self.trying = Backoff(*TRY_EVERY_S)
         self._settled = math.nan  # B while no mismatch stood
 
     def restart_rows(self) -> None:
         """Rows are counted anew after a gap; what is known stays."""
         self.judged_at = 0
-        self.first = dict.fromkeys(PARAMETER, 0)
+        self.judge_from(0)
+
+    def judge_from(self, row: int) -> None:
+        """Judge no innovations from before a row."""
+        self.first = dict.fromkeys(PARAMETER, row)
 
     def standing(self, stage: str) -> bool:
         """Tell whether a stage's mismatch stands."""
@@ -96,6 +106,7 @@ class LiveModel:
             trial = self._trials[PARAMETER[stage]].taint
             if self.watches[stage].update(time_of(taken), verdict, trial):
                 begun.append(self.watches[stage].standing)
+                self.trying = Backoff(*TRY_EVERY_S)
         damping = parameters["B"]
         if (damping.status == "converged" and not self.standing("one")
                 and self._trials["B"].taint is None):

@@ -8,7 +8,7 @@ from eha_monitor.filters import kernel_two
 from eha_monitor.filters.inputs import StageInputs
 from eha_monitor.filters.known import new_known_memory
 from eha_monitor.filters.stage_two import C_PLACE, states_beside_c
-from eha_monitor.filters.supervision import gave_up, new_supervision
+from eha_monitor.filters.supervision import FROZEN, HELD, gave_up, new_supervision
 from eha_monitor.settings.monitor import Settings
 
 BANK_RATIO = 1.06  # spacing of the bulk moduli tried; half a ring's phase over its life
@@ -18,6 +18,7 @@ NEARLY = 0.3  # share of the most that a stretch tells, with which an earlier on
 BANK_LONGER = 4  # times as long a stretch, while the bank's sigma is above
 BANK_LONGEST = 30.0  # s
 BANK_SHARP = 0.04  # of the compliance
+BANK_FAR = 0.5  # relative sigma above which no filter is started: it would go astray
 BANK_UNLIKELY = 1e-6  # weight over the best one's below which a compliance is not tried again
 SHARP = 0.005  # relative sigma below which a second pass is worth it
 CLOSE = 0.01  # and that at least, with which it starts
@@ -53,6 +54,9 @@ def start_compliance(inputs: StageInputs, settings: Settings,
     8 times where it took a longer stretch, since from farther away the filter goes astray
     (10 um on triangles, 12 draws each: error over sigma 1.4 at 12 s, 1.0 at 24 s with 8; 2.5 with
     25.  The 8 was picked on these draws).
+
+    Where the bank cannot tell, as while the motion is steady, it is the prior's: 1 and its
+    variance.
     """
     prior = settings.stage_two
     broad = (prior.prior_stddev / prior.prior) ** 2
@@ -72,15 +76,16 @@ def start_compliance(inputs: StageInputs, settings: Settings,
         grid = grid[weight > BANK_UNLIKELY * weight.max()]
         length = min(longest, BANK_LONGER * length)
         inflation = 8.0
-    if variance > 0.1 * broad:
-        return 1.0, broad
-    return mean, min(broad, inflation * variance)
+    variance *= inflation
+    return (mean, variance) if variance < min(broad, (BANK_FAR * mean) ** 2) else (1.0, broad)
 
 
 def bank_weights(inputs: StageInputs, settings: Settings, damping: np.ndarray,
                  grid: np.ndarray, length: int) -> np.ndarray | None:
     """Return the posterior weights of the compliances ``grid`` from ``length`` samples."""
     start = most_telling(inputs.drive.start, inputs.x, length)
+    if not np.nan_to_num(np.diff(inputs.drive.start)).any():
+        return None  # a drive at rest tells nothing
     part = slice(start, start + length)
     model = inputs.model
     likelihood = kernel_two.bank_two(
@@ -113,6 +118,11 @@ class KernelTwoResult:
     sensitivity: np.ndarray
     watch: np.ndarray
     memory: np.ndarray
+
+    @property
+    def held(self) -> bool:
+        """Whether nothing told the compliance: it stayed at its prior."""
+        return self.watch[FROZEN] == HELD
 
 
 def run_stage_two_kernel(inputs: StageInputs, settings: Settings, damping: np.ndarray,
@@ -149,13 +159,19 @@ def run_stage_two_kernel(inputs: StageInputs, settings: Settings, damping: np.nd
 def run_from(begin: int, inputs: StageInputs, settings: Settings, damping: np.ndarray,
              damping_variance: np.ndarray, out: np.ndarray, *,
              frozen: bool = False) -> KernelTwoResult:
-    """Run the kernel from sample ``begin`` to the end, writing ``out`` from there on."""
+    """Run the kernel from sample ``begin`` to the end, writing ``out`` from there on.
+
+    Where the recording's start does not tell the compliance it is held at the prior: while the
+    motion is steady an extended filter gathers information that is not there (a piston at
+    constant speed: 4e9 +- 1e8 Pa after half a second, for 6e8).
+    """
     part = inputs.part(begin, len(inputs.x)) if begin else inputs
     b, b_variance = damping[begin:], damping_variance[begin:]
     start, variance = start_compliance(part, settings, b)
     model, drive = inputs.model, part.drive
     broad = (settings.stage_two.prior_stddev / settings.stage_two.prior) ** 2
     written, changes = np.empty((8, len(part.x))), np.empty((MOST_EVENTS, 4))
+    held = begin == 0 and variance == broad
     # Once more from where it led, if that is sharp: what the filter learns from a ringing oil
     # column is right only near the answer.
     for _ in range(2):
@@ -164,6 +180,8 @@ def run_from(begin: int, inputs: StageInputs, settings: Settings, damping: np.nd
         p = np.zeros((len(m), len(m)))
         p[C_PLACE, C_PLACE] = variance
         sens, watch, memory = np.zeros(len(m)), new_supervision(frozen), new_known_memory()
+        if held:
+            watch[FROZEN] = HELD
         found = kernel_two.run_two(
             part.x, drive.start, drive.end, drive.variance, drive.instrument, b, b_variance,
             model.hydraulics, model.leak, part.leak_flow, inputs.dt, inputs.position_variance,

@@ -16,7 +16,7 @@ from eha_monitor.filters.stage_two import (
     column,
     place,
 )
-from eha_monitor.filters.supervision import INFORMATION, SCORE
+from eha_monitor.filters.supervision import FROZEN, HELD, INFORMATION, SCORE
 
 STIFFEST = 1e-2  # smallest compliance beta_0/beta_e: a hundred times stiffer than the prior
 
@@ -134,9 +134,13 @@ def correct_with(rows):
 
     @njit
     def correct(m, p, sens, z, r, w):
-        """Update with a position and its variance; the caller has gated it."""
+        """Update with a position and its variance; the caller has gated it.
+
+        A held c is considered and not estimated (Schmidt 1966): its gain is zero.
+        """
         s = p[0, 0] + r
         nu = z - m[0]
+        c, own, to_b = m[C_PLACE], p[C_PLACE, C_PLACE], sens[C_PLACE]
         h = p[0, C_PLACE] / p[C_PLACE, C_PLACE]
         w[SCORE] += h * nu / s
         w[INFORMATION] += h * h / s
@@ -149,6 +153,8 @@ def correct_with(rows):
             for j in range(n - 1, i - 1, -1):
                 p[i, j] -= p[0, i] / s * p[0, j]
                 p[j, i] = p[i, j]
+        if w[FROZEN] == HELD:
+            m[C_PLACE], p[C_PLACE, C_PLACE], sens[C_PLACE] = c, own, to_b
 
     return correct
 

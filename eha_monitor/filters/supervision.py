@@ -30,6 +30,9 @@ HEAD = 11
 N_SUPERVISION = HEAD + 3 * HISTORY  # then scores, informations, normalised squares of past blocks
 
 
+HELD = 2.0  # at FROZEN: the parameter is not even estimated, only its uncertainty carried along
+
+
 def new_supervision(frozen: bool = False) -> np.ndarray:
     """Return the (N_SUPERVISION,) state of a fresh watch; a frozen one sees no changes."""
     w = np.zeros(N_SUPERVISION)
