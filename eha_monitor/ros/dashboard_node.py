@@ -20,9 +20,9 @@ from eha_monitor.health.alarms import WATCHED
 from eha_monitor.ros import running
 from eha_monitor.ros.inputs import Topic, topics_of
 from eha_monitor.ros.messages import findings_of
+from eha_monitor.ros.outputs import LATCHED
 from eha_monitor.ros.parameters import settings_of_node
 from eha_monitor.ros.subscriptions import TopicInput
-from eha_monitor.ros.watch import LATCHED
 from eha_monitor.settings import Settings, load_settings
 
 FOLLOW_PERIOD = 1.0

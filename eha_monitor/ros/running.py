@@ -92,8 +92,9 @@ def made(name: str, make: Callable[..., Node], *arguments, **options) -> Iterato
         found = make(*arguments, **options)
     try:
         yield found
+        if rclpy.ok():  # a signal ends publishing at once
+            deliver(found)
     finally:
-        deliver(found)
         found.destroy_node()
 
 

@@ -6,16 +6,14 @@ from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64
 
 from eha_monitor.health.alarms import ALARM_NAMES, WATCHED, Watched, quantity
 from eha_monitor.ros import running
 from eha_monitor.ros.findings import MISMATCH
 from eha_monitor.ros.messages import findings_of
+from eha_monitor.ros.outputs import LATCHED
 
-LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
-                     durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _SYMBOLS = {"B": "B", "beta_e": "βe"}
 _LINE_EVERY = 1.0  # s
 
