@@ -21,7 +21,7 @@ from eha_monitor.mismatch.fit import Fit, free_run, spread
 from eha_monitor.mismatch.innovations import CLOSED
 from eha_monitor.mismatch.inputs import cubics
 from eha_monitor.mismatch.screen import possible, screen, starts_of
-from eha_monitor.mismatch.search import refit
+from eha_monitor.mismatch.search import settle, stiffened
 from eha_monitor.output import write_text
 from eha_monitor.physics.effects import NAMES
 
@@ -101,7 +101,7 @@ def calibrate(experiment: Experiment, fit: Fit, draws: int = DRAWS,
 
     def one(seed: int) -> tuple[float, float]:
         drawn = simulated(experiment, fit, seed)
-        clean = refit(drawn, fit)
+        clean = settle(drawn, stiffened(drawn, fit))  # one start: where the draw comes from
         best = screen(drawn, clean, starts)
         done.append(seed)
         if report is not None:

@@ -4,12 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from eha_monitor.mismatch.diagnosis import NamedEffect, Value
+from eha_monitor.mismatch.diagnosis import Agreement, NamedEffect, Value
 from eha_monitor.mismatch.experiment import Experiment
 from eha_monitor.mismatch.fit import Fit, sensitivities, step_of, whitener
+from eha_monitor.mismatch.search import TIMING
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import effect_values
 
+# Parameters in seconds that the sensors' own lags cannot be told from.
+TIMED = ("command_delay.T", "position_delay.T", "pressure_delay.T", "feedback_delay.T",
+         "drive_lag.tau")
 BLOCK = 0.5  # s
 INVERSE_BLOCK = 10  # compared samples of the balances, a second
 COARSE = 0.5  # times the configured noise: rounding that makes it a tenth larger is worth a name
@@ -25,6 +29,30 @@ def values_of(experiment: Experiment, fit: Fit) -> dict[str, Value]:
         found["B"] = Value(fit.value("B"), fit.stddev("B"), unit)
     if "beta_e" in known:
         found["beta_e"] = Value(fit.value("beta_e"), fit.stddev("beta_e"), "Pa")
+    return found
+
+
+def stated_stddev(experiment: Experiment, fit: Fit, key: str) -> float:
+    """Return the standard deviation of a named effect's parameter (``effect.parameter``).
+
+    A sensor's own lag of up to ``TIMING`` samples needs no name, so a delay that has one is known
+    no better: an error even within that limit has a standard deviation of limit/sqrt(3).
+    """
+    floor = TIMING * experiment.dt / np.sqrt(3.0) if key in TIMED else 0.0
+    return float(np.hypot(fit.stddev(key), floor))
+
+
+def in_doubt(known: dict[str, Value], agreement: tuple[Agreement, ...]) -> dict[str, Value]:
+    """Return B and beta_e of a model that lacks something, as uncertain as its parts differ.
+
+    What has no name pulls them one way in the slow half and another in the fast one; the
+    innovations' own sigma knows nothing of it.
+    """
+    found = {}
+    for name, value in known.items():
+        apart = max((abs(part.after[name].value - value.value) for part in agreement
+                     if name in part.after), default=0.0)
+        found[name] = replace(value, stddev=float(np.hypot(value.stddev, apart)))
     return found
 
 

@@ -31,8 +31,10 @@ from eha_monitor.mismatch.innovations import CLOSED
 from eha_monitor.mismatch.model import (
     config_effects,
     health_sentences,
+    in_doubt,
     quantised,
     robust,
+    stated_stddev,
     values_of,
 )
 from eha_monitor.mismatch.search import THRESHOLD, expected_likelihood, nominal
@@ -194,11 +196,14 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming,
         curves = locate.latent_curves(experiment, before, after, terms)
     how = balance_show if by_equations else show
     known = values_of(experiment, before), values_of(experiment, after)
+    parts = how.agreement(experiment, before, after)
+    if verdict == "unexplained":
+        known = known[0], in_doubt(known[1], parts)
     return Diagnosis(
         bags, verdict, message_of(verdict, effects, where, explained), where, effects, *known,
         "held_out_bag" if other_bag else "held_out", signals, curves,
         how.overlays(shown, before, after), considered_of(naming),
-        how.agreement(experiment, before, after),
+        parts,
         health_sentences(experiment, *known, effects),
         balance_show.doubts(effects) if by_equations else advise.advice_for(experiment, naming),
         config_effects(experiment, after, tuple(effect.name for effect in effects)),
@@ -217,7 +222,8 @@ def named_effect(experiment: Experiment, naming: Naming, name: str, tracks: list
         value = float(fit.theta[place_of(key)])
         numbers[p.name] = value
         if key in fitted:
-            parameters[p.name] = Value(value, fit.stddev(key), p.unit.replace("*", "·"))
+            parameters[p.name] = Value(value, stated_stddev(experiment, fit, key),
+                                       p.unit.replace("*", "·"))
         elif np.isfinite(value):
             parameters[p.name] = Value(value, 0.0, p.unit.replace("*", "·"))
     return NamedEffect(name, entry.balance, stated(entry.statement, numbers), parameters,

@@ -163,11 +163,6 @@ def first_fit(experiment: Experiment) -> Fit:
     return max(fits, key=lambda fit: fit.log_likelihood)
 
 
-def refit(experiment: Experiment, fit: Fit) -> Fit:
-    """Fit a model to a record that it made itself: one start, where the record comes from."""
-    return settle(experiment, stiffened(experiment, fit))
-
-
 def nominal(experiment: Experiment) -> tuple[Experiment, Fit]:
     """Fit the nominal model; returns the experiment with steps that resolve the B it finds."""
     while True:
