@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from mismatch_tools import fitted
 
+from eha_monitor.mismatch.diagnosis import Agreement, Value
 from eha_monitor.mismatch.experiment import experiment_of
 from eha_monitor.mismatch.fit import refine
+from eha_monitor.mismatch.model import in_doubt, stated_stddev
 from eha_monitor.mismatch.search import first_fit
 from eha_monitor.mismatch.show import (
     agreement,
@@ -155,3 +157,23 @@ def test_force_residual_of_emps_is_below_the_published_one(tmp_path):
     experiment = experiment_of([read_recording(tmp_path / "emps", settings)], settings)
     residual, force = force_residual(experiment, first_fit(experiment))
     assert residual < 0.045 * force
+
+
+def test_what_stays_unexplained_leaves_b_as_uncertain_as_the_parts_differ():
+    known = {"B": Value(600.0, 3.0, "N·s/m"), "beta_e": Value(6e8, 1e6, "Pa")}
+    parts = tuple(Agreement(name, {}, {"B": Value(b, 5.0, "N·s/m")})
+                  for name, b in (("slow half", 596.0), ("fast half", 640.0)))
+    found = in_doubt(known, parts)
+    assert found["B"].value == 600.0 and found["B"].stddev == pytest.approx(np.hypot(3.0, 40.0))
+    assert found["beta_e"] == known["beta_e"]  # no part says anything of it
+    assert in_doubt(known, ()) == known
+
+
+def test_a_named_delay_is_known_no_better_than_a_sensors_own_lag():
+    case = fitted("command_delay")
+    own = case.after.stddev("command_delay.T")
+    floor = 0.05 * 1e-3 / np.sqrt(3.0)
+    assert own < 0.1 * floor
+    assert stated_stddev(case.experiment, case.after, "command_delay.T") == pytest.approx(
+        np.hypot(own, floor))
+    assert stated_stddev(case.experiment, case.after, "B") == case.after.stddev("B")
