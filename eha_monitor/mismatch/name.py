@@ -34,6 +34,7 @@ from eha_monitor.mismatch.model import (
     in_doubt,
     quantised,
     robust,
+    spoken,
     stated_stddev,
     values_of,
 )
@@ -264,6 +265,10 @@ def considered_of(naming: Naming) -> tuple[Considered, ...]:
             gain = max(candidate.gain, 0.0)
             if any(name in rivals for rivals in naming.rivals.values()):
                 why = "this recording cannot tell it from what is named"
+            elif following is not None and name in following.named and name not in beside:
+                heirs = [other for other in naming.after.named
+                         if name in CATALOGUE[other].contains]
+                why = f"taken at first, then gave way to {spoken((heirs or ['the others'])[0])}"
             elif following is not None:
                 why = f"gains {gain:.3g} log units where what was taken gains {took:.4g}"
             else:
