@@ -8,7 +8,13 @@ from eha_monitor.errors import InputError
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write ``text`` to a temporary name beside ``path``, then rename it.
+    """Write ``text`` as :func:`write_bytes` does, in UTF-8."""
+    # File names in the text may hold bytes that are no text; they must not cost the answer.
+    write_bytes(path, text.encode("utf-8", errors="replace"))
+
+
+def write_bytes(path: str | Path, content: bytes) -> None:
+    """Write ``content`` to a temporary name beside ``path``, then rename it.
 
     What is there and no regular file (a device, a pipe) is written into, never replaced.
 
@@ -21,13 +27,12 @@ def write_text(path: str | Path, text: str) -> None:
     name = None
     try:
         if path.exists() and not path.is_file():
-            with path.open("w", encoding="utf-8", errors="replace") as stream:
-                stream.write(text)
+            with path.open("wb") as stream:
+                stream.write(content)
             return
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
-        # File names in the text may hold bytes that are no text; they must not cost the answer.
-        with os.fdopen(handle, "w", encoding="utf-8", errors="replace") as file:
-            file.write(text)
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
             file.flush()
             os.fsync(file.fileno())
         umask = os.umask(0)
