@@ -7,6 +7,7 @@ answer, error); a worker that dies costs the bag that it had, and no other.
 import multiprocessing
 import os
 import signal
+import socket
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -107,6 +108,9 @@ class Cluster:
         # It tells of a lost connection in many lines; we do in one.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         try:
+            # A client that fails waits for seconds, and complains of itself as it is deleted.
+            place = distributed.comm.get_address_host_port(address)
+            socket.create_connection(place, PATIENCE).close()
             self.client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
         except (OSError, ValueError, TypeError) as problem:  # TimeoutError is an OSError
             reason = " ".join(str(problem).split())[:150]
@@ -122,6 +126,10 @@ class Cluster:
         return self
 
     def __exit__(self, *exception) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the connection; the cluster goes on."""
         self.client.close()
 
     def check(self, function: Callable, expected: Any, words: str) -> None:
@@ -146,7 +154,7 @@ class Cluster:
         futures = {self.client.submit(function, argument, pure=False): argument
                    for argument in arguments}
         try:
-            for future in as_completed(futures):
+            for future in as_completed(futures, loop=self.client.loop):
                 if future.status == "finished":
                     yield futures[future], future.result(), ""
                 elif future.status == "error":

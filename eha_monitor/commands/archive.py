@@ -2,6 +2,7 @@
 
 import signal
 from collections.abc import Callable
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +13,7 @@ from eha_monitor.archive.find import Place, find_bags, is_archive, stamp_of
 from eha_monitor.errors import InputError
 
 if TYPE_CHECKING:
+    from eha_monitor.archive.run import Cluster
     from eha_monitor.archive.store import Store
     from eha_monitor.commands.archive_row import Task
     from eha_monitor.settings import Settings
@@ -86,16 +88,17 @@ def answer_folder(command: str, folder: Path, config: Path | None, asked: Archiv
     check_parquet()
     settings = load_settings(config)
     made_with = digest_of(command, settings, calibration)
-    out = asked.out or OUT
-    with Store(out, command, folder) as store:
-        places = find_bags(folder)
-        todo, failed = plan(store, places, command, settings, calibration, made_with,
+    with ExitStack() as open_ones:
+        cluster = None if asked.scheduler is None else open_ones.enter_context(
+            connected(asked.scheduler, command))
+        store = open_ones.enter_context(Store(asked.out or OUT, command, folder))
+        todo, failed = plan(store, find_bags(folder), command, settings, calibration, made_with,
                             asked.keep or "same")
         for row in failed:
             store.add(row)
         try:
             if todo:
-                work(store, todo, asked, command)
+                work(store, todo, cluster, asked.jobs)
         finally:  # also on Ctrl-C: what is answered is in the table
             store.write()
             from eha_monitor.reports.archive_report import write_archive_report
@@ -165,45 +168,50 @@ def plan(store: "Store", places: list[Place], command: str, settings: "Settings"
     return todo, failed
 
 
-def work(store: "Store", todo: list["Task"], asked: Archive, command: str) -> None:
+def connected(address: str, command: str) -> "Cluster":
+    """Return a cluster whose workers have this source of the program."""
+    from functools import partial
+
+    from eha_monitor.archive.run import Cluster
+    from eha_monitor.commands.archive_row import source_of
+
+    cluster = Cluster(address)
+    try:
+        cluster.check(partial(source_of, command), source_of(command), "source of eha_monitor")
+    except BaseException:
+        cluster.close()
+        raise
+    return cluster
+
+
+def work(store: "Store", todo: list["Task"], cluster: "Cluster | None", jobs: int | None) -> None:
     """Answer what is to be answered; every row is kept as soon as it is there."""
     import os
     from dataclasses import replace
 
-    from eha_monitor.archive.run import Cluster, on_this_machine
-    from eha_monitor.commands.archive_row import error_row, row_of, source_of
+    from eha_monitor.archive.run import on_this_machine
+    from eha_monitor.commands.archive_row import error_row, row_of
     from eha_monitor.commands.diagnose import progress_bar
 
-    with progress_bar() as told:
-        def take(answers) -> None:
-            broken = 0
-            for done, (task, row, error) in enumerate(answers, 1):
-                row = error_row(task, f"{task.path}: {error}") if error else row
-                store.add(row)
-                broken += bool(row.get("error"))
-                told(f"{done} of {len(todo)} bags" + (f", {broken} without an answer" * bool(
-                    broken)), done / len(todo))
-
-        told(f"0 of {len(todo)} bags", 0.0)
-        if asked.scheduler is not None:
-            with Cluster(asked.scheduler) as cluster:
-                cluster.check(_source_there(command), source_of(command), "source of eha_monitor")
-                take(cluster.answers(row_of, [
-                    replace(task, path=Path(os.path.abspath(task.path))) for task in todo]))
-            return
+    if cluster is not None:
+        # The workers have the same files, and another working directory.
+        answers = cluster.answers(row_of, [
+            replace(task, path=Path(os.path.abspath(task.path))) for task in todo])
+    else:
         from eha_monitor.compiled import FIRST_RUN, announce_first_compilation
 
         announce_first_compilation()
-        jobs = asked.jobs or len(os.sched_getaffinity(0))
-        take(on_this_machine(row_of, todo, jobs, alone=int(FIRST_RUN)))
-
-
-def _source_there(command: str) -> Callable:
-    from functools import partial
-
-    from eha_monitor.commands.archive_row import source_of
-
-    return partial(source_of, command)
+        answers = on_this_machine(row_of, todo, jobs or len(os.sched_getaffinity(0)),
+                                  alone=int(FIRST_RUN))
+    broken = 0
+    with progress_bar() as told, closing(answers):
+        told(f"0 of {len(todo)} bags", 0.0)
+        for done, (task, row, error) in enumerate(answers, 1):
+            row = error_row(task, f"{task.path}: {error}") if error else row
+            store.add(row)
+            broken += bool(row.get("error"))
+            told(f"{done} of {len(todo)} bags" + (
+                f", {broken} without an answer" if broken else ""), done / len(todo))
 
 
 def _holds_files(folder: Path) -> bool:
