@@ -8,9 +8,9 @@ from eha_monitor.errors import InputError
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write ``text`` as :func:`write_bytes` does, in UTF-8."""
+    """Write ``text`` in UTF-8 as :func:`write_bytes` does."""
     # File names in the text may hold bytes that are no text; they must not cost the answer.
-    write_bytes(path, text.encode("utf-8", errors="replace"))
+    _write(Path(path), text, "w", encoding="utf-8", errors="replace")
 
 
 def write_bytes(path: str | Path, content: bytes) -> None:
@@ -23,15 +23,18 @@ def write_bytes(path: str | Path, content: bytes) -> None:
     InputError
         If the place cannot be written; an older file there is untouched.
     """
-    path = Path(path)
+    _write(Path(path), content, "wb")
+
+
+def _write(path: Path, content: str | bytes, mode: str, **how: str) -> None:
     name = None
     try:
         if path.exists() and not path.is_file():
-            with path.open("wb") as stream:
+            with path.open(mode, **how) as stream:
                 stream.write(content)
             return
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
-        with os.fdopen(handle, "wb") as file:
+        with os.fdopen(handle, mode, **how) as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
