@@ -135,7 +135,7 @@ def _row(row: dict, command: str, made_with: str) -> dict:
         marks.append("of another config or source")
     return {
         "bag": row["bag"], "marks": ", ".join(marks), "error": row.get("error") or "",
-        "start": _moment(row["start"]) if row.get("start") else "—",
+        "start": _moment(row["start"]).removesuffix(" UTC") if row.get("start") else "—",
         "duration": quantity(row["duration_s"], "s") if row.get("duration_s") else "—",
         "parameters": [] if row.get("error") and row.get("B_status") is None else [
             _parameter(row, name, command) for name in PARAMETERS],
