@@ -64,6 +64,10 @@ setup(
         "dashboard": ["fastapi", "nicegui", "uvicorn"],
         # Its option --foxglove.
         "foxglove": ["foxglove-sdk"],
+        # The table of a folder of bags; 170 MB that nothing else needs.
+        "archive": ["pyarrow"],
+        # Its option --scheduler.
+        "dask": ["distributed"],
         "test": ["hypothesis", "playwright", "pytest", "pytest-timeout", "ruff",
                  "websockets"],
         "colcon": ["colcon-bash", "colcon-core", "colcon-output", "colcon-package-selection",

@@ -8,7 +8,13 @@ from eha_monitor.errors import InputError
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write ``text`` to a temporary name beside ``path``, then rename it.
+    """Write ``text`` in UTF-8 as :func:`write_bytes` does."""
+    # File names in the text may hold bytes that are no text; they must not cost the answer.
+    _write(Path(path), text, "w", encoding="utf-8", errors="replace")
+
+
+def write_bytes(path: str | Path, content: bytes) -> None:
+    """Write ``content`` to a temporary name beside ``path``, then rename it.
 
     What is there and no regular file (a device, a pipe) is written into, never replaced.
 
@@ -17,17 +23,19 @@ def write_text(path: str | Path, text: str) -> None:
     InputError
         If the place cannot be written; an older file there is untouched.
     """
-    path = Path(path)
+    _write(Path(path), content, "wb")
+
+
+def _write(path: Path, content: str | bytes, mode: str, **how: str) -> None:
     name = None
     try:
         if path.exists() and not path.is_file():
-            with path.open("w", encoding="utf-8", errors="replace") as stream:
-                stream.write(text)
+            with path.open(mode, **how) as stream:
+                stream.write(content)
             return
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
-        # File names in the text may hold bytes that are no text; they must not cost the answer.
-        with os.fdopen(handle, "w", encoding="utf-8", errors="replace") as file:
-            file.write(text)
+        with os.fdopen(handle, mode, **how) as file:
+            file.write(content)
             file.flush()
             os.fsync(file.fileno())
         umask = os.umask(0)

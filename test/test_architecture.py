@@ -19,6 +19,8 @@ FORBIDDEN = {
     "recordings": ("rclpy", "eha_monitor.ros", "eha_monitor.filters", "eha_monitor.mismatch"),
     "mismatch": ("rclpy", "eha_monitor.ros", "eha_monitor.commands"),
     "reports": ("rclpy", "eha_monitor.ros", "eha_monitor.commands"),
+    "archive": ("rclpy", "eha_monitor.ros", "eha_monitor.mismatch", "eha_monitor.reports",
+                "eha_monitor.commands"),
     "dashboard": ("rclpy", "eha_monitor.ros", "eha_monitor.commands", "eha_monitor.recordings",
                   "eha_monitor.mismatch"),
 }

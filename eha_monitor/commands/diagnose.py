@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from eha_monitor.commands.archive import Archive, answer_folder, archive_options, refuse
 from eha_monitor.commands.common import check_target, config_option, on_terminal
 from eha_monitor.errors import InputError
 from eha_monitor.output import write_text
@@ -31,13 +32,24 @@ READING = 0.03  # share of the progress bar
               "motion (a minute, once), or take the usual one.")
 @click.option("--exit-code", is_flag=True,
               help="Exit with 1 if the model does not fit the recording.")
+@archive_options
 def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
              report_file: Path | None, config_file: Path | None, held_out: Path | None,
-             calibration: bool, exit_code: bool) -> int:
+             calibration: bool, exit_code: bool, **asked) -> int:
     """Say where BAG and the model differ, what physics was left out, and show the fit improve.
 
-    Several BAGs of one rig are explained together.
+    Several BAGs of one rig are explained together.  Where BAG is a folder that holds bags, each
+    is explained by itself, into one table with trends over time.
     """
+    archive = Archive(**asked)
+    if any(archive.covers(bag) for bag in bags):
+        if len(bags) > 1:
+            raise InputError("expected one folder that holds bags, or bags, got "
+                             + ", ".join(map(str, bags)))
+        refuse(bags[0], json=json_file, report=report_file, write_config=config_file,
+               held_out=held_out)
+        return int(answer_folder("diagnose", bags[0], config, archive, calibration)
+                   and exit_code)
     check_inputs(bags, held_out)
     check_outputs((json_file, report_file, config_file),
                   (*bags, *((held_out,) if held_out else ())), config)

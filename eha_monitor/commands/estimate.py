@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from eha_monitor.commands.archive import Archive, answer_folder, archive_options, refuse
 from eha_monitor.commands.common import check_target, config_option, working
 from eha_monitor.errors import InputError
 from eha_monitor.output import write_text
@@ -21,9 +22,17 @@ from eha_monitor.output import write_text
               help="Write a self-contained HTML report.")
 @click.option("--exit-code", is_flag=True,
               help="Exit with 1 if an alarm stands or the model does not fit.")
+@archive_options
 def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file: Path | None,
-             exit_code: bool) -> int:
-    """Estimate B and the bulk modulus from BAG, and judge them against the thresholds."""
+             exit_code: bool, **asked) -> int:
+    """Estimate B and the bulk modulus from BAG, and judge them against the thresholds.
+
+    Where BAG is a folder that holds bags, all of them, into one table with trends over time.
+    """
+    archive = Archive(**asked)
+    if archive.covers(bag):
+        refuse(bag, json=json_file, report=report_file)
+        return int(answer_folder("estimate", bag, config, archive) and exit_code)
     check_target(json_file, bag)
     check_target(report_file, bag)
     if json_file and report_file and json_file.resolve() == report_file.resolve():

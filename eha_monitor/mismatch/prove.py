@@ -33,6 +33,7 @@ from eha_monitor.errors import InputError
 from eha_monitor.mismatch import prove_score as score
 from eha_monitor.mismatch.prove_curve import binned, curves_of
 from eha_monitor.output import write_text
+from eha_monitor.source import source_digest as digest_of_source
 
 SCHEMA = "eha_monitor/proof/1"
 PACKAGE = Path(__file__).parents[1]
@@ -354,12 +355,8 @@ def jobs_of(trial: Trial) -> int:
 
 def source_digest() -> str:
     """Return a digest of everything that has a part in an answer."""
-    digest = hashlib.sha256()
-    for room in ROOMS:
-        for path in sorted((PACKAGE / room).rglob("*.py")):
-            if not path.name.startswith("prove") or path.name == "prove_blind.py":
-                digest.update(str(path.relative_to(PACKAGE)).encode() + path.read_bytes())
-    return digest.hexdigest()[:16]
+    return digest_of_source(ROOMS, lambda path: not path.name.startswith("prove")
+                            or path.name == "prove_blind.py")
 
 
 def commit() -> str | None:

@@ -1,6 +1,7 @@
 """B and beta_e as they converge, with their band and the alarm limits."""
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from eha_monitor.filters.results import Estimate, StageResult
 from eha_monitor.reports.drawing import (
@@ -40,10 +41,9 @@ def parameter_block(estimate: Estimate, name: str) -> Block:
         return Block(key, title, paper, notes=(f"No curve: {reason}",))
     unit = stage.estimate.unit
     notes = []
-    lines = [(getattr(limits, which), words) for which, words in _LIMITS
-             if getattr(limits, which) is not None]
+    lines = limits_of(limits)
     low, high = core_range(stage, 0.4)
-    near = [limit for limit, _ in lines if _is_near(limit, low, high)]
+    near = [limit for limit, _ in lines if is_near(limit, low, high)]
     far = [f"{words} {quantity(limit, unit)}" for limit, words in lines if limit not in near]
     if far:
         notes.append(f"Beyond the picture: {', '.join(far)}.")
@@ -85,7 +85,7 @@ def core_range(stage: StageResult, from_share: float) -> tuple[float, float]:
             float(max(high, np.median(late + 1.5 * wide))))
 
 
-def _is_near(limit: float, low: float, high: float) -> bool:
+def is_near(limit: float, low: float, high: float) -> bool:
     """Whether a limit can share the picture without squeezing the curve flat."""
     size = max(abs(low), abs(high), 3 * (high - low))
     return low - 2.5 * size <= limit <= high + 2.5 * size
@@ -121,9 +121,31 @@ def _picture(stage: StageResult, name: str, part: slice, view: tuple[float, floa
         axis.fill_between(band_t, lower, upper, color=colour, alpha=0.22, linewidth=0,
                           label="± 2σ (mostly thinner than the line)" if thin else "± 2σ")
     draw(axis, t, value, color=colour, linewidth=1.8, label=f"{SYMBOLS[name]} estimated")
+    draw_limits(axis, value, lines, scale.factor, stage.estimate.unit)
+    if len(t) > 1 and t[-1] > t[0]:
+        axis.set_xlim(t[0], t[-1])
+    axis.set_xlabel(f"time, {clock.unit} — {words}", color=INK)
+    axis.set_ylabel(f"{SYMBOLS[name]}, {scale.unit}")
+    legend_above(axis)
+    last = stage.value[np.isfinite(stage.value)][-1]
+    return picture(figure, f"{NAMES[name]} against time with its two-sigma band and limits, "
+                           f"{words}; last value {quantity(last, stage.estimate.unit)}")
+
+
+def draw_limits(axis: Axes, value: np.ndarray, lines: list[tuple[float, str]], factor: float,
+                unit: str) -> None:
+    """Draw the limits that fall into the picture, each with its name where ``value`` leaves room.
+
+    Parameters
+    ----------
+    value : (n,) what is drawn, in the unit of the axis, in order of time.
+    lines : limit, SI, and its words.
+    factor, unit : of the axis, and the SI unit of the limits.
+    """
+    bottom, top = axis.get_ylim()
     taken: list[float] = []  # heights of labels, share of the picture
     for limit, label in lines:
-        place = limit * scale.factor
+        place = limit * factor
         if not bottom < place < top:
             continue
         line = ERROR_LINE if label.startswith("ERROR") else WARN_LINE
@@ -136,7 +158,7 @@ def _picture(stage: StageResult, name: str, part: slice, view: tuple[float, floa
             continue
         taken.append(height)
         left = not _clear(value, place, top - bottom, -1) and _clear(value, place, top - bottom, 1)
-        axis.annotate(f"{label} {quantity(limit, stage.estimate.unit)}",
+        axis.annotate(f"{label} {quantity(limit, unit)}",
                       (0.0 if left else 1.0, place),
                       xycoords=("axes fraction", "data"),
                       xytext=(3 if left else -3, 2 if above else -2),
@@ -144,14 +166,6 @@ def _picture(stage: StageResult, name: str, part: slice, view: tuple[float, floa
                       va="bottom" if above else "top", fontsize=9,
                       color=line, bbox={"facecolor": "white", "edgecolor": "none",
                                         "pad": 0.8, "alpha": 0.75})
-    if len(t) > 1 and t[-1] > t[0]:
-        axis.set_xlim(t[0], t[-1])
-    axis.set_xlabel(f"time, {clock.unit} — {words}", color=INK)
-    axis.set_ylabel(f"{SYMBOLS[name]}, {scale.unit}")
-    legend_above(axis)
-    last = stage.value[np.isfinite(stage.value)][-1]
-    return picture(figure, f"{NAMES[name]} against time with its two-sigma band and limits, "
-                           f"{words}; last value {quantity(last, stage.estimate.unit)}")
 
 
 def _clear(value: np.ndarray, place: float, height: float, end: int) -> bool:
@@ -161,8 +175,13 @@ def _clear(value: np.ndarray, place: float, height: float, end: int) -> bool:
     return not (np.abs(part - place) < 0.07 * height).mean() > 0.02 if part.size else True
 
 
+def limits_of(limits: Limits) -> list[tuple[float, str]]:
+    """Return the limits that there are, SI, each with its words."""
+    return [(getattr(limits, which), words) for which, words in _LIMITS
+            if getattr(limits, which) is not None]
+
+
 def limits_in_words(limits: Limits, unit: str) -> str:
     """Return the limits of a parameter as one phrase."""
-    words = [f"{words} {quantity(getattr(limits, which), unit)}" for which, words in _LIMITS
-             if getattr(limits, which) is not None]
+    words = [f"{words} {quantity(limit, unit)}" for limit, words in limits_of(limits)]
     return ", ".join(words) or "no limits configured"

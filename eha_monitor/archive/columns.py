@@ -1,0 +1,86 @@
+"""The columns of the table: name, type, what it says.  docs/archive.md is held to this."""
+
+from dataclasses import dataclass
+
+SCHEMA = "eha_monitor/archive/1"
+PARAMETERS = ("B", "beta_e")
+COMMANDS = ("estimate", "diagnose")
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column; ``kind`` is ``text``, ``number``, ``count``, ``flag``, ``time`` or ``effects``.
+
+    ``only`` names the command whose table has it; both have it where it is empty.
+    """
+
+    name: str
+    kind: str
+    words: str
+    only: str = ""
+
+
+def _of_parameter(name: str) -> tuple[Column, ...]:
+    return (
+        Column(name, "number", f"{name}, SI, as `estimate` says it"),
+        Column(f"{name}_stddev", "number", "its standard deviation"),
+        Column(f"{name}_unit", "text", "unit of both"),
+        Column(f"{name}_status", "text", "converged, not_excited, diverged or no_data"),
+        Column(f"{name}_doubt", "text", "why a mismatch of the model taints it; empty where "
+               "none does"),
+    )
+
+
+def _of_diagnosis(name: str) -> tuple[Column, ...]:
+    return tuple(
+        Column(f"{name}_{when}{end}", "number", words, "diagnose")
+        for when, said in (("before", f"{name} without the named effects, SI"),
+                           ("after", f"{name} with the named effects, SI"))
+        for end, words in (("", said), ("_stddev", "its standard deviation")))
+
+
+COLUMNS = (
+    Column("bag", "text", "path of the bag below the folder"),
+    Column("start", "time", "first sample by the stamps of the messages, UTC"),
+    Column("duration_s", "number", "length of the recording"),
+    Column("samples", "count", "samples on the grid"),
+    *_of_parameter("B"),
+    *_of_parameter("beta_e"),
+    Column("temperature_C", "number", "oil at the end of the recording, where it is measured"),
+    Column("B_reference", "number", "B at `viscosity.reference_temperature`, where the "
+           "temperature is measured"),
+    Column("B_reference_stddev", "number", "its standard deviation"),
+    Column("alarm", "text", "worst level of the four alarms at the end of the recording"),
+    Column("viscous_damping_high", "text", "level of this alarm"),
+    Column("viscous_damping_low", "text", "level of this alarm"),
+    Column("bulk_modulus_high", "text", "level of this alarm"),
+    Column("bulk_modulus_low", "text", "level of this alarm"),
+    Column("alarm_message", "text", "what the worst alarm says"),
+    Column("model", "text", "consistent, mismatch or not_judged"),
+    Column("model_balance", "text", "what the mismatch points to"),
+    Column("model_message", "text", "the same in a sentence"),
+    Column("verdict", "text", "verdict of `diagnose`", "diagnose"),
+    Column("verdict_message", "text", "the same in a sentence", "diagnose"),
+    *(Column(f"balance_{name}", "number", f"share of the {name} in the disagreement",
+             "diagnose") for name in ("force", "flow", "drive", "sensor")),
+    Column("regime", "text", "where they disagree", "diagnose"),
+    Column("effects", "effects", "what was left out: name, balance, size, statement, "
+           "log_evidence, indistinguishable_from, parameters (name, value, stddev, unit)",
+           "diagnose"),
+    Column("explained", "number", "share of the evidence that the effects take away",
+           "diagnose"),
+    *_of_diagnosis("B"),
+    *_of_diagnosis("beta_e"),
+    Column("losses", "text", "what was lost or repaired in reading"),
+    Column("error", "text", "why there is no answer; empty where there is one"),
+    Column("wall_s", "number", "how long the answer took"),
+    Column("answered", "time", "when it was given, UTC"),
+    Column("gone", "flag", "the bag is no longer in the folder"),
+    Column("stamp", "text", "digest of names, sizes and times of the bag's files"),
+    Column("made_with", "text", "digest of config, options and source of the program"),
+)
+
+
+def columns_of(command: str) -> tuple[Column, ...]:
+    """Return the columns of the table of a command."""
+    return tuple(column for column in COLUMNS if column.only in ("", command))

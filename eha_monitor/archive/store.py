@@ -1,0 +1,210 @@
+"""The table of an archive on disk: Parquet, and beside it a journal while work goes on.
+
+    OUT/estimate.parquet     the table
+    OUT/estimate.html        the page (made by the command)
+    OUT/.estimate.journal    rows that are not in the table yet, one JSON text a line
+    OUT/.estimate.lock       held by the run that writes
+
+A row reaches the journal when it is answered, so that no end of the program costs it.
+"""
+
+import fcntl
+import io
+import json
+import os
+from collections.abc import Iterable
+from datetime import UTC, datetime
+from pathlib import Path
+
+from eha_monitor.archive.columns import SCHEMA, Column, columns_of
+from eha_monitor.errors import InputError
+from eha_monitor.output import write_bytes
+
+
+def check_parquet() -> None:
+    """Say in one line, before the work, that the library for the table is missing."""
+    try:
+        import pyarrow.parquet  # noqa: F401
+    except ImportError as problem:
+        raise InputError(f"a table of bags needs pyarrow, which cannot be imported ({problem}); "
+                         "install eha_monitor[archive]") from problem
+
+
+class Store:
+    """The rows of one table, by bag; a context that one process at a time may enter.
+
+    Parameters
+    ----------
+    out : folder of the table, made when needed.
+    command : ``estimate`` or ``diagnose``.
+    folder : of the bags; a table belongs to one folder.
+    """
+
+    def __init__(self, out: Path, command: str, folder: Path):
+        self.columns = columns_of(command)
+        self.folder = str(folder.resolve())
+        self.table, self.page = out / f"{command}.parquet", out / f"{command}.html"
+        self.rows: dict[str, dict] = {}
+        self._out, self._command = out, command
+        self._journal_path = out / f".{command}.journal"
+        self._lock = self._journal = None
+
+    def __enter__(self) -> "Store":
+        try:
+            self._out.mkdir(parents=True, exist_ok=True)
+            self._lock = (self._out / f".{self._command}.lock").open("w")
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self._read_table()
+            self._read_journal()
+            new = not self._journal_path.exists()
+            self._journal = self._journal_path.open("a", encoding="utf-8")
+            if new:
+                self._line({"folder": self.folder})
+        except BlockingIOError as problem:
+            self._close()
+            raise InputError(f"{self.table}: another run is writing it; wait for its end, or "
+                             "name another folder with --out") from problem
+        except OSError as problem:
+            self._close()
+            raise InputError(f"{self._out}: cannot write: {problem.strerror}") from problem
+        except BaseException:
+            self._close()
+            raise
+        return self
+
+    def __exit__(self, *exception) -> None:
+        self._close()
+
+    def add(self, row: dict) -> None:
+        """Take a row in, at once on disk; it replaces that of the same bag."""
+        self.rows[row["bag"]] = row
+        self._line(row)
+
+    def write(self) -> None:
+        """Write the table whole; the journal has then done its work."""
+        import pyarrow.parquet
+
+        schema = _schema(self.columns, self.folder)
+        rows = [{c.name: _typed(c, row.get(c.name)) for c in self.columns}
+                for row in self.rows.values()]
+        memory = io.BytesIO()
+        pyarrow.parquet.write_table(pyarrow.Table.from_pylist(rows, schema), memory,
+                                    compression="zstd")
+        write_bytes(self.table, memory.getvalue())
+        self._journal_path.unlink(missing_ok=True)
+
+    def _line(self, content: dict) -> None:
+        self._journal.write(json.dumps(content, allow_nan=False) + "\n")
+        self._journal.flush()
+
+    def _read_table(self) -> None:
+        if self.table.exists():
+            rows, folder = read_table(self.table)
+            self._check(folder)
+            self.rows = {row["bag"]: row for row in rows}
+
+    def _read_journal(self) -> None:
+        if not self._journal_path.exists():
+            return
+        text = self._journal_path.read_text(encoding="utf-8", errors="replace")
+        for line in text.splitlines(keepends=True):
+            try:
+                content = json.loads(line)
+            except ValueError:
+                content = None
+            if not isinstance(content, dict) or not line.endswith("\n"):
+                continue  # the line in which the program was killed
+            if "folder" in content:
+                self._check(content["folder"])
+            elif "bag" in content:
+                self.rows[content["bag"]] = content
+        if text and not text.endswith("\n"):
+            with self._journal_path.open("a", encoding="utf-8") as file:
+                file.write("\n")
+
+    def _check(self, folder: str) -> None:
+        if folder != self.folder:
+            raise InputError(f"{self.table}: is the table of {folder}, expected another --out "
+                             f"for {self.folder}")
+
+    def _close(self) -> None:
+        for file in (self._journal, self._lock):
+            if file is not None:
+                file.close()
+        self._journal = self._lock = None
+
+
+def read_table(path: Path) -> tuple[list[dict], str]:
+    """Return the rows of a table, times as ISO text as in the journal, and its folder.
+
+    Raises
+    ------
+    InputError
+        If the file is no table of this form.
+    """
+    import pyarrow
+    import pyarrow.parquet
+
+    try:
+        table = pyarrow.parquet.read_table(path)
+        about = table.schema.metadata or {}
+        if about.get(b"schema") != SCHEMA.encode():
+            raise ValueError(f"its schema is {about.get(b'schema', b'another').decode()}")
+        for place, one in enumerate(table.schema):
+            if pyarrow.types.is_timestamp(one.type):
+                # As numbers: Python's own times end at microseconds.
+                table = table.set_column(place, one.name, table.column(place).cast("int64"))
+        rows = table.to_pylist()
+    except (pyarrow.ArrowException, ValueError, OSError) as problem:
+        reason = " ".join(str(problem).split())[:150]
+        raise InputError(f"{path}: expected a table of form {SCHEMA} ({reason}); delete it to "
+                         "begin anew") from problem
+    for row in rows:
+        for name in ("start", "answered"):
+            row[name] = None if row.get(name) is None else iso_time(row[name])
+    return rows, about[b"folder"].decode()
+
+
+def iso_time(nanoseconds: int) -> str | None:
+    """Return ns since the epoch as ISO 8601 with nanoseconds, UTC; None beyond the calendar.
+
+    >>> iso_time(1_700_000_000_000_000_005)
+    '2023-11-14T22:13:20.000000005Z'
+    """
+    try:
+        whole = datetime.fromtimestamp(nanoseconds // 10**9, tz=UTC)
+    except (ValueError, OverflowError, OSError):
+        return None
+    return f"{whole:%Y-%m-%dT%H:%M:%S}.{nanoseconds % 10**9:09d}Z"
+
+
+def nanoseconds_of(text: str) -> int:
+    """Return what :func:`iso_time` was made from."""
+    whole, part = text.removesuffix("Z").split(".")
+    return int(datetime.fromisoformat(whole + "+00:00").timestamp()) * 10**9 + int(part)
+
+
+def _schema(columns: Iterable[Column], folder: str):
+    import pyarrow as pa
+
+    value = pa.struct([("name", pa.string()), ("value", pa.float64()),
+                       ("stddev", pa.float64()), ("unit", pa.string())])
+    effect = pa.struct([("name", pa.string()), ("balance", pa.string()), ("size", pa.string()),
+                        ("statement", pa.string()), ("log_evidence", pa.float64()),
+                        ("indistinguishable_from", pa.list_(pa.string())),
+                        ("parameters", pa.list_(value))])
+    kinds = {"text": pa.string(), "number": pa.float64(), "count": pa.int64(),
+             "flag": pa.bool_(), "time": pa.timestamp("ns", tz="UTC"),
+             "effects": pa.list_(effect)}
+    return pa.schema([pa.field(c.name, kinds[c.kind], metadata={"description": c.words})
+                      for c in columns],
+                     metadata={"schema": SCHEMA, "folder": os.fsencode(folder)})
+
+
+def _typed(column: Column, value):
+    """Return a value of the journal as Parquet takes it."""
+    if column.kind == "time" and value is not None:
+        return nanoseconds_of(value)
+    if column.kind == "flag":
+        return bool(value)
+    return value

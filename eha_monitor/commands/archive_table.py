@@ -1,0 +1,65 @@
+"""A folder of bags as a person reads it on a terminal: counts, what needs a look, trends."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.markup import escape
+from rich.table import Table
+
+from eha_monitor.archive.columns import PARAMETERS
+from eha_monitor.archive.history import history
+from eha_monitor.commands.table import PIPE_WIDTH, PipeConsole
+from eha_monitor.reports.archive_figures import trend_words
+from eha_monitor.reports.archive_report import effect_phrase, summary_words
+from eha_monitor.settings import Settings
+
+MOST = 20  # recordings shown; all are in the table
+_COLOURS = {"ERROR": "red", "WARN": "yellow", "STALE": "dim"}
+
+
+def unhealthy(row: dict) -> bool:
+    """Tell whether a row has an alarm, or a model that does not fit; a broken bag has neither."""
+    return row.get("alarm") in ("WARN", "ERROR") or row.get("model") == "mismatch" or (
+        row.get("verdict") in ("mismatch", "unexplained"))
+
+
+def show(rows: Sequence[dict], command: str, settings: Settings, made_with: str, folder: Path,
+         answered: int, written: list[Path]) -> None:
+    """Print what was done, which recordings need a look, and the trends."""
+    console = PipeConsole(highlight=False)
+    if not console.is_terminal:
+        console = PipeConsole(highlight=False, width=PIPE_WIDTH)
+    gone = sum(bool(row.get("gone")) for row in rows)
+    console.print(f"{escape(str(folder))}: {len(rows) - gone} bags, {answered} answered now, "
+                  f"{len(rows) - gone - answered} as before"
+                  + (f"; {gone} more that are no longer there" if gone else ""))
+    console.print(escape(summary_words(rows, command)))
+    newest = sorted(rows, key=lambda row: (bool(row.get("error")), row.get("start") or "",
+                                           row["bag"]), reverse=True)
+    looked = [row for row in newest if row.get("error") or unhealthy(row)]
+    if looked:
+        table = Table("recording", "start", "alarm", "why", box=None, header_style="bold",
+                      padding=(0, 2, 0, 0))
+        for row in looked[:MOST]:
+            level = row.get("alarm") or ""
+            colour = _COLOURS.get(level)
+            table.add_row(escape(row["bag"]), (row.get("start") or "–")[:16].replace("T", " "),
+                          f"[{colour}]{level}[/]" if colour else level, escape(_why(row)))
+        console.print(table)
+        if len(looked) > MOST:
+            console.print(f"and {len(looked) - MOST} more")
+    for name in PARAMETERS:
+        console.print(escape(trend_words(history(rows, name, command, made_with))))
+    for path in written:
+        console.print(f"written: {escape(str(path))}", soft_wrap=True)
+
+
+def _why(row: dict) -> str:
+    """Return what is wrong with a recording, the worst first."""
+    if row.get("error"):
+        return row["error"]
+    if row.get("effects"):
+        return "; ".join(effect_phrase(effect) for effect in row["effects"])
+    if row.get("alarm") in ("WARN", "ERROR"):
+        return row["alarm_message"]
+    return row.get("verdict_message") or row.get("model_message") or ""

@@ -1,0 +1,156 @@
+"""B and beta_e of many recordings against the date, with their limits and the line."""
+
+from datetime import UTC, datetime
+
+import matplotlib.dates
+import numpy as np
+
+from eha_monitor.archive.history import History
+from eha_monitor.archive.trend import LEAST, MONTH
+from eha_monitor.reports.drawing import (
+    INK,
+    STAGE_ONE,
+    STAGE_TWO,
+    Block,
+    Picture,
+    legend_above,
+    new_figure,
+    pad_limits,
+    picture,
+)
+from eha_monitor.reports.parameter_figures import (
+    NAMES,
+    SYMBOLS,
+    draw_limits,
+    is_near,
+    limits_of,
+)
+from eha_monitor.reports.quantities import axis_scale, number, quantity, with_uncertainty
+from eha_monitor.settings.monitor import Settings
+
+_DAY = 86400.0  # s
+_ENLARGED = 0.4  # share of the picture with the limits below which the values get one of their own
+_SOON = 60.0  # s that a picture of a single recording spans
+
+
+def history_block(found: History, settings: Settings) -> Block:
+    """Return the picture of one parameter over time, with what it says in sentences."""
+    title = f"{NAMES[found.name].capitalize()} {SYMBOLS[found.name]}"
+    if found.at_reference:
+        title += f" at {settings.viscosity.reference_temperature:g} °C"
+    if not len(found.time):
+        reason = ("the stamps of the recordings are no calendar time" if found.undated
+                  else "no recording tells a value")
+        return Block(f"history-{found.name}", title, notes=(f"No picture: {reason}.",))
+    thresholds = settings.thresholds
+    lines = limits_of({"B": thresholds.viscous_damping,
+                       "beta_e": thresholds.bulk_modulus}[found.name])
+    low, high = _range(found, everything=True)
+    near = [limit for limit, _ in lines if is_near(limit, low, high)]
+    view = (min([low, *near]), max([high, *near]))
+    notes = [trend_words(found)]
+    pictures = [_picture(found, view, lines, "with the limits")]
+    close = _range(found, everything=False)
+    if close[1] - close[0] < _ENLARGED * (view[1] - view[0]):
+        pictures.append(_picture(found, close, lines, "enlarged"))
+    far = [f"{words} {quantity(limit, found.unit)}" for limit, words in lines
+           if limit not in near]
+    if far:
+        notes.append(f"Beyond the picture: {', '.join(far)}.")
+    if found.undated:
+        notes.append(f"{found.undated} more with stamps that are no calendar time: not shown.")
+    return Block(f"history-{found.name}", title, pictures=tuple(pictures),
+                 notes=tuple(notes))
+
+
+def trend_words(found: History) -> str:
+    """Return what the line says, in one or two sentences."""
+    line = found.line
+    if line is None:
+        return (f"No trend: it needs {LEAST} values at different times that converged, "
+                f"{int(found.usable.sum())} there.")
+    slope, spread = MONTH * line.slope, MONTH * line.slope_stddev
+    words = (f"Trend of {SYMBOLS[found.name]}: "
+             f"{'+' if slope > 0 else ''}{with_uncertainty(slope, spread, found.unit)} per 30 "
+             f"days, through {line.count} recordings")
+    if line.level:
+        words += (f" ({'+' if slope > 0 else ''}{number(100 * slope / abs(line.level), 2)} % "
+                  "per 30 days)")
+    words += "." if abs(slope) > 2 * spread else ": none that stands out."
+    if line.scatter > 0:
+        words += (f" From one to the next they scatter by {quantity(line.scatter, found.unit, 2)} "
+                  "more than their own uncertainty, which the slope's takes into account.")
+    if found.doubtful:
+        words += (" Fewer than three are free of doubt: the line goes through values of a model "
+                  "that does not fit, and tells of change only.")
+    return words
+
+
+def _range(found: History, everything: bool) -> tuple[float, float]:
+    """Return the range of the values that the line goes through, with the others that are near."""
+    good = found.usable if found.usable.any() else np.ones(len(found.time), dtype=bool)
+    spread = 2 * np.nan_to_num(found.stddev[good], posinf=0.0)
+    # A bar may be longer than all that there is to see.
+    spread = np.minimum(spread, 2 * np.median(spread) + np.ptp(found.value[good]))
+    low, high = np.min(found.value[good] - spread), np.max(found.value[good] + spread)
+    if not everything:
+        return float(low), float(high)
+    others = found.value[~good]
+    reach = 1.5 * max(high - low, 0.2 * max(abs(low), abs(high)))
+    near = others[(others > low - reach) & (others < high + reach)]
+    return (float(np.min(near, initial=low)), float(np.max(near, initial=high)))
+
+
+def _picture(found: History, view: tuple[float, float], lines: list[tuple[float, str]],
+             which: str) -> Picture:
+    """Draw the values, their bars and the line, with the limits that fall into ``view``."""
+    colour = {"B": STAGE_ONE, "beta_e": STAGE_TWO}[found.name]
+    scale = axis_scale(max(map(abs, view)), found.unit)
+    days, value = found.time / _DAY, found.value * scale.factor
+    spread = 2 * np.nan_to_num(found.stddev, posinf=0.0) * scale.factor
+    figure, (axis,) = new_figure()
+    pad_limits(axis, view[0] * scale.factor, view[1] * scale.factor, 0.12)
+    bottom, top = axis.get_ylim()
+    margin = 0.04 * (days[-1] - days[0]) or _SOON / _DAY
+    axis.set_xlim(days[0] - margin, days[-1] + margin)
+    if found.line is not None:
+        _draw_line(axis, found, scale.factor)
+    for chosen, face, words in ((found.reliable, colour, "value ± 2σ"),
+                                (~found.reliable, "white", "in doubt ± 2σ")):
+        here = chosen & (value > bottom) & (value < top)
+        if here.any():
+            axis.errorbar(days[here], value[here], np.minimum(spread[here], 9 * (top - bottom)),
+                          linestyle="", marker="o", markersize=5.5, color=colour,
+                          markerfacecolor=face, markeredgewidth=1.2, elinewidth=1.0,
+                          label=words)
+    for outside, place, marker in ((value >= top, 0.985, "^"), (value <= bottom, 0.015, "v")):
+        if outside.any():
+            axis.plot(days[outside], np.full(outside.sum(), bottom + place * (top - bottom)),
+                      linestyle="", marker=marker, markersize=7, color=colour,
+                      markerfacecolor="white", clip_on=False,
+                      label=f"beyond the picture ({int(outside.sum())})")
+    draw_limits(axis, value, lines, scale.factor, found.unit)
+    axis.set_ylim(bottom, top)
+    locator = matplotlib.dates.AutoDateLocator(minticks=3, maxticks=7)
+    axis.xaxis.set_major_locator(locator)
+    axis.xaxis.set_major_formatter(matplotlib.dates.ConciseDateFormatter(
+        locator, show_offset=False, formats=["%Y", "%b", "%d %b", "%H:%M", "%H:%M", "%H:%M:%S"],
+        zero_formats=["", "%Y", "%d %b", "%d %b", "%H:%M", "%H:%M"]))
+    first, last = (datetime.fromtimestamp(at, tz=UTC).strftime("%Y-%m-%d")
+                   for at in (found.time[0], found.time[-1]))
+    dates = f"{first} to {last}" if first != last else first
+    axis.set_xlabel(f"{dates}, UTC — {which}", color=INK)
+    axis.set_ylabel(f"{SYMBOLS[found.name]}, {scale.unit}")
+    legend_above(axis)
+    return picture(figure, f"{NAMES[found.name]} of {len(value)} recordings against the date, "
+                           f"{which}; {trend_words(found)}")
+
+
+def _draw_line(axis, found: History, factor: float) -> None:
+    used = found.time[found.usable]
+    time = np.linspace(used[0], used[-1], 60)
+    line, stddev = found.line.at(time)
+    axis.fill_between(time / _DAY, (line - 2 * stddev) * factor, (line + 2 * stddev) * factor,
+                      color=INK, alpha=0.13, linewidth=0)
+    axis.plot(time / _DAY, line * factor, color=INK, linewidth=1.4,
+              linestyle=(0, (5, 3)) if found.doubtful else "-", label="trend ± 2σ")

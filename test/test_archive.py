@@ -1,0 +1,345 @@
+"""A folder of bags: found, answered many at a time, kept in one table, resumed."""
+
+import json
+import os
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from archive_tools import killed_by_three
+from diagnosis_tools import coulomb
+from test_reports import Page
+
+from eha_monitor.archive.columns import COLUMNS
+from eha_monitor.archive.find import find_bags, is_archive, stamp_of
+from eha_monitor.archive.run import DIED, on_this_machine
+from eha_monitor.cli import main
+from eha_monitor.commands import diagnosis_answer
+from eha_monitor.commands.archive_row import Task, diagnosis_columns, estimate_columns, row_of
+from eha_monitor.physics.simulator import Simulator
+from eha_monitor.recordings.write import write_recording
+from eha_monitor.settings import settings_from_tree
+
+pyarrow = pytest.importorskip(
+    "pyarrow", reason="pyarrow is not installed (pip install eha_monitor[archive])")
+
+from eha_monitor.archive.store import Store, iso_time, nanoseconds_of, read_table  # noqa: E402
+
+ROOT = Path(__file__).parents[1]
+START = 1_790_000_000_000_000_000
+DAY = 86_400 * 10**9
+OF_THE_RUN = ("wall_s", "answered")  # of a row: not of the recording
+
+
+def night(path: Path, k: int, damping: float = 600.0, seconds: float = 3.0) -> Path:
+    """Record the paper's EHA for some seconds on the evening of day ``k``."""
+    settings = settings_from_tree({"rig": {"viscous_damping": damping}}, "test")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    seen = Simulator(settings, seed=k).advance(round(1000 * seconds))
+    return write_recording(path, seen, settings, start_ns=START + k * DAY)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """Four nights, one of them a lone file, a broken bag, and what is no bag."""
+    made = tmp_path_factory.mktemp("rig") / "nights"
+    for k, name in enumerate(("october/n0", "october/n1.mcap", "november/n10", "november/n9")):
+        night(made / name, k, 600.0 + 10.0 * k)
+    (made / "november/cut.mcap").write_bytes(b"")
+    (made / "notes").mkdir()
+    (made / "notes/readme.txt").write_text("no bag")
+    return made
+
+
+@pytest.fixture(scope="module")
+def answered(folder) -> Path:
+    """The table of the folder, made by two processes."""
+    out = folder.parent / "table"
+    assert main(["estimate", str(folder), "--out", str(out), "--jobs", "2"]) == 0
+    return out
+
+
+def rows_of(out: Path, command: str = "estimate") -> dict[str, dict]:
+    return {row["bag"]: row for row in read_table(out / f"{command}.parquet")[0]}
+
+
+def complaint(capsys, *arguments) -> str:
+    """Run a command that must fail with status 2, and return its one line."""
+    assert main([str(a) for a in arguments]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("eha_monitor: ")
+    assert err.count("\n") == 1, err
+    return err
+
+
+def counted(monkeypatch) -> list[str]:
+    """Let answers be made in this process, without the page; returns the bags that are."""
+    asked = []
+
+    def here(function, tasks, jobs, alone=0):
+        for task in tasks:
+            asked.append(task.name)
+            yield task, function(task), ""
+
+    monkeypatch.setattr("eha_monitor.archive.run.on_this_machine", here)
+    monkeypatch.setattr("eha_monitor.reports.archive_report.write_archive_report",
+                        lambda *arguments: None)
+    return asked
+
+
+def test_what_is_a_bag_and_what_holds_bags(tmp_path):
+    def touch(*names):
+        for name in names:
+            path = tmp_path / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(b"")
+
+    touch("all/whole/metadata.yaml", "all/whole/whole_0.mcap", "all/deep/er/x.mcap",
+          "all/crashed/run_0.mcap", "all/crashed/run_1.mcap", "all/old/old_0.db3",
+          "all/loose.mcap", "all/packed.mcap.zstd", "all/.trash/gone.mcap", "all/read.txt",
+          "one/only.mcap", "empty/notes.txt", "two/a.mcap", "two/b.mcap",
+          "daily/night_20261101.mcap", "daily/night_20261102.mcap")
+    (tmp_path / "all/again").symlink_to(tmp_path / "all")  # a loop
+    (tmp_path / "empty/dangling.mcap").symlink_to(tmp_path / "missing")
+    names = [place.name for place in find_bags(tmp_path / "all")]
+    assert names == ["crashed", "deep/er/x.mcap", "loose.mcap", "old", "packed.mcap.zstd",
+                     "whole"]
+    held = {name: is_archive(tmp_path / name) for name in (
+        "all", "all/whole", "all/crashed", "all/loose.mcap", "one", "empty", "two", "daily",
+        "missing")}
+    assert [name for name, is_one in held.items() if is_one] == ["all", "two", "daily"]
+    # What was read as one bag before still is, unless a table is asked for.
+    assert is_archive(tmp_path / "one", wanted=True)
+    assert not is_archive(tmp_path / "all/whole", wanted=True)
+
+
+def test_a_stamp_changes_with_the_files_and_not_with_their_place(tmp_path, folder):
+    bag = shutil.copytree(folder / "october/n0", tmp_path / "n0")
+    stamp = stamp_of(bag)
+    assert stamp == stamp_of(folder / "october/n0")
+    moved = bag.rename(tmp_path / "elsewhere")
+    assert stamp_of(moved) == stamp
+    os.utime(next(moved.glob("*.mcap")), (1, 1))
+    assert stamp_of(moved) != stamp
+
+
+def test_rows_are_what_the_single_bag_says(folder, answered, tmp_path, capsys):
+    rows = rows_of(answered)
+    assert set(rows) == {"november/cut.mcap", "november/n9", "november/n10", "october/n0",
+                         "october/n1.mcap"}
+    for name in ("october/n0", "october/n1.mcap", "november/n9", "november/n10"):
+        answer = tmp_path / "a.json"
+        assert main(["estimate", str(folder / name), "--json", str(answer)]) == 0
+        for key, value in estimate_columns(json.loads(answer.read_text())).items():
+            assert rows[name][key] == value, (name, key)
+        assert rows[name]["error"] is None
+    assert rows["november/n10"]["start"] == "2026-09-23T14:13:20.000000000Z"
+    broken = complaint(capsys, "estimate", folder / "november/cut.mcap")
+    assert rows["november/cut.mcap"]["error"] in broken
+    assert rows["november/cut.mcap"]["B"] is None
+
+
+def test_other_programs_read_the_table(answered):
+    import pandas
+
+    table = pandas.read_parquet(answered / "estimate.parquet").set_index("bag")
+    assert str(table["start"].dt.tz) == "UTC"
+    assert table.loc["november/n9", "B"] == pytest.approx(630.0, rel=0.02)
+    assert set(table.columns) | {"bag"} == {c.name for c in COLUMNS if c.only != "diagnose"}
+
+
+def test_page_shows_trends_and_what_is_broken(answered):
+    page = Page((answered / "estimate.html").read_text(encoding="utf-8"))
+    assert page.ids >= {"summary", "history-B", "history-beta_e", "broken", "recordings"}
+    assert "through 4 recordings" in page.text
+    assert "the file is empty" in page.text
+    assert "script" not in page.tags
+    assert not [one for one in page.references if not one.startswith("data:")]
+
+
+def test_a_second_run_does_only_what_is_new(folder, answered, tmp_path, monkeypatch, capsys):
+    nights = shutil.copytree(folder, tmp_path / "nights")
+    out = tmp_path / "out"
+    asked = counted(monkeypatch)
+
+    def run(*more) -> list[str]:
+        asked.clear()
+        assert main(["estimate", str(nights), "--out", str(out), *more]) == 0
+        return sorted(asked)
+
+    everything = ["november/cut.mcap", "november/n10", "november/n9", "october/n0",
+                  "october/n1.mcap"]
+    assert run() == everything
+    first = rows_of(out)
+    assert run() == []
+    assert rows_of(out) == first
+    assert "0 answered now, 5 as before" in capsys.readouterr().out
+
+    os.utime(nights / "october/n1.mcap", (1, 1))  # changed
+    (nights / "november/n9").rename(nights / "n9")  # moved
+    shutil.rmtree(nights / "october/n0")  # gone
+    night(nights / "new", 9, seconds=1.0)
+    assert run() == ["new", "october/n1.mcap"]
+    rows = rows_of(out)
+    assert [name for name, row in rows.items() if row["gone"]] == ["october/n0"]
+    assert rows["n9"]["B"] == first["november/n9"]["B"]
+    assert "november/n9" not in rows
+
+    config = tmp_path / "other.yaml"
+    config.write_text("thresholds: {viscous_damping: {high_warn: 601.0}}")
+    assert run("--config", str(config), "--keep", "all") == []
+    assert len(run("--config", str(config))) == 5
+    assert rows_of(out)["n9"]["alarm"] == "WARN"
+    assert main(["estimate", str(nights), "--out", str(out), "--config", str(config),
+                 "--exit-code"]) == 1
+    assert len(run("--config", str(config), "--keep", "none")) == 5
+
+
+def test_what_was_answered_before_an_interruption_stays(folder, tmp_path, monkeypatch, capsys):
+    arguments = ["estimate", str(folder), "--out", str(tmp_path)]
+
+    def interrupted(function, tasks, jobs, alone=0):
+        for task in tasks[:2]:
+            yield task, function(task), ""
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("eha_monitor.archive.run.on_this_machine", interrupted)
+    assert main(arguments) == 130
+    done = set(rows_of(tmp_path))
+    assert len(done) == 2
+    assert (tmp_path / "estimate.html").exists()
+    asked = counted(monkeypatch)
+    assert main(arguments) == 0
+    assert len(asked) == 3
+    assert not done & set(asked)
+
+
+def test_a_killed_run_leaves_its_journal(tmp_path):
+    row = {"bag": "a", "stamp": "1", "made_with": "2", "B": 600.0}
+    with Store(tmp_path / "out", "estimate", tmp_path) as store:
+        store.add(row)
+        store.add(row | {"bag": "b"})
+        with pytest.raises(Exception, match="another run is writing it"), \
+                Store(tmp_path / "out", "estimate", tmp_path):
+            pass
+    journal = tmp_path / "out/.estimate.journal"
+    journal.write_text(journal.read_text() + '{"bag": "c", "B": 6')  # the power went
+    with Store(tmp_path / "out", "estimate", tmp_path) as store:
+        assert set(store.rows) == {"a", "b"}
+        store.add(row | {"bag": "d", "start": iso_time(START + 7), "effects": None})
+    with Store(tmp_path / "out", "estimate", tmp_path) as store:
+        assert set(store.rows) == {"a", "b", "d"}
+        store.write()
+    assert not journal.exists()
+    rows = rows_of(tmp_path / "out")
+    assert nanoseconds_of(rows["d"]["start"]) == START + 7
+    with pytest.raises(Exception, match=r"is the table of .* expected another --out"), \
+            Store(tmp_path / "out", "estimate", tmp_path / "out"):
+        pass
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    (["estimate", "{folder}", "--json", "x.json"], "--json is for a single bag"),
+    (["estimate", "{folder}", "--report", "x.html"], "--report is for a single bag"),
+    (["diagnose", "{folder}", "--write-config", "x.yaml"], "--write-config is for a single bag"),
+    (["diagnose", "{folder}", "--held-out", "x"], "--held-out is for a single bag"),
+    (["diagnose", "{folder}", "{folder}"], "expected one folder that holds bags"),
+    (["estimate", "{folder}", "--jobs", "2", "--scheduler", "x"], "expected one of the two"),
+    (["estimate", "{folder}/october/n0", "--jobs", "2"], "--jobs is for a folder that holds"),
+    (["estimate", "{folder}/notes", "--out", "x"], "found a folder without bags"),
+    (["estimate", "{folder}/notes"], "neither metadata.yaml nor .mcap file"),
+    (["estimate", "{folder}", "--config", "missing.yaml"], "missing.yaml: cannot read config"),
+    (["estimate", "{folder}", "--out", "{folder}/october/n1.mcap"], "n1.mcap"),
+])
+def test_bad_usage_is_one_line_before_any_work(folder, capsys, arguments, words):
+    told = complaint(capsys, *(part.format(folder=folder) for part in arguments))
+    assert words in told
+
+
+def test_a_folder_of_broken_bags_is_bad_input(tmp_path, monkeypatch, capsys):
+    (tmp_path / "in").mkdir()
+    for name in ("a.mcap", "b.mcap"):
+        (tmp_path / "in" / name).write_bytes(b"nonsense")
+    counted(monkeypatch)
+    told = complaint(capsys, "estimate", tmp_path / "in", "--out", tmp_path / "out")
+    assert "none of its 2 bags has an answer" in told
+    assert len(rows_of(tmp_path / "out")) == 2
+
+
+def test_a_row_of_a_diagnosis_holds_what_it_says(tmp_path):
+    tree = diagnosis_answer.answer(coulomb())
+    row = diagnosis_columns(tree)
+    assert row["B_after"] == tree["parameters"]["after"]["B"]["value"]
+    assert row["verdict"] == tree["verdict"]
+    with Store(tmp_path / "out", "diagnose", tmp_path) as store:
+        store.add({"bag": "a", "stamp": "1", "made_with": "2", **row})
+        store.write()
+    effect, = rows_of(tmp_path / "out", "diagnose")["a"]["effects"]
+    said, = tree["effects"]
+    assert effect["name"] == said["name"] == "coulomb_friction"
+    assert effect["statement"] == said["statement"]
+    assert {one["name"]: one["value"] for one in effect["parameters"]} == {
+        name: one["value"] for name, one in said["parameters"].items()}
+
+
+def test_diagnose_of_a_folder_is_diagnose_of_its_bags(tmp_path, monkeypatch, capsys):
+    settings = settings_from_tree({}, "test")
+    (tmp_path / "in").mkdir()
+    for k in range(2):  # at rest, which is told at once
+        noise = np.random.default_rng(k).normal(0.0, 1e-6, 1000)
+        write_recording(tmp_path / "in" / f"bag{k}", {"x": noise, "x_d": np.zeros(1000)},
+                        settings, start_ns=START)
+    counted(monkeypatch)
+    options = ["--no-calibration"]
+    assert main(["diagnose", str(tmp_path / "in"), "--out", str(tmp_path / "out"),
+                 *options]) == 0
+    assert main(["diagnose", str(tmp_path / "in/bag1"), "--json", str(tmp_path / "a.json"),
+                 *options]) == 0
+    row = rows_of(tmp_path / "out", "diagnose")["bag1"]
+    for key, value in diagnosis_columns(json.loads((tmp_path / "a.json").read_text())).items():
+        assert row[key] == value, key
+    assert row["verdict"] == "insufficient_data"
+    assert "verdicts: 2 insufficient data" in capsys.readouterr().out
+
+
+def test_a_process_that_dies_costs_its_own_bag_only():
+    answers = list(on_this_machine(killed_by_three, range(5), 2))
+    assert sorted(argument for argument, _, _ in answers) == list(range(5))
+    assert {argument: error for argument, _, error in answers if error} == {3: DIED}
+    assert all(answer == number * number for number, answer, error in answers if not error)
+
+
+def test_a_defect_is_a_row_too(folder, monkeypatch):
+    def broken(*arguments):
+        raise ZeroDivisionError("a defect")
+
+    monkeypatch.setattr("eha_monitor.filters.pipeline.estimate", broken)
+    settings = settings_from_tree({}, "test")
+    row = row_of(Task("n0", folder / "october/n0", "estimate", settings, True, "1", "2"))
+    assert row["error"].startswith("defect of eha_monitor: ZeroDivisionError: a defect at ")
+    assert row["bag"] == "n0"
+
+
+def test_a_cluster_says_the_same(folder, answered, tmp_path, capsys):
+    distributed = pytest.importorskip(
+        "distributed", reason="distributed is not installed (pip install eha_monitor[dask])")
+    arguments = ["estimate", str(folder), "--out", str(tmp_path)]
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1,
+                                  dashboard_address=None) as cluster:
+        assert main([*arguments, "--scheduler", cluster.scheduler_address]) == 0
+    there, here = rows_of(tmp_path), rows_of(answered)
+    assert there.keys() == here.keys()
+    for name, row in there.items():
+        differ = [key for key in row if key not in OF_THE_RUN and row[key] != here[name][key]]
+        assert not differ, name
+    for address, words in ((cluster.scheduler_address, "no Dask scheduler answers there"),
+                           ("nonsense", "missing port number")):
+        assert words in complaint(capsys, *arguments, "--scheduler", address)
+
+
+def test_every_column_is_documented():
+    text = (ROOT / "docs/archive.md").read_text(encoding="utf-8")
+    for column in COLUMNS:
+        assert re.search(rf"^\|.*`{re.escape(column.name)}`.*\|", text, re.MULTILINE), column.name

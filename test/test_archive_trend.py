@@ -1,0 +1,95 @@
+"""The line through many recordings: its slope, and how sure it is."""
+
+import numpy as np
+import pytest
+
+from eha_monitor.archive.history import history
+from eha_monitor.archive.store import iso_time
+from eha_monitor.archive.trend import MONTH, trend
+from eha_monitor.reports.archive_figures import history_block, trend_words
+from eha_monitor.settings import Settings
+
+DAY = 86_400.0
+START = 1.79e9  # s since the epoch
+
+
+def row(day: float, value: float, stddev: float = 1.0, **more) -> dict:
+    return {"bag": f"d{day}", "start": iso_time(round((START + day * DAY) * 1e9)), "B": value,
+            "B_stddev": stddev, "B_unit": "N·s/m", "B_status": "converged", "B_doubt": None,
+            "made_with": "now", **more}
+
+
+def test_a_line_without_noise_is_found():
+    time = START + DAY * np.array([0.0, 4.0, 9.0, 30.0])
+    line = trend(time, 600.0 + 2.0 * (time - START) / MONTH, np.full(4, 0.5))
+    assert MONTH * line.slope == pytest.approx(2.0)
+    assert line.scatter == 0.0
+    assert line.at(np.array([START]))[0][0] == pytest.approx(600.0)
+
+
+@pytest.mark.parametrize("scatter", [0.0, 8.0])
+def test_slopes_lie_within_their_standard_deviation(scatter):
+    """With and without a scatter from night to night that no recording knows of."""
+    rng = np.random.default_rng(3)
+    off = []
+    for _ in range(150):
+        time = START + DAY * np.sort(rng.uniform(0.0, 60.0, 20))
+        stddev = rng.uniform(0.5, 3.0, 20)
+        value = 600.0 + 5.0 * (time - START) / MONTH + rng.normal(
+            0.0, np.hypot(stddev, scatter))
+        line = trend(time, value, stddev)
+        off.append((MONTH * line.slope - 5.0) / (MONTH * line.slope_stddev))
+    assert 0.85 < np.std(off) < 1.15
+    assert abs(np.mean(off)) < 0.2
+
+
+def test_no_line_where_there_is_none():
+    time = START + DAY * np.arange(3.0)
+    assert trend(time[:2], np.ones(2), np.ones(2)) is None
+    assert trend(np.full(3, START), np.ones(3), np.ones(3)) is None
+    assert trend(time, np.array([1.0, np.nan, 2.0]), np.ones(3)) is None
+    assert trend(time, np.zeros(3), np.zeros(3)).slope == 0.0
+
+
+def test_doubtful_values_do_not_bend_the_line():
+    rows = [row(day, 600.0) for day in range(5)]
+    rows += [row(5, 900.0, B_doubt="the model does not fit"),
+             row(6, 4e9, B_status="diverged"), row(7, 900.0, made_with="before")]
+    found = history(rows, "B", "estimate", "now")
+    assert found.line.count == 5
+    assert found.line.slope == pytest.approx(0.0, abs=1e-12)
+    assert found.reliable.tolist() == [True] * 5 + [False] * 3
+    assert not found.doubtful
+    block = history_block(found, Settings())
+    assert block.pictures
+    assert "none that stands out" in block.notes[0]
+
+
+def test_where_all_are_tainted_their_change_is_told():
+    rows = [row(day, 900.0 + day, 0.1, B_doubt="dry friction") for day in range(6)]
+    found = history(rows, "B", "estimate", "now")
+    assert found.doubtful
+    assert MONTH * found.line.slope == pytest.approx(30.0)
+    assert "tells of change only" in trend_words(found)
+
+
+def test_measured_temperatures_make_it_the_reference():
+    rows = [row(day, 600.0 + 50.0 * (day % 2), B_reference=600.0, B_reference_stddev=1.0)
+            for day in range(4)]
+    found = history(rows, "B", "estimate", "now")
+    assert found.at_reference
+    assert found.value.tolist() == [600.0] * 4
+    rows[1]["B_reference"] = None
+    assert not history(rows, "B", "estimate", "now").at_reference
+
+
+def test_stamps_that_are_no_calendar_time_are_told():
+    rows = [row(-START / DAY + 1.0, 600.0), row(0, 600.0)]
+    found = history(rows, "B", "estimate", "now")
+    assert found.undated == 1
+    assert "needs 3 values" in trend_words(found)
+    alone = history(rows[:1], "B", "estimate", "now")
+    assert "no calendar time" in history_block(alone, Settings()).notes[0]
+    nothing = history([{"bag": "a", "made_with": "now", "error": "broken"}], "beta_e",
+                      "estimate", "now")
+    assert "no recording tells a value" in history_block(nothing, Settings()).notes[0]
