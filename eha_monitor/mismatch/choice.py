@@ -5,11 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eha_monitor.mismatch.calibrate import simulated
 from eha_monitor.mismatch.contest import CONTENDING, comparable, contested, slack_of
 from eha_monitor.mismatch.experiment import Experiment
-from eha_monitor.mismatch.fit import Fit, spread, with_unknowns
-from eha_monitor.mismatch.gains import expected_covariance
+from eha_monitor.mismatch.fit import Fit, refine, spread, with_unknowns
+from eha_monitor.mismatch.gains import Unknowns, expected_covariance
 from eha_monitor.mismatch.innovations import CLOSED
 from eha_monitor.mismatch.resonance import stubborn
 from eha_monitor.mismatch.screen import starts_of
@@ -45,7 +44,7 @@ SHRUNK, LITTLE = 0.2, 0.03  # of the nominal model's unknown, and of what the ba
 EXPECTED = 1.5  # times the variance that a filter expects of its innovations
 FURTHER = 0.1  # of the evidence that is left: what gains no more has no claim on it
 WEAK, WEAK_SHARE = 100.0, 0.01  # log units, and of the samples: evidence that is looked into
-CLEAN_DRAWS = 2
+FLOOR, QUIET = 1.5, 0.1  # times the smallest unknowns: as good as there, and where it leans more
 NEGLIGIBLE = 0.25  # times an effect's start, which is about 1 % of what its balance does
 
 Report = Callable[[str, float], None]
@@ -104,34 +103,33 @@ def demanded_gain(fit: Fit, first: Fit, name: str, threshold: float) -> float:
     return max(threshold, share * sofar)
 
 
-def choose(experiment: Experiment, found: Round, first: Fit, threshold: float
-           ) -> tuple[Candidate | None, tuple[str, ...]]:
+def take(experiment: Experiment, found: Round, first: Fit, threshold: float
+         ) -> tuple[Candidate | None, tuple[str, ...]]:
     """Return the candidate that a round takes, or None, and its rivals.
 
-    One whose evidence is weak must gain more than it does on clean records too.
+    One whose evidence is weak must have it with a quieter filter too (:func:`quiet_gain`).
     """
-    fit = found.before
-
-    def demanded(c: Candidate) -> float:
-        return demanded_gain(fit, first, c.effect, threshold * lasting(experiment, fit, c))
-
-    able = [c for c in found.candidates if c.gain >= demanded(c)]
     while True:
-        taken, rivals = best_able(experiment, able)
-        if taken is None or not weak(experiment, taken) or (
-                taken.gain >= demanded(taken) + gain_on_clean(experiment, fit, taken)):
+        taken, rivals = choose(experiment, found, first, threshold)
+        if taken is None or not weak(experiment, taken) or quiet_gain(
+                experiment, found.before, taken) >= demanded_gain(
+                    found.before, first, taken.effect, threshold):
             return taken, rivals
-        able = [c for c in able if c is not taken]
+        found = replace(found, candidates=tuple(c for c in found.candidates if c is not taken))
 
 
-def best_able(experiment: Experiment, able: list[Candidate]
-              ) -> tuple[Candidate | None, tuple[str, ...]]:
-    """Return which of the candidates with enough evidence is taken, or None, and its rivals.
+def choose(experiment: Experiment, found: Round, first: Fit, threshold: float
+           ) -> tuple[Candidate | None, tuple[str, ...]]:
+    """Return the best candidate of a round that has enough evidence, or None, and its rivals.
 
     What takes most of the same evidence away does about the same there and is about as large,
     whatever the scale of its own size, so where one of them matters the best is taken: not a gain
     of the pump because a leakage that explains more has another scale.
     """
+    fit = found.before
+    able = [c for c in found.candidates
+            if c.gain >= demanded_gain(fit, first, c.effect,
+                                       threshold * lasting(experiment, fit, c))]
     leading = next((c for c in able if material(experiment, c.fit, c.effect)), None)
     if leading is None:
         return None, ()
@@ -147,24 +145,27 @@ def best_able(experiment: Experiment, able: list[Candidate]
 
 
 def weak(experiment: Experiment, candidate: Candidate) -> bool:
-    """Tell whether a candidate's evidence may be the filter's own (:func:`gain_on_clean`)."""
+    """Tell whether a candidate's evidence may be the filter's own (:func:`quiet_gain`)."""
     return not experiment.inverse and candidate.gain < max(WEAK, WEAK_SHARE * experiment.n)
 
 
-def gain_on_clean(experiment: Experiment, before: Fit, candidate: Candidate) -> float:
-    """Return what a candidate gains on records that the model without it has made, log units.
+def quiet_gain(experiment: Experiment, before: Fit, candidate: Candidate) -> float:
+    """Return what a candidate gains where the filter leans on the model ten times more, log units.
 
     Even the smallest unknowns leave some noise in what the filter predicts.  What pins a state,
-    such as a relief valve that just opens on each plateau, makes it quieter and gains by that on
-    any record: 26 log units on a triangle of 24 s, where chance gives 4.
+    such as a relief valve that just opens on each plateau, makes it quieter, and gains by that
+    where nothing is missing: 31 to 37 log units on clean triangles of 24 s.  With less of that
+    noise its gain is gone, and that of what the record does show grows.
     """
-    def one(seed: int) -> float:
-        drawn = simulated(experiment, before, seed)
-        alone = settle(drawn, stiffened(drawn, before), 1)
-        beside = settle(drawn, with_unknowns(drawn, candidate.fit, alone.unknowns), 1)
-        return beside.log_likelihood - alone.log_likelihood
+    small = limits_of(experiment)[0].as_array()
 
-    return max(0.0, float(np.mean(spread(one, range(CLEAN_DRAWS)))))
+    def one(fit: Fit) -> Fit:
+        unknowns = fit.unknowns.as_array()
+        quiet = np.where(unknowns <= FLOOR * small, QUIET * small, unknowns)
+        return refine(experiment, with_unknowns(experiment, fit, Unknowns(*quiet)), 6, 0.1)
+
+    alone, beside = spread(one, (before, candidate.fit))
+    return beside.log_likelihood - alone.log_likelihood
 
 
 def lasting(experiment: Experiment, before: Fit, candidate: Candidate) -> float:
@@ -208,7 +209,7 @@ def add_effects(experiment: Experiment, first: Fit, threshold: float, say: Repor
         found = round_of(experiment, fit,
                          lambda name, fit=fit: demanded_gain(fit, first, name, threshold))
         rounds = (*rounds, found)
-        taken, near = choose(experiment, found, first, threshold)
+        taken, near = take(experiment, found, first, threshold)
         if taken is None or hopeless(experiment, fit, taken):
             break
         if not experiment.inverse and CATALOGUE[taken.effect].resonant:
