@@ -204,3 +204,17 @@ def test_ten_times_the_rate_is_the_same_motion():
     assert end.parameters["B"].value == pytest.approx(600.0, rel=0.01)
     assert end.parameters["beta_e"].value == pytest.approx(BETA, rel=0.02)
     assert np.isfinite(end.position)
+
+
+@pytest.mark.parametrize("late", [("p1", "p2"), ("x_d", "omega"), ("x",),
+                                  ("p1", "p2", "x_d", "omega")])
+def test_a_channel_may_come_back_from_a_gap_later_than_the_others(rows, late):
+    """A monitor that was held up, or publishers that are started one after the other."""
+    made = Stream()
+    made.push(rows[:2000])
+    made.push([(time + 3.0, {n: v for n, v in row.items() if k >= 300 or n not in late})
+               for k, (time, row) in enumerate(rows[2000:5000])])
+    end = made.history[-1]
+    assert end.model.status == "consistent"
+    assert end.parameters["B"].value == pytest.approx(600.0, rel=0.01)
+    assert end.parameters["beta_e"].value == pytest.approx(BETA, rel=0.02)

@@ -133,7 +133,8 @@ class LiveEstimator:
         gap = time_s - self._time_of(self._buffer.end)
         self._events.append(Event(time_s, "monitor", f"no data for {gap:.2f} s"))
         self._take(everything=True)
-        self._buffer = LiveBuffer(BUFFER_S, self.dt)
+        # The stages go on with the channels that they have; one may come back later than another.
+        self._buffer = LiveBuffer(BUFFER_S, self.dt, frozenset(self._buffer.seen))
         self._origin = time_s  # rows are counted anew
         self._taken = self._piece = self._clean = 0
         self._tester.restart_rows()
