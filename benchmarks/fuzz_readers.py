@@ -10,6 +10,7 @@ target: the exit status is 1.  ``test/test_corpus.py`` replays every file, witho
 """
 
 import argparse
+import importlib.util
 import subprocess
 import sys
 import tempfile
@@ -34,6 +35,9 @@ def main() -> int:
     given, rest = options.parse_known_args()
     if given.child:
         fuzz(given.child, rest)
+        return 0
+    if importlib.util.find_spec("atheris") is None:
+        print("fuzz_readers: not run, it needs atheris (pip install atheris)")
         return 0
     broken = []
     for target in given.targets:

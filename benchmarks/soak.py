@@ -67,7 +67,7 @@ class Child:
 
     def __init__(self, seed: int):
         self.process = subprocess.Popen(
-            [sys.executable, str(Path(__file__).with_name("faulty_publisher.py")), str(seed)],
+            [sys.executable, "benchmarks/soak_parts/faulty_publisher.py", str(seed)],
             cwd=REPOSITORY, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         self.said: list[tuple[float, str]] = []
         threading.Thread(target=self._listen, daemon=True).start()
@@ -156,8 +156,11 @@ def soak(duration: float, seed: int, kinds: list[str]
                 look_on(time.monotonic() + 60.0, lambda said=child.said: said)
             else:
                 child.tell(f"{fault.kind} {draw.randrange(10**6)}")
+                # A starved publisher answers late: the fault begins when it says so.
+                look_on(fault.begin + 20.0, lambda: len(child.said) > heard)  # noqa: B023
+                if len(child.said) > heard:
+                    fault.begin, fault.detail = child.said[heard]
                 look_on(fault.begin + length)
-                fault.detail = child.said[heard][1]
                 child.tell("calm")
             fault.end = fault.begin if fault.kind == "clock_back" else time.monotonic()
             look_on(time.monotonic() + draw.uniform(12.0, 14.0))

@@ -10,7 +10,7 @@ from eha_monitor.settings import Settings, load_settings, settings_from_tree
 from eha_monitor.settings.document import annotated
 from eha_monitor.settings.monitor import CHANNELS
 
-QUICK = settings(max_examples=150, deadline=None,
+QUICK = settings(max_examples=100, deadline=None,
                  suppress_health_check=[HealthCheck.function_scoped_fixture])
 SCALARS = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=12),
                     st.dates(), st.binary(max_size=4), st.sampled_from(

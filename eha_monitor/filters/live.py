@@ -116,8 +116,7 @@ class LiveEstimator:
 
     def _place(self, time_s: float, row: dict[str, float]) -> None:
         place = (time_s - self._origin) / self.dt
-        number = round(place)
-        off = abs(place - number)
+        number, off = round(place), abs(place - round(place))
         # The same grid place again: the nearer one stands, else the first, if not yet filtered.
         if number < self._buffer.end and not (
                 number == self._buffer.end - 1 >= self._taken and off < self._off - NEARER):
@@ -321,12 +320,14 @@ class LiveEstimator:
         value, stddev = self._handover.damping
         b[edge:], variance[edge:] = value, stddev**2
         b[np.isnan(b)], variance[np.isnan(variance)] = value, stddev**2
-        inputs = self._inputs(start, stop)
-        result = run_stage_two_kernel(inputs, self.settings, b, variance)
+        result = run_stage_two_kernel(self._inputs(start, stop), self.settings, b, variance)
         broad = (self.settings.stage_two.prior_stddev / self.settings.stage_two.prior) ** 2
-        self._two = FilterpyStageTwo(
+        before, self._two = self._two, FilterpyStageTwo(
             self._model, self.dt, self._r, force_noise_variance(self.settings), broad,
             result.state, result.covariance, result.sensitivity, result.watch, result.memory)
+        if before is not None and self._two.held and not before.held:
+            self._two = before  # the buffer, begun anew after a gap, tells less
+            return
         buffer.column("nu_two", start, stop)[:] = result.out[6]
         buffer.column("sd_two", start, stop)[:] = result.out[7]
         self._changes["two"] = [(start + int(row[0]), row[1], row[2], int(row[3]))
