@@ -132,7 +132,6 @@ class LiveEstimator:
         gap = time_s - self._time_of(self._buffer.end)
         self._events.append(Event(time_s, "monitor", f"no data for {gap:.2f} s"))
         self._take(everything=True)
-        # The stages go on with the channels that they have; one may come back later than another.
         self._buffer = LiveBuffer(BUFFER_S, self.dt, frozenset(self._buffer.seen))
         self._origin = time_s  # rows are counted anew
         self._taken = self._piece = self._clean = 0
@@ -322,10 +321,11 @@ class LiveEstimator:
         b[np.isnan(b)], variance[np.isnan(variance)] = value, stddev**2
         result = run_stage_two_kernel(self._inputs(start, stop), self.settings, b, variance)
         broad = (self.settings.stage_two.prior_stddev / self.settings.stage_two.prior) ** 2
-        before, self._two = self._two, FilterpyStageTwo(
+        before, status = self._two, self._parameters()["beta_e"].status
+        self._two = FilterpyStageTwo(
             self._model, self.dt, self._r, force_noise_variance(self.settings), broad,
             result.state, result.covariance, result.sensitivity, result.watch, result.memory)
-        if before is not None and self._two.held and not before.held:
+        if status == "converged" and self._two.held:
             self._two = before  # the buffer, begun anew after a gap, tells less
             return
         buffer.column("nu_two", start, stop)[:] = result.out[6]
