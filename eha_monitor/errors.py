@@ -1,8 +1,16 @@
 """The one exception that a user is meant to see."""
 
+import re
+
+# Names out of a broken file may hold anything: line breaks of every alphabet, terminal controls.
+_CONTROLS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+")
+
 
 class InputError(Exception):
     """Bad input: the message is one line that names what is wrong and what was expected.
 
     The command line prints it without a traceback and exits with status 2.
     """
+
+    def __init__(self, message: str):
+        super().__init__(_CONTROLS.sub(" ", message))

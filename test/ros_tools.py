@@ -70,6 +70,9 @@ class Recorder:
     def reset(self, reason):
         self.resets.append(reason)
 
+    def withdraw(self, channel, since_s):
+        pass
+
     def snapshot(self):
         from eha_monitor.filters.live import LiveSnapshot
         make = ParameterEstimate

@@ -24,8 +24,9 @@ from eha_monitor.filters.live_buffer import LiveBuffer
 from eha_monitor.filters.live_model import JUDGE_EVERY_S, JUDGED_S, KEPT, Fit, LiveModel
 from eha_monitor.filters.noise import noise_levels
 from eha_monitor.filters.results import Event, LiveSnapshot, ParameterEstimate
+from eha_monitor.filters.rewind import Checkpoints
 from eha_monitor.filters.run_two import LARGE, force_noise_variance, run_stage_two_kernel
-from eha_monitor.filters.status import judge_parameter, no_data, units_of
+from eha_monitor.filters.status import parameters_of, units_of
 from eha_monitor.physics.signals import (
     COMMAND_DELAY,
     FEEDBACK_DELAY,
@@ -45,6 +46,7 @@ NOISE_AGAIN_S = (1.0, 4.0, 10.0)  # after the start; then every 10 s
 OTHER_NOISE = 0.05
 SETTLED_S = 0.5  # B counts as changing for so long after it was seen to change
 CHANGING_STDDEV = 0.05  # relative, while it does
+NEARER = 0.05  # sample times
 LONG_GAP_S = 0.5  # a longer gap starts the buffer anew
 
 
@@ -67,7 +69,7 @@ class LiveEstimator:
         self._model: RigModel | None = None
         self._taken = 0
         self._origin = self._began = 0.0
-        self._lag, self._context = LAG, CONTEXT
+        self._lag, self._context, self._off = LAG, CONTEXT, 0.0
         self._temperature: float | None = None
         self._handover = Handover(self.settings)
         self._damping = (math.nan, math.nan)
@@ -78,11 +80,10 @@ class LiveEstimator:
         self._tester = LiveModel(self.settings)
         self._clean = 0  # row from which on stage two is run again
         self._noise_at = list(NOISE_AGAIN_S)
+        self._checkpoints = Checkpoints()
         self._announced: set[str] = set()
         if reason:
             self._events.append(Event(self._now, "monitor", f"estimates reset: {reason}"))
-
-    # ---- rows in -------------------------------------------------------------------------
 
     def push(self, time_s: float, row: dict[str, float]) -> None:
         """Take one aligned row at a rising time; missing channels are absent or NaN."""
@@ -114,9 +115,13 @@ class LiveEstimator:
         return begin
 
     def _place(self, time_s: float, row: dict[str, float]) -> None:
-        number = round((time_s - self._origin) / self.dt)
-        if number < self._buffer.end:
-            return  # the same grid place again: the first one stands
+        place = (time_s - self._origin) / self.dt
+        number, off = round(place), abs(place - round(place))
+        # The same grid place again: the nearer one stands, else the first, if not yet filtered.
+        if number < self._buffer.end and not (
+                number == self._buffer.end - 1 >= self._taken and off < self._off - NEARER):
+            return
+        self._off = off
         if number - self._buffer.end > LONG_GAP_S / self.dt:
             self._after_gap(time_s)
             number = self._buffer.end
@@ -127,10 +132,11 @@ class LiveEstimator:
         gap = time_s - self._time_of(self._buffer.end)
         self._events.append(Event(time_s, "monitor", f"no data for {gap:.2f} s"))
         self._take(everything=True)
-        self._buffer = LiveBuffer(BUFFER_S, self.dt)
+        self._buffer = LiveBuffer(BUFFER_S, self.dt, frozenset(self._buffer.seen))
         self._origin = time_s  # rows are counted anew
         self._taken = self._piece = self._clean = 0
         self._tester.restart_rows()
+        self._checkpoints.clear()
         self._changes = {"one": [], "two": []}
         for stage in filter(None, (self._one, self._two)):
             stage.lost = True
@@ -182,8 +188,6 @@ class LiveEstimator:
         """Return what is known about the rows from ``start`` on."""
         return Known(self._model, self._noise, self._quantum, self._no_force, self._no_drive,
                      self._buffer.kept(start))
-
-    # ---- batches through the filters --------------------------------------------------------
 
     def _take(self, everything: bool = False) -> None:
         """Filter the rows whose neighbours have come."""
@@ -262,7 +266,17 @@ class LiveEstimator:
     def _time_of(self, number: int) -> float:
         return self._origin + number * self.dt
 
-    # ---- decisions between batches ----------------------------------------------------------
+    def withdraw(self, channel: str, since_s: float) -> None:
+        """Take back what a channel gave from ``since_s`` on: it was no measurement."""
+        if self._buffer is None:
+            self._early.clear()
+            return
+        row = max(round((since_s - self._origin) / self.dt), 0)
+        if not self._checkpoints.back(self, row):
+            self.reset(f"{channel} has been wrong since the start")
+            return
+        self._buffer.column(channel, row, self._buffer.end)[:] = math.nan
+        self._take()
 
     def _supervise(self) -> None:
         since_start = self._taken * self.dt
@@ -274,6 +288,7 @@ class LiveEstimator:
             self._noise_at = self._noise_at[1:] or [self._noise_at[0] + 10.0]
         if self._no_drive is None:
             self._hand_over(since_start)
+        self._checkpoints.keep(self, self._taken, self.dt)
         if (self._taken - self._tester.judged_at) * self.dt >= JUDGE_EVERY_S:
             self._judge()
         for name, estimate in self._parameters().items():
@@ -304,12 +319,15 @@ class LiveEstimator:
         value, stddev = self._handover.damping
         b[edge:], variance[edge:] = value, stddev**2
         b[np.isnan(b)], variance[np.isnan(variance)] = value, stddev**2
-        inputs = self._inputs(start, stop)
-        result = run_stage_two_kernel(inputs, self.settings, b, variance)
+        result = run_stage_two_kernel(self._inputs(start, stop), self.settings, b, variance)
         broad = (self.settings.stage_two.prior_stddev / self.settings.stage_two.prior) ** 2
+        before, status = self._two, self._parameters()["beta_e"].status
         self._two = FilterpyStageTwo(
             self._model, self.dt, self._r, force_noise_variance(self.settings), broad,
             result.state, result.covariance, result.sensitivity, result.watch, result.memory)
+        if status == "converged" and self._two.held:
+            self._two = before  # the buffer, begun anew after a gap, tells less
+            return
         buffer.column("nu_two", start, stop)[:] = result.out[6]
         buffer.column("sd_two", start, stop)[:] = result.out[7]
         self._changes["two"] = [(start + int(row[0]), row[1], row[2], int(row[3]))
@@ -365,25 +383,10 @@ class LiveEstimator:
             self._clean = self._tester.first["two"] = start
             self._run_two_again()
 
-    # ---- what is known ---------------------------------------------------------------------
-
     def _parameters(self) -> dict[str, ParameterEstimate]:
-        units = units_of(self.settings.rig.motion)
-        waiting = "no data yet"
-        one, two = self.settings.stage_one, self.settings.stage_two
-        if self._one is not None:
-            b = judge_parameter("B", self._one.value, self._one.stddev, units["B"], one.prior,
-                                one.prior_stddev)
-        else:
-            reason = waiting if self._buffer is None else self._no_force or waiting
-            b = no_data("B", units["B"], reason)
-        if self._two is not None:
-            beta = judge_parameter("beta_e", self._two.value, self._two.stddev, units["beta_e"],
-                                   two.prior, two.prior_stddev, two.largest)
-        else:
-            reason = waiting if self._buffer is None else self._no_drive or "waits for stage one"
-            beta = no_data("beta_e", units["beta_e"], reason)
-        return {"B": b, "beta_e": beta}
+        lacking = ("no data yet",) * 2 if self._buffer is None else (
+            self._no_force or "no data yet", self._no_drive or "waits for stage one")
+        return parameters_of(self.settings, self._one, self._two, lacking)
 
     def snapshot(self) -> LiveSnapshot:
         """Return the present estimates; the events are handed out once."""

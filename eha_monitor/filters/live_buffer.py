@@ -15,15 +15,16 @@ class LiveBuffer:
     ----------
     seconds : how much is kept at least.
     dt : sample time, s.
+    seen : channels that came before, though not in these rows.
     """
 
-    def __init__(self, seconds: float, dt: float):
+    def __init__(self, seconds: float, dt: float, seen: frozenset[str] = frozenset()):
         self.dt = dt
         self.length = round(seconds / dt)
         self._columns = {name: np.full(2 * self.length, np.nan) for name in (*CHANNELS, *EXTRA)}
         self.first = 0
         self.end = 0
-        self.seen: set[str] = set()
+        self.seen: set[str] = set(seen)
         self._kept: dict[int, np.ndarray] = {}
 
     def append(self, number: int, row: dict[str, float]) -> None:

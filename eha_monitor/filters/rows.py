@@ -34,7 +34,10 @@ class Source:
     held : slow channels: the last value counts, no row waits for the next one.
     last_ns : stamp of the last sample taken; None before the first.
     heard_s : when the last sample came, on the caller's clock.
-    taken, late, jumped : samples taken, dropped as repeated or late, dropped as doubtful jumps.
+    taken, late, repeated, jumped : samples taken, dropped as late, as repeated, as doubtful jumps.
+    unread, empty : messages without the entry or without a number; those without a number.
+    lacked : rows that went without this source.
+    steps : ns between the stamps taken, shared among what was not read between them.
     """
 
     name: str
@@ -44,7 +47,13 @@ class Source:
     heard_s: float = -math.inf
     taken: int = 0
     late: int = 0
+    repeated: int = 0
     jumped: int = 0
+    unread: int = 0
+    empty: int = 0
+    lacked: int = 0
+    skipped: int = 0
+    steps: deque = field(default_factory=lambda: deque(maxlen=8192))
     epoch_ns: int | None = None
     doubted: int = 0
     candidate_ns: int = 0
@@ -83,11 +92,19 @@ class RowAligner:
         ordinary = last is not None and 0 < stamp_ns - last <= FAR_AHEAD_NS
         if not ordinary and not self._believe(source, stamp_ns):
             return
-        source.doubted = 0
+        if source.last_ns is not None:
+            source.steps.append((stamp_ns - source.last_ns) // (1 + source.skipped))
+        source.doubted = source.skipped = 0
         source.last_ns = stamp_ns
         source.heard_s = now
         source.taken += 1
         source.buffer.append((stamp_ns, values, now))
+
+    def unread(self, source: Source, empty: bool) -> None:
+        """Note a message that gave no sample, ``empty`` for want of a number."""
+        source.unread += 1
+        source.skipped += 1
+        source.empty += empty
 
     def pop(self, now: float) -> list[tuple[int, dict[str, float], float]]:
         """Return the rows that are complete or overdue: stamp in ns, values, when it came."""
@@ -116,7 +133,9 @@ class RowAligner:
             found = self._at(source, stamp)
             if found is not None:
                 row.update(zip(source.channels, found, strict=True))
-            elif not source.held and now - source.heard_s < SILENT_S:
+                continue
+            source.lacked += 1
+            if not source.held and now - source.heard_s < SILENT_S:
                 complete = False
         self.incomplete += not complete
         return {name: value for name, value in row.items() if math.isfinite(value)}
@@ -157,7 +176,9 @@ class RowAligner:
         source.doubted = source.doubted + 1 if rising else 1
         source.candidate_ns = stamp
         if source.doubted < (CONFIRM_NEAR if near else CONFIRM_FAR):
-            if near:
+            if step == 0:
+                source.repeated += 1
+            elif near:
                 source.late += 1
             else:
                 source.jumped += 1

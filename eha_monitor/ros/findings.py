@@ -25,12 +25,14 @@ class DataState:
     ----------
     stopped : why there are no rows now, or None.
     problems : sentences about missing channels and the like.
+    unsettled : symbols of parameters that have diverged only just now.
     unsaved : why the last bag could not be written, or None.
     values : numbers for the diagnostics: rates, counts, latencies, CPU share.
     """
 
     stopped: str | None = "no data yet"
     problems: list[str] = field(default_factory=list)
+    unsettled: set[str] = field(default_factory=set)
     unsaved: str | None = None
     values: dict[str, float | int | str] = field(default_factory=dict)
 
@@ -64,7 +66,7 @@ def all_findings(settings: Settings, board: AlarmBoard,
                          {"status": model.status}))
     found.append(_mismatch(model, consistency, data))
     level = "STALE" if data.stopped else "WARN" if data.problems or data.unsaved else "OK"
-    sentences = [data.stopped] if data.stopped else data.problems or ["data come"]
+    sentences = [*([data.stopped] if data.stopped else []), *data.problems] or ["data come"]
     message = "; ".join([*sentences, *([data.unsaved] if data.unsaved else [])])
     found.append(Finding("data", level, message, {**data.values, **_last(events.get("monitor"))}))
     return found
@@ -135,4 +137,6 @@ def _stage(stage: str, estimate: ParameterEstimate | None, consistency: Consiste
                    "innovation_samples": consistency.samples}
     values |= _last(event)
     level = "STALE" if data.stopped else _STATUS_LEVEL[estimate.status]
+    if level == "ERROR" and estimate.name in data.unsettled:
+        level = "WARN"
     return Finding(name, level, data.stopped or estimate.message or estimate.status, values)

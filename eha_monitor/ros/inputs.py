@@ -141,6 +141,11 @@ class Decoder:
         self.problem = f"{self._entry.source.name} holds no number in {fields}"
         return None
 
+    @property
+    def found(self) -> bool:
+        """Whether the last message had the entry."""
+        return self._index >= 0
+
     def _find(self, names: list[str]) -> None:
         self._names = list(names)
         wanted = self._entry.name

@@ -10,7 +10,8 @@ from rclpy.node import Node
 from rclpy.timer import Timer
 from std_srvs.srv import Trigger
 
-from eha_monitor.filters.results import Event, ModelStatus
+from eha_monitor.filters.faults import FaultWatch
+from eha_monitor.filters.results import Event, ModelStatus, ParameterEstimate
 from eha_monitor.filters.rows import RowAligner
 from eha_monitor.health.alarms import Alarm, AlarmBoard
 from eha_monitor.health.latency import LatencyMeter, ProcessorMeter
@@ -28,6 +29,9 @@ NEEDS = {"B": (("force",), ("p1", "p2")), "beta_e": (("x_d",),)}
 # rate is judged as densely as the original.
 JUDGE_EVERY_NS = 100_000_000
 WATCH_PERIOD = 0.1
+# A filter that has just been thrown off comes back or does not: an ERROR says that it did not.
+DIVERGED_S = 2.0
+LOOK_S = 0.19  # between two looks for faults of the data
 DIAGNOSTICS_PERIOD = 1.0
 # Stamps further than this from the wall clock are on another clock (a bag, a simulation).
 SAME_CLOCK_S = 5.0
@@ -72,6 +76,11 @@ class Monitor:
         self.missing_samples = 0
         self.aligner = RowAligner([e.source for t in self._topics for e in t.entries],
                                   self.settings.monitor.latency)
+        self.watch = FaultWatch(self.aligner.sources, self.settings.rig.sample_time,
+                                self.settings.monitor.latency)
+        self._clashes: list[str] = []
+        self._diverged: dict[str, int] = {}  # since when by the rows' stamps, ns
+        self._looked = -math.inf
         self._snapshot = None
         self._model = ModelStatus("unknown", "no data yet")
         self._events: dict[str, Event] = {}
@@ -143,6 +152,7 @@ class Monitor:
             else:
                 self._count_missing(stamp_ns)
             self._row_ns, self._row_came = stamp_ns, came
+            row = self.watch.take(stamp_ns, row)
             # Since the first row: seconds since 1970 leave a double 0.2 µs of resolution.
             self._estimator.push((stamp_ns - self._origin_ns) * 1e-9, row)
             for name in row:
@@ -152,7 +162,9 @@ class Monitor:
             if not 0 <= stamp_ns - self._judged_ns < JUDGE_EVERY_NS:
                 self._judge()
         if self.aligner.reset_reason is not None:
-            self._reset(self.aligner.take_reset())
+            reason = self.aligner.take_reset()
+            self.watch.restart(reason, now)
+            self._reset(reason)
 
     def _count_missing(self, stamp_ns: int) -> None:
         steps = (stamp_ns - self._row_ns) * 1e-9 / self.settings.rig.sample_time
@@ -191,6 +203,7 @@ class Monitor:
         for event in snapshot.events:
             self._events[event.stage] = event
             self.node.get_logger().info(f"stage {event.stage}: {event.message}")
+        self._note_diverged(snapshot.parameters)
         parameters = {}
         for symbol, estimate in snapshot.parameters.items():
             reason = self._unfed(symbol)
@@ -199,6 +212,14 @@ class Monitor:
         self._announce(self.board.update(self._seconds(), parameters, snapshot.temperature,
                                          self._model.tainted))
         self._publish_health(only_changes=True)
+
+    def _note_diverged(self, parameters: dict[str, ParameterEstimate]) -> None:
+        """Note since when a parameter has been diverged on data that are no fault's."""
+        now = {symbol for symbol, estimate in parameters.items() if estimate.status == "diverged"}
+        self._diverged = {symbol: self._row_ns if self.watch.frozen else min(
+            self._diverged.get(symbol, self._row_ns), self._row_ns) for symbol in now}
+        self.data.unsettled = {symbol for symbol, since_ns in self._diverged.items()
+                               if self._row_ns - since_ns < DIVERGED_S * 1e9}
 
     def _seconds(self) -> float:
         return (self._row_ns - (self._origin_ns or self._row_ns)) * 1e-9
@@ -233,6 +254,20 @@ class Monitor:
         now = time.monotonic()
         self.process(now)
         self._note_stop(now)
+        if now - self._looked >= LOOK_S:
+            self._looked = now
+            self._look(now)
+
+    def _look(self, now: float) -> None:
+        """Look for faults of the data, and take back what a frozen channel gave."""
+        for channel, since_ns in self.watch.look(now).items():
+            if self._origin_ns is not None:
+                self._estimator.withdraw(channel, (since_ns - self._origin_ns) * 1e-9)
+        limit = self.settings.monitor.stale_after
+        for problem in (p for each in self.inputs for p in each.problems(now, limit)):
+            self.watch.note(problem, now, problem)
+        self.data.problems = [*self._clashes, *self.watch.sentences(now)]
+        self._publish_health(only_changes=True)
 
     def _note_stop(self, now: float) -> None:
         """Make the health STALE when rows have stopped; wall time, as /clock may stop too."""
@@ -273,14 +308,14 @@ class Monitor:
     def _every_second(self) -> None:
         for topic_input in self.inputs:
             topic_input.follow_graph()
+        self._clashes = [clash for each in (*self.inputs, self._outputs)
+                         for clash in each.clashes()]
+        self._look(time.monotonic())
         self._update_data()
         self._publish_health()
 
     def _update_data(self) -> None:
         now = time.monotonic()
-        limit = self.settings.monitor.stale_after
-        self.data.problems = [problem for topic_input in self.inputs
-                              for problem in topic_input.problems(now, limit)]
         self.data.unsaved = self.keeper.unsaved
         values: dict[str, float | int | str] = {"rows": self.aligner.rows}
         for topic_input in self.inputs:
@@ -299,7 +334,7 @@ class Monitor:
         return {"lost_messages": sum(i.lost for i in self.inputs),
                 "missing_samples": self.missing_samples,
                 "incomplete_rows": self.aligner.incomplete,
-                "late_or_repeated_stamps": sum(s.late for s in sources),
+                "late_or_repeated_stamps": sum(s.late + s.repeated for s in sources),
                 "jumped_stamps": sum(s.jumped for s in sources)}
 
     def _publish_health(self, only_changes: bool = False) -> None:

@@ -14,9 +14,12 @@ from std_msgs.msg import Float64
 from eha_monitor.health.alarms import WATCHED
 from eha_monitor.ros import messages
 from eha_monitor.ros.keeper import Keeper
+from eha_monitor.ros.quality import clashes
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
                      durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+QUEUED = QoSProfile(depth=10)
 
 
 class Outputs:
@@ -31,6 +34,7 @@ class Outputs:
     def __init__(self, node: Node, keeper: Keeper):
         self._node, self._keeper = node, keeper
         self._publishers: list[Publisher] = []
+        self._topics: list[str] = []
         self._numbers = {}
         for watched in WATCHED:
             topic = f"monitor/{watched.section}"
@@ -55,14 +59,20 @@ class Outputs:
         self._publish(self._health, message)
         self._publish(self._diagnostics, message)
 
+    def clashes(self) -> list[str]:
+        """Return in sentences which subscribers get nothing, as they ask for another QoS."""
+        return [clash for topic in self._topics
+                for clash in clashes(self._node, topic)]
+
     def close(self) -> None:
         """End the publishers."""
         for publisher in self._publishers:
             self._node.destroy_publisher(publisher)
 
-    def _make(self, kind: type, topic: str, qos: QoSProfile | int = 10,
+    def _make(self, kind: type, topic: str, qos: QoSProfile = QUEUED,
               kept: bool = True) -> tuple[Publisher, int | None]:
         publisher = self._node.create_publisher(kind, topic, qos)
+        self._topics.append(topic)
         self._publishers.append(publisher)
         if not kept or self._keeper.ring is None:
             return publisher, None

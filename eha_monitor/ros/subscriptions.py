@@ -13,6 +13,7 @@ from eha_monitor.errors import InputError
 from eha_monitor.filters.rows import RowAligner
 from eha_monitor.ros.inputs import Decoder, Topic, has_stamp, message_class
 from eha_monitor.ros.keeper import Keeper
+from eha_monitor.ros.quality import clashes
 from eha_monitor.ros.raw import RawReader
 
 # Best effort takes from every publisher; the depth holds some seconds of a stalled process.
@@ -99,6 +100,10 @@ class TopicInput:
             found.append(f"{self.topic.name}: stamps are zero, the time of receipt is taken")
         return found
 
+    def clashes(self) -> list[str]:
+        """Return in sentences which publishers offer what this subscription cannot take."""
+        return clashes(self._node, self.topic.name)
+
     def rate(self, now: float) -> float:
         """Return the messages per second since the last call; ``now`` in s, monotonic."""
         (count, since), self._counted = self._counted, (self.messages, now)
@@ -110,6 +115,7 @@ class TopicInput:
     def _callback(self, kind: type, type_name: str) -> Callable:
         streams = [(entry.source, entry.delay_ns) for entry in self.topic.entries]
         push, done, monotonic = self._aligner.push, self._on_sample, time.monotonic
+        unread = self._aligner.unread
         read, stamped = RawReader(self.topic, type_name), has_stamp(kind)
         ring = self._keeper.ring if self._keeper is not None else None
         stream = self._keeper.stream(self.topic.name, type_name) if ring is not None else 0
@@ -137,9 +143,12 @@ class TopicInput:
                     return
             if time_ns == 0:
                 time_ns = self._now_ns()
-            for (source, delay_ns), values in zip(streams, values_of, strict=True):
+            for place, ((source, delay_ns), values) in enumerate(
+                    zip(streams, values_of, strict=True)):
                 if values is not None:
                     push(source, time_ns - delay_ns, values, now)
+                else:
+                    unread(source, self._decoders[place].found)
             done(now)
         return on_message
 

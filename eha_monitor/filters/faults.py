@@ -1,0 +1,219 @@
+"""What is wrong with the samples as they come: told by their stamps and values, in sentences.
+
+A fault of the data is no fault of the plant.  Each kind has its own sentence, which stands while
+there is evidence and a few seconds longer, so that a fault that comes in bursts does not flutter.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from eha_monitor.filters.rows import Source
+from eha_monitor.filters.stillness import Stillness
+
+# A sentence stands for so long after its last evidence.
+HELD_S = 3.0
+# So many samples, and so large a share of them, make a fault; one message in thousands is none.
+FEW = 3
+SHARE = 0.005
+# A step between stamps longer than this, in usual steps, lacks samples.
+GAP = 1.5
+# A rate this many times off the configured one is named.
+OTHER_RATE = 1.5
+# So much later than at best is late; usual are some milliseconds, on a busy machine tens.
+LATE_S = 0.1
+# Looks after which it is known how receipt and stamp usually drift apart.
+GROWTHS = 5
+# So many samples are needed to tell a usual step.
+ENOUGH = 20
+
+
+class Sentences:
+    """Sentences by key, each standing for ``HELD_S`` after it was last noted."""
+
+    def __init__(self):
+        self._noted: dict[str, tuple[float, str]] = {}
+
+    def note(self, key: str, now: float, sentence: str) -> None:
+        """Take a sentence; a newer one of the same key replaces it."""
+        self._noted[key] = (now, sentence)
+
+    def standing(self, now: float) -> list[str]:
+        """Return the sentences that stand, in the order in which they first came."""
+        self._noted = {key: (at, text) for key, (at, text) in self._noted.items()
+                       if now - at <= HELD_S}
+        return [text for _, text in self._noted.values()]
+
+
+@dataclass
+class _Past:
+    """One source as it was at the last look."""
+
+    taken: int = 0
+    late: int = 0
+    repeated: int = 0
+    lacked: int = 0
+    empty: int = 0
+    rows: int = 0
+    behind: float = math.nan  # from the last stamp to its receipt, on clocks of their own, s
+    best: float = math.inf  # the least of it that is usual
+    growth: deque[float] = field(default_factory=lambda: deque(maxlen=25))  # of it, s/s
+    at: float = -math.inf  # when it was last measured, s
+    was_late: bool = False
+    counted: dict[str, int] = field(default_factory=dict)
+
+
+class FaultWatch:
+    """Looks at the sources of the rows some times a second.
+
+    Parameters
+    ----------
+    sources : the streams.
+    sample_time : as configured, s.
+    latency : how long a row waits for its last channel, s.
+
+    Attributes
+    ----------
+    stillness : of each channel's value; takes the rows.
+    """
+
+    def __init__(self, sources: list[Source], sample_time: float, latency: float):
+        self._sources, self._sample_time, self._latency = sources, sample_time, latency
+        self._past = {source.name: _Past() for source in sources}
+        self._sentences = Sentences()
+        self.stillness = Stillness()
+        self._looked: float | None = None
+
+    def take(self, stamp_ns: int, row: dict[str, float]) -> dict[str, float]:
+        """Take one row; return it without the channels that are frozen."""
+        frozen = self.stillness.take(stamp_ns, row)
+        return {name: row[name] for name in row if name not in frozen} if frozen else row
+
+    def restart(self, reason: str, now: float) -> None:
+        """Stamps have jumped back: name it, and learn anew what is usual."""
+        self.note("clock", now, f"the clock jumped back: {reason}")
+        for past in self._past.values():
+            past.rows = 0
+            past.counted.clear()
+            past.growth.clear()
+            past.behind, past.at = math.nan, -math.inf
+        self.stillness = Stillness()
+
+    @property
+    def frozen(self) -> bool:
+        """Whether a channel is frozen now."""
+        return bool(self.stillness.frozen)
+
+    def note(self, key: str, now: float, sentence: str) -> None:
+        """Take a sentence that somebody else found."""
+        self._sentences.note(key, now, sentence)
+
+    def sentences(self, now: float) -> list[str]:
+        """Return what stands at ``now`` (s, monotonic)."""
+        return self._sentences.standing(now)
+
+    def look(self, now: float) -> dict[str, int]:
+        """Compare with the last look; return channels found frozen now, and since when, ns.
+
+        ``now`` in s, on the clock of :meth:`RowAligner.push`.
+        """
+        since, self._looked = self._looked, now
+        for source in self._sources:
+            past = self._past[source.name]
+            steps = np.array(source.steps, dtype=float) * 1e-9
+            source.steps.clear()
+            if since is not None and not source.held:
+                self._order(source, past, now)
+                self._steps(source, past, steps, now)
+                self._numbers(source, past, now)
+                if source.taken > past.taken and source.last_ns is not None:
+                    self._lateness(source, past, now)
+            past.taken, past.late, past.repeated = source.taken, source.late, source.repeated
+            past.lacked, past.empty, past.rows = source.lacked, source.empty, self.stillness.rows
+            past.counted = {name: self.stillness.counts.get(name, 0) for name in source.channels}
+        fresh = {}
+        for channel, (seconds, since_ns, new) in self.stillness.look().items():
+            reference = self.stillness.reference(channel)
+            self.note(f"still {channel}", now, f"{channel} has not changed for {seconds:.1f} s "
+                      f"while {reference} moves (frozen sensor, or stuck piston)")
+            if new:
+                fresh[channel] = since_ns
+        return fresh
+
+    def _order(self, source: Source, past: _Past, now: float) -> None:
+        """Name stamps that repeat or go back."""
+        late, repeated = source.late - past.late, source.repeated - past.repeated
+        all_ = source.taken - past.taken + late + repeated
+        if _many(repeated, all_):
+            self.note(f"repeat {source.name}", now,
+                      f"{source.name}: stamps repeat, {repeated} of {all_} messages are "
+                      "duplicates and left out")
+        if _many(late, all_):
+            self.note(f"order {source.name}", now,
+                      f"{source.name}: {late} of {all_} messages came out of order, behind later "
+                      "ones, and are left out")
+
+    def _steps(self, source: Source, past: _Past, steps: np.ndarray, now: float) -> None:
+        """Name samples that are missing, and a rate that is not the configured one."""
+        if len(steps) < FEW:
+            return
+        # With up to three quarters of the samples lost, a quarter of the steps are whole ones.
+        usual = float(np.quantile(steps, 0.25))
+        if usual <= 0:
+            return
+        missing = int(np.sum(np.round(steps[steps > GAP * usual] / usual) - 1))
+        missing -= source.late - past.late  # they came, too late
+        if _many(missing, missing + len(steps)):
+            self.note(f"missing {source.name}", now,
+                      f"{source.name}: messages are dropped, {missing} samples missing of "
+                      f"{missing + len(steps)}")
+        times = self._sample_time / usual
+        if len(steps) >= ENOUGH and times > OTHER_RATE:
+            self.note(f"rate {source.name}", now,
+                      f"{source.name}: samples come {times:.3g} times as fast as configured, "
+                      f"every {usual * 1e3:.3g} ms, and rig.sample_time is "
+                      f"{self._sample_time * 1e3:.3g} ms")
+
+    def _numbers(self, source: Source, past: _Past, now: float) -> None:
+        """Name a channel without a number, and one that the rows cannot wait for."""
+        taken, lacked = source.taken - past.taken, source.lacked - past.lacked
+        empty, rows = source.empty - past.empty, self.stillness.rows - past.rows
+        given = [name for name in source.channels if past.counted.get(name)]
+        for name in given:  # it gave numbers before
+            nan = empty + rows - lacked - (self.stillness.counts[name] - past.counted[name])
+            if taken + empty and _many(nan, rows + empty):
+                self.note(f"NaN {name}", now,
+                          f"{name}: NaN in {nan} of {rows + empty} samples ({source.name})")
+        if taken and _many(lacked, rows):
+            self.note(f"lacked {source.name}", now,
+                      f"{source.name}: {lacked} rows went without it, they wait no longer than "
+                      f"{self._latency:g} s (monitor.latency)")
+
+    def _lateness(self, source: Source, past: _Past, now: float) -> None:
+        """Name messages that come long after their stamp, against what is usual.
+
+        The stamps' clock may be another one, and run at another rate (a replay): only a step of
+        the difference between receipt and stamp tells, not its usual growth.
+        """
+        behind = source.heard_s - source.last_ns * 1e-9
+        elapsed, past.at = now - past.at, now
+        if math.isfinite(past.behind) and elapsed > 0:
+            past.growth.append((behind - past.behind) / elapsed)
+        past.behind = behind
+        if len(past.growth) < GROWTHS:
+            past.best, past.was_late = behind, False
+            return
+        growth = float(np.median(past.growth))
+        past.best = min(past.best + growth * elapsed, behind)
+        excess = (behind - past.best) / max(1.0 - growth, 0.01)  # of stamps, in our own time
+        late = excess > LATE_S
+        if late and past.was_late:  # one may be the scheduler's
+            self.note(f"late {source.name}", now, f"{source.name}: messages come "
+                      f"{excess:.2f} s later after their stamp than usual")
+        past.was_late = late
+
+
+def _many(count: int, of: int) -> bool:
+    return count >= FEW and count > SHARE * of

@@ -1,0 +1,37 @@
+"""Qualities of service that do not go together: DDS then delivers nothing, and says nothing."""
+
+from rclpy.node import Node
+from rclpy.qos import QoSCompatibility, qos_check_compatible
+
+
+def clashes(node: Node, topic: str) -> list[str]:
+    """Return in sentences which others on a topic get nothing from a node, or give it nothing.
+
+    Parameters
+    ----------
+    node : publishes or subscribes there; the graph tells with what quality.
+    topic : name, relative to the node's namespace.
+    """
+    name = node.resolve_topic_name(topic)
+    own = (node.get_name(), node.get_namespace())
+    # Both ends as the graph has them: only there are their defaults written in the same way.
+    publishers = node.get_publishers_info_by_topic(name)
+    subscribers = node.get_subscriptions_info_by_topic(name)
+    found = []
+    for publisher in publishers:
+        for subscriber in subscribers:
+            ends = [(end.node_name, end.node_namespace) for end in (publisher, subscriber)]
+            if own not in ends:
+                continue
+            verdict, reason = qos_check_compatible(publisher.qos_profile, subscriber.qos_profile)
+            if verdict == QoSCompatibility.ERROR:
+                why = " ".join(reason.replace("ERROR:", "").replace(";", " ").split())[:120]
+                other = (f"the subscriber {_who(ends[1])} asks for a QoS that is not offered"
+                         if own == ends[0] else
+                         f"the publisher {_who(ends[0])} offers a QoS that cannot be taken")
+                found.append(f"{topic}: {other}, nothing is delivered: {why}")
+    return found
+
+
+def _who(end: tuple[str, str]) -> str:
+    return f"{end[1].rstrip('/')}/{end[0]}"

@@ -1,0 +1,219 @@
+"""Faults of the data: each has its sentence, and none leaves a trace in the estimates."""
+
+import math
+import random
+import re
+
+import numpy as np
+import pytest
+from rig_tools import BETA, SINE, simulated
+from test_live_estimator import Stream, rows_of
+
+from eha_monitor.filters.faults import HELD_S, FaultWatch
+from eha_monitor.filters.rows import RowAligner, Source
+
+MS = 1_000_000
+LOOK = 200  # samples
+
+
+class Rig:
+    """Position, demand and a pressure, sample by sample; a look every 0.2 s."""
+
+    def __init__(self, sample_time=1e-3):
+        self.x, self.p = Source("joints (piston)", ("x", "v")), Source("gauge", ("p1",))
+        self.x_d = Source("command", ("x_d",))
+        self.aligner = RowAligner([self.x, self.p, self.x_d], 0.02)
+        self.watch = FaultWatch(self.aligner.sources, sample_time, 0.02)
+        self.rows, self.frozen, self.told = [], {}, set()
+        self.k, self.now = 0, 0.0
+
+    def values(self, k):
+        t = k * 1e-3
+        x = 0.01 * math.sin(9.0 * t)
+        return {"x": (x, math.nan), "p1": (2e6 + 1e5 * math.cos(9.0 * t),), "x_d": (1.1 * x,)}
+
+    def send(self, count, spoil=lambda k, name, values: [(0, values)], rate=1.0):
+        """Send samples; ``spoil`` returns for each (stamp's offset in ms, values) to be sent."""
+        for _ in range(count):
+            for name, source in (("x", self.x), ("p1", self.p), ("x_d", self.x_d)):
+                for offset, values in spoil(self.k, name, self.values(self.k)[name]):
+                    if values is None:
+                        self.aligner.unread(source, empty=True)
+                    else:
+                        stamp = round(self.k * MS / rate) + round(offset * MS)
+                        self.aligner.push(source, stamp, values, self.now)
+            self.k += 1
+            self.now += 1e-3
+            for stamp, row, _ in self.aligner.pop(self.now):
+                self.rows.append((stamp, self.watch.take(stamp, row)))
+            if self.aligner.reset_reason:
+                self.watch.restart(self.aligner.take_reset(), self.now)
+            if self.k % LOOK == 0:
+                self.frozen |= self.watch.look(self.now)
+                self.told |= set(self.watch.sentences(self.now))
+        return " | ".join(self.watch.sentences(self.now))
+
+
+def some(share, seed=0):
+    draw = random.Random(seed)
+    return lambda: draw.random() < share
+
+
+def drop():
+    chance = some(0.1)
+    return lambda k, name, values: [] if chance() else [(0, values)]
+
+
+def double():
+    chance = some(0.1)
+    return lambda k, name, values: [(0, values)] * (1 + chance())
+
+
+def shuffle():
+    chance = some(0.1)
+    return lambda k, name, values: [(-2.5 if chance() else 0, values)]
+
+
+def frozen(channel, since):
+    rig = Rig()
+    held = rig.values(since)[channel]
+    return lambda k, name, values: [(0, held if name == channel else values)]
+
+
+CASES = {
+    "dropped": (drop, "gauge: messages are dropped, "),
+    "repeated": (double, "stamps repeat"),
+    "out of order": (shuffle, "came out of order"),
+    "nan": (lambda: lambda k, name, values: [
+        (0, None if name == "p1" and k % 500 < 60 else values)], "p1: NaN in "),
+    "nan in part": (lambda: lambda k, name, values: [
+        (0, (math.nan, math.nan) if name == "x" and k % 500 < 60 else values)], "x: NaN in "),
+    "jump back": (lambda: lambda k, name, values: [(-2500, values)], "the clock jumped back"),
+    "frozen p1": (lambda: frozen("p1", 3000),
+                  "p1 has not changed for"),
+    "frozen x": (lambda: frozen("x", 3000), "x has not changed for"),
+    "frozen demand": (lambda: frozen("x_d", 3000), "x_d has not changed for"),
+    "ten times the rate": (lambda: lambda k, name, values: [(j / 10, values) for j in range(10)],
+                           "10 times as fast as configured, every 0.1 ms"),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_each_fault_is_named_within_two_seconds_and_no_longer(name):
+    make, words = CASES[name]
+    rig = Rig()
+    assert rig.send(3000) == ""
+    spoil = make()
+    rig.send(2000, spoil)
+    assert any(words in sentence for sentence in rig.told), rig.told
+    # What jumped back stays there: the clock goes on from where it is.
+    rig.send(round(HELD_S * 1000) + 3 * LOOK, spoil if name == "jump back" else
+             lambda k, name, values: [(0, values)])
+    assert rig.watch.sentences(rig.now) == []
+
+
+@pytest.mark.parametrize("rate", [0.5, 1.0, 3.0])
+def test_what_comes_late_is_named_whatever_the_clock_of_the_stamps(rate):
+    rig = Rig(1e-3 / rate)
+    assert rig.send(4000, rate=rate) == ""
+    late = []
+
+    def hold(k, name, values):
+        if name != "p1":
+            return [(0, values)]
+        late.append((k, values))
+        if len(late) < 300:
+            return []
+        sent, values = late.pop(0)
+        return [((sent - k) / rate, values)]
+    told = rig.send(2000, hold, rate=rate)
+    assert re.search(r"gauge: messages come 0\.[23]\d s later after their stamp", told), told
+    assert "gauge: " in told and "rows went without it" in told
+
+
+def test_a_quantised_slow_or_resting_sensor_is_not_frozen():
+    rig = Rig()
+    slow = lambda k: 0.004 * math.sin(0.8 * k * 1e-3) if k < 9000 else 0.0  # noqa: E731
+
+    def spoil(k, name, values):
+        x = slow(k)
+        shown = {"x": (2e-5 * round(x / 2e-5), math.nan), "x_d": (x,),
+                 "p1": (1e4 * round(2e6 / 1e4 + math.copysign(1.0, math.cos(0.8 * k * 1e-3))),)}
+        return [(0, shown[name])]
+    rig.send(14000, spoil)
+    assert not rig.told and not rig.frozen
+
+
+def test_a_frozen_channel_is_withheld_until_it_moves():
+    rig = Rig()
+    rig.send(3000)
+    rig.send(1000, frozen("p1", 3000))
+    assert rig.frozen == {"p1": 3000 * MS + 1}
+    stamps = [stamp // MS for stamp, row in rig.rows if "p1" not in row]
+    assert 3200 <= stamps[0] <= 3600 and stamps[-1] == 3999
+    rig.send(10)
+    assert all("p1" in row for stamp, row in rig.rows if stamp // MS >= 4000)
+
+
+@pytest.fixture(scope="module")
+def rows():
+    return list(rows_of(simulated(SINE, 4.5).recording(0)))
+
+
+@pytest.mark.parametrize("channel", ["p2", "x", "x_d"])
+def test_what_a_frozen_channel_did_to_the_estimates_is_undone(rows, channel):
+    made = Stream()
+    before = made.push(rows[:2000])
+    held = rows[2000][1][channel]
+    made.push([(time, {**row, channel: held}) for time, row in rows[2001:2500]])
+    made.live.withdraw(channel, rows[2001][0])
+    at_once = made.look()
+    for name, truth in (("B", 600.0), ("beta_e", BETA)):
+        assert at_once.parameters[name].value == pytest.approx(
+            before.parameters[name].value, rel=0.01)
+        assert at_once.parameters[name].value == pytest.approx(truth, rel=0.02)
+    made.push([(time, {n: v for n, v in row.items() if n != channel})
+               for time, row in rows[2500:3000]])
+    end = made.push(rows[3000:])
+    assert end.model.status != "mismatch"
+    assert end.parameters["B"].value == pytest.approx(600.0, rel=0.01)
+    assert end.parameters["beta_e"].value == pytest.approx(BETA, rel=0.02)
+
+
+def test_a_channel_that_is_wrong_from_the_start_begins_it_anew(rows):
+    made = Stream()
+    made.push(rows[:100])
+    made.live.withdraw("p2", 0.0)
+    made.push(rows[100:400])
+    made.live.withdraw("p2", rows[101][0])
+    made.look()
+    assert made.told("p2 has been wrong since the start")
+    end = made.push(rows[400:2000])
+    assert end.parameters["B"].value == pytest.approx(600.0, rel=0.01)
+
+
+def test_ten_times_the_rate_is_the_same_motion():
+    """Of ten rows on one place of the grid the nearest counts, wherever the others lie."""
+    fine = simulated(SINE, 2.4, rig={"sample_time": 1e-4}).recording(0)
+    rows = list(rows_of(fine))
+    made = Stream()
+    made.push(rows[:12000:10])
+    made.push(rows[12000:15000])
+    end = made.push(rows[15000::10])
+    assert end.model.status == "consistent" and not made.told("changed")
+    assert end.parameters["B"].value == pytest.approx(600.0, rel=0.01)
+    assert end.parameters["beta_e"].value == pytest.approx(BETA, rel=0.02)
+    assert np.isfinite(end.position)
+
+
+@pytest.mark.parametrize("late", [("p1", "p2"), ("x_d", "omega"), ("x",)])
+def test_a_channel_may_come_back_from_a_gap_later_than_the_others(rows, late):
+    """A monitor that was held up, or publishers that are started one after the other."""
+    made = Stream()
+    made.push(rows[:1500])
+    made.push([(time + 3.0, {n: v for n, v in row.items() if k >= 300 or n not in late})
+               for k, (time, row) in enumerate(rows[1500:3500])])
+    end = made.history[-1]
+    assert end.model.status == "consistent"
+    assert end.parameters["B"].value == pytest.approx(600.0, rel=0.01)
+    assert end.parameters["beta_e"].value == pytest.approx(BETA, rel=0.02)
