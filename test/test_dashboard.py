@@ -157,7 +157,8 @@ def test_numbers_equal_the_topics_and_a_reload_loses_nothing(graph, browser, add
         assert not [url for url in eyes.loaded
                     if not url.startswith((address, address.replace("http", "ws"), "data:"))]
         eyes.page.set_viewport_size(PHONE)
-        assert eyes.page.evaluate("document.documentElement.scrollWidth") == PHONE["width"]
+        eyes.page.wait_for_function(  # the charts follow a moment later
+            f"document.documentElement.scrollWidth == {PHONE['width']}", timeout=10_000)
         assert not eyes.problems
 
 

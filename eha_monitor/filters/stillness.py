@@ -4,8 +4,9 @@ import math
 from collections import deque
 
 # What must move while a channel stands still: the demand, and for the demand itself the position.
-REFERENCES = {"x": "x_d", "v": "x_d", "omega": "x", "p1": "x", "p2": "x", "force": "x", "x_d": "x"}
-OTHERWISE = {"x": "omega", "v": "omega"}
+# The velocity is in no stage, and many drivers publish a zero there for ever.
+REFERENCES = {"x": "x_d", "omega": "x", "p1": "x", "p2": "x", "force": "x", "x_d": "x"}
+OTHERWISE = {"x": "omega"}
 # A noisy value repeats by chance for some samples, a quantised one for longer where the motion is
 # slow.  Longer than this, and than so many times what was seen while all was well, is frozen.
 SHORTEST_S = 0.25
@@ -89,7 +90,10 @@ class Stillness:
                 past.popleft()
         self._ranges.clear()
         found = {}
+        pressures = "p1" in self.counts and "p2" in self.counts
         for name in REFERENCES:
+            if name == "force" and pressures:
+                continue  # the pressures stand for it, and an effort that nobody measures is 0
             if name in self._changed and (seconds := self._still(name, span_s)):
                 found[name] = (seconds, self._changed[name] + 1, name not in self.frozen)
         self.frozen = set(found)

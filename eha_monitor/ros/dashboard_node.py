@@ -53,6 +53,9 @@ class _Positions:
         source.heard_s = now
         self._state.take_position("measured", time_ns * 1e-9, values[0], now)
 
+    def unread(self, source: Source, empty: bool) -> None:
+        """What held no position is the monitor's to tell."""
+
 
 class Listener:
     """Subscribes to what the page shows and keeps it in a state.
