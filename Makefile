@@ -63,7 +63,8 @@ proof: setup
 # The lock names no index, so it installs from whichever index pip is configured for.
 lock:
 	uv pip compile --quiet setup.py --extra ros --extra dashboard --extra foxglove \
-		--extra archive --extra dask --extra test --extra colcon --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
+		--extra archive --extra dask --extra test --extra colcon --universal \
+		--python-version 3.11 --generate-hashes --no-emit-index-url \
 		--custom-compile-command "make lock" --output-file $(LOCK)
 
 clean:

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from eha_monitor.recordings.bag import natural
+
 ENDINGS = (".mcap", ".mcap.zstd", ".db3")  # a .db3 is no bag for us, and a row says so
 METADATA = "metadata.yaml"
 # The parts of one bag as rosbag2 names them: night_0.mcap, night_1.mcap.
@@ -53,7 +55,7 @@ def find_bags(folder: Path) -> list[Place]:
     found: dict[str, Place] = {}
     for place in bags_below(folder, top=True):
         found[place.name] = place
-    return [found[name] for name in sorted(found, key=_natural)]
+    return [found[name] for name in sorted(found, key=natural)]
 
 
 def bags_below(folder: Path, name: str = "", seen: set | None = None, top: bool = False
@@ -81,6 +83,11 @@ def bags_below(folder: Path, name: str = "", seen: set | None = None, top: bool 
         yield from bags_below(inner, _below(name, inner.name), seen)
 
 
+def of_a_bag(entry: Path) -> bool:
+    """Tell whether a file has the name of a bag, or of a part of one."""
+    return entry.name == METADATA or entry.name.endswith(ENDINGS)
+
+
 def stamp_of(bag: Path) -> str:
     """Return what changes when a bag changes: a digest of names, sizes and times of its files.
 
@@ -89,7 +96,7 @@ def stamp_of(bag: Path) -> str:
     files = [bag]
     if bag.is_dir():
         files = sorted(entry for entry in bag.iterdir()
-                       if entry.name == METADATA or entry.name.endswith(ENDINGS))
+                       if of_a_bag(entry))
     facts = []
     for file in files:
         about = file.stat()
@@ -109,8 +116,3 @@ def _below(name: str, inner: str) -> str:
     # A name with bytes that are no text must not stop the table.
     inner = os.fsencode(inner).decode("utf-8", errors="replace")
     return f"{name}/{inner}" if name else inner
-
-
-def _natural(name: str) -> list:
-    return [(1, int(part), "") if part.isdigit() else (0, 0, part)
-            for part in re.split(r"(\d+)", name)]

@@ -1,6 +1,5 @@
 """``estimate`` and ``diagnose`` on a folder of bags: one table, resumed, here or on a cluster."""
 
-import signal
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
@@ -9,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from eha_monitor.archive.find import Place, find_bags, is_archive, stamp_of
+from eha_monitor.archive.find import Place, find_bags, is_archive, of_a_bag, stamp_of
+from eha_monitor.commands.common import end_as_on_interrupt
 from eha_monitor.errors import InputError
 
 if TYPE_CHECKING:
@@ -40,7 +40,8 @@ class Archive:
                                  "answered at a time, expected one of the two")
             return True
         if given and bag.exists():
-            kind = "a folder without bags" if bag.is_dir() and not _holds_files(bag) else "one bag"
+            kind = "a folder without bags" if bag.is_dir() and not any(
+                map(of_a_bag, bag.iterdir())) else "one bag"
             raise InputError(f"{bag}: {given[0]} is for a folder that holds bags, found {kind}")
         return False
 
@@ -80,8 +81,7 @@ def answer_folder(command: str, folder: Path, config: Path | None, asked: Archiv
     InputError
         If no bag of the folder could be answered, or the table cannot be written.
     """
-    # A run that is ended must take its processes with it, as on Ctrl-C.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    end_as_on_interrupt()
     from eha_monitor.archive.store import Store, check_parquet
     from eha_monitor.settings import load_settings
 
@@ -212,10 +212,3 @@ def work(store: "Store", todo: list["Task"], cluster: "Cluster | None", jobs: in
             broken += bool(row.get("error"))
             told(f"{done} of {len(todo)} bags" + (
                 f", {broken} without an answer" if broken else ""), done / len(todo))
-
-
-def _holds_files(folder: Path) -> bool:
-    from eha_monitor.archive.find import ENDINGS, METADATA
-
-    return any(entry.name == METADATA or entry.name.endswith(ENDINGS)
-               for entry in folder.iterdir())

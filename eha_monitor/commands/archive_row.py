@@ -13,13 +13,13 @@ from eha_monitor.archive.columns import PARAMETERS
 from eha_monitor.archive.store import iso_time
 from eha_monitor.commands.answer import answer, finite, judged
 from eha_monitor.errors import InputError
+from eha_monitor.health.alarms import SEVERITY
 from eha_monitor.source import source_digest
 
 if TYPE_CHECKING:
     from eha_monitor.filters.results import Estimate
     from eha_monitor.settings import Settings
 
-LEVELS = ("OK", "STALE", "WARN", "ERROR")  # of an alarm, the worst last
 # What has a part in an answer, and in the row that is made of it.
 _ROOMS = {
     "estimate": ("physics", "filters", "recordings", "settings", "health", "commands/answer.py",
@@ -102,7 +102,7 @@ def estimate_columns(tree: dict) -> dict:
         row |= {name: one["value"], f"{name}_stddev": one["stddev"], f"{name}_unit": one["unit"],
                 f"{name}_status": one["status"], f"{name}_doubt": taint and taint["reason"]}
     row |= {alarm["name"]: alarm["level"] for alarm in tree["alarms"]}
-    worst = max(tree["alarms"], key=lambda alarm: LEVELS.index(alarm["level"]), default=None)
+    worst = max(tree["alarms"], key=lambda alarm: SEVERITY.index(alarm["level"]), default=None)
     if worst is not None:
         row |= {"alarm": worst["level"],
                 "alarm_message": None if worst["level"] == "OK" else worst["message"]}

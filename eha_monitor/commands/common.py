@@ -1,5 +1,6 @@
 """What the commands share: options, progress, output files."""
 
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -42,6 +43,11 @@ def working(what: str) -> Iterator[None]:
 
     with Console(stderr=True).status(what):
         yield
+
+
+def end_as_on_interrupt() -> None:
+    """Let SIGTERM end a run as Ctrl-C does: it must take its processes with it."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
 def check_target(path: Path | None, bag: Path | None = None) -> None:

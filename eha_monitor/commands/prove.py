@@ -1,11 +1,10 @@
 """``prove``: effects are concealed in recordings, the key is sealed, the diagnosis is scored."""
 
-import signal
 from pathlib import Path
 
 import click
 
-from eha_monitor.commands.common import check_target, config_option
+from eha_monitor.commands.common import check_target, config_option, end_as_on_interrupt
 from eha_monitor.commands.diagnose import progress_bar
 from eha_monitor.errors import InputError
 
@@ -55,8 +54,7 @@ def prove(config: Path | None, ground: str, cases: int | None, data: Path | None
     The key's SHA-256 is printed before any recording is read.  With a config all cases are on its
     rig; without one, on the paper's and others about it.
     """
-    # A trial that is ended must take its processes with it, as on Ctrl-C.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    end_as_on_interrupt()
     check_ground(ground, config, data, oracle)
     check_target(json_file)
     check_target(report_file)

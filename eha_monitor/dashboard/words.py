@@ -6,14 +6,13 @@ from dataclasses import dataclass
 
 from eha_monitor.dashboard.state import HEALTH_STALE_AFTER, NIS, SAMPLES, VARIANCE_RATIO, View
 from eha_monitor.filters.status import units_of
-from eha_monitor.health.alarms import quantity
+from eha_monitor.health.alarms import SEVERITY, quantity
 from eha_monitor.health.finding import Finding
 from eha_monitor.reports.quantities import Scale, readable
 from eha_monitor.settings import Settings
 
 # A level has a sign and a word, so that it is told without its colour.
 SIGNS = {"OK": "✓", "WARN": "▲", "ERROR": "✖", "STALE": "◌"}
-_ORDER = ("ERROR", "WARN", "STALE", "OK")
 # Of all that the status `data` holds, what tells whether messages arrive.
 _DATA_KEYS = ("rows", "rate_joint_states_Hz", "lost_messages", "missing_samples",
               "latency_p50_ms", "cpu_share_percent")
@@ -66,8 +65,8 @@ def plain_name(name: str) -> str:
 
 
 def worst(findings: list[Finding]) -> str:
-    """Return the level that counts most; STALE weighs less than an alarm, and more than OK."""
-    return min((f.level for f in findings), key=_ORDER.index, default="STALE")
+    """Return the level that counts most."""
+    return max((f.level for f in findings), key=SEVERITY.index, default="STALE")
 
 
 def stage_status(view: View, stage: str) -> str:

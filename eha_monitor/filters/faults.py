@@ -84,7 +84,7 @@ class FaultWatch:
         self._past = {source.name: _Past() for source in sources}
         self._sentences = Sentences()
         self.stillness = Stillness()
-        self._looked: float | None = None
+        self._looked = False
 
     def take(self, stamp_ns: int, row: dict[str, float]) -> dict[str, float]:
         """Take one row; return it without the channels that are frozen."""
@@ -119,12 +119,12 @@ class FaultWatch:
 
         ``now`` in s, on the clock of :meth:`RowAligner.push`.
         """
-        since, self._looked = self._looked, now
+        before, self._looked = self._looked, True
         for source in self._sources:
             past = self._past[source.name]
             steps = np.array(source.steps, dtype=float) * 1e-9
             source.steps.clear()
-            if since is not None and not source.held:
+            if before and not source.held:
                 self._order(source, past, now)
                 self._steps(source, past, steps, now)
                 self._numbers(source, past, now)

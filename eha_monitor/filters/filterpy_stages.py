@@ -93,9 +93,10 @@ class _Stage:
         h = ekf.P[0, self.place] / ekf.P[self.place, self.place]
         self.watch[SCORE] += h * nu / s
         self.watch[INFORMATION] += h * h / s
-        at, own = self.place, (ekf.x[self.place], ekf.P[self.place, self.place])
+        at = self.place
+        own = (ekf.x[at], ekf.P[at, at]) if self.held else None
         ekf.update(np.array([z]), lambda x: self._h, _first)
-        if self.held:  # considered, not estimated: no gain
+        if own is not None:  # considered, not estimated: no gain
             ekf.K[at] = 0.0
             ekf.x[at], ekf.P[at, at] = own
         return True

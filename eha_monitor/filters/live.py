@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from eha_monitor.filters import run_two
 from eha_monitor.filters.filterpy_stages import FilterpyStageOne, FilterpyStageTwo
 from eha_monitor.filters.handover import Handover
 from eha_monitor.filters.inputs import (
@@ -25,7 +26,6 @@ from eha_monitor.filters.live_model import JUDGE_EVERY_S, JUDGED_S, KEPT, Fit, L
 from eha_monitor.filters.noise import noise_levels
 from eha_monitor.filters.results import Event, LiveSnapshot, ParameterEstimate
 from eha_monitor.filters.rewind import Checkpoints
-from eha_monitor.filters.run_two import LARGE, force_noise_variance, run_stage_two_kernel
 from eha_monitor.filters.status import parameters_of, units_of
 from eha_monitor.physics.signals import (
     COMMAND_DELAY,
@@ -253,7 +253,7 @@ class LiveEstimator:
             del self._changes[which][:-200]
             self._tell(which, f"{name} changed from {change[0]:.4g} to {change[1]:.4g} {unit}",
                        number)
-            if which == "two" and abs(change[1] / change[0] - 1.0) > LARGE:
+            if which == "two" and abs(change[1] / change[0] - 1.0) > run_two.LARGE:
                 self._stale_piece = True  # run again from the bank once some seconds show it
             if which == "one":
                 self._piece = max(number - change[2], self._buffer.first)
@@ -319,19 +319,19 @@ class LiveEstimator:
         value, stddev = self._handover.damping
         b[edge:], variance[edge:] = value, stddev**2
         b[np.isnan(b)], variance[np.isnan(variance)] = value, stddev**2
-        result = run_stage_two_kernel(self._inputs(start, stop), self.settings, b, variance)
-        broad = (self.settings.stage_two.prior_stddev / self.settings.stage_two.prior) ** 2
+        found = run_two.run_stage_two_kernel(self._inputs(start, stop), self.settings, b, variance)
         before, status = self._two, self._parameters()["beta_e"].status
         self._two = FilterpyStageTwo(
-            self._model, self.dt, self._r, force_noise_variance(self.settings), broad,
-            result.state, result.covariance, result.sensitivity, result.watch, result.memory)
+            self._model, self.dt, self._r, run_two.force_noise_variance(self.settings),
+            run_two.prior_variance(self.settings), found.state, found.covariance,
+            found.sensitivity, found.watch, found.memory)
         if status == "converged" and self._two.held:
             self._two = before  # the buffer, begun anew after a gap, tells less
             return
-        buffer.column("nu_two", start, stop)[:] = result.out[6]
-        buffer.column("sd_two", start, stop)[:] = result.out[7]
+        buffer.column("nu_two", start, stop)[:] = found.out[6]
+        buffer.column("sd_two", start, stop)[:] = found.out[7]
         self._changes["two"] = [(start + int(row[0]), row[1], row[2], int(row[3]))
-                                for row in result.changes]
+                                for row in found.changes]
 
     def _inputs(self, start: int, stop: int) -> StageInputs:
         """Return the stages' inputs of rows that were filtered."""

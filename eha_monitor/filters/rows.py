@@ -35,7 +35,8 @@ class Source:
     last_ns : stamp of the last sample taken; None before the first.
     heard_s : when the last sample came, on the caller's clock.
     taken, late, repeated, jumped : samples taken, dropped as late, as repeated, as doubtful jumps.
-    unread, empty : messages without the entry or without a number; those without a number.
+    empty : messages with the entry and without a number.
+    skipped : messages since the last sample that gave none.
     lacked : rows that went without this source.
     steps : ns between the stamps taken, shared among what was not read between them.
     """
@@ -49,7 +50,6 @@ class Source:
     late: int = 0
     repeated: int = 0
     jumped: int = 0
-    unread: int = 0
     empty: int = 0
     lacked: int = 0
     skipped: int = 0
@@ -102,7 +102,6 @@ class RowAligner:
 
     def unread(self, source: Source, empty: bool) -> None:
         """Note a message that gave no sample, ``empty`` for want of a number."""
-        source.unread += 1
         source.skipped += 1
         source.empty += empty
 

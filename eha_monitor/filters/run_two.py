@@ -58,8 +58,7 @@ def start_compliance(inputs: StageInputs, settings: Settings,
     Where the bank cannot tell, as while the motion is steady, it is the prior's: 1 and its
     variance.
     """
-    prior = settings.stage_two
-    broad = (prior.prior_stddev / prior.prior) ** 2
+    broad = prior_variance(settings)
     steps = round(np.log(BANK_SPAN) / np.log(BANK_RATIO))
     grid = BANK_RATIO ** np.arange(-steps, steps + 1)
     length = min(len(inputs.x), round(BANK_SECONDS / inputs.dt))
@@ -102,6 +101,11 @@ def bank_weights(inputs: StageInputs, settings: Settings, damping: np.ndarray,
     return weight / weight.sum()
 
 
+def prior_variance(settings: Settings) -> float:
+    """Variance of the relative compliance before any data."""
+    return (settings.stage_two.prior_stddev / settings.stage_two.prior) ** 2
+
+
 def force_noise_variance(settings: Settings) -> float:
     """Variance of an unmodelled force on a sample in stage two, N^2."""
     return (settings.rig.mass * settings.stage_two.acceleration_noise) ** 2
@@ -118,11 +122,6 @@ class KernelTwoResult:
     sensitivity: np.ndarray
     watch: np.ndarray
     memory: np.ndarray
-
-    @property
-    def held(self) -> bool:
-        """Whether nothing told the compliance: it stayed at its prior."""
-        return self.watch[FROZEN] == HELD
 
 
 def run_stage_two_kernel(inputs: StageInputs, settings: Settings, damping: np.ndarray,
@@ -169,7 +168,7 @@ def run_from(begin: int, inputs: StageInputs, settings: Settings, damping: np.nd
     b, b_variance = damping[begin:], damping_variance[begin:]
     start, variance = start_compliance(part, settings, b)
     model, drive = inputs.model, part.drive
-    broad = (settings.stage_two.prior_stddev / settings.stage_two.prior) ** 2
+    broad = prior_variance(settings)
     written, changes = np.empty((8, len(part.x))), np.empty((MOST_EVENTS, 4))
     held = begin == 0 and variance == broad
     # Once more from where it led, if that is sharp: what the filter learns from a ringing oil

@@ -18,6 +18,8 @@ from eha_monitor.health.rebase import Rebase
 from eha_monitor.settings.monitor import Limits, Settings, Viscosity
 
 Level = Literal["OK", "WARN", "ERROR", "STALE"]
+# What counts most comes last: STALE weighs less than an alarm, and more than OK.
+SEVERITY: tuple[Level, ...] = ("OK", "STALE", "WARN", "ERROR")
 
 _RAISED: tuple[Level, ...] = ("OK", "WARN", "ERROR")
 # Sums of sample times miss the hold time by rounding.

@@ -77,7 +77,8 @@ def _files_of(path: Path, losses: list[str]) -> tuple[list[Path], int | None]:
         return [path], None
     metadata = path / "metadata.yaml"
     inside = sorted((entry for entry in path.iterdir()
-                     if entry.name.endswith((".mcap", ".mcap.zstd"))), key=_natural)
+                     if entry.name.endswith((".mcap", ".mcap.zstd"))),
+                    key=lambda entry: natural(entry.name))
     if not metadata.exists():
         if not inside:
             kind = "an sqlite3 bag, convert it with 'ros2 bag convert' or 'rosbags-convert'" if (
@@ -101,9 +102,9 @@ def _files_of(path: Path, losses: list[str]) -> tuple[list[Path], int | None]:
     return chosen or inside, count
 
 
-def _natural(path: Path) -> list:
+def natural(name: str) -> list[str | int]:
     """Sort key by which part 10 comes after part 9."""
-    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name)]
+    return [int(part) if i % 2 else part for i, part in enumerate(re.split(r"(\d+)", name))]
 
 
 def _metadata(path: Path, losses: list[str]) -> tuple[list[str], int | None]:

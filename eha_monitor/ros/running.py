@@ -98,22 +98,11 @@ def made(name: str, make: Callable[..., Node], *arguments, **options) -> Iterato
         found.destroy_node()
 
 
-def deliver(node: Node, timeout: float = _DELIVERY) -> bool:
-    """Wait until reliable subscribers have what was published: it would go with the publisher.
-
-    Parameters
-    ----------
-    timeout : for all topics together, in s.
-
-    Returns
-    -------
-    bool
-        Whether all was confirmed in time.
-    """
-    end = time.monotonic() + timeout
-    confirmed = [publisher.wait_for_all_acked(
-        Duration(seconds=max(0.0, end - time.monotonic()))) for publisher in node.publishers]
-    return all(confirmed)  # each was given its time
+def deliver(node: Node) -> None:
+    """Wait until reliable subscribers have what was published: it would go with the publisher."""
+    end = time.monotonic() + _DELIVERY  # of all topics together
+    for publisher in node.publishers:
+        publisher.wait_for_all_acked(Duration(seconds=max(0.0, end - time.monotonic())))
 
 
 def node(name: str, namespace: str = "", **options) -> contextlib.AbstractContextManager[Node]:
