@@ -103,6 +103,17 @@ def test_a_missing_joint_is_diagnosed_and_the_rest_goes_on(graph):
                             for problem in monitor.data.problems))
 
 
+def test_a_joint_that_is_missing_again_is_named_again(graph):
+    monitor, _, sender = start(graph)
+    joints = next(each for each in monitor.inputs if each.topic.name == "joint_states")
+    for k, names in enumerate((("piston",), ("piston", "pump"), ("piston",))):
+        sender.names = names
+        sender.send(20 * k, 20)
+        graph.until(lambda count=20 * (k + 1): joints.messages == count)
+        assert any("no entry named 'pump'" in problem for problem in joints.problems(
+            time.monotonic(), math.inf)) == ("pump" not in names)
+
+
 def test_a_missing_pressure_makes_only_damping_stale(graph):
     monitor, estimator, sender = start(graph, {"monitor": {"stale_after": 0.3}})
     sender.pressures.clear()

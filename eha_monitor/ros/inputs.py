@@ -130,6 +130,8 @@ class Decoder:
         if names is not None and names != self._names:
             self._find(names)
         if self._index < 0:
+            self.problem = (f"{self._entry.source.name}: no entry named {self._entry.name!r}, the "
+                            f"message has {', '.join(self._names) or 'none'}")
             return None
         values = tuple([scale * read(message, self._index) + offset
                         for read, scale, offset in self._fields])
@@ -155,8 +157,6 @@ class Decoder:
             self._index = self._names.index(wanted)
         else:
             self._index = -1
-            self.problem = (f"{self._entry.source.name}: no entry named {wanted!r}, the message "
-                            f"has {', '.join(self._names) or 'none'}")
 
 
 def _reader(path: str) -> Callable[[Any, int], float]:
