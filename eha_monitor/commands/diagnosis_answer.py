@@ -48,6 +48,8 @@ def answer(found: Diagnosis) -> dict:
         "config_effects": found.config_effects,
         "threshold": {"log_units": found.threshold, "calibrated": found.calibrated},
         "explained": found.explained,
+        "pieces": [{"bag": piece.bag, "start_s": piece.start_s, "stop_s": piece.stop_s,
+                    "parameters": _values(piece.values)} for piece in found.pieces],
         "duration_s": found.duration_s,
         "wall_s": found.wall_s,
     })

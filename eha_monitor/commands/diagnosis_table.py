@@ -11,10 +11,10 @@ from eha_monitor.commands.table import PIPE_WIDTH, PipeConsole
 from eha_monitor.mismatch.diagnosis import Diagnosis
 from eha_monitor.reports.diagnosis_words import (
     DATA,
-    VERDICTS,
     certainty,
     effect_words,
     error_words,
+    head_of,
     interval_words,
     listed,
     log_units,
@@ -34,7 +34,7 @@ def show(found: Diagnosis, written: list[Path]) -> None:
     console = PipeConsole(highlight=False)
     if not console.is_terminal:
         console = PipeConsole(highlight=False, width=PIPE_WIDTH)
-    kind, head = VERDICTS.get(found.verdict, ("unknown", found.verdict))
+    kind, head = head_of(found)
     console.print(f"{escape(', '.join(found.bags))}: {number(found.duration_s)} s "
                   f"(answered in {found.wall_s:.1f} s)")
     console.print(f"[bold {_COLOURS[kind]}]{escape(head)}[/]: {escape(sentence(found.message))}")

@@ -52,10 +52,10 @@ def estimate(recording: Recording, settings: Settings) -> Estimate:
     started = time.perf_counter()
     inputs = StageInputs.of(recording, settings)
     events: list[Event] = []
-    one, changes = run_stage_one(inputs, recording, settings, events)
-    damping, damping_variance = hand_over(one, changes, settings, recording, events, inputs)
-    two, later = run_stage_two(inputs, recording, settings, damping, damping_variance, events)
-    seen = [row for stage, rows in ((one, changes), (two, later)) if fits(stage) for row in rows]
+    one = run_stage_one(inputs, recording, settings, events)
+    damping, damping_variance = hand_over(one, settings, recording, events, inputs)
+    two = run_stage_two(inputs, recording, settings, damping, damping_variance, events)
+    seen = [row for stage in (one, two) if fits(stage) for row in stage.changes]
     since = max((int(row[0]) + 1 for row in seen), default=0)
     joint = run_joint(inputs, recording, settings, one, two, since)
     return Estimate(
@@ -72,11 +72,11 @@ def empty_stage(stage: str, estimate: ParameterEstimate) -> StageResult:
 
 
 def run_stage_one(inputs: StageInputs, recording: Recording, settings: Settings,
-                  events: list[Event]) -> tuple[StageResult, np.ndarray]:
-    """Run stage one; also return its detected changes as rows (sample, before, after)."""
+                  events: list[Event]) -> StageResult:
+    """Run stage one."""
     unit = units_of(settings.rig.motion)["B"]
     if inputs.no_force:
-        return empty_stage("one", no_data("B", unit, inputs.no_force)), NO_CHANGES
+        return empty_stage("one", no_data("B", unit, inputs.no_force))
     prior, spread = settings.stage_one.prior, settings.stage_one.prior_stddev
     out, changes, found, watch = run_one_kernel(inputs, settings, new_supervision())
     if gave_up(watch):  # the model does not fit: an average with an honest sigma, not a chase
@@ -85,8 +85,7 @@ def run_stage_one(inputs: StageInputs, recording: Recording, settings: Settings,
                             "held constant over the record"))
     if not np.isfinite(out[4]).any():
         return empty_stage("one", no_data(
-            "B", unit, "stage one found no stretch with position and force together"
-        )), NO_CHANGES
+            "B", unit, "stage one found no stretch with position and force together"))
     parameter = judge_parameter("B", out[2, -1], out[3, -1], unit, prior, spread)
     verdict = unless_unexcited(parameter, judge(
         out[4], out[5], inputs.dt, "stage one", MISSING_ONE, changes, inputs.quantum))
@@ -94,13 +93,13 @@ def run_stage_one(inputs: StageInputs, recording: Recording, settings: Settings,
         "one", parameter,
         recording.time, out[2], out[3], out[0], out[1],
         (inputs.force.start - out[2] * out[1]) / inputs.model.theta[MASS_PLACE], out[4], out[5],
-        verdict)
+        verdict, changes=changes)
     first = first_converged(out[2], out[3], spread)
     if first is not None:
         events.append(Event(first * inputs.dt, "one",
                             f"B converged at {out[2, first]:.4g} ± {out[3, first]:.2g} {unit}"))
     events += change_events(changes, found, inputs.dt, "one", "B", unit)
-    return result, changes
+    return result
 
 
 def run_one_kernel(inputs: StageInputs, settings: Settings, watch: np.ndarray
@@ -156,10 +155,10 @@ def unless_unexcited(parameter: ParameterEstimate,
     return None
 
 
-def hand_over(one: StageResult, changes: np.ndarray, settings: Settings, recording: Recording,
-              events: list[Event], inputs: StageInputs) -> tuple[np.ndarray, np.ndarray]:
+def hand_over(one: StageResult, settings: Settings, recording: Recording, events: list[Event],
+              inputs: StageInputs) -> tuple[np.ndarray, np.ndarray]:
     """Return the damping that stage two takes at each sample and its variance, (n,) each."""
-    n = len(recording)
+    n, changes = len(recording), one.changes
     unit = units_of(settings.rig.motion)["B"]
     if one.estimate.status != "converged":
         nominal, spread = settings.rig.viscous_damping, settings.stage_two.damping_stddev
@@ -192,11 +191,11 @@ def hand_over(one: StageResult, changes: np.ndarray, settings: Settings, recordi
 
 def run_stage_two(inputs: StageInputs, recording: Recording, settings: Settings,
                   damping: np.ndarray, damping_variance: np.ndarray,
-                  events: list[Event]) -> tuple[StageResult, np.ndarray]:
-    """Run stage two with the damping handed over; also return its detected changes."""
+                  events: list[Event]) -> StageResult:
+    """Run stage two with the damping handed over."""
     unit = units_of(settings.rig.motion)["beta_e"]
     if inputs.no_drive:
-        return empty_stage("two", no_data("beta_e", unit, inputs.no_drive)), NO_CHANGES
+        return empty_stage("two", no_data("beta_e", unit, inputs.no_drive))
     if settings.discretisation == "euler":
         from eha_monitor.filters.euler import run_printed
 
@@ -207,8 +206,7 @@ def run_stage_two(inputs: StageInputs, recording: Recording, settings: Settings,
         sensitivity = -float(found.sensitivity[3] / max(found.state[3], 1e-9))
     if not np.isfinite(out[6]).any():
         return empty_stage("two", no_data(
-            "beta_e", unit, "stage two found no stretch with position and drive together"
-        )), NO_CHANGES
+            "beta_e", unit, "stage two found no stretch with position and drive together"))
     prior = settings.stage_two
     parameter = judge_parameter("beta_e", out[3, -1], out[5, -1], unit, prior.prior,
                                 prior.prior_stddev, prior.largest)
@@ -222,8 +220,8 @@ def run_stage_two(inputs: StageInputs, recording: Recording, settings: Settings,
     result = StageResult(
         "two", parameter,
         recording.time, out[3], out[5], out[0], out[1], out[2], out[6], out[7], verdict,
-        sensitivity)
-    return result, changes
+        sensitivity, changes)
+    return result
 
 
 def model_status(verdicts: Iterable[Consistency | None],

@@ -76,6 +76,8 @@ class StageResult:
     innovation, innovation_stddev : (n,) m; NaN where nothing was measured.
     consistency : verdict on the innovations, or None without data.
     sensitivity : of stage two: relative change of its parameter with B, per N·s/m.
+    changes : (k, 4) detected changes of the parameter: sample, before, after, samples that
+        showed it.
     """
 
     stage: str
@@ -90,6 +92,7 @@ class StageResult:
     innovation_stddev: np.ndarray
     consistency: Consistency | None
     sensitivity: float = math.nan
+    changes: np.ndarray = field(default_factory=lambda: np.empty((0, 4)))
 
 
 @dataclass(frozen=True)

@@ -127,6 +127,16 @@ class Agreement:
 
 
 @dataclass(frozen=True)
+class Piece:
+    """A time of a recording in which the nominal model holds, with its own B and beta_e; s."""
+
+    bag: str
+    start_s: float
+    stop_s: float
+    values: dict[str, Value]
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """The whole answer.
 
@@ -140,6 +150,8 @@ class Diagnosis:
     config_effects : the ``effects:`` section that holds the named physics.
     threshold : log units that an effect had to gain; ``calibrated`` on simulated clean records.
     explained : share of the evidence against the nominal model that the effects take away.
+    pieces : where a parameter changed and nothing else is missing, the data in pieces; ``after``
+        and ``signals`` are then of the last one.
     """
 
     bags: tuple[str, ...]
@@ -163,3 +175,4 @@ class Diagnosis:
     explained: float = np.nan
     duration_s: float = 0.0
     wall_s: float = 0.0
+    pieces: tuple[Piece, ...] = ()

@@ -18,6 +18,7 @@ BLOCK = 0.5  # s
 INVERSE_BLOCK = 10  # compared samples of the balances, a second
 COARSE = 0.5  # times the configured noise: rounding that makes it a tenth larger is worth a name
 NOTABLE = 0.02  # relative change of a health parameter that is worth a sentence
+HEALTH_WORDS = {"B": "B", "beta_e": "the effective bulk modulus"}
 
 
 def values_of(experiment: Experiment, fit: Fit) -> dict[str, Value]:
@@ -129,7 +130,6 @@ def spoken(name: str) -> str:
 def health_sentences(experiment: Experiment, before: dict[str, Value], after: dict[str, Value],
                      effects: tuple[NamedEffect, ...]) -> tuple[str, ...]:
     """Return in plain words what the mismatch did to the health estimates."""
-    words = {"B": "B", "beta_e": "the effective bulk modulus"}
     found = []
     plant = [effect for effect in effects if effect.balance in ("force", "flow")] or list(effects)
     for name, first in before.items():
@@ -144,10 +144,10 @@ def health_sentences(experiment: Experiment, before: dict[str, Value], after: di
         scale, shown = (1e6, "MPa") if name == "beta_e" else (1.0, unit)
         sense = "not wear" if name == "B" else "not the fluid"
         if change > 0:
-            found.append(f"{words[name]} read {first.value / scale:.4g} {shown}; "
+            found.append(f"{HEALTH_WORDS[name]} read {first.value / scale:.4g} {shown}; "
                          f"{change / scale:.3g} of it is {cause}, {sense}")
         else:
-            found.append(f"{words[name]} read {first.value / scale:.4g} {shown}, "
+            found.append(f"{HEALTH_WORDS[name]} read {first.value / scale:.4g} {shown}, "
                          f"{-change / scale:.3g} too little, because of {cause}")
     return tuple(found)
 

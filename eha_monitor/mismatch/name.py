@@ -4,11 +4,13 @@ import re
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
 from eha_monitor.mismatch import advise, balance_show, locate, show
 from eha_monitor.mismatch.calibrate import DRAWS, Calibration, calibrate
+from eha_monitor.mismatch.changed import change_words, changed_between
 from eha_monitor.mismatch.choice import (
     EXPLAINED,
     NOTHING,
@@ -22,11 +24,12 @@ from eha_monitor.mismatch.diagnosis import (
     Diagnosis,
     Location,
     NamedEffect,
+    Piece,
     SignalFit,
     Value,
 )
 from eha_monitor.mismatch.experiment import Experiment, experiment_of
-from eha_monitor.mismatch.fit import Fit
+from eha_monitor.mismatch.fit import Fit, with_unknowns
 from eha_monitor.mismatch.innovations import CLOSED
 from eha_monitor.mismatch.model import (
     config_effects,
@@ -88,11 +91,19 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
     base = 0.5 if calibrate else 0.05
     naming = name_effects(experiment, threshold,
                           lambda text, share: say(text, base + (0.85 - base) * share), first)
+    pieces: tuple[Piece, ...] = ()
+    if verdict_of(experiment, naming, calibration)[0] != "consistent":
+        say("asking whether a parameter changed", 0.86)
+        changed = changed_between(experiment, recordings, naming.after, threshold)
+        if changed is not None:
+            pieces, experiment = changed.pieces, changed.experiment
+            whole = with_unknowns(experiment, first, first.unknowns)
+            naming = Naming(whole, changed.fit, naming.rounds, {}, {})
     say("showing the fit on unseen data", 0.88)
     shown = experiment if held_out is None else replace(
         experiment_of([held_out], settings, False), steps=experiment.steps)
     return assemble(experiment, shown, naming, calibration, bags, duration, started,
-                    held_out is not None, threshold if calibrate else np.nan)
+                    held_out is not None, threshold if calibrate else np.nan, pieces)
 
 
 def calibrated(experiment: Experiment, first: Fit, say: Report, whole: bool
@@ -157,7 +168,8 @@ def worse(signals: dict[str, SignalFit]) -> bool:
 
 def assemble(experiment: Experiment, shown: Experiment, naming: Naming,
              calibration: Calibration | None, bags: tuple[str, ...], duration: float,
-             started: float, other_bag: bool, threshold: float) -> Diagnosis:
+             started: float, other_bag: bool, threshold: float, pieces: tuple[Piece, ...] = ()
+             ) -> Diagnosis:
     """Put the answer together; ``threshold`` NaN where it was not calibrated."""
     naming = replace(naming, before=robust(experiment, naming.before),
                      after=robust(experiment, naming.after))
@@ -185,7 +197,9 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming,
         verdict = "mismatch" if verdict == "consistent" else verdict
     evidence = {effect.name: effect.log_evidence for effect in effects}
     if verdict == "consistent":
-        where, curves = Location(dict.fromkeys(BALANCES, 0.0), "", ()), ()
+        between = tuple((one.stop_s, other.start_s) for one, other in pairwise(pieces)
+                        if one.bag == other.bag)
+        where, curves = Location(dict.fromkeys(BALANCES, 0.0), "", between), ()
     elif by_equations:
         terms = balance_show.terms_of(experiment, before, after)
         where = balance_show.location_of(experiment, effects, terms, closed)
@@ -201,7 +215,8 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming,
     if verdict == "unexplained":
         known = known[0], in_doubt(known[1], parts)
     return Diagnosis(
-        bags, verdict, message_of(verdict, effects, where, explained), where, effects, *known,
+        bags, verdict, change_words(pieces) if pieces else message_of(
+            verdict, effects, where, explained), where, effects, *known,
         "held_out_bag" if other_bag else "held_out", signals, curves,
         how.overlays(shown, before, after), considered_of(naming),
         parts,
@@ -209,7 +224,7 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming,
         balance_show.doubts(effects) if by_equations else advise.advice_for(experiment, naming),
         config_effects(experiment, after, tuple(effect.name for effect in effects)),
         threshold if np.isfinite(threshold) else THRESHOLD, bool(np.isfinite(threshold)),
-        explained, duration, time.perf_counter() - started)
+        explained, duration, time.perf_counter() - started, pieces)
 
 
 def named_effect(experiment: Experiment, naming: Naming, name: str, tracks: list[np.ndarray]
@@ -268,7 +283,8 @@ def considered_of(naming: Naming) -> tuple[Considered, ...]:
             elif following is not None and name in following.named and name not in beside:
                 heirs = [other for other in naming.after.named
                          if name in CATALOGUE[other].contains]
-                why = f"taken at first, then gave way to {spoken((heirs or ['the others'])[0])}"
+                why = (f"taken at first, then gave way to {spoken((heirs or ['the others'])[0])}"
+                       if naming.after.named else "taken at first, but it does not explain enough")
             elif following is not None:
                 why = f"gains {gain:.3g} log units where what was taken gains {took:.4g}"
             else:

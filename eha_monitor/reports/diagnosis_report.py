@@ -56,7 +56,7 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
     """Return the report as HTML text."""
     found = _presentable(found)
     name = words.listed([Path(bag).name or bag for bag in found.bags]) or settings.rig.name
-    kind, head = words.VERDICTS.get(found.verdict, ("unknown", found.verdict))
+    kind, head = words.head_of(found)
     curves = telling(found)
     return render(
         "diagnosis.html.j2",
@@ -74,6 +74,8 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
         hero_words=_curve_note(found),
         summary=_summary(found),
         health=[words.sentence(text) for text in found.health],
+        compared=bool(found.effects or found.pieces),
+        pieces=_pieces(found),
         location=_location(found),
         curves=[curve_picture(found, curve) for curve in curves[1:_MOST_CURVES]],
         effects=[_effect(effect) for effect in found.effects],
@@ -151,6 +153,18 @@ def _summary(found: Diagnosis) -> list[dict[str, str]]:
                      "after": words.error_words(fit.after_rms, fit),
                      "noise": words.error_words(fit.noise_rms, fit)})
     return rows
+
+
+def _pieces(found: Diagnosis) -> dict[str, Any] | None:
+    """Return the table of what changed, or None where nothing did."""
+    if not found.pieces:
+        return None
+    names = list(found.pieces[0].values)
+    return {"names": [f"{NAMES.get(name, name)} {SYMBOLS.get(name, name)}" for name in names],
+            "rows": [{"bag": piece.bag, "start": f"{piece.start_s:.1f}",
+                      "stop": f"{piece.stop_s:.1f}",
+                      "shown": [words.value_words(piece.values.get(name)) for name in names]}
+                     for piece in found.pieces]}
 
 
 def _location(found: Diagnosis) -> dict[str, Any] | None:
@@ -232,7 +246,8 @@ def _memory(ratio: float) -> str:
 
 
 def _overlays(found: Diagnosis) -> list[Picture]:
-    made = [overlay_picture(overlay, bool(found.effects)) for overlay in found.overlays]
+    both = bool(found.effects or found.pieces)
+    made = [overlay_picture(overlay, both) for overlay in found.overlays]
     return [one for one in made if one is not None]
 
 

@@ -12,6 +12,7 @@ VERDICTS = {
     "unexplained": ("error", "Mismatch without a name"),
     "insufficient_data": ("unknown", "Too little to tell"),
 }
+CHANGED = ("warn", "A parameter changed, and nothing else is missing")
 REGIMES = {
     "velocity_reversal": "where the motion turns round", "high_speed": "at high speed",
     "high_pressure": "at a high pressure difference", "near_limit": "near a limit",
@@ -22,6 +23,11 @@ BALANCES = {"force": "force balance", "flow": "flow balance", "drive": "drive",
 DATA = {"held_out": "a part of the recording that the fit has not seen",
         "held_out_bag": "another recording, which the fit has not seen"}
 _MOST_INTERVALS = 6
+
+
+def head_of(found: Diagnosis) -> tuple[str, str]:
+    """Return the colour and the first words of a verdict."""
+    return CHANGED if found.pieces else VERDICTS.get(found.verdict, ("unknown", found.verdict))
 
 
 def effect_words(name: str) -> str:
