@@ -45,7 +45,7 @@ def main() -> int:
     print(f"samples sent        {sent}  (four topics, so {4 * sent} messages)")
     print(f"rows processed      {received}  ({missing} missing between the first and the last; "
           f"{early} were sent before DDS had matched the nodes)")
-    print(f"messages lost       {lost}  (reported by DDS)")
+    print(f"messages lost       {lost}  (missing between the stamps of each topic)")
     print(f"monitor             {summary}")
     live = float(re.search(r"CPU share ([\d.]+)", summary)[1])
     plain = plain_filterpy_cost()

@@ -119,8 +119,9 @@ def soak(duration: float, seed: int, kinds: list[str]
     from eha_monitor.ros.outputs import LATCHED
 
     seen, faults = Seen(), []
-    monitor = subprocess.Popen([sys.executable, "-m", "eha_monitor", "monitor"], cwd=REPOSITORY,
-                               text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    monitor = subprocess.Popen([sys.executable, "-X", "faulthandler", "-m", "eha_monitor",
+                                "monitor"], cwd=REPOSITORY, text=True, stdout=subprocess.PIPE,
+                               stderr=subprocess.PIPE)
     rclpy.init()
     node = rclpy.create_node("soak", namespace=NAMESPACE)
     node.create_subscription(
@@ -167,10 +168,14 @@ def soak(duration: float, seed: int, kinds: list[str]
         status = monitor.poll()
         if status is None:
             monitor.send_signal(signal.SIGINT)
-        said, wrong = monitor.communicate(timeout=60)
+        try:
+            said, wrong = monitor.communicate(timeout=60)
+        except subprocess.TimeoutExpired:  # it hangs: where, says faulthandler
+            monitor.send_signal(signal.SIGABRT)
+            said, wrong = monitor.communicate()
         status = monitor.returncode if status is None else status
-        if "Traceback" in wrong:
-            print(wrong[-3000:], file=sys.stderr)
+        if "Traceback" in wrong or "most recent call first" in wrong:
+            print(wrong.partition("Extension modules")[0][-4000:], file=sys.stderr)
             status = status or 1
     finally:
         child.kill()

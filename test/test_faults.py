@@ -112,6 +112,15 @@ def test_each_fault_is_named_within_two_seconds_and_no_longer(name):
     assert rig.watch.sentences(rig.now) == []
 
 
+def test_missing_samples_are_counted():
+    rig = Rig()
+    rig.send(3000)
+    assert rig.watch.missing == 0
+    rig.send(2000, lambda k, name, values: [] if name == "x" and k % 10 == 5 else [(0, values)])
+    rig.send(1000)
+    assert rig.watch.missing == 200
+
+
 @pytest.mark.parametrize("rate", [0.5, 1.0, 3.0])
 def test_what_comes_late_is_named_whatever_the_clock_of_the_stamps(rate):
     rig = Rig(1e-3 / rate)

@@ -1,5 +1,7 @@
 """Faults that only a graph has, and what the diagnostics make of a fault."""
 
+import time
+
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -57,6 +59,17 @@ def test_a_parameter_is_lost_only_when_it_stays_so(graph, samples, level):
     heard = len(health)
     graph.until(lambda: len(health) > heard)
     assert levels(health[-1])["eha: stage_one"] == level
+
+
+def test_a_parameter_that_goes_astray_on_faulty_data_is_no_error(graph):
+    monitor, estimator, sender = start(graph)
+    estimator.__class__ = Lost
+    sender.send(0, 3000)
+    graph.until(lambda: len(estimator.rows) == 3000)
+    assert monitor.data.unsettled == set()
+    monitor.watch.note("gauge", time.monotonic(), "gauge: messages are dropped")
+    monitor._judge()
+    assert monitor.data.unsettled == {"B"}
 
 
 def test_a_frozen_channel_reaches_neither_rows_nor_estimates(graph):

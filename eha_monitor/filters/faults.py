@@ -77,6 +77,7 @@ class FaultWatch:
     Attributes
     ----------
     stillness : of each channel's value; takes the rows.
+    missing : samples that lack between the stamps, of all sources.
     """
 
     def __init__(self, sources: list[Source], sample_time: float, latency: float):
@@ -84,6 +85,7 @@ class FaultWatch:
         self._past = {source.name: _Past() for source in sources}
         self._sentences = Sentences()
         self.stillness = Stillness()
+        self.missing = 0
         self._looked = False
 
     def take(self, stamp_ns: int, row: dict[str, float]) -> dict[str, float]:
@@ -165,6 +167,7 @@ class FaultWatch:
             return
         missing = int(np.sum(np.round(steps[steps > GAP * usual] / usual) - 1))
         missing -= source.late - past.late  # they came, too late
+        self.missing += max(missing, 0)
         if _many(missing, missing + len(steps)):
             self.note(f"missing {source.name}", now,
                       f"{source.name}: messages are dropped, {missing} samples missing of "

@@ -214,9 +214,10 @@ class Monitor:
         self._publish_health(only_changes=True)
 
     def _note_diverged(self, parameters: dict[str, ParameterEstimate]) -> None:
-        """Note since when a parameter has been diverged on data that are no fault's."""
+        """Note since when a parameter has been diverged on data without a fault."""
+        faulty = self.watch.frozen or bool(self.watch.sentences(time.monotonic()))
         now = {symbol for symbol, estimate in parameters.items() if estimate.status == "diverged"}
-        self._diverged = {symbol: self._row_ns if self.watch.frozen else min(
+        self._diverged = {symbol: self._row_ns if faulty else min(
             self._diverged.get(symbol, self._row_ns), self._row_ns) for symbol in now}
         self.data.unsettled = {symbol for symbol, since_ns in self._diverged.items()
                                if self._row_ns - since_ns < DIVERGED_S * 1e9}
@@ -331,7 +332,7 @@ class Monitor:
     def counts(self) -> dict[str, int]:
         """Return how much was lost or dropped since the start."""
         sources = self.aligner.sources
-        return {"lost_messages": sum(i.lost for i in self.inputs),
+        return {"lost_messages": self.watch.missing,
                 "missing_samples": self.missing_samples,
                 "incomplete_rows": self.aligner.incomplete,
                 "late_or_repeated_stamps": sum(s.late + s.repeated for s in sources),

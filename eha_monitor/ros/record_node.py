@@ -5,7 +5,6 @@ import time
 from pathlib import Path
 
 from rclpy.clock import Clock, ClockType
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
@@ -14,6 +13,7 @@ from eha_monitor.health.alarms import WATCHED
 from eha_monitor.recordings.write import BagWriter, TopicType
 from eha_monitor.ros import running
 from eha_monitor.ros.inputs import message_class
+from eha_monitor.ros.subscriptions import NO_EVENTS
 from eha_monitor.settings import Settings, load_settings
 
 # Looking for publishers; rosbag2 does the same.
@@ -41,7 +41,7 @@ class Recorder:
     """
 
     def __init__(self, node: Node, writer: BagWriter, topics: tuple[str, ...]):
-        self.writer, self.lost = writer, 0
+        self.writer = writer
         self._node = node
         self._waiting = dict.fromkeys(node.resolve_topic_name(topic) for topic in topics)
         self._poll()
@@ -84,10 +84,7 @@ class Recorder:
                              else ReliabilityPolicy.BEST_EFFORT),
                 durability=(DurabilityPolicy.TRANSIENT_LOCAL if latched
                             else DurabilityPolicy.VOLATILE)),
-            event_callbacks=SubscriptionEventCallbacks(message_lost=self._count_lost))
-
-    def _count_lost(self, event) -> None:
-        self.lost += event.total_count_change
+            event_callbacks=NO_EVENTS)
 
 
 def run_record(out: Path, ros_args: list[str], topics: tuple[str, ...] | None = None,
@@ -112,6 +109,6 @@ def run_record(out: Path, ros_args: list[str], topics: tuple[str, ...] | None = 
         running.spin(node, duration)
         for topic in recorder.waiting:
             print(f"{topic}: nobody published it", file=sys.stderr)
-        print(f"{out}: {sum(writer.counts.values())} messages on {len(writer.counts)} topics, "
-              f"{recorder.lost} lost", flush=True)
+        print(f"{out}: {sum(writer.counts.values())} messages on {len(writer.counts)} topics",
+              flush=True)
     return 0
