@@ -47,8 +47,9 @@ def archive_page(rows: Sequence[dict], command: str, settings: Settings, folder:
     """Return the page as HTML text."""
     shown = sorted(rows, key=lambda row: (row.get("start") or "", row["bag"]), reverse=True)
     cells = [_row(row, command, made_with) for row in shown]
+    name = folder.resolve().name or str(folder)  # of "." too
     return render(
-        "archive.html.j2", title=f"EHA monitor: {command} of {folder}", name=str(folder),
+        "archive.html.j2", title=f"EHA monitor: {command} of {name}", name=name,
         heading=heading(rows, command, settings), summary=summary_words(rows, command),
         kind=_kind(rows), diagnosed=command == "diagnose",
         histories=[history_block(history(rows, name, command, made_with), settings)

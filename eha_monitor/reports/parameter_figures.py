@@ -161,7 +161,7 @@ def draw_limits(axis: Axes, value: np.ndarray, lines: list[tuple[float, str]], f
         axis.annotate(f"{label} {quantity(limit, unit)}",
                       (0.0 if left else 1.0, place),
                       xycoords=("axes fraction", "data"),
-                      xytext=(3 if left else -3, 2 if above else -2),
+                      xytext=(3 if left else -3, 3 if above else -3),
                       textcoords="offset points", ha="left" if left else "right",
                       va="bottom" if above else "top", fontsize=9,
                       color=line, bbox={"facecolor": "white", "edgecolor": "none",
