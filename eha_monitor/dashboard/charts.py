@@ -15,6 +15,7 @@ _LIMIT_COLOURS = {"WARN": "#b26a00", "ERROR": "#b3261e"}
 _STAGE_COLOURS = ("#1565c0", "#00695c")
 _STAGE_WORDS = ("stage one", "stage two")
 _MARGIN = 0.08
+_OFF_THE_LINE = (5, 8)  # of a line's label along and across it, pixels
 # The time axis is at least this long; it grows to the whole span as the history does, s.
 _LEAST_SPAN = 30.0
 # A value that is less sure than this share of itself does not stretch the axis.
@@ -93,7 +94,8 @@ def _limit_mark(side: str, degree: str, limit: float) -> dict:
     colour = _LIMIT_COLOURS[degree]
     return {"yAxis": limit,
             "label": {"formatter": f"{degree} {limit:g}", "color": colour,
-                      "position": "insideStartTop" if above else "insideStartBottom"},
+                      "position": "insideStartTop" if above else "insideStartBottom",
+                      "distance": _OFF_THE_LINE},
             "lineStyle": {"color": colour, "type": "dashed" if degree == "WARN" else "solid"}}
 
 
@@ -132,7 +134,8 @@ def residual_frame() -> dict:
         series.append(_line(f"{stage}_variance", f"{words}, drift", colour, lineStyle=dashed))
     series[0]["markLine"] = {"symbol": "none", "silent": True, "data": [
         {"yAxis": 1.0,
-         "label": {"formatter": "1: the model fits", "position": "insideStartBottom"},
+         "label": {"formatter": "1: the model fits", "position": "insideStartBottom",
+                   "distance": _OFF_THE_LINE},
          "lineStyle": {"color": _INK, "type": "dotted"}}]}
     frame = _frame(_time_of_day(), "", series, [s["name"] for s in series], "log")
     frame["grid"]["top"] = 62  # the legend takes two lines on a phone
