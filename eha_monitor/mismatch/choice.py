@@ -10,8 +10,9 @@ from eha_monitor.mismatch.experiment import Experiment
 from eha_monitor.mismatch.fit import Fit, refine, spread, with_unknowns
 from eha_monitor.mismatch.gains import Unknowns, expected_covariance
 from eha_monitor.mismatch.innovations import CLOSED
+from eha_monitor.mismatch.merge import merged
 from eha_monitor.mismatch.resonance import stubborn
-from eha_monitor.mismatch.screen import starts_of
+from eha_monitor.mismatch.screen import Start, starts_of
 from eha_monitor.mismatch.search import (
     THRESHOLD,
     Candidate,
@@ -327,6 +328,13 @@ def name_effects(experiment: Experiment, threshold: float = THRESHOLD,
     fit, evidence = prune(experiment, fit, first, threshold)
     if len(fit.named) > 1:  # the rounds judged each effect beside an incomplete model
         fit, evidence, rivals = contested(experiment, fit, rounds, evidence, rivals)
+        one = None if experiment.inverse else merged(
+            experiment, fit, lambda other, name: demanded_gain(other, first, name, threshold))
+        if one is not None:
+            rivals = {name: others for name, others in rivals.items()
+                      if CATALOGUE[name].balance not in {
+                          CATALOGUE[gone].balance for gone in set(fit.named) ^ set(one.named)}}
+            fit, evidence = prune(experiment, one, first, threshold)
     if fit.named and yielding(experiment, fit):  # from the wrong side of large unknowns
         again = settle(experiment, stiffened(experiment, fit))
         gained = again.log_likelihood - fit.log_likelihood
@@ -351,6 +359,10 @@ def prune(experiment: Experiment, fit: Fit, first: Fit, threshold: float
             return fit, evidence
         weakest = min(evidence, key=evidence.get)
         sofar = fit.log_likelihood - first.log_likelihood
-        if evidence[weakest] >= max(threshold, 0.5 * FORM_SHARE * sofar):
+        least = max(threshold, 0.5 * FORM_SHARE * sofar)
+        other = without[list(evidence).index(weakest)]
+        own = Candidate(Start(weakest, ()), fit, evidence[weakest])
+        if evidence[weakest] >= least and (not weak(experiment, own) or quiet_gain(
+                experiment, other, own) >= least):
             return fit, evidence
-        fit = settle(experiment, without[list(evidence).index(weakest)])
+        fit = settle(experiment, other)

@@ -100,10 +100,15 @@ def contenders(rounds: tuple[Round, ...], fit: Fit, name: str) -> list[Candidate
     That is what came near it in the round in which it was found.  Where a balance has two named
     effects, also what else was tried in that balance, however far behind: of two that were
     missing, the first round takes one that is like both together (a root is like a line and a
-    step), and only the second shows which they are.
+    step), and only the second shows which they are.  And whatever would still gain beside the
+    whole model in that balance: what takes its place would gain no less.
     """
     balance = CATALOGUE[name].balance
     shared = sum(CATALOGUE[other].balance == balance for other in fit.named) > 1
+    last = rounds[-1] if rounds else None
+    late = [] if last is None else [
+        c for c in last.candidates if c.effect not in fit.named and c.gain > SLACK
+        and CATALOGUE[c.effect].balance == balance][:2]
     for step in rounds:
         own = next((c for c in step.candidates if c.effect == name), None)
         if own is not None and name not in step.before.named:
@@ -111,8 +116,8 @@ def contenders(rounds: tuple[Round, ...], fit: Fit, name: str) -> list[Candidate
             near = [c for c in others if c.gain > CONTENDING * own.gain]
             beside = [c for c in others if c not in near and shared
                       and CATALOGUE[c.effect].balance == balance]
-            return near[:3] + beside[:3]
-    return []
+            return near[:3] + beside[:3] + [c for c in late if c not in near + beside]
+    return late
 
 
 def substituted(experiment: Experiment, fit: Fit, name: str, rival: Candidate) -> Fit:

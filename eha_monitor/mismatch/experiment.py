@@ -80,6 +80,7 @@ class Experiment:
     largest_unknown : how far unknown force, flow and speed may go, times their smallest; 1e4
         times is what the record covers.
     wanted_speed : the input of ``CLOSED`` is the speed that the drive was told, not x_d.
+    by_pressures : the input of ``FORCED`` is what the pressure sensors say.
     inverse : the balances' own errors are compared (:mod:`equation_error`), not predictions.
     drift : by how much the circuit outside the model moves a chamber's pressure in a sample, Pa.
     """
@@ -101,6 +102,7 @@ class Experiment:
     drift: float = 0.0
     inverse: bool = False
     largest_unknown: float = 3e4
+    by_pressures: bool = False
 
     @property
     def n(self) -> int:
@@ -161,7 +163,8 @@ def experiment_of(recordings: list[Recording], settings: Settings,
                       integration_steps(settings, mode, first.sample_time), used, sigma, theta,
                       active, tuple(parts), ranges, step, input_noise(mode, settings, levels),
                       spikes, wanted, circuit_drift(settings, mode, columns),
-                      by_equations(settings, mode, columns))
+                      by_equations(settings, mode, columns), by_pressures=mode == FORCED
+                      and settings.rig.area_1 is not None and "p1" in levels and "p2" in levels)
 
 
 def input_noise(mode: int, settings: Settings, levels: dict) -> float:

@@ -52,6 +52,9 @@ from eha_monitor.settings.monitor import Settings
 LEAST_MOTION = 20.0  # times the position's noise: less motion says nothing
 MOSTLY = 0.5  # share of a balance's variance, where no clean record says how little may be left
 LARGE_PART = 0.5  # of the evidence: what an effect must take away to be named beside an unknown
+# Effect of the force balance -> errors of pressure sensors that make the same force: an offset,
+# and a scale by the mean pressure.
+FORCE_OF_SENSORS = {"constant_load": ("pressure_offset", "pressure_scale")}
 WORSE = 1.02  # ratio of squared errors on unseen data that is beyond chance
 
 Report = Callable[[str, float], None]
@@ -144,7 +147,8 @@ def verdict_of(experiment: Experiment, naming: Naming, calibration: Calibration 
     explained = float(np.clip(taken / max(against, taken, 1e-9), 0.0, 1.0)) if taken > 0 else 0.0
     left = floor - after.log_likelihood
     if after.named:
-        right = explained >= EXPLAINED or little_left(experiment, naming, left)
+        right = explained >= EXPLAINED or (
+            explained >= LARGE_PART and little_left(experiment, naming, left))
         return ("mismatch" if right else "unexplained"), explained
     return ("unexplained" if lacking(experiment, after) and left > NOTHING * len(after.e)
             else "consistent"), explained
@@ -243,8 +247,19 @@ def named_effect(experiment: Experiment, naming: Naming, name: str, tracks: list
         elif np.isfinite(value):
             parameters[p.name] = Value(value, 0.0, p.unit.replace("*", "·"))
     return NamedEffect(name, entry.balance, stated(entry.statement, numbers), parameters,
-                       naming.evidence[name], naming.rivals.get(name, ()), entry.equation,
+                       naming.evidence[name], rivals_of(experiment, naming, name), entry.equation,
                        entry.rig_check, size_of(experiment, fit, name, tracks))
+
+
+def rivals_of(experiment: Experiment, naming: Naming, name: str) -> tuple[str, ...]:
+    """Return what this record cannot tell from a named effect.
+
+    Where the pressures are the only measure of the force, an error of theirs is a force.
+    """
+    found = naming.rivals.get(name, ())
+    if experiment.by_pressures:
+        found += tuple(other for other in FORCE_OF_SENSORS.get(name, ()) if other not in found)
+    return found
 
 
 def stated(statement: str, numbers: dict[str, float]) -> str:
