@@ -44,7 +44,8 @@ def contested(experiment: Experiment, fit: Fit, rounds: tuple[Round, ...],
     """
     found = dict(rivals)
     for name in fit.named:
-        tried = [(c.effect, start) for c in contenders(rounds, fit, name)
+        tried = [(c.effect, start) for c in contenders(
+                     rounds, fit, name, not experiment.inverse)
                  if comparable(experiment, name, c.effect)
                  for start in ways_in(experiment, substituted(experiment, fit, name, c))]
         done = spread(lambda item: settle(experiment, item[1], 1, 4, False, 0.3), tried)
@@ -94,19 +95,21 @@ def ways_in(experiment: Experiment, fit: Fit) -> list[Fit]:
     return found
 
 
-def contenders(rounds: tuple[Round, ...], fit: Fit, name: str) -> list[Candidate]:
+def contenders(rounds: tuple[Round, ...], fit: Fit, name: str, beside_all: bool = True
+               ) -> list[Candidate]:
     """Return what may take an effect's place, best first.
 
     That is what came near it in the round in which it was found.  Where a balance has two named
     effects, also what else was tried in that balance, however far behind: of two that were
     missing, the first round takes one that is like both together (a root is like a line and a
     step), and only the second shows which they are.  And whatever would still gain beside the
-    whole model in that balance: what takes its place would gain no less.
+    whole model in that balance: what takes its place would gain no less.  Not ``beside_all``:
+    not that; in balances that are compared as they stand what still gains is a circuit's error.
     """
     balance = CATALOGUE[name].balance
     shared = sum(CATALOGUE[other].balance == balance for other in fit.named) > 1
     last = rounds[-1] if rounds else None
-    late = [] if last is None else [
+    late = [] if last is None or not beside_all else [
         c for c in last.candidates if c.effect not in fit.named and c.gain > SLACK
         and CATALOGUE[c.effect].balance == balance][:2]
     for step in rounds:
@@ -114,9 +117,10 @@ def contenders(rounds: tuple[Round, ...], fit: Fit, name: str) -> list[Candidate
         if own is not None and name not in step.before.named:
             others = [c for c in step.candidates if c is not own and c.effect not in fit.named]
             near = [c for c in others if c.gain > CONTENDING * own.gain]
-            beside = [c for c in others if c not in near and shared
+            beside = [c for c in others if c.gain <= CONTENDING * own.gain and shared
                       and CATALOGUE[c.effect].balance == balance]
-            return near[:3] + beside[:3] + [c for c in late if c not in near + beside]
+            known = {c.effect for c in (*near, *beside)}
+            return near[:3] + beside[:3] + [c for c in late if c.effect not in known]
     return late
 
 

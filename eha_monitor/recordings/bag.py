@@ -1,6 +1,5 @@
 """Which files make a bag, and its messages as raw bytes."""
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +8,7 @@ import numpy as np
 
 from eha_monitor.errors import InputError
 from eha_monitor.recordings.mcap_file import ZSTD_MAGIC, Block, McapFile
+from eha_monitor.recordings.order import natural
 
 
 @dataclass(frozen=True)
@@ -100,11 +100,6 @@ def _files_of(path: Path, losses: list[str]) -> tuple[list[Path], int | None]:
     if not chosen and not inside:
         raise InputError(f"{path}: expected the .mcap files that metadata.yaml lists, found none")
     return chosen or inside, count
-
-
-def natural(name: str) -> list[str | int]:
-    """Sort key by which part 10 comes after part 9."""
-    return [int(part) if i % 2 else part for i, part in enumerate(re.split(r"(\d+)", name))]
 
 
 def _metadata(path: Path, losses: list[str]) -> tuple[list[str], int | None]:
