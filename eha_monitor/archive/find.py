@@ -95,8 +95,7 @@ def stamp_of(bag: Path) -> str:
     """
     files = [bag]
     if bag.is_dir():
-        files = sorted(entry for entry in bag.iterdir()
-                       if of_a_bag(entry))
+        files = sorted(filter(of_a_bag, bag.iterdir()))
     facts = []
     for file in files:
         about = file.stat()

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from eha_monitor.filters.rows import Source
+from eha_monitor.filters.rows import Counts, Source
 from eha_monitor.filters.stillness import Stillness
 
 # A sentence stands for so long after its last evidence.
@@ -51,11 +51,7 @@ class Sentences:
 class _Past:
     """One source as it was at the last look."""
 
-    taken: int = 0
-    late: int = 0
-    repeated: int = 0
-    lacked: int = 0
-    empty: int = 0
+    counts: Counts = field(default_factory=Counts)
     rows: int = 0
     behind: float = math.nan  # from the last stamp to its receipt, on clocks of their own, s
     best: float = math.inf  # the least of it that is usual
@@ -130,10 +126,9 @@ class FaultWatch:
                 self._order(source, past, now)
                 self._steps(source, past, steps, now)
                 self._numbers(source, past, now)
-                if source.taken > past.taken and source.last_ns is not None:
+                if source.taken > past.counts.taken and source.last_ns is not None:
                     self._lateness(source, past, now)
-            past.taken, past.late, past.repeated = source.taken, source.late, source.repeated
-            past.lacked, past.empty, past.rows = source.lacked, source.empty, self.stillness.rows
+            past.counts, past.rows = source.counts(), self.stillness.rows
             past.counted = {name: self.stillness.counts.get(name, 0) for name in source.channels}
         fresh = {}
         for channel, (seconds, since_ns, new) in self.stillness.look().items():
@@ -146,8 +141,8 @@ class FaultWatch:
 
     def _order(self, source: Source, past: _Past, now: float) -> None:
         """Name stamps that repeat or go back."""
-        late, repeated = source.late - past.late, source.repeated - past.repeated
-        all_ = source.taken - past.taken + late + repeated
+        late, repeated = source.late - past.counts.late, source.repeated - past.counts.repeated
+        all_ = source.taken - past.counts.taken + late + repeated
         if _many(repeated, all_):
             self.note(f"repeat {source.name}", now,
                       f"{source.name}: stamps repeat, {repeated} of {all_} messages are "
@@ -166,7 +161,7 @@ class FaultWatch:
         if usual <= 0:
             return
         missing = int(np.sum(np.round(steps[steps > GAP * usual] / usual) - 1))
-        missing -= source.late - past.late  # they came, too late
+        missing -= source.late - past.counts.late  # they came, too late
         self.missing += max(missing, 0)
         if _many(missing, missing + len(steps)):
             self.note(f"missing {source.name}", now,
@@ -181,8 +176,8 @@ class FaultWatch:
 
     def _numbers(self, source: Source, past: _Past, now: float) -> None:
         """Name a channel without a number, and one that the rows cannot wait for."""
-        taken, lacked = source.taken - past.taken, source.lacked - past.lacked
-        empty, rows = source.empty - past.empty, self.stillness.rows - past.rows
+        taken, lacked = source.taken - past.counts.taken, source.lacked - past.counts.lacked
+        empty, rows = source.empty - past.counts.empty, self.stillness.rows - past.rows
         given = [name for name in source.channels if past.counted.get(name)]
         for name in given:  # it gave numbers before
             nan = empty + rows - lacked - (self.stillness.counts[name] - past.counted[name])

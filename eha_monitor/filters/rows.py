@@ -8,7 +8,7 @@ clock itself has jumped back, the reason is kept for the estimator's reset.
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 # A stamp this much before the last one is no late message: another clock, or a loop of a bag.
 FAR_BACK_NS = 500_000_000
@@ -23,9 +23,31 @@ SILENT_S = 0.25
 HOLD_NS = 60_000_000_000
 
 
+@dataclass(kw_only=True)
+class Counts:
+    """What became of the samples of a stream.
+
+    Attributes
+    ----------
+    taken, late, repeated : samples taken, dropped as late, as repeated.
+    empty : messages with the entry and without a number.
+    lacked : rows that went without this source.
+    """
+
+    taken: int = 0
+    late: int = 0
+    repeated: int = 0
+    empty: int = 0
+    lacked: int = 0
+
+    def counts(self) -> "Counts":
+        """Return the counts as they are now."""
+        return Counts(**{one.name: getattr(self, one.name) for one in fields(Counts)})
+
+
 @dataclass
-class Source:
-    """One stream of channels that share a stamp.
+class Source(Counts):
+    """One stream of channels that share a stamp, and what became of its samples.
 
     Attributes
     ----------
@@ -34,10 +56,8 @@ class Source:
     held : slow channels: the last value counts, no row waits for the next one.
     last_ns : stamp of the last sample taken; None before the first.
     heard_s : when the last sample came, on the caller's clock.
-    taken, late, repeated, jumped : samples taken, dropped as late, as repeated, as doubtful jumps.
-    empty : messages with the entry and without a number.
+    jumped : samples dropped as doubtful jumps.
     skipped : messages since the last sample that gave none.
-    lacked : rows that went without this source.
     steps : ns between the stamps taken, shared among what was not read between them.
     """
 
@@ -46,12 +66,7 @@ class Source:
     held: bool = False
     last_ns: int | None = None
     heard_s: float = -math.inf
-    taken: int = 0
-    late: int = 0
-    repeated: int = 0
     jumped: int = 0
-    empty: int = 0
-    lacked: int = 0
     skipped: int = 0
     steps: deque = field(default_factory=lambda: deque(maxlen=8192))
     epoch_ns: int | None = None

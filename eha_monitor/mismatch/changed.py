@@ -46,12 +46,10 @@ def changed_between(experiment: Experiment, recordings: list[Recording], named: 
 
     Parameters
     ----------
-    experiment : of ``recordings``, at least one.
+    experiment : of ``recordings``, at least one; compared by a filter, not by balances.
     named : the best model of constant parameters.
     threshold : log units by which the pieces must be better.
     """
-    if experiment.inverse:
-        return None
     parts = [part for part in (part_of(experiment, *span) for span in spans_of(
         experiment, recordings)) if part is not None]
     if len(parts) < 2:

@@ -108,10 +108,9 @@ def contenders(rounds: tuple[Round, ...], fit: Fit, name: str, beside_all: bool 
     """
     balance = CATALOGUE[name].balance
     shared = sum(CATALOGUE[other].balance == balance for other in fit.named) > 1
-    last = rounds[-1] if rounds else None
-    late = [] if last is None or not beside_all else [
-        c for c in last.candidates if c.effect not in fit.named and c.gain > SLACK
-        and CATALOGUE[c.effect].balance == balance][:2]
+    late = [c for step in rounds[-1:] for c in step.candidates
+            if beside_all and c.effect not in fit.named and c.gain > SLACK
+            and CATALOGUE[c.effect].balance == balance][:2]
     for step in rounds:
         own = next((c for c in step.candidates if c.effect == name), None)
         if own is not None and name not in step.before.named:

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from itertools import combinations
 
-from eha_monitor.mismatch.contest import comparable
 from eha_monitor.mismatch.experiment import Experiment
 from eha_monitor.mismatch.fit import Fit, spread
 from eha_monitor.mismatch.screen import Start, own_sizes, possible, starts_of
@@ -25,8 +24,7 @@ def merged(experiment: Experiment, fit: Fit, demanded: Callable[[Fit, str], floa
         two must be better than the one by that much, or the one stands.
     """
     for pair in combinations(fit.named, 2):
-        if len({CATALOGUE[name].balance for name in pair}) > 1 or not comparable(
-                experiment, *pair):
+        if CATALOGUE[pair[0]].balance != CATALOGUE[pair[1]].balance:
             continue
         bare = without_effect(experiment, without_effect(experiment, fit, pair[0]), pair[1])
         tried = [with_effect(bare, start, (1.0,) * len(own_sizes(start)))

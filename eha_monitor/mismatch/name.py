@@ -95,7 +95,7 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
     naming = name_effects(experiment, threshold,
                           lambda text, share: say(text, base + (0.85 - base) * share), first)
     pieces: tuple[Piece, ...] = ()
-    if verdict_of(experiment, naming, calibration)[0] != "consistent":
+    if not experiment.inverse and verdict_of(experiment, naming, calibration)[0] != "consistent":
         say("asking whether a parameter changed", 0.86)
         changed = changed_between(experiment, recordings, naming.after, threshold)
         if changed is not None:
