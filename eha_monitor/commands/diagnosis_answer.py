@@ -55,6 +55,23 @@ def answer(found: Diagnosis) -> dict:
     })
 
 
+def refusal(bags: tuple[Path, ...], message: str, channels: list[dict]) -> dict:
+    """Return the JSON tree of recordings that contradict their config; nothing is diagnosed."""
+    return {
+        "schema": SCHEMA,
+        "bag": ", ".join(map(str, bags)),
+        "verdict": "insufficient_data",
+        "location": {"balance": dict.fromkeys(("force", "flow", "drive", "sensor"), 0.0),
+                     "regime": "", "intervals_s": []},
+        "effects": [],
+        "parameters": {"before": {}, "after": {}},
+        "fit": {"data": "held_out", "signals": {}},
+        "advice": [],
+        "message": message,
+        "channels": channels,
+    }
+
+
 def _effect(effect: NamedEffect) -> dict:
     return {"name": effect.name, "balance": effect.balance, "statement": effect.statement,
             "parameters": _values(effect.parameters), "log_evidence": effect.log_evidence,

@@ -203,6 +203,9 @@ class Settings(Section):
         "exact", description="euler runs the equations as printed in the paper")
     command_hold: Literal["continuous", "sampled"] = Field(
         "continuous", description="sampled: the drive holds x_d and x over a sample")
+    implausible: Literal["refuse", "warn"] = Field(
+        "refuse", description="what becomes of a recording whose channels contradict this config "
+        "(signs, units, swapped channels): refuse it, or answer with a warning")
     thresholds: Thresholds = Field(Thresholds(), description="alarm limits")
     viscosity: Viscosity = Field(Viscosity(), description="temperature compensation of B")
     monitor: Monitor = Field(Monitor(), description="the live monitor")
