@@ -54,6 +54,8 @@ class Moments:
     place : (channel, order of derivative or ``DIRECTION``) -> column; only channels that vary.
     gram : (m, m) mean products of the columns, each centred and divided by ``scale``.
     scale : (m,) standard deviation of each column, SI.
+    noise : (m,) share of each column's variance that is the sensor's white noise; 0 for
+        derivatives, which stand on the side that is known.
     levels : channel -> :class:`Level` of the raw samples.
     same : pairs of channels that hold the same numbers.
     sample_time : s.
@@ -62,6 +64,7 @@ class Moments:
     place: dict[tuple[str, int], int]
     gram: np.ndarray
     scale: np.ndarray
+    noise: np.ndarray
     levels: dict[str, Level]
     same: tuple[tuple[str, str], ...]
     sample_time: float
@@ -80,11 +83,13 @@ def moments_of(recording: Recording) -> Moments:
     same = tuple((one, other) for i, one in enumerate(piece) for other in list(piece)[i + 1:]
                  if np.mean(np.abs(piece[one] - piece[other]) <= SAME * levels[one].span) > 0.95)
     place: dict[tuple[str, int], int] = {}
-    columns = []
+    columns: list[np.ndarray] = []
+    noise: list[float] = []
     if "x" in piece:
         band = cutoff(piece["x"])
         for name, values in piece.items():
-            made = derivatives(values, band, recording.sample_time)
+            made, white = derivatives(values, band, recording.sample_time)
+            noise += [white, *[0.0] * (len(made))]
             rms = np.sqrt(np.mean(made[1] ** 2))
             made.append(made[1] / (np.abs(made[1]) + SLOW * rms) if rms > 0 else made[1])
             for order, column in enumerate(made):
@@ -92,12 +97,13 @@ def moments_of(recording: Recording) -> Moments:
                 columns.append(column)
     table = np.array(columns).reshape(len(columns), -1)
     if not np.isfinite(table).all() or np.abs(table).max(initial=0.0) > OVERFLOWS:
-        place, table = {}, table[:0]
+        place, table, noise = {}, table[:0], []
     if len(table):
         table = table - table.mean(axis=1, keepdims=True)
     scale = np.sqrt(np.mean(table**2, axis=1)) if len(table) else np.empty(0)
     unit = table / np.where(scale > 0, scale, 1.0)[:, None]
-    return Moments(place, unit @ unit.T / max(table.shape[1], 1), scale, levels, same,
+    share = np.array(noise) / np.where(scale > 0, scale, 1.0) ** 2
+    return Moments(place, unit @ unit.T / max(table.shape[1], 1), scale, share, levels, same,
                    recording.sample_time)
 
 
@@ -161,23 +167,37 @@ def spectrum(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def cutoff(x: np.ndarray) -> int:
     """Return the bin of the spectrum up to which the position tells the acceleration."""
     power = np.abs(spectrum(x)[0]) ** 2
-    last = int(2 * BAND * len(power))
-    floor = float(np.median(power[last:])) / np.log(2.0)  # of noise: exponentially distributed
+    last, floor = int(2 * BAND * len(power)), floor_of(power)
     fourth = np.arange(last, dtype=float) ** 4
     signal = np.cumsum(fourth * np.maximum(power[:last] - floor, 0.0))
     good = np.flatnonzero(np.cumsum(fourth * floor) <= NOISE_SHARE * signal)
     return max(int(good[-1]) if len(good) else 0, LEAST_BAND)
 
 
-def derivatives(values: np.ndarray, band: int, dt: float) -> list[np.ndarray]:
-    """Return the channel without what lies above ``band``, and its derivatives, each (m,)."""
+def floor_of(power: np.ndarray) -> float:
+    """Return the power of white noise in each bin, told by the bins above the band.
+
+    Such a bin's power is exponentially distributed, with a median of ln 2 times its mean.
+    """
+    return float(np.median(power[int(2 * BAND * len(power)):])) / np.log(2.0)
+
+
+def derivatives(values: np.ndarray, band: int, dt: float) -> tuple[list[np.ndarray], float]:
+    """Return the channel without what lies above ``band`` with its derivatives, and its noise.
+
+    Returns
+    -------
+    columns : each (m,), SI; the noise in the first of them as a variance.
+    """
     n = len(values)
     seen, line = spectrum(values)
     bins = np.arange(len(seen))
-    # A cosine flank of half the band: a sharp edge rings.
-    seen *= 0.5 + 0.5 * np.cos(np.pi * np.clip(2.0 * (bins / band - 1.0), 0.0, 1.0))
+    # A cosine flank over the last third of the band: a sharp edge rings.
+    flank = 0.5 + 0.5 * np.cos(np.pi * np.clip(3.0 * bins / band - 2.0, 0.0, 1.0))
+    white = 2.0 * floor_of(np.abs(seen) ** 2) * float(flank @ flank) / (2 * (n - 1)) ** 2
+    seen *= flank
     s = 1j * np.pi * bins / ((n - 1) * dt)
     slope = (line, (line[-1] - line[0]) / ((n - 1) * dt), 0.0)
     cut = slice(int(MARGIN * n), n - int(MARGIN * n))
     return [(np.fft.irfft(seen * s**order, 2 * (n - 1))[:n] + slope[order])[cut]
-            for order in range(ORDERS)]
+            for order in range(ORDERS)], white

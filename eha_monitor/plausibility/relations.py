@@ -141,8 +141,12 @@ def ratio(reading: Reading, left: np.ndarray, right: np.ndarray, *beside: np.nda
         if len(beside) else both
     if alone[1, 1] < DISTINCT or alone[0, 0] < 1e-12:
         return None
-    rho = float(np.clip(alone[0, 1] / sqrt(alone[0, 0] * alone[1, 1]), -1.0, 1.0))
-    unexplained = alone[0, 0] * (1.0 - rho**2)
+    # White noise of the left side's sensors is no physics that is missing.
+    noise = float(left**2 @ reading.moments.noise) / size[0] ** 2
+    explains = alone[0, 1] ** 2 / alone[1, 1]
+    rest = max(alone[0, 0] - explains - noise, 1e-9 * alone[0, 0])
+    rho = float(np.sign(alone[0, 1]) * sqrt(explains / (explains + rest)))
+    unexplained = rest
     return Ratio(float(alone[0, 1] / alone[1, 1] * size[0] / size[1]), rho,
                  float(np.clip(1.0 - unexplained, 0.0, 1.0)))
 
