@@ -23,7 +23,7 @@ BROKEN = 5.0  # log units of penalty from which on a reading is worth explaining
 MOST = 3  # mistakes at once
 AGAIN = 0.5  # share of an everyday unit's cost that a further one saves
 KEPT = 12  # sets that are carried on
-BELOW_VACUUM = 2e4  # Pa below zero that no absolute pressure reads, sensors' errors included
+BELOW_VACUUM = 0.5 * ATMOSPHERE  # below zero: nearer to a gauge's lowest than to an absolute one's
 AS_GAUGE = 0.05  # of an atmosphere: so near must the charge pressure be to being one off
 
 

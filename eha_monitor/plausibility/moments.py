@@ -17,7 +17,7 @@ LONGEST = 32_768  # samples that are looked at: those of the piece with the most
 SHORTEST = 64
 BRIDGED = 5  # samples of a gap that is filled in
 PRESENT = 0.5  # share of a stretch that a channel must have
-MEAN_OF = 16  # samples
+MEAN_OF = 0.1  # s
 ORDERS = 3  # the channel and two derivatives
 DIRECTION = 3  # place of the smoothed sign of the first derivative, after the derivatives
 SLOW = 0.1  # of the rms speed: below, the direction is not told
@@ -72,7 +72,7 @@ class Moments:
 
 def moments_of(recording: Recording) -> Moments:
     """Return the moments of a recording; no columns where it is too short or nothing moves."""
-    levels = {name: level_of(values) for name, values in recording.channels.items()
+    levels = {name: level_of(values, recording.sample_time) for name, values in recording.channels.items()
               if np.isfinite(values).any()}
     start, stop = stretch_of(recording)
     piece = {name: filled(values[start:stop]) for name, values in recording.channels.items()
@@ -107,13 +107,13 @@ def moments_of(recording: Recording) -> Moments:
                    recording.sample_time)
 
 
-def level_of(values: np.ndarray) -> Level:
-    """Return where a channel lies; ``values`` (n,) with NaN where missing.
+def level_of(values: np.ndarray, dt: float) -> Level:
+    """Return where a channel lies; ``values`` (n,) with NaN where missing, ``dt`` s.
 
-    Means of ``MEAN_OF`` samples are looked at: a sensor's noise is no level.
+    Means over ``MEAN_OF`` are looked at: a sensor's noise is no level.
     """
     values = values[np.isfinite(values)]
-    length = min(MEAN_OF, len(values))
+    length = min(max(round(MEAN_OF / dt), 1), len(values))
     means = values[:len(values) // length * length].reshape(-1, length).mean(axis=1)
     low, middle, high = np.percentile(means, [1.0, 50.0, 99.0]).tolist()
     return Level(low, middle, high, float(np.abs(means).max()))
