@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strangers.plant import N_STATE, PA, P1, P2, Constants, F, V, W, X, friction_force, rates, rest
+from strangers.plant import N_STATE, P1, P2, PA, Constants, F, V, W, X, friction_force, rates, rest
 from strangers.record import fine_run
 from strangers.rigs import Rig
 
@@ -51,7 +51,7 @@ class Checked:
 def check(rig: Rig) -> Checked:
     """Return the figures of one rig."""
     c = Constants(*map(float, rig.plant))
-    out, time, at, noise = fine_run(rig)
+    out, time, at, _ = fine_run(rig)
     steps = round((time[at[1]] - time[at[0]]) / (time[1] - time[0]))
     finer, _, at_2, _ = fine_run(rig, substeps=2 * steps)
     coarse, fine = out[at], finer[at_2]

@@ -107,8 +107,13 @@ def varied(rig: Rig, seed: int) -> Rig:
         bulk_modulus=rig.plant.bulk_modulus * rng.uniform(0.7, 1.2)))
 
 
-def config_of(rig: Rig) -> dict:
-    """Return the config that the README's second step asks of the owner, plain data."""
+def config_of(rig: Rig, *, well_known: bool = False) -> dict:
+    """Return the config that the README's second step asks of the owner, plain data.
+
+    Parameters
+    ----------
+    well_known : the owner has also measured leakage, make-up and charge pressure.
+    """
     c, file = rig.plant, rig.dialect
     known = {
         "name": rig.name,
@@ -116,7 +121,10 @@ def config_of(rig: Rig) -> dict:
         "volume_1": f"{c.volume_1 * 1e6:.6g} cm^3", "volume_2": f"{c.volume_2 * 1e6:.6g} cm^3",
         "mass": f"{c.mass:.6g} kg", "pump_displacement": c.displacement_1,
         "position_gain": c.gain if rig.gain_known else None,
-        "sample_time": f"{1e3 / rig.rate:.6g} ms", **rig.also}
+        "sample_time": f"{1e3 / rig.rate:.6g} ms"}
+    if well_known:
+        known |= {"leakage": 2.0 * c.cross_leakage + c.makeup, "makeup_conductance": c.makeup,
+                  "charge_pressure": f"{c.reservoir * 1e-5:.6g} bar"}
     columns = {}
     for channel, (header, unit, _) in file.columns.items():
         if channel == "time":

@@ -4,7 +4,7 @@ Each is what its owner knows (data sheet, logger, file) and what only this file 
 friction, hold).  Loop gain K D/A below a third of B/M keeps the oil column stable.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from strangers.motions import Motion
 from strangers.plant import DAHL, STRIBECK, Constants
@@ -71,7 +71,6 @@ class Rig:
     sensors: Sensors = Sensors()
     drive: Drive = Drive()
     gain_known: bool = True
-    also: dict = field(default_factory=dict)  # rig keys beyond the README's example
 
 
 CM2, CM3, L_BAR = 1e-4, 1e-6, 1e5
