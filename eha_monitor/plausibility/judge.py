@@ -5,6 +5,7 @@ that somebody made these mistakes (:mod:`mistakes`).  No mistake at all is one o
 """
 
 from dataclasses import dataclass
+from math import log
 
 from eha_monitor.plausibility.mistakes import EVERYDAY, Mistake, mistakes_for
 from eha_monitor.plausibility.moments import Moments, moments_of
@@ -22,6 +23,7 @@ RIVAL = 2.0  # log units within which another explanation is told as well
 BROKEN = 5.0  # log units of penalty from which on a reading is worth explaining
 MOST = 3  # mistakes at once
 AGAIN = 0.5  # share of an everyday unit's cost that a further one saves
+ALIKE = 0.25  # difference of logarithms within which two factors are told as one
 KEPT = 12  # sets that are carried on
 BELOW_VACUUM = 0.5 * ATMOSPHERE  # below zero: nearer to a gauge's lowest than to an absolute one's
 AS_GAUGE = 0.05  # of an atmosphere: so near must the charge pressure be to being one off
@@ -156,10 +158,29 @@ def finding_of(mistake: Mistake, best: Explanation, rivals: list[Explanation], r
 
 def others_of(best: Explanation, rivals: list[Explanation]) -> str:
     """Return the explanations that are nearly as good, as the end of a sentence."""
-    told = [" and ".join(mistake.claim for mistake in one.mistakes) for one in rivals
-            if not all(any(mine is mistake for mine in one.mistakes)
-                       for mistake in best.mistakes)][:2]
-    return f" (or {', or '.join(told)})" if told else ""
+    told = []
+    for one in rivals:
+        further = all(any(mine is mistake for mine in one.mistakes) for mistake in best.mistakes)
+        vague = any(mistake.without for mistake in one.mistakes)
+        if not (further or vague or mends_alike(one.mistakes, best.mistakes)):
+            told.append(" and ".join(mistake.claim for mistake in one.mistakes))
+    return f" (or {', or '.join(told[:2])})" if told else ""
+
+
+def mends_alike(ones: tuple[Mistake, ...], others: tuple[Mistake, ...]) -> bool:
+    """Tell whether two sets change the same things by about the same factors."""
+    def changes(mistakes: tuple[Mistake, ...]) -> dict[str, float]:
+        found: dict[str, float] = {}
+        for mistake in mistakes:
+            for key, factor in (*mistake.factors.items(), *mistake.numbers.items(),
+                                ("time", mistake.clock)):
+                found[key] = found.get(key, 1.0) * factor
+        return found
+
+    one, other = changes(ones), changes(others)
+    swaps = [{mistake.swap for mistake in mistakes} for mistakes in (ones, others)]
+    return swaps[0] == swaps[1] and one.keys() == other.keys() and all(
+        one[key] / other[key] > 0 and abs(log(one[key] / other[key])) < ALIKE for key in one)
 
 
 def duplicates(moments: Moments) -> tuple[ChannelFinding, ...]:

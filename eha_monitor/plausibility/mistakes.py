@@ -14,7 +14,7 @@ from eha_monitor.recordings.finding import Kind
 
 EVERYDAY, RARE, RAREST = -3.0, -4.5, -6.0
 DECADE = -0.3  # log units for each power of ten that a number is off
-OTHER_COLUMN = -8.0  # a channel that is none of the others either
+OTHER_COLUMN = -7.0  # a channel that is none of the others either
 TOLD = 3.0  # times: a number that is off by less is left to the estimators
 INCH, PSI = 0.0254, 6894.757
 RPM = 2.0 * pi / 60.0
@@ -92,23 +92,35 @@ class Mistake:
         return frozenset((*self.names, *(self.swap or ()), *(("time",) * (self.clock != 1.0))))
 
 
-def unit_mistakes(roles: tuple[str, ...], units: dict[str, float], si: str, rotary: bool
-                  ) -> list[Mistake]:
-    """Return what there is to mix up in the unit of channels that share one."""
+def unit_mistakes(roles: tuple[str, ...], units: dict[str, float], si: str) -> list[Mistake]:
+    """Return what there is to mix up in the unit of channels that share one.
+
+    Any unit may have been taken for any other, most often the first for the SI unit; a power of
+    ten without a name is rarest.
+    """
     names = " and ".join(roles)
     looks = "look" if len(roles) > 1 else "looks"
-    found = [Mistake("unit", roles, f"{names} {looks} like {unit}, not {si}",
-                     EVERYDAY if place == 0 else RARE, factors=dict.fromkeys(roles, factor))
-             for place, (unit, factor) in enumerate(units.items())]
-    known = {round(log(factor), 6) for factor in units.values()}
-    for factor in (one for ten in TENS for one in (ten, 1.0 / ten)):
-        if round(log(factor), 6) not in known:
-            times = f"{1 / factor:g} times too large" if factor < 1 else (
+    found: dict[float, Mistake] = {}
+
+    def add(factor: float, claim: str, prior: float) -> None:
+        key = round(log(factor), 3)
+        if key and key not in found:
+            found[key] = Mistake("unit", roles, f"{names} {looks} {claim}", prior,
+                                 factors=dict.fromkeys(roles, factor))
+
+    for place, (unit, factor) in enumerate(units.items()):
+        add(factor, f"like {unit}, not {si}", RARE if place else EVERYDAY)
+    for unit, factor in units.items():
+        add(1.0 / factor, f"like {si}, scaled as {unit}", RARE)
+    for unit, factor in units.items():
+        for taken, other in units.items():
+            add(factor / other, f"like {unit}, scaled as {taken}", RAREST)
+    for ten in TENS:
+        for factor in (ten, 1.0 / ten):
+            size = f"{1 / factor:g} times too large" if factor < 1 else (
                 f"{factor:g} times too small")
-            found.append(Mistake("unit", roles, f"{names} {looks} {times} for {si}",
-                                 RAREST + DECADE * abs(log10(factor)),
-                                 factors=dict.fromkeys(roles, factor)))
-    return found
+            add(factor, f"{size} for {si}", RAREST + DECADE * log10(ten))
+    return list(found.values())
 
 
 def mistakes_for(reading: Reading, given: tuple[Check, ...]) -> list[Mistake]:
@@ -138,13 +150,10 @@ def mistakes_for(reading: Reading, given: tuple[Check, ...]) -> list[Mistake]:
         units, si = units_of(group[0], reading.rotary)
         if group == ("x", "v"):
             units = {}
-        found += unit_mistakes(group, units, si, reading.rotary)
-        if group == ("omega",):
-            found += unit_mistakes(group, {"rad/s, multiplied by 2π/60 once more,": 1.0 / RPM},
-                                   si, reading.rotary)[:1]
+        found += unit_mistakes(group, units, si)
     found += [Mistake("swapped", (role,), f"{role} does not belong to this motion, it may be "
                       "another column or topic", OTHER_COLUMN, without=role)
-              for role in has if role != "x"]
+              for role in has]
     found += number_mistakes(reading) + fitted_numbers(reading, given)
     found += [Mistake("unit", ("time",), f"the time looks like {unit}, not seconds", EVERYDAY,
                       clock=factor) for unit, factor in TIMES.items()]

@@ -54,8 +54,7 @@ class Moments:
     place : (channel, order of derivative or ``DIRECTION``) -> column; only channels that vary.
     gram : (m, m) mean products of the columns, each centred and divided by ``scale``.
     scale : (m,) standard deviation of each column, SI.
-    noise : (m,) share of each column's variance that is the sensor's white noise; 0 for
-        derivatives, which stand on the side that is known.
+    noise : (m,) share of each column's variance that is the sensor's white noise.
     levels : channel -> :class:`Level` of the raw samples.
     same : pairs of channels that hold the same numbers.
     sample_time : s.
@@ -72,8 +71,8 @@ class Moments:
 
 def moments_of(recording: Recording) -> Moments:
     """Return the moments of a recording; no columns where it is too short or nothing moves."""
-    levels = {name: level_of(values, recording.sample_time) for name, values in recording.channels.items()
-              if np.isfinite(values).any()}
+    levels = {name: level_of(values, recording.sample_time)
+              for name, values in recording.channels.items() if np.isfinite(values).any()}
     start, stop = stretch_of(recording)
     piece = {name: filled(values[start:stop]) for name, values in recording.channels.items()
              if name in levels and np.isfinite(values[start:stop]).mean() > PRESENT} \
@@ -89,13 +88,13 @@ def moments_of(recording: Recording) -> Moments:
         band = cutoff(piece["x"])
         for name, values in piece.items():
             made, white = derivatives(values, band, recording.sample_time)
-            noise += [white, *[0.0] * (len(made))]
+            noise += [*white, 0.0]
             rms = np.sqrt(np.mean(made[1] ** 2))
             made.append(made[1] / (np.abs(made[1]) + SLOW * rms) if rms > 0 else made[1])
             for order, column in enumerate(made):
                 place[name, order] = len(columns)
                 columns.append(column)
-    table = np.array(columns).reshape(len(columns), -1)
+    table = np.array(columns) if columns else np.empty((0, 0))
     if not np.isfinite(table).all() or np.abs(table).max(initial=0.0) > OVERFLOWS:
         place, table, noise = {}, table[:0], []
     if len(table):
@@ -113,7 +112,8 @@ def level_of(values: np.ndarray, dt: float) -> Level:
     Means over ``MEAN_OF`` are looked at: a sensor's noise is no level.
     """
     values = values[np.isfinite(values)]
-    length = min(max(round(MEAN_OF / dt), 1), len(values))
+    # Not more than a hundredth of the recording: its clock may be what is wrong.
+    length = max(min(round(MEAN_OF / dt), len(values) // 100), 1)
     means = values[:len(values) // length * length].reshape(-1, length).mean(axis=1)
     low, middle, high = np.percentile(means, [1.0, 50.0, 99.0]).tolist()
     return Level(low, middle, high, float(np.abs(means).max()))
@@ -182,21 +182,22 @@ def floor_of(power: np.ndarray) -> float:
     return float(np.median(power[int(2 * BAND * len(power)):])) / np.log(2.0)
 
 
-def derivatives(values: np.ndarray, band: int, dt: float) -> tuple[list[np.ndarray], float]:
-    """Return the channel without what lies above ``band`` with its derivatives, and its noise.
+def derivatives(values: np.ndarray, band: int, dt: float) -> tuple[list[np.ndarray], list[float]]:
+    """Return a channel below ``band`` with its derivatives, and the noise's variance in each.
 
     Returns
     -------
-    columns : each (m,), SI; the noise in the first of them as a variance.
+    columns : each (m,), SI; variances.
     """
     n = len(values)
     seen, line = spectrum(values)
     bins = np.arange(len(seen))
     # A cosine flank over the last third of the band: a sharp edge rings.
     flank = 0.5 + 0.5 * np.cos(np.pi * np.clip(3.0 * bins / band - 2.0, 0.0, 1.0))
-    white = 2.0 * floor_of(np.abs(seen) ** 2) * float(flank @ flank) / (2 * (n - 1)) ** 2
-    seen *= flank
     s = 1j * np.pi * bins / ((n - 1) * dt)
+    floor = 2.0 * floor_of(np.abs(seen) ** 2) / (2 * (n - 1)) ** 2
+    white = [floor * float(np.sum((flank * np.abs(s) ** order) ** 2)) for order in range(ORDERS)]
+    seen *= flank
     slope = (line, (line[-1] - line[0]) / ((n - 1) * dt), 0.0)
     cut = slice(int(MARGIN * n), n - int(MARGIN * n))
     return [(np.fft.irfft(seen * s**order, 2 * (n - 1))[:n] + slope[order])[cut]

@@ -21,10 +21,13 @@ DISTINCT = 1e-3
 # Honest spread of each ratio, as a relative standard deviation: configured numbers and the
 # physics of the catalogue at its usual size.
 SPREAD = {"mass": 0.15, "damping": 0.7, "guessed": 2.0, "flow": 0.10, "drive": 0.10,
-          "tracking": 0.05, "stroke": 0.15, "speed": 0.05, "size": 0.7, "both_forces": 0.2}
+          "tracking": 0.05, "stroke": 0.15, "speed": 0.05, "size": 0.7, "both_forces": 0.2,
+          "stiffness": 0.3}
 # Log units against a recording whose sample time is a power of ten away from the one that
 # somebody wrote.
 OTHER_CLOCK = 6.0
+NOISY = 0.3  # of a side's variance must be signal
+OIL = (5e6, 5e9)  # Pa: no oil is stiffer, and none softer that still moves a piston
 SLIGHT = 0.02  # of the motion: a lag below this may be a feed-forward's lead
 WEAK = 3.0  # log units against a relation of which nothing is seen at all
 # What moving things of a rig measure, SI: from, to.  Outside it takes a reason.
@@ -141,14 +144,16 @@ def ratio(reading: Reading, left: np.ndarray, right: np.ndarray, *beside: np.nda
         if len(beside) else both
     if alone[1, 1] < DISTINCT or alone[0, 0] < 1e-12:
         return None
-    # White noise of the left side's sensors is no physics that is missing.
-    noise = float(left**2 @ reading.moments.noise) / size[0] ** 2
-    explains = alone[0, 1] ** 2 / alone[1, 1]
-    rest = max(alone[0, 0] - explains - noise, 1e-9 * alone[0, 0])
+    # White noise of the sensors is no physics that is missing, and draws no slope to zero.
+    blur = (sides[:2] ** 2 @ reading.moments.noise) / size[:2] ** 2
+    told = alone[1, 1] - blur[1]
+    if told < NOISY * alone[1, 1]:
+        return None
+    explains = alone[0, 1] ** 2 / told
+    rest = max(alone[0, 0] - explains - blur[0], 1e-9 * alone[0, 0])
     rho = float(np.sign(alone[0, 1]) * sqrt(explains / (explains + rest)))
-    unexplained = rest
-    return Ratio(float(alone[0, 1] / alone[1, 1] * size[0] / size[1]), rho,
-                 float(np.clip(1.0 - unexplained, 0.0, 1.0)))
+    return Ratio(float(alone[0, 1] / told * size[0] / size[1]), rho,
+                 float(np.clip(1.0 - rest, 0.0, 1.0)))
 
 
 def odd(ln_ratio: float, spread: float, rho: float = 1.0) -> float:
@@ -310,6 +315,28 @@ def tracking(reading: Reading) -> list[Check] | None:
     return found
 
 
+def stiffness(reading: Reading) -> Check | None:
+    """F' = beta_e S2 (D_p omega/A1 - x') - leakage, S2 = A1²/V1 + A2²/V2: an oil's stiffness."""
+    one, two, oil_1, oil_2, displacement = (reading.rig[key] for key in (
+        "area_1", "area_2", "volume_1", "volume_2", "pump_displacement"))
+    if not (one and two and oil_1 and oil_2 and displacement
+            and reading.has("x", "omega", "p1", "p2")):
+        return None
+    stiff = one**2 / oil_1 + two**2 / oil_2
+    given = stiff * (reading.column("omega", 0, displacement / one) - reading.column("x", 1))
+    found = ratio(reading, given,
+                  reading.column("p1", 1, one) - reading.column("p2", 1, two),
+                  reading.column("p1", 0, one) - reading.column("p2", 0, two),
+                  reading.column("x", 1))
+    if found is None or found.slope <= 0:
+        return None
+    modulus = 1.0 / found.slope
+    off = max(log(modulus / OIL[1]), log(OIL[0] / modulus), 0.0)
+    return Check("stiffness", odd(off, SPREAD["stiffness"], found.rho), Phrase(
+        f"the oil would have a bulk modulus of {figure(modulus / 1e6)} MPa",
+        f"{figure(modulus / 1e6)} MPa"))
+
+
 def stroke(reading: Reading) -> Check | None:
     """The oil that the piston sweeps is less than what both chambers hold."""
     keys = ("area_1", "area_2", "volume_1", "volume_2")
@@ -387,5 +414,5 @@ def clock(reading: Reading) -> Check | None:
 
 
 RELATIONS: tuple[Callable[[Reading], Check | list[Check] | None], ...] = (
-    force_balance, flow_balance, drive, tracking, stroke, measured_speed, both_forces, sizes,
-    clock)
+    force_balance, flow_balance, drive, tracking, stiffness, stroke, measured_speed, both_forces,
+    sizes, clock)
