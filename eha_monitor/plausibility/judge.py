@@ -9,7 +9,13 @@ from math import log
 
 from eha_monitor.plausibility.mistakes import EVERYDAY, Mistake, mistakes_for
 from eha_monitor.plausibility.moments import Moments, moments_of
-from eha_monitor.plausibility.relations import Check, Reading, Source, checks
+from eha_monitor.plausibility.relations import (
+    Check,
+    Reading,
+    Source,
+    checks,
+    unexplained,
+)
 from eha_monitor.recordings.finding import ChannelFinding
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
@@ -20,11 +26,12 @@ NUMBERS = ("area_1", "area_2", "volume_1", "volume_2", "mass", "viscous_damping"
            "pump_displacement", "position_gain", "sample_time")
 DECIDES = 3.0  # log units by which mistakes must be better than none
 RIVAL = 2.0  # log units within which another explanation is told as well
-BROKEN = 5.0  # log units of penalty from which on a reading is worth explaining
+BROKEN = 4.0  # log units of wrong signs and sizes from which on a reading is worth explaining
+LOOSE = 6.0  # log units of unexplained signals from which on
 MOST = 3  # mistakes at once
 AGAIN = 0.5  # share of an everyday unit's cost that a further one saves
 ALIKE = 0.25  # difference of logarithms within which two factors are told as one
-KEPT = 12  # sets that are carried on
+KEPT = 6  # sets that are carried on
 BELOW_VACUUM = 0.5 * ATMOSPHERE  # below zero: nearer to a gauge's lowest than to an absolute one's
 AS_GAUGE = 0.05  # of an atmosphere: so near must the charge pressure be to being one off
 
@@ -36,6 +43,16 @@ class Explanation:
     mistakes: tuple[Mistake, ...]
     score: float
     checks: tuple[Check, ...]
+
+    @property
+    def broken(self) -> float:
+        """Log units of signs and sizes that are wrong."""
+        return sum(check.penalty for check in self.checks)
+
+    @property
+    def loose(self) -> float:
+        """Log units of what the relations leave unexplained."""
+        return sum(check.fit or 0.0 for check in self.checks)
 
 
 @dataclass(frozen=True)
@@ -89,12 +106,18 @@ def reading_of(moments: Moments, settings: Settings) -> Reading:
                    rotary=rig.motion == "rotary")
 
 
-def explained(reading: Reading, mistakes: tuple[Mistake, ...]) -> Explanation:
-    """Return what a set of mistakes makes of a reading."""
+def explained(reading: Reading, mistakes: tuple[Mistake, ...],
+              expected: tuple[str, ...] = ()) -> Explanation:
+    """Return what a set of mistakes makes of a reading.
+
+    ``expected`` are relations that the reading as given has: one that is lost explains nothing.
+    """
     for mistake in mistakes:
         reading = mistake.applied(reading)
     seen = tuple(checks(reading))
-    return Explanation(mistakes, prior_of(mistakes) - sum(check.penalty for check in seen), seen)
+    lost = len(set(expected) - {check.name for check in seen}) * unexplained(0.0)
+    return Explanation(mistakes, prior_of(mistakes) - lost - sum(
+        check.penalty + (check.fit or 0.0) for check in seen), seen)
 
 
 def prior_of(mistakes: tuple[Mistake, ...]) -> float:
@@ -107,15 +130,14 @@ def prior_of(mistakes: tuple[Mistake, ...]) -> float:
 def explain(reading: Reading) -> tuple[Explanation, list[Explanation], Explanation]:
     """Return the best set of mistakes, those that come close to it, and the reading as given."""
     given = explained(reading, ())
-    if -given.score < BROKEN:
+    if given.broken < BROKEN and given.loose < LOOSE:
         return given, [], given
+    expected = tuple(check.name for check in given.checks if check.fit is not None)
     catalogue = mistakes_for(reading, given.checks)
     seen = front = [given]
-    for _ in range(MOST):
-        best = max(seen, key=lambda one: one.score)
-        # A further mistake costs at least an everyday one's prior.
-        front = [one for one in front
-                 if prior_of(one.mistakes) + (1.0 - AGAIN) * EVERYDAY > best.score]
+    for number in range(MOST):
+        # A further mistake is looked for where one more sign or size is wrong.
+        front = [one for one in front if not number or one.broken > BROKEN]
         further = {}
         for one in front:
             taken = frozenset().union(*(mistake.touches for mistake in one.mistakes))
@@ -123,7 +145,7 @@ def explain(reading: Reading) -> tuple[Explanation, list[Explanation], Explanati
                 if not taken & mistake.touches:
                     key = frozenset(map(id, (*one.mistakes, mistake)))
                     if key not in further:
-                        further[key] = explained(reading, (*one.mistakes, mistake))
+                        further[key] = explained(reading, (*one.mistakes, mistake), expected)
         if not further:
             break
         front = sorted(further.values(), key=lambda one: -one.score)[:KEPT]
@@ -145,8 +167,12 @@ def finding_of(mistake: Mistake, best: Explanation, rivals: list[Explanation], r
     without = {check.name: check for check in explained(reading, others).checks}
     mended = {check.name: check for check in best.checks}
     # Whole log units: of two that show it alike the first of the list is the plainer one.
-    name = max(without, key=lambda name: round(without[name].penalty - (
-        mended[name].penalty if name in mended else 0.0)))
+    def gain(name: str) -> int:
+        after = mended.get(name)
+        return round(without[name].penalty + (without[name].fit or 0.0) - (
+            after.penalty + (after.fit or 0.0) if after else 0.0))
+
+    name = max(without, key=gain)
     before = without[name]
     by_sign = before.reversed
     how = "swapped" if mistake.kind == "swapped" else "corrected"

@@ -9,7 +9,7 @@ with 3 degrees of freedom), so that one odd relation never decides by itself how
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from math import inf, log, log10, sqrt
+from math import copysign, inf, log, log10, sqrt
 
 import numpy as np
 
@@ -26,10 +26,14 @@ SPREAD = {"mass": 0.15, "damping": 0.7, "guessed": 2.0, "flow": 0.10, "drive": 0
 # Log units against a recording whose sample time is a power of ten away from the one that
 # somebody wrote.
 OTHER_CLOCK = 6.0
+COLLINEAR = 1e-9  # share of a side that others leave of it, below which it is one of them
 NOISY = 0.3  # of a side's variance must be signal
 OIL = (5e6, 5e9)  # Pa: no oil is stiffer, and none softer that still moves a piston
 SLIGHT = 0.02  # of the motion: a lag below this may be a feed-forward's lead
-WEAK = 3.0  # log units against a relation of which nothing is seen at all
+# A relation whose left side is explained but for a share u counts FIT ln u: as many independent
+# samples as a motion has corners, not as many as the recording has.
+FIT = 1.5
+FITS = 3e-3  # share that may stay unexplained for free
 # What moving things of a rig measure, SI: from, to.  Outside it takes a reason.
 SIZES = {"x": (1e-4, 5.0), "x_d": (1e-4, 5.0), "omega": (1.0, 3000.0), "v": (1e-4, 20.0),
          "p1": (3e4, 1e8), "p2": (3e4, 1e8)}
@@ -106,7 +110,9 @@ class Check:
     Attributes
     ----------
     name : of the relation.
-    penalty : log units that it costs to believe the reading.
+    penalty : log units that it costs to believe the reading, for the relation's sign and size.
+    fit : log units for what it leaves unexplained; it tells readings apart, and says little
+        by itself.  None where another check of the same relation has it.
     size : what the relation shows, in words.
     ratio : what should be 1, where the relation has such a thing.
     sign : the same where its sign is the news; None for a relation without one.
@@ -119,6 +125,7 @@ class Check:
     sign: Phrase | None = None
     reversed: bool = False
     ratio: float | None = None
+    fit: float | None = None
 
     def phrase(self, by_sign: bool) -> Phrase:
         """Return the words on the sign, or on the size."""
@@ -134,26 +141,42 @@ def ratio(reading: Reading, left: np.ndarray, right: np.ndarray, *beside: np.nda
     left, right, beside : (m,) weights of the columns.
     """
     sides = np.array([left, right, *beside])
-    products = sides @ reading.moments.gram @ sides.T
-    size = np.sqrt(np.maximum(np.diag(products), 0.0))
-    if not (size[0] > 0 and size[1] > 0 and np.isfinite(size).all()):
+    c = (sides @ reading.moments.gram @ sides.T).tolist()
+    if not (0.0 < c[0][0] < inf and 0.0 < c[1][1] < inf):
         return None
-    c = products / np.outer(np.where(size > 0, size, 1.0), np.where(size > 0, size, 1.0))
-    both, rest = c[:2, :2], c[:2, 2:]
-    alone = both - rest @ np.linalg.pinv(c[2:, 2:], rcond=1e-9, hermitian=True) @ rest.T \
-        if len(beside) else both
-    if alone[1, 1] < DISTINCT or alone[0, 0] < 1e-12:
+    left_blur, right_blur = (sides[:2] ** 2 @ reading.moments.noise).tolist()
+    whole, other = c[0][0], c[1][1]
+    swept(c)
+    if c[1][1] < DISTINCT * other or c[0][0] < 1e-12 * whole:
         return None
     # White noise of the sensors is no physics that is missing, and draws no slope to zero.
-    blur = (sides[:2] ** 2 @ reading.moments.noise) / size[:2] ** 2
-    told = alone[1, 1] - blur[1]
-    if told < NOISY * alone[1, 1]:
+    told = c[1][1] - right_blur
+    if told < NOISY * c[1][1]:
         return None
-    explains = alone[0, 1] ** 2 / told
-    rest = max(alone[0, 0] - explains - blur[0], 1e-9 * alone[0, 0])
-    rho = float(np.sign(alone[0, 1]) * sqrt(explains / (explains + rest)))
-    return Ratio(float(alone[0, 1] / told * size[0] / size[1]), rho,
-                 float(np.clip(1.0 - rest, 0.0, 1.0)))
+    explains = c[0][1] ** 2 / told
+    rest = max(c[0][0] - explains - left_blur, 1e-9 * c[0][0])
+    rho = copysign(sqrt(explains / (explains + rest)), c[0][1])
+    return Ratio(c[0][1] / told, rho, min(max(1.0 - rest / whole, 0.0), 1.0))
+
+
+def swept(c: list[list[float]]) -> None:
+    """Take what the sides from the third on explain out of the products of the first two.
+
+    ``c`` (k, k) products, changed in place: Gauss's elimination without a pivot that is nothing
+    but rounding.  Plain floats: numpy takes ten times as long for so few.
+    """
+    own = [c[p][p] for p in range(len(c))]
+    for p in range(len(c) - 1, 1, -1):
+        pivot = c[p][p]
+        if pivot <= COLLINEAR * own[p]:  # the other sides have explained it: rounding is left
+            continue
+        row = c[p]
+        for i in range(p):
+            f = c[i][p] / pivot
+            if f:
+                line = c[i]
+                for j in range(p):
+                    line[j] -= f * row[j]
 
 
 def odd(ln_ratio: float, spread: float, rho: float = 1.0) -> float:
@@ -178,10 +201,15 @@ def backwards(rho: float) -> float:
     return min(2.0 * rho * rho / max(1.0 - rho * rho, 1e-6), MOST)
 
 
-def cost(found: Ratio, spread: float) -> float:
-    """Return the penalty of a slope that should be 1: its sign, its size, and how weak it is."""
-    size = odd(log(abs(found.slope)) if found.slope else -inf, spread, found.rho)
-    return min(size + backwards(found.rho), MOST) + WEAK * (1.0 - found.share)
+def cost(slope: float, rho: float, spread: float) -> float:
+    """Return the penalty of a slope that should be 1: its sign and its size."""
+    size = odd(log(abs(slope)) if slope else -inf, spread, rho)
+    return min(size + backwards(rho), MOST)
+
+
+def unexplained(share: float) -> float:
+    """Return what a relation of which only ``share`` is explained costs, log units."""
+    return FIT * log(max(1.0 - share, FITS) / FITS)
 
 
 def checks(reading: Reading) -> Iterator[Check]:
@@ -214,7 +242,7 @@ def force_balance(reading: Reading) -> list[Check] | None:
     if inertia is not None:
         mass = reading.rig["mass"]
         unit = "kg·m²" if reading.rotary else "kg"
-        penalty = cost(Ratio(inertia.slope / mass, inertia.rho, 1.0), SPREAD["mass"])
+        penalty = cost(inertia.slope / mass, inertia.rho, SPREAD["mass"])
         found.append(Check("inertia", penalty, Phrase(
             f"{name} over acceleration is a mass of {figure(inertia.slope)} {unit} where the "
             f"config says {figure(mass)}", f"{figure(inertia.slope)} {unit}"), Phrase(
@@ -224,7 +252,7 @@ def force_balance(reading: Reading) -> list[Check] | None:
     if friction is not None:
         nominal = reading.rig["viscous_damping"] or friction.slope
         guessed = "damping" if "viscous_damping" in reading.said else "guessed"
-        penalty = cost(Ratio(friction.slope / nominal if nominal else 1.0, friction.rho, 1.0),
+        penalty = cost(friction.slope / nominal if nominal else 1.0, friction.rho,
                        SPREAD[guessed])
         found.append(Check("friction", penalty, Phrase(
             f"{name} over velocity is a damping of {figure(friction.slope)} where the config says "
@@ -233,9 +261,9 @@ def force_balance(reading: Reading) -> list[Check] | None:
             f"{friction.rho:+.2f}"), friction.rho < 0))
     explained = inertia or friction
     if explained is not None:
-        found.append(Check("force", WEAK * (1.0 - explained.share), Phrase(
+        found.append(Check("force", 0.0, Phrase(
             f"the motion explains {100 * explained.share:.0f} % of the {name}",
-            f"{100 * explained.share:.0f} %")))
+            f"{100 * explained.share:.0f} %"), fit=unexplained(explained.share)))
     return found
 
 
@@ -251,10 +279,11 @@ def times(value: float) -> str:
 
 def slope_check(name: str, found: Ratio, what: str, of: str) -> Check:
     """Return the check of a slope that should be 1, e.g. ``what`` is 0.98 times ``of``."""
-    return Check(name, cost(found, SPREAD[name]),
+    return Check(name, cost(found.slope, found.rho, SPREAD[name]),
                  Phrase(f"{what} is {times(found.slope)} {of}", f"{times(found.slope)}"),
                  Phrase(f"{what} and {of} have correlation {found.rho:.2f}",
-                        f"{found.rho:+.2f}"), found.rho < 0, found.slope)
+                        f"{found.rho:+.2f}"), found.rho < 0, found.slope,
+                 unexplained(found.share))
 
 
 def speed_of(reading: Reading) -> tuple[np.ndarray, str] | None:
