@@ -11,7 +11,7 @@ from eha_monitor.dashboard import actuator, charts, words
 from eha_monitor.dashboard.history import History
 from eha_monitor.dashboard.state import ESTIMATES_EVERY, ESTIMATES_SPAN, State, alarms
 from eha_monitor.health.finding import Finding
-from eha_monitor.reports.quantities import Scale
+from eha_monitor.quantity import Scale
 from eha_monitor.settings import Settings, settings_from_tree
 
 TOPICS = {"measured": "/eha/joint_states", "estimates": "/eha/monitor/viscous_damping",

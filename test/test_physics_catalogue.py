@@ -37,7 +37,7 @@ AT_REST = Ranges(0.0, 0.0, 0.0, (0.0,) * 4, (0.0,) * 3, 0.0, (0.0,) * 4, (0.0,) 
 def test_entry_describes_itself(effect):
     assert 1 <= len(effect.parameters) <= s.MAX_PARAMETERS and effect.sizes
     values = {p.name: p.scale for p in effect.parameters}
-    sentence = effect.statement.format(**values)
+    sentence = effect.said(values)
     assert "{" not in sentence and len(sentence) > 10 and not sentence.endswith(".")
     for p in effect.parameters:
         assert -math.inf < p.lower < p.upper < math.inf and p.scale > 0

@@ -9,11 +9,10 @@ from eha_monitor.archive.columns import PARAMETERS
 from eha_monitor.archive.history import history
 from eha_monitor.mismatch.diagnosis import Value
 from eha_monitor.output import write_text
+from eha_monitor.quantity import SYMBOLS, number, quantity
 from eha_monitor.reports.archive_figures import history_block
 from eha_monitor.reports.diagnosis_words import effect_words, listed, value_words
 from eha_monitor.reports.page import render
-from eha_monitor.reports.parameter_figures import SYMBOLS
-from eha_monitor.reports.quantities import number, quantity
 from eha_monitor.reports.verdict import STATUS_WORDS
 from eha_monitor.settings.monitor import Settings
 

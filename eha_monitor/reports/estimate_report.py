@@ -1,4 +1,4 @@
-"""The HTML report of ``estimate``: verdict, the paper's figures, innovations, alarms."""
+"""The HTML report of ``estimate``: verdict, figures, innovations, alarms."""
 
 from dataclasses import fields, replace
 from pathlib import Path
@@ -9,13 +9,13 @@ import numpy as np
 from eha_monitor.filters.results import Estimate
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.output import write_text
+from eha_monitor.quantity import number
 from eha_monitor.reports import tables
 from eha_monitor.reports.alarm_timeline import alarm_timeline
 from eha_monitor.reports.innovation_figures import innovation_block
 from eha_monitor.reports.motion_figures import motion_blocks
 from eha_monitor.reports.page import render
 from eha_monitor.reports.parameter_figures import parameter_block
-from eha_monitor.reports.quantities import number
 from eha_monitor.reports.verdict import verdict
 
 if TYPE_CHECKING:
