@@ -19,7 +19,7 @@ SYMBOLS = {"B": "B", "beta_e": "βe", "L": "C_T"}  # of the estimated parameters
 
 # Prefix and the size from which it is written.  Large ones come late: 9000 N·s/m, 12 kN·s/m.
 _LARGE = (("M", 1e7), ("k", 1e4), ("", 0.0))
-_SMALL = (("", 1.0), ("m", 1e-3), ("µ", 1e-6), ("n", 0.0))
+_SMALL = (("", 1.0), ("m", 1e-3), ("µ", 1e-7), ("n", 0.0))
 _BOTH = (("M", 1e7), ("k", 1e4), ("", 1.0), ("m", 1e-3), ("µ", 0.0))
 _PRESSURE = (("G", 1e10), ("M", 1e6), ("k", 1e3), ("", 0.0))  # bulk moduli stay in MPa
 _PREFIXED = {"m": _SMALL, "m/s": _SMALL, "m/s²": _SMALL, "rad": _SMALL, "s": _SMALL, "N": _LARGE,
@@ -36,6 +36,7 @@ _OTHER = {
     "m³/(s·Pa^½)": (("l/(min·√MPa)", 6e7, 0.0),),
     "Pa/s": (("kPa/min", 0.06, 0.0),),
     "1/Pa": (("%/MPa", 1e8, 0.0),),
+    "1/K": (("%/K", 100.0, 0.0),),
 }
 _SPELT = (("^0.5", "^½"), ("^2", "²"), ("^3", "³"), ("*", "·"))  # the catalogue has plain text
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -86,8 +87,8 @@ def number(value: float | None, digits: int = 4) -> str:
     if value != 0 and not _LEAST <= abs(value) < _MOST:
         mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
         return f"{_trimmed(mantissa)}·{power_of_ten(int(exponent))}".replace("-", "−")
-    return f"{value:.{digits}g}".replace("-", "−") if abs(value) < 10**digits \
-        else f"{value:.0f}".replace("-", "−")
+    short = float(f"{value:.{digits}g}")  # 999.9 with three digits is 1000, not 1e+03
+    return (f"{short:.{digits}g}" if abs(short) < 10**digits else f"{value:.0f}").replace("-", "−")
 
 
 def quantity(value: float | None, unit: str, digits: int = 4) -> str:

@@ -101,6 +101,39 @@ def test_alarms_that_are_no_longer_heard_are_stale(state):
     assert by_name["bulk_modulus_low"].message == "last heard ERROR: too soft"
 
 
+def heard(state, data, **levels):
+    """The header while the data are ``data``; alarms that are left out are OK."""
+    names = [alarm.name for alarm in alarms(state.view(0.0))]
+    state.take_findings("eha", [Finding(name, levels.get(name, "OK"), "") for name in (
+        *names, "model_mismatch")] + [Finding("data", data, "")], 0.0)
+    return words.overall(state.view(1.0))
+
+
+def test_the_header_is_stale_only_where_no_data_come(state):
+    assert words.overall(state.view(0.0)) == ("STALE", "◌ STALE")
+    assert heard(state, "OK") == ("OK", "✓ OK")
+    # x_d is not recorded: nothing is known of βe, and B is well.
+    without = dict.fromkeys(("bulk_modulus_high", "bulk_modulus_low"), "STALE")
+    assert heard(state, "OK", **without) == ("OK", "✓ OK, 2 of 4 not judged")
+    assert heard(state, "WARN", viscous_damping_high="ERROR", **without)[0] == "ERROR"
+    assert heard(state, "OK", model_mismatch="WARN", **without)[0] == "WARN"
+    assert heard(state, "OK", model_mismatch="STALE") == ("OK", "✓ OK")
+    nothing = dict.fromkeys((alarm.name for alarm in alarms(state.view(0.0))), "STALE")
+    assert heard(state, "OK", **nothing) == ("STALE", "◌ not judged yet")
+    assert heard(state, "STALE", viscous_damping_high="ERROR") == ("STALE", "◌ STALE")
+    heard(state, "OK")
+    assert words.overall(state.view(60.0)) == ("STALE", "◌ STALE")  # the monitor is not heard
+
+
+def test_the_footer_says_in_words_how_the_data_come(state):
+    state.take_findings("eha", [Finding("data", "OK", "data come", {
+        "rows": "123456", "rate_joint_states_Hz": "999.871", "lost_messages": "0",
+        "latency_p50_ms": "12.3456", "cpu_share_percent": "", "jumped_stamps": "3"})], 0.0)
+    assert words.data_text(state.view(0.0)) == (
+        "data: data come; 123456 rows so far, 1000 messages a second on joint_states, "
+        "0 messages lost, half of the rows done within 12.3 ms")
+
+
 def test_silence_says_which_topic_and_since_when(state):
     settings = state.settings
     assert words.silence_text(state.view(0.0), settings, TOPICS).startswith("No data yet on /eha")

@@ -22,12 +22,14 @@ UNITS = ["Pa", "N·s/m", "m^3/(s*Pa)", "m³/s", "m", "1/Pa", "1", ""]
 @pytest.mark.parametrize("value, unit, text", [
     (6e8, "Pa", "600 MPa"), (1.4e9, "Pa", "1400 MPa"), (2e4, "Pa", "20 kPa"), (0.04, "m", "40 mm"),
     (600.0, "N·s/m", "600 N·s/m"), (159e3, "N·s/m", "159 kN·s/m"), (25e-6, "m", "25 µm"),
+    (9.98e-7, "m", "0.998 µm"),
     (7.03e-5, "N·m·s/rad", "70.3 µN·m·s/rad"), (5e-13, "m³/(s·Pa)", "30 ml/(min·MPa)"),
     (5e-13, "m^3/(s*Pa)", "30 ml/(min·MPa)"), (1e-5, "m^3/s", "0.6 l/min"),
     (5.05e-4, "m²", "5.05 cm²"), (6.85e-5, "m³", "68.5 cm³"), (3e-3, "s", "3 ms"),
     (2e-8, "1/Pa", "2 %/MPa"), (1e3, "Pa/s", "60 kPa/min"), (0.5, "N", "0.5 N"),
     (-0.04, "m/s", "−40 mm/s"), (0.0, "m", "0 m"), (float("nan"), "m", "—"),
-    (3600.0, "s", "3600 s"), (1e30, "Pa", "1·10³⁰ Pa"), (0.2, "1", "0.2"),
+    (3600.0, "s", "3600 s"), (9999.7, "N·s/m", "10000 N·s/m"), (99999.7, "1", "100000"),
+    (1e30, "Pa", "1·10³⁰ Pa"), (0.2, "1", "0.2"),
 ])
 def test_quantity_in_engineering_units(value, unit, text):
     assert quantity(value, unit) == text
@@ -63,8 +65,9 @@ def test_signs_and_shares():
 @given(st.floats(allow_nan=True, allow_infinity=True),
        st.floats(allow_nan=True, allow_infinity=True), st.sampled_from(UNITS))
 def test_any_number_can_be_written_and_stays_short(value, stddev, unit):
-    for text in (quantity(value, unit), with_uncertainty(value, stddev, unit)):
-        assert text and len(text) < 50
+    for text in (quantity(value, unit), quantity(value, unit, 3),
+                 with_uncertainty(value, stddev, unit)):
+        assert text and len(text) < 50 and not re.search(r"\de[+-]?\d", text)
     assert readable(value, unit).factor > 0
 
 

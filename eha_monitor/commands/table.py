@@ -46,7 +46,7 @@ def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path]) -> Non
         for sentence in sentences:
             console.print(f"[yellow]{title}[/]: {escape(sentence)}")
     for event in found.events:
-        console.print(f"{event.time_s:9.3f} s  stage {event.stage}: {escape(event.message)}")
+        console.print(f"{event.time_s:8.2f} s  stage {event.stage}: {escape(event.message)}")
     if any(math.isfinite(p.value) for p in found.parameters.values()):
         console.print(NOTE, style="dim")
     for path in written:

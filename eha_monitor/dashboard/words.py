@@ -85,7 +85,7 @@ def overall(view: View) -> tuple[str, str]:
     alarm that nothing can be said about is counted beside the level and does not hide the rest.
     """
     data = view.findings.get("data")
-    if data is None or data.level == "STALE":
+    if not view.findings or (data is not None and data.level == "STALE"):
         return "STALE", level_text("STALE")
     mismatch = [view.findings["model_mismatch"]] if "model_mismatch" in view.findings else []
     listed = alarms(view)

@@ -45,7 +45,7 @@ from eha_monitor.mismatch.sizes import filtered_tracks, size_of
 from eha_monitor.mismatch.terms import BALANCES, missing_terms
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
-from eha_monitor.quantity import quantity
+from eha_monitor.quantity import number, quantity
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
@@ -280,9 +280,9 @@ def message_of(verdict: str, effects: tuple[NamedEffect, ...], where: Location,
 def considered_of(naming: Naming) -> tuple[Considered, ...]:
     """Return what was tried and why it is not named."""
     found: dict[str, Considered] = {}
-    for number, step in enumerate(naming.rounds):
+    for place, step in enumerate(naming.rounds):
         beside = step.before.named
-        following = naming.rounds[number + 1].before if number + 1 < len(naming.rounds) else None
+        following = naming.rounds[place + 1].before if place + 1 < len(naming.rounds) else None
         took = following.log_likelihood - step.before.log_likelihood if following else 0.0
         for candidate in step.candidates:
             name = candidate.effect
@@ -297,16 +297,17 @@ def considered_of(naming: Naming) -> tuple[Considered, ...]:
                 why = (f"taken at first, then gave way to {spoken((heirs or ['the others'])[0])}"
                        if naming.after.named else "taken at first, but it does not explain enough")
             elif following is not None:
-                why = f"gains {gain:.3g} log units where what was taken gains {took:.4g}"
+                why = (f"gains {number(gain, 3)} log units where what was taken gains "
+                       f"{number(took, 3)}")
             else:
-                why = f"gains only {gain:.3g} log units, or is of no size that matters"
+                why = f"gains only {number(gain, 3)} log units, or is of no size that matters"
             found[name] = Considered(name, gain, beside, why)
         for score in step.scores:
             name = score.start.effect
             if name not in found and name not in naming.after.named:
                 found[name] = Considered(name, score.gain, beside, "hardly moves the innovations "
-                                         f"the right way: {score.gain:.2g} log units in the "
-                                         "score test")
+                                         f"the right way: {number(score.gain, 2)} log units in "
+                                         "the score test")
     return tuple(sorted(found.values(), key=lambda c: -c.gain))
 
 

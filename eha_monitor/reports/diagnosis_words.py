@@ -67,8 +67,9 @@ def place_words(found: Diagnosis) -> str:
 
 def interval_words(found: Diagnosis) -> str:
     """Return the intervals in seconds, at most a few of them, or nothing."""
-    shown = [f"{number(start, 4)}–{number(stop, 4)}"
-             for start, stop in found.location.intervals_s[:_MOST_INTERVALS]]
+    few = found.location.intervals_s[:_MOST_INTERVALS]
+    digits = 1 if all(stop - start > 0.09 for start, stop in few) else 3
+    shown = [f"{start:.{digits}f}–{stop:.{digits}f}" for start, stop in few]
     more = len(found.location.intervals_s) - len(shown)
     if not shown:
         return ""

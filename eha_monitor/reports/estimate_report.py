@@ -9,7 +9,6 @@ import numpy as np
 from eha_monitor.filters.results import Estimate
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.output import write_text
-from eha_monitor.quantity import number
 from eha_monitor.reports import tables
 from eha_monitor.reports.alarm_timeline import alarm_timeline
 from eha_monitor.reports.innovation_figures import innovation_block
@@ -68,7 +67,7 @@ def estimate_page(estimate: Estimate, alarms: tuple[Alarm, ...], history: tuple[
         timeline=alarm_timeline(alarms, history, estimate.events, recording.duration),
         alarms=tables.alarm_rows(alarms),
         history=tables.alarm_rows(history),
-        events=[{"time": f"{number(e.time_s)} s", "stage": e.stage, "message": e.message}
+        events=[{"time": tables.seconds(e.time_s), "stage": e.stage, "message": e.message}
                 for e in estimate.events],
         joint=tables.joint_table(estimate.joint),
         observability=tables.observability_table(observability, recording),

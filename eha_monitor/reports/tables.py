@@ -108,7 +108,12 @@ def noise_rows(estimate: Estimate) -> list[dict[str, str]]:
 def alarm_rows(alarms: tuple[Alarm, ...]) -> list[dict[str, str]]:
     """Return one row for each alarm, or for each change of one."""
     return [{"name": alarm_words(a.name), "level": a.level, "message": a.message,
-             "time": f"{number(a.time_s)} s"} for a in alarms]
+             "time": seconds(a.time_s)} for a in alarms]
+
+
+def seconds(time_s: float) -> str:
+    """Return a time of the recording to hundredths, so that columns of them can be compared."""
+    return f"{time_s:.2f} s" if math.isfinite(time_s) else "—"
 
 
 def config_sections(settings: Settings) -> list[dict[str, Any]]:
