@@ -160,6 +160,13 @@ def test_numbers_as_people_write_them(value, stddev, scale, shown):
     assert (found.value, found.stddev, found.unit) == shown
 
 
+def test_the_band_is_the_number_beside_it():
+    for stddev, band in ((5e6, 5.0), (3e4, 0.18)):  # MPa; the number reads 600.0 ± 0.2
+        chart = charts.estimate_data([(0.0, 6e8, stddev)], [], Scale(1e-6, "MPa"), 1.0)
+        lower, width, value = (series["data"][0][1] for series in chart["series"][:3])
+        assert (value - lower, width) == (pytest.approx(band), pytest.approx(2 * band))
+
+
 def test_units_follow_the_rig():
     rotary = words.scales(settings_from_tree({"rig": {"motion": "rotary"}}, "test"))
     assert rotary["B"].unit == "N·m·s/rad"

@@ -7,7 +7,7 @@ import numpy as np
 
 from eha_monitor.dashboard.history import Row
 from eha_monitor.dashboard.state import ESTIMATES_SPAN, POSITION_SPAN, STAGES
-from eha_monitor.quantity import Scale
+from eha_monitor.quantity import FLOOR, Scale
 
 _INK, _LINE, _MEASURED = "#37474f", "#1565c0", "#6d4c41"
 _BAND = "rgba(21, 101, 192, 0.18)"
@@ -75,7 +75,8 @@ def estimate_data(rows: list[Row], limits: list[tuple[str, str, float]], scale: 
     now : time of day, the right end of the axis, s.
     """
     marks = [_limit_mark(side, degree, limit * scale.factor) for side, degree, limit in limits]
-    values = [(1e3 * t, value * scale.factor, stddev * scale.factor) for t, value, stddev in rows]
+    values = [(1e3 * t, value * scale.factor,
+               scale.factor * max(stddev, FLOOR * abs(value))) for t, value, stddev in rows]
     sure = [v for _, v, s in values if s < _UNSURE * abs(v)]
     low, high = value_range(sure, (mark["yAxis"] for mark in marks))
     return {

@@ -8,7 +8,7 @@ import numpy as np
 from eha_monitor.archive.history import History
 from eha_monitor.archive.trend import LEAST, MONTH
 from eha_monitor.quantity import SYMBOLS, number, quantity, with_uncertainty
-from eha_monitor.reports.axes import axis_scale
+from eha_monitor.reports.axes import axis_scale, stated
 from eha_monitor.reports.drawing import (
     INK,
     STAGE_ONE,
@@ -89,7 +89,7 @@ def trend_words(found: History) -> str:
 def _range(found: History, everything: bool) -> tuple[float, float]:
     """Return the range of the values that the line goes through, with the others that are near."""
     good = found.usable if found.usable.any() else np.ones(len(found.time), dtype=bool)
-    spread = 2 * np.nan_to_num(found.stddev[good], posinf=0.0)
+    spread = 2 * stated(found.value[good], np.nan_to_num(found.stddev[good], posinf=0.0))
     # A bar may be longer than all that there is to see.
     spread = np.minimum(spread, 2 * np.median(spread) + np.ptp(found.value[good]))
     low, high = np.min(found.value[good] - spread), np.max(found.value[good] + spread)
@@ -107,7 +107,7 @@ def _picture(found: History, view: tuple[float, float], lines: list[tuple[float,
     colour = {"B": STAGE_ONE, "beta_e": STAGE_TWO}[found.name]
     scale = axis_scale(max(map(abs, view)), found.unit)
     days, value = found.time / _DAY, found.value * scale.factor
-    spread = np.nan_to_num(found.stddev, posinf=0.0) * scale.factor
+    spread = stated(found.value, np.nan_to_num(found.stddev, posinf=0.0)) * scale.factor
     figure, (axis,) = new_figure()
     pad_limits(axis, view[0] * scale.factor, view[1] * scale.factor, 0.12)
     bottom, top = axis.get_ylim()

@@ -68,7 +68,8 @@ def heading(rows: Sequence[dict], command: str, settings: Settings) -> list[tupl
         facts.append(("To", _moment(starts[-1])))
     seconds = sum(row.get("duration_s") or 0.0 for row in rows)
     facts.append(("Recorded", f"{number(seconds / 3600, 3)} h" if seconds > 3600 else
-                  f"{number(seconds / 60, 3)} min"))
+                  f"{number(seconds / 60, 3)} min" if seconds > 120 else
+                  quantity(seconds, "s", 3)))
     last = max((row["answered"] for row in rows if row.get("answered")), default=None)
     if last:
         facts.append(("Last answer", _moment(last)))

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from eha_monitor.quantity import Scale, power_of_ten, readable
+from eha_monitor.quantity import FLOOR, Scale, power_of_ten, readable
 
 
 def scale_of(values: np.ndarray, unit: str) -> Scale:
@@ -21,6 +21,11 @@ def axis_scale(magnitude: float, unit: str) -> Scale:
         return scale
     power = math.floor(math.log10(size))
     return Scale(scale.factor * 10.0**-power, f"{power_of_ten(power)} {scale.unit}")
+
+
+def stated(value: np.ndarray, stddev: np.ndarray) -> np.ndarray:
+    """Return the standard deviations as they are written beside the values: no finer than that."""
+    return np.maximum(stddev, FLOOR * np.abs(value))
 
 
 def time_scale(duration: float) -> Scale:

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 
 from eha_monitor.mismatch.diagnosis import Agreement, Curve, Diagnosis, Overlay, Value
 from eha_monitor.quantity import SYMBOLS
-from eha_monitor.reports.axes import axis_scale, scale_of, time_scale
+from eha_monitor.reports.axes import axis_scale, scale_of, stated, time_scale
 from eha_monitor.reports.diagnosis_words import effect_words, listed
 from eha_monitor.reports.drawing import (
     INK,
@@ -189,7 +189,7 @@ def _ends(value: Value, all_of_them: list[Value]) -> tuple[float, float]:
     """Return the ends of an error bar, cut where it would squeeze all others flat."""
     centres = [other.value for other in all_of_them]
     reach = max(1.5 * (max(centres) - min(centres)), 0.2 * max(map(abs, centres)))
-    half = value.stddev if value.stddev > 0 else 0.0
+    half = float(stated(value.value, value.stddev)) if value.stddev > 0 else 0.0
     return value.value - min(half, reach), value.value + min(half, reach)
 
 

@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 
 from eha_monitor.filters.results import Estimate, StageResult
 from eha_monitor.quantity import SYMBOLS, quantity
-from eha_monitor.reports.axes import axis_scale, time_scale
+from eha_monitor.reports.axes import axis_scale, stated, time_scale
 from eha_monitor.reports.drawing import (
     ERROR_LINE,
     INK,
@@ -75,7 +75,7 @@ def core_range(stage: StageResult, from_share: float) -> tuple[float, float]:
         value, stddev = stage.value, stage.stddev
     finite = np.isfinite(value)
     value = value[finite]
-    spread = 2 * np.nan_to_num(stddev[finite], nan=0.0, posinf=0.0)
+    spread = 2 * stated(value, np.nan_to_num(stddev[finite], nan=0.0, posinf=0.0))
     half = len(value) // 2
     low, high = np.percentile(value, (0.5, 99.5))
     late, wide = value[half:], spread[half:]
@@ -108,7 +108,7 @@ def _picture(stage: StageResult, name: str, part: slice, view: tuple[float, floa
     clock = time_scale(float(whole[-1] - whole[0]))
     scale = axis_scale(max(map(abs, view)), stage.estimate.unit)
     t, value = whole[part] * clock.factor, stage.value[part] * scale.factor
-    spread = stage.stddev[part] * scale.factor
+    spread = stated(stage.value[part], stage.stddev[part]) * scale.factor
     figure, (axis,) = new_figure()
     pad_limits(axis, view[0] * scale.factor, view[1] * scale.factor, 0.12)
     bottom, top = axis.get_ylim()
