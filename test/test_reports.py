@@ -2,6 +2,7 @@
 
 import base64
 import os
+import re
 import struct
 import warnings
 from dataclasses import dataclass, replace
@@ -11,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from eha_monitor.commands.table import show
 from eha_monitor.errors import InputError
 from eha_monitor.filters.pipeline import estimate
 from eha_monitor.filters.results import Event, ModelStatus
@@ -329,3 +331,12 @@ def test_a_long_recording_stays_small(short):
     html = Case(found, case.alarms, case.history).page()
     assert len(html) < 4e6
     assert "3600 s (60.0 min)" in html
+
+
+def test_the_terminal_writes_the_same_numbers_and_says_once_what_they_mean(triangle, capsys):
+    show(triangle.estimate, triangle.alarms, [])
+    out = " ".join(capsys.readouterr().out.split())
+    for one in triangle.estimate.parameters.values():
+        assert f"{one.shown} converged" in out
+    assert out.count(NOTE) == 1 and "nats" not in out
+    assert not re.search(r"\de[+-]\d", out)

@@ -47,7 +47,7 @@ def judge_parameter(name: str, value: float, stddev: float, unit: str, prior: fl
         return ParameterEstimate(
             name, value, stddev, unit, "not_excited",
             f"the motion tells too little about {symbol}: {shown} with it, {before} without")
-    told = share(max(stddev / abs(value), FLOOR), 2)
+    told = share(max(stddev / abs(value) if value else 0.0, FLOOR), 2)
     return ParameterEstimate(name, value, stddev, unit, "converged",
                              f"{symbol} = {shown}: the motion tells it to ± {told}")
 
