@@ -128,22 +128,23 @@ def test_what_is_tainted(stages, by_damping, expected):
 
 
 def test_a_value_that_jumps_is_on_trial_and_a_slow_drift_is_not():
-    trial = Trial()
+    trial = Trial("N·s/m")
     at = [k * 0.1 for k in range(100)]
     seen = [trial.update(t, 600.0 if t < 5 else 1200.0) is not None for t in at]
     assert seen.index(False) == round(TRIAL_S / 0.1)  # the first value is new itself
     assert seen[50] and not seen[49] and not seen[50 + round(TRIAL_S / 0.1) + 1]
     trial.update(10.0, 1200.0)
-    assert trial.update(10.1, 1300.0).reason.startswith("it has moved from 1200 to 1300")
+    assert trial.update(10.1, 1300.0).reason.startswith(
+        "it has moved from 1200 N·s/m to 1300 N·s/m")
     assert trial.update(10.2, None) is None
-    drift = Trial()
+    drift = Trial("N·s/m")
     drift.update(0.0, 600.0)
     late = [drift.update(t, 600.0 * math.exp(0.001 * t)) for t in np.arange(5.0, 40.0, 0.1)]
     assert not any(late)
 
 
 def test_no_trial_lasts_for_ever():
-    trial = Trial()
+    trial = Trial("N·s/m")
     on = [trial.update(0.1 * k, 600.0 * (1.0 + (k // 10 % 2))) is not None for k in range(300)]
     longest = max(len(run) for run in "".join("x" if o else " " for o in on).split())
     assert longest * 0.1 <= LONGEST_TRIAL_S + 0.2

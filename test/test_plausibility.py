@@ -157,8 +157,8 @@ def test_a_measured_force_tells_its_unit_and_sign():
 @pytest.mark.parametrize("effects", [
     {}, {"coulomb_friction": {"F_c": 40.0}}, {"constant_load": {"F_0": 60.0}},
     {"spring_load": {"k": 8000.0}}, {"added_mass": {"dM": 8.0}}, {"drive_lag": {"tau": 4e-3}},
-    {"position_delay": {"T_x": 2e-3}}, {"pump_dead_zone": {"omega_0": 8.0}},
-    {"pump_flow_gain": {"gain": -0.1}}, {"cross_port_leakage": {"L": 8e-12}}],
+    {"position_delay": {"T": 2e-3}}, {"pump_dead_zone": {"omega_0": 8.0}},
+    {"pump_flow_gain": {"k": -0.1}}, {"cross_port_leakage": {"L": 8e-12}}],
     ids=lambda effects: next(iter(effects), "clean"))
 @pytest.mark.parametrize("shape", [TRIANGLE, MULTISINE], ids=["triangle", "multisine"])
 def test_physics_that_is_left_out_is_no_mistake(effects, shape):
@@ -279,8 +279,9 @@ def test_a_contradiction_ends_every_command_in_one_line(bag, capfd, command):
 
 
 def test_swapped_pressures_are_swapped_back_by_the_written_config(bag, capfd):
-    (bag / "wrong.yaml").write_text("channels:\n  p1: {topic: pressure/chamber_2}\n"
-                                    "  p2: {topic: pressure/chamber_1}\n")
+    (bag / "wrong.yaml").write_text(
+        "channels:\n  p1: {topic: pressure/chamber_2, field: fluid_pressure}\n"
+        "  p2: {topic: pressure/chamber_1, field: fluid_pressure}\n")
     wrong = ("estimate", bag / "bag", "--config", bag / "wrong.yaml")
     status, said = run(capfd, *wrong, "--write-config", bag / "right.yaml")
     assert status == 2

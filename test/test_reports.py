@@ -2,6 +2,7 @@
 
 import base64
 import os
+import re
 import struct
 import warnings
 from dataclasses import dataclass, replace
@@ -11,12 +12,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from eha_monitor.commands.table import show
 from eha_monitor.errors import InputError
 from eha_monitor.filters.pipeline import estimate
 from eha_monitor.filters.results import Event, ModelStatus
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.health.series import ParameterSeries, judge_series
 from eha_monitor.physics.simulator import Simulator
+from eha_monitor.quantity import NOTE, with_uncertainty
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.reports.estimate_report import estimate_page, write_estimate_report
 from eha_monitor.reports.verdict import verdict
@@ -131,8 +134,9 @@ def test_numbers_are_those_of_the_estimate(triangle, triangle_html):
         exact += [p.value for p in found.joint.parameters.values()]
     assert page.values == exact
     b, beta = found.parameters["B"], found.parameters["beta_e"]
-    assert f"{2 * b.stddev:.2f} N·s/m" in page.text
-    assert f"{beta.value / 1e6:.1f} ± {2 * beta.stddev / 1e6:.1f} MPa" in page.text
+    for one in (b, beta):
+        assert with_uncertainty(one.value, one.stddev, one.unit) in page.text
+    assert page.text.count(NOTE) == 1  # what ± is, once
     assert found.model.message in page.text
     for event in found.events:
         assert event.message in page.text
@@ -226,6 +230,29 @@ def test_whatever_the_data_a_page_comes(short, change):
     assert "nan" not in page.text.lower().replace("nanos", "").split()
 
 
+def test_somebodys_own_recording_is_not_the_papers(triangle_html):
+    assert "paper" not in Page(triangle_html).text
+
+
+def test_config_is_in_words_and_in_units_that_people_write(triangle_html):
+    text = Page(triangle_html).text
+    for words in ("piston area of chamber 1", "5.05 cm²", "68.5 cm³", "command hold",
+                  "Stage two: effective bulk modulus", "viscous damping, high warn", "1000 N·s/m"):
+        assert words in text, words
+    for raw in ("command_hold", "stage_two", "area_1", "high_warn", "0.000505", "6e+08"):
+        assert raw not in text, raw
+
+
+@pytest.mark.parametrize(("start_ns", "words"), [
+    (0, "no date"), (12_300_000_000, "no date: the stamps count from 0"),
+    (3 * 365 * 86_400 * 10**9, "no date"), (10**18, "2001-09-09 01:46:40 UTC"),
+    (2**62, "2116-02-20"), (10**25, "beyond the calendar")])
+def test_a_start_is_a_date_only_where_the_stamps_are(short, start_ns, words):
+    recording, settings = short
+    text = Page(case_of(replace(recording.part(0, 300), start_ns=start_ns), settings).page()).text
+    assert words in text and "1970" not in text and "1972" not in text
+
+
 def test_no_channel_at_all(short):
     _, settings = short
     page = Page(case_of(Recording(1e-3, {}), settings).page())
@@ -270,7 +297,7 @@ def test_observability_is_a_table(short):
                             relative_stddev={"B": 0.4, "beta_e": 0.03, "L": 7.0}))
     page = Page(case.page(SimpleNamespace(rows=rows)))
     assert "observability" in page.ids
-    assert "x, p1, p2" in page.text and "± 0.4 %" in page.text
+    assert "x, p1, p2" in page.text and "± 0.2 %" in page.text
     assert page.text.count("not observable") == 2
     assert "observability" not in Page(case.page(SimpleNamespace(rows=()))).ids
 
@@ -304,3 +331,12 @@ def test_a_long_recording_stays_small(short):
     html = Case(found, case.alarms, case.history).page()
     assert len(html) < 4e6
     assert "3600 s (60.0 min)" in html
+
+
+def test_the_terminal_writes_the_same_numbers_and_says_once_what_they_mean(triangle, capsys):
+    show(triangle.estimate, triangle.alarms, [])
+    out = " ".join(capsys.readouterr().out.split())
+    for one in triangle.estimate.parameters.values():
+        assert f"{one.shown} converged" in out
+    assert out.count(NOTE) == 1 and "nats" not in out
+    assert not re.search(r"\de[+-]\d", out)

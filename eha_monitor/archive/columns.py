@@ -41,7 +41,8 @@ def _of_diagnosis(name: str) -> tuple[Column, ...]:
 
 COLUMNS = (
     Column("bag", "text", "path of the bag below the folder"),
-    Column("start", "time", "first sample by the stamps of the messages, UTC"),
+    Column("start", "time", "first sample by the stamps of the messages, UTC; empty where "
+           "they are no dates"),
     Column("duration_s", "number", "length of the recording"),
     Column("samples", "count", "samples on the grid"),
     *_of_parameter("B"),

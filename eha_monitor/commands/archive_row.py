@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 # What has a part in an answer, and in the row that is made of it.
 _ROOMS = {
     "estimate": ("physics", "filters", "recordings", "settings", "health", "plausibility",
-                 "commands/answer.py", "commands/plausible.py",
-                 "commands/archive_row.py"),
+                 "commands/answer.py", "commands/plausible.py", "commands/archive_row.py",
+                 "quantity.py"),
     "diagnose": ("physics", "filters", "recordings", "settings", "health", "mismatch",
                  "plausibility", "commands/answer.py", "commands/plausible.py",
-                 "commands/diagnosis_answer.py", "commands/archive_row.py"),
+                 "commands/diagnosis_answer.py", "commands/archive_row.py", "quantity.py"),
 }
 _EFFECT = ("name", "balance", "size", "statement", "log_evidence", "indistinguishable_from")
 _ONE = threading.Lock()  # a worker of a cluster may have threads, and the filters use all cores
@@ -83,7 +83,7 @@ def _fill(row: dict, task: Task) -> None:
     load_runtime()
     recording = read_recording(task.path, task.settings)
     checked([recording], task.settings)
-    if recording.start_ns > 0:
+    if recording.dated:
         row["start"] = iso_time(recording.start_ns)
     found = estimate(recording, task.settings)
     alarms, history = judged(found)

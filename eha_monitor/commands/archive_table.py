@@ -9,6 +9,7 @@ from rich.table import Table
 from eha_monitor.archive.columns import PARAMETERS
 from eha_monitor.archive.history import history
 from eha_monitor.commands.table import PIPE_WIDTH, PipeConsole
+from eha_monitor.quantity import NOTE
 from eha_monitor.reports.archive_figures import trend_words
 from eha_monitor.reports.archive_report import effect_phrase, summary_words
 from eha_monitor.settings import Settings
@@ -50,6 +51,7 @@ def show(rows: Sequence[dict], command: str, settings: Settings, made_with: str,
             console.print(f"and {len(looked) - MOST} more")
     for name in PARAMETERS:
         console.print(escape(trend_words(history(rows, name, command, made_with))))
+    console.print(NOTE, style="dim")
     for path in written:
         console.print(f"written: {escape(str(path))}", soft_wrap=True)
 

@@ -34,6 +34,7 @@ from eha_monitor.physics.signals import (
     POSITION_SCALE,
     PRESSURE_DELAY,
 )
+from eha_monitor.quantity import SYMBOLS, quantity, with_uncertainty
 from eha_monitor.settings.monitor import Settings
 
 WARM_UP = 256  # rows from which the sample time and the noise are first measured
@@ -251,8 +252,8 @@ class LiveEstimator:
             unit = units_of(self.settings.rig.motion)[name]
             self._changes[which].append((number, *change))
             del self._changes[which][:-200]
-            self._tell(which, f"{name} changed from {change[0]:.4g} to {change[1]:.4g} {unit}",
-                       number)
+            self._tell(which, f"{SYMBOLS[name]} changed from {quantity(change[0], unit)} to "
+                       f"{quantity(change[1], unit)}", number)
             if which == "two" and abs(change[1] / change[0] - 1.0) > run_two.LARGE:
                 self._stale_piece = True  # run again from the bank once some seconds show it
             if which == "one":
@@ -294,8 +295,8 @@ class LiveEstimator:
         for name, estimate in self._parameters().items():
             if estimate.status == "converged" and name not in self._announced:
                 self._announced.add(name)
-                self._tell("one" if name == "B" else "two", f"{name} converged at "
-                           f"{estimate.value:.4g} ± {estimate.stddev:.2g} {estimate.unit}")
+                self._tell("one" if name == "B" else "two",
+                           f"{SYMBOLS[name]} converged at {estimate.shown}")
 
     def _hand_over(self, since_start: float) -> None:
         """Give stage two a damping, and run it again when that is worth it."""
@@ -304,11 +305,10 @@ class LiveEstimator:
             stale=self._stale_piece, fits=not self._tester.standing("two"))
         if why is None:
             return
-        again = "runs" if self._two is None else "re-run"
-        self._stale_piece = False
+        again, self._stale_piece = "runs" if self._two is None else "re-run", False
         self._run_two_again()
-        value, stddev = self._handover.damping
-        self._tell("two", f"{again} with B = {value:.5g} ± {stddev:.2g} {why}")
+        given = with_uncertainty(*self._handover.damping, units_of(self.settings.rig.motion)["B"])
+        self._tell("two", f"{again} with B = {given} {why}")
 
     def _run_two_again(self) -> None:
         """Run stage two over the buffer with the present damping; filterpy goes on from there."""

@@ -20,7 +20,7 @@ from eha_monitor.filters.pipeline import (
 )
 from eha_monitor.filters.results import Consistency, Mismatch, ModelStatus, ParameterEstimate
 from eha_monitor.filters.run_two import run_from
-from eha_monitor.filters.status import judge_parameter
+from eha_monitor.filters.status import judge_parameter, units_of
 from eha_monitor.filters.supervision import new_supervision
 from eha_monitor.settings.monitor import Settings
 
@@ -61,7 +61,8 @@ class LiveModel:
         self.verdicts: dict[str, Consistency | None] = dict.fromkeys(PARAMETER)
         self.first = dict.fromkeys(PARAMETER, 0)
         self.judged_at = 0
-        self._trials = {name: Trial() for name in PARAMETER.values()}
+        self._trials = {name: Trial(units_of(settings.rig.motion)[name])
+                        for name in PARAMETER.values()}
         self.trying = Backoff(*TRY_EVERY_S)
         self._settled = math.nan  # B while no mismatch stood
 

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 from eha_monitor.filters.results import Consistency, Mismatch, Taint
+from eha_monitor.quantity import quantity
 
 CHANCE_S = 12.0  # a mismatch that chance could bring about must stand for longer than a window
 FITTING_S = 2.0  # for so long must window after window fit before a mismatch is over
@@ -101,9 +102,14 @@ class Trial:
 
     A friction that appears looks like damping until the motion shows otherwise.  A slow drift
     is never on trial, and none lasts longer than ``LONGEST_TRIAL_S``.
+
+    Parameters
+    ----------
+    unit : of the value, SI.
     """
 
-    def __init__(self):
+    def __init__(self, unit: str):
+        self._unit = unit
         self._anchor = math.nan
         self._before = math.nan
         self._moved = self._began = -math.inf
@@ -125,7 +131,8 @@ class Trial:
 
     def _reason(self) -> str:
         what = ("it is new" if math.isnan(self._before)
-                else f"it has moved from {self._before:.4g} to {self._anchor:.4g}")
+                else f"it has moved from {quantity(self._before, self._unit)} to "
+                     f"{quantity(self._anchor, self._unit)}")
         return f"{what}, and the model is being tested on the data since t = {self._began:.1f} s"
 
 

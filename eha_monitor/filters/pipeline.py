@@ -26,6 +26,7 @@ from eha_monitor.filters.run_two import MOST_EVENTS, run_stage_two_kernel
 from eha_monitor.filters.status import CONVERGED, judge_parameter, no_data, units_of
 from eha_monitor.filters.supervision import gave_up, new_supervision
 from eha_monitor.physics.signals import M as MASS_PLACE
+from eha_monitor.quantity import SYMBOLS, quantity, with_uncertainty
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
@@ -97,7 +98,8 @@ def run_stage_one(inputs: StageInputs, recording: Recording, settings: Settings,
     first = first_converged(out[2], out[3], spread)
     if first is not None:
         events.append(Event(first * inputs.dt, "one",
-                            f"B converged at {out[2, first]:.4g} ± {out[3, first]:.2g} {unit}"))
+                            f"B converged at "
+                            f"{with_uncertainty(out[2, first], out[3, first], unit)}"))
     events += change_events(changes, found, inputs.dt, "one", "B", unit)
     return result
 
@@ -129,11 +131,12 @@ def change_events(changes: np.ndarray, found: int, dt: float, stage: str, name: 
             since = ("" if len(run) == 1
                      else f" in {len(run)} steps from t = {run[0, 0] * dt:.2f} s")
             events.append(Event(float(run[-1, 0] * dt), stage,
-                                f"{name} changed from {run[0, 1]:.4g} to {run[-1, 2]:.4g} "
-                                f"{unit}{since}"))
+                                f"{SYMBOLS[name]} changed from {quantity(run[0, 1], unit)} to "
+                                f"{quantity(run[-1, 2], unit)}{since}"))
     if found > len(changes):
         events.append(Event(float(changes[-1, 0] * dt), stage,
-                            f"{found - len(changes)} further changes of {name} are not listed"))
+                            f"{found - len(changes)} further changes of {SYMBOLS[name]} are not "
+                            "listed"))
     return events
 
 
@@ -164,7 +167,7 @@ def hand_over(one: StageResult, settings: Settings, recording: Recording, events
         nominal, spread = settings.rig.viscous_damping, settings.stage_two.damping_stddev
         if inputs.no_drive is None:
             events.append(Event(0.0, "two", f"stage one gives no B ({one.estimate.status}): "
-                                f"stage two takes {nominal:.4g} ± {spread:.3g} {unit}"))
+                                f"stage two takes {with_uncertainty(nominal, spread, unit)}"))
         return np.full(n, nominal), np.full(n, spread**2)
     damping, variance = np.empty(n), np.empty(n)
     # A change is dated to the start of the window that showed it; what B was before it is read
@@ -184,8 +187,9 @@ def hand_over(one: StageResult, settings: Settings, recording: Recording, events
                                         or starts[i + 1] - start > 1.0 / inputs.dt):
             events.append(Event(
                 start * inputs.dt, "two",
-                f"{'re-run' if start else 'runs'} with B = {one.value[last]:.5g} ± "
-                f"{one.stddev[last]:.2g} {unit} handed over by stage one"))
+                f"{'re-run' if start else 'runs'} with B = "
+                f"{with_uncertainty(one.value[last], one.stddev[last], unit)} handed over by "
+                "stage one"))
     return damping, variance
 
 
@@ -215,7 +219,8 @@ def run_stage_two(inputs: StageInputs, recording: Recording, settings: Settings,
     first = first_converged(out[3], out[5], prior.prior_stddev)
     if first is not None:
         events.append(Event(first * inputs.dt, "two",
-                            f"beta_e converged at {out[3, first]:.4g} ± {out[5, first]:.2g} Pa"))
+                            f"βe converged at "
+                            f"{with_uncertainty(out[3, first], out[5, first], unit)}"))
     events += change_events(changes, len(changes), inputs.dt, "two", "beta_e", unit)
     result = StageResult(
         "two", parameter,

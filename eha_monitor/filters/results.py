@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from eha_monitor.quantity import with_uncertainty
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
@@ -31,6 +32,11 @@ class ParameterEstimate:
     unit: str
     status: Status
     message: str = ""
+
+    @property
+    def shown(self) -> str:
+        """The value as people read it, ``600.0 ± 0.2 MPa``."""
+        return with_uncertainty(self.value, self.stddev, self.unit)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from typing import Literal
 from eha_monitor.filters.results import ParameterEstimate, Taint
 from eha_monitor.filters.status import units_of
 from eha_monitor.health.rebase import Rebase
+from eha_monitor.quantity import quantity, share, with_uncertainty
 from eha_monitor.settings.monitor import Limits, Settings, Viscosity
 
 Level = Literal["OK", "WARN", "ERROR", "STALE"]
@@ -242,8 +243,10 @@ class AlarmBoard:
             rebase = self._rebase[symbol]
             read = rebase.read(time_s, value, stddev, taint.since_s)
             if read is not None:
-                return _Seen(*read, shown, note=f"read by its change from {rebase.settled:.4g}, "
-                             f"where it settled, for {rebase.before:.4g} before: {taint.reason}")
+                settled, before = (quantity(x, self._units[symbol])
+                                   for x in (rebase.settled, rebase.before))
+                return _Seen(*read, shown, note=f"read by its change from {settled}, where it "
+                             f"settled, for {before} before: {taint.reason}")
         return _Seen(value, stddev, shown, held=taint)
 
     def _judge_one(self, judge: _Judge, time_s: float, estimate: ParameterEstimate | None,
@@ -274,11 +277,11 @@ class AlarmBoard:
         """Return what makes the value's words; most are never read."""
         def words() -> str:
             unit = self._units[symbol]
-            shown = quantity(estimate.value, estimate.stddev, unit)
+            shown = with_uncertainty(estimate.value, estimate.stddev, unit)
             if temperature is None:
                 return shown
             return (f"{shown} at {temperature:.1f} °C, which is "
-                    f"{quantity(value, stddev, unit)} at the reference temperature of "
+                    f"{with_uncertainty(value, stddev, unit)} at the reference temperature of "
                     f"{self._viscosity.reference_temperature:g} °C,")
         return words
 
@@ -309,45 +312,21 @@ class AlarmBoard:
     @staticmethod
     def _against_limit(judge: _Judge, value: float) -> str:
         bad, good = ("above", "below") if judge.sign > 0 else ("below", "above")
-        unit = judge.watched.unit
-        if judge.raised:
-            limit = judge.limits[judge.raised - 1]
-            level = _RAISED[judge.raised]
-            if judge.sign * (value - limit) > 0:
-                return f"is {bad} the {level} limit of {limit:g} {unit}"
-            return (f"is {good} the {level} limit of {limit:g} {unit} again, but not yet by "
-                    f"{judge.hysteresis:.3g} of it")
-        place = 0 if judge.limits[0] is not None else 1
+        place = judge.raised - 1 if judge.raised else 0 if judge.limits[0] is not None else 1
         limit, level = judge.limits[place], _RAISED[place + 1]
+        said = f"the {level} limit of {quantity(limit, judge.watched.unit, 6)}"
+        if judge.raised:
+            if judge.sign * (value - limit) > 0:
+                return f"is {bad} {said}"
+            return f"is {good} {said} again, but not yet by {share(judge.hysteresis)} of it"
         if judge.since[place] is not None:
-            return (f"has passed the {level} limit of {limit:g} {unit}, "
-                    f"not yet for {judge.hold_time:g} s")
+            return f"has passed {said}, not yet for {judge.hold_time:g} s"
         if judge.sign * (value - limit) > 0:
-            return f"is {bad} the {level} limit of {limit:g} {unit}, within its uncertainty"
-        return f"is {good} the {level} limit of {limit:g} {unit}"
+            return f"is {bad} {said}, within its uncertainty"
+        return f"is {good} {said}"
 
 
 def viscosity_factor(viscosity: Viscosity, temperature: float) -> float:
     """Return B at the reference temperature over B at ``temperature`` (°C), Reynolds law."""
     exponent = viscosity.coefficient * (temperature - viscosity.reference_temperature)
     return math.exp(min(max(exponent, -50.0), 50.0))  # finite for any sensor reading
-
-
-def quantity(value: float, stddev: float, unit: str) -> str:
-    """Return ``value ± stddev unit`` with as many digits as the uncertainty supports.
-
-    >>> quantity(600.123, 2.34, "N·s/m")
-    '600.1 ± 2.3 N·s/m'
-    >>> quantity(5.9876e8, 1.2e6, "Pa")
-    '(5.988 ± 0.012)e8 Pa'
-    """
-    if not (math.isfinite(value) and math.isfinite(stddev)):
-        return f"{value:g} ± {stddev:g} {unit}"
-    size = max(abs(value), stddev)
-    power = math.floor(math.log10(size)) if size > 1e-300 else 0
-    power = power if not -3 <= power < 5 else 0
-    scale = 10.0**power
-    digits = 1 + power - math.floor(math.log10(stddev)) if stddev > 0 else 6
-    digits = min(max(digits, 0), 9)
-    shown = f"{value / scale:.{digits}f} ± {stddev / scale:.{digits}f}"
-    return f"({shown})e{power} {unit}" if power else f"{shown} {unit}"

@@ -38,6 +38,7 @@ from eha_monitor.mismatch.tells import (
 )
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
+from eha_monitor.quantity import quantity
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
@@ -217,8 +218,9 @@ def advise(recordings: list[Recording], settings: Settings, check: bool = True,
     moved = experiment.ranges.position
     if moved < LEAST_MOTION * experiment.noise[0]:
         raise InputError(f"{recordings[0].source}: expected a piston that moves, found "
-                         f"±{moved:.2g} m with {experiment.noise[0]:.2g} m of noise: any motion "
-                         "tells more")
+                         f"{quantity(moved, 'm', 2)} with "
+                         f"{quantity(experiment.noise[0], 'm', 2)} of noise: any motion tells "
+                         "more")
     naming = name_effects(experiment, report=lambda text, share: say(text, 0.6 * share))
     found = advice(experiment, naming.after, naming.rivals, rival_fits(naming), check,
                    report=lambda text, share: say(text, 0.6 + 0.4 * share))

@@ -84,8 +84,8 @@ def moments_of(recording: Recording) -> Moments:
     place: dict[tuple[str, int], int] = {}
     columns: list[np.ndarray] = []
     noise: list[float] = []
-    if "x" in piece:
-        band = cutoff(piece["x"])
+    band = cutoff(piece["x"]) if "x" in piece else 0
+    if band:  # else nothing moves but noise
         for name, values in piece.items():
             made, white = derivatives(values, band, recording.sample_time)
             noise += [*white, 0.0]
@@ -165,13 +165,13 @@ def spectrum(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def cutoff(x: np.ndarray) -> int:
-    """Return the bin of the spectrum up to which the position tells the acceleration."""
+    """Return the bin of the spectrum up to which the position tells the acceleration, or 0."""
     power = np.abs(spectrum(x)[0]) ** 2
     last, floor = int(2 * BAND * len(power)), floor_of(power)
     fourth = np.arange(last, dtype=float) ** 4
     signal = np.cumsum(fourth * np.maximum(power[:last] - floor, 0.0))
     good = np.flatnonzero(np.cumsum(fourth * floor) <= NOISE_SHARE * signal)
-    return max(int(good[-1]) if len(good) else 0, LEAST_BAND)
+    return max(int(good[-1]), LEAST_BAND) if len(good) else 0
 
 
 def floor_of(power: np.ndarray) -> float:

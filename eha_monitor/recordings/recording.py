@@ -7,6 +7,9 @@ import numpy as np
 # Every channel there can be, in the order in which tables show them.
 CHANNELS = ("x", "v", "x_d", "omega", "omega_d", "p1", "p2", "force", "temperature")
 
+# Stamps before 2000 count from the start of a computer or of a simulation.
+CALENDAR_NS = 946_684_800 * 10**9
+
 
 @dataclass(frozen=True)
 class Recording:
@@ -40,6 +43,11 @@ class Recording:
     def duration(self) -> float:
         """Seconds from the first to behind the last sample."""
         return len(self) * self.sample_time
+
+    @property
+    def dated(self) -> bool:
+        """Whether the stamps are calendar time."""
+        return self.start_ns >= CALENDAR_NS
 
     def has(self, *names: str) -> bool:
         """Tell whether every named channel was recorded and holds a finite value."""

@@ -10,10 +10,11 @@ from matplotlib.ticker import MaxNLocator
 
 from eha_monitor.filters.results import Event
 from eha_monitor.health.alarms import Alarm
-from eha_monitor.reports.quantities import number, time_scale
+from eha_monitor.quantity import number
+from eha_monitor.reports.axes import time_scale
 
 ALARM_WORDS = {"viscous_damping_high": "B high", "viscous_damping_low": "B low",
-               "bulk_modulus_high": "βₑ high", "bulk_modulus_low": "βₑ low"}
+               "bulk_modulus_high": "βe high", "bulk_modulus_low": "βe low"}
 _OVERLAP = 5.5  # percent of the width within which two marks share a label
 
 

@@ -9,11 +9,10 @@ from eha_monitor.archive.columns import PARAMETERS
 from eha_monitor.archive.history import history
 from eha_monitor.mismatch.diagnosis import Value
 from eha_monitor.output import write_text
+from eha_monitor.quantity import SYMBOLS, number, quantity
 from eha_monitor.reports.archive_figures import history_block
 from eha_monitor.reports.diagnosis_words import effect_words, listed, value_words
 from eha_monitor.reports.page import render
-from eha_monitor.reports.parameter_figures import SYMBOLS
-from eha_monitor.reports.quantities import number, quantity
 from eha_monitor.reports.verdict import STATUS_WORDS
 from eha_monitor.settings.monitor import Settings
 
@@ -69,7 +68,8 @@ def heading(rows: Sequence[dict], command: str, settings: Settings) -> list[tupl
         facts.append(("To", _moment(starts[-1])))
     seconds = sum(row.get("duration_s") or 0.0 for row in rows)
     facts.append(("Recorded", f"{number(seconds / 3600, 3)} h" if seconds > 3600 else
-                  f"{number(seconds / 60, 3)} min"))
+                  f"{number(seconds / 60, 3)} min" if seconds > 120 else
+                  quantity(seconds, "s", 3)))
     last = max((row["answered"] for row in rows if row.get("answered")), default=None)
     if last:
         facts.append(("Last answer", _moment(last)))

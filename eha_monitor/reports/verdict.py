@@ -4,15 +4,15 @@ from dataclasses import dataclass
 
 from eha_monitor.filters.results import Estimate, ParameterEstimate
 from eha_monitor.health.alarms import Alarm
-from eha_monitor.reports.parameter_figures import NAMES, SYMBOLS
-from eha_monitor.reports.quantities import with_uncertainty
+from eha_monitor.quantity import SYMBOLS
+from eha_monitor.reports.parameter_figures import NAMES
 
 STATUS_WORDS = {"converged": "converged", "not_excited": "not excited by this motion",
                 "diverged": "diverged", "no_data": "no data"}
 _ALARM_WORDS = {"viscous_damping_high": "the viscous damping B is too high",
                 "viscous_damping_low": "the viscous damping B is too low",
-                "bulk_modulus_high": "the effective bulk modulus βₑ is too high",
-                "bulk_modulus_low": "the effective bulk modulus βₑ is too low"}
+                "bulk_modulus_high": "the effective bulk modulus βe is too high",
+                "bulk_modulus_low": "the effective bulk modulus βe is too low"}
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def verdict(estimate: Estimate, alarms: tuple[Alarm, ...]) -> Verdict:
 
 def _values(told: list[ParameterEstimate], alarms: tuple[Alarm, ...]) -> str:
     """Return the values that no alarm complains about, and whether one could have."""
-    values = " and ".join(f"{SYMBOLS[p.name]} = {with_uncertainty(p.value, p.stddev, p.unit)}"
+    values = " and ".join(f"{SYMBOLS[p.name]} = {p.shown}"
                           for p in told)
     if all(any(a.name.startswith(_PREFIX[p.name]) for a in alarms) for p in told):
         return f"{values} {'is' if len(told) == 1 else 'are'} within the limits"

@@ -8,13 +8,13 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from std_msgs.msg import Float64
 
-from eha_monitor.health.alarms import ALARM_NAMES, WATCHED, Watched, quantity
+from eha_monitor.health.alarms import ALARM_NAMES, WATCHED, Watched
+from eha_monitor.quantity import SYMBOLS, with_uncertainty
 from eha_monitor.ros import running
 from eha_monitor.ros.findings import MISMATCH
 from eha_monitor.ros.messages import findings_of
 from eha_monitor.ros.outputs import LATCHED
 
-_SYMBOLS = {"B": "B", "beta_e": "βe"}
 _LINE_EVERY = 1.0  # s
 
 # Takes a line, and the level of the alarm that it tells of or None.
@@ -64,12 +64,12 @@ class Watcher:
             self._say(f"{self._clock()}  {parts}", None)
 
     def _shown(self, watched: Watched) -> str:
-        symbol = _SYMBOLS[watched.symbol]
+        symbol = SYMBOLS[watched.symbol]
         value = self._latest.get(watched.symbol)
         stddev = self._latest.get(f"{watched.symbol}_stddev")
         if value is None or stddev is None or not stddev < abs(value):
             return f"{symbol} not known yet"
-        return f"{symbol} = {quantity(value, stddev, watched.unit)}"
+        return f"{symbol} = {with_uncertainty(value, stddev, watched.unit)}"
 
     def _clock(self) -> str:
         return f"{time.monotonic() - self._started:5.1f} s"

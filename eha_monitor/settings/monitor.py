@@ -200,7 +200,7 @@ class Settings(Section):
     stage_one: StageOne = Field(StageOne(), description="viscous damping")
     stage_two: StageTwo = Field(StageTwo(), description="effective bulk modulus")
     discretisation: Literal["exact", "euler"] = Field(
-        "exact", description="euler runs the equations as printed in the paper")
+        "exact", description="euler: forward Euler, to compare")
     command_hold: Literal["continuous", "sampled"] = Field(
         "continuous", description="sampled: the drive holds x_d and x over a sample")
     implausible: Literal["refuse", "warn"] = Field(
