@@ -180,7 +180,8 @@ def number_mistakes(reading: Reading) -> list[Mistake]:
                                  numbers=dict.fromkeys(keys, factor)))
         for words, factor in others.items():
             found.append(Mistake("unit", keys, f"{name} ({values} in the config) {looks} wrong: "
-                                 f"{words}", prior, numbers=dict.fromkeys(keys, factor)))
+                                 f"{words}", prior + DECADE * abs(log10(factor)),
+                                 numbers=dict.fromkeys(keys, factor)))
     return found
 
 
