@@ -4,6 +4,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from eha_monitor.recordings.finding import ChannelFinding
+
 VERDICTS = ("consistent", "mismatch", "unexplained", "insufficient_data")
 
 
@@ -152,6 +154,7 @@ class Diagnosis:
     explained : share of the evidence against the nominal model that the effects take away.
     pieces : where a parameter changed and nothing else is missing, the data in pieces; ``after``
         and ``signals`` are then of the last one.
+    channels : what was found out about the channels; ``command_hold`` the hold that was taken.
     """
 
     bags: tuple[str, ...]
@@ -176,3 +179,5 @@ class Diagnosis:
     duration_s: float = 0.0
     wall_s: float = 0.0
     pieces: tuple[Piece, ...] = ()
+    channels: tuple[ChannelFinding, ...] = ()
+    command_hold: str = "continuous"

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from eha_monitor.filters.hold_choice import resolved
 from eha_monitor.mismatch import advise, balance_show, locate, show
 from eha_monitor.mismatch.calibrate import DRAWS, Calibration, calibrate
 from eha_monitor.mismatch.changed import change_words, changed_between
@@ -78,6 +79,16 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
     InputError
         If the recordings hold nothing that a model predicts.
     """
+    started = time.perf_counter()
+    settings, decision = resolved(recordings, settings)
+    found = diagnose_held(recordings, settings, held_out, progress, calibrate)
+    return replace(found, channels=decision.findings if decision is not None else (),
+                   command_hold=settings.command_hold, wall_s=time.perf_counter() - started)
+
+
+def diagnose_held(recordings: list[Recording], settings: Settings, held_out: Recording | None,
+                  progress: Report | None, calibrate: bool) -> Diagnosis:
+    """Diagnose with the hold that the settings say."""
     started = time.perf_counter()
     say = progress or (lambda text, share: None)
     experiment = experiment_of(recordings, settings, hold_out=held_out is None)

@@ -201,8 +201,9 @@ class Settings(Section):
     stage_two: StageTwo = Field(StageTwo(), description="effective bulk modulus")
     discretisation: Literal["exact", "euler"] = Field(
         "exact", description="euler runs the equations as printed in the paper")
-    command_hold: Literal["continuous", "sampled"] = Field(
-        "continuous", description="sampled: the drive holds x_d and x over a sample")
+    command_hold: Literal["auto", "continuous", "sampled"] = Field(
+        "auto", description="sampled: a digital controller holds x_d and x over a sample; "
+        "continuous: an analogue or much faster one; auto: the recording says which")
     thresholds: Thresholds = Field(Thresholds(), description="alarm limits")
     viscosity: Viscosity = Field(Viscosity(), description="temperature compensation of B")
     monitor: Monitor = Field(Monitor(), description="the live monitor")
