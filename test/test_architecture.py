@@ -16,6 +16,8 @@ FORBIDDEN = {
     "filters": ("rclpy", "eha_monitor.ros", "eha_monitor.mismatch", "eha_monitor.reports",
                 "eha_monitor.commands"),
     "health": ("rclpy", "eha_monitor.ros", "eha_monitor.mismatch", "eha_monitor.reports"),
+    "plausibility": ("rclpy", "eha_monitor.ros", "eha_monitor.filters", "eha_monitor.mismatch",
+                     "eha_monitor.reports", "eha_monitor.commands", "eha_monitor.health"),
     "recordings": ("rclpy", "eha_monitor.ros", "eha_monitor.filters", "eha_monitor.mismatch"),
     "mismatch": ("rclpy", "eha_monitor.ros", "eha_monitor.commands"),
     "reports": ("rclpy", "eha_monitor.ros", "eha_monitor.commands"),

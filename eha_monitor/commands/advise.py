@@ -34,6 +34,7 @@ def advise(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
     check_inputs(bags, None)
     check_outputs(json_file, excitation_file, bags, config)
 
+    from eha_monitor.commands.plausible import checked, finding_tree
     from eha_monitor.compiled import announce_first_compilation, load_runtime
     from eha_monitor.mismatch.advise import advise as run
     from eha_monitor.recordings.read import read_recording
@@ -45,14 +46,18 @@ def advise(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
         told("reading", 0.0)
         load_runtime()
         recordings = [read_recording(bag, settings) for bag in bags]
+        findings = checked(recordings, settings)
         naming, found = run(recordings, settings, check,
                             lambda text, share: told(text, READING + (1 - READING) * share))
     if json_file:
-        write_text(json_file, json.dumps(answer(bags, naming, found), indent=1,
-                                         ensure_ascii=False, allow_nan=False) + "\n")
+        write_text(json_file, json.dumps(
+            answer(bags, naming, found) | {"channels": finding_tree(findings)}, indent=1,
+            ensure_ascii=False, allow_nan=False) + "\n")
     if excitation_file and found.motion is not None:
         write_text(excitation_file, written_excitation(found.motion, settings, bags))
     show(bags, naming, found)
+    for finding in findings:
+        click.echo(f"note: {finding.finding}")
     for path in (json_file, excitation_file):
         if path is not None and (path is json_file or found.motion is not None):
             click.echo(f"written: {path}")

@@ -10,6 +10,7 @@ from eha_monitor.filters.observability import ObservabilityTable
 from eha_monitor.filters.results import Estimate, ParameterEstimate, StageResult
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.health.series import ParameterSeries, judge_series
+from eha_monitor.recordings.recording import Recording
 
 SCHEMA = "eha_monitor/estimate/1"
 
@@ -50,7 +51,7 @@ def answer(found: Estimate, alarms: tuple[Alarm, ...], history: tuple[Alarm, ...
         "observability": None if observable is None else [
             asdict(row) for row in observable.rows],
         "noise": {name: asdict(level) for name, level in found.noise.items()},
-        "channels": {name: int(np.isfinite(values).sum())
+        "channel_samples": {name: int(np.isfinite(values).sum())
                      for name, values in recording.channels.items()},
         "events": [asdict(event) for event in found.events],
         "alarm_history": [asdict(alarm) for alarm in history],
@@ -58,6 +59,24 @@ def answer(found: Estimate, alarms: tuple[Alarm, ...], history: tuple[Alarm, ...
         "warnings": list(found.warnings),
     }
     return finite(tree)
+
+
+def refusal(recording: Recording, message: str, channels: list[dict]) -> dict:
+    """Return the JSON tree of a recording that contradicts its config; no number is given."""
+    nothing = {"value": None, "stddev": None, "status": "no_data", "message": message}
+    return finite({
+        "schema": SCHEMA,
+        "bag": recording.source,
+        "samples": len(recording),
+        "duration_s": recording.duration,
+        "wall_s": 0.0,
+        "parameters": {"B": nothing, "beta_e": nothing},
+        "alarms": [],
+        "model": {"status": "not_judged", "message": message, "mismatches": [], "tainted": {}},
+        "channels": channels,
+        "losses": list(recording.losses),
+        "warnings": [message],
+    })
 
 
 def _parameter(p: ParameterEstimate) -> dict:

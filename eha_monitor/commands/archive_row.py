@@ -22,11 +22,12 @@ if TYPE_CHECKING:
 
 # What has a part in an answer, and in the row that is made of it.
 _ROOMS = {
-    "estimate": ("physics", "filters", "recordings", "settings", "health", "commands/answer.py",
+    "estimate": ("physics", "filters", "recordings", "settings", "health", "plausibility",
+                 "commands/answer.py", "commands/plausible.py",
                  "commands/archive_row.py"),
     "diagnose": ("physics", "filters", "recordings", "settings", "health", "mismatch",
-                 "commands/answer.py", "commands/diagnosis_answer.py",
-                 "commands/archive_row.py"),
+                 "plausibility", "commands/answer.py", "commands/plausible.py",
+                 "commands/diagnosis_answer.py", "commands/archive_row.py"),
 }
 _EFFECT = ("name", "balance", "size", "statement", "log_evidence", "indistinguishable_from")
 _ONE = threading.Lock()  # a worker of a cluster may have threads, and the filters use all cores
@@ -74,12 +75,14 @@ def error_row(task: Task, error: str) -> dict:
 
 
 def _fill(row: dict, task: Task) -> None:
+    from eha_monitor.commands.plausible import checked
     from eha_monitor.compiled import load_runtime
     from eha_monitor.filters.pipeline import estimate
     from eha_monitor.recordings.read import read_recording
 
     load_runtime()
     recording = read_recording(task.path, task.settings)
+    checked([recording], task.settings)
     if recording.start_ns > 0:
         row["start"] = iso_time(recording.start_ns)
     found = estimate(recording, task.settings)

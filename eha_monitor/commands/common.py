@@ -63,6 +63,26 @@ def check_target(path: Path | None, bag: Path | None = None) -> None:
         raise InputError(f"{path}: is part of the bag {bag} that is read, expected another file")
 
 
+def check_outputs(targets: tuple[Path | None, ...], bags: tuple[Path, ...],
+                  config: Path | None) -> None:
+    """Refuse, before the work, outputs that cannot be written or would overwrite an input."""
+    options = ("--json", "--report", "--write-config")
+    taken: dict[Path, str] = {}
+    for option, target in zip(options, targets, strict=True):
+        if target is None:
+            continue
+        for bag in bags:
+            check_target(target, bag)
+        place = target.resolve()
+        if config is not None and place == config.resolve():
+            raise InputError(f"{target}: is the config that is read, expected another file for "
+                             f"{option}")
+        regular = not target.exists() or target.is_file()
+        if regular and place in taken:
+            raise InputError(f"{target}: {taken[place]} and {option} name the same file")
+        taken[place] = option
+
+
 def check_new(bag: Path, overwrite: bool) -> None:
     """Refuse, before the work, a bag that is there already, or anything that is no bag."""
     from eha_monitor.recordings.write import check_bag_target

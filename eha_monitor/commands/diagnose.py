@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from eha_monitor.commands.archive import Archive, answer_folder, archive_options, refuse
-from eha_monitor.commands.common import check_target, config_option, on_terminal
+from eha_monitor.commands.common import check_outputs, config_option, on_terminal
 from eha_monitor.errors import InputError
 from eha_monitor.output import write_text
 
@@ -54,7 +54,13 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
     check_outputs((json_file, report_file, config_file),
                   (*bags, *((held_out,) if held_out else ())), config)
 
-    from eha_monitor.commands.diagnosis_answer import answer, mismatched, written_config
+    from eha_monitor.commands.diagnosis_answer import (
+        answer,
+        mismatched,
+        refusal,
+        written_config,
+    )
+    from eha_monitor.commands.plausible import checked, finding_tree
     from eha_monitor.compiled import announce_first_compilation, load_runtime
     from eha_monitor.mismatch.name import diagnose as run
     from eha_monitor.recordings.read import read_recording
@@ -68,26 +74,36 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
         recordings = [read_recording(bag, settings) for bag in bags]
         unseen = read_recording(held_out, settings) if held_out else None
 
+        def write_json(tree: dict) -> None:
+            if json_file:
+                write_text(json_file, json.dumps(tree, indent=1, ensure_ascii=False,
+                                                 allow_nan=False) + "\n")
+
+        told("asking whether recording and config belong together", READING)
+        findings = checked([*recordings, *([unseen] if unseen else [])], settings, config,
+                           config_file, lambda findings, message: write_json(
+                               refusal(bags, message, finding_tree(findings))))
+
         def further(text: str, share: float) -> None:
             told(text, READING + (1 - READING) * share)
 
         found = run(recordings, settings, unseen, further, calibration)
-    if json_file:
-        write_text(json_file, json.dumps(answer(found), indent=1, ensure_ascii=False,
-                                         allow_nan=False) + "\n")
+        findings = (*findings, *found.channels)
+    write_json(answer(found) | {"channels": finding_tree(findings)})
     if config_file:
         write_text(config_file, written_config(found, settings, config))
     if report_file:
         from eha_monitor.reports.diagnosis_report import write_diagnosis_report
 
         losses = [f"{recording.source}: {loss}" for recording in recordings
-                  for loss in recording.losses]
+                  for loss in recording.losses] + [finding.finding for finding in findings]
         write_diagnosis_report(report_file, found, settings, losses,
                                command_line(bags, config, held_out, calibration))
 
     from eha_monitor.commands.diagnosis_table import show
 
-    show(found, [path for path in (json_file, report_file, config_file) if path])
+    show(found, [path for path in (json_file, report_file, config_file) if path],
+         [finding.finding for finding in findings])
     return int(exit_code and mismatched(found))
 
 
@@ -100,26 +116,6 @@ def check_inputs(bags: tuple[Path, ...], held_out: Path | None) -> None:
     if held_out is not None and held_out.resolve() in places:
         raise InputError(f"{held_out}: --held-out names a bag that is fitted, expected one that "
                          "is not")
-
-
-def check_outputs(targets: tuple[Path | None, ...], bags: tuple[Path, ...],
-                  config: Path | None) -> None:
-    """Refuse, before the work, outputs that cannot be written or would overwrite an input."""
-    options = ("--json", "--report", "--write-config")
-    taken: dict[Path, str] = {}
-    for option, target in zip(options, targets, strict=True):
-        if target is None:
-            continue
-        for bag in bags:
-            check_target(target, bag)
-        place = target.resolve()
-        if config is not None and place == config.resolve():
-            raise InputError(f"{target}: is the config that is read, expected another file for "
-                             f"{option}")
-        regular = not target.exists() or target.is_file()
-        if regular and place in taken:
-            raise InputError(f"{target}: {taken[place]} and {option} name the same file")
-        taken[place] = option
 
 
 def command_line(bags: tuple[Path, ...], config: Path | None, held_out: Path | None,

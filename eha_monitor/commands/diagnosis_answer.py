@@ -55,6 +55,23 @@ def answer(found: Diagnosis) -> dict:
     })
 
 
+def refusal(bags: tuple[Path, ...], message: str, channels: list[dict]) -> dict:
+    """Return the JSON tree of recordings that contradict their config; nothing is diagnosed."""
+    return {
+        "schema": SCHEMA,
+        "bag": ", ".join(map(str, bags)),
+        "verdict": "insufficient_data",
+        "location": {"balance": dict.fromkeys(("force", "flow", "drive", "sensor"), 0.0),
+                     "regime": "", "intervals_s": []},
+        "effects": [],
+        "parameters": {"before": {}, "after": {}},
+        "fit": {"data": "held_out", "signals": {}},
+        "advice": [],
+        "message": message,
+        "channels": channels,
+    }
+
+
 def _effect(effect: NamedEffect) -> dict:
     return {"name": effect.name, "balance": effect.balance, "statement": effect.statement,
             "parameters": _values(effect.parameters), "log_evidence": effect.log_evidence,
@@ -76,6 +93,9 @@ def written_config(found: Diagnosis, settings: Settings, source: Path | None) ->
     """
     tree = settings.model_dump()
     changed = []
+    if found.command_hold != settings.command_hold:
+        tree["command_hold"] = found.command_hold
+        changed.append(f"command_hold: {found.command_hold}")
     if found.verdict == "mismatch":
         tree["effects"] = {name: {key: _rounded(value) for key, value in values.items()
                                   if math.isfinite(value)}

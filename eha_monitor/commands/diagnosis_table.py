@@ -29,8 +29,8 @@ from eha_monitor.reports.quantities import number
 _COLOURS = {"ok": "green", "warn": "yellow", "error": "red", "unknown": "dim"}
 
 
-def show(found: Diagnosis, written: list[Path]) -> None:
-    """Print verdict, place, effects, parameters before and after, and the proof."""
+def show(found: Diagnosis, written: list[Path], notes: list[str] = ()) -> None:
+    """Print verdict, place, effects, parameters before and after, the proof, and ``notes``."""
     console = PipeConsole(highlight=False)
     if not console.is_terminal:
         console = PipeConsole(highlight=False, width=PIPE_WIDTH)
@@ -48,7 +48,8 @@ def show(found: Diagnosis, written: list[Path]) -> None:
         console.print(_parameters(found))
     if found.signals:
         console.print(_fit(found))
-    for title, sentences in (("health", found.health), ("advice", found.advice)):
+    for title, sentences in (("health", found.health), ("advice", found.advice),
+                             ("note", notes)):
         for text in sentences:
             console.print(f"[yellow]{title}[/]: {escape(sentence(text))}")
     if found.verdict != "insufficient_data":

@@ -8,8 +8,7 @@ from pathlib import Path
 import click
 
 from eha_monitor.commands.archive import Archive, answer_folder, archive_options, refuse
-from eha_monitor.commands.common import check_target, config_option, working
-from eha_monitor.errors import InputError
+from eha_monitor.commands.common import check_outputs, config_option, working
 from eha_monitor.output import write_text
 
 
@@ -20,25 +19,26 @@ from eha_monitor.output import write_text
               help="Write the answer as JSON.")
 @click.option("--report", "report_file", type=click.Path(path_type=Path), metavar="FILE.html",
               help="Write a self-contained HTML report.")
+@click.option("--write-config", "config_file", type=click.Path(path_type=Path), metavar="FILE",
+              help="Write the config with the signs, units and channels corrected that the "
+              "recording contradicts; nothing is written where it contradicts none.")
 @click.option("--exit-code", is_flag=True,
               help="Exit with 1 if an alarm stands or the model does not fit.")
 @archive_options
 def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file: Path | None,
-             exit_code: bool, **asked) -> int:
+             config_file: Path | None, exit_code: bool, **asked) -> int:
     """Estimate B and the bulk modulus from BAG, and judge them against the thresholds.
 
     Where BAG is a folder that holds bags, all of them, into one table with trends over time.
     """
     archive = Archive(**asked)
     if archive.covers(bag):
-        refuse(bag, json=json_file, report=report_file)
+        refuse(bag, json=json_file, report=report_file, write_config=config_file)
         return int(answer_folder("estimate", bag, config, archive) and exit_code)
-    check_target(json_file, bag)
-    check_target(report_file, bag)
-    if json_file and report_file and json_file.resolve() == report_file.resolve():
-        raise InputError(f"{json_file}: --json and --report name the same file")
+    check_outputs((json_file, report_file, config_file), (bag,), config)
 
-    from eha_monitor.commands.answer import answer, judged, unhealthy
+    from eha_monitor.commands.answer import answer, judged, refusal, unhealthy
+    from eha_monitor.commands.plausible import checked, corrected_config, finding_tree
     from eha_monitor.compiled import announce_first_compilation, load_runtime
     from eha_monitor.filters.observability import observability
     from eha_monitor.filters.pipeline import estimate as run
@@ -51,18 +51,29 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
     started = time.perf_counter()
     with working(f"reading {bag}"):
         recording = read_recording(bag, settings)
+
+    def write_json(tree: dict) -> None:
+        if json_file:
+            write_text(json_file, json.dumps(tree, indent=1, ensure_ascii=False, allow_nan=False)
+                       + "\n")
+
+    findings = checked([recording], settings, config, config_file, lambda findings, message:
+                       write_json(refusal(recording, message, finding_tree(findings))))
     with working("estimating"):
         found = run(recording, settings)
+        findings = (*findings, *found.channels)
         alarms, history = judged(found)
     # What a user waits for: the bag is read within this time.
-    found = replace(found, wall_s=time.perf_counter() - started)
+    found = replace(found, wall_s=time.perf_counter() - started, warnings=(
+        *found.warnings, *(finding.finding for finding in findings)))
     if json_file or report_file:
         with working("asking what each combination of channels could tell"):
             observable = observability(found)
     if json_file:
-        tree = answer(found, alarms, history, observable)
-        write_text(json_file, json.dumps(tree, indent=1, ensure_ascii=False, allow_nan=False)
-                   + "\n")
+        write_json(answer(found, alarms, history, observable)
+                   | {"channels": finding_tree(findings)})
+    if config_file and any(finding.correction for finding in findings):
+        write_text(config_file, corrected_config(findings, settings, config))
     if report_file:
         from eha_monitor.reports.estimate_report import write_estimate_report
 

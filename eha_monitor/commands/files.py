@@ -68,7 +68,9 @@ def _simulated(plant, samples: int) -> dict:
 @click.option("--overwrite", is_flag=True, help="Replace a bag that is there already.")
 def import_table(file: Path, map_file: Path, out: Path, overwrite: bool) -> None:
     """Turn a CSV or MAT FILE into a bag through a channel map."""
+    from eha_monitor.plausibility.judge import plausibility_of
     from eha_monitor.recordings.importing import import_file
+    from eha_monitor.settings import load_settings
 
     with working(f"importing {file}"):
         recording = import_file(file, map_file, out, overwrite=overwrite)
@@ -76,6 +78,9 @@ def import_table(file: Path, map_file: Path, out: Path, overwrite: bool) -> None
                f"channels {', '.join(recording.channels)}")
     for loss in recording.losses:
         click.echo(f"lost: {loss}")
+    # The bag is as the map says; who estimates from it is refused, so it is told here already.
+    for finding in plausibility_of(recording, load_settings(map_file)).findings:
+        click.echo(f"check {map_file}: {finding.finding}")
 
 
 @click.command()

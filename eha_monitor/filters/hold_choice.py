@@ -271,6 +271,6 @@ def friction_of(x: np.ndarray, force: np.ndarray, settings: Settings, dt: float,
     rest = force - rig.mass * a
     rows = np.isfinite(rest)
     lower = np.concatenate([[-np.inf], np.zeros(1 + terms)])
-    weights = lsq_linear(columns[rows], rest[rows], (lower, np.inf)).x
+    weights = lsq_linear(columns[rows], rest[rows], (lower, np.inf), method="bvls").x
     damping = max(weights[1] / highest, 0.1 * rig.viscous_damping)
     return weights[0] + columns[:, 2:] @ weights[2:], (damping, np.inf)

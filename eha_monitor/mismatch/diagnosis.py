@@ -154,7 +154,8 @@ class Diagnosis:
     explained : share of the evidence against the nominal model that the effects take away.
     pieces : where a parameter changed and nothing else is missing, the data in pieces; ``after``
         and ``signals`` are then of the last one.
-    channels : what was found out about the channels; ``command_hold`` the hold that was taken.
+    channels : what was found out about the channels; ``command_hold`` of the config, the
+        hold in place of ``auto`` where the recordings tell it.
     """
 
     bags: tuple[str, ...]
@@ -180,4 +181,4 @@ class Diagnosis:
     wall_s: float = 0.0
     pieces: tuple[Piece, ...] = ()
     channels: tuple[ChannelFinding, ...] = ()
-    command_hold: str = "continuous"
+    command_hold: str = "auto"

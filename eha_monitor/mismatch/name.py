@@ -80,10 +80,11 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
         If the recordings hold nothing that a model predicts.
     """
     started = time.perf_counter()
-    settings, decision = resolved(recordings, settings)
-    found = diagnose_held(recordings, settings, held_out, progress, calibrate)
-    return replace(found, channels=decision.findings if decision is not None else (),
-                   command_hold=settings.command_hold, wall_s=time.perf_counter() - started)
+    held, decision = resolved(recordings, settings)
+    found = diagnose_held(recordings, held, held_out, progress, calibrate)
+    told = decision is not None and decision.decided
+    return replace(found, channels=decision.findings if told else (),
+                   command_hold=(held if told else settings).command_hold, wall_s=time.perf_counter() - started)
 
 
 def diagnose_held(recordings: list[Recording], settings: Settings, held_out: Recording | None,

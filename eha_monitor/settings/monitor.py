@@ -204,6 +204,9 @@ class Settings(Section):
     command_hold: Literal["auto", "continuous", "sampled"] = Field(
         "auto", description="sampled: a digital controller holds x_d and x over a sample; "
         "continuous: an analogue or much faster one; auto: the recording says which")
+    implausible: Literal["refuse", "warn"] = Field(
+        "refuse", description="what becomes of a recording whose channels contradict this config "
+        "(signs, units, swapped channels): refuse it, or answer with a warning")
     thresholds: Thresholds = Field(Thresholds(), description="alarm limits")
     viscosity: Viscosity = Field(Viscosity(), description="temperature compensation of B")
     monitor: Monitor = Field(Monitor(), description="the live monitor")

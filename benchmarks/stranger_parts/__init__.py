@@ -1,0 +1,1 @@
+"""What benchmarks/newcomer.py and wrong_inputs.py share: commands, mistakes, scores."""

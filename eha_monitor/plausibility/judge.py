@@ -1,0 +1,240 @@
+"""Which mistakes a recording and its config show: the smallest set that mends what is broken.
+
+Every set is scored alike: what its reading costs (:mod:`relations`) less what it costs to believe
+that somebody made these mistakes (:mod:`mistakes`).  No mistake at all is one of the sets.
+"""
+
+from dataclasses import dataclass
+from math import log
+
+from eha_monitor.plausibility.mistakes import EVERYDAY, Mistake, mistakes_for
+from eha_monitor.plausibility.moments import Moments, moments_of
+from eha_monitor.plausibility.relations import (
+    Check,
+    Reading,
+    Source,
+    checks,
+    unexplained,
+)
+from eha_monitor.recordings.finding import ChannelFinding
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.monitor import Settings
+
+ATMOSPHERE = 101_325.0  # Pa
+ROLES = ("x", "v", "x_d", "omega", "p1", "p2", "force")
+NUMBERS = ("area_1", "area_2", "volume_1", "volume_2", "mass", "viscous_damping",
+           "pump_displacement", "position_gain", "sample_time")
+DECIDES = 3.0  # log units by which mistakes must be better than none
+RIVAL = 2.0  # log units within which another explanation is told as well
+BROKEN = 4.0  # log units of wrong signs and sizes from which on a reading is worth explaining
+LOOSE = 6.0  # log units of unexplained signals from which on
+MOST = 3  # mistakes at once
+AGAIN = 0.5  # share of an everyday unit's cost that a further one saves
+ALIKE = 0.25  # difference of logarithms within which two factors are told as one
+KEPT = 6  # sets that are carried on
+BELOW_VACUUM = 0.5 * ATMOSPHERE  # below zero: nearer to a gauge's lowest than to an absolute one's
+AS_GAUGE = 0.05  # of an atmosphere: so near must the charge pressure be to being one off
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A set of mistakes: its score (log units, larger is better) and the checks of its reading."""
+
+    mistakes: tuple[Mistake, ...]
+    score: float
+    checks: tuple[Check, ...]
+
+    @property
+    def broken(self) -> float:
+        """Log units of signs and sizes that are wrong."""
+        return sum(check.penalty for check in self.checks)
+
+    @property
+    def loose(self) -> float:
+        """Log units of what the relations leave unexplained."""
+        return sum(check.fit or 0.0 for check in self.checks)
+
+
+@dataclass(frozen=True)
+class Plausibility:
+    """What the channels say about the config.
+
+    Attributes
+    ----------
+    findings : most important first.
+    blocking : no answer would be meaningful while they stand.
+    seen : relations that could be asked; none where the recording moves too little.
+    """
+
+    findings: tuple[ChannelFinding, ...] = ()
+    blocking: bool = False
+    seen: tuple[str, ...] = ()
+
+    @property
+    def message(self) -> str:
+        """All findings in one line."""
+        return "; ".join(finding.finding for finding in self.findings)
+
+
+def plausibility_of(recording: Recording, settings: Settings) -> Plausibility:
+    """Ask whether a recording and its config can be of one rig.
+
+    Parameters
+    ----------
+    recording : aligned channels as the config's channel map reads them.
+    settings : rig and channel map.
+    """
+    moments = moments_of(recording)
+    same = duplicates(moments)
+    if same:
+        return Plausibility(same, True, ("same",))
+    reading = reading_of(moments, settings)
+    best, rivals, given = explain(reading)
+    names = tuple(check.name for check in given.checks)
+    found = tuple(finding_of(mistake, best, rivals, reading, settings)
+                  for mistake in best.mistakes)
+    if found:
+        return Plausibility(found, any(set(one.channels) != {"v"} for one in found), names)
+    return Plausibility(gauge(moments, settings), False, names)
+
+
+def reading_of(moments: Moments, settings: Settings) -> Reading:
+    """Return the recording and the rig as the config says they are."""
+    rig = settings.rig
+    return Reading(moments, {role: Source(role) for role in ROLES if role in moments.levels},
+                   {key: getattr(rig, key) for key in NUMBERS}, frozenset(rig.model_fields_set),
+                   rotary=rig.motion == "rotary")
+
+
+def explained(reading: Reading, mistakes: tuple[Mistake, ...],
+              expected: tuple[str, ...] = ()) -> Explanation:
+    """Return what a set of mistakes makes of a reading.
+
+    ``expected`` are relations that the reading as given has: one that is lost explains nothing.
+    """
+    for mistake in mistakes:
+        reading = mistake.applied(reading)
+    seen = tuple(checks(reading))
+    lost = len(set(expected) - {check.name for check in seen}) * unexplained(0.0)
+    return Explanation(mistakes, prior_of(mistakes) - lost - sum(
+        check.penalty + (check.fit or 0.0) for check in seen), seen)
+
+
+def prior_of(mistakes: tuple[Mistake, ...]) -> float:
+    """Return the log probability of a set: who forgot one unit forgot others more easily."""
+    costs = sorted(mistake.prior for mistake in mistakes)
+    usual = sum(mistake.kind == "unit" and mistake.prior == EVERYDAY for mistake in mistakes)
+    return sum(costs) - AGAIN * EVERYDAY * max(usual - 1, 0)
+
+
+def explain(reading: Reading) -> tuple[Explanation, list[Explanation], Explanation]:
+    """Return the best set of mistakes, those that come close to it, and the reading as given."""
+    given = explained(reading, ())
+    if given.broken < BROKEN and given.loose < LOOSE:
+        return given, [], given
+    expected = tuple(check.name for check in given.checks if check.fit is not None)
+    catalogue = mistakes_for(reading, given.checks)
+    seen = front = [given]
+    for number in range(MOST):
+        # A further mistake is looked for where one more sign or size is wrong.
+        front = [one for one in front if not number or one.broken > BROKEN]
+        further = {}
+        for one in front:
+            taken = frozenset().union(*(mistake.touches for mistake in one.mistakes))
+            for mistake in catalogue:
+                if not taken & mistake.touches:
+                    key = frozenset(map(id, (*one.mistakes, mistake)))
+                    if key not in further:
+                        further[key] = explained(reading, (*one.mistakes, mistake), expected)
+        if not further:
+            break
+        front = sorted(further.values(), key=lambda one: -one.score)[:KEPT]
+        seen = [*seen, *front]
+    best = max(seen, key=lambda one: (one.score, -len(one.mistakes)))
+    if best.score < given.score + DECIDES:
+        return given, [], given
+    rivals = [one for one in sorted(seen, key=lambda one: -one.score)
+              if one is not best and one is not given and one.score > best.score - RIVAL]
+    return best, rivals, given
+
+
+def finding_of(mistake: Mistake, best: Explanation, rivals: list[Explanation], reading: Reading,
+               settings: Settings) -> ChannelFinding:
+    """Return a mistake with the relation that shows it best, before and after it is mended."""
+    from eha_monitor.plausibility.corrections import correction_of
+
+    others = tuple(one for one in best.mistakes if one is not mistake)
+    without = {check.name: check for check in explained(reading, others).checks}
+    mended = {check.name: check for check in best.checks}
+    # Whole log units: of two that show it alike the first of the list is the plainer one.
+    def gain(name: str) -> int:
+        after = mended.get(name)
+        return round(without[name].penalty + (without[name].fit or 0.0) - (
+            after.penalty + (after.fit or 0.0) if after else 0.0))
+
+    name = max(without, key=gain)
+    before = without[name]
+    by_sign = before.reversed
+    how = "swapped" if mistake.kind == "swapped" else "corrected"
+    after = f"; {how}, {mended[name].phrase(by_sign).short}" if name in mended else ""
+    return ChannelFinding(
+        f"{mistake.claim}: {before.phrase(by_sign).text}{after}{others_of(best, rivals)}",
+        mistake.kind, mistake.names, correction_of(mistake, settings))
+
+
+def others_of(best: Explanation, rivals: list[Explanation]) -> str:
+    """Return the explanations that are nearly as good, as the end of a sentence."""
+    told = []
+    for one in rivals:
+        further = all(any(mine is mistake for mine in one.mistakes) for mistake in best.mistakes)
+        vague = any(mistake.without for mistake in one.mistakes)
+        if not (further or vague or mends_alike(one.mistakes, best.mistakes)):
+            told.append(" and ".join(mistake.claim for mistake in one.mistakes))
+    return f" (or {', or '.join(told[:2])})" if told else ""
+
+
+def mends_alike(ones: tuple[Mistake, ...], others: tuple[Mistake, ...]) -> bool:
+    """Tell whether two sets change the same things by about the same factors."""
+    def changes(mistakes: tuple[Mistake, ...]) -> dict[str, float]:
+        found: dict[str, float] = {}
+        for mistake in mistakes:
+            for key, factor in (*mistake.factors.items(), *mistake.numbers.items(),
+                                ("time", mistake.clock)):
+                found[key] = found.get(key, 1.0) * factor
+        return found
+
+    one, other = changes(ones), changes(others)
+    swaps = [{mistake.swap for mistake in mistakes} for mistakes in (ones, others)]
+    return swaps[0] == swaps[1] and one.keys() == other.keys() and all(
+        one[key] / other[key] > 0 and abs(log(one[key] / other[key])) < ALIKE for key in one)
+
+
+def duplicates(moments: Moments) -> tuple[ChannelFinding, ...]:
+    """Return the channels that hold the same numbers as another."""
+    return tuple(ChannelFinding(
+        f"{one} and {other} hold the same numbers: one of them is read from the other's column "
+        "or topic", "swapped", (one, other)) for one, other in moments.same)
+
+
+def gauge(moments: Moments, settings: Settings) -> tuple[ChannelFinding, ...]:
+    """Return whether the pressures look like gauge pressures where absolute ones are expected."""
+    levels = [moments.levels[name] for name in ("p1", "p2") if name in moments.levels]
+    rig = settings.rig
+    if len(levels) < 2 or not any(level.largest for level in levels):
+        return ()
+    lowest = min(level.low for level in levels)
+    middle = 0.5 * (levels[0].middle + levels[1].middle)
+    off = (rig.charge_pressure - middle) / ATMOSPHERE
+    why = ""
+    if lowest < -BELOW_VACUUM:
+        why = f"the lowest is {lowest / 1e5:.2f} bar"
+    elif rig.area_1 == rig.area_2 and abs(off - 1.0) < AS_GAUGE:
+        why = (f"their mean is {middle / 1e5:.2f} bar, {off * ATMOSPHERE / 1e5:.2f} bar below "
+               f"the charge pressure of {rig.charge_pressure / 1e5:.2f} bar")
+    if not why:
+        return ()
+    channels = {name: {"offset": settings.channels[name].offset + ATMOSPHERE}
+                for name in ("p1", "p2") if name in settings.channels}
+    return (ChannelFinding(
+        f"p1 and p2 look like gauge pressures, not absolute ones: {why}", "offset", ("p1", "p2"),
+        {"channels": channels}),)

@@ -1,0 +1,204 @@
+"""Smoothed channels, their derivatives, and the products of all of them.
+
+Every relation that is asked is linear in the channels and their derivatives, and every mistake
+that is tried (a sign, a unit, a swap, a clock) only scales or renames them.  So the recording is
+gone through once; a hypothesis then costs a small matrix, whatever the recording's length.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import prev_fast_len
+
+from eha_monitor.recordings.align import spans
+from eha_monitor.recordings.recording import Recording
+
+LONGEST = 32_768  # samples that are looked at: those of the piece with the most motion
+SHORTEST = 64
+BRIDGED = 5  # samples of a gap that is filled in
+PRESENT = 0.5  # share of a stretch that a channel must have
+MEAN_OF = 0.1  # s
+ORDERS = 3  # the channel and two derivatives
+DIRECTION = 3  # place of the smoothed sign of the first derivative, after the derivatives
+SLOW = 0.1  # of the rms speed: below, the direction is not told
+BAND = 0.2  # of the sampling rate: what lies above is not looked at
+# Share of the acceleration's power that the position's noise may be in the band that is used.
+NOISE_SHARE = 0.04
+LEAST_BAND = 8  # bins
+MARGIN = 0.02  # of a stretch is left out at each end, where smoothing has one side only
+OVERFLOWS = 1e100  # no signal; its square is still a number
+SAME = 1e-9  # of its spread: two channels no further apart are one and the same
+
+
+@dataclass(frozen=True)
+class Level:
+    """Where a channel lies: 1st, 50th and 99th percentile, and its largest size, SI."""
+
+    low: float
+    middle: float
+    high: float
+    largest: float
+
+    @property
+    def span(self) -> float:
+        """Difference of the outer percentiles, SI."""
+        return self.high - self.low
+
+
+@dataclass(frozen=True)
+class Moments:
+    """What the relations need to know of a recording.
+
+    Attributes
+    ----------
+    place : (channel, order of derivative or ``DIRECTION``) -> column; only channels that vary.
+    gram : (m, m) mean products of the columns, each centred and divided by ``scale``.
+    scale : (m,) standard deviation of each column, SI.
+    noise : (m,) share of each column's variance that is the sensor's white noise.
+    levels : channel -> :class:`Level` of the raw samples.
+    same : pairs of channels that hold the same numbers.
+    sample_time : s.
+    """
+
+    place: dict[tuple[str, int], int]
+    gram: np.ndarray
+    scale: np.ndarray
+    noise: np.ndarray
+    levels: dict[str, Level]
+    same: tuple[tuple[str, str], ...]
+    sample_time: float
+
+
+def moments_of(recording: Recording) -> Moments:
+    """Return the moments of a recording; no columns where it is too short or nothing moves."""
+    levels = {name: level_of(values, recording.sample_time)
+              for name, values in recording.channels.items() if np.isfinite(values).any()}
+    start, stop = stretch_of(recording)
+    piece = {name: filled(values[start:stop]) for name, values in recording.channels.items()
+             if name in levels and np.isfinite(values[start:stop]).mean() > PRESENT} \
+        if stop - start >= SHORTEST else {}
+    piece = {name: values for name, values in piece.items()
+             if name != "temperature" and levels[name].span > 0}
+    same = tuple((one, other) for i, one in enumerate(piece) for other in list(piece)[i + 1:]
+                 if np.mean(np.abs(piece[one] - piece[other]) <= SAME * levels[one].span) > 0.95)
+    place: dict[tuple[str, int], int] = {}
+    columns: list[np.ndarray] = []
+    noise: list[float] = []
+    if "x" in piece:
+        band = cutoff(piece["x"])
+        for name, values in piece.items():
+            made, white = derivatives(values, band, recording.sample_time)
+            noise += [*white, 0.0]
+            rms = np.sqrt(np.mean(made[1] ** 2))
+            made.append(made[1] / (np.abs(made[1]) + SLOW * rms) if rms > 0 else made[1])
+            for order, column in enumerate(made):
+                place[name, order] = len(columns)
+                columns.append(column)
+    table = np.array(columns) if columns else np.empty((0, 0))
+    if not np.isfinite(table).all() or np.abs(table).max(initial=0.0) > OVERFLOWS:
+        place, table, noise = {}, table[:0], []
+    if len(table):
+        table = table - table.mean(axis=1, keepdims=True)
+    scale = np.sqrt(np.mean(table**2, axis=1)) if len(table) else np.empty(0)
+    unit = table / np.where(scale > 0, scale, 1.0)[:, None]
+    share = np.array(noise) / np.where(scale > 0, scale, 1.0) ** 2
+    return Moments(place, unit @ unit.T / max(table.shape[1], 1), scale, share, levels, same,
+                   recording.sample_time)
+
+
+def level_of(values: np.ndarray, dt: float) -> Level:
+    """Return where a channel lies; ``values`` (n,) with NaN where missing, ``dt`` s.
+
+    Means over ``MEAN_OF`` are looked at: a sensor's noise is no level.
+    """
+    values = values[np.isfinite(values)]
+    # Not more than a hundredth of the recording: its clock may be what is wrong.
+    length = max(min(round(MEAN_OF / dt), len(values) // 100), 1)
+    means = values[:len(values) // length * length].reshape(-1, length).mean(axis=1)
+    low, middle, high = np.percentile(means, [1.0, 50.0, 99.0]).tolist()
+    return Level(low, middle, high, float(np.abs(means).max()))
+
+
+def stretch_of(recording: Recording) -> tuple[int, int]:
+    """Return the samples to look at: without a gap, and those that move most where many are."""
+    if not recording.has("x"):
+        return 0, min(len(recording), LONGEST)
+    x = recording.channels["x"]
+    starts, stops = spans(np.isfinite(x))
+    if len(starts) > 1:
+        joined = np.flatnonzero(starts[1:] - stops[:-1] > BRIDGED)
+        starts, stops = starts[np.r_[0, joined + 1]], stops[np.r_[joined, len(stops) - 1]]
+    pieces = [(a, min(a + LONGEST, stop)) for start, stop in zip(starts, stops, strict=True)
+              for a in range(int(start), int(stop), LONGEST)]
+    start, stop = max(pieces, key=lambda piece: np.nansum(
+        (x[slice(*piece)] - np.nanmean(x[slice(*piece)])) ** 2))
+    # One sample more than a length whose transform is quick.
+    return start, start + (prev_fast_len(stop - start - 1) + 1 if stop - start > 2 else 0)
+
+
+def filled(values: np.ndarray) -> np.ndarray:
+    """Return (n,) with what is missing interpolated from its neighbours."""
+    good = np.isfinite(values)
+    if good.all():
+        return values
+    index = np.arange(len(values))
+    return np.interp(index, index[good], values[good])
+
+
+def spectrum(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the spectrum of the odd continuation about both ends, and the line taken out.
+
+    With the line through its ends taken out, a record continued oddly has no jump and no kink
+    where it repeats, so that derivatives can be taken in the spectrum.
+
+    Parameters
+    ----------
+    values : (n,) without NaN.
+
+    Returns
+    -------
+    (n,) complex, bin k at k/(2 (n - 1)) of the sampling rate; (n,) the line.
+    """
+    line = np.linspace(values[0], values[-1], len(values))
+    level = values - line
+    return np.fft.rfft(np.concatenate([level, -level[-2:0:-1]])), line
+
+
+def cutoff(x: np.ndarray) -> int:
+    """Return the bin of the spectrum up to which the position tells the acceleration."""
+    power = np.abs(spectrum(x)[0]) ** 2
+    last, floor = int(2 * BAND * len(power)), floor_of(power)
+    fourth = np.arange(last, dtype=float) ** 4
+    signal = np.cumsum(fourth * np.maximum(power[:last] - floor, 0.0))
+    good = np.flatnonzero(np.cumsum(fourth * floor) <= NOISE_SHARE * signal)
+    return max(int(good[-1]) if len(good) else 0, LEAST_BAND)
+
+
+def floor_of(power: np.ndarray) -> float:
+    """Return the power of white noise in each bin, told by the bins above the band.
+
+    Such a bin's power is exponentially distributed, with a median of ln 2 times its mean.
+    """
+    return float(np.median(power[int(2 * BAND * len(power)):])) / np.log(2.0)
+
+
+def derivatives(values: np.ndarray, band: int, dt: float) -> tuple[list[np.ndarray], list[float]]:
+    """Return a channel below ``band`` with its derivatives, and the noise's variance in each.
+
+    Returns
+    -------
+    columns : each (m,), SI; variances.
+    """
+    n = len(values)
+    seen, line = spectrum(values)
+    bins = np.arange(len(seen))
+    # A cosine flank over the last third of the band: a sharp edge rings.
+    flank = 0.5 + 0.5 * np.cos(np.pi * np.clip(3.0 * bins / band - 2.0, 0.0, 1.0))
+    s = 1j * np.pi * bins / ((n - 1) * dt)
+    floor = 2.0 * floor_of(np.abs(seen) ** 2) / (2 * (n - 1)) ** 2
+    white = [floor * float(np.sum((flank * np.abs(s) ** order) ** 2)) for order in range(ORDERS)]
+    seen *= flank
+    slope = (line, (line[-1] - line[0]) / ((n - 1) * dt), 0.0)
+    cut = slice(int(MARGIN * n), n - int(MARGIN * n))
+    return [(np.fft.irfft(seen * s**order, 2 * (n - 1))[:n] + slope[order])[cut]
+            for order in range(ORDERS)], white

@@ -1,0 +1,325 @@
+"""Signs, units and channels that a recording contradicts: what is told, and what is not."""
+
+import json
+import math
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies
+from hypothesis import settings as property_settings
+from rig_tools import MULTISINE, TRIANGLE, motion, settings
+
+from eha_monitor import cli
+from eha_monitor.physics.simulator import Simulator
+from eha_monitor.plausibility.corrections import corrected
+from eha_monitor.plausibility.judge import plausibility_of, reading_of
+from eha_monitor.plausibility.moments import derivatives, moments_of
+from eha_monitor.plausibility.relations import ratio
+from eha_monitor.recordings.read import read_recording
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.recordings.write import write_recording
+
+SENSORS = ("x", "x_d", "omega", "p1", "p2")
+RPM = 2 * math.pi / 60
+# Another rig than the paper's: a single rod, 500 Hz, 20 bar.
+OTHER = {"area_1": 1.2e-3, "area_2": 8e-4, "volume_1": 2e-4, "volume_2": 1.4e-4, "mass": 60.0,
+         "viscous_damping": 2500.0, "bulk_modulus": 9e8, "pump_displacement": 5e-7,
+         "position_gain": 14000.0, "charge_pressure": 2e6, "sample_time": 2e-3}
+
+
+def made(shape=MULTISINE, seconds=12.0, effects=None, **rig):
+    """Return a recording of the simulator and the config it was made with."""
+    config = settings(rig=rig, simulation=motion(shape, seconds, publish=list(SENSORS)),
+                      effects=effects or {})
+    plant = Simulator(config, seed=4)
+    channels = plant.advance(round(seconds / config.rig.sample_time))
+    return (Recording(config.rig.sample_time, channels, 10**9, "made"),
+            settings(rig=rig, simulation=motion(shape, seconds, publish=list(SENSORS))))
+
+
+PAPER = made(TRIANGLE, 12.0)
+SECOND = made(MULTISINE, 10.0, **OTHER)
+
+
+def changed(recording, **factors):
+    """Return a recording with channels scaled, or replaced by another channel."""
+    channels = dict(recording.channels)
+    for name, how in factors.items():
+        channels[name] = recording.channels[how] if isinstance(how, str) else (
+            recording.channels[name] * how)
+    return replace(recording, channels=channels)
+
+
+def with_rig(config, **factors):
+    tree = config.model_dump()
+    for key, factor in factors.items():
+        tree["rig"][key] *= factor
+    return settings(**tree)
+
+
+MISTAKES = {
+    "pressures swapped": (dict(p1="p2", p2="p1"), "swapped", ("p1", "p2"), "swapped"),
+    "x in mm": (dict(x=1e3), "unit", ("x",), "millimetres"),
+    "x and x_d in mm": (dict(x=1e3, x_d=1e3), "unit", ("x", "x_d"), "millimetres"),
+    "bar": (dict(p1=1e-5, p2=1e-5), "unit", ("p1", "p2"), "bar"),
+    "one in bar": (dict(p1=1e-5), "unit", ("p1",), "bar"),
+    "kPa": (dict(p1=1e-3, p2=1e-3), "unit", ("p1", "p2"), "kPa"),
+    "rpm": (dict(omega=1 / RPM), "unit", ("omega",), "rpm"),
+    "pump reversed": (dict(omega=-1), "sign", ("omega",), "wrong sign"),
+    "x reversed": (dict(x=-1), "sign", ("x",), "wrong sign"),
+    "both reversed": (dict(x=-1, x_d=-1), "sign", ("x", "x_d"), "wrong sign"),
+    "x_d reversed": (dict(x_d=-1), "sign", ("x_d",), "wrong sign"),
+    "x and x_d swapped": (dict(x="x_d", x_d="x"), "swapped", ("x", "x_d"), "swapped"),
+    "x_d's column as x": (dict(x="x_d"), "swapped", ("x", "x_d"), "same numbers"),
+    "inches": (dict(x=1 / 0.0254, x_d=1 / 0.0254), "unit", ("x", "x_d"), "inches"),
+}
+
+
+@pytest.mark.parametrize("case", [PAPER, SECOND], ids=["paper", "single rod"])
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_of_a_channel_is_named_and_mended(case, name):
+    recording, config = case
+    factors, kind, channels, word = MISTAKES[name]
+    wrong = changed(recording, **factors)
+    found = plausibility_of(wrong, config)
+    assert found.blocking
+    first = found.findings[0]
+    assert (first.kind, first.channels) == (kind, channels), found.message
+    assert word in first.finding
+    if "same" not in word:  # one of two columns is not there: no key brings it back
+        mended = corrected(config, found.findings)
+        again = {n: channel.scale * wrong.channels[n] + channel.offset
+                 for n, channel in mended.channels.items() if n in SENSORS} if kind != "swapped" \
+            else {**recording.channels}
+        assert not plausibility_of(replace(wrong, channels=again), config).findings
+        for n in SENSORS:
+            assert again[n] == pytest.approx(recording.channels[n], rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize("case", [PAPER, SECOND], ids=["paper", "single rod"])
+@pytest.mark.parametrize(("factors", "keys"), [
+    ({"mass": 10.0}, ("mass",)), ({"mass": 0.1}, ("mass",)),
+    ({"area_1": 10.0, "area_2": 10.0}, ("area_1", "area_2")),
+    ({"area_1": 0.01, "area_2": 0.01}, ("area_1", "area_2")),
+    ({"pump_displacement": 2 * math.pi}, ("pump_displacement",)),
+    ({"position_gain": 10.0}, ("position_gain",))])
+def test_a_number_of_the_rig_that_is_far_off_is_named_and_mended(case, factors, keys):
+    recording, config = case
+    found = plausibility_of(recording, with_rig(config, **factors))
+    assert found.blocking
+    assert found.findings[0].channels == keys, found.message
+    right = {key: getattr(config.rig, key) for key in keys}
+    for key, value in found.findings[0].correction["rig"].items():
+        assert value == pytest.approx(right[key], rel=0.02)
+
+
+@pytest.mark.parametrize("factor", [10.0, 0.1, 1000.0])
+@pytest.mark.parametrize("case", [PAPER, SECOND], ids=["paper", "single rod"])
+def test_a_clock_that_runs_wrong_is_named(case, factor):
+    recording, config = case
+    found = plausibility_of(replace(recording, sample_time=recording.sample_time * factor), config)
+    assert found.findings[0].channels == ("time",), found.message
+
+
+def test_who_forgot_every_unit_is_told_every_unit():
+    recording, config = SECOND
+    found = plausibility_of(changed(recording, x=1e3, x_d=1e3, p1=1e-5, p2=1e-5, omega=1 / RPM),
+                            config)
+    assert {finding.channels for finding in found.findings} == {
+        ("x", "x_d"), ("p1", "p2"), ("omega",)}
+    for word in ("millimetres", "bar", "rpm"):
+        assert word in found.message
+
+
+def test_gauge_pressures_are_told_and_block_nothing():
+    recording, config = PAPER
+    channels = dict(recording.channels)
+    for name in ("p1", "p2"):
+        channels[name] = channels[name] - 101325.0
+    found = plausibility_of(replace(recording, channels=channels), config)
+    assert [finding.kind for finding in found.findings] == ["offset"]
+    assert not found.blocking
+
+
+def test_a_measured_force_tells_its_unit_and_sign():
+    config = settings(rig={"area_1": None, "area_2": None},
+                      simulation=motion(MULTISINE, 8.0, publish=["x", "force"]))
+    force_config = settings(simulation=motion(MULTISINE, 8.0, publish=["x", "force"]))
+    recording = Recording(1e-3, Simulator(force_config, seed=1).advance(8000), 10**9, "made")
+    assert not plausibility_of(recording, config).findings
+    kilo = plausibility_of(changed(recording, force=1e-3), config)
+    assert "kN" in kilo.message or "millimetres" in kilo.message
+    assert plausibility_of(changed(recording, force=-1), config).findings[0].kind == "sign"
+
+
+@pytest.mark.parametrize("effects", [
+    {}, {"coulomb_friction": {"F_c": 40.0}}, {"constant_load": {"F_0": 60.0}},
+    {"spring_load": {"k": 8000.0}}, {"added_mass": {"dM": 8.0}}, {"drive_lag": {"tau": 4e-3}},
+    {"position_delay": {"T_x": 2e-3}}, {"pump_dead_zone": {"omega_0": 8.0}},
+    {"pump_flow_gain": {"gain": -0.1}}, {"cross_port_leakage": {"L": 8e-12}}],
+    ids=lambda effects: next(iter(effects), "clean"))
+@pytest.mark.parametrize("shape", [TRIANGLE, MULTISINE], ids=["triangle", "multisine"])
+def test_physics_that_is_left_out_is_no_mistake(effects, shape):
+    assert not plausibility_of(*made(shape, 8.0, effects)).findings
+
+
+@property_settings(max_examples=40, deadline=None)
+@given(strategies.fixed_dictionaries({
+    key: strategies.floats(1 / limit, limit) for key, limit in {
+        "mass": 1.4, "pump_displacement": 1.15, "position_gain": 1.15, "leakage": 3.0,
+        "charge_pressure": 7.0, "viscous_damping": 5.0, "bulk_modulus": 5.0}.items()}),
+    strategies.floats(0.8, 1.25))
+def test_numbers_that_are_a_little_wrong_are_no_mistake(factors, volume):
+    recording, config = SECOND
+    config = with_rig(config, volume_1=volume, volume_2=volume, **factors)
+    assert not plausibility_of(recording, config).findings
+
+
+@property_settings(max_examples=60, deadline=None)
+@given(strategies.lists(strategies.sampled_from(
+    [0.0, 1e-300, 1.0, 1e30, 1e200, -1e300, math.inf, -math.inf, math.nan]),
+    min_size=5, max_size=5), strategies.integers(0, 300))
+def test_any_values_at_all_are_looked_at_in_silence(values, samples):
+    rng = np.random.default_rng(0)
+    channels = {name: value * rng.standard_normal(samples)
+                if math.isfinite(value) else np.full(samples, value)
+                for name, value in zip(SENSORS, values, strict=True)}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        plausibility_of(Recording(1e-3, channels, 0, "any"), settings())
+
+
+def test_nothing_is_told_of_what_stands_still_or_is_noise():
+    rng = np.random.default_rng(1)
+    for size in (0.0, 1e-6):
+        channels = {name: size * rng.standard_normal(4000) for name in SENSORS}
+        channels["p1"] = channels["p2"] = 2e6 + 500 * rng.standard_normal(4000)
+        channels["p2"] = 2e6 + 500 * rng.standard_normal(4000)
+        found = plausibility_of(Recording(1e-3, channels, 0, "still"), settings())
+        assert not found.blocking, found.message
+
+
+# Oracles: closed forms and numpy's own least squares.
+
+
+def test_derivatives_are_those_of_a_sine():
+    dt, n, w = 1e-3, 6001, 2 * np.pi * 1.5
+    t = np.arange(n) * dt
+    (x, v, a), _ = derivatives(0.3 + 0.2 * t + 0.05 * np.sin(w * t), n // 4, dt)
+    cut = slice((n - len(x)) // 2, (n - len(x)) // 2 + len(x))
+    assert x == pytest.approx((0.3 + 0.2 * t + 0.05 * np.sin(w * t))[cut], abs=1e-6)
+    assert v == pytest.approx((0.2 + 0.05 * w * np.cos(w * t))[cut], abs=2e-3 * 0.05 * w)
+    assert a == pytest.approx((-0.05 * w**2 * np.sin(w * t))[cut], abs=5e-3 * 0.05 * w**2)
+
+
+def test_the_ratio_is_that_of_least_squares():
+    recording, config = SECOND
+    moments = moments_of(recording)
+    reading = reading_of(replace(moments, noise=0.0 * moments.noise), config)
+    place = {key: spot for key, spot in moments.place.items()}
+    rng = np.random.default_rng(2)
+    table = rng.multivariate_normal(np.zeros(len(moments.scale)), moments.gram, 5000,
+                                    method="eigh").T
+    table -= table.mean(axis=1, keepdims=True)
+    gram = table @ table.T / table.shape[1]
+    reading = replace(reading, moments=replace(reading.moments, gram=gram))
+    left, right, beside = (reading.column("omega"), reading.column("x", 1), reading.column("p1"))
+    scaled = table
+    sides = np.array([side @ scaled for side in (left, right, beside)])
+    slope = np.linalg.lstsq(sides[1:].T, sides[0], rcond=None)[0][0]
+    assert ratio(reading, left, right, beside).slope == pytest.approx(slope, rel=1e-6)
+    assert place
+
+
+# By use: the commands.
+
+
+@pytest.fixture
+def bag(tmp_path):
+    recording, config = PAPER
+    write_recording(tmp_path / "bag", recording, config)
+    (tmp_path / "wrong.yaml").write_text("channels:\n  x: {scale: 1000.0}\n"
+                                         "  x_d: {scale: 1000.0}\n")
+    return tmp_path
+
+
+def run(capfd, *arguments):
+    status = cli.main([str(argument) for argument in arguments])
+    return status, capfd.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["estimate", "diagnose", "advise"])
+def test_a_contradiction_ends_every_command_in_one_line(bag, capfd, command):
+    answer = bag / "answer.json"
+    more = () if command == "advise" else ("--write-config", bag / "right.yaml")
+    status, said = run(capfd, command, bag / "bag", "--config", bag / "wrong.yaml", "--json",
+                       answer, *more)
+    assert status == 2
+    assert said.count("\n") == 1
+    assert "x and x_d look like millimetres, not metres" in said
+    if command == "advise":
+        assert not answer.exists()
+        return
+    tree = json.loads(answer.read_text())
+    assert tree["channels"][0]["kind"] == "unit"
+    assert tree["channels"][0]["correction"]["channels"]["x"]["scale"] == 1.0
+    if command == "diagnose":
+        assert tree["verdict"] == "insufficient_data"
+        assert tree["effects"] == []
+    else:
+        assert {p["status"] for p in tree["parameters"].values()} == {"no_data"}
+    status, said = run(capfd, "estimate", bag / "bag", "--config", bag / "right.yaml", "--json",
+                       answer)
+    assert status == 0, said
+    tree = json.loads(answer.read_text())
+    assert tree["channels"] == []
+    assert tree["parameters"]["B"]["value"] == pytest.approx(600.0, rel=0.01)
+
+
+def test_swapped_pressures_are_swapped_back_by_the_written_config(bag, capfd):
+    (bag / "wrong.yaml").write_text("channels:\n  p1: {topic: pressure/chamber_2}\n"
+                                    "  p2: {topic: pressure/chamber_1}\n")
+    wrong = ("estimate", bag / "bag", "--config", bag / "wrong.yaml")
+    status, said = run(capfd, *wrong, "--write-config", bag / "right.yaml")
+    assert status == 2
+    assert "p1 and p2 look swapped" in said
+    assert run(capfd, "estimate", bag / "bag", "--config", bag / "right.yaml")[0] == 0
+
+
+def test_who_insists_gets_an_answer_with_the_warning(bag, capfd):
+    with (bag / "wrong.yaml").open("a") as file:
+        file.write("implausible: warn\n")
+    answer = bag / "answer.json"
+    status, _ = run(capfd, "estimate", bag / "bag", "--config", bag / "wrong.yaml", "--json",
+                    answer)
+    assert status == 0
+    tree = json.loads(answer.read_text())
+    assert any("millimetres" in warning for warning in tree["warnings"])
+
+
+def test_import_tells_it_already(tmp_path, capfd):
+    recording, _ = PAPER
+    rows = np.column_stack([recording.time, *(recording.channels[name] for name in SENSORS)])
+    np.savetxt(tmp_path / "file.csv", rows[:6000], delimiter=",", comments="",
+               header=",".join(["t", *SENSORS]))
+    columns = "\n".join(f"    {name}: {{column: {name}}}" for name in SENSORS if name != "omega")
+    (tmp_path / "map.yaml").write_text(
+        f"table:\n  time: t\n  columns:\n{columns}\n    omega: {{column: omega, scale: -1.0}}\n")
+    status = cli.main(["import", str(tmp_path / "file.csv"), "--map", str(tmp_path / "map.yaml"),
+                       "--out", str(tmp_path / "bag")])
+    assert status == 0
+    assert "omega has the wrong sign" in capfd.readouterr().out
+    assert read_recording(tmp_path / "bag", settings()).has("omega")
+
+
+def test_an_archive_tells_it_in_the_row(bag, capfd):
+    import pyarrow.parquet as parquet
+
+    status = cli.main(["estimate", str(bag), "--config", str(bag / "wrong.yaml"), "--out",
+                       str(bag / "archive"), "--jobs", "1"])
+    capfd.readouterr()
+    assert status == 0
+    row, = parquet.read_table(bag / "archive" / "estimate.parquet").to_pylist()
+    assert "millimetres" in row["error"]

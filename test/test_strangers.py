@@ -1,0 +1,76 @@
+"""People who have never seen this project: one rig, three mistakes, and how they are scored."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "benchmarks"))
+
+import newcomer  # noqa: E402
+from stranger_parts.commands import Answer, here  # noqa: E402
+from stranger_parts.mistakes import MISTAKES  # noqa: E402
+from stranger_parts.scoring import named  # noqa: E402
+from strangers.check import check  # noqa: E402
+from strangers.rigs import CHIRP, MICRO  # noqa: E402
+from wrong_inputs import Trial  # noqa: E402
+
+BY_NAME = {mistake.name: mistake for mistake in MISTAKES}
+
+
+def test_the_strangers_plant_keeps_its_balances():
+    assert check(CHIRP).faults() == []
+
+
+def test_the_strangers_plant_uses_nothing_of_the_project():
+    code = ("import sys; import strangers.check, strangers.record; "
+            "print(sorted(m for m in sys.modules if m.startswith('eha_monitor')))")
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT / "benchmarks", text=True,
+                          capture_output=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_a_newcomer_is_told_no_wrong_number(tmp_path):
+    story = newcomer.play(MICRO, tmp_path, 0, False, 60.0)
+    assert [step.command for step in story.steps] == ["estimate"]
+    assert story.steps[0].score.startswith((newcomer.RIGHT, newcomer.HONEST)), story.steps
+
+
+@pytest.mark.parametrize("name", ["e_swapped", "e_rpm", "u_pump_reversed"])
+def test_a_mistake_is_named(name, tmp_path):
+    score, = Trial(tmp_path, None, 0, here).scores(BY_NAME[name], ("estimate",))
+    assert score.full, score
+    assert not score.wrong, score
+
+
+def finding(kind, channels, text, correction=None):
+    return Answer(2, findings=({"kind": kind, "channels": channels, "finding": text,
+                                "correction": correction or {}},))
+
+
+@pytest.mark.parametrize(("name", "answer", "full", "place"), [
+    ("e_swapped", finding("swapped", ["p1", "p2"], "p1 and p2 look swapped"), True, True),
+    ("e_swapped", finding("sign", ["omega"], "the pump speed looks reversed"), False, False),
+    ("e_rpm", finding("unit", ["omega"], "omega looks like rpm taken as rad/s"), True, True),
+    ("e_rpm", finding("unit", ["omega"], "omega is 9.55 times too large"), True, True),
+    ("e_rpm", finding("unit", ["omega"], "omega is 3 times too large"), False, True),
+    ("e_rpm", finding("unit", ["pump_displacement"], "pump_displacement is 9.5 times too small, "
+                      "or the pump speed is in rpm"), True, True),
+    ("e_rpm", finding("unit", ["pump_displacement"], "displacement 9.5 times off"), False, False),
+    ("e_x_mm", finding("unit", ["x", "x_d"], "x is not x_d", {"x": {"scale": 0.001}}),
+     True, True),
+    ("e_x_mm", finding("unit", ["x", "x_d"], "x is not x_d", {"x_d": {"scale": 1000.0}}),
+     False, False),
+    ("e_mass", finding("unit", ["rig.mass"], "the mass looks 10.2 times too large"), True, True),
+    ("e_p1_twice", finding("swapped", ["p1", "p2"], "p1 and p2 are the same column"),
+     True, True),
+    ("e_gauge", finding("hold", ["x_d"], "the drive holds x_d over a sample"), False, False),
+    ("e_swapped", Answer(2, lines=("bag: p1 and p2 look swapped: correlation -0.98",)),
+     True, True),
+    ("e_swapped", Answer(70, lines=("p1 and p2 look swapped",)), False, False),
+    ("e_swapped", Answer(0), False, False),
+])
+def test_the_score_of_what_is_said(name, answer, full, place):
+    assert named(answer, BY_NAME[name].truths) == (full, place)
