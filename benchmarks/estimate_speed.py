@@ -104,8 +104,8 @@ class Stages:
             new_known_memory())
         for k in range(1, FILTERPY_SAMPLES):
             one.step(i.x[k], force.start[k - 1], force.end[k], force.variance[k], 0.0, 0.0)
-            two.step(i.x[k], drive.start[k - 1], drive.end[k], drive.instrument[k - 1],
-                     drive.instrument[k], drive.variance[k], 600.0, 0.01, 0.0, 2e6)
+            two.step(i.x[k], drive.start[k - 1], drive.end[k], drive.instrument[k - 1, 0],
+                     drive.instrument[k, 1], drive.variance[k], 600.0, 0.01, 0.0, 2e6)
 
 
 def main() -> None:

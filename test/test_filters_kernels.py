@@ -139,8 +139,8 @@ def test_filterpy_runs_stage_two_to_the_same_numbers(name):
         p, sens, watch, out, events)
     rows, changes = np.empty((8, n)), []
     for k in range(n):
-        u0, i0 = (drive.start[k - 1], drive.instrument[k - 1]) if k else (np.nan, np.nan)
-        change = live.step(inputs.x[k], u0, drive.end[k], i0, drive.instrument[k],
+        u0, i0 = (drive.start[k - 1], drive.instrument[k - 1, 0]) if k else (np.nan, np.nan)
+        change = live.step(inputs.x[k], u0, drive.end[k], i0, drive.instrument[k, 1],
                            drive.variance[k], b[k], b_variance[k], inputs.leak_flow[k],
                            inputs.mean[k])
         if change is not None:

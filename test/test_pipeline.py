@@ -358,5 +358,5 @@ def test_a_drive_that_holds_its_samples():
     assert found.parameters["beta_e"].value == pytest.approx(BETA, rel=0.01)
     assert found.stage_two.consistency.consistent
     # Read as a continuous drive, half a sample is missing, and βe pays for it.
-    wrong = answer(recording).parameters["beta_e"]
+    wrong = answer(recording, command_hold="continuous").parameters["beta_e"]
     assert wrong.status != "converged" or abs(wrong.value / BETA - 1) > 0.02

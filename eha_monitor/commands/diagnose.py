@@ -88,6 +88,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
             told(text, READING + (1 - READING) * share)
 
         found = run(recordings, settings, unseen, further, calibration)
+        findings = (*findings, *found.channels)
     write_json(answer(found) | {"channels": finding_tree(findings)})
     if config_file:
         write_text(config_file, written_config(found, settings, config))

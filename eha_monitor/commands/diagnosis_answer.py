@@ -95,6 +95,9 @@ def written_config(found: Diagnosis, settings: Settings, source: Path | None) ->
     """
     tree = settings.model_dump()
     changed = []
+    if found.command_hold != settings.command_hold:
+        tree["command_hold"] = found.command_hold
+        changed.append(f"command_hold: {found.command_hold}")
     if found.verdict == "mismatch":
         tree["effects"] = {name: {key: _rounded(value) for key, value in values.items()
                                   if math.isfinite(value)}

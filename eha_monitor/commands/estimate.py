@@ -61,6 +61,7 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
                        write_json(refusal(recording, message, finding_tree(findings))))
     with working("estimating"):
         found = run(recording, settings)
+        findings = (*findings, *found.channels)
         alarms, history = judged(found)
     # What a user waits for: the bag is read within this time.
     found = replace(found, wall_s=time.perf_counter() - started, warnings=(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.filters.hold import Hold, hold_of, instrument_of
+from eha_monitor.filters.hold import Hold, both_ends, hold_of, instrument_of
 from eha_monitor.filters.known import contributions, new_known_memory
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.balances import drive_speed
@@ -187,7 +187,7 @@ def drive_input(model, recorded: dict, channels: dict, noise: dict, dt: float,
         kind, seen, lead = 0, channels["x"], 0.0
     elif "omega" in channels and (model.opened or not commanded):
         sigma = noise["omega"].value
-        sampled = sampled and model.opened and not w[s.DRIVE_LAG]
+        sampled = sampled and not w[s.DRIVE_LAG]  # a slow shaft turns in between
         hold = hold_of(channels["omega"], sigma, sampled=sampled)
         hold = Hold(hold.start, hold.end, hold.variance + sigma**2, hold.instrument)
         if plain or not len(model.pump):
@@ -209,12 +209,12 @@ def drive_input(model, recorded: dict, channels: dict, noise: dict, dt: float,
     start, end = np.full(n, np.nan), np.full(n, np.nan)
     follow(kind, hold.start, hold.end, seen, lead, sampled, dt, model.theta, model.pump, w,
            new_known_memory(), kept, start, end)
-    middle = np.where(np.isfinite(start), start, end)
     variance = hold.variance
     if kind < 2:  # what is uncertain about x_d comes late as well
         whole = int(np.ceil(w[s.COMMAND_DELAY] / dt))
         for shift in {whole, max(whole - 1, 0)} - {0}:
             moved = np.concatenate([np.full(shift, variance[0]), variance[:-shift]])[:n]
             variance = np.maximum(variance, moved)
-    return DriveInput(Hold(start, end, variance,
-                           middle if kind == 0 else instrument_of(middle)), kept)
+    ends = [np.where(np.isfinite(one), one, other) for one, other in ((start, end), (end, start))]
+    told = ends if kind == 0 else map(instrument_of, ends)
+    return DriveInput(Hold(start, end, variance, both_ends(*told)), kept)

@@ -164,6 +164,10 @@ class FilterpyStageOne(_Stage):
         self.ekf.x[2] = self._prior = prior
         self.ekf.P[2, 2] = prior_stddev**2
 
+    def use(self, model: RigModel, mass: float) -> None:
+        """Go on with another model of the same effects, by which the force is read otherwise."""
+        self.model, self.mass = model, mass
+
     def step(self, x: float, u0: float, u1: float, q: float, p1: float, p2: float
              ) -> tuple[float, float, int] | None:
         """Take one sample: position, force at the step's two ends and its variance, pressures.

@@ -18,7 +18,9 @@ class Hold:
     """An input that runs linearly from ``start[k-1]`` to ``end[k]`` in the sample before k.
 
     ``variance`` (n,) is that of the input over this sample beyond the sensor's noise;
-    ``instrument`` (n,) is the input as its neighbours tell it, free of the sample's own noise.
+    ``instrument`` (n, 2) is the input as its neighbours tell it, free of the sample's own noise,
+    at the start of the sample after k and at the end of the one before: a regressor that takes
+    another course than the input draws the parameter aside.
     """
 
     start: np.ndarray
@@ -39,6 +41,11 @@ def instrument_of(u: np.ndarray) -> np.ndarray:
         return u
     padded = np.pad(u, 5, mode="edge")
     return sum(w * padded[5 + d : 5 + d + n] for w, d in zip(WEIGHTS, AROUND, strict=True))
+
+
+def both_ends(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Return an instrument at the start of the sample after each and at the end before, (n, 2)."""
+    return np.column_stack([start, end])
 
 
 def largest_neighbour(values: np.ndarray, reach: int) -> np.ndarray:
@@ -67,10 +74,12 @@ def hold_of(u: np.ndarray, sigma: float, sampled: bool = False, kinked: bool = F
     """
     n = len(u)
     if n < 5:
-        return Hold(u, np.roll(u, 1) if sampled else u, np.zeros(n), u)
+        end = np.roll(u, 1) if sampled else u
+        return Hold(u, end, np.zeros(n), both_ends(u, end))
     if sampled:
         end = np.concatenate([u[:1], u[:-1]])
-        return Hold(u, end, np.zeros(n), u)
+        told = u if sigma == 0 else instrument_of(u)
+        return Hold(u, end, np.zeros(n), both_ends(told, np.concatenate([told[:1], told[:-1]])))
     step = np.diff(u, prepend=u[:1])
     jump = np.abs(step) > JUMP * largest_neighbour(step, 2) + VISIBLE * 2.0 * sigma
     bend = np.zeros(n)
@@ -91,4 +100,6 @@ def hold_of(u: np.ndarray, sigma: float, sampled: bool = False, kinked: bool = F
     unsure[1:] = np.maximum(unsure[1:], unsure[:-1])
     unsure[beside] = 0.0
     unsure[jump] = 0.3 * np.abs(step[jump])
-    return Hold(start, end, unsure**2, start if sigma == 0 else instrument_of(u))
+    told = start if sigma == 0 else instrument_of(u)
+    until = np.where(jump, np.concatenate([told[:1], told[:-1]]), told)
+    return Hold(start, end, unsure**2, both_ends(told, until))

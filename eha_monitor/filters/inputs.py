@@ -88,7 +88,7 @@ class RigModel:
         known = None not in (rig.area_1, rig.area_2, rig.volume_1, rig.volume_2,
                              rig.pump_displacement)
         loop = (commanded and rig.position_gain is not None and not opened
-                and settings.command_hold == "continuous")
+                and settings.command_hold != "sampled")
         pressure = rig.charge_pressure if mean_pressure is None else mean_pressure
         at_rest = rest_contributions(theta, active, pressure)
         theta[s.M] += at_rest[s.MASS]
@@ -282,7 +282,7 @@ class StageInputs:
             model, step = model_for(channels, settings), quantum_of(channels)
             no_force, no_drive = missing(settings, channels)
         measured_force = np.full(len(recording), np.nan)
-        force = drive = Hold(*(measured_force,) * 4)
+        force = drive = Hold(*(measured_force,) * 3, np.full((len(recording), 2), np.nan))
         kept = np.empty((len(recording), 0))
         if no_force is None:
             variance = force_variance(rig, noise, settings.stage_one.force_noise)

@@ -52,7 +52,7 @@ def run_joint(x, force, start, end, q_u, instrument, constants, dt, r_x, r_f, q_
     Parameters
     ----------
     x, force : (n,) measured position m and force N; NaN where missing.
-    start, end, q_u, instrument : (n,) hold of the drive input (:class:`hold.Hold`).
+    start, end, q_u, instrument : (n,), (n, 2) hold of the drive input (:class:`hold.Hold`).
     constants : lumped hydraulics (:func:`stage_two.hydraulics`).
     r_x, r_f : variances of the measurements; r_f infinite leaves the force out.
     q_f : variance of an unmodelled force, N^2.
@@ -77,7 +77,7 @@ def run_joint(x, force, start, end, q_u, instrument, constants, dt, r_x, r_f, q_
         lost = math.isnan(m[0])
         if not lost and k > 0:
             u0, u1 = start[k - 1], end[k]
-            if math.isnan(u0 + u1 + instrument[k - 1] + instrument[k]):
+            if math.isnan(u0 + u1 + instrument[k - 1, 0] + instrument[k, 1]):
                 lost = True
             else:
                 b, c, leak = m[3], max(m[4], 1e-3), m[5]
@@ -92,8 +92,8 @@ def run_joint(x, force, start, end, q_u, instrument, constants, dt, r_x, r_f, q_
                     for j in range(7):
                         step[i, j] = (base[i, j] + e_c * (d_c[i, j] + 0.5 * e_c * d_cc[i, j])
                                       + e_b * d_b[i, j] + e_l * d_leak[i, j])
-                predict(m, p, step, d_b, d_c, d_leak, u0, u1, instrument[k - 1],
-                        instrument[k], q_u[k], q_f, f, temp)
+                predict(m, p, step, d_b, d_c, d_leak, u0, u1, instrument[k - 1, 0],
+                        instrument[k, 1], q_u[k], q_f, f, temp)
         nu_x, sd_x, nu_f, sd_f = nan, nan, nan, nan
         if lost and not math.isnan(x[k]):
             restart(m, p, x[k], r_x, mass, dt)

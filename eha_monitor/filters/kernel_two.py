@@ -149,8 +149,8 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
     Parameters
     ----------
     x : (n,) position, m; NaN where missing.
-    start, end, q_u, instrument : (n,) hold of the drive input (x_d in m, or omega in rad/s),
-        :class:`hold.Hold`.
+    start, end, q_u, instrument : (n,), (n, 2) hold of the drive input (x_d in m, or omega in
+        rad/s), :class:`hold.Hold`.
     b, b_variance : (n,) damping of stage one and its variance.
     constants, leak : lumped hydraulics of :func:`stage_two.hydraulics`.
     leak_flow : (n,) :func:`inputs.measured_leakage` over the sample before each; 0 where
@@ -182,14 +182,14 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
     for k in range(n):
         lost = math.isnan(m[0])
         if not lost and k > 0:
-            u0, u1 = start[k - 1], end[k]
+            u0, u1, i0, i1 = start[k - 1], end[k], instrument[k - 1, 0], instrument[k, 1]
             i = k if mean.shape[0] > 1 else 0
-            lost = math.isnan(u0 + u1 + instrument[k - 1] + instrument[k] + b[k] + leak_flow[k])
+            lost = math.isnan(u0 + u1 + i0 + i1 + b[k] + leak_flow[k])
             if not lost:
                 lost = not advance_two(
-                    m, p, sens, u0, u1, instrument[k - 1], instrument[k], b[k], constants, leak,
-                    leak_flow[k], dt, q_f, q_u[k], mean[i], theta, plain, remembering, flows,
-                    memory, trial, True, matrices, at, work, pair, s_scratch, c_scratch)
+                    m, p, sens, u0, u1, i0, i1, b[k], constants, leak, leak_flow[k], dt, q_f,
+                    q_u[k], mean[i], theta, plain, remembering, flows, memory, trial, True,
+                    matrices, at, work, pair, s_scratch, c_scratch)
         if lost:
             at[TOLD_FORCE] = 0.0
         z = x[k]
@@ -259,7 +259,7 @@ def log_likelihood_two(x, start, end, q_u, instrument, b, c, constants, leak, le
             if not lost:
                 p[3, 3] = 1e-30  # c is fixed here
                 lost = not advance_two(
-                    m, p, sens, u0, u1, instrument[k - 1], instrument[k], b, constants, leak,
+                    m, p, sens, u0, u1, instrument[k - 1, 0], instrument[k, 1], b, constants, leak,
                     leak_flow[k], dt, q_f, q_u[k], mean[i], theta, plain, remembering, flows,
                     memory, trial, False, matrices, at, work, pair, s_scratch, c_scratch)
                 m[3] = c

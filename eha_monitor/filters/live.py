@@ -21,7 +21,9 @@ from eha_monitor.filters.inputs import (
     position_variance,
     quantum_of,
 )
+from eha_monitor.filters.live_again import RunAgain
 from eha_monitor.filters.live_buffer import LiveBuffer
+from eha_monitor.filters.live_hold import LiveHold
 from eha_monitor.filters.live_model import JUDGE_EVERY_S, JUDGED_S, KEPT, Fit, LiveModel
 from eha_monitor.filters.noise import noise_levels
 from eha_monitor.filters.results import Event, LiveSnapshot, ParameterEstimate
@@ -34,7 +36,7 @@ from eha_monitor.physics.signals import (
     POSITION_SCALE,
     PRESSURE_DELAY,
 )
-from eha_monitor.quantity import SYMBOLS, quantity, with_uncertainty
+from eha_monitor.quantity import SYMBOLS, quantity
 from eha_monitor.settings.monitor import Settings
 
 WARM_UP = 256  # rows from which the sample time and the noise are first measured
@@ -51,17 +53,19 @@ NEARER = 0.05  # sample times
 LONG_GAP_S = 0.5  # a longer gap starts the buffer anew
 
 
-class LiveEstimator:
+class LiveEstimator(RunAgain):
     """The monitor's pipeline on live rows; knows nothing of ROS."""
 
     def __init__(self, settings: Settings):
-        self.settings = settings
+        self._given = settings
         self._events: list[Event] = []
         self._now = 0.0
         self.reset("")
 
     def reset(self, reason: str) -> None:
         """Forget everything, estimates included; ``reason`` goes into the events."""
+        self._hold = LiveHold(self._given)
+        self.settings = self._hold.settings
         self.dt = self.settings.rig.sample_time
         self._early: list[tuple[float, dict[str, float]]] = []
         self._buffer: LiveBuffer | None = None
@@ -211,9 +215,9 @@ class LiveEstimator:
                                         inputs.p1[at], inputs.p2[at])
                 self._note(number, "one", self._one, change)
             if self._two is not None:
-                u0, i0 = (drive.start[i - 1], drive.instrument[i - 1]) if i else (math.nan,) * 2
+                u0, i0 = (drive.start[i - 1], drive.instrument[i - 1, 0]) if i else (math.nan,) * 2
                 change = self._two.step(
-                    inputs.x[i], u0, drive.end[i], i0, drive.instrument[i], drive.variance[i],
+                    inputs.x[i], u0, drive.end[i], i0, drive.instrument[i, 1], drive.variance[i],
                     *self._damping, inputs.leak_flow[i], inputs.mean[at])
                 self._note(number, "two", self._two, change)
         buffer.keep(self._taken, inputs.kept[self._taken - context : stop - context])
@@ -298,49 +302,6 @@ class LiveEstimator:
                 self._tell("one" if name == "B" else "two",
                            f"{SYMBOLS[name]} converged at {estimate.shown}")
 
-    def _hand_over(self, since_start: float) -> None:
-        """Give stage two a damping, and run it again when that is worth it."""
-        why = None if self._changing() and self._two is not None else self._handover.decide(
-            self._time_of(self._taken), self._parameters()["B"], self._two, waited=since_start,
-            stale=self._stale_piece, fits=not self._tester.standing("two"))
-        if why is None:
-            return
-        again, self._stale_piece = "runs" if self._two is None else "re-run", False
-        self._run_two_again()
-        given = with_uncertainty(*self._handover.damping, units_of(self.settings.rig.motion)["B"])
-        self._tell("two", f"{again} with B = {given} {why}")
-
-    def _run_two_again(self) -> None:
-        """Run stage two over the buffer with the present damping; filterpy goes on from there."""
-        buffer = self._buffer
-        start, stop = max(buffer.first, self._clean), self._taken
-        b, variance = buffer.column("b", start, stop), buffer.column("b_variance", start, stop)
-        edge = max(self._piece - start, 0)  # from where the last change was first at work
-        value, stddev = self._handover.damping
-        b[edge:], variance[edge:] = value, stddev**2
-        b[np.isnan(b)], variance[np.isnan(variance)] = value, stddev**2
-        found = run_two.run_stage_two_kernel(self._inputs(start, stop), self.settings, b, variance)
-        before, status = self._two, self._parameters()["beta_e"].status
-        self._two = FilterpyStageTwo(
-            self._model, self.dt, self._r, run_two.force_noise_variance(self.settings),
-            run_two.prior_variance(self.settings), found.state, found.covariance,
-            found.sensitivity, found.watch, found.memory)
-        if status == "converged" and self._two.held:
-            self._two = before  # the buffer, begun anew after a gap, tells less
-            return
-        buffer.column("nu_two", start, stop)[:] = found.out[6]
-        buffer.column("sd_two", start, stop)[:] = found.out[7]
-        self._changes["two"] = [(start + int(row[0]), row[1], row[2], int(row[3]))
-                                for row in found.changes]
-
-    def _inputs(self, start: int, stop: int) -> StageInputs:
-        """Return the stages' inputs of rows that were filtered."""
-        # The rows after them are needed to read late channels.
-        recording = self._buffer.recording(start, self._buffer.end)
-        inputs = StageInputs.of(
-            recording, self.settings, self._known(start), self._time_of(start) - self._began)
-        return inputs.part(0, stop - start)
-
     def _judge(self) -> None:
         """Test the model on the last window; while it does not fit, ask whether it does again."""
         tester, now = self._tester, self._time_of(self._taken)
@@ -386,7 +347,7 @@ class LiveEstimator:
     def _parameters(self) -> dict[str, ParameterEstimate]:
         lacking = ("no data yet",) * 2 if self._buffer is None else (
             self._no_force or "no data yet", self._no_drive or "waits for stage one")
-        return parameters_of(self.settings, self._one, self._two, lacking)
+        return parameters_of(self.settings, self._one, self._two, lacking, self._hold.apart)
 
     def snapshot(self) -> LiveSnapshot:
         """Return the present estimates; the events are handed out once."""

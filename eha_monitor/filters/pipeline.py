@@ -8,6 +8,7 @@ import numpy as np
 
 from eha_monitor.filters import kernel_one
 from eha_monitor.filters.consistency import judge
+from eha_monitor.filters.hold_choice import SAMPLED, HoldDecision, resolved, with_hold
 from eha_monitor.filters.inputs import StageInputs, moved_mass
 from eha_monitor.filters.joint import fits, run_joint
 from eha_monitor.filters.known import new_known_memory
@@ -36,6 +37,7 @@ MISSING_TWO = ("the flow balance or the drive leaves something out, a sensor is 
 NO_CHANGES = np.empty((0, 4))
 GROSS = 25.0  # variance ratio
 COARSE = 1.5  # rad of the resonance in a sample
+MATTERS = 0.3  # standard deviations by which two holds must differ to be worth a word
 
 
 def estimate(recording: Recording, settings: Settings) -> Estimate:
@@ -43,7 +45,9 @@ def estimate(recording: Recording, settings: Settings) -> Estimate:
 
     Stage one runs first; its damping, piecewise constant between detected changes and each piece
     with the value that it had at its end, is handed to stage two, which runs over the whole
-    recording again (``Estimate.events`` tells each step).
+    recording again (``Estimate.events`` tells each step).  Before that it is asked whether the
+    drive holds its command over each sample (:mod:`hold_choice`); where the recording cannot
+    tell, both answers are in the uncertainty.
 
     Parameters
     ----------
@@ -51,6 +55,16 @@ def estimate(recording: Recording, settings: Settings) -> Estimate:
     settings : config.
     """
     started = time.perf_counter()
+    settings, decision = resolved([recording], settings)
+    found = estimate_held(recording, settings)
+    if decision is not None and not decision.decided:
+        found = either(found, estimate_held(recording, with_hold(settings, SAMPLED)), decision)
+    return replace(found, wall_s=time.perf_counter() - started,
+                   channels=decision.findings if decision is not None else ())
+
+
+def estimate_held(recording: Recording, settings: Settings) -> Estimate:
+    """Run both stages with the hold that the settings say."""
     inputs = StageInputs.of(recording, settings)
     events: list[Event] = []
     one = run_stage_one(inputs, recording, settings, events)
@@ -63,7 +77,49 @@ def estimate(recording: Recording, settings: Settings) -> Estimate:
         recording, settings, one, two, joint,
         tested_model(one, two, joint, settings),
         tuple(sorted(events, key=lambda event: event.time_s)), inputs.noise,
-        time.perf_counter() - started, tuple(warnings_of(inputs, settings)))
+        warnings=tuple(warnings_of(inputs, settings)))
+
+
+def either(one: Estimate, other: Estimate, decision: HoldDecision) -> Estimate:
+    """Return an answer that is as uncertain as two holds differ that cannot be told apart.
+
+    The one that fits goes before the one that does not.
+    """
+    if one.model.status == "mismatch" and other.model.status == "consistent":
+        one, other = other, one
+    if not any(stage.estimate.status == "converged" for stage in (one.stage_one, one.stage_two)):
+        return one  # too little is known for the hold to matter
+    two = apart(one.stage_two, other.stage_two, one.settings, decision.sentence)
+    joint = one.joint
+    if joint is not None and other.joint is not None:
+        joint = replace(joint, parameters={
+            name: wider(p, other.joint.parameters[name].value, one.settings, decision.sentence)
+            for name, p in joint.parameters.items()})
+    return replace(
+        one, stage_one=apart(one.stage_one, other.stage_one, one.settings, decision.sentence),
+        stage_two=two, joint=joint)
+
+
+def apart(stage: StageResult, other: StageResult, settings: Settings, why: str) -> StageResult:
+    """Return a stage with the difference to another run of it in its standard deviations."""
+    if len(stage.value) != len(other.value):
+        return stage
+    difference = np.nan_to_num(stage.value - other.value)
+    return replace(stage, estimate=wider(stage.estimate, other.estimate.value, settings, why),
+                   stddev=np.hypot(stage.stddev, difference))
+
+
+def wider(p: ParameterEstimate, other: float, settings: Settings, why: str) -> ParameterEstimate:
+    """Return an estimate whose standard deviation reaches to another value of it."""
+    off = abs(p.value - other)
+    if p.status != "converged" or not off > MATTERS * p.stddev:
+        return p
+    stage = {"B": settings.stage_one, "beta_e": settings.stage_two}.get(p.name)
+    stddev = float(np.hypot(p.stddev, off))
+    if stage is None:
+        return replace(p, stddev=stddev)
+    wide = judge_parameter(p.name, p.value, stddev, p.unit, stage.prior, stage.prior_stddev)
+    return replace(wide, message="; ".join(filter(None, (wide.message, why))))
 
 
 def empty_stage(stage: str, estimate: ParameterEstimate) -> StageResult:

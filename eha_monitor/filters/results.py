@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from eha_monitor.quantity import with_uncertainty
+from eha_monitor.recordings.finding import ChannelFinding
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
@@ -202,7 +203,10 @@ class NoiseEstimate:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Everything that ``estimate`` finds in one recording."""
+    """Everything that ``estimate`` finds in one recording.
+
+    ``settings`` have the hold decided; ``channels`` is what was found out about the channels.
+    """
 
     recording: Recording
     settings: Settings
@@ -214,6 +218,7 @@ class Estimate:
     noise: dict[str, NoiseEstimate]
     wall_s: float = 0.0
     warnings: tuple[str, ...] = field(default=())
+    channels: tuple[ChannelFinding, ...] = ()
 
     @property
     def parameters(self) -> dict[str, ParameterEstimate]:

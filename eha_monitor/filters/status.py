@@ -52,18 +52,19 @@ def judge_parameter(name: str, value: float, stddev: float, unit: str, prior: fl
                              f"{symbol} = {shown}: the motion tells it to ± {told}")
 
 
-def parameters_of(settings: Settings, one, two, lacking: tuple[str, str]
+def parameters_of(settings: Settings, one, two, lacking: tuple[str, str], either: float = 0.0
                   ) -> dict[str, ParameterEstimate]:
     """Return both parameters as the stages tell them; ``lacking`` says why one does not run.
 
     Parameters
     ----------
     one, two : with ``value`` and ``stddev``, SI; None where a stage does not run.
+    either : relative difference of beta_e between two inputs that nothing tells apart.
     """
     units, first, second = units_of(settings.rig.motion), settings.stage_one, settings.stage_two
     b = no_data("B", units["B"], lacking[0]) if one is None else judge_parameter(
         "B", one.value, one.stddev, units["B"], first.prior, first.prior_stddev)
     beta = no_data("beta_e", units["beta_e"], lacking[1]) if two is None else judge_parameter(
-        "beta_e", two.value, two.stddev, units["beta_e"], second.prior, second.prior_stddev,
-        second.largest)
+        "beta_e", two.value, math.hypot(two.stddev, either * two.value), units["beta_e"],
+        second.prior, second.prior_stddev, second.largest)
     return {"B": b, "beta_e": beta}

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from eha_monitor.errors import InputError
+from eha_monitor.filters.hold_choice import resolved
 from eha_monitor.mismatch.advise_words import sentences
 from eha_monitor.mismatch.choice import Naming, name_effects
 from eha_monitor.mismatch.experiment import Experiment, experiment_of
@@ -214,6 +215,7 @@ def advise(recordings: list[Recording], settings: Settings, check: bool = True,
         If the recordings hold nothing that a model predicts, or hardly any motion.
     """
     say = report or (lambda text, share: None)
+    settings, _ = resolved(recordings, settings)
     experiment = experiment_of(recordings, settings, hold_out=False)
     moved = experiment.ranges.position
     if moved < LEAST_MOTION * experiment.noise[0]:

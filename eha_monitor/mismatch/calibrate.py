@@ -78,7 +78,8 @@ def noisy_input(experiment: Experiment, stretch: Stretch, rng: np.random.Generat
     noise = experiment.input_noise
     if noise <= 0:
         return stretch.u
-    return cubics(stretch.u[:, 0] + noise * rng.standard_normal(len(stretch)), noise)
+    return cubics(stretch.u[:, 0] + noise * rng.standard_normal(len(stretch)), noise,
+                  experiment.held)
 
 
 def calibrate(experiment: Experiment, fit: Fit, draws: int = DRAWS,

@@ -43,7 +43,7 @@ def _balanced(experiment: Experiment, fit: Fit, stretch: Stretch) -> Stretch:
         if np.isfinite(z[:, j]).any():
             z[:, j] = smooth(filled(z[:, j]))
     u = smooth(filled(stretch.u[:, 0]))
-    now = replace(stretch, z=z, u=course_of(u, 0.0)[0])
+    now = replace(stretch, z=z, u=course_of(u, 0.0, experiment.held)[0])
 
     def left(balance: int) -> np.ndarray:
         row = left_along(experiment, now, fit.theta, fit.active)[balance]
@@ -52,7 +52,7 @@ def _balanced(experiment: Experiment, fit: Fit, stretch: Stretch) -> Stretch:
         return CubicSpline(fine, row)(np.arange(len(now)) * experiment.dt)
 
     if experiment.mode == FORCED:
-        return replace(now, u=course_of(u - left(0), 0.0)[0])
+        return replace(now, u=course_of(u - left(0), 0.0, experiment.held)[0])
     over = left(0)
     z = z.copy()
     # Half of it from each side: the mean pressure, which the circuit holds, stays about the same.
@@ -61,7 +61,7 @@ def _balanced(experiment: Experiment, fit: Fit, stretch: Stretch) -> Stretch:
     now = replace(now, z=z)
     more = left(1) / fit.theta[D_P]
     if experiment.mode == OPEN:
-        return replace(now, u=course_of(u - more, 0.0)[0])
+        return replace(now, u=course_of(u - more, 0.0, experiment.held)[0])
     z = z.copy()
     z[:, 4] -= more
     now = replace(now, z=z)
@@ -82,4 +82,4 @@ def _noisy(experiment: Experiment, stretch: Stretch, rng: np.random.Generator) -
         u = u + z[:, 0] - stretch.z[:, 0]
     else:
         u = u + experiment.input_noise * rng.standard_normal(len(u))
-    return replace(stretch, z=z, u=course_of(u, 0.0)[0])
+    return replace(stretch, z=z, u=course_of(u, 0.0, experiment.held)[0])

@@ -4,6 +4,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from eha_monitor.recordings.finding import ChannelFinding
+
 VERDICTS = ("consistent", "mismatch", "unexplained", "insufficient_data")
 
 
@@ -152,6 +154,8 @@ class Diagnosis:
     explained : share of the evidence against the nominal model that the effects take away.
     pieces : where a parameter changed and nothing else is missing, the data in pieces; ``after``
         and ``signals`` are then of the last one.
+    channels : what was found out about the channels; ``command_hold`` of the config, the
+        hold in place of ``auto`` where the recordings tell it.
     """
 
     bags: tuple[str, ...]
@@ -176,3 +180,5 @@ class Diagnosis:
     duration_s: float = 0.0
     wall_s: float = 0.0
     pieces: tuple[Piece, ...] = ()
+    channels: tuple[ChannelFinding, ...] = ()
+    command_hold: str = "auto"

@@ -81,6 +81,7 @@ class Experiment:
         times is what the record covers.
     wanted_speed : the input of ``CLOSED`` is the speed that the drive was told, not x_d.
     by_pressures : the input of ``FORCED`` is what the pressure sensors say.
+    held : the drive holds its input over each sample, a digital controller.
     inverse : the balances' own errors are compared (:mod:`equation_error`), not predictions.
     drift : by how much the circuit outside the model moves a chamber's pressure in a sample, Pa.
     """
@@ -103,6 +104,7 @@ class Experiment:
     inverse: bool = False
     largest_unknown: float = 3e4
     by_pressures: bool = False
+    held: bool = False
 
     @property
     def n(self) -> int:
@@ -164,7 +166,14 @@ def experiment_of(recordings: list[Recording], settings: Settings,
                       active, tuple(parts), ranges, step, input_noise(mode, settings, levels),
                       spikes, wanted, circuit_drift(settings, mode, columns),
                       by_equations(settings, mode, columns), by_pressures=mode == FORCED
-                      and settings.rig.area_1 is not None and "p1" in levels and "p2" in levels)
+                      and settings.rig.area_1 is not None and "p1" in levels and "p2" in levels,
+                      held=is_held(mode, settings))
+
+
+def is_held(mode: int, settings: Settings) -> bool:
+    """Tell whether the model's input is held over each sample; a slow shaft turns in between."""
+    return (mode == OPEN and settings.command_hold == "sampled"
+            and not settings.effects.get("drive_lag", {}).get("tau", 0.0))
 
 
 def input_noise(mode: int, settings: Settings, levels: dict) -> float:
@@ -173,8 +182,9 @@ def input_noise(mode: int, settings: Settings, levels: dict) -> float:
         return float(np.median(levels[name])) if name in levels else 0.0
 
     if mode == OPEN:
-        gain = settings.rig.position_gain
-        return level("omega") if "omega" in levels else (gain or 0.0) * level("x")
+        if settings.rig.position_gain is not None and "x_d" in levels:
+            return abs(settings.rig.position_gain) * level("x")
+        return level("omega")
     if mode == FORCED and "p1" in levels and "p2" in levels and settings.rig.area_1:
         return float(np.hypot(settings.rig.area_1 * level("p1"),
                               settings.rig.area_2 * level("p2")))
@@ -198,7 +208,7 @@ def mode_of(recording: Recording, settings: Settings) -> int:
     if known and wants_speed(recording):
         return CLOSED
     if known and rig.position_gain is not None and recording.has("x_d"):
-        return CLOSED if settings.command_hold == "continuous" else OPEN
+        return OPEN if settings.command_hold == "sampled" else CLOSED
     if known and recording.has("omega"):
         return OPEN
     if recording.has("force") or (recording.has("p1", "p2") and rig.area_1 and rig.area_2):
@@ -279,7 +289,6 @@ def stretches_of(recording: Recording, channels: dict, settings: Settings, mode:
                  levels: dict, hold_out: bool) -> list[Stretch]:
     """Cut a recording where its input is missing for long."""
     n, dt, rig = len(recording), recording.sample_time, settings.rig
-    sampled = settings.command_hold == "sampled"
     nothing = np.full(n, np.nan)
     if mode == CLOSED and wants_speed(recording):
         # omega = K_pos (x_d - x) with a K_pos so small that a metre more or less does not count.
@@ -288,14 +297,14 @@ def stretches_of(recording: Recording, channels: dict, settings: Settings, mode:
         u, sigma, held = channels["x_d"], 0.0, False
     elif mode == OPEN and rig.position_gain is not None and "x_d" in channels:
         u = rig.position_gain * (channels["x_d"] - channels["x"])
-        sigma, held = 0.0, sampled
+        sigma, held = 0.0, is_held(mode, settings)
     elif mode == OPEN:
-        u, sigma, held = channels["omega"], levels["omega"][-1], False
+        u, sigma, held = channels["omega"], levels["omega"][-1], is_held(mode, settings)
     else:
         u = force_of(rig, channels)
         sigma, held = 0.0, False
     z = np.column_stack([channels.get(name, nothing) for name in OUTPUTS])
-    if mode == OPEN and not held:
+    if mode == OPEN and not (held and rig.position_gain is not None and "x_d" in channels):
         z[:, 4] = np.nan  # the pump speed is the input
     if mode == FORCED:
         z[:, 2:] = np.nan

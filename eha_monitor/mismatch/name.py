@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from eha_monitor.filters.hold_choice import resolved
 from eha_monitor.mismatch import advise, balance_show, locate, show
 from eha_monitor.mismatch.calibrate import DRAWS, Calibration, calibrate
 from eha_monitor.mismatch.changed import change_words, changed_between
@@ -78,6 +79,18 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
     InputError
         If the recordings hold nothing that a model predicts.
     """
+    started = time.perf_counter()
+    held, decision = resolved(recordings, settings)
+    found = diagnose_held(recordings, held, held_out, progress, calibrate)
+    told = decision is not None and decision.decided
+    return replace(found, channels=decision.findings if told else (),
+                   command_hold=(held if told else settings).command_hold,
+                   wall_s=time.perf_counter() - started)
+
+
+def diagnose_held(recordings: list[Recording], settings: Settings, held_out: Recording | None,
+                  progress: Report | None, calibrate: bool) -> Diagnosis:
+    """Diagnose with the hold that the settings say."""
     started = time.perf_counter()
     say = progress or (lambda text, share: None)
     experiment = experiment_of(recordings, settings, hold_out=held_out is None)

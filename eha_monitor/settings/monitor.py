@@ -201,8 +201,9 @@ class Settings(Section):
     stage_two: StageTwo = Field(StageTwo(), description="effective bulk modulus")
     discretisation: Literal["exact", "euler"] = Field(
         "exact", description="euler: forward Euler, to compare")
-    command_hold: Literal["continuous", "sampled"] = Field(
-        "continuous", description="sampled: the drive holds x_d and x over a sample")
+    command_hold: Literal["auto", "continuous", "sampled"] = Field(
+        "auto", description="sampled: a digital controller holds x_d and x over a sample; "
+        "continuous: an analogue or much faster one; auto: the recording says which")
     implausible: Literal["refuse", "warn"] = Field(
         "refuse", description="what becomes of a recording whose channels contradict this config "
         "(signs, units, swapped channels): refuse it, or answer with a warning")

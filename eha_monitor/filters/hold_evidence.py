@@ -1,0 +1,310 @@
+"""How well a recording fits a drive input: one steady Kalman filter beside unknown force and flow.
+
+The states are those of stage two, x, v and the hydraulic force F, an unknown force and an unknown
+flow (Ornstein-Uhlenbeck, 20 ms).  Friction, leakage or a dead zone that the model lacks go into
+the unknowns, which are as large as the recording asks for; what no unknown of that length makes up
+for is when within a sample the pump turned.  The bulk modulus is fitted anew for each input.
+
+With innovations e of position and force, log L = -(n/2) log det(1/n sum e e').
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eha_monitor.compiled import njit
+from eha_monitor.filters.hold import Hold
+from eha_monitor.filters.stage_two import discretise_at
+
+LASTS = 0.02  # s that an unknown force or flow lasts
+SETTLES = 0.2  # s until the filter has found the state
+STATES = 5
+DOUBLINGS = 30
+AFTER = 5  # samples that do not count after one whose input is not known
+# Axis -> smallest, largest, and the ratio of the first step.
+AXES = {"compliance": (0.03, 30.0, 1.3), "damping": (0.0, np.inf, 1.3),
+        "force": (1e-6, 3.0, 10.0), "flow": (1e-6, 3.0, 10.0)}
+FINER, FINER_BY = 3, 0.3  # how often the steps are made finer, in logarithm by this
+GRID = tuple(1.7 ** np.arange(-4, 5))
+LEANING = ((1e-3, 1e-5), (3e-2, 3e-3))  # unknowns as shares of what the stretch covers
+
+
+@njit
+def steady_covariance(a, h, q, r):
+    """Return the steady covariance before a measurement, (5, 5), by doubling.
+
+    P = A P A' - A P H' (H P H' + R)^-1 H P A' + Q; each step carries twice as many samples as the
+    one before (Anderson 1978).
+    """
+    x, g, step = q.copy(), np.zeros((STATES, STATES)), a.T.copy()
+    for j in range(h.shape[0]):
+        for i in range(STATES):
+            for k in range(STATES):
+                g[i, k] += h[j, i] * h[j, k] / r[j]
+    eye = np.eye(STATES)
+    for _ in range(DOUBLINGS):
+        kept = np.linalg.solve(eye + g @ x, step)
+        more = step.T @ x @ kept
+        g = g + step @ np.linalg.solve(eye + g @ x, g @ step.T)
+        x = x + 0.5 * (more + more.T)
+        g = 0.5 * (g + g.T)
+        step = step @ kept
+        change = 0.0
+        for i in range(STATES):
+            if abs(more[i, i]) > 1e-4 * abs(x[i, i]):
+                change = 1.0
+        if change == 0.0:
+            break
+    return x
+
+
+@njit
+def squares(z, start, end, known, unsure, a, g_0, g_1, g_f, gain, y, first, total):
+    """Filter the samples with a steady gain; add up the products of their innovations.
+
+    Parameters
+    ----------
+    z : (n, m) position in m, and force in N where it is measured; NaN where missing.
+    start, end : (n,) line of the pump's speed in each sample, rad/s.
+    known : (n,) force against the motion that the recording tells by itself, N.
+    unsure : (n,) bool, samples before which the input's course is not known (a corner, a jump):
+        the force is then taken from the sensors, and a few innovations do not count.
+    a : (5, 5) step of (x, v, F, unknown force, unknown flow);  g_0, g_1, g_f : (5,) of the
+        input and of a force.
+    gain : (5, m);  y : (5,) state at the start, overwritten.
+    first : sample from which the innovations count.
+    total : (m, m) written.
+
+    Returns
+    -------
+    int
+        Samples that count; -1 where the filter ran away.
+    """
+    n, m = z.shape
+    new, e = np.empty(STATES), np.empty(m)
+    count = 0
+    counts_from = first
+    total[:] = 0.0
+    for k in range(n):
+        if unsure[k]:
+            counts_from = max(counts_from, k + AFTER)
+        whole = k >= counts_from
+        for j in range(m):
+            e[j] = z[k, j] - y[0 if j == 0 else 2]
+            if math.isnan(e[j]):
+                whole = False
+        for j in range(m):
+            if not math.isnan(e[j]):
+                for i in range(STATES):
+                    y[i] += gain[i, j] * e[j]
+        if unsure[k] and m > 1 and not math.isnan(z[k, 1]):
+            y[2] = z[k, 1]
+        if whole:
+            count += 1
+            for i in range(m):
+                for j in range(m):
+                    total[i, j] += e[i] * e[j]
+        if k + 1 == n:
+            break
+        for i in range(STATES):
+            move = (g_0[i] * start[k] + g_1[i] * end[k + 1]
+                    + 0.5 * g_f[i] * (known[k] + known[k + 1]))
+            for j in range(STATES):
+                move += a[i, j] * y[j]
+            new[i] = move
+        for i in range(STATES):
+            y[i] = new[i]
+        if not abs(y[0]) < 1e6:
+            return -1
+    return count
+
+
+@njit
+def log_likelihood(z, noise, start, end, known, unsure, constants, leak, damping, compliance, dt,
+                   input_noise, force, flow):
+    """Return the log likelihood of a stretch under an input and fixed parameters.
+
+    Parameters
+    ----------
+    z, start, end, known, unsure : as :func:`squares`.
+    noise : (m,) standard deviations of ``z``.
+    constants, leak : lumped hydraulics of :func:`stage_two.hydraulics`, the loop open.
+    damping, compliance : N s/m, and beta_0/beta_e.
+    input_noise : of the speed on each sample, rad/s.
+    force, flow : deviations of the unknown force, N, and of the unknown flow as a speed, rad/s.
+    """
+    step = np.empty((3, 7))
+    discretise_at(constants, damping, compliance, leak, dt, np.empty((10, 3, 3)), step)
+    kept = math.exp(-dt / LASTS)
+    a, q = np.zeros((STATES, STATES)), np.zeros((STATES, STATES))
+    g_0, g_1, g_f = np.zeros(STATES), np.zeros(STATES), np.zeros(STATES)
+    for i in range(3):
+        g_0[i], g_1[i], g_f[i] = step[i, 3], step[i, 4], step[i, 5]
+        for j in range(3):
+            a[i, j] = step[i, j]
+        a[i, 3] = step[i, 5]
+        a[i, 4] = step[i, 3] + step[i, 4]  # an unknown flow is an unknown speed
+    a[3, 3] = a[4, 4] = kept
+    for i in range(3):
+        for j in range(3):
+            q[i, j] = input_noise * input_noise * a[i, 4] * a[j, 4]
+    q[3, 3] = force * force * (1.0 - kept * kept)
+    q[4, 4] = flow * flow * (1.0 - kept * kept)
+    m = z.shape[1]
+    # In units in which the sensors' noise and a sample are about one.
+    unit = np.array([noise[0], noise[0] / dt, constants[0] * noise[0] / dt**2, 1.0, 1.0])
+    unit[3] = unit[4] = 1.0
+    if m > 1:
+        unit[2] = noise[1]
+    if force > 0.0:
+        unit[3] = force
+    if flow > 0.0:
+        unit[4] = flow
+    h, gain = np.zeros((m, STATES)), np.zeros((STATES, m))
+    h[0, 0] = unit[0] / noise[0]
+    if m > 1:
+        h[1, 2] = unit[2] / noise[1]
+    scaled, scaled_q = np.empty((STATES, STATES)), np.empty((STATES, STATES))
+    for i in range(STATES):
+        for j in range(STATES):
+            scaled[i, j] = a[i, j] * unit[j] / unit[i]
+            scaled_q[i, j] = q[i, j] / (unit[i] * unit[j])
+    p = steady_covariance(scaled, h, scaled_q, np.ones(m))
+    ph = p @ h.T
+    s = h @ ph + np.eye(m)
+    whole = np.linalg.solve(s, ph.T)
+    for i in range(STATES):
+        for j in range(m):
+            gain[i, j] = whole[j, i] * unit[i] / noise[j]
+    y = np.zeros(STATES)
+    for j in range(m):
+        if not math.isnan(z[0, j]):
+            y[0 if j == 0 else 2] = z[0, j]
+    total = np.empty((m, m))
+    count = squares(z, start, end, known, unsure, a, g_0, g_1, g_f, gain, y,
+                    round(SETTLES / dt), total)
+    if count < 1:
+        return -np.inf
+    total /= count
+    spread = total[0, 0] if m == 1 else total[0, 0] * total[1, 1] - total[0, 1] ** 2
+    if not spread > 0.0:
+        return -np.inf
+    return -0.5 * count * math.log(spread)
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """The samples that are asked, and what they are compared with.
+
+    Attributes
+    ----------
+    z, noise, known, unsure, constants, leak, dt, input_noise : of :func:`log_likelihood`.
+    damping : (value, standard deviation) of B, N s/m; the deviation infinite where the
+        recording tells it.
+    force, speed : what the stretch covers, N and rad/s (rms).
+    """
+
+    z: np.ndarray
+    noise: np.ndarray
+    known: np.ndarray
+    unsure: np.ndarray
+    constants: np.ndarray
+    leak: float
+    dt: float
+    input_noise: float
+    damping: tuple[float, float]
+    force: float
+    speed: float
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where the likelihood is asked: B and the compliance over the prior's, and both unknowns.
+
+    The unknowns are shares of what the stretch covers.
+    """
+
+    damping: float
+    compliance: float = 1.0
+    force: float = 1e-3
+    flow: float = 1e-3
+
+
+def likelihood_at(stretch: Stretch, lines: tuple[np.ndarray, np.ndarray], at: Point) -> float:
+    """Return the log likelihood of a stretch under an input, with B's own prior."""
+    b, spread = stretch.damping
+    return log_likelihood(
+        stretch.z, stretch.noise, *lines, stretch.known, stretch.unsure, stretch.constants,
+        stretch.leak, at.damping, at.compliance, stretch.dt, stretch.input_noise,
+        at.force * stretch.force, at.flow * stretch.speed) - 0.5 * ((at.damping - b) / spread) ** 2
+
+
+def climbed(stretch: Stretch, lines: tuple[np.ndarray, np.ndarray], at: Point
+            ) -> tuple[float, Point]:
+    """Return the greatest log likelihood near a point and where, along one axis at a time."""
+    best = likelihood_at(stretch, lines, at)
+    for fineness in range(FINER):
+        moved = True
+        while moved:
+            moved = False
+            for name, (low, high, width) in AXES.items():
+                ratio = width ** (FINER_BY**fineness)
+                if ratio < 1.5 and name in ("force", "flow"):
+                    continue
+                for factor in (ratio, 1.0 / ratio):
+                    stepped = False
+                    while True:
+                        value = getattr(at, name) * factor
+                        if name != "damping" and not low <= value <= high:
+                            break
+                        other = replace(at, **{name: value})
+                        reached = likelihood_at(stretch, lines, other)
+                        if reached <= best + 0.1:
+                            break
+                        best, at, stepped = reached, other, True
+                    if stepped:
+                        moved = True
+                        break
+    return best, at
+
+
+def fitted(stretches: list[Stretch], lines: tuple[np.ndarray, np.ndarray]
+           ) -> tuple[float, Stretch, Point]:
+    """Return the greatest log likelihood under an input, and where it is.
+
+    A filter that leans on the model and one that yields start on a grid of the compliance: what is
+    missing can stand between the one and the other.
+
+    Parameters
+    ----------
+    stretches : the same samples with different forces that the recording tells.
+    """
+    starts = [(stretch, Point(stretch.damping[0], c, force, flow)) for stretch in stretches
+              for force, flow in LEANING for c in GRID]
+    stretch, at = max(starts, key=lambda one: likelihood_at(one[0], lines, one[1]))
+    best, at = climbed(stretch, lines, at)
+    return best, stretch, at
+
+
+def later(hold: Hold, samples: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lines (start, end) of an input that comes so many samples later."""
+    start, end = hold.start, hold.end
+    if samples == 0.0:
+        return start, end
+    n = len(start)
+    area = np.zeros(n)
+    area[1:] = 0.5 * (start[:-1] + end[1:])
+    whole = np.cumsum(area)
+
+    def up_to(place):
+        i = np.clip(np.floor(place).astype(int), 0, n - 2)
+        f = np.clip(place - i, 0.0, 1.0)
+        return whole[i] + f * (start[i] + 0.5 * f * (end[i + 1] - start[i]))
+
+    place = np.arange(1, n) - samples
+    before, middle, after = up_to(place - 1.0), up_to(place - 0.5), up_to(place)
+    mean, tilt = after - before, 4.0 * (after - 2.0 * middle + before)
+    new = np.copy(start), np.copy(end)
+    new[0][:-1], new[1][1:] = mean - 0.5 * tilt, mean + 0.5 * tilt
+    return new
