@@ -9,13 +9,8 @@ from math import log
 
 from eha_monitor.plausibility.mistakes import EVERYDAY, Mistake, mistakes_for
 from eha_monitor.plausibility.moments import Moments, moments_of
-from eha_monitor.plausibility.relations import (
-    Check,
-    Reading,
-    Source,
-    checks,
-    unexplained,
-)
+from eha_monitor.plausibility.reading import Reading, Source
+from eha_monitor.plausibility.relations import Check, checks, unexplained
 from eha_monitor.recordings.finding import ChannelFinding
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
