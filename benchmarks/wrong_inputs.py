@@ -155,7 +155,8 @@ def show(scores: list[Score], right: list[dict], missing: int) -> dict:
         mark += ", CONFIDENTLY WRONG" if s.confident else ""
         table.add_row(s.name, s.command, "time out" if s.status is None else str(s.status), mark,
                       s.b, s.beta, s.model, f"{s.wall:.0f}", s.said[:150])
-    Console(width=190).print(table)
+    if scores:
+        Console(width=190).print(table)
     figures = {}
     for command in dict.fromkeys(s.command for s in scores):
         own = [s for s in scores if s.command == command]
