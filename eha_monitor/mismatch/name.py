@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from eha_monitor.breakdown import computing
 from eha_monitor.mismatch import advise, balance_show, locate, show
 from eha_monitor.mismatch.calibrate import DRAWS, Calibration, calibrate
 from eha_monitor.mismatch.changed import change_words, changed_between
@@ -76,10 +77,17 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
     Raises
     ------
     InputError
-        If the recordings hold nothing that a model predicts.
+        If the recordings hold nothing that a model predicts, or numbers that break the
+        calculation.
     """
+    with computing(*(recording.source for recording in recordings)):
+        return _diagnosed(recordings, settings, held_out, progress or (lambda text, share: None),
+                          calibrate)
+
+
+def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Recording | None,
+               say: Report, calibrate: bool) -> Diagnosis:
     started = time.perf_counter()
-    say = progress or (lambda text, share: None)
     experiment = experiment_of(recordings, settings, hold_out=held_out is None)
     bags = tuple(recording.source for recording in recordings)
     duration = sum(recording.duration for recording in recordings)
