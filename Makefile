@@ -39,8 +39,8 @@ $(VENV)/.lock: $(LOCK)
 $(VENV)/.package: $(VENV)/.lock $(INSTALLED)
 	@rm -rf build/lib build/bdist.*  # else modules that are gone would be installed again
 	@$(PIP) --no-deps --no-build-isolation --force-reinstall .
-	@echo "compiling the model (half a minute, for each new source) ..."
-	@$(PYTHON) -m eha_monitor.demo --compile-only
+	@echo "compiling the model (a minute or two, for each new source) ..."
+	@$(PYTHON) -P -m eha_monitor.compile_all --ship  # -P: what is installed, not the checkout
 	@touch $@
 
 demo: setup

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from pathlib import Path
 
@@ -99,21 +98,21 @@ def watched(children: Children, seconds: float, alarms: frozenset[str]) -> None:
         raise DemoFailed(f"expected the alarm {missing[0]} within {seconds:g} s, it did not come")
 
 
-def run(*arguments: str, show: bool = True) -> None:
+def run(*arguments: str) -> None:
     """Run one command to its end."""
     done = subprocess.run([sys.executable, "-m", "eha_monitor", *arguments], text=True,
-                          stdout=None if show else subprocess.DEVNULL, check=False)
+                          check=False)
     if done.returncode:
         raise DemoFailed(f"{arguments[0]} ended with status {done.returncode}")
 
 
 def compiled() -> None:
-    """Run every compiled function once, so that no step waits for the compiler."""
-    with tempfile.TemporaryDirectory() as scratch:
-        bag = str(Path(scratch) / "bag")
-        run("simulate", "--out", bag, "--duration", "2", show=False)
-        run("estimate", bag, show=False)
-        run("diagnose", bag, "--no-calibration", show=False)
+    """Compile what has not been compiled yet, so that no step waits for the compiler."""
+    from eha_monitor.compiled import FIRST_RUN
+
+    if FIRST_RUN and subprocess.run([sys.executable, "-m", "eha_monitor.compile_all"],
+                                    check=False).returncode:
+        raise DemoFailed("the model could not be compiled")
 
 
 def live(logs: Path) -> None:
@@ -175,9 +174,6 @@ def main() -> int:
         # SystemExit runs every `finally` and, unlike KeyboardInterrupt, no spin() keeps it.
         signal.signal(number, lambda number, _: sys.exit(128 + number))
     try:
-        if "--compile-only" in sys.argv[1:]:
-            compiled()
-            return 0
         logs.mkdir(parents=True, exist_ok=True)
         os.environ.setdefault("ROS_LOG_DIR", str(logs.resolve()))
         compiled()

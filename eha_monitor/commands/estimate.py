@@ -39,14 +39,13 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
 
     from eha_monitor.commands.answer import answer, judged, refusal, unhealthy
     from eha_monitor.commands.plausible import checked, corrected_config, finding_tree
-    from eha_monitor.compiled import announce_first_compilation, load_runtime
+    from eha_monitor.compiled import load_runtime
     from eha_monitor.filters.observability import observability
     from eha_monitor.filters.pipeline import estimate as run
     from eha_monitor.recordings.read import read_recording
     from eha_monitor.settings import load_settings
 
     settings = load_settings(config)
-    announce_first_compilation()
     load_runtime()
     started = time.perf_counter()
     with working(f"reading {bag}"):

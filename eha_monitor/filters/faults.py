@@ -12,6 +12,7 @@ import numpy as np
 
 from eha_monitor.filters.rows import Counts, Source
 from eha_monitor.filters.stillness import Stillness
+from eha_monitor.recordings.limits import LARGEST, LIMITS
 
 # A sentence stands for so long after its last evidence.
 HELD_S = 3.0
@@ -83,11 +84,21 @@ class FaultWatch:
         self.stillness = Stillness()
         self.missing = 0
         self._looked = False
+        self._wild: dict[str, float] = {}  # channel -> its last value beyond every sensor
 
     def take(self, stamp_ns: int, row: dict[str, float]) -> dict[str, float]:
-        """Take one row; return it without the channels that are frozen."""
+        """Take one row; return it without the channels that are frozen or no measurement."""
+        for name, value in row.items():
+            if abs(value) > LARGEST[name]:
+                row = self._without_wild(row)
+                break
         frozen = self.stillness.take(stamp_ns, row)
         return {name: row[name] for name in row if name not in frozen} if frozen else row
+
+    def _without_wild(self, row: dict[str, float]) -> dict[str, float]:
+        """Return a row without the values that no sensor can show; the next look names them."""
+        self._wild |= {name: value for name, value in row.items() if abs(value) > LARGEST[name]}
+        return {name: value for name, value in row.items() if not abs(value) > LARGEST[name]}
 
     def restart(self, reason: str, now: float) -> None:
         """Stamps have jumped back: name it, and learn anew what is usual."""
@@ -130,6 +141,11 @@ class FaultWatch:
                     self._lateness(source, past, now)
             past.counts, past.rows = source.counts(), self.stillness.rows
             past.counted = {name: self.stillness.counts.get(name, 0) for name in source.channels}
+        while self._wild:
+            channel, value = self._wild.popitem()
+            limit, unit = LIMITS[channel]
+            self.note(f"wild {channel}", now, f"{channel}: {value:.3g} {unit} is no measurement "
+                      f"(beyond ±{limit:.0e} {unit}), left out")
         fresh = {}
         for channel, (seconds, since_ns, new) in self.stillness.look().items():
             reference = self.stillness.reference(channel)

@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from eha_monitor.breakdown import begins_anew
 from eha_monitor.filters import run_two
 from eha_monitor.filters.filterpy_stages import FilterpyStageOne, FilterpyStageTwo
 from eha_monitor.filters.handover import Handover
@@ -29,14 +30,9 @@ from eha_monitor.filters.noise import noise_levels
 from eha_monitor.filters.results import Event, LiveSnapshot, ParameterEstimate
 from eha_monitor.filters.rewind import Checkpoints
 from eha_monitor.filters.status import parameters_of, units_of
-from eha_monitor.physics.signals import (
-    COMMAND_DELAY,
-    FEEDBACK_DELAY,
-    POSITION_DELAY,
-    POSITION_SCALE,
-    PRESSURE_DELAY,
-)
+from eha_monitor.physics import signals as s
 from eha_monitor.quantity import SYMBOLS, quantity
+from eha_monitor.recordings.limits import LARGEST
 from eha_monitor.settings.monitor import Settings
 
 WARM_UP = 256  # rows from which the sample time and the noise are first measured
@@ -90,10 +86,11 @@ class LiveEstimator(RunAgain):
         if reason:
             self._events.append(Event(self._now, "monitor", f"estimates reset: {reason}"))
 
+    @begins_anew
     def push(self, time_s: float, row: dict[str, float]) -> None:
         """Take one aligned row at a rising time; missing channels are absent or NaN."""
         self._now = time_s
-        if not math.isnan(row.get("temperature", math.nan)):
+        if abs(row.get("temperature", math.nan)) <= LARGEST["temperature"]:
             self._temperature = row["temperature"]
         if self._buffer is None:
             if self._early and time_s - self._early[-1][0] > LONG_GAP_S:
@@ -169,10 +166,10 @@ class LiveEstimator(RunAgain):
         self._model = inputs.model
         # A late channel waits for the samples that show the present.
         circuit = self._model.circuit
-        lead = max(circuit[POSITION_DELAY], circuit[PRESSURE_DELAY])
+        lead = max(circuit[s.POSITION_DELAY], circuit[s.PRESSURE_DELAY])
         self._lag = LAG + math.ceil(lead / self.dt)
         self._context = CONTEXT + math.ceil(
-            max(circuit[COMMAND_DELAY], circuit[FEEDBACK_DELAY]) / self.dt)
+            max(circuit[s.COMMAND_DELAY], circuit[s.FEEDBACK_DELAY]) / self.dt)
         self._measure_noise()
         if self._no_force is None:
             self._one = FilterpyStageOne(
@@ -185,7 +182,7 @@ class LiveEstimator(RunAgain):
         self._noise = noise_levels(recording, self.settings.noise)
         self._quantum = quantum_of(recording.channels)
         self._r = (position_variance(self._noise, self._quantum)
-                   / (1.0 + self._model.circuit[POSITION_SCALE]) ** 2)
+                   / (1.0 + self._model.circuit[s.POSITION_SCALE]) ** 2)
         for stage in filter(None, (self._one, self._two)):
             stage.ekf.R[0, 0] = self._r
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from eha_monitor.breakdown import computing
 from eha_monitor.filters import kernel_one
 from eha_monitor.filters.consistency import judge
 from eha_monitor.filters.hold_choice import SAMPLED, HoldDecision, resolved, with_hold
@@ -53,7 +54,17 @@ def estimate(recording: Recording, settings: Settings) -> Estimate:
     ----------
     recording : aligned channels.
     settings : config.
+
+    Raises
+    ------
+    InputError
+        If the recording's numbers break the calculation.
     """
+    with computing(recording.source):
+        return _estimated(recording, settings)
+
+
+def _estimated(recording: Recording, settings: Settings) -> Estimate:
     started = time.perf_counter()
     settings, decision = resolved([recording], settings)
     found = estimate_held(recording, settings)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from eha_monitor.breakdown import computing
 from eha_monitor.errors import InputError
 from eha_monitor.filters.hold_choice import resolved
 from eha_monitor.mismatch.advise_words import sentences
@@ -212,9 +213,15 @@ def advise(recordings: list[Recording], settings: Settings, check: bool = True,
     Raises
     ------
     InputError
-        If the recordings hold nothing that a model predicts, or hardly any motion.
+        If the recordings hold nothing that a model predicts, hardly any motion, or numbers that
+        break the calculation.
     """
-    say = report or (lambda text, share: None)
+    with computing(*(recording.source for recording in recordings)):
+        return _advised(recordings, settings, check, report or (lambda text, share: None))
+
+
+def _advised(recordings: list[Recording], settings: Settings, check: bool, say: Report
+             ) -> tuple[Naming, Advice]:
     settings, _ = resolved(recordings, settings)
     experiment = experiment_of(recordings, settings, hold_out=False)
     moved = experiment.ranges.position

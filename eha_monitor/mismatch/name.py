@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from eha_monitor.breakdown import computing
 from eha_monitor.filters.hold_choice import resolved
 from eha_monitor.mismatch import advise, balance_show, locate, show
 from eha_monitor.mismatch.calibrate import DRAWS, Calibration, calibrate
@@ -77,11 +78,19 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
     Raises
     ------
     InputError
-        If the recordings hold nothing that a model predicts.
+        If the recordings hold nothing that a model predicts, or numbers that break the
+        calculation.
     """
+    with computing(*(recording.source for recording in recordings)):
+        return _diagnosed(recordings, settings, held_out, progress or (lambda text, share: None),
+                          calibrate)
+
+
+def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Recording | None,
+               say: Report, calibrate: bool) -> Diagnosis:
     started = time.perf_counter()
     held, decision = resolved(recordings, settings)
-    found = diagnose_held(recordings, held, held_out, progress, calibrate)
+    found = diagnose_held(recordings, held, held_out, say, calibrate)
     told = decision is not None and decision.decided
     return replace(found, channels=decision.findings if told else (),
                    command_hold=(held if told else settings).command_hold,
@@ -89,10 +98,9 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
 
 
 def diagnose_held(recordings: list[Recording], settings: Settings, held_out: Recording | None,
-                  progress: Report | None, calibrate: bool) -> Diagnosis:
+                  say: Report, calibrate: bool) -> Diagnosis:
     """Diagnose with the hold that the settings say."""
     started = time.perf_counter()
-    say = progress or (lambda text, share: None)
     experiment = experiment_of(recordings, settings, hold_out=held_out is None)
     bags = tuple(recording.source for recording in recordings)
     duration = sum(recording.duration for recording in recordings)

@@ -4,6 +4,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from eha_monitor.recordings.limits import within_limits
+
 # Every channel there can be, in the order in which tables show them.
 CHANNELS = ("x", "v", "x_d", "omega", "omega_d", "p1", "p2", "force", "temperature")
 
@@ -14,6 +16,9 @@ CALENDAR_NS = 946_684_800 * 10**9
 @dataclass(frozen=True)
 class Recording:
     """Aligned channels of one recording, SI units, gaps as NaN.
+
+    Every number in it lies where a sensor can show it (:mod:`limits`): whoever makes one of
+    channels that run away gets an InputError, and what was left out stands in ``losses``.
 
     Attributes
     ----------
@@ -30,6 +35,15 @@ class Recording:
     start_ns: int = 0
     source: str = ""
     losses: tuple[str, ...] = field(default=())
+
+    def __post_init__(self):
+        kept, said, time = {}, [], self.time
+        for name, values in self.channels.items():
+            kept[name], told = within_limits(name, values, time, self.source or "recording")
+            said += told
+        if said:
+            object.__setattr__(self, "channels", kept)
+            object.__setattr__(self, "losses", (*self.losses, *said))
 
     def __len__(self) -> int:
         return len(next(iter(self.channels.values()))) if self.channels else 0
