@@ -317,3 +317,49 @@ def test_an_archive_tells_it_of_each_bag(bag, capfd):
                        bag / "archive", "--jobs", "1")
     assert status == 2  # none of its bags has an answer
     assert "millimetres" in said
+
+
+# Live.
+
+
+def look_on(recording, config, seconds):
+    from test_live_estimator import rows_of
+
+    from eha_monitor.filters.live import LiveEstimator
+
+    live = LiveEstimator(config)
+    for time, row in rows_of(recording.part(0, round(seconds / recording.sample_time))):
+        live.push(time, row)
+    return live.snapshot()
+
+
+def test_live_rows_that_contradict_the_config_give_no_number():
+    recording, config = SECOND
+    seen = look_on(changed(recording, p1="p2", p2="p1"), config, 5.0)
+    assert "p1 and p2 look swapped" in seen.implausible
+    assert {p.status for p in seen.parameters.values()} == {"no_data"}
+    assert seen.model.status == "not_judged"
+    assert any("swapped" in event.message for event in seen.events)
+    assert not look_on(recording, config, 5.0).implausible
+
+
+def test_who_insists_gets_live_numbers_with_the_warning():
+    recording, config = SECOND
+    config = config.model_copy(update={"implausible": "warn"})
+    seen = look_on(changed(recording, omega=-1.0), config, 5.0)
+    assert "omega has the wrong sign" in seen.implausible
+    assert seen.parameters["B"].status != "no_data"
+
+
+def test_the_monitor_says_it_in_its_diagnostics():
+    from eha_monitor.health.alarms import AlarmBoard
+    from eha_monitor.ros.findings import DataState, all_findings
+
+    recording, config = SECOND
+    seen = look_on(changed(recording, omega=-1.0), config, 5.0)
+    data = DataState(None, implausible=seen.implausible, refused=True)
+    found = {one.name: one for one in all_findings(
+        config, AlarmBoard(config), seen.parameters, seen.consistency, seen.model, {}, data)}
+    assert found["data"].level == "ERROR"
+    assert "omega has the wrong sign" in found["data"].message
+    assert found["stage_one"].level == "STALE"

@@ -26,6 +26,7 @@ from eha_monitor.filters.live_again import RunAgain
 from eha_monitor.filters.live_buffer import LiveBuffer
 from eha_monitor.filters.live_hold import LiveHold
 from eha_monitor.filters.live_model import JUDGE_EVERY_S, JUDGED_S, KEPT, Fit, LiveModel
+from eha_monitor.filters.live_plausible import LivePlausibility
 from eha_monitor.filters.noise import noise_levels
 from eha_monitor.filters.results import Event, LiveSnapshot, ParameterEstimate
 from eha_monitor.filters.rewind import Checkpoints
@@ -82,6 +83,7 @@ class LiveEstimator(RunAgain):
         self._clean = 0  # row from which on stage two is run again
         self._noise_at = list(NOISE_AGAIN_S)
         self._checkpoints = Checkpoints()
+        self._plausible = LivePlausibility(self.settings)
         self._announced: set[str] = set()
         if reason:
             self._events.append(Event(self._now, "monitor", f"estimates reset: {reason}"))
@@ -291,6 +293,11 @@ class LiveEstimator(RunAgain):
         if self._no_drive is None:
             self._hand_over(since_start)
         self._checkpoints.keep(self, self._taken, self.dt)
+        if self._plausible.due(self._now):
+            news = self._plausible.ask(
+                self._now, self._buffer.recording(self._buffer.first, self._buffer.end))
+            if news:
+                self._tell("monitor", news)
         if (self._taken - self._tester.judged_at) * self.dt >= JUDGE_EVERY_S:
             self._judge()
         for name, estimate in self._parameters().items():
@@ -353,6 +360,7 @@ class LiveEstimator(RunAgain):
                                     self._two.sensitivity if self._two else math.nan)
         state = self._one or self._two
         position, velocity = map(float, state.ekf.x[:2]) if state else (math.nan, math.nan)
-        return LiveSnapshot(self._now, self._parameters(), position, velocity, model, events,
-                            self._temperature, dict(self._tester.verdicts),
-                            self._time_of(self._taken - 1) if self._taken else math.nan)
+        return self._plausible.told(LiveSnapshot(
+            self._now, self._parameters(), position, velocity, model, events, self._temperature,
+            dict(self._tester.verdicts),
+            self._time_of(self._taken - 1) if self._taken else math.nan))

@@ -179,7 +179,8 @@ class LiveSnapshot:
     """What the live estimator knows now; ``events`` are those since the last snapshot.
 
     ``state_time_s`` is the time of position and velocity: they lag ``time_s`` by the rows that
-    wait for their neighbours, and a piston goes millimetres meanwhile.
+    wait for their neighbours, and a piston goes millimetres meanwhile.  ``implausible`` is what
+    in the rows contradicts the config, "" where nothing does.
     """
 
     time_s: float
@@ -191,6 +192,7 @@ class LiveSnapshot:
     temperature: float | None
     consistency: dict[str, Consistency | None]
     state_time_s: float = math.nan
+    implausible: str = ""
 
 
 @dataclass(frozen=True)

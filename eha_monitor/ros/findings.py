@@ -26,6 +26,8 @@ class DataState:
     stopped : why there are no rows now, or None.
     problems : sentences about missing channels and the like.
     unsettled : symbols of parameters that have diverged only just now.
+    implausible : what contradicts the config (signs, units, channels), "" where nothing does.
+    refused : nothing is estimated for it.
     unsaved : why the last bag could not be written, or None.
     values : numbers for the diagnostics: rates, counts, latencies, CPU share.
     """
@@ -33,6 +35,8 @@ class DataState:
     stopped: str | None = "no data yet"
     problems: list[str] = field(default_factory=list)
     unsettled: set[str] = field(default_factory=set)
+    implausible: str = ""
+    refused: bool = False
     unsaved: str | None = None
     values: dict[str, float | int | str] = field(default_factory=dict)
 
@@ -65,8 +69,10 @@ def all_findings(settings: Settings, board: AlarmBoard,
     found.append(Finding("model", level, data.stopped or model.message or model.status,
                          {"status": model.status}))
     found.append(_mismatch(model, consistency, data))
-    level = "STALE" if data.stopped else "WARN" if data.problems or data.unsaved else "OK"
-    sentences = [*([data.stopped] if data.stopped else []), *data.problems] or ["data come"]
+    wrong = data.problems or data.unsaved or data.implausible
+    level = ("STALE" if data.stopped else "ERROR" if data.refused else "WARN" if wrong else "OK")
+    sentences = [each for each in (data.stopped, data.implausible, *data.problems) if each] or [
+        "data come"]
     message = "; ".join([*sentences, *([data.unsaved] if data.unsaved else [])])
     found.append(Finding("data", level, message, {**data.values, **_last(events.get("monitor"))}))
     return found

@@ -200,6 +200,9 @@ class Monitor:
         self.data.stopped = None
         snapshot = self._snapshot = self._estimator.snapshot()
         self._model = snapshot.model
+        self.data.implausible = snapshot.implausible
+        self.data.refused = bool(snapshot.implausible) and (
+            snapshot.model.message == snapshot.implausible)
         for event in snapshot.events:
             self._events[event.stage] = event
             self.node.get_logger().info(f"stage {event.stage}: {event.message}")
