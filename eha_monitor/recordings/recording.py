@@ -9,6 +9,8 @@ from eha_monitor.recordings.limits import within_limits
 # Every channel there can be, in the order in which tables show them.
 CHANNELS = ("x", "v", "x_d", "omega", "omega_d", "p1", "p2", "force", "temperature")
 
+SHORTEST_S = 0.5  # from less nothing is estimated, and nothing is explained
+
 
 @dataclass(frozen=True)
 class Recording:
