@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from eha_monitor.errors import InputError
+from eha_monitor.errors import InputError, one_line
 from eha_monitor.recordings.grid import GAP, JITTER, Grid, fit_grid
 from eha_monitor.recordings.limits import within_limits
 from eha_monitor.recordings.recording import CHANNELS, Recording
@@ -71,7 +71,7 @@ def align(series: dict[str, tuple[Series, str]], settings: Settings, *, source: 
     _tell_gaps(columns, reference, grid.step, said)
     return Recording(sample_time=grid.step, channels=columns,
                      start_ns=max(0, origin + round(grid.start * 1e9)), source=source,
-                     losses=tuple(dict.fromkeys(said)))
+                     losses=tuple(dict.fromkeys(map(one_line, said))))
 
 
 def _within_range(found: Series, name: str, topic: str, source: str, said: list[str]) -> Series:

@@ -11,6 +11,7 @@ CHANNELS = ("x", "v", "x_d", "omega", "omega_d", "p1", "p2", "force", "temperatu
 
 # Stamps before 2000 count from the start of a computer or of a simulation.
 CALENDAR_NS = 946_684_800 * 10**9
+SHORTEST_S = 0.5  # from less nothing is estimated, and nothing is explained
 
 
 @dataclass(frozen=True)

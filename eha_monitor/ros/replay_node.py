@@ -19,10 +19,10 @@ from rosbags.rosbag2.metadata import parse_qos
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
-from eha_monitor.errors import InputError
+from eha_monitor.errors import InputError, one_line
 from eha_monitor.recordings.bag import Bag, Topic, iter_raw, topics
 from eha_monitor.ros import messages, running
-from eha_monitor.ros.inputs import message_class
+from eha_monitor.ros.inputs import check_topic, message_class
 
 # A message due within this time goes out now: waiting is not finer than that.
 SLACK = 0.0005
@@ -107,6 +107,7 @@ class Replay:
             if name == "/clock" and self._clock is not None:
                 continue
             try:
+                check_topic(name)
                 kind = message_class(topic.msgtype)
             except InputError as problem:
                 self._warn(f"{self.bag}: {name} is left out: {problem}")
@@ -118,8 +119,8 @@ class Replay:
                 durability=(DurabilityPolicy.TRANSIENT_LOCAL if latched
                             else DurabilityPolicy.VOLATILE)))
         if not made:
-            raise InputError(f"{self.bag}: expected a topic of an installed message type, found "
-                             "none")
+            raise InputError(f"{self.bag}: expected a topic with a name and a message type that "
+                             "this ROS knows, found none")
         return made
 
     def _wait_for_subscribers(self) -> None:
@@ -156,7 +157,7 @@ class Replay:
         return response
 
     def _warn(self, text: str) -> None:
-        print(text, file=sys.stderr, flush=True)
+        print(one_line(text), file=sys.stderr, flush=True)
 
 
 def _latched(qos: str) -> bool:
