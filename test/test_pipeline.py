@@ -151,16 +151,14 @@ def clean():
 
 @pytest.mark.parametrize("noise", NOISES)
 @pytest.mark.parametrize("name", MOTIONS)
-def test_the_own_clean_simulation_is_consistent(clean, name, noise, request):
-    if (name, noise) == ("rest", "silent"):
-        request.applymarker(pytest.mark.xfail(
-            reason="rounding errors are all there is to judge", strict=False))
+def test_the_own_clean_simulation_is_consistent(clean, name, noise):
     found = answer(clean[name].recording(5, **NOISES[noise]))
-    assert found.model.status == "consistent", found.model.message
     b, beta = found.parameters["B"], found.parameters["beta_e"]
-    if name == "rest":
+    if name == "rest":  # nothing moves: nothing is tested
         assert (b.status, beta.status) == ("not_excited", "not_excited")
+        assert found.model.status == "not_judged", found.model.message
         return
+    assert found.model.status == "consistent", found.model.message
     within(b, 600.0, 0.03)
     if beta.status == "converged":  # a triangle and a multisine tell little through loud noise
         within(beta, BETA, 0.1 if noise == "loud" else 0.06)

@@ -27,13 +27,7 @@ from eha_monitor.filters.noise import noise_levels
 from eha_monitor.filters.results import Event, LiveSnapshot, ParameterEstimate
 from eha_monitor.filters.rewind import Checkpoints
 from eha_monitor.filters.status import parameters_of, units_of
-from eha_monitor.physics.signals import (
-    COMMAND_DELAY,
-    FEEDBACK_DELAY,
-    POSITION_DELAY,
-    POSITION_SCALE,
-    PRESSURE_DELAY,
-)
+from eha_monitor.physics import signals as s
 from eha_monitor.settings.monitor import Settings
 
 WARM_UP = 256  # rows from which the sample time and the noise are first measured
@@ -164,10 +158,10 @@ class LiveEstimator:
         self._model = inputs.model
         # A late channel waits for the samples that show the present.
         circuit = self._model.circuit
-        lead = max(circuit[POSITION_DELAY], circuit[PRESSURE_DELAY])
+        lead = max(circuit[s.POSITION_DELAY], circuit[s.PRESSURE_DELAY])
         self._lag = LAG + math.ceil(lead / self.dt)
         self._context = CONTEXT + math.ceil(
-            max(circuit[COMMAND_DELAY], circuit[FEEDBACK_DELAY]) / self.dt)
+            max(circuit[s.COMMAND_DELAY], circuit[s.FEEDBACK_DELAY]) / self.dt)
         self._measure_noise()
         if self._no_force is None:
             self._one = FilterpyStageOne(
@@ -180,7 +174,7 @@ class LiveEstimator:
         self._noise = noise_levels(recording, self.settings.noise)
         self._quantum = quantum_of(recording.channels)
         self._r = (position_variance(self._noise, self._quantum)
-                   / (1.0 + self._model.circuit[POSITION_SCALE]) ** 2)
+                   / (1.0 + self._model.circuit[s.POSITION_SCALE]) ** 2)
         for stage in filter(None, (self._one, self._two)):
             stage.ekf.R[0, 0] = self._r
 
@@ -350,6 +344,8 @@ class LiveEstimator:
         for stage in filter(None, (self._one, self._two)):
             stage.forget(*KEPT)
         standing = [stage for stage in ("one", "two") if tester.standing(stage)]
+        if standing:
+            tester.measure(self._last, self._parameters(), self._damping[0], self._two, now)
         start = self._taken - round(JUDGED_S / self.dt)
         if not standing or start < self._buffer.first or not tester.trying.due(now):
             return
@@ -361,11 +357,15 @@ class LiveEstimator:
         if ended:
             self._adopt(standing[0], fit, start)
 
+    def _last(self, seconds: float) -> StageInputs:
+        """Return the inputs of the last seconds, or of as many as there are."""
+        start = max(self._buffer.first, self._taken - round(seconds / self.dt))
+        return self._inputs(start, self._taken)
+
     def rehearse(self) -> None:
         """Do once what a mismatch will ask for, so that its compiled code is loaded."""
         for stage in ("one", "two"):
-            self._tester.try_again(stage, self._inputs(self._buffer.first, self._taken),
-                                   self._damping, self._now)
+            self._tester.try_again(stage, self._last(BUFFER_S), self._damping, self._now)
 
     def _adopt(self, stage: str, fit: Fit, start: int) -> None:
         """Carry on from a window that fits: what came before it no longer counts."""
@@ -391,8 +391,7 @@ class LiveEstimator:
     def snapshot(self) -> LiveSnapshot:
         """Return the present estimates; the events are handed out once."""
         events, self._events = tuple(self._events), []
-        model = self._tester.status(self._now, self._parameters(),
-                                    self._two.sensitivity if self._two else math.nan)
+        model = self._tester.status(self._now, self._parameters(), self._two)
         state = self._one or self._two
         position, velocity = map(float, state.ekf.x[:2]) if state else (math.nan, math.nan)
         return LiveSnapshot(self._now, self._parameters(), position, velocity, model, events,

@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from eha_monitor.filters.results import ParameterEstimate
 from eha_monitor.settings.monitor import Settings
 
@@ -47,6 +49,18 @@ def judge_parameter(name: str, value: float, stddev: float, unit: str, prior: fl
     return ParameterEstimate(name, value, stddev, unit, "converged",
                              f"{name} = {value:.5g} ± {stddev:.2g} {unit}, "
                              f"{gain:.2g} nats gained on the prior")
+
+
+def converged_where(value: np.ndarray, stddev: np.ndarray, prior: float, prior_stddev: float,
+                    largest: float = math.inf) -> np.ndarray:
+    """Return (n,) bool, where :func:`judge_parameter` would say ``converged``."""
+    limit = min(HUGE * (prior + prior_stddev), largest)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        size = np.abs(value)
+        beyond = (size > limit) & ((1.0 + NEGATIVE * stddev / size) / size < 1.0 / limit)
+        lost = (value < -NEGATIVE * stddev) | beyond
+        return (np.isfinite(value) & np.isfinite(stddev) & ~lost
+                & ~(stddev > CONVERGED * size) & ~(prior_stddev < 2.0 * stddev))
 
 
 def parameters_of(settings: Settings, one, two, lacking: tuple[str, str]

@@ -14,7 +14,7 @@ STAGES = {"one": WATCHED[0], "two": WATCHED[1]}
 KEYS = {"B": "viscous_damping_Ns_per_m", "beta_e": "bulk_modulus_Pa"}
 MISMATCH = "model_mismatch"
 _STATUS_LEVEL = {"converged": "OK", "not_excited": "OK", "diverged": "ERROR", "no_data": "STALE"}
-_MODEL_LEVEL = {"consistent": "OK", "mismatch": "WARN"}
+_MODEL_LEVEL = {"consistent": "OK", "mismatch": "WARN"}  # else STALE: it has not been tested
 
 
 @dataclass
@@ -61,7 +61,7 @@ def all_findings(settings: Settings, board: AlarmBoard,
     for stage, watched in STAGES.items():
         found.append(_stage(stage, parameters.get(watched.symbol), consistency.get(stage),
                             events.get(stage), data))
-    level = "STALE" if data.stopped else _MODEL_LEVEL.get(model.status, "OK")
+    level = "STALE" if data.stopped else _MODEL_LEVEL.get(model.status, "STALE")
     found.append(Finding("model", level, data.stopped or model.message or model.status,
                          {"status": model.status}))
     found.append(_mismatch(model, consistency, data))
