@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 from eha_monitor.dashboard.state import HEALTH_STALE_AFTER, NIS, SAMPLES, VARIANCE_RATIO, View
 from eha_monitor.filters.status import units_of
-from eha_monitor.health.alarms import SEVERITY, quantity
+from eha_monitor.health.alarms import NOT_JUDGED, SEVERITY, quantity
 from eha_monitor.health.finding import Finding
 from eha_monitor.reports.quantities import Scale, readable
 from eha_monitor.settings import Settings
 
 # A level has a sign and a word, so that it is told without its colour.
-SIGNS = {"OK": "✓", "WARN": "▲", "ERROR": "✖", "STALE": "◌"}
+SIGNS = {"OK": "✓", NOT_JUDGED: "?", "WARN": "▲", "ERROR": "✖", "STALE": "◌"}
 # Of all that the status `data` holds, what tells whether messages arrive.
 _DATA_KEYS = ("rows", "rate_joint_states_Hz", "lost_messages", "missing_samples",
               "latency_p50_ms", "cpu_share_percent")
@@ -66,7 +66,7 @@ def plain_name(name: str) -> str:
 
 def worst(findings: list[Finding]) -> str:
     """Return the level that counts most."""
-    return max((f.level for f in findings), key=SEVERITY.index, default="STALE")
+    return max((f.word for f in findings), key=SEVERITY.index, default="STALE")
 
 
 def stage_status(view: View, stage: str) -> str:

@@ -62,7 +62,7 @@ def estimate(recording: Recording, settings: Settings) -> Estimate:
     joint = run_joint(inputs, recording, settings, one, two, since)
     return Estimate(
         recording, settings, one, two, joint,
-        tested_model(one, two, joint, settings, inputs, damping[-1]),
+        tested_model(one, two, joint, settings, inputs, damping),
         tuple(sorted(events, key=lambda event: event.time_s)), inputs.noise,
         time.perf_counter() - started, tuple(warnings_of(inputs, settings)))
 
@@ -244,10 +244,10 @@ def model_status(verdicts: Iterable[Consistency | None],
 
 
 def tested_model(one: StageResult, two: StageResult, joint: JointResult | None,
-                 settings: Settings, inputs: StageInputs, damping: float) -> ModelStatus:
+                 settings: Settings, inputs: StageInputs, damping: np.ndarray) -> ModelStatus:
     """Return the verdict on the model with the misfits behind it and what they taint.
 
-    ``damping`` is the B that stage two had at the end.
+    ``damping`` is the (n,) B that stage two had.
     """
     status = model_status((one.consistency, two.consistency), joint)
     if status.status != "mismatch":
@@ -262,7 +262,7 @@ def tested_model(one: StageResult, two: StageResult, joint: JointResult | None,
     reaches = Reaches()
     for part in _looks(found, (one, two), inputs):
         reaches.note(0.0, reaches_of([m.stage for m in found], part, settings,
-                                     {"B": one.estimate, "beta_e": two.estimate}, damping,
+                                     {"B": one.estimate, "beta_e": two.estimate}, damping[-1],
                                      two.sensitivity))
     return replace(status, mismatches=tuple(found),
                    tainted=tainted_by(found, abs(two.sensitivity * bias), reaches.most()))

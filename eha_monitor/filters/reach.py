@@ -18,9 +18,10 @@ at one speed does not tell dry friction from viscous friction.
 
 A force that the model lacks adds to B, so its reach is in N·s/m; a flow scales beta_e, so that
 reach is of ln beta_e, as in :mod:`health.rebase`.  The reach covers dry, quadratic, direction
-dependent and pre-sliding friction, spring, load, leakage, pump gain, slip and lag (tests); too
-short it is for a line between pump and cylinder, a wrong mass in beta_e, and a late drive at a
-single sine or triangle, which read nearly like another beta_e.
+dependent and pre-sliding friction, spring, load, leakage, pump gain, slip and lag (tests).  It is
+too short for a line between pump and cylinder and for a wrong mass in beta_e; and in beta_e for a
+late drive at a single sine, and for a lag or a large leakage at a triangle, whose corners alone
+show beta_e.
 """
 
 import math
@@ -274,15 +275,19 @@ def reach_two(inputs: StageInputs, settings: Settings, present: float,
     def with_damping(theta: np.ndarray) -> tuple[np.ndarray, float]:
         return with_flows(np.concatenate([np.zeros(len(terms)), theta]))
 
-    reaches = []
+    fits = []
     for run, count in ((with_damping, 2), (with_flows, len(terms) + 2)):
         sigmas = np.ones(count)
         sigmas[-1] = BROAD
         found = explain(_limited(run), sigmas, steps)
         if found is None:
             return NOWHERE
-        reaches.append(found.reach(0.0))
-    return min(max(reaches), NOWHERE)
+        fits.append(found)
+    # The sigma of what does not explain the misfit says nothing where something else does.
+    if not any(found.ratio <= EXPLAINED for found in fits):
+        return max(found.reach(0.0) for found in fits)
+    return max(found.reach(0.0) if found.ratio <= EXPLAINED else SAFETY * abs(found.value)
+               for found in fits)
 
 
 def _limited(run: Run) -> Run:

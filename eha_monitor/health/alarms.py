@@ -186,7 +186,7 @@ class AlarmBoard:
         if seen.taint is not None and not seen.taint.testing:
             judge.recall(seen.taint.since_s, seen.value, margin, seen.doubt)
         judge.judge(time_s, seen.value, margin, seen.doubt)
-        level, not_judged = judge.verdict(time_s, seen.value, margin, seen.doubt)
+        level, not_judged = judge.verdict(time_s, seen.doubt)
         held = not_judged or (judge.raised > 0 and seen.doubt is not None and (
             seen.doubt.trial or not judge.evident(0.0, seen.doubt, seen.value)))
         return judge.take(level, time_s, ("held back" if held else "judged", seen), not_judged)

@@ -30,7 +30,7 @@ class Alarm:
     name : ``viscous_damping_high``, ``viscous_damping_low``, ``bulk_modulus_high`` or
         ``bulk_modulus_low``.
     level : STALE without data; of what is not judged STALE too, or WARN where the value as it
-        stands is beyond a limit and what the model lacks may be why.
+        stands is beyond a limit: that must be seen.
     message : the reason, as a sentence.
     time_s : when it took this level.
     not_judged : the value came, but says nothing about the limits; ``level`` is no judgement.
@@ -50,7 +50,7 @@ class Alarm:
     @property
     def raised(self) -> bool:
         """Whether it is judged to be beyond a limit."""
-        return self.level in ("WARN", "ERROR") and not self.not_judged
+        return self.word in ("WARN", "ERROR")
 
 
 @dataclass(frozen=True)
@@ -174,19 +174,17 @@ class Judge:
         while self.raised and self.raised_s >= since_s and not self.evident(margin, doubt, value):
             self.raised -= 1
 
-    def verdict(self, time_s: float, value: float, margin: float,
-                doubt: Doubt | None) -> tuple[Level, bool]:
+    def verdict(self, time_s: float, doubt: Doubt | None) -> tuple[Level, bool]:
         """Return the level after :meth:`judge`, and whether it is none but "not judged"."""
         if self.raised or doubt is None:
             return RAISED[self.raised], False
         limit = self.limits[self.first]
         bad = doubt.highest if self.sign > 0 else doubt.lowest
+        seen = _ran(self.beyond, time_s, self.hold_time)
         if doubt.trial:
-            passed = self.sign * (value - limit) > margin
-            return ("STALE", True) if passed else ("OK", False)
+            return ("WARN", True) if seen else ("OK", False)
         if self.sign * (bad - limit) <= 0:
             return "OK", False  # inside, wherever the model's error may have moved it from
-        seen = _ran(self.beyond, time_s, self.hold_time)
         return ("WARN" if seen else "STALE"), True
 
     def _cleared(self, limit: float, value: float) -> bool:

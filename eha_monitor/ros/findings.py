@@ -107,7 +107,8 @@ def _mismatch(model: ModelStatus, consistency: dict[str, Consistency | None],
     for watched in WATCHED:
         values[f"{watched.section}_tainted"] = _doubts(model, watched.symbol)["tainted"]
     if data.stopped or model.status in ("unknown", "not_judged"):
-        return Finding(MISMATCH, "STALE", data.stopped or "no data yet: " + model.message, values)
+        values["not_judged"] = int(not data.stopped and model.status == "not_judged")
+        return Finding(MISMATCH, "STALE", data.stopped or f"not judged: {model.message}", values)
     if not model.mismatches:
         return Finding(MISMATCH, "OK", model.message, values)
     first = min(model.mismatches, key=lambda m: m.since_s)
