@@ -134,6 +134,18 @@ def test_the_footer_says_in_words_how_the_data_come(state):
         "0 messages lost, half of the rows done within 12.3 ms")
 
 
+def test_what_is_not_judged_has_a_word_and_a_sign_of_its_own(state):
+    held = Finding("viscous_damping_high", "WARN", "not judged: ...", {"not_judged": "1"})
+    fine = Finding("bulk_modulus_low", "OK", "", {"not_judged": "0"})
+    state.take_findings("eha", [held, fine], 10.0)
+    by_name = {alarm.name: alarm for alarm in alarms(state.view(10.0))}
+    assert (held.word, fine.word) == ("not judged", "OK") and not held.raised
+    assert words.level_text(by_name["viscous_damping_high"].word) == "? not judged"
+    assert words.worst([held, fine]) == "not judged"
+    by_name = {alarm.name: alarm for alarm in alarms(state.view(14.0))}
+    assert by_name["viscous_damping_high"].word == "STALE"
+
+
 def test_silence_says_which_topic_and_since_when(state):
     settings = state.settings
     assert words.silence_text(state.view(0.0), settings, TOPICS).startswith("No data yet on /eha")

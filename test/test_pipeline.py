@@ -28,6 +28,7 @@ from rig_tools import (
 )
 from scipy.linalg import expm
 
+from eha_monitor.commands.answer import judged
 from eha_monitor.filters.pipeline import estimate
 from eha_monitor.physics import signals as s
 from eha_monitor.recordings.recording import Recording
@@ -156,11 +157,12 @@ def test_the_own_clean_simulation_is_consistent(clean, name, noise, request):
         request.applymarker(pytest.mark.xfail(
             reason="rounding errors are all there is to judge", strict=False))
     found = answer(clean[name].recording(5, **NOISES[noise]))
-    assert found.model.status == "consistent", found.model.message
     b, beta = found.parameters["B"], found.parameters["beta_e"]
-    if name == "rest":
+    if name == "rest":  # nothing moves: nothing is tested
         assert (b.status, beta.status) == ("not_excited", "not_excited")
+        assert found.model.status == "not_judged", found.model.message
         return
+    assert found.model.status == "consistent", found.model.message
     within(b, 600.0, 0.03)
     if beta.status == "converged":  # a triangle and a multisine tell little through loud noise
         within(beta, BETA, 0.1 if noise == "loud" else 0.06)
@@ -360,3 +362,19 @@ def test_a_drive_that_holds_its_samples():
     # Read as a continuous drive, half a sample is missing, and βe pays for it.
     wrong = answer(recording, command_hold="continuous").parameters["beta_e"]
     assert wrong.status != "converged" or abs(wrong.value / BETA - 1) > 0.02
+
+
+@pytest.mark.parametrize("noisy", [False, True], ids=["constant", "noise"])
+@pytest.mark.parametrize("level", [0.0, 0.01], ids=["zeros", "at rest"])
+def test_where_nothing_moves_no_model_is_tested_and_no_alarm_is_raised(level, noisy):
+    rng = np.random.default_rng(2)
+    spread = {"x": 1e-6, "x_d": 0.0, "p1": 500.0, "p2": 500.0, "omega": 0.1}
+    rest = {"x": level, "x_d": level, "p1": 2e8 * level, "p2": 2e8 * level, "omega": 0.0}
+    recording = Recording(1e-3, {name: rest[name] + noisy * sigma * rng.standard_normal(6000)
+                                 for name, sigma in spread.items()})
+    found = answer(recording)
+    assert found.model.status == "not_judged"
+    assert {p.status for p in found.parameters.values()} == {"not_excited"}
+    alarms, history = judged(found)
+    assert not any(alarm.raised for alarm in history)
+    assert {a.word for a in alarms if a.message != "no limit set"} == {"not judged"}

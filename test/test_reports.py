@@ -12,12 +12,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from eha_monitor.commands.answer import judged
 from eha_monitor.commands.table import show
 from eha_monitor.errors import InputError
 from eha_monitor.filters.pipeline import estimate
 from eha_monitor.filters.results import Event, ModelStatus
 from eha_monitor.health.alarms import Alarm
-from eha_monitor.health.series import ParameterSeries, judge_series
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.quantity import NOTE, with_uncertainty
 from eha_monitor.recordings.recording import Recording
@@ -75,9 +75,7 @@ def case_of(recording: Recording, settings) -> Case:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the filters on data from beyond the world
         found = estimate(recording, settings)
-        series = {name: ParameterSeries(stage.estimate, stage.value, stage.stddev)
-                  for name, stage in (("B", found.stage_one), ("beta_e", found.stage_two))}
-        alarms, history = judge_series(settings, recording.time, series)
+        alarms, history = judged(found)
     return Case(found, alarms, history)
 
 
@@ -167,6 +165,16 @@ def test_verdict_leads_with_the_gravest(triangle):
     assert verdict(silent, triangle.alarms).headline == "Healthy as far as can be told"
     assert "nothing can be told about effective bulk modulus" in verdict(
         silent, triangle.alarms).sentence
+
+
+def test_what_is_not_judged_is_not_within_the_limits(triangle):
+    alarms = [replace(alarm, level="STALE", not_judged=True)
+              if alarm.name.startswith("viscous") else alarm for alarm in triangle.alarms]
+    said = verdict(triangle.estimate, tuple(alarms))
+    assert "N·s/m is not judged" in said.sentence and "MPa is within the limits" in said.sentence
+    assert said.headline == "Healthy as far as can be told" and said.kind != "ok"
+    text = Page(estimate_page(triangle.estimate, tuple(alarms), tuple(alarms), None)).text
+    assert "not judged" in text
 
 
 def test_a_rising_damping_shows_as_an_alarm():

@@ -160,6 +160,16 @@ def test_spans_follow_the_changes():
     assert [(s.start, s.level) for s in late] == [(10.0, "STALE")]
 
 
+def test_what_is_not_judged_is_a_lane_of_its_own_and_never_green():
+    held = Alarm("viscous_damping_high", "WARN", "not judged: ...", 0.0, not_judged=True)
+    silent = Alarm("bulk_modulus_low", "STALE", "not judged: ...", 0.0, not_judged=True)
+    timeline = alarm_timeline((held, silent), (held, silent), (), 10.0)
+    assert {bar.level for _, bars in timeline.lanes for bar in bars} == {"not judged"}
+    raised = Alarm("viscous_damping_high", "WARN", "", 5.0)
+    bars = alarm_timeline((raised,), (held, raised), (), 10.0).lanes[0][1]
+    assert [bar.level for bar in bars] == ["not judged", "WARN"]
+
+
 def test_timeline_in_percent_with_marks_that_do_not_overlap():
     alarms = (Alarm("viscous_damping_high", "WARN", "", 5.0),)
     history = (Alarm("viscous_damping_high", "OK", "", 0.0), *alarms)

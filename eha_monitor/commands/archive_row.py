@@ -14,7 +14,7 @@ from eha_monitor.archive.store import iso_time
 from eha_monitor.commands.answer import answer, finite, judged
 from eha_monitor.commands.common import read_long_enough
 from eha_monitor.errors import InputError
-from eha_monitor.health.alarms import SEVERITY
+from eha_monitor.health.alarms import SEVERITY, Alarm
 from eha_monitor.source import source_digest
 
 if TYPE_CHECKING:
@@ -104,11 +104,12 @@ def estimate_columns(tree: dict) -> dict:
         taint = tree["model"]["tainted"].get(name)
         row |= {name: one["value"], f"{name}_stddev": one["stddev"], f"{name}_unit": one["unit"],
                 f"{name}_status": one["status"], f"{name}_doubt": taint and taint["reason"]}
-    row |= {alarm["name"]: alarm["level"] for alarm in tree["alarms"]}
-    worst = max(tree["alarms"], key=lambda alarm: SEVERITY.index(alarm["level"]), default=None)
-    if worst is not None:
-        row |= {"alarm": worst["level"],
-                "alarm_message": None if worst["level"] == "OK" else worst["message"]}
+    words = [Alarm(**alarm).word for alarm in tree["alarms"]]
+    row |= {alarm["name"]: word for alarm, word in zip(tree["alarms"], words, strict=True)}
+    if words:
+        worst = max(range(len(words)), key=lambda i: SEVERITY.index(words[i]))
+        row |= {"alarm": words[worst], "alarm_message": None if words[worst] == "OK" else (
+            tree["alarms"][worst]["message"])}
     balances = dict.fromkeys(one["balance"] for one in tree["model"]["mismatches"])
     return row | {"model": tree["model"]["status"], "model_message": tree["model"]["message"],
                   "model_balance": "; ".join(balances) or None,

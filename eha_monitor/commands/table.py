@@ -8,12 +8,13 @@ from rich.markup import escape
 from rich.table import Table
 
 from eha_monitor.filters.results import Estimate
-from eha_monitor.health.alarms import Alarm
+from eha_monitor.health.alarms import NOT_JUDGED, Alarm
 from eha_monitor.quantity import NOTE, SYMBOLS
 
-_COLOURS = {"OK": "green", "WARN": "yellow", "ERROR": "red", "STALE": "dim",
+_COLOURS = {"OK": "green", "WARN": "yellow", "ERROR": "red", "STALE": "dim", NOT_JUDGED: "cyan",
             "converged": "green", "not_excited": "yellow", "diverged": "red", "no_data": "dim",
-            "consistent": "green", "mismatch": "red", "unknown": "dim"}
+            "consistent": "green", "mismatch": "red", "unknown": "dim",
+            "not_judged": "cyan"}
 PIPE_WIDTH = 120  # where there is no terminal whose width could be asked for
 
 
@@ -74,6 +75,6 @@ def _alarms(alarms: tuple[Alarm, ...]) -> Table:
     table = Table("alarm", "level", "since", "why", box=None, header_style="bold",
                   padding=(0, 2, 0, 0))
     for alarm in alarms:
-        table.add_row(alarm.name, _coloured(alarm.level), f"{alarm.time_s:.2f} s",
+        table.add_row(alarm.name, _coloured(alarm.word), f"{alarm.time_s:.2f} s",
                       escape(alarm.message))
     return table

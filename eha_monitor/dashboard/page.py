@@ -45,7 +45,7 @@ class _Level:
         if (level, text) != self._shown:
             self._shown = level, text
             self._label.set_text(text)
-            self._label.classes(replace=f"level level-{level.lower()}")
+            self._label.classes(replace=f"level level-{level.lower().replace(' ', '-')}")
 
 
 class Page:
@@ -148,7 +148,7 @@ class Page:
         self._overall.show(*words.overall(view))
         for alarm in alarms(view):
             level, message = self._alarms[alarm.name]
-            level.show(alarm.level)
+            level.show(alarm.word)
             message.set_text(alarm.message)
         for watched in WATCHED:
             self._refresh_estimate(view, watched.symbol)
@@ -169,7 +169,7 @@ class Page:
 
     def _refresh_model(self, view: View) -> None:
         found = view.findings.get("model_mismatch")
-        self._model.show(found.level if found else "STALE")
+        self._model.show(found.word if found else "STALE")
         self._model_status.set_text(words.model_status(view))
         self._model_message.set_text(found.message if found else "nothing heard yet")
         for stage, labels in self._innovations.items():

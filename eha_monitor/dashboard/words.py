@@ -13,13 +13,13 @@ from eha_monitor.dashboard.state import (
     alarms,
 )
 from eha_monitor.filters.status import units_of
-from eha_monitor.health.alarms import SEVERITY
+from eha_monitor.health.alarms import NOT_JUDGED, SEVERITY
 from eha_monitor.health.finding import Finding
 from eha_monitor.quantity import Scale, number, readable, with_uncertainty
 from eha_monitor.settings import Settings
 
 # A level has a sign and a word, so that it is told without its colour.
-SIGNS = {"OK": "✓", "WARN": "▲", "ERROR": "✖", "STALE": "◌"}
+SIGNS = {"OK": "✓", NOT_JUDGED: "?", "WARN": "▲", "ERROR": "✖", "STALE": "◌"}
 # Of all that the status `data` holds, what tells whether messages arrive, and its words.
 _DATA = {"rows": "{} rows so far", "rate_joint_states_Hz": "{} messages a second on joint_states",
          "lost_messages": "{} messages lost", "missing_samples": "{} samples missing",
@@ -75,7 +75,7 @@ def plain_name(name: str) -> str:
 
 def worst(findings: list[Finding]) -> str:
     """Return the level that counts most."""
-    return max((f.level for f in findings), key=SEVERITY.index, default="STALE")
+    return max((f.word for f in findings), key=SEVERITY.index, default="STALE")
 
 
 def overall(view: View) -> tuple[str, str]:
@@ -89,10 +89,12 @@ def overall(view: View) -> tuple[str, str]:
         return "STALE", level_text("STALE")
     mismatch = [view.findings["model_mismatch"]] if "model_mismatch" in view.findings else []
     listed = alarms(view)
-    judged = [finding for finding in listed if finding.level != "STALE"]
-    if not judged:
+    judged = [finding for finding in listed if finding.word not in ("STALE", NOT_JUDGED)]
+    # A value beyond its limit that a misfit holds back must be seen.
+    held = [one for one in listed if one.word == NOT_JUDGED and one.level == "WARN"]
+    if not (judged or held):
         return "STALE", "◌ not judged yet"
-    level = worst([*judged, *(one for one in mismatch if one.level != "STALE")])
+    level = worst([*judged, *held, *(one for one in mismatch if one.level != "STALE")])
     left = len(listed) - len(judged)
     return level, level_text(level) + (f", {left} of {len(listed)} not judged" if left else "")
 

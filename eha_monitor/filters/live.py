@@ -315,6 +315,8 @@ class LiveEstimator(RunAgain):
         for stage in filter(None, (self._one, self._two)):
             stage.forget(*KEPT)
         standing = [stage for stage in ("one", "two") if tester.standing(stage)]
+        if standing:
+            tester.measure(self._last, self._parameters(), self._damping[0], self._two, now)
         start = self._taken - round(JUDGED_S / self.dt)
         if not standing or start < self._buffer.first or not tester.trying.due(now):
             return
@@ -326,11 +328,15 @@ class LiveEstimator(RunAgain):
         if ended:
             self._adopt(standing[0], fit, start)
 
+    def _last(self, seconds: float) -> StageInputs:
+        """Return the inputs of the last seconds, or of as many as there are."""
+        start = max(self._buffer.first, self._taken - round(seconds / self.dt))
+        return self._inputs(start, self._taken)
+
     def rehearse(self) -> None:
         """Do once what a mismatch will ask for, so that its compiled code is loaded."""
         for stage in ("one", "two"):
-            self._tester.try_again(stage, self._inputs(self._buffer.first, self._taken),
-                                   self._damping, self._now)
+            self._tester.try_again(stage, self._last(BUFFER_S), self._damping, self._now)
 
     def _adopt(self, stage: str, fit: Fit, start: int) -> None:
         """Carry on from a window that fits: what came before it no longer counts."""
@@ -356,8 +362,7 @@ class LiveEstimator(RunAgain):
     def snapshot(self) -> LiveSnapshot:
         """Return the present estimates; the events are handed out once."""
         events, self._events = tuple(self._events), []
-        model = self._tester.status(self._now, self._parameters(),
-                                    self._two.sensitivity if self._two else math.nan)
+        model = self._tester.status(self._now, self._parameters(), self._two)
         state = self._one or self._two
         position, velocity = map(float, state.ekf.x[:2]) if state else (math.nan, math.nan)
         return self._plausible.told(LiveSnapshot(

@@ -14,6 +14,7 @@ from eha_monitor.filters.inputs import StageInputs, moved_mass
 from eha_monitor.filters.joint import fits, run_joint
 from eha_monitor.filters.known import new_known_memory
 from eha_monitor.filters.model_watch import BALANCE, tainted_by
+from eha_monitor.filters.reach import WINDOW_S, Reaches, reaches_of
 from eha_monitor.filters.results import (
     Consistency,
     Estimate,
@@ -39,6 +40,7 @@ NO_CHANGES = np.empty((0, 4))
 GROSS = 25.0  # variance ratio
 COARSE = 1.5  # rad of the resonance in a sample
 MATTERS = 0.3  # standard deviations by which two holds must differ to be worth a word
+LOOKS = 3  # stretches from which the reach of a misfit is read
 
 
 def estimate(recording: Recording, settings: Settings) -> Estimate:
@@ -86,7 +88,7 @@ def estimate_held(recording: Recording, settings: Settings) -> Estimate:
     joint = run_joint(inputs, recording, settings, one, two, since)
     return Estimate(
         recording, settings, one, two, joint,
-        tested_model(one, two, joint, settings),
+        tested_model(one, two, joint, settings, inputs, damping),
         tuple(sorted(events, key=lambda event: event.time_s)), inputs.noise,
         warnings=tuple(warnings_of(inputs, settings)))
 
@@ -215,14 +217,14 @@ def first_converged(value: np.ndarray, stddev: np.ndarray, prior_stddev: float) 
 
 def unless_unexcited(parameter: ParameterEstimate,
                      verdict: Consistency | None) -> Consistency | None:
-    """Return the verdict, but none on a small misfit of a parameter that nothing told.
+    """Return the verdict, but none on a parameter that nothing told, except on a gross misfit.
 
-    A parameter that stays at its prior fits a little badly; only a gross misfit is the model's.
+    A model that nothing moves is not tested: zeros fit any.  A parameter that stays at its prior
+    fits a little badly; only a gross misfit is the model's.
     """
-    if (verdict is None or verdict.consistent or parameter.status != "not_excited"
-            or verdict.variance_ratio > GROSS):
+    if verdict is None or parameter.status != "not_excited":
         return verdict
-    return None
+    return verdict if not verdict.consistent and verdict.variance_ratio > GROSS else None
 
 
 def hand_over(one: StageResult, settings: Settings, recording: Recording, events: list[Event],
@@ -308,13 +310,17 @@ def model_status(verdicts: Iterable[Consistency | None],
                            f"and drive do not fit together ({joint.message}): a sensor's scale, "
                            "or the pump")
     if not judged:
-        return ModelStatus("not_judged", "no stage has had enough data to test the model")
+        return ModelStatus("not_judged", "no stage has had enough data, or motion, to test the "
+                           "model")
     return ModelStatus("consistent", "; ".join(verdict.message for verdict in judged))
 
 
 def tested_model(one: StageResult, two: StageResult, joint: JointResult | None,
-                 settings: Settings) -> ModelStatus:
-    """Return the verdict on the model with the misfits behind it and what they taint."""
+                 settings: Settings, inputs: StageInputs, damping: np.ndarray) -> ModelStatus:
+    """Return the verdict on the model with the misfits behind it and what they taint.
+
+    ``damping`` is the (n,) B that stage two had.
+    """
     status = model_status((one.consistency, two.consistency), joint)
     if status.status != "mismatch":
         return status
@@ -325,8 +331,28 @@ def tested_model(one: StageResult, two: StageResult, joint: JointResult | None,
     if not found:
         found = [Mismatch("joint", BALANCE["joint"], 0.0, np.nan, np.nan, np.nan, status.message)]
     bias = one.estimate.value - settings.rig.viscous_damping
+    reaches = Reaches()
+    for part in _looks(found, (one, two), inputs):
+        reaches.note(0.0, reaches_of([m.stage for m in found], part, settings,
+                                     {"B": one.estimate, "beta_e": two.estimate}, damping[-1],
+                                     two.sensitivity))
     return replace(status, mismatches=tuple(found),
-                   tainted=tainted_by(found, abs(two.sensitivity * bias)))
+                   tainted=tainted_by(found, abs(two.sensitivity * bias), reaches.most()))
+
+
+def _looks(found: list[Mismatch], stages: tuple[StageResult, StageResult], inputs: StageInputs
+           ) -> list[StageInputs]:
+    """Return stretches from which it is read how far a misfit can have moved the parameters.
+
+    They lie between its beginning, or the last change of a parameter, and the end.
+    """
+    n = len(inputs.x)
+    length = min(n, round(WINDOW_S / inputs.dt))
+    first = [m.since_s / inputs.dt for m in found if np.isfinite(m.since_s)]
+    changed = [row[0] for stage in stages for row in stage.changes[-1:]]
+    begin = min(max((min(first, default=0), *changed)), n - length)
+    starts = np.unique(np.linspace(begin, n - length, LOOKS).astype(int))
+    return [inputs.part(start, start + length) for start in starts.tolist()]
 
 
 def warnings_of(inputs: StageInputs, settings: Settings) -> list[str]:

@@ -153,11 +153,14 @@ class Taint:
     """Why a parameter deserves doubt, and since when, s.
 
     ``testing``: it has just moved, and the model is being tested on what came since.
+    ``reach``: how far what the model lacks can have moved it (:mod:`filters.reach`), B in its
+    unit, beta_e as a logarithm; inf where that is not known.
     """
 
     reason: str
     since_s: float
     testing: bool = False
+    reach: float = math.inf
 
 
 @dataclass(frozen=True)

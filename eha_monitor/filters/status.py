@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from eha_monitor.filters.results import ParameterEstimate
 from eha_monitor.quantity import FLOOR, SYMBOLS, quantity, share, with_uncertainty
 from eha_monitor.settings.monitor import Settings
@@ -50,6 +52,18 @@ def judge_parameter(name: str, value: float, stddev: float, unit: str, prior: fl
     told = share(max(stddev / abs(value) if value else 0.0, FLOOR), 2)
     return ParameterEstimate(name, value, stddev, unit, "converged",
                              f"{symbol} = {shown}: the motion tells it to ± {told}")
+
+
+def converged_where(value: np.ndarray, stddev: np.ndarray, prior: float, prior_stddev: float,
+                    largest: float = math.inf) -> np.ndarray:
+    """Return (n,) bool, where :func:`judge_parameter` would say ``converged``."""
+    limit = min(HUGE * (prior + prior_stddev), largest)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        size = np.abs(value)
+        beyond = (size > limit) & ((1.0 + NEGATIVE * stddev / size) / size < 1.0 / limit)
+        lost = (value < -NEGATIVE * stddev) | beyond
+        return (np.isfinite(value) & np.isfinite(stddev) & ~lost
+                & ~(stddev > CONVERGED * size) & ~(prior_stddev < 2.0 * stddev))
 
 
 def parameters_of(settings: Settings, one, two, lacking: tuple[str, str], either: float = 0.0

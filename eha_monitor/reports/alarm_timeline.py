@@ -20,7 +20,7 @@ _OVERLAP = 5.5  # percent of the width within which two marks share a label
 
 @dataclass(frozen=True)
 class Span:
-    """A level that an alarm had from ``start`` to ``stop``, s."""
+    """A level, as its word, that an alarm had from ``start`` to ``stop``, s."""
 
     start: float
     stop: float
@@ -75,10 +75,10 @@ def spans(name: str, alarms: tuple[Alarm, ...], history: tuple[Alarm, ...], dura
         stop = changes[i + 1].time_s if i + 1 < len(changes) else duration
         start = float(np.clip(change.time_s, 0, duration))
         stop = float(np.clip(stop, start, duration))
-        if found and found[-1].level == change.level and found[-1].stop >= start:
-            found[-1] = Span(found[-1].start, stop, change.level)
+        if found and found[-1].level == change.word and found[-1].stop >= start:
+            found[-1] = Span(found[-1].start, stop, change.word)
         elif stop > start or i + 1 == len(changes):
-            found.append(Span(start, stop, change.level))
+            found.append(Span(start, stop, change.word))
     return found
 
 

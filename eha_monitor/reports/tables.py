@@ -107,7 +107,7 @@ def noise_rows(estimate: Estimate) -> list[dict[str, str]]:
 
 def alarm_rows(alarms: tuple[Alarm, ...]) -> list[dict[str, str]]:
     """Return one row for each alarm, or for each change of one."""
-    return [{"name": alarm_words(a.name), "level": a.level, "message": a.message,
+    return [{"name": alarm_words(a.name), "level": a.word, "message": a.message,
              "time": seconds(a.time_s)} for a in alarms]
 
 

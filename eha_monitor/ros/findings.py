@@ -14,7 +14,7 @@ STAGES = {"one": WATCHED[0], "two": WATCHED[1]}
 KEYS = {"B": "viscous_damping_Ns_per_m", "beta_e": "bulk_modulus_Pa"}
 MISMATCH = "model_mismatch"
 _STATUS_LEVEL = {"converged": "OK", "not_excited": "OK", "diverged": "ERROR", "no_data": "STALE"}
-_MODEL_LEVEL = {"consistent": "OK", "mismatch": "WARN"}
+_MODEL_LEVEL = {"consistent": "OK", "mismatch": "WARN"}  # else STALE: it has not been tested
 
 
 @dataclass
@@ -65,7 +65,7 @@ def all_findings(settings: Settings, board: AlarmBoard,
     for stage, watched in STAGES.items():
         found.append(_stage(stage, parameters.get(watched.symbol), consistency.get(stage),
                             events.get(stage), data))
-    level = "STALE" if data.stopped else _MODEL_LEVEL.get(model.status, "OK")
+    level = "STALE" if data.stopped else _MODEL_LEVEL.get(model.status, "STALE")
     found.append(Finding("model", level, data.stopped or model.message or model.status,
                          {"status": model.status}))
     found.append(_mismatch(model, consistency, data))
@@ -113,7 +113,8 @@ def _mismatch(model: ModelStatus, consistency: dict[str, Consistency | None],
     for watched in WATCHED:
         values[f"{watched.section}_tainted"] = _doubts(model, watched.symbol)["tainted"]
     if data.stopped or model.status in ("unknown", "not_judged"):
-        return Finding(MISMATCH, "STALE", data.stopped or "no data yet: " + model.message, values)
+        values["not_judged"] = int(not data.stopped and model.status == "not_judged")
+        return Finding(MISMATCH, "STALE", data.stopped or f"not judged: {model.message}", values)
     if not model.mismatches:
         return Finding(MISMATCH, "OK", model.message, values)
     first = min(model.mismatches, key=lambda m: m.since_s)
