@@ -234,7 +234,7 @@ def test_a_misfit_holds_back_only_what_it_can_have_brought_about():
     assert doubtful(board, [1296.0] * 20, reaching(200.0))[-1] == "WARN"
     assert high(board).raised and high(board).message == (
         "viscous damping 1296.0 ± 1.0 N·s/m is above the WARN limit of 1000 N·s/m; "
-        f"{DOUBT['B'].reason}, which may have moved it by 2e+02 N·s/m")
+        f"{DOUBT['B'].reason}, which may have moved it by 200 N·s/m")
     board = AlarmBoard(settings())
     assert doubtful(board, [1296.0] * 20, reaching(400.0))[-1] == "not judged"
     assert high(board).level == "WARN" and "may have moved it by 4e+02 N·s/m" in high(

@@ -47,9 +47,9 @@ def test_a_minute_at_1_khz_costs_little():
     rows = series(np.linspace(600, 1800, N))
     costs = []
     for _ in range(5):
-        start = time.perf_counter()
+        start = time.process_time()
         judge_series(Settings(), TIME, rows, np.full(N, 40.0))
-        costs.append(time.perf_counter() - start)
+        costs.append(time.process_time() - start)
     assert min(costs) < 0.02
 
 

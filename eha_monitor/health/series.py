@@ -63,7 +63,7 @@ def judge_series(settings: Settings, time: np.ndarray, parameters: dict[str, Par
     present = _recent(time, measured, settings.monitor.stale_after)[index]
     warmth = None if temperature is None else _carried(temperature)[index].tolist()
     columns = {symbol: _columns(series, index) for symbol, series in parameters.items()}
-    trials = {symbol: Trial() for symbol in parameters}
+    trials = {symbol: Trial(series.final.unit) for symbol, series in parameters.items()}
     unjudged = {symbol: _unjudged(series.final) for symbol, series in parameters.items()}
     for k, (at, here) in enumerate(zip(time[index].tolist(), present.tolist(), strict=True)):
         if not here:
