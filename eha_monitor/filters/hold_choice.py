@@ -17,6 +17,7 @@ from eha_monitor.filters.drive import drive_input
 from eha_monitor.filters.hold import Hold
 from eha_monitor.filters.hold_evidence import Point, Stretch, climbed, fitted, later
 from eha_monitor.filters.inputs import (
+    LINE,
     RigModel,
     force_of,
     force_variance,
@@ -29,6 +30,7 @@ from eha_monitor.filters.run_two import most_telling
 from eha_monitor.filters.sensors import undo_sensors
 from eha_monitor.filters.stage_two import LINE_TIME, LOOP
 from eha_monitor.physics.contributions import circuit_of
+from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.recordings.finding import ChannelFinding
 from eha_monitor.recordings.recording import Recording
@@ -172,9 +174,13 @@ def asked_of(recording: Recording, settings: Settings) -> Asked | None:
            else recording.get("omega"))
     length = min(len(raw), ASKED)
     start = most_telling(raw, recording.get("x"), length)
+    if settings.effects.get(NAMES[LINE]):
+        return None  # a line is late by itself, and is not in this filter
     part = Recording(dt, {name: values[start:start + length]
                           for name, values in recording.channels.items()
                           if np.isfinite(values[start:start + length]).any()})
+    if missing(settings, part.channels)[1] is not None:
+        return None
     noise = noise_levels(part, settings.noise)
     recorded, _ = without_spikes(dict(part.channels), noise)
     circuit = circuit_of(*theta_of(rig, settings.effects))
@@ -182,7 +188,7 @@ def asked_of(recording: Recording, settings: Settings) -> Asked | None:
     if commanded and not follows(channels, noise, rig.position_gain):
         channels = {name: values for name, values in channels.items() if name != "x_d"}
     if missing(settings, channels)[1] is not None:
-        return None
+        return None  # the pump does not do as told, and what it does is not recorded
     by_demand = "x_d" in channels and rig.position_gain is not None
     inputs = [open_input(recorded, channels, noise, settings, hold, dt)
               for hold in (CONTINUOUS, SAMPLED)]

@@ -10,7 +10,7 @@ from eha_monitor.filters.stage_two import C_PLACE
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
-ASK_AGAIN_S = 2.0, 16.0  # while the evidence is weak
+ASK_AGAIN_S = 0.5, 16.0  # while the evidence is weak
 
 
 class LiveHold:

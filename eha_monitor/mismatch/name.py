@@ -84,7 +84,8 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
     found = diagnose_held(recordings, held, held_out, progress, calibrate)
     told = decision is not None and decision.decided
     return replace(found, channels=decision.findings if told else (),
-                   command_hold=(held if told else settings).command_hold, wall_s=time.perf_counter() - started)
+                   command_hold=(held if told else settings).command_hold,
+                   wall_s=time.perf_counter() - started)
 
 
 def diagnose_held(recordings: list[Recording], settings: Settings, held_out: Recording | None,
