@@ -7,6 +7,7 @@ lies, and why every copy of the package shares it: :mod:`eha_monitor.compiled_ca
 """
 
 import hashlib
+import re
 import warnings
 from pathlib import Path
 
@@ -20,13 +21,24 @@ def _source_hash() -> str:
     root = Path(__file__).parent
     digest = hashlib.sha256()
     digest.update(Path(__file__).read_bytes())  # the options are here
-    for folder in ("physics", "filters", "recordings", "mismatch", "concealed"):
-        for path in sorted((root / folder).rglob("*.py")):
-            source = path.read_bytes()
-            # What is not compiled has no part in it; these two folders hold constants as well.
-            if folder in ("physics", "concealed") or b"njit" in source:
-                digest.update(str(path.relative_to(root)).encode())
-                digest.update(source)
+    sources = {path: path.read_bytes()
+               for folder in ("physics", "filters", "recordings", "mismatch", "concealed")
+               for path in (root / folder).rglob("*.py")}
+    # What is compiled, physics with its constants, and what these import: a constant from
+    # anywhere is part of the compiled code.
+    wanted = [path for path, source in sources.items()
+              if b"njit" in source or path.is_relative_to(root / "physics")]
+    taken: set[Path] = set()
+    while wanted:
+        path = wanted.pop()
+        if path in taken or path not in sources:
+            continue
+        taken.add(path)
+        wanted += [root / f"{name.decode().replace('.', '/')}.py"
+                   for name in re.findall(rb"^\s*from eha_monitor\.([\w.]+) import", sources[path],
+                                          re.MULTILINE)]
+    for path in sorted(taken):
+        digest.update(str(path.relative_to(root)).encode() + sources[path])
     return digest.hexdigest()[:16]
 
 

@@ -237,7 +237,7 @@ def test_a_misfit_holds_back_only_what_it_can_have_brought_about():
         f"{DOUBT['B'].reason}, which may have moved it by 200 N·s/m")
     board = AlarmBoard(settings())
     assert doubtful(board, [1296.0] * 20, reaching(400.0))[-1] == "not judged"
-    assert high(board).level == "WARN" and "may have moved it by 4e+02 N·s/m" in high(
+    assert high(board).level == "WARN" and "may have moved it by 400 N·s/m" in high(
         board).message
 
 

@@ -17,6 +17,7 @@ from eha_monitor.filters.drive import drive_input
 from eha_monitor.filters.hold import Hold
 from eha_monitor.filters.hold_evidence import Point, Stretch, climbed, fitted, later
 from eha_monitor.filters.inputs import (
+    LINE,
     RigModel,
     force_of,
     force_variance,
@@ -29,6 +30,7 @@ from eha_monitor.filters.run_two import most_telling
 from eha_monitor.filters.sensors import undo_sensors
 from eha_monitor.filters.stage_two import LINE_TIME, LOOP
 from eha_monitor.physics.contributions import circuit_of
+from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.recordings.finding import ChannelFinding
 from eha_monitor.recordings.recording import Recording
@@ -38,7 +40,8 @@ CONTINUOUS, SAMPLED, AUTO = "continuous", "sampled", "auto"
 ASKED = 3000  # samples: the stretch in which the drive moves most
 FEWEST = 300
 DECISIVE = 30.0  # log units; the likelihoods know the physics only so well
-LATE = (1.0, 2.0, 3.0)  # samples by which a continuous input may come late
+LATE = (2.0, 3.0)  # samples by which an input may come late, beside a half and one
+CLEARLY = 2.0 * DECISIVE
 COINCIDENCE = 8.0  # log units that a delay must gain: it could have any length
 UNSURE = 4.0  # times the usual variance of the input
 SMOOTH_S, SMOOTHED = 0.012, 7  # s and least samples over which velocity is taken
@@ -144,18 +147,22 @@ def evidence_of(recording: Recording, settings: Settings) -> tuple[float, str] |
     # Each from where the other has come to, too: a search ends at the top of one hill.
     l_flowing, at = max([first, (*_from(second, flowing),)], key=lambda one: one[0])[::2]
     l_held, at_held = max([second, (*_from(first, held),)], key=lambda one: one[0])[::2]
-    evidence = l_held - l_flowing
-    if not np.isfinite(evidence):
+    if not np.isfinite(l_held - l_flowing):
         return None
-    if evidence > 0.0:
-        stretch, other = first[1], second[1]
-        late = max(climbed(stretch, later(asked.continuous, by), at)[0] for by in LATE)
-        if late - COINCIDENCE > l_held - DECISIVE:  # it is late by some samples, held or not
-            as_late = max(climbed(other, later(asked.sampled, by - 0.5), at_held)[0]
-                          for by in LATE)
-            evidence = (max(l_held, as_late - COINCIDENCE)
-                        - max(l_flowing, late - COINCIDENCE))
-    return float(evidence), asked.channel
+
+    def delayed(by: float) -> float:
+        return climbed(first[1], later(asked.continuous, by), at)[0]
+
+    # A held command is half a sample late on average: what is late by just that is taken for one
+    # unless it is clearly better, since any other length would be as likely.
+    half, one = delayed(0.5), delayed(1.0)
+    late = max([one, *map(delayed, LATE)] if one > l_flowing else [one])
+    if max(late - COINCIDENCE, half - CLEARLY) > max(l_flowing, l_held - CLEARLY):
+        l_held = max(l_held, max(climbed(
+            second[1], later(asked.sampled, by - 0.5), at_held)[0]
+            for by in (1.0, *LATE)) - COINCIDENCE)
+        l_flowing = max(l_flowing, late - COINCIDENCE, half - CLEARLY)
+    return float(l_held - l_flowing), asked.channel
 
 
 def _from(found: tuple[float, Stretch, Point], lines) -> tuple[float, Stretch, Point]:
@@ -172,9 +179,13 @@ def asked_of(recording: Recording, settings: Settings) -> Asked | None:
            else recording.get("omega"))
     length = min(len(raw), ASKED)
     start = most_telling(raw, recording.get("x"), length)
+    if settings.effects.get(NAMES[LINE]):
+        return None  # a line is late by itself, and is not in this filter
     part = Recording(dt, {name: values[start:start + length]
                           for name, values in recording.channels.items()
                           if np.isfinite(values[start:start + length]).any()})
+    if missing(settings, part.channels)[1] is not None:
+        return None
     noise = noise_levels(part, settings.noise)
     recorded, _ = without_spikes(dict(part.channels), noise)
     circuit = circuit_of(*theta_of(rig, settings.effects))
@@ -182,7 +193,7 @@ def asked_of(recording: Recording, settings: Settings) -> Asked | None:
     if commanded and not follows(channels, noise, rig.position_gain):
         channels = {name: values for name, values in channels.items() if name != "x_d"}
     if missing(settings, channels)[1] is not None:
-        return None
+        return None  # the pump does not do as told, and what it does is not recorded
     by_demand = "x_d" in channels and rig.position_gain is not None
     inputs = [open_input(recorded, channels, noise, settings, hold, dt)
               for hold in (CONTINUOUS, SAMPLED)]

@@ -8,7 +8,7 @@ from eha_monitor.errors import InputError
 from eha_monitor.filters.inputs import force_of, without_spikes
 from eha_monitor.filters.noise import noise_levels, quantum
 from eha_monitor.mismatch.innovations import CLOSED, FORCED, OPEN
-from eha_monitor.mismatch.inputs import course_of, filled, noise_governs
+from eha_monitor.mismatch.inputs import course_of, filled, noise_governs, present
 from eha_monitor.physics.effect import Ranges
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.physics.plant import N_OUTPUTS
@@ -172,8 +172,8 @@ def experiment_of(recordings: list[Recording], settings: Settings,
 
 def is_held(mode: int, settings: Settings) -> bool:
     """Tell whether the model's input is held over each sample; a slow shaft turns in between."""
-    return (mode == OPEN and settings.command_hold == "sampled"
-            and not settings.effects.get("drive_lag", {}).get("tau", 0.0))
+    slow = settings.effects.get("drive_lag", {}).get("tau", 0.0) > 0.0
+    return mode == OPEN and settings.command_hold == "sampled" and not slow
 
 
 def input_noise(mode: int, settings: Settings, levels: dict) -> float:
@@ -182,9 +182,8 @@ def input_noise(mode: int, settings: Settings, levels: dict) -> float:
         return float(np.median(levels[name])) if name in levels else 0.0
 
     if mode == OPEN:
-        if settings.rig.position_gain is not None and "x_d" in levels:
-            return abs(settings.rig.position_gain) * level("x")
-        return level("omega")
+        gain = settings.rig.position_gain if "x_d" in levels else None
+        return level("omega") if gain is None else abs(gain) * level("x")
     if mode == FORCED and "p1" in levels and "p2" in levels and settings.rig.area_1:
         return float(np.hypot(settings.rig.area_1 * level("p1"),
                               settings.rig.area_2 * level("p2")))
@@ -296,13 +295,12 @@ def stretches_of(recording: Recording, channels: dict, settings: Settings, mode:
     elif mode == CLOSED:
         u, sigma, held = channels["x_d"], 0.0, False
     elif mode == OPEN and rig.position_gain is not None and "x_d" in channels:
-        u = rig.position_gain * (channels["x_d"] - channels["x"])
-        sigma, held = 0.0, is_held(mode, settings)
+        u, sigma = rig.position_gain * (channels["x_d"] - channels["x"]), 0.0
+        held = is_held(mode, settings)
     elif mode == OPEN:
         u, sigma, held = channels["omega"], levels["omega"][-1], is_held(mode, settings)
     else:
-        u = force_of(rig, channels)
-        sigma, held = 0.0, False
+        u, sigma, held = force_of(rig, channels), 0.0, False
     z = np.column_stack([channels.get(name, nothing) for name in OUTPUTS])
     if mode == OPEN and not (held and rig.position_gain is not None and "x_d" in channels):
         z[:, 4] = np.nan  # the pump speed is the input
@@ -337,19 +335,8 @@ def stretches_of(recording: Recording, channels: dict, settings: Settings, mode:
 
 def pressure_of(off: np.ndarray, rig: Rig, dt: float) -> np.ndarray:
     """Return what a demand off by ``off`` m over a sample does to the pressures, (n,) Pa."""
-    volume = rig.position_gain * off * rig.pump_displacement * dt
-    return volume * rig.bulk_modulus / min(rig.volume_1, rig.volume_2)
-
-
-def present(u: np.ndarray, x: np.ndarray, longest: int) -> list[tuple[int, int]]:
-    """Return (start, stop) of stretches in which input and position are there, gaps bridged."""
-    good = np.flatnonzero(np.isfinite(u) & np.isfinite(x))
-    if not len(good):
-        return []
-    cuts = np.flatnonzero(np.diff(good) > max(longest, 1) + 1)
-    starts = [good[0], *good[cuts + 1]]
-    stops = [*(good[cuts] + 1), good[-1] + 1]
-    return list(zip(map(int, starts), map(int, stops), strict=True))
+    return (rig.position_gain * off * rig.pump_displacement * dt
+            * rig.bulk_modulus / min(rig.volume_1, rig.volume_2))
 
 
 def smooth(values: np.ndarray, otherwise: float) -> np.ndarray:

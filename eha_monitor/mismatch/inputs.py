@@ -95,6 +95,17 @@ def filled(u: np.ndarray) -> np.ndarray:
     return np.interp(index, index[good], u[good])
 
 
+def present(u: np.ndarray, x: np.ndarray, longest: int) -> list[tuple[int, int]]:
+    """Return (start, stop) of stretches in which input and position are there, gaps bridged."""
+    good = np.flatnonzero(np.isfinite(u) & np.isfinite(x))
+    if not len(good):
+        return []
+    cuts = np.flatnonzero(np.diff(good) > max(longest, 1) + 1)
+    starts = [good[0], *good[cuts + 1]]
+    stops = [*(good[cuts] + 1), good[-1] + 1]
+    return list(zip(map(int, starts), map(int, stops), strict=True))
+
+
 def noise_governs(parts: list[np.ndarray]) -> bool:
     """Tell whether a measured input's own noise outweighs its change from sample to sample.
 

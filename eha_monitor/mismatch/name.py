@@ -57,6 +57,7 @@ LARGE_PART = 0.5  # of the evidence: what an effect must take away to be named b
 # Effect of the force balance -> errors of pressure sensors that make the same force: an offset,
 # and a scale by the mean pressure.
 FORCE_OF_SENSORS = {"constant_load": ("pressure_offset", "pressure_scale")}
+HIGH = 30.0  # log units of a threshold that a user must know of
 WORSE = 1.02  # ratio of squared errors on unseen data that is beyond chance
 
 Report = Callable[[str, float], None]
@@ -247,10 +248,20 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming,
         how.overlays(shown, before, after), considered_of(naming),
         parts,
         health_sentences(experiment, *known, effects),
-        balance_show.doubts(effects) if by_equations else advise.advice_for(experiment, naming),
+        (*(balance_show.doubts(effects) if by_equations
+           else advise.advice_for(experiment, naming)), *high_threshold(threshold)),
         config_effects(experiment, after, tuple(effect.name for effect in effects)),
         threshold if np.isfinite(threshold) else THRESHOLD, bool(np.isfinite(threshold)),
         explained, duration, time.perf_counter() - started, pieces)
+
+
+def high_threshold(threshold: float) -> tuple[str, ...]:
+    """Say so where an effect needs far more evidence than usual to be named."""
+    if not threshold > HIGH:
+        return ()
+    return (f"on simulated clean recordings of this rig and motion chance alone comes near "
+            f"{threshold:.0f} log units, far more than the usual 10 to 20: small effects stay "
+            "unnamed here; check rig and noise levels of the config, or record at a higher rate",)
 
 
 def named_effect(experiment: Experiment, naming: Naming, name: str, tracks: list[np.ndarray]
