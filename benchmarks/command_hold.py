@@ -1,4 +1,4 @@
-"""Does the recording tell whether the drive holds its command, and does nothing pay for it?
+"""The trial of the hold: does the recording tell it, and does nothing pay for it.
 
     python benchmarks/command_hold.py [draws] [seed]
 
