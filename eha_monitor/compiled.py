@@ -60,7 +60,9 @@ def njit(function=None, *, cache: bool = True, **options):
     if function is None:
         return lambda inner: njit(inner, cache=cache, **options)
     made = numba.njit(function, **options)
-    if cache and isinstance(made, CPUDispatcher):  # with NUMBA_DISABLE_JIT it is the function
+    # A function of somebody else's file is kept by nobody: the folder is named by our source.
+    ours = Path(function.__code__.co_filename).is_relative_to(compiled_cache.PACKAGE)
+    if cache and ours and isinstance(made, CPUDispatcher):  # NUMBA_DISABLE_JIT: the function
         made._cache = compiled_cache.SharedCache(function, PLACES)
     return made
 
