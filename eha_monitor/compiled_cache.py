@@ -153,8 +153,8 @@ def _writable() -> Path:
 class Announcer(event.Listener):
     """Says in one line that compilation begins, before the silence, whoever asked for it."""
 
-    SECONDS = 40  # of processor, for all that `estimate` needs; measured
-    MORE = 25  # and for what only a diagnosis or a prediction needs
+    SECONDS = 60  # of processor, for all that `estimate` needs: 33 alone, 50 on a busy machine
+    MORE = 30  # and for what only a diagnosis or its advice needs
 
     def __init__(self, place: Path):
         self._place = place
