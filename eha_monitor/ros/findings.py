@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from eha_monitor.filters.results import Consistency, Event, ModelStatus, ParameterEstimate
 from eha_monitor.health.alarms import ADVICE, WATCHED, AlarmBoard
 from eha_monitor.health.finding import Finding
+from eha_monitor.health.overload import Overload
 from eha_monitor.ros.messages import alarm_finding
 from eha_monitor.settings.monitor import Settings
 
@@ -26,6 +27,7 @@ class DataState:
     stopped : why there are no rows now, or None.
     problems : sentences about missing channels and the like.
     unsettled : symbols of parameters that have diverged only just now.
+    overload : that the monitor cannot keep up, or None.
     unsaved : why the last bag could not be written, or None.
     values : numbers for the diagnostics: rates, counts, latencies, CPU share.
     """
@@ -33,6 +35,7 @@ class DataState:
     stopped: str | None = "no data yet"
     problems: list[str] = field(default_factory=list)
     unsettled: set[str] = field(default_factory=set)
+    overload: Overload | None = None
     unsaved: str | None = None
     values: dict[str, float | int | str] = field(default_factory=dict)
 
@@ -66,7 +69,10 @@ def all_findings(settings: Settings, board: AlarmBoard,
                          {"status": model.status}))
     found.append(_mismatch(model, consistency, data))
     level = "STALE" if data.stopped else "WARN" if data.problems or data.unsaved else "OK"
-    sentences = [*([data.stopped] if data.stopped else []), *data.problems] or ["data come"]
+    if data.overload is not None:  # it says why data may seem to have stopped
+        level = data.overload.level
+    sentences = [*([data.overload.sentence] if data.overload else []),
+                 *([data.stopped] if data.stopped else []), *data.problems] or ["data come"]
     message = "; ".join([*sentences, *([data.unsaved] if data.unsaved else [])])
     found.append(Finding("data", level, message, {**data.values, **_last(events.get("monitor"))}))
     return found
