@@ -16,6 +16,7 @@ from eha_monitor.health.alarms import NOT_JUDGED
 
 NAMESPACE = "/eha"
 BOTH_ALARMS = frozenset({"viscous_damping_high", "bulk_modulus_low"})
+START_SECONDS = 60.0  # at most, until the monitor is there
 LIVE_SECONDS, REPLAY_SECONDS = 40.0, 40.0  # at most; it goes on when the alarms have come
 _COLOURS = {"WARN": "yellow", "ERROR": "red", "OK": "green", NOT_JUDGED: "cyan"}
 _GRACE = 5.0  # s that a child has to end by itself
@@ -101,6 +102,18 @@ def watched(children: Children, seconds: float, alarms: frozenset[str]) -> None:
         raise DemoFailed(f"expected the alarm {missing[0]} within {seconds:g} s, it did not come")
 
 
+def awaited(children: Children) -> None:
+    """Wait until the monitor is there."""
+    from eha_monitor.ros.watch import watch
+
+    def finished(seen) -> bool:
+        children.check()
+        return seen.heard
+
+    if not watch(NAMESPACE, START_SECONDS, lambda line, level: None, finished).heard:
+        raise DemoFailed(f"the monitor was not there after {START_SECONDS:g} s")
+
+
 def run(*arguments: str, show: bool = True) -> None:
     """Run one command to its end."""
     done = subprocess.run([sys.executable, "-m", "eha_monitor", *arguments], text=True,
@@ -135,6 +148,7 @@ def replayed(logs: Path) -> None:
           "   bag's.  Air enters the oil from 8 s on.", flush=True)
     with Children(logs) as children:
         children.start("monitor")
+        awaited(children)  # else the bag begins without it
         children.start("replay", resource("bags/air_ingress"))
         watched(children, REPLAY_SECONDS, frozenset({"bulk_modulus_low"}))
 

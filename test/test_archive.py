@@ -343,3 +343,17 @@ def test_every_column_is_documented():
     text = (ROOT / "docs/archive.md").read_text(encoding="utf-8")
     for column in COLUMNS:
         assert re.search(rf"^\|.*`{re.escape(column.name)}`.*\|", text, re.MULTILINE), column.name
+
+
+def test_what_is_not_judged_is_no_ok_in_a_row():
+    alarm = {"name": "viscous_damping_high", "level": "WARN", "message": "not judged: B 1080",
+             "time_s": 3.0, "not_judged": True}
+    fine = {"name": "bulk_modulus_low", "level": "OK", "message": "", "time_s": 0.0,
+            "not_judged": False}
+    one = {"value": 1080.0, "stddev": 1.0, "unit": "", "status": "converged"}
+    tree = {"duration_s": 8.0, "samples": 8000, "parameters": {"B": one, "beta_e": one},
+            "alarms": [alarm, fine], "losses": [],
+            "model": {"status": "mismatch", "message": "", "mismatches": [], "tainted": {}}}
+    row = estimate_columns(tree)
+    assert (row["viscous_damping_high"], row["bulk_modulus_low"]) == ("not judged", "OK")
+    assert (row["alarm"], row["alarm_message"]) == ("not judged", "not judged: B 1080")

@@ -348,7 +348,7 @@ class Monitor:
                              snapshot.parameters if snapshot else {},
                              snapshot.consistency if snapshot else {},
                              self._model, self._events, self.data)
-        levels = [finding.level for finding in found]
+        levels = [(finding.level, finding.word) for finding in found]
         if only_changes and levels == self._levels:
             return
         self._levels = levels

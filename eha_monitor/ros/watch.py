@@ -31,11 +31,13 @@ class Seen:
     ----------
     estimates : number of estimates of ``B`` and ``beta_e``.
     raised : names of the alarms that reached WARN or ERROR.
+    heard : whether the monitor has said anything.
     rows, missing : samples that the monitor had, and that it knows to lack.
     """
 
     estimates: dict[str, int] = field(default_factory=dict)
     raised: set[str] = field(default_factory=set)
+    heard: bool = False
     rows: int = 0
     missing: int = 0
 
@@ -101,6 +103,7 @@ class Watcher:
         return f"{'':5}  " if math.isnan(since_s) else f"{since_s:5.1f} s"
 
     def _take_health(self, message: DiagnosticArray) -> None:
+        self.seen.heard = True
         found = {finding.name: finding for finding in findings_of(message)}
         if "data" in found:
             self._take_data(found["data"])
