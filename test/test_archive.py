@@ -354,3 +354,17 @@ def test_stamps_that_are_no_dates_are_not_written_as_dates():
     text = Page(archive_page([row], "estimate", settings, bag.parent, "2")).text
     assert "1970" not in text and "600" in text
     assert text.count("one standard deviation") == 1
+
+
+def test_what_is_not_judged_is_no_ok_in_a_row():
+    alarm = {"name": "viscous_damping_high", "level": "WARN", "message": "not judged: B 1080",
+             "time_s": 3.0, "not_judged": True}
+    fine = {"name": "bulk_modulus_low", "level": "OK", "message": "", "time_s": 0.0,
+            "not_judged": False}
+    one = {"value": 1080.0, "stddev": 1.0, "unit": "", "status": "converged"}
+    tree = {"duration_s": 8.0, "samples": 8000, "parameters": {"B": one, "beta_e": one},
+            "alarms": [alarm, fine], "losses": [],
+            "model": {"status": "mismatch", "message": "", "mismatches": [], "tainted": {}}}
+    row = estimate_columns(tree)
+    assert (row["viscous_damping_high"], row["bulk_modulus_low"]) == ("not judged", "OK")
+    assert (row["alarm"], row["alarm_message"]) == ("not judged", "not judged: B 1080")

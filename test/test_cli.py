@@ -105,7 +105,11 @@ def test_estimate_answers_as_in_the_contract(capsys, tmp_path):
     assert set(alarms) == {"viscous_damping_high", "viscous_damping_low", "bulk_modulus_high",
                            "bulk_modulus_low"}
     assert alarms["bulk_modulus_low"]["level"] == "WARN"  # air came in after 8 s
-    assert 8.0 < alarms["bulk_modulus_low"]["time_s"] < 12.0
+    # It passes the limit at 8.6 s and moves until 10 s; 2.5 s later it has stood the test.
+    assert 12.0 < alarms["bulk_modulus_low"]["time_s"] < 13.0
+    held = [a for a in tree["alarm_history"] if a["name"] == "bulk_modulus_low"
+            and a["not_judged"]]
+    assert 8.0 < held[-1]["time_s"] < 9.5  # and so long it is shown as not judged
     assert alarms["viscous_damping_high"]["level"] == "OK"
     assert tree["model"]["status"] in ("consistent", "mismatch")
     channels = {tuple(row["channels"]) for row in tree["observability"]}

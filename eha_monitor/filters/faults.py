@@ -6,6 +6,7 @@ there is evidence and a few seconds longer, so that a fault that comes in bursts
 
 import math
 from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -27,6 +28,8 @@ OTHER_RATE = 1.5
 LATE_S = 0.1
 # Looks after which it is known how receipt and stamp usually drift apart.
 GROWTHS = 5
+# Kinds of sentences that a monitor that cannot keep up brings about by itself.
+CONSEQUENCES = ("missing", "late", "lacked")
 # So many samples are needed to tell a usual step.
 ENOUGH = 20
 
@@ -41,11 +44,15 @@ class Sentences:
         """Take a sentence; a newer one of the same key replaces it."""
         self._noted[key] = (now, sentence)
 
-    def standing(self, now: float) -> list[str]:
-        """Return the sentences that stand, in the order in which they first came."""
+    def standing(self, now: float, without: Collection[str] = ()) -> list[str]:
+        """Return the sentences that stand, in the order in which they first came.
+
+        ``without`` leaves out kinds, the first words of keys.
+        """
         self._noted = {key: (at, text) for key, (at, text) in self._noted.items()
                        if now - at <= HELD_S}
-        return [text for _, text in self._noted.values()]
+        return [text for key, (_, text) in self._noted.items()
+                if key.partition(" ")[0] not in without]
 
 
 @dataclass
@@ -119,9 +126,9 @@ class FaultWatch:
         """Take a sentence that somebody else found."""
         self._sentences.note(key, now, sentence)
 
-    def sentences(self, now: float) -> list[str]:
-        """Return what stands at ``now`` (s, monotonic)."""
-        return self._sentences.standing(now)
+    def sentences(self, now: float, without: Collection[str] = ()) -> list[str]:
+        """Return what stands at ``now`` (s, monotonic), see :meth:`Sentences.standing`."""
+        return self._sentences.standing(now, without)
 
     def look(self, now: float) -> dict[str, int]:
         """Compare with the last look; return channels found frozen now, and since when, ns.

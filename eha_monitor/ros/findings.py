@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from eha_monitor.filters.results import Consistency, Event, ModelStatus, ParameterEstimate
 from eha_monitor.health.alarms import ADVICE, WATCHED, AlarmBoard
 from eha_monitor.health.finding import Finding
+from eha_monitor.health.overload import Overload
 from eha_monitor.ros.messages import alarm_finding
 from eha_monitor.settings.monitor import Settings
 
@@ -28,6 +29,7 @@ class DataState:
     unsettled : symbols of parameters that have diverged only just now.
     implausible : what contradicts the config (signs, units, channels), "" where nothing does.
     refused : nothing is estimated for it.
+    overload : that the monitor cannot keep up, or None.
     unsaved : why the last bag could not be written, or None.
     values : numbers for the diagnostics: rates, counts, latencies, CPU share.
     """
@@ -37,6 +39,7 @@ class DataState:
     unsettled: set[str] = field(default_factory=set)
     implausible: str = ""
     refused: bool = False
+    overload: Overload | None = None
     unsaved: str | None = None
     values: dict[str, float | int | str] = field(default_factory=dict)
 
@@ -71,8 +74,11 @@ def all_findings(settings: Settings, board: AlarmBoard,
     found.append(_mismatch(model, consistency, data))
     wrong = data.problems or data.unsaved or data.implausible
     level = ("STALE" if data.stopped else "ERROR" if data.refused else "WARN" if wrong else "OK")
-    sentences = [each for each in (data.stopped, data.implausible, *data.problems) if each] or [
-        "data come"]
+    if data.overload is not None and not data.refused:  # why data may seem to have stopped
+        level = data.overload.level
+    sentences = [each for each in (
+        data.overload.sentence if data.overload else "", data.stopped, data.implausible,
+        *data.problems) if each] or ["data come"]
     message = "; ".join([*sentences, *([data.unsaved] if data.unsaved else [])])
     found.append(Finding("data", level, message, {**data.values, **_last(events.get("monitor"))}))
     return found
