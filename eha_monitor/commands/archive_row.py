@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from eha_monitor.archive.columns import PARAMETERS
 from eha_monitor.archive.store import iso_time
 from eha_monitor.commands.answer import answer, finite, judged
-from eha_monitor.commands.common import read_long_enough
+from eha_monitor.commands.common import refuse_short
 from eha_monitor.errors import InputError
 from eha_monitor.health.alarms import SEVERITY, Alarm
 from eha_monitor.source import source_digest
@@ -79,10 +79,12 @@ def _fill(row: dict, task: Task) -> None:
     from eha_monitor.commands.plausible import checked
     from eha_monitor.compiled import load_runtime
     from eha_monitor.filters.pipeline import estimate
+    from eha_monitor.recordings.read import read_recording
 
     load_runtime()
-    recording = read_long_enough(task.path, task.settings)
+    recording = read_recording(task.path, task.settings)
     checked([recording], task.settings)
+    refuse_short(recording)
     if recording.dated:
         row["start"] = iso_time(recording.start_ns)
     found = estimate(recording, task.settings)

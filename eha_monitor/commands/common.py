@@ -13,7 +13,6 @@ from eha_monitor.errors import InputError
 
 if TYPE_CHECKING:
     from eha_monitor.recordings.recording import Recording
-    from eha_monitor.settings import Settings
 
 config_option = click.option(
     "--config", "config", type=click.Path(path_type=Path), metavar="FILE",
@@ -55,22 +54,13 @@ def end_as_on_interrupt() -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
-def read_long_enough(bag: Path, settings: "Settings") -> "Recording":
-    """Read a bag that is to be answered.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read, or is shorter than any answer needs.
-    """
-    from eha_monitor.recordings.read import read_recording
+def refuse_short(recording: "Recording") -> None:
+    """Refuse a recording that is shorter than any answer needs."""
     from eha_monitor.recordings.recording import SHORTEST_S
 
-    recording = read_recording(bag, settings)
     if recording.duration < SHORTEST_S:
-        raise InputError(f"{bag}: expected a recording of at least {SHORTEST_S:g} s, found "
-                         f"{recording.duration:.3g} s")
-    return recording
+        raise InputError(f"{recording.source}: expected a recording of at least {SHORTEST_S:g} s, "
+                         f"found {recording.duration:.3g} s")
 
 
 def check_target(path: Path | None, bag: Path | None = None) -> None:

@@ -11,7 +11,7 @@ from eha_monitor.commands.archive import Archive, answer_folder, archive_options
 from eha_monitor.commands.common import (
     check_outputs,
     config_option,
-    read_long_enough,
+    refuse_short,
     working,
 )
 from eha_monitor.output import write_text
@@ -47,13 +47,14 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
     from eha_monitor.compiled import load_runtime
     from eha_monitor.filters.observability import observability
     from eha_monitor.filters.pipeline import estimate as run
+    from eha_monitor.recordings.read import read_recording
     from eha_monitor.settings import load_settings
 
     settings = load_settings(config)
     load_runtime()
     started = time.perf_counter()
     with working(f"reading {bag}"):
-        recording = read_long_enough(bag, settings)
+        recording = read_recording(bag, settings)
 
     def write_json(tree: dict) -> None:
         if json_file:
@@ -62,6 +63,7 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
 
     findings = checked([recording], settings, config, config_file, lambda findings, message:
                        write_json(refusal(recording, message, finding_tree(findings))))
+    refuse_short(recording)  # a clock that runs wrong has been told before
     with working("estimating"):
         found = run(recording, settings)
         findings = (*findings, *found.channels)
