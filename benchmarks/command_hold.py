@@ -1,4 +1,4 @@
-"""Whether a recording tells that the drive holds its command, and whether nothing pays for it.
+"""The trial of the hold: does the recording tell it, and does nothing pay for it.
 
     python benchmarks/command_hold.py [draws] [seed]
 

@@ -15,6 +15,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from eha_monitor.quantity import with_uncertainty
+
 ROOT = Path(__file__).resolve().parent.parent
 RECORDINGS = (
     ("emps", "emps/DATA_EMPS.mat"),
@@ -48,8 +50,8 @@ def shown(parameter: dict) -> str:
     """Return a parameter as a table shows it."""
     if parameter["value"] is None:
         return parameter["status"]
-    return (f"{parameter['value']:.4g} ± {parameter['stddev']:.2g} {parameter['unit']} "
-            f"{parameter['status']}")
+    value = with_uncertainty(parameter["value"], parameter["stddev"], parameter["unit"])
+    return f"{value} {parameter['status']}"
 
 
 def main() -> None:

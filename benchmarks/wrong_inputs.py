@@ -133,7 +133,13 @@ def trial_of_right(count: int, folder: Path, data: Path | None, seed: int) -> li
             str(f.get("finding", f)) for f in answer.findings if f.get("kind") != "hold"]
         if answer is not None and answer.status:
             words += [f"exit {answer.status}: {answer.lines[-1] if answer.lines else ''}"]
-        rows.append({"name": one.name, "kind": one.kind, "cli": run is shell, "false": words})
+        # Beside the false words: left-out physics that the answer does not see, but stands by.
+        unseen = [] if answer is None or answer.model != "consistent" else converged_off(
+            answer, one.truth)
+        rows.append({"name": one.name, "kind": one.kind, "cli": run is shell, "false": words,
+                     "consistent_and_off": [
+                         f"{key} {shown(answer.parameters[key])}, true {one.truth[key]:.5g}"
+                         for key in unseen]})
         if words:
             print(f"  false word: {one.name}: {words[0][:160]}", flush=True)
     return rows
@@ -149,7 +155,8 @@ def show(scores: list[Score], right: list[dict], missing: int) -> dict:
         mark += ", CONFIDENTLY WRONG" if s.confident else ""
         table.add_row(s.name, s.command, "time out" if s.status is None else str(s.status), mark,
                       s.b, s.beta, s.model, f"{s.wall:.0f}", s.said[:150])
-    Console(width=190).print(table)
+    if scores:
+        Console(width=190).print(table)
     figures = {}
     for command in dict.fromkeys(s.command for s in scores):
         own = [s for s in scores if s.command == command]
@@ -181,6 +188,11 @@ def show(scores: list[Score], right: list[dict], missing: int) -> dict:
               f"{sum(row['cli'] for row in right)} by a process of its own)")
         for row in false:
             print(f"  {row['name']}: {'; '.join(row['false'])[:300]}")
+        unseen = [row for row in right if row["consistent_and_off"]]
+        figures["right"]["consistent_and_off"] = len(unseen)
+        print(f"right recordings answered as converged and consistent, but off: {len(unseen)}")
+        for row in unseen:
+            print(f"  {row['name']}: {'; '.join(row['consistent_and_off'])}")
     return figures
 
 

@@ -5,6 +5,7 @@ usage or bad input, told in one line; 70 a defect of this program, with its trac
 interrupted; 141 the reader of a pipe has gone.
 """
 
+import io
 import os
 import sys
 import traceback
@@ -57,6 +58,10 @@ def main(arguments: list[str] | None = None) -> int:
     """Run one command and return its exit status; ``sys.argv`` is read by default."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     own, ros_args = _split(arguments)
+    for stream in (sys.stdout, sys.stderr):
+        # Names of files may hold bytes that are no text, and not every terminal has a ±.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         # Not cli.main(), which gives interruptions and broken pipes meanings of its own.
         with cli.make_context("eha_monitor", own, obj=ros_args) as context:

@@ -2,16 +2,19 @@
 
 numba's own cache looks only at the file of the outermost function; a change in an inlined
 callee is missed.  Here the cache folder carries a hash of every source file of the package,
-so changed physics is always compiled anew, and a read-only installation works too.
+so changed physics is always compiled anew, and a read-only installation works too.  Where it
+lies, and why every copy of the package shares it: :mod:`eha_monitor.compiled_cache`.
 """
 
 import hashlib
-import os
 import re
-import sys
-import tempfile
 import warnings
 from pathlib import Path
+
+import numba
+from numba.core.registry import CPUDispatcher
+
+from eha_monitor import compiled_cache
 
 
 def _source_hash() -> str:
@@ -39,48 +42,29 @@ def _source_hash() -> str:
     return digest.hexdigest()[:16]
 
 
-def cache_directory() -> Path:
-    """Return the folder of the compiled functions of exactly this source."""
-    base = os.environ.get("EHA_MONITOR_CACHE") or os.path.join(
-        os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "eha_monitor"
-    )
-    wanted = Path(base) / f"numba-{_source_hash()}"
-    try:
-        Path(base).mkdir(parents=True, exist_ok=True)
-        if os.access(base, os.W_OK):
-            return wanted
-    except OSError:
-        pass
-    return Path(tempfile.gettempdir()) / "eha_monitor" / wanted.name  # no home to write to
-
-
-CACHE = cache_directory()
-FIRST_RUN = not CACHE.exists()
-os.environ.setdefault("NUMBA_CACHE_DIR", str(CACHE))
-
-import numba  # noqa: E402  the cache folder must be known before the import
+PLACES = compiled_cache.places(_source_hash())
+CACHE = PLACES[0]
+FIRST_RUN = not any(place.exists() for place in PLACES)
+compiled_cache.announce(CACHE)
 
 # The catalogue calls its terms through a tuple of functions: works, cached, "experimental".
 warnings.filterwarnings("ignore", category=numba.core.errors.NumbaExperimentalFeatureWarning)
-numba.config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]
 literal_unroll = numba.literal_unroll
 
 
-def njit(function=None, **options):
+def njit(function=None, *, cache: bool = True, **options):
     """``numba.njit`` with the cache on, usable with and without arguments."""
-    options.setdefault("cache", True)
     options.setdefault("error_model", "numpy")
     # Fused multiply-add and reciprocals; NaN keeps its meaning (it marks what is missing).
     options.setdefault("fastmath", {"contract", "arcp"})
     if function is None:
-        return lambda inner: numba.njit(inner, **options)
-    return numba.njit(function, **options)
-
-
-def announce_first_compilation() -> None:
-    """Say once, on a terminal, why the first run takes half a minute longer."""
-    if FIRST_RUN and sys.stderr.isatty():
-        print(f"compiling the model once into {CACHE} ...", file=sys.stderr)
+        return lambda inner: njit(inner, cache=cache, **options)
+    made = numba.njit(function, **options)
+    # A function of somebody else's file is kept by nobody: the folder is named by our source.
+    ours = Path(function.__code__.co_filename).is_relative_to(compiled_cache.PACKAGE)
+    if cache and ours and isinstance(made, CPUDispatcher):  # NUMBA_DISABLE_JIT: the function
+        made._cache = compiled_cache.SharedCache(function, PLACES)
+    return made
 
 
 def load_runtime() -> None:

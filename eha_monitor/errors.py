@@ -6,6 +6,11 @@ import re
 _CONTROLS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+")
 
 
+def one_line(text: str) -> str:
+    """Return a text without line breaks and terminal controls."""
+    return _CONTROLS.sub(" ", text)
+
+
 class InputError(Exception):
     """Bad input: the message is one line that names what is wrong and what was expected.
 
@@ -13,4 +18,4 @@ class InputError(Exception):
     """
 
     def __init__(self, message: str):
-        super().__init__(_CONTROLS.sub(" ", message))
+        super().__init__(one_line(message))

@@ -213,7 +213,7 @@ def test_command_prints_advice_and_writes_it(tmp_path, capsys):
     assert main(["advise", str(bag), "--no-check", "--json", str(answer),
                  "--write-excitation", str(motion)]) == 0
     out = capsys.readouterr().out
-    assert "beta_e" in out and "variance inflation" in out
+    assert "βe" in out and "variance inflation" in out
     tree = json.loads(answer.read_text())
     assert tree["schema"] == "eha_monitor/advice/1" and tree["advice"]
     assert motion.exists() == (tree["motion"] is not None)

@@ -103,8 +103,10 @@ def test_nan_infinite_and_absurd_values():
     x[11], x[12] = np.inf, -1e305
     recording = of(TIME, x)
     assert np.isnan(recording.channels["x"][[3, 7, 9, 11, 12]]).all()
-    assert recording.losses[:2] == (f"x: 3 of {N} values are NaN",
-                                    "x: 2 values are infinite or above 1e300, left out")
+    assert recording.losses[:3] == (
+        f"x: 3 of {N} values are NaN", f"x: 1 of {N} values are infinite, left out",
+        f"x: 1 of {N} values are no measurement (-1e+305 m at t = 0.012 s, beyond ±1e+09 m), "
+        "left out")
 
 
 def test_jitter_of_the_stamps_only():

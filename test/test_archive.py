@@ -20,6 +20,7 @@ from eha_monitor.commands import diagnosis_answer
 from eha_monitor.commands.archive_row import Task, diagnosis_columns, estimate_columns, row_of
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.write import write_recording
+from eha_monitor.reports.archive_report import archive_page
 from eha_monitor.settings import settings_from_tree
 
 pyarrow = pytest.importorskip(
@@ -343,3 +344,27 @@ def test_every_column_is_documented():
     text = (ROOT / "docs/archive.md").read_text(encoding="utf-8")
     for column in COLUMNS:
         assert re.search(rf"^\|.*`{re.escape(column.name)}`.*\|", text, re.MULTILINE), column.name
+
+
+def test_stamps_that_are_no_dates_are_not_written_as_dates():
+    settings = settings_from_tree({}, "test")
+    bag = Path(__file__).parents[1] / "bags" / "air_ingress"  # its stamps count from 0
+    row = row_of(Task("air", bag, "estimate", settings, True, "1", "2"))
+    assert row.get("error") is None and row.get("start") is None
+    text = Page(archive_page([row], "estimate", settings, bag.parent, "2")).text
+    assert "1970" not in text and "600" in text
+    assert text.count("one standard deviation") == 1
+
+
+def test_what_is_not_judged_is_no_ok_in_a_row():
+    alarm = {"name": "viscous_damping_high", "level": "WARN", "message": "not judged: B 1080",
+             "time_s": 3.0, "not_judged": True}
+    fine = {"name": "bulk_modulus_low", "level": "OK", "message": "", "time_s": 0.0,
+            "not_judged": False}
+    one = {"value": 1080.0, "stddev": 1.0, "unit": "", "status": "converged"}
+    tree = {"duration_s": 8.0, "samples": 8000, "parameters": {"B": one, "beta_e": one},
+            "alarms": [alarm, fine], "losses": [],
+            "model": {"status": "mismatch", "message": "", "mismatches": [], "tainted": {}}}
+    row = estimate_columns(tree)
+    assert (row["viscous_damping_high"], row["bulk_modulus_low"]) == ("not judged", "OK")
+    assert (row["alarm"], row["alarm_message"]) == ("not judged", "not judged: B 1080")

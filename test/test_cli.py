@@ -1,8 +1,8 @@
 """The command line: one line for every failure, and the contract's JSON for every answer."""
 
+import fcntl
 import json
 import math
-import os
 import signal
 import subprocess
 import sys
@@ -105,7 +105,11 @@ def test_estimate_answers_as_in_the_contract(capsys, tmp_path):
     assert set(alarms) == {"viscous_damping_high", "viscous_damping_low", "bulk_modulus_high",
                            "bulk_modulus_low"}
     assert alarms["bulk_modulus_low"]["level"] == "WARN"  # air came in after 8 s
-    assert 8.0 < alarms["bulk_modulus_low"]["time_s"] < 12.0
+    # It passes the limit at 8.6 s and moves until 10 s; 2.5 s later it has stood the test.
+    assert 12.0 < alarms["bulk_modulus_low"]["time_s"] < 13.0
+    held = [a for a in tree["alarm_history"] if a["name"] == "bulk_modulus_low"
+            and a["not_judged"]]
+    assert 8.0 < held[-1]["time_s"] < 9.5  # and so long it is shown as not judged
     assert alarms["viscous_damping_high"]["level"] == "OK"
     assert tree["model"]["status"] in ("consistent", "mismatch")
     channels = {tuple(row["channels"]) for row in tree["observability"]}
@@ -179,18 +183,15 @@ def test_a_full_disk_is_one_line():
     assert error == "eha_monitor: No space left on device\n"
 
 
-def test_ctrl_c_ends_quietly(tmp_path):
-    pipe = tmp_path / "config.yaml"
-    os.mkfifo(pipe)
+def test_ctrl_c_ends_quietly():
     # Whoever runs the tests in the background may have SIGINT ignored, and children inherit that.
-    child = start("config", "--config", pipe, stdout=subprocess.PIPE,
+    child = start("config", stdout=subprocess.PIPE,
                   preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
-    with pipe.open("w"):  # opens when the child reads: it is in the middle of its work
-        child.send_signal(signal.SIGINT)
-    # The pipe is closed by now: a signal that came between Python's last look and its read would
-    # else wait for as long as the read does.
-    out, error = child.communicate(timeout=60)
-    assert (child.returncode, out, error) == (130, "", "")
+    fcntl.fcntl(child.stdout, fcntl.F_SETPIPE_SZ, 4096)
+    child.stdout.read(1)  # it writes more than the pipe takes: it is in the middle of its work
+    child.send_signal(signal.SIGINT)
+    _, error = child.communicate(timeout=60)
+    assert (child.returncode, error) == (130, "")
 
 
 def test_a_defect_shows_its_traceback_and_a_status_of_its_own(capsys, monkeypatch):

@@ -11,7 +11,7 @@ from eha_monitor.dashboard import actuator, charts, words
 from eha_monitor.dashboard.history import History
 from eha_monitor.dashboard.state import ESTIMATES_EVERY, ESTIMATES_SPAN, State, alarms
 from eha_monitor.health.finding import Finding
-from eha_monitor.reports.quantities import Scale
+from eha_monitor.quantity import Scale
 from eha_monitor.settings import Settings, settings_from_tree
 
 TOPICS = {"measured": "/eha/joint_states", "estimates": "/eha/monitor/viscous_damping",
@@ -101,6 +101,51 @@ def test_alarms_that_are_no_longer_heard_are_stale(state):
     assert by_name["bulk_modulus_low"].message == "last heard ERROR: too soft"
 
 
+def heard(state, data, **levels):
+    """The header while the data are ``data``; alarms that are left out are OK."""
+    names = [alarm.name for alarm in alarms(state.view(0.0))]
+    state.take_findings("eha", [Finding(name, levels.get(name, "OK"), "") for name in (
+        *names, "model_mismatch")] + [Finding("data", data, "")], 0.0)
+    return words.overall(state.view(1.0))
+
+
+def test_the_header_is_stale_only_where_no_data_come(state):
+    assert words.overall(state.view(0.0)) == ("STALE", "◌ STALE")
+    assert heard(state, "OK") == ("OK", "✓ OK")
+    # x_d is not recorded: nothing is known of βe, and B is well.
+    without = dict.fromkeys(("bulk_modulus_high", "bulk_modulus_low"), "STALE")
+    assert heard(state, "OK", **without) == ("OK", "✓ OK, 2 of 4 not judged")
+    assert heard(state, "WARN", viscous_damping_high="ERROR", **without)[0] == "ERROR"
+    assert heard(state, "OK", model_mismatch="WARN", **without)[0] == "WARN"
+    assert heard(state, "OK", model_mismatch="STALE") == ("OK", "✓ OK")
+    nothing = dict.fromkeys((alarm.name for alarm in alarms(state.view(0.0))), "STALE")
+    assert heard(state, "OK", **nothing) == ("STALE", "◌ not judged yet")
+    assert heard(state, "STALE", viscous_damping_high="ERROR") == ("STALE", "◌ STALE")
+    heard(state, "OK")
+    assert words.overall(state.view(60.0)) == ("STALE", "◌ STALE")  # the monitor is not heard
+
+
+def test_the_footer_says_in_words_how_the_data_come(state):
+    state.take_findings("eha", [Finding("data", "OK", "data come", {
+        "rows": "123456", "rate_joint_states_Hz": "999.871", "lost_messages": "0",
+        "latency_p50_ms": "12.3456", "cpu_share_percent": "", "jumped_stamps": "3"})], 0.0)
+    assert words.data_text(state.view(0.0)) == (
+        "data: data come; 123456 rows so far, 1000 messages a second on joint_states, "
+        "0 messages lost, half of the rows done within 12.3 ms")
+
+
+def test_what_is_not_judged_has_a_word_and_a_sign_of_its_own(state):
+    held = Finding("viscous_damping_high", "WARN", "not judged: ...", {"not_judged": "1"})
+    fine = Finding("bulk_modulus_low", "OK", "", {"not_judged": "0"})
+    state.take_findings("eha", [held, fine], 10.0)
+    by_name = {alarm.name: alarm for alarm in alarms(state.view(10.0))}
+    assert (held.word, fine.word) == ("not judged", "OK") and not held.raised
+    assert words.level_text(by_name["viscous_damping_high"].word) == "? not judged"
+    assert words.worst([held, fine]) == "not judged"
+    by_name = {alarm.name: alarm for alarm in alarms(state.view(14.0))}
+    assert by_name["viscous_damping_high"].word == "STALE"
+
+
 def test_silence_says_which_topic_and_since_when(state):
     settings = state.settings
     assert words.silence_text(state.view(0.0), settings, TOPICS).startswith("No data yet on /eha")
@@ -125,6 +170,13 @@ def test_silence_says_which_topic_and_since_when(state):
 def test_numbers_as_people_write_them(value, stddev, scale, shown):
     found = words.shown(value, stddev, scale)
     assert (found.value, found.stddev, found.unit) == shown
+
+
+def test_the_band_is_the_number_beside_it():
+    for stddev, band in ((5e6, 5.0), (3e4, 0.18)):  # MPa; the number reads 600.0 ± 0.2
+        chart = charts.estimate_data([(0.0, 6e8, stddev)], [], Scale(1e-6, "MPa"), 1.0)
+        lower, width, value = (series["data"][0][1] for series in chart["series"][:3])
+        assert (value - lower, width) == (pytest.approx(band), pytest.approx(2 * band))
 
 
 def test_units_follow_the_rig():

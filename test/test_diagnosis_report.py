@@ -13,6 +13,7 @@ from eha_monitor.commands.diagnosis_answer import answer, mismatched, written_co
 from eha_monitor.commands.diagnosis_table import show
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import Agreement, Curve, Location, Overlay, SignalFit
+from eha_monitor.quantity import NOTE
 from eha_monitor.reports.diagnosis_figures import telling
 from eha_monitor.reports.diagnosis_report import diagnosis_page, write_diagnosis_report
 from eha_monitor.reports.diagnosis_words import VERDICTS, removed
@@ -65,7 +66,7 @@ def test_sections_follow_what_is_there(html):
 
 def test_page_says_what_was_found(html):
     text = Page(html).text
-    for words in ("40.03 ± 0.16 N", "1412 ± 18 N·s/m", "601.2 ± 2.2 N·s/m", "97 %",
+    for words in ("40.03 ± 0.08 N", "1412 ± 9 N·s/m", "601.2 ± 1.1 N·s/m", "97 %",
                   "where the motion turns round", "presliding friction", "41 µm", "2.1 µm",
                   "Push the depressurised rod", "14 log units", "simulated clean recordings",
                   "cannot be told from presliding friction",
@@ -178,7 +179,8 @@ def test_config_carries_the_physics_and_what_it_did_to_the_rest(tmp_path):
     assert read.rig.viscous_damping == 601.2 and read.rig.bulk_modulus == 5.998e8
     assert read.rig.mass == 31.0 and read.thresholds == given.thresholds
     head = file.read_text().split("/**:")[0]
-    assert "Completes my_rig.yaml" in head and "rig.viscous_damping: 601.2 ± 2.2 N·s/m" in head
+    assert "Completes my_rig.yaml" in head and "rig.viscous_damping: 601.2 ± 1.1 N·s/m" in head
+    assert "one standard deviation" in head
     assert "bags/hidden_friction" in head
 
 
@@ -195,8 +197,9 @@ def test_table_for_a_person(capsys, tmp_path):
     show(ALL["pair"](), [tmp_path / "report.html"])
     out = " ".join(capsys.readouterr().out.split())
     for words in ("Mismatch, and what it is: The force balance lacks", "coulomb_friction",
-                  "F_c = 40.03 ± 0.16 N", "presliding friction", "1412 ± 18 N·s/m",
-                  "where the motion turns round", "41 µm", "99.7 %", "B read 1412 N·s/m"):
+                  "F_c = 40.03 ± 0.08 N", "presliding friction", "1412 ± 9 N·s/m",
+                  "where the motion turns round", "41 µm", "99.7 %", "B read 1412 N·s/m",
+                  "βe", NOTE):
         assert words in out, words
     assert "report.html" in out
 

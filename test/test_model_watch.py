@@ -128,25 +128,39 @@ def test_what_is_tainted(stages, by_damping, expected):
 
 
 def test_a_value_that_jumps_is_on_trial_and_a_slow_drift_is_not():
-    trial = Trial()
+    trial = Trial("N·s/m")
     at = [k * 0.1 for k in range(100)]
     seen = [trial.update(t, 600.0 if t < 5 else 1200.0) is not None for t in at]
     assert seen.index(False) == round(TRIAL_S / 0.1)  # the first value is new itself
     assert seen[50] and not seen[49] and not seen[50 + round(TRIAL_S / 0.1) + 1]
     trial.update(10.0, 1200.0)
-    assert trial.update(10.1, 1300.0).reason.startswith("it has moved from 1200 to 1300")
+    assert trial.update(10.1, 1300.0).reason.startswith(
+        "it has moved from 1200 N·s/m to 1300 N·s/m")
     assert trial.update(10.2, None) is None
-    drift = Trial()
+    drift = Trial("N·s/m")
     drift.update(0.0, 600.0)
     late = [drift.update(t, 600.0 * math.exp(0.001 * t)) for t in np.arange(5.0, 40.0, 0.1)]
     assert not any(late)
 
 
-def test_no_trial_lasts_for_ever():
-    trial = Trial()
-    on = [trial.update(0.1 * k, 600.0 * (1.0 + (k // 10 % 2))) is not None for k in range(300)]
-    longest = max(len(run) for run in "".join("x" if o else " " for o in on).split())
-    assert longest * 0.1 <= LONGEST_TRIAL_S + 0.2
+def test_a_trial_is_of_the_last_moments_however_long_the_value_goes_on_moving():
+    trial = Trial("N·s/m")
+    for k in range(300):
+        taint = trial.update(0.1 * k, 600.0 * (1.0 + (k // 10 % 2)))
+        assert 0.1 * k - taint.since_s <= LONGEST_TRIAL_S + 1e-9
+
+
+@given(st.lists(st.floats(0.01, 0.3), min_size=1, max_size=200), st.integers(0, 50))
+def test_the_rate_of_looking_does_not_matter_to_a_trial(steps, extra):
+    """A value that jumps at one time is on trial for as long at ten looks a second as at any."""
+    times = np.cumsum(steps)
+    jump = times[len(times) // 2]
+    trial = Trial("N·s/m")
+    for time in times:
+        on = trial.update(time, 1200.0 if time >= jump else 600.0) is not None
+        new = time - times[0] < TRIAL_S - 1e-6
+        moved = time >= jump and any(time - TRIAL_S + 1e-6 <= t < jump for t in times)
+        assert on == (new or moved)
 
 
 def test_chance_over_days_is_told_from_what_no_chance_explains():

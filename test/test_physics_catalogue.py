@@ -2,6 +2,7 @@
 
 import inspect
 import math
+import re
 
 import numpy as np
 import pytest
@@ -37,7 +38,7 @@ AT_REST = Ranges(0.0, 0.0, 0.0, (0.0,) * 4, (0.0,) * 3, 0.0, (0.0,) * 4, (0.0,) 
 def test_entry_describes_itself(effect):
     assert 1 <= len(effect.parameters) <= s.MAX_PARAMETERS and effect.sizes
     values = {p.name: p.scale for p in effect.parameters}
-    sentence = effect.statement.format(**values)
+    sentence = effect.said(values)
     assert "{" not in sentence and len(sentence) > 10 and not sentence.endswith(".")
     for p in effect.parameters:
         assert -math.inf < p.lower < p.upper < math.inf and p.scale > 0
@@ -131,3 +132,26 @@ def test_parameter_vector_has_one_place_for_each_value():
     assert theta[place_of("mass")] == 33.0 and np.isnan(theta[place_of("volume_1")])
     assert theta[place_of("constant_load.F_0")] == 5.0
     assert [NAMES[i] for i in np.flatnonzero(active)] == ["constant_load"]
+
+
+@pytest.mark.parametrize(("name", "values", "sentence"), [
+    ("position_delay", {"T": 3e-3}, "the recorded position is 3 ms late"),
+    ("relief_valve", {"p_c": 5e6, "k": 1e-11}, "a relief valve opens at 5 MPa between the "
+     "chambers and passes 600 ml/(min·MPa) of the pressure beyond"),
+    ("pressure_offset", {"b_1": 2e4, "b_2": -1.5e3}, "the pressure sensors read +20 kPa (chamber "
+     "1) and −1.5 kPa (chamber 2) too much"),
+    ("pump_flow_gain", {"k": -0.05}, "the pump gives −5 % flow at every speed, against the "
+     "configured displacement"),
+    ("drive_saturation", {"omega_max": 250.0, "slew": math.inf},
+     "the drive is limited to 250 rad/s"),
+    ("drive_saturation", {"omega_max": math.inf, "slew": 9e3},
+     "the drive is limited to 9000 rad/s²"),
+])
+def test_a_statement_has_the_units_that_people_write(name, values, sentence):
+    assert CATALOGUE[name].said(values) == sentence
+
+
+@pytest.mark.parametrize("effect", CATALOGUE.values(), ids=lambda effect: effect.name)
+def test_no_statement_writes_raw_si(effect):
+    said = effect.said({p.name: p.scale for p in effect.parameters})
+    assert not re.search(r"\de[+-]?\d|\d Pa|m³/|10⁻", said), said

@@ -1,5 +1,6 @@
 """Signs, units and channels that a recording contradicts: what is told, and what is not."""
 
+import contextlib
 import json
 import math
 import warnings
@@ -12,11 +13,12 @@ from hypothesis import settings as property_settings
 from rig_tools import MULTISINE, TRIANGLE, motion, settings
 
 from eha_monitor import cli
+from eha_monitor.errors import InputError
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.plausibility.corrections import corrected
 from eha_monitor.plausibility.judge import plausibility_of, reading_of
 from eha_monitor.plausibility.moments import derivatives, moments_of
-from eha_monitor.plausibility.relations import ratio
+from eha_monitor.plausibility.reading import ratio
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.write import write_recording
@@ -157,8 +159,8 @@ def test_a_measured_force_tells_its_unit_and_sign():
 @pytest.mark.parametrize("effects", [
     {}, {"coulomb_friction": {"F_c": 40.0}}, {"constant_load": {"F_0": 60.0}},
     {"spring_load": {"k": 8000.0}}, {"added_mass": {"dM": 8.0}}, {"drive_lag": {"tau": 4e-3}},
-    {"position_delay": {"T_x": 2e-3}}, {"pump_dead_zone": {"omega_0": 8.0}},
-    {"pump_flow_gain": {"gain": -0.1}}, {"cross_port_leakage": {"L": 8e-12}}],
+    {"position_delay": {"T": 2e-3}}, {"pump_dead_zone": {"omega_0": 8.0}},
+    {"pump_flow_gain": {"k": -0.1}}, {"cross_port_leakage": {"L": 8e-12}}],
     ids=lambda effects: next(iter(effects), "clean"))
 @pytest.mark.parametrize("shape", [TRIANGLE, MULTISINE], ids=["triangle", "multisine"])
 def test_physics_that_is_left_out_is_no_mistake(effects, shape):
@@ -186,7 +188,7 @@ def test_any_values_at_all_are_looked_at_in_silence(values, samples):
     channels = {name: value * rng.standard_normal(samples)
                 if math.isfinite(value) else np.full(samples, value)
                 for name, value in zip(SENSORS, values, strict=True)}
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), contextlib.suppress(InputError):  # a recording may refuse them
         warnings.simplefilter("error")
         plausibility_of(Recording(1e-3, channels, 0, "any"), settings())
 
@@ -218,7 +220,6 @@ def test_the_ratio_is_that_of_least_squares():
     recording, config = SECOND
     moments = moments_of(recording)
     reading = reading_of(replace(moments, noise=0.0 * moments.noise), config)
-    place = {key: spot for key, spot in moments.place.items()}
     rng = np.random.default_rng(2)
     table = rng.multivariate_normal(np.zeros(len(moments.scale)), moments.gram, 5000,
                                     method="eigh").T
@@ -226,11 +227,9 @@ def test_the_ratio_is_that_of_least_squares():
     gram = table @ table.T / table.shape[1]
     reading = replace(reading, moments=replace(reading.moments, gram=gram))
     left, right, beside = (reading.column("omega"), reading.column("x", 1), reading.column("p1"))
-    scaled = table
-    sides = np.array([side @ scaled for side in (left, right, beside)])
+    sides = np.array([side @ table for side in (left, right, beside)])
     slope = np.linalg.lstsq(sides[1:].T, sides[0], rcond=None)[0][0]
     assert ratio(reading, left, right, beside).slope == pytest.approx(slope, rel=1e-6)
-    assert place
 
 
 # By use: the commands.
@@ -279,8 +278,9 @@ def test_a_contradiction_ends_every_command_in_one_line(bag, capfd, command):
 
 
 def test_swapped_pressures_are_swapped_back_by_the_written_config(bag, capfd):
-    (bag / "wrong.yaml").write_text("channels:\n  p1: {topic: pressure/chamber_2}\n"
-                                    "  p2: {topic: pressure/chamber_1}\n")
+    (bag / "wrong.yaml").write_text(
+        "channels:\n  p1: {topic: pressure/chamber_2, field: fluid_pressure}\n"
+        "  p2: {topic: pressure/chamber_1, field: fluid_pressure}\n")
     wrong = ("estimate", bag / "bag", "--config", bag / "wrong.yaml")
     status, said = run(capfd, *wrong, "--write-config", bag / "right.yaml")
     assert status == 2
@@ -314,12 +314,54 @@ def test_import_tells_it_already(tmp_path, capfd):
     assert read_recording(tmp_path / "bag", settings()).has("omega")
 
 
-def test_an_archive_tells_it_in_the_row(bag, capfd):
-    import pyarrow.parquet as parquet
+def test_an_archive_tells_it_of_each_bag(bag, capfd):
+    status, said = run(capfd, "estimate", bag, "--config", bag / "wrong.yaml", "--out",
+                       bag / "archive", "--jobs", "1")
+    assert status == 2  # none of its bags has an answer
+    assert "millimetres" in said
 
-    status = cli.main(["estimate", str(bag), "--config", str(bag / "wrong.yaml"), "--out",
-                       str(bag / "archive"), "--jobs", "1"])
-    capfd.readouterr()
-    assert status == 0
-    row, = parquet.read_table(bag / "archive" / "estimate.parquet").to_pylist()
-    assert "millimetres" in row["error"]
+
+# Live.
+
+
+def look_on(recording, config, seconds):
+    from test_live_estimator import rows_of
+
+    from eha_monitor.filters.live import LiveEstimator
+
+    live = LiveEstimator(config)
+    for time, row in rows_of(recording.part(0, round(seconds / recording.sample_time))):
+        live.push(time, row)
+    return live.snapshot()
+
+
+def test_live_rows_that_contradict_the_config_give_no_number():
+    recording, config = SECOND
+    seen = look_on(changed(recording, p1="p2", p2="p1"), config, 5.0)
+    assert "p1 and p2 look swapped" in seen.implausible
+    assert {p.status for p in seen.parameters.values()} == {"no_data"}
+    assert seen.model.status == "not_judged"
+    assert any("swapped" in event.message for event in seen.events)
+    assert not look_on(recording, config, 5.0).implausible
+
+
+def test_who_insists_gets_live_numbers_with_the_warning():
+    recording, config = SECOND
+    config = config.model_copy(update={"implausible": "warn"})
+    seen = look_on(changed(recording, omega=-1.0), config, 5.0)
+    assert "omega has the wrong sign" in seen.implausible
+    assert seen.parameters["B"].status != "no_data"
+
+
+def test_the_monitor_says_it_in_its_diagnostics():
+    from eha_monitor.health.alarms import AlarmBoard
+    from eha_monitor.ros.findings import DataState, all_findings
+
+    recording, config = SECOND
+    seen = look_on(changed(recording, omega=-1.0), config, 5.0)
+    data = DataState(None, implausible=seen.implausible, refused=True)
+    found = {one.name: one for one in all_findings(
+        config, AlarmBoard(config), seen.parameters, seen.consistency, seen.model, {}, data)}
+    assert found["data"].level == "ERROR"
+    assert "omega has the wrong sign" in found["data"].message
+    assert found["stage_one"].level == "STALE"

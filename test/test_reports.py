@@ -2,6 +2,7 @@
 
 import base64
 import os
+import re
 import struct
 import warnings
 from dataclasses import dataclass, replace
@@ -11,12 +12,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from eha_monitor.commands.answer import judged
+from eha_monitor.commands.table import show
 from eha_monitor.errors import InputError
 from eha_monitor.filters.pipeline import estimate
 from eha_monitor.filters.results import Event, ModelStatus
 from eha_monitor.health.alarms import Alarm
-from eha_monitor.health.series import ParameterSeries, judge_series
 from eha_monitor.physics.simulator import Simulator
+from eha_monitor.quantity import NOTE, with_uncertainty
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.reports.estimate_report import estimate_page, write_estimate_report
 from eha_monitor.reports.verdict import verdict
@@ -72,9 +75,7 @@ def case_of(recording: Recording, settings) -> Case:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the filters on data from beyond the world
         found = estimate(recording, settings)
-        series = {name: ParameterSeries(stage.estimate, stage.value, stage.stddev)
-                  for name, stage in (("B", found.stage_one), ("beta_e", found.stage_two))}
-        alarms, history = judge_series(settings, recording.time, series)
+        alarms, history = judged(found)
     return Case(found, alarms, history)
 
 
@@ -131,8 +132,9 @@ def test_numbers_are_those_of_the_estimate(triangle, triangle_html):
         exact += [p.value for p in found.joint.parameters.values()]
     assert page.values == exact
     b, beta = found.parameters["B"], found.parameters["beta_e"]
-    assert f"{2 * b.stddev:.2f} N·s/m" in page.text
-    assert f"{beta.value / 1e6:.1f} ± {2 * beta.stddev / 1e6:.1f} MPa" in page.text
+    for one in (b, beta):
+        assert with_uncertainty(one.value, one.stddev, one.unit) in page.text
+    assert page.text.count(NOTE) == 1  # what ± is, once
     assert found.model.message in page.text
     for event in found.events:
         assert event.message in page.text
@@ -163,6 +165,16 @@ def test_verdict_leads_with_the_gravest(triangle):
     assert verdict(silent, triangle.alarms).headline == "Healthy as far as can be told"
     assert "nothing can be told about effective bulk modulus" in verdict(
         silent, triangle.alarms).sentence
+
+
+def test_what_is_not_judged_is_not_within_the_limits(triangle):
+    alarms = [replace(alarm, level="STALE", not_judged=True)
+              if alarm.name.startswith("viscous") else alarm for alarm in triangle.alarms]
+    said = verdict(triangle.estimate, tuple(alarms))
+    assert "N·s/m is not judged" in said.sentence and "MPa is within the limits" in said.sentence
+    assert said.headline == "Healthy as far as can be told" and said.kind != "ok"
+    text = Page(estimate_page(triangle.estimate, tuple(alarms), tuple(alarms), None)).text
+    assert "not judged" in text
 
 
 def test_a_rising_damping_shows_as_an_alarm():
@@ -215,15 +227,43 @@ def with_infinities(values):
 
 @pytest.mark.parametrize("change", [
     lambda v: np.full(len(v), np.nan), lambda v: v[:3], lambda v: v[:1], lambda v: v[:0],
-    lambda v: v * 1e9, lambda v: v * 1e-12, lambda v: v * 1e200, np.ones_like, np.zeros_like,
-    with_gap, with_infinities,
-], ids=["nan", "three", "one", "none", "huge", "tiny", "beyond", "constant", "zero", "gap",
-        "infinite"])
+    lambda v: v * 1e4, lambda v: v * 1e-12, np.ones_like, np.zeros_like, with_gap,
+    with_infinities,
+], ids=["nan", "three", "one", "none", "huge", "tiny", "constant", "zero", "gap", "infinite"])
 def test_whatever_the_data_a_page_comes(short, change):
     page = Page(altered(short, change).page())
     assert page.ids >= FIGURES
     assert "verdict" in page.ids
     assert "nan" not in page.text.lower().replace("nanos", "").split()
+
+
+@pytest.mark.parametrize("factor", [1e9, 1e200])
+def test_what_no_sensor_shows_gets_no_page(short, factor):
+    with pytest.raises(InputError, match="runs away"):
+        altered(short, lambda values: values * factor)
+
+
+def test_somebodys_own_recording_is_not_the_papers(triangle_html):
+    assert "paper" not in Page(triangle_html).text
+
+
+def test_config_is_in_words_and_in_units_that_people_write(triangle_html):
+    text = Page(triangle_html).text
+    for words in ("piston area of chamber 1", "5.05 cm²", "68.5 cm³", "command hold",
+                  "Stage two: effective bulk modulus", "viscous damping, high warn", "1000 N·s/m"):
+        assert words in text, words
+    for raw in ("command_hold", "stage_two", "area_1", "high_warn", "0.000505", "6e+08"):
+        assert raw not in text, raw
+
+
+@pytest.mark.parametrize(("start_ns", "words"), [
+    (0, "no date"), (12_300_000_000, "no date: the stamps count from 0"),
+    (3 * 365 * 86_400 * 10**9, "no date"), (10**18, "2001-09-09 01:46:40 UTC"),
+    (2**62, "2116-02-20"), (10**25, "beyond the calendar")])
+def test_a_start_is_a_date_only_where_the_stamps_are(short, start_ns, words):
+    recording, settings = short
+    text = Page(case_of(replace(recording.part(0, 300), start_ns=start_ns), settings).page()).text
+    assert words in text and "1970" not in text and "1972" not in text
 
 
 def test_no_channel_at_all(short):
@@ -270,7 +310,7 @@ def test_observability_is_a_table(short):
                             relative_stddev={"B": 0.4, "beta_e": 0.03, "L": 7.0}))
     page = Page(case.page(SimpleNamespace(rows=rows)))
     assert "observability" in page.ids
-    assert "x, p1, p2" in page.text and "± 0.4 %" in page.text
+    assert "x, p1, p2" in page.text and "± 0.2 %" in page.text
     assert page.text.count("not observable") == 2
     assert "observability" not in Page(case.page(SimpleNamespace(rows=()))).ids
 
@@ -304,3 +344,12 @@ def test_a_long_recording_stays_small(short):
     html = Case(found, case.alarms, case.history).page()
     assert len(html) < 4e6
     assert "3600 s (60.0 min)" in html
+
+
+def test_the_terminal_writes_the_same_numbers_and_says_once_what_they_mean(triangle, capsys):
+    show(triangle.estimate, triangle.alarms, [])
+    out = " ".join(capsys.readouterr().out.split())
+    for one in triangle.estimate.parameters.values():
+        assert f"{one.shown} converged" in out
+    assert out.count(NOTE) == 1 and "nats" not in out
+    assert not re.search(r"\de[+-]\d", out)

@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from eha_monitor.filters.results import Event
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.reports.alarm_timeline import alarm_timeline, spans
-from eha_monitor.reports.quantities import quantity, readable, time_scale, with_uncertainty
+from eha_monitor.reports.axes import time_scale
 from eha_monitor.reports.traces import (
     Smoother,
     autocorrelation,
@@ -20,38 +18,6 @@ from eha_monitor.reports.traces import (
     running_rms,
     telling_window,
 )
-
-
-@pytest.mark.parametrize("value, unit, text", [
-    (6e8, "Pa", "600 MPa"), (1.4e9, "Pa", "1400 MPa"), (0.04, "m", "40 mm"),
-    (600.0, "N·s/m", "600 N·s/m"), (159e3, "N·s/m", "159 kN·s/m"), (25e-6, "m", "25 µm"),
-    (7.03e-5, "N·m·s/rad", "70.3 µN·m·s/rad"), (5e-13, "m³/(s·Pa)", "30 mL/(min·MPa)"),
-    (-0.04, "m/s", "−40 mm/s"), (0.0, "m", "0 m"), (float("nan"), "m", "—"),
-    (3600.0, "s", "3600 s"), (1e30, "Pa", "1·10³⁰ Pa"),
-])
-def test_quantity_in_engineering_units(value, unit, text):
-    assert quantity(value, unit) == text
-
-
-@pytest.mark.parametrize("value, stddev, unit, text", [
-    (600.087, 0.0649, "N·s/m", "600.09 ± 0.13 N·s/m"),
-    (6.002e8, 1.1e6, "Pa", "600.2 ± 2.2 MPa"),
-    (500.0, 1000.0, "N·s/m", "500 ± 2000 N·s/m"),
-    (float("nan"), 1.0, "Pa", "—"),
-    (600.0, float("inf"), "N·s/m", "600 N·s/m, uncertainty unknown"),
-    (0.0, 0.0, "m", "0 ± 0 m"),
-])
-def test_uncertainty_sets_the_digits(value, stddev, unit, text):
-    assert with_uncertainty(value, stddev, unit) == text
-
-
-@given(st.floats(allow_nan=True, allow_infinity=True),
-       st.floats(allow_nan=True, allow_infinity=True),
-       st.sampled_from(["Pa", "N·s/m", "m³/(s·Pa)", "1", ""]))
-def test_any_number_can_be_written(value, stddev, unit):
-    assert quantity(value, unit)
-    assert with_uncertainty(value, stddev, unit)
-    assert readable(value, unit).factor > 0
 
 
 def test_time_in_the_unit_of_the_record():
@@ -192,6 +158,16 @@ def test_spans_follow_the_changes():
         (1.0, 4.0, "OK"), (4.0, 6.0, "WARN"), (6.0, 10.0, "ERROR")]
     late = spans("a", (Alarm("a", "STALE", "", 99.0),), (), 10.0)
     assert [(s.start, s.level) for s in late] == [(10.0, "STALE")]
+
+
+def test_what_is_not_judged_is_a_lane_of_its_own_and_never_green():
+    held = Alarm("viscous_damping_high", "WARN", "not judged: ...", 0.0, not_judged=True)
+    silent = Alarm("bulk_modulus_low", "STALE", "not judged: ...", 0.0, not_judged=True)
+    timeline = alarm_timeline((held, silent), (held, silent), (), 10.0)
+    assert {bar.level for _, bars in timeline.lanes for bar in bars} == {"not judged"}
+    raised = Alarm("viscous_damping_high", "WARN", "", 5.0)
+    bars = alarm_timeline((raised,), (held, raised), (), 10.0).lanes[0][1]
+    assert [bar.level for bar in bars] == ["not judged", "WARN"]
 
 
 def test_timeline_in_percent_with_marks_that_do_not_overlap():

@@ -8,6 +8,7 @@ from sensor_msgs.msg import FluidPressure, JointState
 
 from eha_monitor.ros import messages
 from eha_monitor.ros.managed_node import warm_up
+from eha_monitor.ros.messages import findings_of
 from eha_monitor.ros.monitor_node import Monitor
 from eha_monitor.ros.outputs import LATCHED
 from eha_monitor.settings import settings_from_tree
@@ -69,6 +70,11 @@ class Player:
         seen = [s.level for array in self.health for s in array.status if s.name == f"eha: {name}"]
         return [a for a, b in zip(seen, [None, *seen], strict=False) if a != b]
 
+    def words(self, name):
+        """Return the same as words."""
+        seen = [f.word for array in self.health for f in findings_of(array) if f.name == name]
+        return [a for a, b in zip(seen, [None, *seen], strict=False) if a != b]
+
 
 def test_friction_that_appears_is_a_mismatch_and_no_wear(graph):
     fault = {"dry": {"parameter": "coulomb_friction.F_c", "start": 4.0, "value": 40.0}}
@@ -97,7 +103,9 @@ def test_friction_that_appears_is_a_mismatch_and_no_wear(graph):
     assert float(numbers["viscous_damping_Ns_per_m"]) > 1500  # beyond the limit of ERROR, but ...
     assert alarm.message.startswith("not judged: viscous damping")
     assert "the model does not fit since t = " in alarm.message
-    assert player.levels("viscous_damping_high") == [DiagnosticStatus.STALE, DiagnosticStatus.OK]
+    assert numbers["not_judged"] == "1" and alarm.level == DiagnosticStatus.WARN
+    words = player.words("viscous_damping_high")
+    assert set(words) == {"STALE", "not judged", "OK"} and words[-1] == "not judged"
     assert player.monitor.counts()["missing_samples"] == 0
 
 

@@ -7,7 +7,7 @@ charge pressure 20 for 3 bar; and the real recordings.
 
 import copy
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain, zip_longest
 from pathlib import Path
 
@@ -39,7 +39,7 @@ REAL = (
 # Physics of moderate size that the simulator has and the estimating config does not.
 LEFT_OUT = (
     {}, {}, {"coulomb_friction": {"F_c": 10.0}}, {"drive_lag": {"tau": 0.003}},
-    {"pump_dead_zone": {"w_d": 2.0}}, {"cross_port_leakage": {"L": 5e-13}},
+    {"pump_dead_zone": {"omega_0": 2.0}}, {"cross_port_leakage": {"L": 5e-13}},
     {"constant_load": {"F_0": 60.0}}, {"entrained_air": {"alpha": 0.005}},
     {"position_delay": {"T": 0.001}}, {"pump_flow_gain": {"k": -0.05}},
 )
@@ -48,13 +48,20 @@ PERCENT = ("A", "V", "M", "D_p", "K_pos")
 
 @dataclass(frozen=True)
 class Right:
-    """A bag and the right config for it; ``problem``: it could not be made, and why."""
+    """A bag and the right config for it.
+
+    Attributes
+    ----------
+    problem : why it could not be made, if it could not.
+    truth : true B and beta_e, where the config's rig numbers are right.
+    """
 
     name: str
     kind: str
     bag: Path
     config: Path
     problem: str = ""
+    truth: dict = field(default_factory=dict)
 
 
 def right_ones(count: int, folder: Path, data: Path | None, seed: int, run: Run
@@ -84,7 +91,8 @@ def _own(k, folder, data, seed, run):
     file = write_csv(rig, recording(rig, seed + k), folder / f"{name}.csv")
     # Half of the owners know their leakage, the others leave what the README leaves out.
     tree = config_of(rig, well_known=bool((k // len(RIGS)) % 2))
-    return _imported(name, "own", file, write_config(tree, folder / f"{name}.yaml"), folder, run)
+    made = _imported(name, "own", file, write_config(tree, folder / f"{name}.yaml"), folder, run)
+    return replace(made, truth={"B": rig.plant.damping, "beta_e": rig.plant.bulk_modulus})
 
 
 def _simulated(k, folder, data, seed, run):
@@ -107,15 +115,19 @@ def _simulated(k, folder, data, seed, run):
     bag = folder / f"sim_{k:02d}"
     done = run("simulate", "--config", str(truth), "--out", str(bag), "--seed", str(seed + k))
     return Right(f"sim_{k:02d}_{'_'.join(hidden) or 'clean'}", "simulated", bag, config,
-                 done.err.strip() if done.status else "")
+                 done.err.strip() if done.status else "",
+                 {"B": tree["rig"]["viscous_damping"], "beta_e": tree["rig"]["bulk_modulus"]})
 
 
 def _case(name, kind, case, folder):
+    from eha_monitor.concealed.cases import truth_of
     from eha_monitor.concealed.generate import write_case
 
     bag, config = write_case(replace(case, name=name), folder)
     hidden = "_".join(effect for effect, _ in case.effects) or "clean"
-    return Right(f"{name}_{hidden}", kind, bag, config)
+    true = truth_of(case) if kind == "concealed" else {}
+    return Right(f"{name}_{hidden}", kind, bag, config,
+                 truth={key: true[key] for key in ("B", "beta_e") if key in true})
 
 
 def _draw(k, seed, offset):

@@ -41,7 +41,8 @@ def _of_diagnosis(name: str) -> tuple[Column, ...]:
 
 COLUMNS = (
     Column("bag", "text", "path of the bag below the folder"),
-    Column("start", "time", "first sample by the stamps of the messages, UTC"),
+    Column("start", "time", "first sample by the stamps of the messages, UTC; empty where "
+           "they are no dates"),
     Column("duration_s", "number", "length of the recording"),
     Column("samples", "count", "samples on the grid"),
     *_of_parameter("B"),
@@ -50,7 +51,8 @@ COLUMNS = (
     Column("B_reference", "number", "B at `viscosity.reference_temperature`, where the "
            "temperature is measured"),
     Column("B_reference_stddev", "number", "its standard deviation"),
-    Column("alarm", "text", "worst level of the four alarms at the end of the recording"),
+    Column("alarm", "text", "worst level of the four alarms at the end of the recording: OK, "
+           "STALE, not judged, WARN, ERROR"),
     Column("viscous_damping_high", "text", "level of this alarm"),
     Column("viscous_damping_low", "text", "level of this alarm"),
     Column("bulk_modulus_high", "text", "level of this alarm"),

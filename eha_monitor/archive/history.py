@@ -7,9 +7,7 @@ import numpy as np
 
 from eha_monitor.archive.store import nanoseconds_of
 from eha_monitor.archive.trend import LEAST, Trend, trend
-
-# Stamps before 2000 count from the start of a computer or of a simulation.
-_CALENDAR = 946_684_800.0  # s since the epoch
+from eha_monitor.recordings.recording import CALENDAR_NS
 
 
 @dataclass(frozen=True)
@@ -56,7 +54,7 @@ def history(rows: Sequence[dict], name: str, command: str, made_with: str) -> Hi
     made_with : rows with another digest are shown, and do not count.
     """
     told = [row for row in rows if _value(row, name, command, False) is not None]
-    dated = [row for row in told if _time(row) >= _CALENDAR]
+    dated = [row for row in told if _time(row) >= CALENDAR_NS * 1e-9]
     dated.sort(key=_time)
     current = np.array([row["made_with"] == made_with for row in dated], dtype=bool)
     fine = np.array([_converged(row, name, command) for row in dated], dtype=bool) & current
@@ -75,7 +73,7 @@ def history(rows: Sequence[dict], name: str, command: str, made_with: str) -> Hi
     value, stddev = pairs.T
     return History(name, next((row[f"{name}_unit"] for row in told), ""), time, value, stddev,
                    reliable, usable, trend(time[usable], value[usable], stddev[usable]),
-                   sum(_time(row) < _CALENDAR for row in told), bool(at_reference))
+                   sum(_time(row) < CALENDAR_NS * 1e-9 for row in told), bool(at_reference))
 
 
 def _time(row: dict) -> float:

@@ -35,13 +35,12 @@ def advise(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
     check_outputs(json_file, excitation_file, bags, config)
 
     from eha_monitor.commands.plausible import checked, finding_tree
-    from eha_monitor.compiled import announce_first_compilation, load_runtime
+    from eha_monitor.compiled import load_runtime
     from eha_monitor.mismatch.advise import advise as run
     from eha_monitor.recordings.read import read_recording
     from eha_monitor.settings import load_settings
 
     settings = load_settings(config)
-    announce_first_compilation()
     with progress_bar() as told:
         told("reading", 0.0)
         load_runtime()
@@ -128,8 +127,8 @@ def show(bags: tuple[Path, ...], naming, found) -> None:
     from eha_monitor.commands.table import PIPE_WIDTH, PipeConsole
     from eha_monitor.mismatch.advise_words import doubt_words, sentences
     from eha_monitor.mismatch.motions import excitation_tree
+    from eha_monitor.quantity import NOTE, SYMBOLS, number, with_uncertainty
     from eha_monitor.reports.diagnosis_words import effect_words, listed, log_units, sentence
-    from eha_monitor.reports.quantities import number, with_uncertainty
 
     console = PipeConsole(highlight=False)
     if not console.is_terminal:
@@ -140,11 +139,12 @@ def show(bags: tuple[Path, ...], naming, found) -> None:
                   header_style="bold", padding=(0, 2, 0, 0))
     for one in found.known:
         if one.name in ("B", "beta_e") or one.name.partition(".")[0] in naming.after.named:
-            unit = one.unit.replace("*", "·").replace("^2", "²").replace("^3", "³")
-            table.add_row(one.name, with_uncertainty(one.value, one.stddev, unit)
-                          .removesuffix(" 1"), number(one.inflation, 3),
+            table.add_row(SYMBOLS.get(one.name, one.name),
+                          with_uncertainty(one.value, one.stddev, one.unit),
+                          number(one.inflation, 3),
                           f"{one.most_with} ({number(one.correlation, 3)})")
     console.print(table)
+    console.print(NOTE, style="dim")
     for text in sentences(found):
         console.print(f"- {escape(sentence(text))}")
     if found.tried:

@@ -8,6 +8,7 @@ import numpy as np
 
 from eha_monitor.filters.observability import ObservabilityTable
 from eha_monitor.filters.results import Estimate, ParameterEstimate, StageResult
+from eha_monitor.filters.status import converged_where
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.health.series import ParameterSeries, judge_series
 from eha_monitor.recordings.recording import Recording
@@ -19,8 +20,13 @@ def judged(found: Estimate) -> tuple[tuple[Alarm, ...], tuple[Alarm, ...]]:
     """Return the alarms at the end of the recording, and every change of a level."""
     recording = found.recording
     stages = {"B": found.stage_one, "beta_e": found.stage_two}
-    series = {name: ParameterSeries(stage.estimate, stage.value, stage.stddev)
-              for name, stage in stages.items()}
+    first, second = found.settings.stage_one, found.settings.stage_two
+    priors = {"B": (first.prior, first.prior_stddev),
+              "beta_e": (second.prior, second.prior_stddev, second.largest)}
+    series = {name: ParameterSeries(
+        stage.estimate, stage.value, stage.stddev,
+        converged_where(stage.value, stage.stddev, *priors[name]))
+        for name, stage in stages.items()}
     temperature = recording.get("temperature") if recording.has("temperature") else None
     measured = np.isfinite(recording.get("x")) if recording.has("x") else None
     return judge_series(found.settings, recording.time, series, temperature, measured,

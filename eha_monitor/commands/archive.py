@@ -198,9 +198,8 @@ def work(store: "Store", todo: list["Task"], cluster: "Cluster | None", jobs: in
         answers = cluster.answers(row_of, [
             replace(task, path=Path(os.path.abspath(task.path))) for task in todo])
     else:
-        from eha_monitor.compiled import FIRST_RUN, announce_first_compilation
+        from eha_monitor.compiled import FIRST_RUN
 
-        announce_first_compilation()
         answers = on_this_machine(row_of, todo, jobs or len(os.sched_getaffinity(0)),
                                   alone=int(FIRST_RUN))
     broken = 0

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 from eha_monitor.archive.columns import PARAMETERS
 from eha_monitor.archive.store import iso_time
 from eha_monitor.commands.answer import answer, finite, judged
+from eha_monitor.commands.common import read_long_enough
 from eha_monitor.errors import InputError
-from eha_monitor.health.alarms import SEVERITY
+from eha_monitor.health.alarms import SEVERITY, Alarm
 from eha_monitor.source import source_digest
 
 if TYPE_CHECKING:
@@ -23,11 +24,11 @@ if TYPE_CHECKING:
 # What has a part in an answer, and in the row that is made of it.
 _ROOMS = {
     "estimate": ("physics", "filters", "recordings", "settings", "health", "plausibility",
-                 "commands/answer.py", "commands/plausible.py",
-                 "commands/archive_row.py"),
+                 "commands/answer.py", "commands/plausible.py", "commands/archive_row.py",
+                 "quantity.py"),
     "diagnose": ("physics", "filters", "recordings", "settings", "health", "mismatch",
                  "plausibility", "commands/answer.py", "commands/plausible.py",
-                 "commands/diagnosis_answer.py", "commands/archive_row.py"),
+                 "commands/diagnosis_answer.py", "commands/archive_row.py", "quantity.py"),
 }
 _EFFECT = ("name", "balance", "size", "statement", "log_evidence", "indistinguishable_from")
 _ONE = threading.Lock()  # a worker of a cluster may have threads, and the filters use all cores
@@ -78,12 +79,11 @@ def _fill(row: dict, task: Task) -> None:
     from eha_monitor.commands.plausible import checked
     from eha_monitor.compiled import load_runtime
     from eha_monitor.filters.pipeline import estimate
-    from eha_monitor.recordings.read import read_recording
 
     load_runtime()
-    recording = read_recording(task.path, task.settings)
+    recording = read_long_enough(task.path, task.settings)
     checked([recording], task.settings)
-    if recording.start_ns > 0:
+    if recording.dated:
         row["start"] = iso_time(recording.start_ns)
     found = estimate(recording, task.settings)
     alarms, history = judged(found)
@@ -104,11 +104,12 @@ def estimate_columns(tree: dict) -> dict:
         taint = tree["model"]["tainted"].get(name)
         row |= {name: one["value"], f"{name}_stddev": one["stddev"], f"{name}_unit": one["unit"],
                 f"{name}_status": one["status"], f"{name}_doubt": taint and taint["reason"]}
-    row |= {alarm["name"]: alarm["level"] for alarm in tree["alarms"]}
-    worst = max(tree["alarms"], key=lambda alarm: SEVERITY.index(alarm["level"]), default=None)
-    if worst is not None:
-        row |= {"alarm": worst["level"],
-                "alarm_message": None if worst["level"] == "OK" else worst["message"]}
+    words = [Alarm(**alarm).word for alarm in tree["alarms"]]
+    row |= {alarm["name"]: word for alarm, word in zip(tree["alarms"], words, strict=True)}
+    if words:
+        worst = max(range(len(words)), key=lambda i: SEVERITY.index(words[i]))
+        row |= {"alarm": words[worst], "alarm_message": None if words[worst] == "OK" else (
+            tree["alarms"][worst]["message"])}
     balances = dict.fromkeys(one["balance"] for one in tree["model"]["mismatches"])
     return row | {"model": tree["model"]["status"], "model_message": tree["model"]["message"],
                   "model_balance": "; ".join(balances) or None,

@@ -9,12 +9,14 @@ from rich.table import Table
 from eha_monitor.archive.columns import PARAMETERS
 from eha_monitor.archive.history import history
 from eha_monitor.commands.table import PIPE_WIDTH, PipeConsole
+from eha_monitor.health.alarms import NOT_JUDGED
+from eha_monitor.quantity import NOTE
 from eha_monitor.reports.archive_figures import trend_words
 from eha_monitor.reports.archive_report import effect_phrase, summary_words
 from eha_monitor.settings import Settings
 
 MOST = 20  # recordings shown; all are in the table
-_COLOURS = {"ERROR": "red", "WARN": "yellow", "STALE": "dim"}
+_COLOURS = {"ERROR": "red", "WARN": "yellow", "STALE": "dim", NOT_JUDGED: "cyan"}
 
 
 def unhealthy(row: dict) -> bool:
@@ -50,6 +52,7 @@ def show(rows: Sequence[dict], command: str, settings: Settings, made_with: str,
             console.print(f"and {len(looked) - MOST} more")
     for name in PARAMETERS:
         console.print(escape(trend_words(history(rows, name, command, made_with))))
+    console.print(NOTE, style="dim")
     for path in written:
         console.print(f"written: {escape(str(path))}", soft_wrap=True)
 
@@ -60,6 +63,6 @@ def _why(row: dict) -> str:
         return row["error"]
     if row.get("effects"):
         return "; ".join(effect_phrase(effect) for effect in row["effects"])
-    if row.get("alarm") in ("WARN", "ERROR"):
+    if row.get("alarm") in ("WARN", "ERROR", NOT_JUDGED):
         return row["alarm_message"]
     return row.get("verdict_message") or row.get("model_message") or ""

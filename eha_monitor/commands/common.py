@@ -5,10 +5,15 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from eha_monitor.errors import InputError
+
+if TYPE_CHECKING:
+    from eha_monitor.recordings.recording import Recording
+    from eha_monitor.settings import Settings
 
 config_option = click.option(
     "--config", "config", type=click.Path(path_type=Path), metavar="FILE",
@@ -48,6 +53,24 @@ def working(what: str) -> Iterator[None]:
 def end_as_on_interrupt() -> None:
     """Let SIGTERM end a run as Ctrl-C does: it must take its processes with it."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+
+
+def read_long_enough(bag: Path, settings: "Settings") -> "Recording":
+    """Read a bag that is to be answered.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or is shorter than any answer needs.
+    """
+    from eha_monitor.recordings.read import read_recording
+    from eha_monitor.recordings.recording import SHORTEST_S
+
+    recording = read_recording(bag, settings)
+    if recording.duration < SHORTEST_S:
+        raise InputError(f"{bag}: expected a recording of at least {SHORTEST_S:g} s, found "
+                         f"{recording.duration:.3g} s")
+    return recording
 
 
 def check_target(path: Path | None, bag: Path | None = None) -> None:

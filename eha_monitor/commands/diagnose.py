@@ -61,13 +61,12 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
         written_config,
     )
     from eha_monitor.commands.plausible import checked, finding_tree
-    from eha_monitor.compiled import announce_first_compilation, load_runtime
+    from eha_monitor.compiled import load_runtime
     from eha_monitor.mismatch.name import diagnose as run
     from eha_monitor.recordings.read import read_recording
     from eha_monitor.settings import load_settings
 
     settings = load_settings(config)
-    announce_first_compilation()
     with progress_bar() as told:
         told("reading", 0.0)
         load_runtime()

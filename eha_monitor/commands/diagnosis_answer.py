@@ -3,10 +3,12 @@
 import math
 from dataclasses import asdict
 from pathlib import Path
+from textwrap import wrap
 
 from eha_monitor import __version__
 from eha_monitor.commands.answer import finite
 from eha_monitor.mismatch.diagnosis import Diagnosis, NamedEffect, Value
+from eha_monitor.quantity import NOTE, with_uncertainty
 from eha_monitor.settings.document import annotated
 from eha_monitor.settings.load import settings_from_tree
 from eha_monitor.settings.monitor import Settings
@@ -105,11 +107,11 @@ def written_config(found: Diagnosis, settings: Settings, source: Path | None) ->
             value = found.after.get(name)
             if value is not None and 0 < value.value < LARGEST:
                 tree["rig"][key] = _rounded(value.value)
-                changed.append(f"rig.{key}: {tree['rig'][key]:.6g} "
-                               f"± {2 * value.stddev:.2g} {value.unit}")
+                shown = with_uncertainty(value.value, value.stddev, value.unit)
+                changed.append(f"rig.{key}: {shown}")
     given = f"Completes {source.name}." if source else "Completes the paper's EHA."
     lines = [f"Written by eha_monitor {__version__}, diagnose of {', '.join(found.bags)}.", given]
-    lines += ["Set by it (± two standard deviations):", *(f"  {line}" for line in changed)] \
+    lines += ["Set by it:", *(f"  {line}" for line in changed), *wrap(NOTE, 95)] \
         if changed else [f"Nothing is changed in it: the verdict is {found.verdict}."]
     title = "\n".join(" ".join(line.split()) if not line.startswith(" ") else line
                       for line in lines)

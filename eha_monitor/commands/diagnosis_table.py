@@ -9,6 +9,7 @@ from rich.table import Table
 
 from eha_monitor.commands.table import PIPE_WIDTH, PipeConsole
 from eha_monitor.mismatch.diagnosis import Diagnosis
+from eha_monitor.quantity import NOTE, SYMBOLS, number
 from eha_monitor.reports.diagnosis_words import (
     DATA,
     certainty,
@@ -24,7 +25,6 @@ from eha_monitor.reports.diagnosis_words import (
     sentence,
     value_words,
 )
-from eha_monitor.reports.quantities import number
 
 _COLOURS = {"ok": "green", "warn": "yellow", "error": "red", "unknown": "dim"}
 
@@ -54,6 +54,8 @@ def show(found: Diagnosis, written: list[Path], notes: list[str] = ()) -> None:
             console.print(f"[yellow]{title}[/]: {escape(sentence(text))}")
     if found.verdict != "insufficient_data":
         console.print(escape(certainty(found)), style="dim")
+    if found.before or found.after:
+        console.print(NOTE, style="dim")
     for path in written:
         console.print(f"written: {escape(str(path))}", soft_wrap=True)
 
@@ -85,7 +87,7 @@ def _effects(found: Diagnosis) -> Table:
 def _parameters(found: Diagnosis) -> Table:
     table = _table("parameter", "before", "after")
     for name in dict.fromkeys((*found.before, *found.after)):
-        table.add_row(name, *(value_words(values.get(name))
+        table.add_row(SYMBOLS.get(name, name), *(value_words(values.get(name))
                               for values in (found.before, found.after)))
     return table
 

@@ -8,7 +8,12 @@ from pathlib import Path
 import click
 
 from eha_monitor.commands.archive import Archive, answer_folder, archive_options, refuse
-from eha_monitor.commands.common import check_outputs, config_option, working
+from eha_monitor.commands.common import (
+    check_outputs,
+    config_option,
+    read_long_enough,
+    working,
+)
 from eha_monitor.output import write_text
 
 
@@ -39,18 +44,16 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
 
     from eha_monitor.commands.answer import answer, judged, refusal, unhealthy
     from eha_monitor.commands.plausible import checked, corrected_config, finding_tree
-    from eha_monitor.compiled import announce_first_compilation, load_runtime
+    from eha_monitor.compiled import load_runtime
     from eha_monitor.filters.observability import observability
     from eha_monitor.filters.pipeline import estimate as run
-    from eha_monitor.recordings.read import read_recording
     from eha_monitor.settings import load_settings
 
     settings = load_settings(config)
-    announce_first_compilation()
     load_runtime()
     started = time.perf_counter()
     with working(f"reading {bag}"):
-        recording = read_recording(bag, settings)
+        recording = read_long_enough(bag, settings)
 
     def write_json(tree: dict) -> None:
         if json_file:

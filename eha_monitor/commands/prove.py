@@ -144,14 +144,17 @@ def on_ground(name: str, ground, data: Path | None, config: Path | None, told) -
 
 def parameter_lines(rows: list[dict]) -> str:
     """Return the parameters of a ground as lines: true, said, error."""
+    from eha_monitor.quantity import quantity, with_uncertainty
+
     lines = []
     for row in rows:
+        unit = row.get("unit", "")
         said = ("not named" if row["said"] is None else
-                f"{row['said']:.5g} ± {2 * row['stddev']:.2g}")
+                with_uncertainty(row["said"], row["stddev"], unit))
         error = "" if row["relative"] is None else f" ({row['relative']:.1%} off)"
         mark = "" if not row["aim"] else "  " if row["within"] else "! "
-        lines.append(f"  {mark:2}{row['group']}  {row['name']}: {row['true']:.5g} true, "
-                     f"{said}{error}")
+        lines.append(f"  {mark:2}{row['group']}  {row['name']}: "
+                     f"{quantity(row['true'], unit)} true, {said}{error}")
     return "\n".join(lines)
 
 

@@ -1,5 +1,6 @@
 """The answer of ``estimate`` as a person reads it on a terminal."""
 
+import math
 from pathlib import Path
 
 from rich.console import Console
@@ -7,11 +8,13 @@ from rich.markup import escape
 from rich.table import Table
 
 from eha_monitor.filters.results import Estimate
-from eha_monitor.health.alarms import Alarm
+from eha_monitor.health.alarms import NOT_JUDGED, Alarm
+from eha_monitor.quantity import NOTE, SYMBOLS
 
-_COLOURS = {"OK": "green", "WARN": "yellow", "ERROR": "red", "STALE": "dim",
+_COLOURS = {"OK": "green", "WARN": "yellow", "ERROR": "red", "STALE": "dim", NOT_JUDGED: "cyan",
             "converged": "green", "not_excited": "yellow", "diverged": "red", "no_data": "dim",
-            "consistent": "green", "mismatch": "red", "unknown": "dim"}
+            "consistent": "green", "mismatch": "red", "unknown": "dim",
+            "not_judged": "cyan"}
 PIPE_WIDTH = 120  # where there is no terminal whose width could be asked for
 
 
@@ -29,7 +32,8 @@ def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path]) -> Non
     if not console.is_terminal:
         console = PipeConsole(highlight=False, width=PIPE_WIDTH)
     recording = found.recording
-    speed = f", {recording.duration / found.wall_s:.0f}x real time" if found.wall_s else ""
+    faster = recording.duration / found.wall_s if found.wall_s else 0.0
+    speed = f", {faster:.0f}x real time" if faster >= 1.0 else ""
     console.print(f"{escape(recording.source)}: {recording.duration:.3f} s, {len(recording)} "
                   f"samples, channels {', '.join(recording.channels)}"
                   f" (answered in {found.wall_s:.2f} s{speed})")
@@ -43,7 +47,9 @@ def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path]) -> Non
         for sentence in sentences:
             console.print(f"[yellow]{title}[/]: {escape(sentence)}")
     for event in found.events:
-        console.print(f"{event.time_s:9.3f} s  stage {event.stage}: {escape(event.message)}")
+        console.print(f"{event.time_s:8.2f} s  stage {event.stage}: {escape(event.message)}")
+    if any(math.isfinite(p.value) for p in found.parameters.values()):
+        console.print(NOTE, style="dim")
     for path in written:
         console.print(f"written: {escape(str(path))}", soft_wrap=True)
 
@@ -54,16 +60,14 @@ def _coloured(word: str) -> str:
 
 
 def _parameters(found: Estimate) -> Table:
-    table = Table("estimator", "parameter", "value", "± stddev", "unit", "status", box=None,
-                  header_style="bold", padding=(0, 2, 0, 0))
+    table = Table("estimator", "parameter", "value", "status", box=None, header_style="bold",
+                  padding=(0, 2, 0, 0))
     rows = [(f"stage {stage.stage}", stage.estimate)
             for stage in (found.stage_one, found.stage_two)]
     if found.joint is not None:
         rows += [("joint", parameter) for parameter in found.joint.parameters.values()]
     for estimator, p in rows:
-        known = p.value == p.value
-        table.add_row(estimator, p.name, f"{p.value:.5g}" if known else "–",
-                      f"{p.stddev:.2g}" if known else "–", p.unit, _coloured(p.status))
+        table.add_row(estimator, SYMBOLS.get(p.name, p.name), p.shown, _coloured(p.status))
     return table
 
 
@@ -71,6 +75,6 @@ def _alarms(alarms: tuple[Alarm, ...]) -> Table:
     table = Table("alarm", "level", "since", "why", box=None, header_style="bold",
                   padding=(0, 2, 0, 0))
     for alarm in alarms:
-        table.add_row(alarm.name, _coloured(alarm.level), f"{alarm.time_s:.2f} s",
+        table.add_row(alarm.name, _coloured(alarm.word), f"{alarm.time_s:.2f} s",
                       escape(alarm.message))
     return table

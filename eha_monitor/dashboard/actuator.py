@@ -7,7 +7,7 @@ it smoothly between two positions.
 import math
 from html import escape
 
-from eha_monitor.reports.quantities import readable
+from eha_monitor.quantity import readable
 
 # Drawing units: the barrel, and how far the piston goes to either side of its middle.
 WIDTH, HEIGHT = 640, 150

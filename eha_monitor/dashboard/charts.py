@@ -7,7 +7,7 @@ import numpy as np
 
 from eha_monitor.dashboard.history import Row
 from eha_monitor.dashboard.state import ESTIMATES_SPAN, POSITION_SPAN, STAGES
-from eha_monitor.reports.quantities import Scale
+from eha_monitor.quantity import FLOOR, Scale
 
 _INK, _LINE, _MEASURED = "#37474f", "#1565c0", "#6d4c41"
 _BAND = "rgba(21, 101, 192, 0.18)"
@@ -50,17 +50,17 @@ def _line(key: str, name: str, colour: str, **more) -> dict:
 
 
 def estimate_frame(scale: Scale) -> dict:
-    """Return the chart of one estimate: value, ±2σ band, thresholds."""
+    """Return the chart of one estimate: value, ±1σ band, thresholds."""
     # ECharts draws a band as two stacked lines: the lower edge, unseen, and the width on it.
     edge = {"stack": "band", "stackStrategy": "all", "lineStyle": {"opacity": 0},
             "silent": True, "tooltip": {"show": False}}
     filled = {"areaStyle": {"color": _BAND, "opacity": 1}}
     series = [
         _line("lower", "", _LINE) | edge,
-        _line("width", "±2σ", _BAND) | edge | filled,
+        _line("width", "±1σ", _BAND) | edge | filled,
         _line("value", "estimate", _LINE),
         _line("limits", "", _INK)]
-    legend = ["estimate", {"name": "±2σ", "icon": "rect", "itemStyle": {"opacity": 1}}]
+    legend = ["estimate", {"name": "±1σ", "icon": "rect", "itemStyle": {"opacity": 1}}]
     return _frame(_time_of_day(), scale.unit, series, legend)
 
 
@@ -75,15 +75,16 @@ def estimate_data(rows: list[Row], limits: list[tuple[str, str, float]], scale: 
     now : time of day, the right end of the axis, s.
     """
     marks = [_limit_mark(side, degree, limit * scale.factor) for side, degree, limit in limits]
-    values = [(1e3 * t, value * scale.factor, stddev * scale.factor) for t, value, stddev in rows]
+    values = [(1e3 * t, value * scale.factor,
+               scale.factor * max(stddev, FLOOR * abs(value))) for t, value, stddev in rows]
     sure = [v for _, v, s in values if s < _UNSURE * abs(v)]
     low, high = value_range(sure, (mark["yAxis"] for mark in marks))
     return {
         "xAxis": _time_range(rows, now),
         "yAxis": {"min": low, "max": high},
         "series": [
-            {"id": "lower", "data": [[t, _round(v - 2 * s)] for t, v, s in values]},
-            {"id": "width", "data": [[t, _round(4 * s)] for t, v, s in values]},
+            {"id": "lower", "data": [[t, _round(v - s)] for t, v, s in values]},
+            {"id": "width", "data": [[t, _round(2 * s)] for t, v, s in values]},
             {"id": "value", "data": [[t, _round(v)] for t, v, _ in values]},
             {"id": "limits", "markLine": {"symbol": "none", "silent": True, "data": marks}}]}
 

@@ -9,12 +9,11 @@ from nicegui import ui
 from eha_monitor.dashboard import actuator, charts, words
 from eha_monitor.dashboard.state import STAGES, State, View, alarms
 from eha_monitor.health.alarms import ALARM_NAMES, WATCHED
-from eha_monitor.reports.quantities import readable
+from eha_monitor.quantity import NOTE, SYMBOLS, readable
 
 STYLE = Path(__file__).with_name("page.css")
 # How often numbers and words are looked up, and how often the charts are drawn, s.
 REFRESH_PERIOD, POSITION_PERIOD, CHART_PERIOD = 0.2, 0.5, 1.0
-_SYMBOLS = {"B": "B", "beta_e": "βe"}
 # Where the scale of the drawing shrinks: not at each pause of the motion.
 _SHRINK = 4.0
 
@@ -39,13 +38,14 @@ class _Level:
 
     def __init__(self, key: str):
         self._label = _text("", "level", key)
-        self._shown = ""
+        self._shown = ("", "")
 
-    def show(self, level: str) -> None:
-        if level != self._shown:
-            self._shown = level
-            self._label.set_text(words.level_text(level))
-            self._label.classes(replace=f"level level-{level.lower()}")
+    def show(self, level: str, text: str = "") -> None:
+        text = text or words.level_text(level)
+        if (level, text) != self._shown:
+            self._shown = level, text
+            self._label.set_text(text)
+            self._label.classes(replace=f"level level-{level.lower().replace(' ', '-')}")
 
 
 class Page:
@@ -86,7 +86,7 @@ class Page:
 
     def _build_estimate(self, symbol: str, title: str) -> dict:
         with ui.element("section").classes("card") as card:
-            _heading("h2", f"{title.capitalize()} {_SYMBOLS[symbol]}")
+            _heading("h2", f"{title.capitalize()} {SYMBOLS[symbol]}")
             with ui.element("div").classes("figure"):
                 parts = {part: _text("", part, f"{symbol}-{part}")
                          for part in ("value", "stddev", "unit", "status")}
@@ -136,6 +136,7 @@ class Page:
                   "stay near it.", "note")
             self._residual_chart = ui.echart(charts.residual_frame()).classes("chart")
             self._data = _text("", "note", "data")
+            _text(NOTE, "note", "plus-minus")
 
     def refresh(self) -> None:
         """Bring numbers, words and the piston up to date."""
@@ -144,12 +145,10 @@ class Page:
         self._banner.set_text(silence)
         self._banner.set_visibility(bool(silence))
         self._rig.set_text(f"rig {view.hardware}")
-        listed = alarms(view)
-        self._overall.show(words.worst([*listed, *(
-            view.findings[name] for name in ("model_mismatch",) if name in view.findings)]))
-        for alarm in listed:
+        self._overall.show(*words.overall(view))
+        for alarm in alarms(view):
             level, message = self._alarms[alarm.name]
-            level.show(alarm.level)
+            level.show(alarm.word)
             message.set_text(alarm.message)
         for watched in WATCHED:
             self._refresh_estimate(view, watched.symbol)
@@ -170,7 +169,7 @@ class Page:
 
     def _refresh_model(self, view: View) -> None:
         found = view.findings.get("model_mismatch")
-        self._model.show(found.level if found else "STALE")
+        self._model.show(found.word if found else "STALE")
         self._model_status.set_text(words.model_status(view))
         self._model_message.set_text(found.message if found else "nothing heard yet")
         for stage, labels in self._innovations.items():

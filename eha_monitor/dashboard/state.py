@@ -194,10 +194,10 @@ def alarms(view: View) -> list[Finding]:
 
 
 def _no_longer(finding: Finding) -> Finding:
-    if finding.level == "STALE":
+    if finding.word == "STALE":
         return finding
-    return Finding(finding.name, "STALE", f"last heard {finding.level}: {finding.message}",
-                   finding.values)
+    return Finding(finding.name, "STALE", f"last heard {finding.word}: {finding.message}",
+                   {**finding.values, "not_judged": "0"})
 
 
 def _number(finding: Finding, key: str) -> float:

@@ -4,18 +4,27 @@ import math
 import time
 from dataclasses import dataclass
 
-from eha_monitor.dashboard.state import HEALTH_STALE_AFTER, NIS, SAMPLES, VARIANCE_RATIO, View
+from eha_monitor.dashboard.state import (
+    HEALTH_STALE_AFTER,
+    NIS,
+    SAMPLES,
+    VARIANCE_RATIO,
+    View,
+    alarms,
+)
 from eha_monitor.filters.status import units_of
-from eha_monitor.health.alarms import SEVERITY, quantity
+from eha_monitor.health.alarms import NOT_JUDGED, SEVERITY
 from eha_monitor.health.finding import Finding
-from eha_monitor.reports.quantities import Scale, readable
+from eha_monitor.quantity import Scale, number, readable, with_uncertainty
 from eha_monitor.settings import Settings
 
 # A level has a sign and a word, so that it is told without its colour.
-SIGNS = {"OK": "✓", "WARN": "▲", "ERROR": "✖", "STALE": "◌"}
-# Of all that the status `data` holds, what tells whether messages arrive.
-_DATA_KEYS = ("rows", "rate_joint_states_Hz", "lost_messages", "missing_samples",
-              "latency_p50_ms", "cpu_share_percent")
+SIGNS = {"OK": "✓", NOT_JUDGED: "?", "WARN": "▲", "ERROR": "✖", "STALE": "◌"}
+# Of all that the status `data` holds, what tells whether messages arrive, and its words.
+_DATA = {"rows": "{} rows so far", "rate_joint_states_Hz": "{} messages a second on joint_states",
+         "lost_messages": "{} messages lost", "missing_samples": "{} samples missing",
+         "latency_p50_ms": "half of the rows done within {} ms",
+         "cpu_share_percent": "{} % of a processor"}
 # A thousandth of the units in which positions are shown.
 _FINE = {"mm": "µm", "mrad": "µrad"}
 _STATUS_WORDS = {"not_excited": "not excited", "no_data": "no data"}
@@ -46,12 +55,12 @@ def shown(value: float, stddev: float, scale: Scale) -> Shown:
     if not math.isfinite(value):
         return Shown("–", "", scale.unit)
     if not math.isfinite(stddev):
-        return Shown(f"{value * scale.factor:.6g}", "± not known", scale.unit)
-    text = quantity(value * scale.factor, stddev * scale.factor, "").strip()
+        return Shown(number(value * scale.factor), "± not known", scale.unit)
+    text = with_uncertainty(value, stddev, "", Scale(scale.factor, ""))
     if text.startswith("("):  # with a power of ten: no two numbers on their own
         return Shown(text, "", scale.unit)
-    number, _, uncertainty = text.partition(" ± ")
-    return Shown(number, f"± {uncertainty}", scale.unit)
+    known, _, uncertainty = text.partition(" ± ")
+    return Shown(known, f"± {uncertainty}", scale.unit)
 
 
 def level_text(level: str) -> str:
@@ -66,7 +75,28 @@ def plain_name(name: str) -> str:
 
 def worst(findings: list[Finding]) -> str:
     """Return the level that counts most."""
-    return max((f.level for f in findings), key=SEVERITY.index, default="STALE")
+    return max((f.word for f in findings), key=SEVERITY.index, default="STALE")
+
+
+def overall(view: View) -> tuple[str, str]:
+    """Return the level of the header and its words.
+
+    It is the worst of what is judged.  STALE is for data that do not come; while they come, an
+    alarm that nothing can be said about is counted beside the level and does not hide the rest.
+    """
+    data = view.findings.get("data")
+    if not view.findings or (data is not None and data.level == "STALE"):
+        return "STALE", level_text("STALE")
+    mismatch = [view.findings["model_mismatch"]] if "model_mismatch" in view.findings else []
+    listed = alarms(view)
+    judged = [finding for finding in listed if finding.word not in ("STALE", NOT_JUDGED)]
+    # A value beyond its limit that a misfit holds back must be seen.
+    held = [one for one in listed if one.word == NOT_JUDGED and one.level == "WARN"]
+    if not (judged or held):
+        return "STALE", "◌ not judged yet"
+    level = worst([*judged, *held, *(one for one in mismatch if one.level != "STALE")])
+    left = len(listed) - len(judged)
+    return level, level_text(level) + (f", {left} of {len(listed)} not judged" if left else "")
 
 
 def stage_status(view: View, stage: str) -> str:
@@ -87,11 +117,19 @@ def model_status(view: View) -> str:
 
 
 def innovation_texts(view: View, stage: str) -> tuple[str, str, str]:
-    """Return NIS, variance ratio and number of innovations as the topic carries them."""
+    """Return NIS, variance ratio and number of innovations of a stage."""
     values = view.findings[stage].values if stage in view.findings else {}
-    nis, ratio, samples = (str(values.get(key, "")) or "–"
+    nis, ratio, samples = (_written(values.get(key, ""), 3) or "–"
                            for key in (NIS, VARIANCE_RATIO, SAMPLES))
     return nis, ratio, samples
+
+
+def _written(value: float | int | str, digits: int) -> str:
+    """Return a number of a diagnostic with ``digits`` digits, or all those before its point."""
+    try:
+        return number(float(value), digits)
+    except ValueError:
+        return str(value)
 
 
 def silence_text(view: View, settings: Settings, topics: dict[str, str]) -> str:
@@ -143,6 +181,6 @@ def data_text(view: View) -> str:
     finding = view.findings.get("data")
     if finding is None:
         return "data: nothing heard from the monitor yet"
-    numbers = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in
-                        finding.values.items() if value and key in _DATA_KEYS)
+    numbers = ", ".join(words.format(_written(finding.values[key], 3))
+                        for key, words in _DATA.items() if finding.values.get(key, "") != "")
     return f"data: {finding.message}" + (f"; {numbers}" if numbers else "")

@@ -3,6 +3,7 @@
 import numpy as np
 
 from eha_monitor.filters.results import Consistency
+from eha_monitor.quantity import number
 
 LENGTHS = (1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1024)  # samples in a block
 # Verdict: a ratio must be beyond what chance gives AND large enough to matter.
@@ -137,10 +138,11 @@ def judge(innovation: np.ndarray, stddev: np.ndarray, dt: float, stage: str,
         message = (f"{stage}: innovations are as expected: NIS {nis:.2f}, white at all scales "
                    f"(largest variance ratio {ratio:.2f})")
     elif judged.any():
-        message = (f"{stage}: innovations over {length * dt:.3g} s are {np.sqrt(ratio):.3g} times "
-                   f"too large (NIS {nis:.3g}), worst near t = {peak_time:.2f} s: {missing}")
+        message = (f"{stage}: innovations over {length * dt:.3g} s are "
+                   f"{number(np.sqrt(ratio), 3)} times too large (NIS {number(nis, 3)}), worst "
+                   f"near t = {peak_time:.2f} s: {missing}")
     else:
         message = (f"{stage}: innovations near t = {peak_time:.2f} s are "
-                   f"{np.sqrt(local[peak]):.3g} times too large: {missing}")
+                   f"{number(np.sqrt(local[peak]), 3)} times too large: {missing}")
     return Consistency(len(values), nis, ratio, length * dt, peak_time, bool(consistent), message,
                        first_time, decisive)

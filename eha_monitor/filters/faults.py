@@ -6,12 +6,14 @@ there is evidence and a few seconds longer, so that a fault that comes in bursts
 
 import math
 from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from eha_monitor.filters.rows import Counts, Source
 from eha_monitor.filters.stillness import Stillness
+from eha_monitor.recordings.limits import LARGEST, LIMITS
 
 # A sentence stands for so long after its last evidence.
 HELD_S = 3.0
@@ -26,6 +28,8 @@ OTHER_RATE = 1.5
 LATE_S = 0.1
 # Looks after which it is known how receipt and stamp usually drift apart.
 GROWTHS = 5
+# Kinds of sentences that a monitor that cannot keep up brings about by itself.
+CONSEQUENCES = ("missing", "late", "lacked")
 # So many samples are needed to tell a usual step.
 ENOUGH = 20
 
@@ -40,11 +44,15 @@ class Sentences:
         """Take a sentence; a newer one of the same key replaces it."""
         self._noted[key] = (now, sentence)
 
-    def standing(self, now: float) -> list[str]:
-        """Return the sentences that stand, in the order in which they first came."""
+    def standing(self, now: float, without: Collection[str] = ()) -> list[str]:
+        """Return the sentences that stand, in the order in which they first came.
+
+        ``without`` leaves out kinds, the first words of keys.
+        """
         self._noted = {key: (at, text) for key, (at, text) in self._noted.items()
                        if now - at <= HELD_S}
-        return [text for _, text in self._noted.values()]
+        return [text for key, (_, text) in self._noted.items()
+                if key.partition(" ")[0] not in without]
 
 
 @dataclass
@@ -83,11 +91,21 @@ class FaultWatch:
         self.stillness = Stillness()
         self.missing = 0
         self._looked = False
+        self._wild: dict[str, float] = {}  # channel -> its last value beyond every sensor
 
     def take(self, stamp_ns: int, row: dict[str, float]) -> dict[str, float]:
-        """Take one row; return it without the channels that are frozen."""
+        """Take one row; return it without the channels that are frozen or no measurement."""
+        for name, value in row.items():
+            if abs(value) > LARGEST[name]:
+                row = self._without_wild(row)
+                break
         frozen = self.stillness.take(stamp_ns, row)
         return {name: row[name] for name in row if name not in frozen} if frozen else row
+
+    def _without_wild(self, row: dict[str, float]) -> dict[str, float]:
+        """Return a row without the values that no sensor can show; the next look names them."""
+        self._wild |= {name: value for name, value in row.items() if abs(value) > LARGEST[name]}
+        return {name: value for name, value in row.items() if not abs(value) > LARGEST[name]}
 
     def restart(self, reason: str, now: float) -> None:
         """Stamps have jumped back: name it, and learn anew what is usual."""
@@ -108,9 +126,9 @@ class FaultWatch:
         """Take a sentence that somebody else found."""
         self._sentences.note(key, now, sentence)
 
-    def sentences(self, now: float) -> list[str]:
-        """Return what stands at ``now`` (s, monotonic)."""
-        return self._sentences.standing(now)
+    def sentences(self, now: float, without: Collection[str] = ()) -> list[str]:
+        """Return what stands at ``now`` (s, monotonic), see :meth:`Sentences.standing`."""
+        return self._sentences.standing(now, without)
 
     def look(self, now: float) -> dict[str, int]:
         """Compare with the last look; return channels found frozen now, and since when, ns.
@@ -130,6 +148,11 @@ class FaultWatch:
                     self._lateness(source, past, now)
             past.counts, past.rows = source.counts(), self.stillness.rows
             past.counted = {name: self.stillness.counts.get(name, 0) for name in source.channels}
+        while self._wild:
+            channel, value = self._wild.popitem()
+            limit, unit = LIMITS[channel]
+            self.note(f"wild {channel}", now, f"{channel}: {value:.3g} {unit} is no measurement "
+                      f"(beyond ±{limit:.0e} {unit}), left out")
         fresh = {}
         for channel, (seconds, since_ns, new) in self.stillness.look().items():
             reference = self.stillness.reference(channel)

@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from eha_monitor.breakdown import begins_anew
 from eha_monitor.filters import run_two
 from eha_monitor.filters.filterpy_stages import FilterpyStageOne, FilterpyStageTwo
 from eha_monitor.filters.handover import Handover
@@ -25,17 +26,14 @@ from eha_monitor.filters.live_again import RunAgain
 from eha_monitor.filters.live_buffer import LiveBuffer
 from eha_monitor.filters.live_hold import LiveHold
 from eha_monitor.filters.live_model import JUDGE_EVERY_S, JUDGED_S, KEPT, Fit, LiveModel
+from eha_monitor.filters.live_plausible import LivePlausibility
 from eha_monitor.filters.noise import noise_levels
 from eha_monitor.filters.results import Event, LiveSnapshot, ParameterEstimate
 from eha_monitor.filters.rewind import Checkpoints
 from eha_monitor.filters.status import parameters_of, units_of
-from eha_monitor.physics.signals import (
-    COMMAND_DELAY,
-    FEEDBACK_DELAY,
-    POSITION_DELAY,
-    POSITION_SCALE,
-    PRESSURE_DELAY,
-)
+from eha_monitor.physics import signals as s
+from eha_monitor.quantity import SYMBOLS, quantity
+from eha_monitor.recordings.limits import LARGEST
 from eha_monitor.settings.monitor import Settings
 
 WARM_UP = 256  # rows from which the sample time and the noise are first measured
@@ -85,14 +83,16 @@ class LiveEstimator(RunAgain):
         self._clean = 0  # row from which on stage two is run again
         self._noise_at = list(NOISE_AGAIN_S)
         self._checkpoints = Checkpoints()
+        self._plausible = LivePlausibility(self.settings)
         self._announced: set[str] = set()
         if reason:
             self._events.append(Event(self._now, "monitor", f"estimates reset: {reason}"))
 
+    @begins_anew
     def push(self, time_s: float, row: dict[str, float]) -> None:
         """Take one aligned row at a rising time; missing channels are absent or NaN."""
         self._now = time_s
-        if not math.isnan(row.get("temperature", math.nan)):
+        if abs(row.get("temperature", math.nan)) <= LARGEST["temperature"]:
             self._temperature = row["temperature"]
         if self._buffer is None:
             if self._early and time_s - self._early[-1][0] > LONG_GAP_S:
@@ -168,10 +168,10 @@ class LiveEstimator(RunAgain):
         self._model = inputs.model
         # A late channel waits for the samples that show the present.
         circuit = self._model.circuit
-        lead = max(circuit[POSITION_DELAY], circuit[PRESSURE_DELAY])
+        lead = max(circuit[s.POSITION_DELAY], circuit[s.PRESSURE_DELAY])
         self._lag = LAG + math.ceil(lead / self.dt)
         self._context = CONTEXT + math.ceil(
-            max(circuit[COMMAND_DELAY], circuit[FEEDBACK_DELAY]) / self.dt)
+            max(circuit[s.COMMAND_DELAY], circuit[s.FEEDBACK_DELAY]) / self.dt)
         self._measure_noise()
         if self._no_force is None:
             self._one = FilterpyStageOne(
@@ -184,7 +184,7 @@ class LiveEstimator(RunAgain):
         self._noise = noise_levels(recording, self.settings.noise)
         self._quantum = quantum_of(recording.channels)
         self._r = (position_variance(self._noise, self._quantum)
-                   / (1.0 + self._model.circuit[POSITION_SCALE]) ** 2)
+                   / (1.0 + self._model.circuit[s.POSITION_SCALE]) ** 2)
         for stage in filter(None, (self._one, self._two)):
             stage.ekf.R[0, 0] = self._r
 
@@ -255,8 +255,8 @@ class LiveEstimator(RunAgain):
             unit = units_of(self.settings.rig.motion)[name]
             self._changes[which].append((number, *change))
             del self._changes[which][:-200]
-            self._tell(which, f"{name} changed from {change[0]:.4g} to {change[1]:.4g} {unit}",
-                       number)
+            self._tell(which, f"{SYMBOLS[name]} changed from {quantity(change[0], unit)} to "
+                       f"{quantity(change[1], unit)}", number)
             if which == "two" and abs(change[1] / change[0] - 1.0) > run_two.LARGE:
                 self._stale_piece = True  # run again from the bank once some seconds show it
             if which == "one":
@@ -293,13 +293,18 @@ class LiveEstimator(RunAgain):
         if self._no_drive is None:
             self._hand_over(since_start)
         self._checkpoints.keep(self, self._taken, self.dt)
+        if self._plausible.due(self._now):
+            news = self._plausible.ask(
+                self._now, self._buffer.recording(self._buffer.first, self._buffer.end))
+            if news:
+                self._tell("monitor", news)
         if (self._taken - self._tester.judged_at) * self.dt >= JUDGE_EVERY_S:
             self._judge()
         for name, estimate in self._parameters().items():
             if estimate.status == "converged" and name not in self._announced:
                 self._announced.add(name)
-                self._tell("one" if name == "B" else "two", f"{name} converged at "
-                           f"{estimate.value:.4g} ± {estimate.stddev:.2g} {estimate.unit}")
+                self._tell("one" if name == "B" else "two",
+                           f"{SYMBOLS[name]} converged at {estimate.shown}")
 
     def _judge(self) -> None:
         """Test the model on the last window; while it does not fit, ask whether it does again."""
@@ -310,6 +315,8 @@ class LiveEstimator(RunAgain):
         for stage in filter(None, (self._one, self._two)):
             stage.forget(*KEPT)
         standing = [stage for stage in ("one", "two") if tester.standing(stage)]
+        if standing:
+            tester.measure(self._last, self._parameters(), self._damping[0], self._two, now)
         start = self._taken - round(JUDGED_S / self.dt)
         if not standing or start < self._buffer.first or not tester.trying.due(now):
             return
@@ -321,11 +328,15 @@ class LiveEstimator(RunAgain):
         if ended:
             self._adopt(standing[0], fit, start)
 
+    def _last(self, seconds: float) -> StageInputs:
+        """Return the inputs of the last seconds, or of as many as there are."""
+        start = max(self._buffer.first, self._taken - round(seconds / self.dt))
+        return self._inputs(start, self._taken)
+
     def rehearse(self) -> None:
         """Do once what a mismatch will ask for, so that its compiled code is loaded."""
         for stage in ("one", "two"):
-            self._tester.try_again(stage, self._inputs(self._buffer.first, self._taken),
-                                   self._damping, self._now)
+            self._tester.try_again(stage, self._last(BUFFER_S), self._damping, self._now)
 
     def _adopt(self, stage: str, fit: Fit, start: int) -> None:
         """Carry on from a window that fits: what came before it no longer counts."""
@@ -351,10 +362,10 @@ class LiveEstimator(RunAgain):
     def snapshot(self) -> LiveSnapshot:
         """Return the present estimates; the events are handed out once."""
         events, self._events = tuple(self._events), []
-        model = self._tester.status(self._now, self._parameters(),
-                                    self._two.sensitivity if self._two else math.nan)
+        model = self._tester.status(self._now, self._parameters(), self._two)
         state = self._one or self._two
         position, velocity = map(float, state.ekf.x[:2]) if state else (math.nan, math.nan)
-        return LiveSnapshot(self._now, self._parameters(), position, velocity, model, events,
-                            self._temperature, dict(self._tester.verdicts),
-                            self._time_of(self._taken - 1) if self._taken else math.nan)
+        return self._plausible.told(LiveSnapshot(
+            self._now, self._parameters(), position, velocity, model, events, self._temperature,
+            dict(self._tester.verdicts),
+            self._time_of(self._taken - 1) if self._taken else math.nan))

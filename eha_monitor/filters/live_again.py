@@ -5,6 +5,8 @@ import numpy as np
 from eha_monitor.filters import run_two
 from eha_monitor.filters.filterpy_stages import FilterpyStageTwo
 from eha_monitor.filters.inputs import StageInputs, model_for, moved_mass
+from eha_monitor.filters.status import units_of
+from eha_monitor.quantity import with_uncertainty
 
 
 class RunAgain:
@@ -24,8 +26,8 @@ class RunAgain:
         again = "runs" if self._two is None else "re-run"
         self._stale_piece = False
         self._run_two_again()
-        value, stddev = self._handover.damping
-        self._tell("two", f"{again} with B = {value:.5g} ± {stddev:.2g} {why}")
+        given = with_uncertainty(*self._handover.damping, units_of(self.settings.rig.motion)["B"])
+        self._tell("two", f"{again} with B = {given} {why}")
 
     def _told_hold(self) -> bool:
         """Ask the buffered rows, while they have not told, whether the drive holds its command."""

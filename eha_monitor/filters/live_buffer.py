@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from eha_monitor.recordings.limits import LARGEST
 from eha_monitor.recordings.recording import CHANNELS, Recording
 
 # Columns beside the channels: damping in force and its variance, both stages' innovations.
@@ -33,7 +34,7 @@ class LiveBuffer:
             self._compact(number)
         place = number - self.first
         for name, value in row.items():
-            if value == value:  # not NaN
+            if abs(value) <= LARGEST[name]:  # a measurement: not NaN, and nothing beyond sensors
                 self._columns[name][place] = value
                 self.seen.add(name)
         self.end = number + 1

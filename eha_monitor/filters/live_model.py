@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from eha_monitor.filters.consistency import AROUND, judge
+from eha_monitor.filters.filterpy_stages import FilterpyStageTwo
 from eha_monitor.filters.handover import Backoff
 from eha_monitor.filters.inputs import StageInputs
 from eha_monitor.filters.live_buffer import LiveBuffer
@@ -18,9 +19,10 @@ from eha_monitor.filters.pipeline import (
     run_one_kernel,
     unless_unexcited,
 )
+from eha_monitor.filters.reach import WINDOW_S, Reaches, reaches_of
 from eha_monitor.filters.results import Consistency, Mismatch, ModelStatus, ParameterEstimate
 from eha_monitor.filters.run_two import run_from
-from eha_monitor.filters.status import judge_parameter
+from eha_monitor.filters.status import judge_parameter, units_of
 from eha_monitor.filters.supervision import new_supervision
 from eha_monitor.settings.monitor import Settings
 
@@ -53,6 +55,7 @@ class LiveModel:
     verdicts : on the last window of each stage, None where it could not be judged.
     first : row from which on a stage is judged; what came before was explained otherwise.
     trying : when to ask whether the last window fits again.
+    measuring : when to look how far a mismatch can have moved the parameters.
     """
 
     def __init__(self, settings: Settings):
@@ -61,8 +64,11 @@ class LiveModel:
         self.verdicts: dict[str, Consistency | None] = dict.fromkeys(PARAMETER)
         self.first = dict.fromkeys(PARAMETER, 0)
         self.judged_at = 0
-        self._trials = {name: Trial() for name in PARAMETER.values()}
+        self._trials = {name: Trial(units_of(settings.rig.motion)[name])
+                        for name in PARAMETER.values()}
         self.trying = Backoff(*TRY_EVERY_S)
+        self.measuring = Backoff(*TRY_EVERY_S)
+        self._reaches = Reaches()
         self._settled = math.nan  # B while no mismatch stood
 
     def restart_rows(self) -> None:
@@ -106,7 +112,9 @@ class LiveModel:
             trial = self._trials[PARAMETER[stage]].taint
             if self.watches[stage].update(time_of(taken), verdict, trial):
                 begun.append(self.watches[stage].standing)
-                self.trying = Backoff(*TRY_EVERY_S)
+                self.trying, self.measuring = Backoff(*TRY_EVERY_S), Backoff(*TRY_EVERY_S)
+        if not any(watch.standing for watch in self.watches.values()):
+            self._reaches = Reaches()
         damping = parameters["B"]
         if (damping.status == "converged" and not self.standing("one")
                 and self._trials["B"].taint is None):
@@ -137,6 +145,23 @@ class LiveModel:
         run = self._stage_one if stage == "one" else self._stage_two
         fit = run(inputs, damping)
         return fit, self.watches[stage].test(time_s, fit.fits)
+
+    def measure(self, last: Callable[[float], StageInputs],
+                parameters: dict[str, ParameterEstimate], damping: float,
+                two: FilterpyStageTwo | None, time_s: float) -> None:
+        """Find, if that is due, how far what does not fit can have moved the parameters.
+
+        Parameters
+        ----------
+        last : gives the inputs of the last so many seconds.
+        damping : B that stage two takes, N·s/m.
+        """
+        if not self.measuring.due(time_s):
+            return
+        stages = [stage for stage in PARAMETER if self.standing(stage)]
+        self._reaches.note(time_s, reaches_of(
+            stages, last(WINDOW_S), self.settings, parameters, damping, _sensitivity(two)))
+        self.measuring.answered(time_s, yes=False)  # it changes as slowly as the mismatch ages
 
     def _stage_one(self, inputs: StageInputs, damping: tuple[float, float]) -> Fit:
         # Changes excuse nothing here: one value must explain the whole window.
@@ -169,13 +194,8 @@ class LiveModel:
         return Fit(fits, parameter.value, parameter.stddev, innovation, stddev)
 
     def status(self, time_s: float, parameters: dict[str, ParameterEstimate],
-               sensitivity: float) -> ModelStatus:
-        """Return what is known about the model now, and which estimates are in doubt.
-
-        Parameters
-        ----------
-        sensitivity : relative change of beta_e with B, per N·s/m.
-        """
+               two: FilterpyStageTwo | None) -> ModelStatus:
+        """Return what is known about the model now, and which estimates are in doubt."""
         tainted = {}
         for name, trial in self._trials.items():
             known = parameters[name].status == "converged"
@@ -187,7 +207,8 @@ class LiveModel:
             fitting = [v for v in self.verdicts.values() if v is None or v.consistent]
             status = model_status(fitting)
             return ModelStatus(status.status, status.message, (), tainted)
-        tainted |= tainted_by(standing, abs(sensitivity * self._bias(parameters["B"])))
+        tainted |= tainted_by(standing, abs(_sensitivity(two) * self._bias(parameters["B"])),
+                              self._reaches.most())
         return ModelStatus("mismatch", "; ".join(m.message for m in standing), standing, tainted)
 
     def _bias(self, damping: ParameterEstimate) -> float:
@@ -197,3 +218,8 @@ class LiveModel:
         before = self._settled
         return damping.value - (self.settings.rig.viscous_damping if math.isnan(before)
                                 else before)
+
+
+def _sensitivity(two: FilterpyStageTwo | None) -> float:
+    """Return the relative change of beta_e with B, per N·s/m."""
+    return math.nan if two is None else two.sensitivity

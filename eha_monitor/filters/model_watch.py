@@ -4,10 +4,13 @@ Pure decisions on times and numbers, for live rows and for recordings alike.
 """
 
 import math
-from collections.abc import Iterable
+from collections import deque
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from types import MappingProxyType
 
 from eha_monitor.filters.results import Consistency, Mismatch, Taint
+from eha_monitor.quantity import quantity
 
 CHANCE_S = 12.0  # a mismatch that chance could bring about must stand for longer than a window
 FITTING_S = 2.0  # for so long must window after window fit before a mismatch is over
@@ -16,7 +19,7 @@ LONGEST_FITTING_S = 60.0
 # A value that has moved so far is on trial for so long before it may raise an alarm.
 MOVED = 0.05
 TRIAL_S = 2.5
-LONGEST_TRIAL_S = 10.0
+LONGEST_TRIAL_S = 5.0  # dry friction that appears is told within so long (measured: 2 to 5 s)
 MATTERS = 0.02  # relative change of beta_e by a wrong B that matters
 
 BALANCE = {"one": "force balance or a sensor", "two": "flow balance, drive or a sensor",
@@ -99,43 +102,65 @@ class StageWatch:
 class Trial:
     """Whether a value that has moved has stood the test of the model since.
 
-    A friction that appears looks like damping until the motion shows otherwise.  A slow drift
-    is never on trial, and none lasts longer than ``LONGEST_TRIAL_S``.
+    A friction that appears looks like damping until the motion shows otherwise.  A value is on
+    trial while it differs by more than ``MOVED`` from what it was at any time in the last
+    ``TRIAL_S``, or is no older than that.  So a slow drift is never on trial; one that goes on
+    moving stays on trial, but holds an alarm back no longer than ``LONGEST_TRIAL_S``
+    (:meth:`health.judge.Judge.judge`).
+
+    Parameters
+    ----------
+    unit : of the value, SI.
     """
 
-    def __init__(self):
-        self._anchor = math.nan
-        self._before = math.nan
-        self._moved = self._began = -math.inf
+    def __init__(self, unit: str):
+        self._unit = unit
+        self._low: deque[tuple[float, float]] = deque()  # (s, value), rising: the least first
+        self._high: deque[tuple[float, float]] = deque()
+        self._known = self._began = math.inf
         self.taint: Taint | None = None
 
     def update(self, time_s: float, value: float | None) -> Taint | None:
         """Take the value, None while it is not known; return the doubt that it deserves."""
         if value is None or not math.isfinite(value):
+            self.__init__(self._unit)
+            return None
+        self._known = min(self._known, time_s)
+        low, high = self._extremes(time_s, value)
+        before = max(low, high, key=lambda other: abs(value - other) / max(abs(other), 1e-300))
+        moved = abs(value - before) > MOVED * abs(before)
+        if not moved and time_s - self._known >= TRIAL_S:
             self.taint = None
             return None
-        if not abs(value - self._anchor) <= MOVED * abs(self._anchor):
-            if self.taint is None:
-                self._began, self._before = time_s, self._anchor
-            self._anchor, self._moved = value, time_s
-        on_trial = (time_s - self._moved < TRIAL_S
-                    and time_s - self._began < LONGEST_TRIAL_S)
-        self.taint = Taint(self._reason(), self._began, True) if on_trial else None
+        if self.taint is None:
+            self._began = time_s
+        since = max(self._began, time_s - LONGEST_TRIAL_S)
+        what = (f"it has moved from {quantity(before, self._unit)} to "
+                f"{quantity(value, self._unit)}") if moved else "it is new"
+        self.taint = Taint(f"{what}, and the model is being tested on the data since "
+                           f"t = {since:.1f} s", since, True)
         return self.taint
 
-    def _reason(self) -> str:
-        what = ("it is new" if math.isnan(self._before)
-                else f"it has moved from {self._before:.4g} to {self._anchor:.4g}")
-        return f"{what}, and the model is being tested on the data since t = {self._began:.1f} s"
+    def _extremes(self, time_s: float, value: float) -> tuple[float, float]:
+        """Return the least and the largest value of the last ``TRIAL_S``."""
+        for kept, sign in ((self._low, 1.0), (self._high, -1.0)):
+            while kept and sign * (kept[-1][1] - value) >= 0:
+                kept.pop()
+            kept.append((time_s, value))
+            while time_s - kept[0][0] > TRIAL_S - 1e-6:
+                kept.popleft()
+        return self._low[0][1], self._high[0][1]
 
 
-def tainted_by(mismatches: Iterable[Mismatch], by_damping: float = math.inf) -> dict[str, Taint]:
+def tainted_by(mismatches: Iterable[Mismatch], by_damping: float = math.inf,
+               reaches: Mapping[str, float] = MappingProxyType({})) -> dict[str, Taint]:
     """Return which of ``B`` and ``beta_e`` the mismatches that stand put in doubt, and why.
 
     Parameters
     ----------
     mismatches : those that stand.
     by_damping : relative change of beta_e that a wrong B could have made; inf if unknown.
+    reaches : by symbol, how far they can have moved it, see :class:`Taint`.
     """
     found: dict[str, Taint] = {}
     for mismatch in sorted(mismatches, key=lambda m: _ORDER.index(m.stage)):
@@ -148,4 +173,5 @@ def tainted_by(mismatches: Iterable[Mismatch], by_damping: float = math.inf) -> 
         elif not by_damping <= MATTERS:
             found["beta_e"] = replace(taint, reason=f"{taint.reason}; B, which the bulk modulus "
                                       "rests on, carries it")
-    return found
+    return {name: replace(taint, reach=reaches.get(name, math.inf))
+            for name, taint in found.items()}

@@ -15,6 +15,7 @@ KEPT = 0.9  # share of the smallest squares that is averaged: reversals and spik
 KEPT_MEAN = 0.6230155
 SMALLEST_SAMPLES = 64
 FLOOR = 5e-6
+SMALLEST = 1e-12  # in the channel's unit: what stands still has a variance that can be divided by
 
 _LEVEL_OF = {"x": "position", "v": "velocity", "p1": "pressure", "p2": "pressure",
              "omega": "pump_speed", "force": "force", "temperature": "temperature"}
@@ -86,7 +87,7 @@ def noise_levels(recording: Recording, levels: NoiseLevels) -> dict[str, NoiseEs
         if np.isfinite(measured):
             span = np.subtract(*np.nanpercentile(values, [99.5, 0.5]))  # wild samples aside
             floor = FLOOR * span if span > 0 else level
-            found[name] = NoiseEstimate(max(measured, floor, 1e-300), True)
+            found[name] = NoiseEstimate(max(measured, floor, SMALLEST), True)
         else:
-            found[name] = NoiseEstimate(level if level > 0 else 1e-12, False)
+            found[name] = NoiseEstimate(level if level > 0 else SMALLEST, False)
     return found

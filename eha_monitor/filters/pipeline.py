@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from eha_monitor.breakdown import computing
 from eha_monitor.filters import kernel_one
 from eha_monitor.filters.consistency import judge
 from eha_monitor.filters.hold_choice import SAMPLED, HoldDecision, resolved, with_hold
@@ -13,6 +14,7 @@ from eha_monitor.filters.inputs import StageInputs, moved_mass
 from eha_monitor.filters.joint import fits, run_joint
 from eha_monitor.filters.known import new_known_memory
 from eha_monitor.filters.model_watch import BALANCE, tainted_by
+from eha_monitor.filters.reach import WINDOW_S, Reaches, reaches_of
 from eha_monitor.filters.results import (
     Consistency,
     Estimate,
@@ -27,6 +29,7 @@ from eha_monitor.filters.run_two import MOST_EVENTS, run_stage_two_kernel
 from eha_monitor.filters.status import CONVERGED, judge_parameter, no_data, units_of
 from eha_monitor.filters.supervision import gave_up, new_supervision
 from eha_monitor.physics.signals import M as MASS_PLACE
+from eha_monitor.quantity import SYMBOLS, quantity, with_uncertainty
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
@@ -37,6 +40,7 @@ NO_CHANGES = np.empty((0, 4))
 GROSS = 25.0  # variance ratio
 COARSE = 1.5  # rad of the resonance in a sample
 MATTERS = 0.3  # standard deviations by which two holds must differ to be worth a word
+LOOKS = 3  # stretches from which the reach of a misfit is read
 
 
 def estimate(recording: Recording, settings: Settings) -> Estimate:
@@ -52,7 +56,17 @@ def estimate(recording: Recording, settings: Settings) -> Estimate:
     ----------
     recording : aligned channels.
     settings : config.
+
+    Raises
+    ------
+    InputError
+        If the recording's numbers break the calculation.
     """
+    with computing(recording.source):
+        return _estimated(recording, settings)
+
+
+def _estimated(recording: Recording, settings: Settings) -> Estimate:
     started = time.perf_counter()
     settings, decision = resolved([recording], settings)
     found = estimate_held(recording, settings)
@@ -74,7 +88,7 @@ def estimate_held(recording: Recording, settings: Settings) -> Estimate:
     joint = run_joint(inputs, recording, settings, one, two, since)
     return Estimate(
         recording, settings, one, two, joint,
-        tested_model(one, two, joint, settings),
+        tested_model(one, two, joint, settings, inputs, damping),
         tuple(sorted(events, key=lambda event: event.time_s)), inputs.noise,
         warnings=tuple(warnings_of(inputs, settings)))
 
@@ -153,7 +167,8 @@ def run_stage_one(inputs: StageInputs, recording: Recording, settings: Settings,
     first = first_converged(out[2], out[3], spread)
     if first is not None:
         events.append(Event(first * inputs.dt, "one",
-                            f"B converged at {out[2, first]:.4g} ± {out[3, first]:.2g} {unit}"))
+                            f"B converged at "
+                            f"{with_uncertainty(out[2, first], out[3, first], unit)}"))
     events += change_events(changes, found, inputs.dt, "one", "B", unit)
     return result
 
@@ -185,11 +200,12 @@ def change_events(changes: np.ndarray, found: int, dt: float, stage: str, name: 
             since = ("" if len(run) == 1
                      else f" in {len(run)} steps from t = {run[0, 0] * dt:.2f} s")
             events.append(Event(float(run[-1, 0] * dt), stage,
-                                f"{name} changed from {run[0, 1]:.4g} to {run[-1, 2]:.4g} "
-                                f"{unit}{since}"))
+                                f"{SYMBOLS[name]} changed from {quantity(run[0, 1], unit)} to "
+                                f"{quantity(run[-1, 2], unit)}{since}"))
     if found > len(changes):
         events.append(Event(float(changes[-1, 0] * dt), stage,
-                            f"{found - len(changes)} further changes of {name} are not listed"))
+                            f"{found - len(changes)} further changes of {SYMBOLS[name]} are not "
+                            "listed"))
     return events
 
 
@@ -201,14 +217,14 @@ def first_converged(value: np.ndarray, stddev: np.ndarray, prior_stddev: float) 
 
 def unless_unexcited(parameter: ParameterEstimate,
                      verdict: Consistency | None) -> Consistency | None:
-    """Return the verdict, but none on a small misfit of a parameter that nothing told.
+    """Return the verdict, but none on a parameter that nothing told, except on a gross misfit.
 
-    A parameter that stays at its prior fits a little badly; only a gross misfit is the model's.
+    A model that nothing moves is not tested: zeros fit any.  A parameter that stays at its prior
+    fits a little badly; only a gross misfit is the model's.
     """
-    if (verdict is None or verdict.consistent or parameter.status != "not_excited"
-            or verdict.variance_ratio > GROSS):
+    if verdict is None or parameter.status != "not_excited":
         return verdict
-    return None
+    return verdict if not verdict.consistent and verdict.variance_ratio > GROSS else None
 
 
 def hand_over(one: StageResult, settings: Settings, recording: Recording, events: list[Event],
@@ -220,7 +236,7 @@ def hand_over(one: StageResult, settings: Settings, recording: Recording, events
         nominal, spread = settings.rig.viscous_damping, settings.stage_two.damping_stddev
         if inputs.no_drive is None:
             events.append(Event(0.0, "two", f"stage one gives no B ({one.estimate.status}): "
-                                f"stage two takes {nominal:.4g} ± {spread:.3g} {unit}"))
+                                f"stage two takes {with_uncertainty(nominal, spread, unit)}"))
         return np.full(n, nominal), np.full(n, spread**2)
     damping, variance = np.empty(n), np.empty(n)
     # A change is dated to the start of the window that showed it; what B was before it is read
@@ -240,8 +256,9 @@ def hand_over(one: StageResult, settings: Settings, recording: Recording, events
                                         or starts[i + 1] - start > 1.0 / inputs.dt):
             events.append(Event(
                 start * inputs.dt, "two",
-                f"{'re-run' if start else 'runs'} with B = {one.value[last]:.5g} ± "
-                f"{one.stddev[last]:.2g} {unit} handed over by stage one"))
+                f"{'re-run' if start else 'runs'} with B = "
+                f"{with_uncertainty(one.value[last], one.stddev[last], unit)} handed over by "
+                "stage one"))
     return damping, variance
 
 
@@ -271,7 +288,8 @@ def run_stage_two(inputs: StageInputs, recording: Recording, settings: Settings,
     first = first_converged(out[3], out[5], prior.prior_stddev)
     if first is not None:
         events.append(Event(first * inputs.dt, "two",
-                            f"beta_e converged at {out[3, first]:.4g} ± {out[5, first]:.2g} Pa"))
+                            f"βe converged at "
+                            f"{with_uncertainty(out[3, first], out[5, first], unit)}"))
     events += change_events(changes, len(changes), inputs.dt, "two", "beta_e", unit)
     result = StageResult(
         "two", parameter,
@@ -292,13 +310,17 @@ def model_status(verdicts: Iterable[Consistency | None],
                            f"and drive do not fit together ({joint.message}): a sensor's scale, "
                            "or the pump")
     if not judged:
-        return ModelStatus("not_judged", "no stage has had enough data to test the model")
+        return ModelStatus("not_judged", "no stage has had enough data, or motion, to test the "
+                           "model")
     return ModelStatus("consistent", "; ".join(verdict.message for verdict in judged))
 
 
 def tested_model(one: StageResult, two: StageResult, joint: JointResult | None,
-                 settings: Settings) -> ModelStatus:
-    """Return the verdict on the model with the misfits behind it and what they taint."""
+                 settings: Settings, inputs: StageInputs, damping: np.ndarray) -> ModelStatus:
+    """Return the verdict on the model with the misfits behind it and what they taint.
+
+    ``damping`` is the (n,) B that stage two had.
+    """
     status = model_status((one.consistency, two.consistency), joint)
     if status.status != "mismatch":
         return status
@@ -309,8 +331,28 @@ def tested_model(one: StageResult, two: StageResult, joint: JointResult | None,
     if not found:
         found = [Mismatch("joint", BALANCE["joint"], 0.0, np.nan, np.nan, np.nan, status.message)]
     bias = one.estimate.value - settings.rig.viscous_damping
+    reaches = Reaches()
+    for part in _looks(found, (one, two), inputs):
+        reaches.note(0.0, reaches_of([m.stage for m in found], part, settings,
+                                     {"B": one.estimate, "beta_e": two.estimate}, damping[-1],
+                                     two.sensitivity))
     return replace(status, mismatches=tuple(found),
-                   tainted=tainted_by(found, abs(two.sensitivity * bias)))
+                   tainted=tainted_by(found, abs(two.sensitivity * bias), reaches.most()))
+
+
+def _looks(found: list[Mismatch], stages: tuple[StageResult, StageResult], inputs: StageInputs
+           ) -> list[StageInputs]:
+    """Return stretches from which it is read how far a misfit can have moved the parameters.
+
+    They lie between its beginning, or the last change of a parameter, and the end.
+    """
+    n = len(inputs.x)
+    length = min(n, round(WINDOW_S / inputs.dt))
+    first = [m.since_s / inputs.dt for m in found if np.isfinite(m.since_s)]
+    changed = [row[0] for stage in stages for row in stage.changes[-1:]]
+    begin = min(max((min(first, default=0), *changed)), n - length)
+    starts = np.unique(np.linspace(begin, n - length, LOOKS).astype(int))
+    return [inputs.part(start, start + length) for start in starts.tolist()]
 
 
 def warnings_of(inputs: StageInputs, settings: Settings) -> list[str]:

@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from eha_monitor.quantity import with_uncertainty
 from eha_monitor.recordings.finding import ChannelFinding
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
@@ -32,6 +33,11 @@ class ParameterEstimate:
     unit: str
     status: Status
     message: str = ""
+
+    @property
+    def shown(self) -> str:
+        """The value as people read it, ``600.0 ± 0.2 MPa``."""
+        return with_uncertainty(self.value, self.stddev, self.unit)
 
 
 @dataclass(frozen=True)
@@ -147,11 +153,14 @@ class Taint:
     """Why a parameter deserves doubt, and since when, s.
 
     ``testing``: it has just moved, and the model is being tested on what came since.
+    ``reach``: how far what the model lacks can have moved it (:mod:`filters.reach`), B in its
+    unit, beta_e as a logarithm; inf where that is not known.
     """
 
     reason: str
     since_s: float
     testing: bool = False
+    reach: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -173,7 +182,8 @@ class LiveSnapshot:
     """What the live estimator knows now; ``events`` are those since the last snapshot.
 
     ``state_time_s`` is the time of position and velocity: they lag ``time_s`` by the rows that
-    wait for their neighbours, and a piston goes millimetres meanwhile.
+    wait for their neighbours, and a piston goes millimetres meanwhile.  ``implausible`` is what
+    in the rows contradicts the config, "" where nothing does.
     """
 
     time_s: float
@@ -185,6 +195,7 @@ class LiveSnapshot:
     temperature: float | None
     consistency: dict[str, Consistency | None]
     state_time_s: float = math.nan
+    implausible: str = ""
 
 
 @dataclass(frozen=True)

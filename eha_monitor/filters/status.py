@@ -2,10 +2,14 @@
 
 import math
 
+import numpy as np
+
 from eha_monitor.filters.results import ParameterEstimate
+from eha_monitor.quantity import FLOOR, SYMBOLS, quantity, share, with_uncertainty
 from eha_monitor.settings.monitor import Settings
 
 CONVERGED = 0.10  # relative standard deviation
+GAINED = 2.0  # so many times sharper than the prior, or the motion has told nothing
 NEGATIVE = 3.0  # standard deviations below zero that no physical coefficient can be
 HUGE = 100.0  # times the prior and its sigma: no longer a coefficient of this rig
 
@@ -23,30 +27,43 @@ def no_data(name: str, unit: str, reason: str) -> ParameterEstimate:
 
 def judge_parameter(name: str, value: float, stddev: float, unit: str, prior: float,
                     prior_stddev: float, largest: float = math.inf) -> ParameterEstimate:
-    """Give a value its status from the information that it gained against its prior.
+    """Give a value its status from how much sharper it is than its prior.
 
-    The gain in nats is ln(prior_stddev/stddev); ``largest`` is more than the parameter can be.
+    ``largest`` is more than the parameter can be.
     """
+    symbol = SYMBOLS.get(name, name)
     if not (math.isfinite(value) and math.isfinite(stddev)):
         return ParameterEstimate(name, math.nan, math.nan, unit, "diverged",
-                                 f"{name} is no longer a finite number")
+                                 f"{symbol} is no longer a finite number")
     limit = min(HUGE * (prior + prior_stddev), largest)
     # Beyond the limit, the inverse of the value (a compliance) must be so within its own sigma.
     beyond = abs(value) > limit and (1.0 + NEGATIVE * stddev / abs(value)) / abs(value) < 1 / limit
     if value < -NEGATIVE * stddev or beyond:
         return ParameterEstimate(
             name, math.nan, math.nan, unit, "diverged",
-            f"{name} went to {value:.3g} {unit}, which is not physical; the model, the config or "
-            "a sign is wrong")
-    gain = math.log(prior_stddev / stddev) if stddev > 0 else math.inf
-    if stddev > CONVERGED * abs(value) or gain < math.log(2.0):
+            f"{symbol} went to {quantity(value, unit, 3)}, which is not physical; the model, the "
+            "config or a sign is wrong")
+    shown = with_uncertainty(value, stddev, unit)
+    if stddev > CONVERGED * abs(value) or GAINED * stddev > prior_stddev:
+        before = with_uncertainty(prior, prior_stddev, unit)
         return ParameterEstimate(
             name, value, stddev, unit, "not_excited",
-            f"the motion tells too little about {name}: ±{stddev:.3g} {unit} on {value:.4g}, "
-            f"{max(gain, 0.0):.2g} nats gained on the prior")
+            f"the motion tells too little about {symbol}: {shown} with it, {before} without")
+    told = share(max(stddev / abs(value) if value else 0.0, FLOOR), 2)
     return ParameterEstimate(name, value, stddev, unit, "converged",
-                             f"{name} = {value:.5g} ± {stddev:.2g} {unit}, "
-                             f"{gain:.2g} nats gained on the prior")
+                             f"{symbol} = {shown}: the motion tells it to ± {told}")
+
+
+def converged_where(value: np.ndarray, stddev: np.ndarray, prior: float, prior_stddev: float,
+                    largest: float = math.inf) -> np.ndarray:
+    """Return (n,) bool, where :func:`judge_parameter` would say ``converged``."""
+    limit = min(HUGE * (prior + prior_stddev), largest)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        size = np.abs(value)
+        beyond = (size > limit) & ((1.0 + NEGATIVE * stddev / size) / size < 1.0 / limit)
+        lost = (value < -NEGATIVE * stddev) | beyond
+        return (np.isfinite(value) & np.isfinite(stddev) & ~lost
+                & ~(stddev > CONVERGED * size) & ~(prior_stddev < 2.0 * stddev))
 
 
 def parameters_of(settings: Settings, one, two, lacking: tuple[str, str], either: float = 0.0

@@ -3,135 +3,55 @@
 A limit is passed when the value lies beyond it by ``thresholds.confidence`` standard
 deviations.  An alarm is raised when its limit was passed for the whole of ``hold_time``, and
 clears when the value itself is back inside by the relative ``hysteresis``.  A parameter that
-the motion does not excite is not judged: an alarm that was raised before is held.  A parameter
-that a model mismatch taints is not judged either, or by its change (``monitor.on_mismatch``).
+the motion does not excite is not judged: an alarm that was raised before is held.  A model
+mismatch that taints a parameter holds back what it can have brought about, and nothing else: an
+alarm whose limit lies farther away than the mismatch reaches (:mod:`filters.reach`) is raised,
+one that it may have moved across is not judged (``monitor.on_mismatch``).
 """
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import dataclass, replace
 
 from eha_monitor.filters.results import ParameterEstimate, Taint
 from eha_monitor.filters.status import units_of
+from eha_monitor.health.judge import (
+    NOT_JUDGED,
+    RAISED,
+    SEVERITY,
+    Alarm,
+    Doubt,
+    Judge,
+    Level,
+    Watched,
+    doubt_of,
+)
 from eha_monitor.health.rebase import Rebase
-from eha_monitor.settings.monitor import Limits, Settings, Viscosity
+from eha_monitor.quantity import quantity, share, with_uncertainty
+from eha_monitor.settings.monitor import Settings, Viscosity
 
-Level = Literal["OK", "WARN", "ERROR", "STALE"]
-# What counts most comes last: STALE weighs less than an alarm, and more than OK.
-SEVERITY: tuple[Level, ...] = ("OK", "STALE", "WARN", "ERROR")
-
-_RAISED: tuple[Level, ...] = ("OK", "WARN", "ERROR")
-# Sums of sample times miss the hold time by rounding.
-_TIME_TOLERANCE = 1e-6
+__all__ = ["ALARM_NAMES", "NOT_JUDGED", "SEVERITY", "WATCHED", "Alarm", "AlarmBoard", "Level",
+           "Watched", "viscosity_factor"]
 ADVICE = "`eha-monitor diagnose` on a recording says what is missing"
-
-
-@dataclass(frozen=True)
-class Alarm:
-    """State of one alarm at one time.
-
-    ``name`` is ``viscous_damping_high``, ``viscous_damping_low``, ``bulk_modulus_high`` or
-    ``bulk_modulus_low``; ``time_s`` is when it took this level.
-    """
-
-    name: str
-    level: Level
-    message: str
-    time_s: float
-
-
-@dataclass(frozen=True)
-class Watched:
-    """A parameter with alarms: symbol in the results, section of the thresholds, words."""
-
-    symbol: str
-    section: str
-    words: str
-    unit: str
-
 
 WATCHED = (Watched("B", "viscous_damping", "viscous damping", "N·s/m"),
            Watched("beta_e", "bulk_modulus", "effective bulk modulus", "Pa"))
 ALARM_NAMES = tuple(f"{w.section}_{side}" for w in WATCHED for side in ("high", "low"))
 
 
-@dataclass
-class _Judge:
-    """One alarm: limits of one side of one parameter, and what is raised."""
-
-    watched: Watched
-    sign: float  # +1 above the limit is bad, -1 below
-    limits: tuple[float | None, float | None] = (None, None)  # WARN, ERROR
-    hysteresis: float = 0.0
-    hold_time: float = 0.0
-    raised: int = 0
-    since: list[float | None] = field(default_factory=lambda: [None, None])
-    level: Level | None = None
-    time_s: float = 0.0
-    situation: tuple = ("unjudged", "no data yet")
-
-    @property
-    def name(self) -> str:
-        return f"{self.watched.section}_{'high' if self.sign > 0 else 'low'}"
-
-    @property
-    def off(self) -> bool:
-        return self.limits == (None, None)
-
-    def configure(self, limits: Limits) -> None:
-        """Take other limits; a level that no longer has a limit falls."""
-        side = "high" if self.sign > 0 else "low"
-        self.limits = (getattr(limits, f"{side}_warn"), getattr(limits, f"{side}_error"))
-        self.hysteresis, self.hold_time = limits.hysteresis, limits.hold_time
-        self.since = [None, None]
-        while self.raised and self.limits[self.raised - 1] is None:
-            self.raised -= 1
-
-    def judge(self, time_s: float, value: float, margin: float, trial: bool = False) -> None:
-        """Raise or clear on one value; ``margin`` is confidence times standard deviation.
-
-        On ``trial`` the level stays, while the hold time runs.
-        """
-        while not trial and self.raised and self._clear(self.limits[self.raised - 1], value):
-            self.raised -= 1
-        for place in (0, 1):
-            limit = self.limits[place]
-            if limit is None or self.sign * (value - limit) <= margin:
-                self.since[place] = None
-                continue
-            if self.since[place] is None:
-                self.since[place] = time_s
-            held = time_s - self.since[place] >= self.hold_time - _TIME_TOLERANCE
-            if held and not trial and place + 1 > self.raised:
-                self.raised = place + 1
-
-    def _clear(self, limit: float | None, value: float) -> bool:
-        if limit is None:
-            return True
-        inside = limit - self.sign * self.hysteresis * abs(limit)
-        return self.sign * (value - inside) <= 0
-
-    def take(self, level: Level, time_s: float, situation: tuple) -> bool:
-        """Set the level; True when it changed."""
-        self.situation = situation
-        if level == self.level:
-            return False
-        self.level, self.time_s = level, time_s
-        return True
-
-
 @dataclass(frozen=True)
 class _Seen:
     """A value at the reference temperature, rebased where asked for; ``shown`` makes its words.
 
-    ``held`` is why it may raise no alarm, ``note`` what a reader should know.
+    ``taint`` is why it deserves doubt and ``doubt`` how far it may be off by that; ``note`` is
+    what a reader should know.
     """
 
     value: float
     stddev: float
     shown: Callable[[], str]
-    held: Taint | None = None
+    taint: Taint | None = None
+    doubt: Doubt | None = None
     note: str = ""
 
 
@@ -151,7 +71,7 @@ class AlarmBoard:
         self.history: list[Alarm] = []
         self._units = units_of(settings.rig.motion)
         watched = [replace(w, unit=self._units[w.symbol]) for w in WATCHED]
-        self._judges = [_Judge(w, sign) for w in watched for sign in (1.0, -1.0)]
+        self._judges = [Judge(w, sign) for w in watched for sign in (1.0, -1.0)]
         self._last: float | None = None
         self._rebase = {"B": Rebase(settings.rig.viscous_damping, by_ratio=False),
                         "beta_e": Rebase(settings.rig.bulk_modulus, by_ratio=True)}
@@ -203,7 +123,7 @@ class AlarmBoard:
         """Data have stopped: make all alarms STALE; returns those whose level changed."""
         changed = []
         for judge in self._judges:
-            judge.since = [None, None]
+            judge.forget()
             if self._take_stale(judge, time_s, reason):
                 changed.append(self._alarm(judge))
         self.history += changed
@@ -211,9 +131,9 @@ class AlarmBoard:
 
     def _forget(self) -> None:
         for judge in self._judges:
-            judge.since = [None, None]
+            judge.forget()
 
-    def _take_stale(self, judge: _Judge, time_s: float, reason: str) -> bool:
+    def _take_stale(self, judge: Judge, time_s: float, reason: str) -> bool:
         if judge.off:
             return judge.take("OK", time_s, ("off",))
         return judge.take("STALE", time_s, ("stale", reason, judge.raised))
@@ -237,55 +157,61 @@ class AlarmBoard:
         if self._on_mismatch == "ignore":
             return _Seen(value, stddev, shown, note=f"in doubt: {taint.reason}")
         if taint.testing:
-            return _Seen(value, stddev, shown, held=taint)
+            return _Seen(value, stddev, shown, taint, Doubt(value, value, trial=True))
         if self._on_mismatch == "rebase":
             rebase = self._rebase[symbol]
             read = rebase.read(time_s, value, stddev, taint.since_s)
             if read is not None:
-                return _Seen(*read, shown, note=f"read by its change from {rebase.settled:.4g}, "
-                             f"where it settled, for {rebase.before:.4g} before: {taint.reason}")
-        return _Seen(value, stddev, shown, held=taint)
+                settled, before = (quantity(x, self._units[symbol])
+                                   for x in (rebase.settled, rebase.before))
+                return _Seen(*read, shown, note=f"read by its change from {settled}, where it "
+                             f"settled, for {before} before: {taint.reason}")
+        reach = taint.reach * (factor if symbol == "B" else 1.0)
+        return _Seen(value, stddev, shown, taint, doubt_of(symbol, value, reach))
 
-    def _judge_one(self, judge: _Judge, time_s: float, estimate: ParameterEstimate | None,
+    def _judge_one(self, judge: Judge, time_s: float, estimate: ParameterEstimate | None,
                    seen: _Seen | None) -> bool:
         if judge.off:
             return judge.take("OK", time_s, ("off",))
         if estimate is None or estimate.status == "no_data":
-            judge.since = [None, None]
+            judge.forget()
             reason = estimate.message if estimate else ""
             return self._take_stale(judge, time_s, reason or "no data for this parameter")
         if seen is None:
-            judge.since = [None, None]
+            judge.forget()
             known = math.isfinite(estimate.value) and math.isfinite(estimate.stddev)
             reason = estimate.message or (
                 estimate.status.replace("_", " ") if known else "the estimate is not finite")
-            return judge.take(_RAISED[judge.raised], time_s,
-                              ("held" if judge.raised else "unjudged", reason))
-        if seen.held is not None and not seen.held.testing:
-            judge.since = [None, None]
-        else:
-            judge.judge(time_s, seen.value, self._confidence * seen.stddev,
-                        trial=seen.held is not None)
-        return judge.take(_RAISED[judge.raised], time_s,
-                          ("judged" if seen.held is None else "tainted", seen))
+            if judge.raised:
+                return judge.take(RAISED[judge.raised], time_s, ("held", reason))
+            return judge.take("STALE", time_s, ("unjudged", reason), not_judged=True)
+        margin = self._confidence * seen.stddev
+        if seen.taint is not None and not seen.taint.testing:
+            judge.recall(seen.taint.since_s, seen.value, margin, seen.doubt)
+        judge.judge(time_s, seen.value, margin, seen.doubt)
+        level, not_judged = judge.verdict(time_s, seen.doubt)
+        held = not_judged or (judge.raised > 0 and seen.doubt is not None and (
+            seen.doubt.trial or not judge.evident(0.0, seen.doubt, seen.value)))
+        return judge.take(level, time_s, ("held back" if held else "judged", seen), not_judged)
 
     def _shown(self, symbol: str, estimate: ParameterEstimate, value: float, stddev: float,
                temperature: float | None) -> Callable[[], str]:
         """Return what makes the value's words; most are never read."""
         def words() -> str:
             unit = self._units[symbol]
-            shown = quantity(estimate.value, estimate.stddev, unit)
+            shown = with_uncertainty(estimate.value, estimate.stddev, unit)
             if temperature is None:
                 return shown
             return (f"{shown} at {temperature:.1f} °C, which is "
-                    f"{quantity(value, stddev, unit)} at the reference temperature of "
+                    f"{with_uncertainty(value, stddev, unit)} at the reference temperature of "
                     f"{self._viscosity.reference_temperature:g} °C,")
         return words
 
-    def _alarm(self, judge: _Judge) -> Alarm:
-        return Alarm(judge.name, judge.level or "STALE", self._sentence(judge), judge.time_s)
+    def _alarm(self, judge: Judge) -> Alarm:
+        return Alarm(judge.name, judge.level or "STALE", self._sentence(judge), judge.time_s,
+                     judge.not_judged)
 
-    def _sentence(self, judge: _Judge) -> str:
+    def _sentence(self, judge: Judge) -> str:
         """Return the situation of an alarm in words; made only when somebody reads it."""
         kind, *rest = judge.situation
         if kind == "off":
@@ -293,61 +219,49 @@ class AlarmBoard:
         if kind == "unjudged":
             return f"not judged: {rest[0]}"
         if kind == "held":
-            return f"{_RAISED[judge.raised]} held, not judged now: {rest[0]}"
+            return f"{RAISED[judge.raised]} held, not judged now: {rest[0]}"
         if kind == "stale":
-            before = f" (was {_RAISED[rest[1]]} before)" if rest[1] else ""
+            before = f" (was {RAISED[rest[1]]} before)" if rest[1] else ""
             return f"no judgement: {rest[0]}{before}"
         seen = rest[0]
-        if kind == "tainted":
-            advice = "" if seen.held.testing else f"; {ADVICE}"
-            head = f"{_RAISED[judge.raised]} held" if judge.raised else "not judged"
-            return f"{head}: {judge.watched.words} {seen.shown()}, but {seen.held.reason}{advice}"
-        text = (f"{judge.watched.words} {seen.shown()} "
-                f"{self._against_limit(judge, seen.value)}")
+        value = f"{judge.watched.words} {seen.shown()}"
+        if kind == "held back":
+            advice = "" if seen.taint.testing else f"{self._moved(judge, seen)}; {ADVICE}"
+            head = f"{RAISED[judge.raised]} held" if judge.raised else NOT_JUDGED
+            return f"{head}: {value}, but {seen.taint.reason}{advice}"
+        text = f"{value} {self._against_limit(judge, seen.value)}"
+        if seen.taint is not None and not seen.taint.testing:
+            text = f"{text}; {seen.taint.reason}{self._moved(judge, seen)}"
         return f"{text}; {seen.note}" if seen.note else text
 
     @staticmethod
-    def _against_limit(judge: _Judge, value: float) -> str:
+    def _moved(judge: Judge, seen: _Seen) -> str:
+        """Return in words how far a value may be off by what the model lacks."""
+        off = max(seen.doubt.highest - seen.value, seen.value - seen.doubt.lowest)
+        if judge.watched.symbol != "B" and off < abs(seen.value):
+            return f", which may have moved it by {share(off / abs(seen.value), 2)}"
+        if judge.watched.symbol == "B" and math.isfinite(seen.taint.reach):
+            return f", which may have moved it by {quantity(off, judge.watched.unit, 2)}"
+        return ", which may have moved it by any amount"
+
+    @staticmethod
+    def _against_limit(judge: Judge, value: float) -> str:
         bad, good = ("above", "below") if judge.sign > 0 else ("below", "above")
-        unit = judge.watched.unit
+        place = judge.raised - 1 if judge.raised else 0 if judge.limits[0] is not None else 1
+        limit, level = judge.limits[place], RAISED[place + 1]
+        said = f"the {level} limit of {quantity(limit, judge.watched.unit, 6)}"
         if judge.raised:
-            limit = judge.limits[judge.raised - 1]
-            level = _RAISED[judge.raised]
             if judge.sign * (value - limit) > 0:
-                return f"is {bad} the {level} limit of {limit:g} {unit}"
-            return (f"is {good} the {level} limit of {limit:g} {unit} again, but not yet by "
-                    f"{judge.hysteresis:.3g} of it")
-        place = 0 if judge.limits[0] is not None else 1
-        limit, level = judge.limits[place], _RAISED[place + 1]
+                return f"is {bad} {said}"
+            return f"is {good} {said} again, but not yet by {share(judge.hysteresis)} of it"
         if judge.since[place] is not None:
-            return (f"has passed the {level} limit of {limit:g} {unit}, "
-                    f"not yet for {judge.hold_time:g} s")
+            return f"has passed {said}, not yet for {judge.hold_time:g} s"
         if judge.sign * (value - limit) > 0:
-            return f"is {bad} the {level} limit of {limit:g} {unit}, within its uncertainty"
-        return f"is {good} the {level} limit of {limit:g} {unit}"
+            return f"is {bad} {said}, within its uncertainty"
+        return f"is {good} {said}"
 
 
 def viscosity_factor(viscosity: Viscosity, temperature: float) -> float:
     """Return B at the reference temperature over B at ``temperature`` (°C), Reynolds law."""
     exponent = viscosity.coefficient * (temperature - viscosity.reference_temperature)
     return math.exp(min(max(exponent, -50.0), 50.0))  # finite for any sensor reading
-
-
-def quantity(value: float, stddev: float, unit: str) -> str:
-    """Return ``value ± stddev unit`` with as many digits as the uncertainty supports.
-
-    >>> quantity(600.123, 2.34, "N·s/m")
-    '600.1 ± 2.3 N·s/m'
-    >>> quantity(5.9876e8, 1.2e6, "Pa")
-    '(5.988 ± 0.012)e8 Pa'
-    """
-    if not (math.isfinite(value) and math.isfinite(stddev)):
-        return f"{value:g} ± {stddev:g} {unit}"
-    size = max(abs(value), stddev)
-    power = math.floor(math.log10(size)) if size > 1e-300 else 0
-    power = power if not -3 <= power < 5 else 0
-    scale = 10.0**power
-    digits = 1 + power - math.floor(math.log10(stddev)) if stddev > 0 else 6
-    digits = min(max(digits, 0), 9)
-    shown = f"{value / scale:.{digits}f} ± {stddev / scale:.{digits}f}"
-    return f"({shown})e{power} {unit}" if power else f"{shown} {unit}"

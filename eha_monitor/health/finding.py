@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, field
 
+from eha_monitor.health.judge import NOT_JUDGED
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -19,3 +21,13 @@ class Finding:
     level: str
     message: str
     values: dict[str, float | int | str] = field(default_factory=dict)
+
+    @property
+    def word(self) -> str:
+        """The level as people are told it: OK, WARN, ERROR, STALE or ``not judged``."""
+        return NOT_JUDGED if str(self.values.get("not_judged", "0")) == "1" else self.level
+
+    @property
+    def raised(self) -> bool:
+        """Whether it is WARN or ERROR by judgement."""
+        return self.word in ("WARN", "ERROR")

@@ -5,12 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eha_monitor.filters.model_watch import Trial
 from eha_monitor.filters.results import ParameterEstimate, Taint
 from eha_monitor.health.alarms import Alarm, AlarmBoard
 from eha_monitor.settings.monitor import Settings
 
-# Judgements per second; health changes over seconds, and hold times are tenths of a second.
-JUDGE_RATE = 20.0
+# Judgements per second, as live; health changes over seconds, and hold times are tenths of one.
+JUDGE_RATE = 10.0
 
 
 @dataclass(frozen=True)
@@ -21,21 +22,23 @@ class ParameterSeries:
     ----------
     final : the estimate at the end, with its status and its reason.
     value, stddev : (n,) SI.
-    converged : (n,) bool, where the value may be judged; None judges every finite value, which
-        is safe because a wide standard deviation passes no limit.
+    converged : (n,) bool, where the motion had told the value: nothing else is judged.
     """
 
     final: ParameterEstimate
     value: np.ndarray
     stddev: np.ndarray
-    converged: np.ndarray | None = None
+    converged: np.ndarray
 
 
 def judge_series(settings: Settings, time: np.ndarray, parameters: dict[str, ParameterSeries],
                  temperature: np.ndarray | None = None, measured: np.ndarray | None = None,
                  tainted: Mapping[str, Taint] | None = None
                  ) -> tuple[tuple[Alarm, ...], tuple[Alarm, ...]]:
-    """Run the alarms over a recording.
+    """Run the alarms over a recording, as they would have come live.
+
+    A value that has just moved is on trial, as it is live; at the end of a recording nothing is,
+    because the whole of it has been tested by then.
 
     Parameters
     ----------
@@ -60,6 +63,7 @@ def judge_series(settings: Settings, time: np.ndarray, parameters: dict[str, Par
     present = _recent(time, measured, settings.monitor.stale_after)[index]
     warmth = None if temperature is None else _carried(temperature)[index].tolist()
     columns = {symbol: _columns(series, index) for symbol, series in parameters.items()}
+    trials = {symbol: Trial(series.final.unit) for symbol, series in parameters.items()}
     unjudged = {symbol: _unjudged(series.final) for symbol, series in parameters.items()}
     for k, (at, here) in enumerate(zip(time[index].tolist(), present.tolist(), strict=True)):
         if not here:
@@ -77,18 +81,30 @@ def judge_series(settings: Settings, time: np.ndarray, parameters: dict[str, Par
                                                 "converged")
             else:
                 row[symbol] = unjudged[symbol]
-        doubts = {name: taint for name, taint in (tainted or {}).items() if at >= taint.since_s}
+        doubts = {} if k == len(index) - 1 else _trials(trials, at, row)
+        doubts |= {name: taint for name, taint in (tainted or {}).items() if at >= taint.since_s}
         board.update(at, row, None if warmth is None else warmth[k], doubts)
     return board.alarms, tuple(board.history)
+
+
+def _trials(trials: dict[str, Trial], time_s: float, row: dict[str, ParameterEstimate]
+            ) -> dict[str, Taint]:
+    """Return which values are on trial at one time, and why."""
+    found = {}
+    for symbol, trial in trials.items():
+        estimate = row[symbol]
+        known = estimate.status == "converged"
+        taint = trial.update(time_s, estimate.value if known else None)
+        if taint is not None:
+            found[symbol] = taint
+    return found
 
 
 def _columns(series: ParameterSeries, index: np.ndarray) -> tuple[list, list, list]:
     if series.final.status == "no_data" or len(series.value) == 0:
         empty = [False] * len(index), [float("nan")] * len(index), [float("nan")] * len(index)
         return empty
-    judged = np.isfinite(series.value) & np.isfinite(series.stddev)
-    if series.converged is not None:
-        judged &= series.converged
+    judged = np.isfinite(series.value) & np.isfinite(series.stddev) & series.converged
     return (judged[index].tolist(), series.value[index].tolist(),
             series.stddev[index].tolist())
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from eha_monitor.breakdown import computing
 from eha_monitor.errors import InputError
 from eha_monitor.filters.hold_choice import resolved
 from eha_monitor.mismatch.advise_words import sentences
@@ -39,6 +40,7 @@ from eha_monitor.mismatch.tells import (
 )
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
+from eha_monitor.quantity import quantity
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
@@ -211,16 +213,23 @@ def advise(recordings: list[Recording], settings: Settings, check: bool = True,
     Raises
     ------
     InputError
-        If the recordings hold nothing that a model predicts, or hardly any motion.
+        If the recordings hold nothing that a model predicts, hardly any motion, or numbers that
+        break the calculation.
     """
-    say = report or (lambda text, share: None)
+    with computing(*(recording.source for recording in recordings)):
+        return _advised(recordings, settings, check, report or (lambda text, share: None))
+
+
+def _advised(recordings: list[Recording], settings: Settings, check: bool, say: Report
+             ) -> tuple[Naming, Advice]:
     settings, _ = resolved(recordings, settings)
     experiment = experiment_of(recordings, settings, hold_out=False)
     moved = experiment.ranges.position
     if moved < LEAST_MOTION * experiment.noise[0]:
         raise InputError(f"{recordings[0].source}: expected a piston that moves, found "
-                         f"±{moved:.2g} m with {experiment.noise[0]:.2g} m of noise: any motion "
-                         "tells more")
+                         f"{quantity(moved, 'm', 2)} with "
+                         f"{quantity(experiment.noise[0], 'm', 2)} of noise: any motion tells "
+                         "more")
     naming = name_effects(experiment, report=lambda text, share: say(text, 0.6 * share))
     found = advice(experiment, naming.after, naming.rivals, rival_fits(naming), check,
                    report=lambda text, share: say(text, 0.6 + 0.4 * share))

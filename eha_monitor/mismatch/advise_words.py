@@ -7,15 +7,14 @@ from eha_monitor.mismatch.motions import Motion
 from eha_monitor.mismatch.separate import DECISIVE, Advice, Check, Doubt
 from eha_monitor.mismatch.tells import BASE, CONFUSED, HOPELESS, Confusion, Known, Sight
 from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.quantity import SYMBOLS, number, quantity, share
 from eha_monitor.reports.diagnosis_words import effect_words, listed
-from eha_monitor.reports.quantities import number, quantity
 from eha_monitor.settings.rig import Segment
 
 NOTABLE = 0.02  # of B or beta_e: a shift below is of no matter
 HOPELESS_INFLATION = 1000.0
 HARDLY = 100.0  # variance inflation: standard deviations are ten times as large
 MOST = 4  # sentences of a kind
-PARAMETERS = {"B": "B", "beta_e": "βe"}
 
 
 def sentences(advice: Advice) -> tuple[str, ...]:
@@ -35,10 +34,7 @@ def sentences(advice: Advice) -> tuple[str, ...]:
 def amount(value: float, unit: str, digits: int = 3) -> str:
     """Return an SI value in a unit that people write: ``0.12 bar`` is kPa, ``1`` is %."""
     value = float(f"{value:.6g}")
-    unit = (unit.replace("^2", "²").replace("^3", "³").replace("^0.5", "^½").replace("*", "·"))
-    if unit == "1":
-        return f"{number(100.0 * value, digits)} %"
-    return quantity(value, unit, digits)
+    return share(value, digits) if unit == "1" else quantity(value, unit, digits)
 
 
 def rounded(value: float) -> float:
@@ -63,7 +59,7 @@ def worst(advice: Advice) -> list:
 
 def confusion_words(c: Confusion, advice: Advice) -> str:
     """Return a confusion as a sentence."""
-    parameter, effect = PARAMETERS[c.parameter], effect_words(c.effect)
+    parameter, effect = SYMBOLS[c.parameter], effect_words(c.effect)
     unit = unit_of(c.parameter, advice)
     share = 1.0 if c.named else rounded(c.amount) / c.amount
     size = amount(share * c.amount, c.unit)
@@ -93,8 +89,8 @@ def confusion_words(c: Confusion, advice: Advice) -> str:
 def known_words(one: Known) -> str:
     """Return with what a health parameter is confused inside the fit."""
     effect, dot, symbol = one.most_with.partition(".")
-    other = f"{symbol} of {effect_words(effect)}" if dot else PARAMETERS.get(effect, effect)
-    return (f"{PARAMETERS[one.name]} and {other} are estimated together: correlation "
+    other = f"{symbol} of {effect_words(effect)}" if dot else SYMBOLS.get(effect, effect)
+    return (f"{SYMBOLS[one.name]} and {other} are estimated together: correlation "
             f"{abs(one.correlation):.3f}, variance inflation {number(one.inflation, 2)}")
 
 
@@ -117,7 +113,7 @@ def blind_words(advice: Advice) -> list[str]:
         text = f"{effect_words(sight.effect)} would not show here"
         if math.isfinite(sight.visible) and sight.visible < 1e6 * sight.matters:
             text += f" below {amount(sight.visible, sight.unit, 2)}"
-            moved = [f"{PARAMETERS[name]} by {abs(shift):.0%}"
+            moved = [f"{SYMBOLS[name]} by {abs(shift):.0%}"
                      for name, shift in sight.shifts.items() if abs(shift) > NOTABLE]
             if moved:
                 text += f", and would shift {listed(moved)}"
@@ -133,12 +129,12 @@ def doubt_words(doubt: Doubt) -> str:
     effect = effect_words(doubt.effect)
     if doubt.rival:
         return f"{effect} from {effect_words(doubt.rival)}"
-    return f"{amount(doubt.amount, doubt.unit, 2)} of {effect} from {PARAMETERS[doubt.parameter]}"
+    return f"{amount(doubt.amount, doubt.unit, 2)} of {effect} from {SYMBOLS[doubt.parameter]}"
 
 
 def segment_words(name: str, segment: Segment) -> str:
     """Return one stretch of a motion: shape, size, time."""
-    size = f"±{amount(segment.amplitude, 'm')}" if segment.kind != "rest" else ""
+    size = f"amplitude {amount(segment.amplitude, 'm')}" if segment.kind != "rest" else ""
     about = f" about x = {amount(segment.offset, 'm')}" if abs(segment.offset) > 1e-9 else ""
     lasting = f"for {number(segment.duration, 3)} s"
     if segment.kind == "rest":
@@ -151,7 +147,7 @@ def segment_words(name: str, segment: Segment) -> str:
         return (f"a {segment.kind} of {size} from {number(segment.frequency)} to "
                 f"{number(segment.frequency_end)} Hz{about} {lasting}")
     if segment.kind == "steps":
-        return (f"random steps within {size}, {number(segment.frequency)} a second{about} "
+        return (f"random steps of {size}, {number(segment.frequency)} a second{about} "
                 f"{lasting}")
     return f"a sine of {size} at {number(segment.frequency)} Hz{about} {lasting}"
 
@@ -198,7 +194,7 @@ def motion_words(advice: Advice) -> list[str]:
 
 def check_words(check: Check, damping_unit: str) -> str:
     """Return what came of the proposed motion in simulation."""
-    values = listed([f"{PARAMETERS[name]} = {amount(found, unit, 4)} where "
+    values = listed([f"{SYMBOLS[name]} = {amount(found, unit, 4)} where "
                      f"{amount(true, unit, 4)} is true"
                      for name, (found, _, true), unit in (
                          (name, row, damping_unit if name == "B" else "Pa")

@@ -17,6 +17,7 @@ from eha_monitor.mismatch.experiment import BURN_IN, Experiment, Stretch
 from eha_monitor.mismatch.fit import Fit, innovations, log_likelihood_of, spread
 from eha_monitor.mismatch.model import HEALTH_WORDS, robust, values_of
 from eha_monitor.mismatch.search import expected_likelihood, first_fit
+from eha_monitor.quantity import with_uncertainty
 from eha_monitor.recordings.recording import Recording
 
 # Left out around a change, s: the stages see it later than it begins, and it may take its time.
@@ -138,6 +139,5 @@ def change_words(pieces: tuple[Piece, ...]) -> str:
 
 
 def words_of(value: Value) -> str:
-    """Return a value, a modulus in MPa."""
-    scale, unit = (1e6, "MPa") if value.unit == "Pa" else (1.0, value.unit)
-    return f"{value.value / scale:.4g} {unit}"
+    """Return a value with its uncertainty."""
+    return with_uncertainty(value.value, value.stddev, value.unit)

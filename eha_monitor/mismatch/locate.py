@@ -179,7 +179,7 @@ def regime_of(experiment: Experiment, term: Missing) -> tuple[str, list[np.ndarr
         mask = np.concatenate([m[name][k] for m, k in zip(masks, keep, strict=True)])
         whole = np.concatenate([w[k] for w, k in zip(weight, keep, strict=True)])
         if not 0.003 < mask.mean() < 0.6:
-            return 0.0, float(np.mean(whole))
+            return 0.0, max(float(np.mean(whole)), 1e-300)  # a term may be nil throughout
         return float(np.mean(whole[mask])), max(float(np.mean(whole[~mask])), 1e-300)
 
     def ratio(name: str, weight: list[np.ndarray]) -> float:

@@ -10,6 +10,7 @@ from eha_monitor.mismatch.fit import Fit, sensitivities, step_of, whitener
 from eha_monitor.mismatch.search import TIMING
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import effect_values
+from eha_monitor.quantity import quantity
 
 # Parameters in seconds that the sensors' own lags cannot be told from.
 TIMED = ("command_delay.T", "position_delay.T", "pressure_delay.T", "feedback_delay.T",
@@ -117,9 +118,9 @@ def quantised(experiment: Experiment) -> NamedEffect | None:
     entry = CATALOGUE["position_quantisation"]
     ratio = step / np.sqrt(12.0) / levels.position
     against = 0.5 * experiment.n * np.log1p(ratio**2)
-    return NamedEffect("position_quantisation", entry.balance, entry.statement.format(q=step),
+    return NamedEffect("position_quantisation", entry.balance, entry.said({"q": step}),
                        {"q": Value(step, 0.0, "m")}, float(against), (), entry.equation,
-                       entry.rig_check, f"{step * 1e6:.3g} µm")
+                       entry.rig_check, quantity(step, "m", 3))
 
 
 def spoken(name: str) -> str:
@@ -135,20 +136,19 @@ def health_sentences(experiment: Experiment, before: dict[str, Value], after: di
     for name, first in before.items():
         if name not in after or not effects:
             continue
-        then, unit = after[name].value, first.unit
+        then = after[name].value
         change = first.value - then
         if abs(change) < NOTABLE * abs(then) or abs(change) < 3.0 * after[name].stddev:
             continue
         cause = " and ".join(f"{effect.size} of {spoken(effect.name)}".strip()
                              for effect in plant[:3])
-        scale, shown = (1e6, "MPa") if name == "beta_e" else (1.0, unit)
+        read = f"{HEALTH_WORDS[name]} read {quantity(first.value, first.unit, 3)}"
         sense = "not wear" if name == "B" else "not the fluid"
         if change > 0:
-            found.append(f"{HEALTH_WORDS[name]} read {first.value / scale:.4g} {shown}; "
-                         f"{change / scale:.3g} of it is {cause}, {sense}")
+            found.append(f"{read}; {quantity(change, first.unit, 3)} of it is {cause}, {sense}")
         else:
-            found.append(f"{HEALTH_WORDS[name]} read {first.value / scale:.4g} {shown}, "
-                         f"{-change / scale:.3g} too little, because of {cause}")
+            found.append(f"{read}, {quantity(-change, first.unit, 3)} too little, because of "
+                         f"{cause}")
     return tuple(found)
 
 

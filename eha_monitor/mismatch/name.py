@@ -1,6 +1,5 @@
 """The diagnosis from end to end: locate, name, model, show, advise."""
 
-import re
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from eha_monitor.breakdown import computing
 from eha_monitor.filters.hold_choice import resolved
 from eha_monitor.mismatch import advise, balance_show, locate, show
 from eha_monitor.mismatch.calibrate import DRAWS, Calibration, calibrate
@@ -47,6 +47,7 @@ from eha_monitor.mismatch.sizes import filtered_tracks, size_of
 from eha_monitor.mismatch.terms import BALANCES, missing_terms
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
+from eha_monitor.quantity import number, quantity
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
@@ -78,11 +79,19 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
     Raises
     ------
     InputError
-        If the recordings hold nothing that a model predicts.
+        If the recordings hold nothing that a model predicts, or numbers that break the
+        calculation.
     """
+    with computing(*(recording.source for recording in recordings)):
+        return _diagnosed(recordings, settings, held_out, progress or (lambda text, share: None),
+                          calibrate)
+
+
+def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Recording | None,
+               say: Report, calibrate: bool) -> Diagnosis:
     started = time.perf_counter()
     held, decision = resolved(recordings, settings)
-    found = diagnose_held(recordings, held, held_out, progress, calibrate)
+    found = diagnose_held(recordings, held, held_out, say, calibrate)
     told = decision is not None and decision.decided
     return replace(found, channels=decision.findings if told else (),
                    command_hold=(held if told else settings).command_hold,
@@ -90,17 +99,17 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
 
 
 def diagnose_held(recordings: list[Recording], settings: Settings, held_out: Recording | None,
-                  progress: Report | None, calibrate: bool) -> Diagnosis:
+                  say: Report, calibrate: bool) -> Diagnosis:
     """Diagnose with the hold that the settings say."""
     started = time.perf_counter()
-    say = progress or (lambda text, share: None)
     experiment = experiment_of(recordings, settings, hold_out=held_out is None)
     bags = tuple(recording.source for recording in recordings)
     duration = sum(recording.duration for recording in recordings)
     if experiment.ranges.position < LEAST_MOTION * experiment.noise[0]:
         return insufficient(bags, duration, started,
-                            f"the piston moves by ±{experiment.ranges.position:.2g} m only, with "
-                            f"{experiment.noise[0]:.2g} m of noise: nothing can be told")
+                            f"the piston moves by {quantity(experiment.ranges.position, 'm', 2)} "
+                            f"only, with {quantity(experiment.noise[0], 'm', 2)} of noise: "
+                            "nothing can be told")
     say("fitting the nominal model", 0.02)
     experiment, first = nominal(experiment)
     calibration = calibrated(experiment, first, say, calibrate)
@@ -270,7 +279,7 @@ def named_effect(experiment: Experiment, naming: Naming, name: str, tracks: list
                                        p.unit.replace("*", "·"))
         elif np.isfinite(value):
             parameters[p.name] = Value(value, 0.0, p.unit.replace("*", "·"))
-    return NamedEffect(name, entry.balance, stated(entry.statement, numbers), parameters,
+    return NamedEffect(name, entry.balance, entry.said(numbers), parameters,
                        naming.evidence[name], rivals_of(experiment, naming, name), entry.equation,
                        entry.rig_check, size_of(experiment, fit, name, tracks))
 
@@ -284,11 +293,6 @@ def rivals_of(experiment: Experiment, naming: Naming, name: str) -> tuple[str, .
     if experiment.by_pressures:
         found += tuple(other for other in FORCE_OF_SENSORS.get(name, ()) if other not in found)
     return found
-
-
-def stated(statement: str, numbers: dict[str, float]) -> str:
-    """Return an effect's sentence; a limit that the record did not reach is left out."""
-    return re.sub(r" and inf [^\s,;]+|inf [^\s,;]+ and ", "", statement.format(**numbers))
 
 
 def message_of(verdict: str, effects: tuple[NamedEffect, ...], where: Location,
@@ -308,9 +312,9 @@ def message_of(verdict: str, effects: tuple[NamedEffect, ...], where: Location,
 def considered_of(naming: Naming) -> tuple[Considered, ...]:
     """Return what was tried and why it is not named."""
     found: dict[str, Considered] = {}
-    for number, step in enumerate(naming.rounds):
+    for place, step in enumerate(naming.rounds):
         beside = step.before.named
-        following = naming.rounds[number + 1].before if number + 1 < len(naming.rounds) else None
+        following = naming.rounds[place + 1].before if place + 1 < len(naming.rounds) else None
         took = following.log_likelihood - step.before.log_likelihood if following else 0.0
         for candidate in step.candidates:
             name = candidate.effect
@@ -325,16 +329,17 @@ def considered_of(naming: Naming) -> tuple[Considered, ...]:
                 why = (f"taken at first, then gave way to {spoken((heirs or ['the others'])[0])}"
                        if naming.after.named else "taken at first, but it does not explain enough")
             elif following is not None:
-                why = f"gains {gain:.3g} log units where what was taken gains {took:.4g}"
+                why = (f"gains {number(gain, 3)} log units where what was taken gains "
+                       f"{number(took, 3)}")
             else:
-                why = f"gains only {gain:.3g} log units, or is of no size that matters"
+                why = f"gains only {number(gain, 3)} log units, or is of no size that matters"
             found[name] = Considered(name, gain, beside, why)
         for score in step.scores:
             name = score.start.effect
             if name not in found and name not in naming.after.named:
                 found[name] = Considered(name, score.gain, beside, "hardly moves the innovations "
-                                         f"the right way: {score.gain:.2g} log units in the "
-                                         "score test")
+                                         f"the right way: {number(score.gain, 2)} log units in "
+                                         "the score test")
     return tuple(sorted(found.values(), key=lambda c: -c.gain))
 
 

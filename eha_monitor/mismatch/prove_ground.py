@@ -51,7 +51,8 @@ def compared_row(group: str, name: str, true: float, said: dict | None, aim: flo
     sigma = (said or {}).get("stddev") or 0.0
     error = None if value is None or not true else abs(value / true - 1.0)
     return {"group": group, "name": name, "true": true, "said": value, "stddev": sigma,
-            "relative": error, "aim": aim, "within": error is not None and error <= aim}
+            "unit": (said or {}).get("unit", ""), "relative": error, "aim": aim,
+            "within": error is not None and error <= aim}
 
 
 def with_ground(found: dict, name: str, facts: Sequence[str], parameters: Sequence[dict],

@@ -8,20 +8,20 @@ from eha_monitor.mismatch.missing import contributed, signals_along
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import circuit_of
 from eha_monitor.physics.effects import NAMES
+from eha_monitor.quantity import quantity, share
 
 SHARE = 0.98  # quantile of the size over the record that counts as its largest
-LITRES_PER_MINUTE = 6e4  # in a m^3/s
 
-# Circuit place -> factor and words.
+# Circuit place -> SI unit, 1 for a share, and words.
 _CIRCUIT_WORDS = {
-    s.DRIVE_GAIN: (100.0, "% of the pump speed"), s.DRIVE_LAG: (1e3, "ms"),
-    s.SPEED_LIMIT: (1.0, "rad/s"), s.SLEW_LIMIT: (1.0, "rad/s²"),
-    s.COMMAND_DELAY: (1e3, "ms"), s.FEEDBACK_DELAY: (1e3, "ms"), s.POSITION_DELAY: (1e3, "ms"),
-    s.PRESSURE_DELAY: (1e3, "ms"), s.POSITION_SCALE: (100.0, "% of the position"),
-    s.PLAY: (1e3, "mm"), s.PRESSURE_SCALE_1: (100.0, "% of p1"),
-    s.PRESSURE_SCALE_2: (100.0, "% of p2"), s.PRESSURE_OFFSET_1: (1e-5, "bar on p1"),
-    s.PRESSURE_OFFSET_2: (1e-5, "bar on p2"), s.PRESSURE_DRIFT_1: (60e-5, "bar/min on p1"),
-    s.PRESSURE_DRIFT_2: (60e-5, "bar/min on p2"),
+    s.DRIVE_GAIN: ("1", " of the pump speed"), s.DRIVE_LAG: ("s", ""),
+    s.SPEED_LIMIT: ("rad/s", ""), s.SLEW_LIMIT: ("rad/s²", ""),
+    s.COMMAND_DELAY: ("s", ""), s.FEEDBACK_DELAY: ("s", ""), s.POSITION_DELAY: ("s", ""),
+    s.PRESSURE_DELAY: ("s", ""), s.POSITION_SCALE: ("1", " of the position"),
+    s.PLAY: ("m", ""), s.PRESSURE_SCALE_1: ("1", " of p1"),
+    s.PRESSURE_SCALE_2: ("1", " of p2"), s.PRESSURE_OFFSET_1: ("Pa", " on p1"),
+    s.PRESSURE_OFFSET_2: ("Pa", " on p2"), s.PRESSURE_DRIFT_1: ("Pa/s", " on p1"),
+    s.PRESSURE_DRIFT_2: ("Pa/s", " on p2"),
 }
 
 
@@ -41,27 +41,27 @@ def size_of(experiment: Experiment, fit: Fit, name: str, tracks: list[np.ndarray
     alone[NAMES.index(name)] = True
     found = []
     w = circuit_of(fit.theta, alone)
-    for place, (factor, words) in _CIRCUIT_WORDS.items():
-        value = w[place] * factor
-        if value != 0 and np.isfinite(value) and abs(value) < 1e6:
-            found.append(f"{abs(value):.3g} {words}")
+    for place, (unit, words) in _CIRCUIT_WORDS.items():
+        value = abs(float(w[place]))
+        if value != 0 and np.isfinite(value):
+            found.append((share(value) if unit == "1" else quantity(value, unit, 3)) + words)
     rows = [contributed(experiment, fit, track, (name,)) for track in tracks]
     most = np.quantile(np.abs(np.concatenate(rows)), SHARE, axis=0)
     flow = max(most[s.FLOW_1], most[s.FLOW_2], fit.theta[s.D_P] * most[s.SPEED]
-               if np.isfinite(fit.theta[s.D_P]) else 0.0) * LITRES_PER_MINUTE
+               if np.isfinite(fit.theta[s.D_P]) else 0.0)
     unit = "N" if experiment.settings.rig.motion == "linear" else "N·m"
     if most[s.FORCE] > 0:
-        found.append(f"{most[s.FORCE]:.3g} {unit}")
+        found.append(quantity(most[s.FORCE], unit, 3))
     if flow > 0:
-        found.append(f"{flow:.3g} l/min")
+        found.append(quantity(flow, "m³/s", 3))
     if most[s.MASS] > 0:
-        found.append(f"{most[s.MASS]:.3g} {'kg' if unit == 'N' else 'kg·m²'}")
+        found.append(quantity(most[s.MASS], "kg" if unit == "N" else "kg·m²", 3))
     compliance = max(most[s.COMPLIANCE_1], most[s.COMPLIANCE_2]) * fit.theta[s.BETA_E]
     if compliance > 0:
-        found.append(f"{100 * compliance:.3g} % more compliance")
+        found.append(f"{share(compliance)} more compliance")
     volume = max(most[s.VOLUME_1], most[s.VOLUME_2])
     if volume > 0:
-        found.append(f"{volume * 1e6:.3g} ml of chamber volume")
+        found.append(f"{quantity(volume, 'm³', 3)} of chamber volume")
     return ", ".join(found)
 
 

@@ -86,7 +86,7 @@ def smoothed(experiment: Experiment, fit: Fit) -> list[np.ndarray]:
 
     def one(stretch: Stretch) -> np.ndarray:
         e, states = filtered(experiment, stretch, fit.theta, fit.active, fit.gains, states=True)
-        kept = np.nan_to_num(e[:, columns])
+        kept = np.ascontiguousarray(np.nan_to_num(e[:, columns]))  # one layout, compiled once
         smooth_back(states, kept, m.a, c, np.ascontiguousarray(h.T @ inverse), after)
         return states
 

@@ -1,9 +1,12 @@
 """The form of one entry of the catalogue of left-out physics."""
 
-from collections.abc import Callable
+import math
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from eha_monitor.compiled import njit
+from eha_monitor.quantity import quantity, share, signed
 
 
 @njit
@@ -55,6 +58,21 @@ class Parameter:
 
 
 @dataclass(frozen=True)
+class _Said:
+    """A value in a statement: ``{F_c}`` with its unit, ``{k:%}`` in per cent, ``+`` with sign."""
+
+    value: float
+    unit: str
+
+    def __format__(self, form: str) -> str:
+        if not math.isfinite(self.value):
+            return "∞"
+        if form.endswith("%"):
+            return ("+" if form[0] == "+" and self.value > 0 else "") + share(self.value)
+        return (signed if form == "+" else quantity)(self.value, self.unit, 3)
+
+
+@dataclass(frozen=True)
 class Ranges:
     """What a record covers; thresholds are looked for inside (SI, absolute values).
 
@@ -97,7 +115,7 @@ class Effect:
     equation : the equation as text for the report.
     source : where the equation comes from.
     parameters : at most ``signals.MAX_PARAMETERS`` of them.
-    statement : sentence with ``{symbol}`` places for the report.
+    statement : sentence with ``{symbol}`` places, see :meth:`said`.
     rig_check : what to look at on the rig.
     term : compiled ``term(s, p, m, c)``; reads signals ``s``, parameters ``p`` and memory ``m``
         and adds to the contributions ``c`` (indices in :mod:`eha_monitor.physics.signals`).
@@ -133,6 +151,17 @@ class Effect:
     def sizes(self) -> tuple[Parameter, ...]:
         """The parameters without which the effect is absent."""
         return tuple(p for p in self.parameters if p.default is None)
+
+    def said(self, values: Mapping[str, float]) -> str:
+        """Return the statement with its numbers; a limit that is infinite is left out.
+
+        Parameters
+        ----------
+        values : value of each parameter in the statement by its name, SI.
+        """
+        text = self.statement.format(**{p.name: _Said(values[p.name], p.unit)
+                                        for p in self.parameters if p.name in values})
+        return re.sub(r" and ∞|∞ and ", "", text)
 
     @property
     def resonant(self) -> bool:

@@ -9,13 +9,8 @@ from math import log
 
 from eha_monitor.plausibility.mistakes import EVERYDAY, Mistake, mistakes_for
 from eha_monitor.plausibility.moments import Moments, moments_of
-from eha_monitor.plausibility.relations import (
-    Check,
-    Reading,
-    Source,
-    checks,
-    unexplained,
-)
+from eha_monitor.plausibility.reading import Reading, Source
+from eha_monitor.plausibility.relations import Check, checks, unexplained
 from eha_monitor.recordings.finding import ChannelFinding
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
@@ -31,7 +26,8 @@ LOOSE = 6.0  # log units of unexplained signals from which on
 MOST = 3  # mistakes at once
 AGAIN = 0.5  # share of an everyday unit's cost that a further one saves
 ALIKE = 0.25  # difference of logarithms within which two factors are told as one
-KEPT = 6  # sets that are carried on
+MENDS = 0.5  # log units that a mistake must mend
+KEPT = 16  # sets that are carried on
 BELOW_VACUUM = 0.5 * ATMOSPHERE  # below zero: nearer to a gauge's lowest than to an absolute one's
 AS_GAUGE = 0.05  # of an atmosphere: so near must the charge pressure be to being one off
 
@@ -148,6 +144,9 @@ def explain(reading: Reading) -> tuple[Explanation, list[Explanation], Explanati
                         further[key] = explained(reading, (*one.mistakes, mistake), expected)
         if not further:
             break
+        if not number:  # what mends nothing alone mends nothing beside another
+            catalogue = [one.mistakes[0] for one in further.values()
+                         if one.score - one.mistakes[0].prior > given.score + MENDS]
         front = sorted(further.values(), key=lambda one: -one.score)[:KEPT]
         seen = [*seen, *front]
     best = max(seen, key=lambda one: (one.score, -len(one.mistakes)))

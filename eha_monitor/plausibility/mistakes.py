@@ -9,7 +9,8 @@ from dataclasses import dataclass, field, replace
 from itertools import combinations
 from math import log, log10, pi
 
-from eha_monitor.plausibility.relations import Check, Reading, Source
+from eha_monitor.plausibility.reading import Reading, Source
+from eha_monitor.plausibility.relations import Check
 from eha_monitor.recordings.finding import Kind
 
 EVERYDAY, RARE, RAREST = -3.0, -4.5, -6.0
@@ -180,7 +181,8 @@ def number_mistakes(reading: Reading) -> list[Mistake]:
                                  numbers=dict.fromkeys(keys, factor)))
         for words, factor in others.items():
             found.append(Mistake("unit", keys, f"{name} ({values} in the config) {looks} wrong: "
-                                 f"{words}", prior, numbers=dict.fromkeys(keys, factor)))
+                                 f"{words}", prior + DECADE * abs(log10(factor)),
+                                 numbers=dict.fromkeys(keys, factor)))
     return found
 
 

@@ -25,6 +25,7 @@ BAND = 0.2  # of the sampling rate: what lies above is not looked at
 # Share of the acceleration's power that the position's noise may be in the band that is used.
 NOISE_SHARE = 0.04
 LEAST_BAND = 8  # bins
+MOVES = 10.0  # standard deviations of the noise: below, nothing moves
 MARGIN = 0.02  # of a stretch is left out at each end, where smoothing has one side only
 OVERFLOWS = 1e100  # no signal; its square is still a number
 SAME = 1e-9  # of its spread: two channels no further apart are one and the same
@@ -69,6 +70,7 @@ class Moments:
     sample_time: float
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # of values that are no signals
 def moments_of(recording: Recording) -> Moments:
     """Return the moments of a recording; no columns where it is too short or nothing moves."""
     levels = {name: level_of(values, recording.sample_time)
@@ -84,8 +86,8 @@ def moments_of(recording: Recording) -> Moments:
     place: dict[tuple[str, int], int] = {}
     columns: list[np.ndarray] = []
     noise: list[float] = []
-    if "x" in piece:
-        band = cutoff(piece["x"])
+    band = cutoff(piece["x"]) if "x" in piece else 0
+    if band:  # else nothing moves but noise
         for name, values in piece.items():
             made, white = derivatives(values, band, recording.sample_time)
             noise += [*white, 0.0]
@@ -165,13 +167,14 @@ def spectrum(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def cutoff(x: np.ndarray) -> int:
-    """Return the bin of the spectrum up to which the position tells the acceleration."""
+    """Return the bin of the spectrum up to which the position tells the acceleration, or 0."""
     power = np.abs(spectrum(x)[0]) ** 2
     last, floor = int(2 * BAND * len(power)), floor_of(power)
     fourth = np.arange(last, dtype=float) ** 4
     signal = np.cumsum(fourth * np.maximum(power[:last] - floor, 0.0))
     good = np.flatnonzero(np.cumsum(fourth * floor) <= NOISE_SHARE * signal)
-    return max(int(good[-1]) if len(good) else 0, LEAST_BAND)
+    white = np.sqrt(floor / (2 * (len(x) - 1)))  # of a sample, m
+    return max(int(good[-1]), LEAST_BAND) if np.std(x) > MOVES * white else 0
 
 
 def floor_of(power: np.ndarray) -> float:

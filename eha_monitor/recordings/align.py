@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from eha_monitor.errors import InputError
+from eha_monitor.errors import InputError, one_line
 from eha_monitor.recordings.grid import GAP, JITTER, Grid, fit_grid
+from eha_monitor.recordings.limits import within_limits
 from eha_monitor.recordings.recording import CHANNELS, Recording
 from eha_monitor.recordings.stamps import period_of, repair
 from eha_monitor.recordings.topics import Series
 from eha_monitor.settings.monitor import Settings
 
-ABSURD = 1e300  # no physical quantity; squares of it overflow
 CLOCKS = 2**61  # ns; stamps are held within this range, so that differences do not overflow
 SPARSE = 1000  # grid points for each sample, beyond which a recording is refused
 TOLD = 3  # gaps named one by one
@@ -34,7 +34,7 @@ def align(series: dict[str, tuple[Series, str]], settings: Settings, *, source: 
         If the stamps are too sparse for a grid.
     """
     said = list(losses)
-    series = {name: (_within_range(found, name, said), topic)
+    series = {name: (_within_range(found, name, topic, source, said), topic)
               for name, (found, topic) in series.items()}
     if not series:
         raise InputError(f"{source}: no channel to align")
@@ -71,21 +71,21 @@ def align(series: dict[str, tuple[Series, str]], settings: Settings, *, source: 
     _tell_gaps(columns, reference, grid.step, said)
     return Recording(sample_time=grid.step, channels=columns,
                      start_ns=max(0, origin + round(grid.start * 1e9)), source=source,
-                     losses=tuple(dict.fromkeys(said)))
+                     losses=tuple(dict.fromkeys(map(one_line, said))))
 
 
-def _within_range(found: Series, name: str, said: list[str]) -> Series:
-    """Blank absurd values and stamps that would overflow; count NaN."""
+def _within_range(found: Series, name: str, topic: str, source: str, said: list[str]) -> Series:
+    """Blank what is no measurement and clip stamps that would overflow; count NaN."""
     values = np.asarray(found.values, dtype=float)
     missing = int(np.sum(np.isnan(values)))
     if missing:
         said.append(f"{name}: {missing} of {len(values)} values are NaN")
-    absurd = ~np.isnan(values) & ~(np.abs(values) <= ABSURD)
-    if absurd.any():
-        values = np.where(absurd, np.nan, values)
-        said.append(f"{name}: {int(absurd.sum())} values are infinite or above 1e300, left out")
-    return Series(np.clip(found.stamp_ns, -CLOCKS, CLOCKS), np.clip(found.log_ns, 0, CLOCKS),
-                  values, found.stamped)
+    stamps = np.clip(found.stamp_ns, -CLOCKS, CLOCKS)
+    # Before the grid: what is interpolated from a wild sample is wild as well.
+    values, told = within_limits(name, values, (stamps - stamps[0]) * 1e-9,
+                                 ": ".join(part for part in (source, topic) if part))
+    said += told
+    return Series(stamps, np.clip(found.log_ns, 0, CLOCKS), values, found.stamped)
 
 
 def _window(leader: Series, keep: np.ndarray) -> tuple[int, int]:

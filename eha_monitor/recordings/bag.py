@@ -9,6 +9,9 @@ import numpy as np
 from eha_monitor.errors import InputError
 from eha_monitor.recordings.mcap_file import ZSTD_MAGIC, Block, McapFile
 from eha_monitor.recordings.order import natural
+from eha_monitor.regular import check_regular
+
+LARGEST_METADATA = 2**24  # bytes
 
 
 @dataclass(frozen=True)
@@ -106,7 +109,10 @@ def _metadata(path: Path, losses: list[str]) -> tuple[list[str], int | None]:
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
+    check_regular(path, "the metadata.yaml of a bag")
     try:
+        if path.stat().st_size > LARGEST_METADATA:
+            raise ValueError("not what a recorder writes")
         tree = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
         information = tree["rosbag2_bagfile_information"]
         names = [Path(str(name)).name for name in information["relative_file_paths"]]

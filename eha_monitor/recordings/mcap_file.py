@@ -22,6 +22,7 @@ from mcap.stream_reader import get_chunk_data_stream
 
 from eha_monitor.errors import InputError
 from eha_monitor.recordings.walk import AT_END, FOOTER, FULL, PREFIX, walk_records
+from eha_monitor.regular import check_regular
 
 MAGIC = b"\x89MCAP0\r\n"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -129,6 +130,7 @@ class McapFile:
 
 def _bytes_of(path: Path) -> np.ndarray:
     """Return the file as uint8, unpacked where the file as a whole is compressed."""
+    check_regular(path, "an mcap bag")
     try:
         if path.stat().st_size == 0:
             raise InputError(f"{path}: the file is empty, expected an mcap bag")

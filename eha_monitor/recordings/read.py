@@ -89,6 +89,7 @@ class _Collector:
                 data, start = pieces[0], [0] * len(pieces)
             else:
                 data = np.concatenate(pieces)
+                data.flags.writeable = False  # as a chunk is: the reader is compiled for one
                 start = np.cumsum([0] + [len(piece) for piece in pieces]).tolist()
         parts: dict[str, list] = {}
         for (block, wanted), shift in zip(self.pending, start, strict=False):

@@ -4,13 +4,22 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from eha_monitor.recordings.limits import within_limits
+
 # Every channel there can be, in the order in which tables show them.
 CHANNELS = ("x", "v", "x_d", "omega", "omega_d", "p1", "p2", "force", "temperature")
+
+# Stamps before 2000 count from the start of a computer or of a simulation.
+CALENDAR_NS = 946_684_800 * 10**9
+SHORTEST_S = 0.5  # from less nothing is estimated, and nothing is explained
 
 
 @dataclass(frozen=True)
 class Recording:
     """Aligned channels of one recording, SI units, gaps as NaN.
+
+    Every number in it lies where a sensor can show it (:mod:`limits`): whoever makes one of
+    channels that run away gets an InputError, and what was left out stands in ``losses``.
 
     Attributes
     ----------
@@ -28,6 +37,15 @@ class Recording:
     source: str = ""
     losses: tuple[str, ...] = field(default=())
 
+    def __post_init__(self):
+        kept, said, time = {}, [], self.time
+        for name, values in self.channels.items():
+            kept[name], told = within_limits(name, values, time, self.source or "recording")
+            said += told
+        if said:
+            object.__setattr__(self, "channels", kept)
+            object.__setattr__(self, "losses", (*self.losses, *said))
+
     def __len__(self) -> int:
         return len(next(iter(self.channels.values()))) if self.channels else 0
 
@@ -40,6 +58,11 @@ class Recording:
     def duration(self) -> float:
         """Seconds from the first to behind the last sample."""
         return len(self) * self.sample_time
+
+    @property
+    def dated(self) -> bool:
+        """Whether the stamps are calendar time."""
+        return self.start_ns >= CALENDAR_NS
 
     def has(self, *names: str) -> bool:
         """Tell whether every named channel was recorded and holds a finite value."""

@@ -2,16 +2,20 @@
 
 import csv
 import gzip
+import math
 import re
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from eha_monitor.errors import InputError
+from eha_monitor.regular import check_regular
 from eha_monitor.settings.table import Table
 
 DELIMITERS = {"tab": "\t", "space": " "}
+MOST_CELLS = 100_000_000  # of the wanted variables of a MAT file, 800 MB
 _SLICE = re.compile(r"(\w+)(?:\[\s*:\s*,\s*(\d+)\s*\])?")
 
 
@@ -23,9 +27,9 @@ def read_columns(path: Path, table: Table, wanted: list[str]) -> dict[str, np.nd
     InputError
         One line that names the file, and a missing column with those that there are.
     """
-    if not path.is_file():
-        raise InputError(f"{path}: expected a CSV or MAT file, found "
-                         + ("a folder" if path.is_dir() else "nothing"))
+    check_regular(path, "a CSV or MAT file")
+    if not path.exists():
+        raise InputError(f"{path}: expected a CSV or MAT file, found nothing")
     kind = table.kind
     if kind == "auto":
         kind = "mat" if path.suffix.lower() == ".mat" else "csv"
@@ -106,11 +110,46 @@ def _is_number(cell: str) -> bool:
 
 
 def _mat(path: Path, wanted: list[str]) -> dict[str, np.ndarray]:
+    """Read the wanted variables, and nothing else: a few bytes may unpack to gigabytes."""
+    shapes = _variables(path)
+    names = {}
+    for name in wanted:
+        match = _SLICE.fullmatch(name)
+        if match is None or match[1] not in shapes:
+            raise InputError(f"{path}: variable '{name}' not found, the file has "
+                             f"{', '.join(sorted(shapes)) or 'none'}")
+        names[match[1]] = None
+    cells = sum(math.prod(shapes[name]) for name in names)
+    if cells > MOST_CELLS:
+        raise InputError(f"{path}: the variables {', '.join(names)} hold {cells} numbers, "
+                         f"expected at most {MOST_CELLS:.0e}")
     from scipy.io import loadmat
+
+    there = _tried(path, lambda: loadmat(path, variable_names=list(names)))
+    found = {}
+    for name in wanted:
+        match = _SLICE.fullmatch(name)
+        found[name] = _column(path, name, np.asarray(there.get(match[1])), match[2])
+    lengths = {name: len(values) for name, values in found.items()}
+    if len(set(lengths.values())) > 1:
+        told = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise InputError(f"{path}: variables differ in length: {told}")
+    return found
+
+
+def _variables(path: Path) -> dict[str, tuple[int, ...]]:
+    """Return the variables of a MAT file with their shapes; their numbers are not read."""
+    from scipy.io import whosmat
+
+    return {name: shape for name, shape, _ in _tried(path, lambda: whosmat(path))}
+
+
+def _tried(path: Path, read: Callable):
+    """Return what scipy reads, or say in one line that it is no MAT file that it can read."""
     from scipy.io.matlab import MatReadError
 
     try:
-        variables = loadmat(path)
+        return read()
     except NotImplementedError as problem:
         raise InputError(f"{path}: MAT files of version 7.3 are not read; save it in MATLAB with "
                          "save(file, '-v7')") from problem
@@ -118,20 +157,6 @@ def _mat(path: Path, wanted: list[str]) -> dict[str, np.ndarray]:
             OverflowError, MatReadError, zlib.error, UnicodeDecodeError) as problem:
         raise InputError(f"{path}: expected a MAT file: "
                          f"{' '.join(str(problem).split())[:120]}") from problem
-    there = {name: value for name, value in variables.items() if not name.startswith("__")}
-    found = {}
-    for name in wanted:
-        match = _SLICE.fullmatch(name)
-        value = there.get(match[1]) if match else None
-        if value is None:
-            raise InputError(f"{path}: variable '{name}' not found, the file has "
-                             f"{', '.join(sorted(there))}")
-        found[name] = _column(path, name, np.asarray(value), match[2])
-    lengths = {name: len(values) for name, values in found.items()}
-    if len(set(lengths.values())) > 1:
-        told = ", ".join(f"{name} {length}" for name, length in lengths.items())
-        raise InputError(f"{path}: variables differ in length: {told}")
-    return found
 
 
 def _column(path: Path, name: str, value: np.ndarray, index: str | None) -> np.ndarray:

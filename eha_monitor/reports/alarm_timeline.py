@@ -10,16 +10,17 @@ from matplotlib.ticker import MaxNLocator
 
 from eha_monitor.filters.results import Event
 from eha_monitor.health.alarms import Alarm
-from eha_monitor.reports.quantities import number, time_scale
+from eha_monitor.quantity import number
+from eha_monitor.reports.axes import time_scale
 
 ALARM_WORDS = {"viscous_damping_high": "B high", "viscous_damping_low": "B low",
-               "bulk_modulus_high": "βₑ high", "bulk_modulus_low": "βₑ low"}
+               "bulk_modulus_high": "βe high", "bulk_modulus_low": "βe low"}
 _OVERLAP = 5.5  # percent of the width within which two marks share a label
 
 
 @dataclass(frozen=True)
 class Span:
-    """A level that an alarm had from ``start`` to ``stop``, s."""
+    """A level, as its word, that an alarm had from ``start`` to ``stop``, s."""
 
     start: float
     stop: float
@@ -74,10 +75,10 @@ def spans(name: str, alarms: tuple[Alarm, ...], history: tuple[Alarm, ...], dura
         stop = changes[i + 1].time_s if i + 1 < len(changes) else duration
         start = float(np.clip(change.time_s, 0, duration))
         stop = float(np.clip(stop, start, duration))
-        if found and found[-1].level == change.level and found[-1].stop >= start:
-            found[-1] = Span(found[-1].start, stop, change.level)
+        if found and found[-1].level == change.word and found[-1].stop >= start:
+            found[-1] = Span(found[-1].start, stop, change.word)
         elif stop > start or i + 1 == len(changes):
-            found.append(Span(start, stop, change.level))
+            found.append(Span(start, stop, change.word))
     return found
 
 

@@ -7,6 +7,8 @@ import numpy as np
 
 from eha_monitor.archive.history import History
 from eha_monitor.archive.trend import LEAST, MONTH
+from eha_monitor.quantity import SYMBOLS, number, quantity, with_uncertainty
+from eha_monitor.reports.axes import axis_scale, stated
 from eha_monitor.reports.drawing import (
     INK,
     STAGE_ONE,
@@ -20,12 +22,10 @@ from eha_monitor.reports.drawing import (
 )
 from eha_monitor.reports.parameter_figures import (
     NAMES,
-    SYMBOLS,
     draw_limits,
     is_near,
     limits_of,
 )
-from eha_monitor.reports.quantities import axis_scale, number, quantity, with_uncertainty
 from eha_monitor.settings.monitor import Settings
 
 _DAY = 86400.0  # s
@@ -89,7 +89,7 @@ def trend_words(found: History) -> str:
 def _range(found: History, everything: bool) -> tuple[float, float]:
     """Return the range of the values that the line goes through, with the others that are near."""
     good = found.usable if found.usable.any() else np.ones(len(found.time), dtype=bool)
-    spread = 2 * np.nan_to_num(found.stddev[good], posinf=0.0)
+    spread = 2 * stated(found.value[good], np.nan_to_num(found.stddev[good], posinf=0.0))
     # A bar may be longer than all that there is to see.
     spread = np.minimum(spread, 2 * np.median(spread) + np.ptp(found.value[good]))
     low, high = np.min(found.value[good] - spread), np.max(found.value[good] + spread)
@@ -107,7 +107,7 @@ def _picture(found: History, view: tuple[float, float], lines: list[tuple[float,
     colour = {"B": STAGE_ONE, "beta_e": STAGE_TWO}[found.name]
     scale = axis_scale(max(map(abs, view)), found.unit)
     days, value = found.time / _DAY, found.value * scale.factor
-    spread = 2 * np.nan_to_num(found.stddev, posinf=0.0) * scale.factor
+    spread = stated(found.value, np.nan_to_num(found.stddev, posinf=0.0)) * scale.factor
     figure, (axis,) = new_figure()
     pad_limits(axis, view[0] * scale.factor, view[1] * scale.factor, 0.12)
     bottom, top = axis.get_ylim()
@@ -115,8 +115,8 @@ def _picture(found: History, view: tuple[float, float], lines: list[tuple[float,
     axis.set_xlim(days[0] - margin, days[-1] + margin)
     if found.line is not None:
         _draw_line(axis, found, scale.factor)
-    for chosen, face, words in ((found.reliable, colour, "value ± 2σ"),
-                                (~found.reliable, "white", "in doubt ± 2σ")):
+    for chosen, face, words in ((found.reliable, colour, "value ± 1σ"),
+                                (~found.reliable, "white", "in doubt ± 1σ")):
         here = chosen & (value > bottom) & (value < top)
         if here.any():
             axis.errorbar(days[here], value[here], np.minimum(spread[here], 9 * (top - bottom)),
@@ -150,7 +150,7 @@ def _draw_line(axis, found: History, factor: float) -> None:
     used = found.time[found.usable]
     time = np.linspace(used[0], used[-1], 60)
     line, stddev = found.line.at(time)
-    axis.fill_between(time / _DAY, (line - 2 * stddev) * factor, (line + 2 * stddev) * factor,
+    axis.fill_between(time / _DAY, (line - stddev) * factor, (line + stddev) * factor,
                       color=INK, alpha=0.13, linewidth=0)
     axis.plot(time / _DAY, line * factor, color=INK, linewidth=1.4,
-              linestyle=(0, (5, 3)) if found.doubtful else "-", label="trend ± 2σ")
+              linestyle=(0, (5, 3)) if found.doubtful else "-", label="trend ± 1σ")

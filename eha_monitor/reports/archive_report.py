@@ -7,13 +7,13 @@ from pathlib import Path
 
 from eha_monitor.archive.columns import PARAMETERS
 from eha_monitor.archive.history import history
+from eha_monitor.health.alarms import NOT_JUDGED
 from eha_monitor.mismatch.diagnosis import Value
 from eha_monitor.output import write_text
+from eha_monitor.quantity import SYMBOLS, number, quantity
 from eha_monitor.reports.archive_figures import history_block
 from eha_monitor.reports.diagnosis_words import effect_words, listed, value_words
 from eha_monitor.reports.page import render
-from eha_monitor.reports.parameter_figures import SYMBOLS
-from eha_monitor.reports.quantities import number, quantity
 from eha_monitor.reports.verdict import STATUS_WORDS
 from eha_monitor.settings.monitor import Settings
 
@@ -69,7 +69,8 @@ def heading(rows: Sequence[dict], command: str, settings: Settings) -> list[tupl
         facts.append(("To", _moment(starts[-1])))
     seconds = sum(row.get("duration_s") or 0.0 for row in rows)
     facts.append(("Recorded", f"{number(seconds / 3600, 3)} h" if seconds > 3600 else
-                  f"{number(seconds / 60, 3)} min"))
+                  f"{number(seconds / 60, 3)} min" if seconds > 120 else
+                  quantity(seconds, "s", 3)))
     last = max((row["answered"] for row in rows if row.get("answered")), default=None)
     if last:
         facts.append(("Last answer", _moment(last)))
@@ -82,6 +83,8 @@ def summary_words(rows: Sequence[dict], command: str) -> str:
     told = [row for row in rows if not row.get("error")]
     alarms = Counter(row.get("alarm") for row in told)
     parts = [f"{alarms[level]} with {level}" for level in ("ERROR", "WARN") if alarms[level]]
+    if alarms[NOT_JUDGED]:
+        parts.append(f"{alarms[NOT_JUDGED]} {NOT_JUDGED}")
     words = [", ".join(parts) if parts else "no alarm at the end of any recording"]
     misfits = sum(row.get("model") == "mismatch" for row in told)
     if misfits:
@@ -124,7 +127,9 @@ def _kind(rows: Sequence[dict]) -> str:
     if "ERROR" in levels:
         return "error"
     doubtful = any(row.get("error") or row.get("model") == "mismatch" for row in rows)
-    return "warn" if "WARN" in levels or doubtful else "ok"
+    if "WARN" in levels or doubtful:
+        return "warn"
+    return "unknown" if NOT_JUDGED in levels else "ok"
 
 
 def _row(row: dict, command: str, made_with: str) -> dict:

@@ -6,6 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from eha_monitor.mismatch.diagnosis import Agreement, Curve, Diagnosis, Overlay, Value
+from eha_monitor.quantity import SYMBOLS
+from eha_monitor.reports.axes import axis_scale, scale_of, stated, time_scale
 from eha_monitor.reports.diagnosis_words import effect_words, listed
 from eha_monitor.reports.drawing import (
     INK,
@@ -17,8 +19,7 @@ from eha_monitor.reports.drawing import (
     pad_limits,
     picture,
 )
-from eha_monitor.reports.parameter_figures import NAMES, SYMBOLS
-from eha_monitor.reports.quantities import axis_scale, scale_of, time_scale
+from eha_monitor.reports.parameter_figures import NAMES
 from eha_monitor.reports.traces import robust_range
 
 # What is measured is dark grey, the model before orange, the model after blue.
@@ -144,7 +145,7 @@ def overlay_picture(overlay: Overlay, with_after: bool = True) -> Picture | None
 
 def agreement_picture(name: str, parts: tuple[Agreement, ...], before: Value | None,
                       after: Value | None) -> Picture | None:
-    """Draw one parameter as each part of the record gives it, with error bars of two sigma."""
+    """Draw one parameter as each part of the record gives it, with error bars of one sigma."""
     rows = [(part.part.replace("_", " "), part.before.get(name), part.after.get(name))
             for part in parts] + [("whole record", before, after)]
     rows = [row for row in rows if _drawable(row[1]) or _drawable(row[2])]
@@ -164,7 +165,7 @@ def agreement_picture(name: str, parts: tuple[Agreement, ...], before: Value | N
                           xerr=[[(value.value - low) * scale.factor],
                                 [(high - value.value) * scale.factor]], markersize=6,
                           linewidth=2, capsize=4, linestyle="",
-                          label=f"{label}, ± 2σ")
+                          label=f"{label}, ± 1σ")
     if _drawable(after):
         axis.axvline(after.value * scale.factor, color=AFTER, linewidth=1.0, zorder=0,
                      linestyle=(0, (4, 3)))
@@ -188,7 +189,7 @@ def _ends(value: Value, all_of_them: list[Value]) -> tuple[float, float]:
     """Return the ends of an error bar, cut where it would squeeze all others flat."""
     centres = [other.value for other in all_of_them]
     reach = max(1.5 * (max(centres) - min(centres)), 0.2 * max(map(abs, centres)))
-    half = 2 * value.stddev if value.stddev > 0 else 0.0
+    half = float(stated(value.value, value.stddev)) if value.stddev > 0 else 0.0
     return value.value - min(half, reach), value.value + min(half, reach)
 
 

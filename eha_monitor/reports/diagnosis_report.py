@@ -11,6 +11,7 @@ import numpy as np
 from eha_monitor.mismatch.diagnosis import Considered, Diagnosis, NamedEffect, Value
 from eha_monitor.output import write_text
 from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.quantity import SYMBOLS, number, quantity
 from eha_monitor.reports import diagnosis_words as words
 from eha_monitor.reports.alarm_timeline import time_ticks
 from eha_monitor.reports.diagnosis_figures import (
@@ -21,8 +22,7 @@ from eha_monitor.reports.diagnosis_figures import (
 )
 from eha_monitor.reports.drawing import Block, Picture
 from eha_monitor.reports.page import render
-from eha_monitor.reports.parameter_figures import NAMES, SYMBOLS
-from eha_monitor.reports.quantities import number, quantity
+from eha_monitor.reports.parameter_figures import NAMES
 from eha_monitor.reports.tables import config_sections
 from eha_monitor.settings.monitor import Settings
 
@@ -272,4 +272,4 @@ def _agreement(found: Diagnosis) -> Block | None:
                      f"{spans[1]} after.")
     if not pictures:
         return None
-    return Block("agreement", "", "", tuple(pictures), tuple(notes))
+    return Block("agreement", "", tuple(pictures), tuple(notes))

@@ -3,7 +3,7 @@
 import math
 
 from eha_monitor.mismatch.diagnosis import Diagnosis, SignalFit, Value
-from eha_monitor.reports.quantities import Scale, number, quantity, readable, with_uncertainty
+from eha_monitor.quantity import Scale, number, quantity, readable, with_uncertainty
 
 # Verdict -> (colour, first words).
 VERDICTS = {
@@ -67,8 +67,9 @@ def place_words(found: Diagnosis) -> str:
 
 def interval_words(found: Diagnosis) -> str:
     """Return the intervals in seconds, at most a few of them, or nothing."""
-    shown = [f"{number(start, 4)}–{number(stop, 4)}"
-             for start, stop in found.location.intervals_s[:_MOST_INTERVALS]]
+    few = found.location.intervals_s[:_MOST_INTERVALS]
+    digits = 1 if all(stop - start > 0.09 for start, stop in few) else 3
+    shown = [f"{start:.{digits}f}–{stop:.{digits}f}" for start, stop in few]
     more = len(found.location.intervals_s) - len(shown)
     if not shown:
         return ""
@@ -95,21 +96,18 @@ def log_units(value: float) -> str:
 
 
 def value_words(value: Value | None) -> str:
-    """Return ``value ± 2 sigma unit``, or a dash where there is none."""
+    """Return ``value ± stddev unit``, or a dash where there is none."""
     if value is None or not math.isfinite(value.value):
         return "—"
-    unit = value.unit.replace("^2", "²").replace("^3", "³")  # the catalogue writes plain text
-    if not value.stddev > 0:
-        return quantity(value.value, unit)
-    return with_uncertainty(value.value, value.stddev, unit).removesuffix(" 1")
+    if value.stddev == 0:  # it was given, or read off the data
+        return quantity(value.value, value.unit)
+    return with_uncertainty(value.value, value.stddev, value.unit)
 
 
 def error_scale(fit: SignalFit) -> Scale:
     """Return one scale for all errors of a signal, so that they can be compared."""
     known = [value for value in (fit.before_rms, fit.after_rms) if math.isfinite(value)]
     largest = max(known, default=0.0)
-    if fit.unit == "rad/s" and largest > 1e-3:
-        return Scale(1.0, fit.unit)  # nobody says mrad/s
     return readable(largest, fit.unit)
 
 
@@ -120,7 +118,7 @@ def error_words(value: float, fit: SignalFit) -> str:
     scale = error_scale(fit)
     if 0 < abs(value * scale.factor) < 0.01:
         return quantity(value, fit.unit, 3)
-    return f"{number(value * scale.factor, 3)}{'' if scale.unit == '1' else f' {scale.unit}'}"
+    return f"{number(value * scale.factor, 3)} {scale.unit}".rstrip()
 
 
 def removed(fit: SignalFit) -> float:

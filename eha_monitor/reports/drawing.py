@@ -56,14 +56,13 @@ class Block:
     Attributes
     ----------
     key : id in the page.
-    title, paper : heading, and which of the paper's figures it stands for.
+    title : heading.
     pictures : side by side where there is room.
     notes : sentences under the pictures.
     """
 
     key: str
     title: str
-    paper: str = ""
     pictures: tuple[Picture, ...] = ()
     notes: tuple[str, ...] = field(default=())
 

@@ -1,4 +1,4 @@
-"""The HTML report of ``estimate``: verdict, the paper's figures, innovations, alarms."""
+"""The HTML report of ``estimate``: verdict, figures, innovations, alarms."""
 
 from dataclasses import fields, replace
 from pathlib import Path
@@ -15,7 +15,6 @@ from eha_monitor.reports.innovation_figures import innovation_block
 from eha_monitor.reports.motion_figures import motion_blocks
 from eha_monitor.reports.page import render
 from eha_monitor.reports.parameter_figures import parameter_block
-from eha_monitor.reports.quantities import number
 from eha_monitor.reports.verdict import verdict
 
 if TYPE_CHECKING:
@@ -68,7 +67,7 @@ def estimate_page(estimate: Estimate, alarms: tuple[Alarm, ...], history: tuple[
         timeline=alarm_timeline(alarms, history, estimate.events, recording.duration),
         alarms=tables.alarm_rows(alarms),
         history=tables.alarm_rows(history),
-        events=[{"time": f"{number(e.time_s)} s", "stage": e.stage, "message": e.message}
+        events=[{"time": tables.seconds(e.time_s), "stage": e.stage, "message": e.message}
                 for e in estimate.events],
         joint=tables.joint_table(estimate.joint),
         observability=tables.observability_table(observability, recording),

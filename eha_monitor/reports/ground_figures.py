@@ -19,7 +19,7 @@ SHOWN = 0.5  # of the truth: farther off is drawn at the edge
 
 
 def parameter_pictures(rows: list[dict]) -> list[Picture]:
-    """Draw each parameter's found value over its true one, ± two standard deviations."""
+    """Draw each parameter's found value over its true one, ± one standard deviation."""
     rows = [row for row in rows if row["true"]]
     return [drawn(rows[i:i + MOST_ROWS]) for i in range(0, len(rows), MOST_ROWS)]
 
@@ -38,7 +38,7 @@ def drawn(rows: list[dict]) -> Picture:
                       fontsize=9, backgroundcolor="white")
             continue
         off = 100.0 * (row["said"] / row["true"] - 1.0)
-        bar = 200.0 * row["stddev"] / abs(row["true"])
+        bar = 100.0 * row["stddev"] / abs(row["true"])
         colour = MEASURED if not row["aim"] else OTHER if row["within"] else ERROR_LINE
         at = float(np.clip(off, -edge, edge))
         axis.errorbar([at], [place], xerr=[[min(bar, edge)], [min(bar, edge)]], marker="o",
@@ -50,7 +50,7 @@ def drawn(rows: list[dict]) -> Picture:
     axis.set_yticks(range(len(rows)), [label(row) for row in reversed(rows)])
     axis.set_ylim(-0.8, len(rows) - 0.2)
     axis.set_xlim(-1.12 * edge, 1.12 * edge)
-    axis.set_xlabel("found, in % off the truth; bars are ± two standard deviations")
+    axis.set_xlabel("found, in % off the truth; bars are ± one standard deviation")
     return picture(figure, "parameters found against true ones")
 
 

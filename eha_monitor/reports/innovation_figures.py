@@ -5,6 +5,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from eha_monitor.filters.consistency import variance_ratios, whitened
 from eha_monitor.filters.results import Estimate, StageResult
+from eha_monitor.quantity import number, quantity
+from eha_monitor.reports.axes import time_scale
 from eha_monitor.reports.drawing import (
     HEIGHT,
     INK,
@@ -18,7 +20,6 @@ from eha_monitor.reports.drawing import (
     new_figure,
     picture,
 )
-from eha_monitor.reports.quantities import number, quantity, time_scale
 from eha_monitor.reports.traces import autocorrelation, running_rms
 
 

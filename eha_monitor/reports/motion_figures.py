@@ -1,10 +1,12 @@
-"""The paper's curves for one recording: pressure, position, velocity, acceleration."""
+"""The curves of one recording: pressure, position, velocity, acceleration."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from eha_monitor.filters.results import Estimate
+from eha_monitor.quantity import quantity
+from eha_monitor.reports.axes import axis_scale, scale_of, time_scale
 from eha_monitor.reports.drawing import (
     HEIGHT,
     INK,
@@ -21,7 +23,6 @@ from eha_monitor.reports.drawing import (
     pad_limits,
     picture,
 )
-from eha_monitor.reports.quantities import axis_scale, quantity, scale_of, time_scale
 from eha_monitor.reports.traces import (
     choose_smoother,
     in_gap,
@@ -162,7 +163,7 @@ def _stage_curves(estimate: Estimate, attribute: str) -> list[Curve]:
 def pressure_block(estimate: Estimate, window: Window) -> Block:
     """Return the pressure difference, or the measured force where there is no pressure."""
     recording, rig = estimate.recording, estimate.settings.rig
-    key, paper = "pressure", "the paper's Fig. 3 and 8"
+    key = "pressure"
     p1, p2 = recording.get("p1"), recording.get("p2")
     curves, notes = [Curve("p₁ − p₂, measured", p1 - p2, STAGE_ONE)], ()
     if curves[0].drawable:
@@ -170,16 +171,16 @@ def pressure_block(estimate: Estimate, window: Window) -> Block:
             load = p1 - p2 * rig.area_2 / rig.area_1
             curves.append(Curve("load pressure p₁ − p₂·A₂/A₁", load, STAGE_TWO))
             notes = ("The areas differ, so the load pressure is what moves the piston.",)
-        return Block(key, "Pressure difference", paper, draw_curves(
+        return Block(key, "Pressure difference", draw_curves(
             estimate, window, curves, [], "pressure difference", "Pa"), notes)
     if recording.has("force"):
         unit, word = ("N·m", "torque") if rig.motion == "rotary" else ("N", "force")
         curve = Curve(f"measured {word}", recording.get("force"), STAGE_ONE)
-        return Block(key, f"Driving {word}", paper, draw_curves(
+        return Block(key, f"Driving {word}", draw_curves(
             estimate, window, [curve], [], word, unit),
             (f"No pair of pressures was recorded; the measured {word} takes the place of "
              "A·Δp.",))
-    return Block(key, "Pressure difference", paper, notes=(
+    return Block(key, "Pressure difference", notes=(
         "No pair of pressures and no force was recorded, so there is nothing to show.",))
 
 
@@ -187,22 +188,21 @@ def position_block(estimate: Estimate, window: Window) -> Block:
     """Return position measured and estimated."""
     unit = motion_unit(estimate, 0)
     word = "angle" if unit == "rad" else "position"
-    title, paper = word.capitalize(), "the paper's Fig. 4, 9 and 12"
+    title = word.capitalize()
     measured = Curve("measured", estimate.recording.get("x"), MEASURED, 4.0)
     estimated = _stage_curves(estimate, "position")
     if not measured.drawable and not estimated:
-        return Block("position", title, paper,
+        return Block("position", title,
                      notes=("No position was recorded and none was estimated.",))
     residuals = [replace(curve, values=measured.values - curve.values) for curve in estimated]
     notes = () if estimated else ("No stage had data, so there is no estimate to compare.",)
-    return Block("position", title, paper, draw_curves(
+    return Block("position", title, draw_curves(
         estimate, window, [measured, *estimated], residuals, word, unit), notes)
 
 
 def derivative_block(estimate: Estimate, window: Window, order: int) -> Block:
     """Return velocity (order 1) or acceleration (order 2), measured and estimated."""
     name = ("velocity", "acceleration")[order - 1]
-    paper = ("the paper's Fig. 5, 10 and 13", "the paper's Fig. 14 and 19")[order - 1]
     recording, estimated = estimate.recording, _stage_curves(estimate, name)
     smoother = None
     if order == 1 and recording.has("v"):
@@ -215,7 +215,7 @@ def derivative_block(estimate: Estimate, window: Window, order: int) -> Block:
         measured = Curve(f"{which} of measured position, over {length}", values, MEASURED,
                          4.0)
     if not measured.drawable and not estimated:
-        return Block(name, name.capitalize(), paper, notes=(
+        return Block(name, name.capitalize(), notes=(
             f"No {name} was measured or estimated, and there is too little position to "
             "differentiate.",))
     notes: tuple[str, ...] = ()
@@ -228,7 +228,7 @@ def derivative_block(estimate: Estimate, window: Window, order: int) -> Block:
     residuals = [replace(curve, values=measured.values - (
         smoother.alike(curve.values, recording.get("x")) if smoother else curve.values))
         for curve in estimated]
-    return Block(name, name.capitalize(), paper, draw_curves(
+    return Block(name, name.capitalize(), draw_curves(
         estimate, window, [measured, *estimated], residuals, name,
         motion_unit(estimate, order)), notes)
 

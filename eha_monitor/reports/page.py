@@ -6,6 +6,7 @@ from typing import Any
 import jinja2
 
 from eha_monitor import __version__
+from eha_monitor.quantity import NOTE
 
 
 @lru_cache(maxsize=1)
@@ -17,4 +18,5 @@ def _environment() -> jinja2.Environment:
 
 def render(template: str, **context: Any) -> str:
     """Return a page of ``templates/``; every value is HTML-escaped."""
-    return _environment().get_template(template).render(version=__version__, **context)
+    return _environment().get_template(template).render(
+        version=__version__, plus_minus=NOTE, **context)

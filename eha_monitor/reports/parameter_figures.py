@@ -4,6 +4,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from eha_monitor.filters.results import Estimate, StageResult
+from eha_monitor.quantity import SYMBOLS, quantity
+from eha_monitor.reports.axes import axis_scale, stated, time_scale
 from eha_monitor.reports.drawing import (
     ERROR_LINE,
     INK,
@@ -17,11 +19,9 @@ from eha_monitor.reports.drawing import (
     pad_limits,
     picture,
 )
-from eha_monitor.reports.quantities import axis_scale, quantity, time_scale
 from eha_monitor.reports.traces import envelope
 from eha_monitor.settings.monitor import Limits
 
-SYMBOLS = {"B": "B", "beta_e": "βₑ", "L": "C_T"}
 NAMES = {"B": "viscous damping", "beta_e": "effective bulk modulus", "L": "leakage"}
 _LIMITS = (("low_error", "ERROR below"), ("low_warn", "WARN below"),
            ("high_warn", "WARN above"), ("high_error", "ERROR above"))
@@ -29,16 +29,14 @@ _LIMITS = (("low_error", "ERROR below"), ("low_warn", "WARN below"),
 
 def parameter_block(estimate: Estimate, name: str) -> Block:
     """Return the convergence of ``B`` or ``beta_e``: all of it with the limits, and its end."""
-    stage, limits, colour, paper = {
-        "B": (estimate.stage_one, estimate.settings.thresholds.viscous_damping, STAGE_ONE,
-              "the paper's Fig. 6 and 11"),
-        "beta_e": (estimate.stage_two, estimate.settings.thresholds.bulk_modulus, STAGE_TWO,
-                   "the paper's Fig. 15 and 20")}[name]
+    stage, limits, colour = {
+        "B": (estimate.stage_one, estimate.settings.thresholds.viscous_damping, STAGE_ONE),
+        "beta_e": (estimate.stage_two, estimate.settings.thresholds.bulk_modulus, STAGE_TWO)}[name]
     key, title = f"parameter-{name}", f"{NAMES[name].capitalize()} {SYMBOLS[name]}"
     value = stage.value
     if not len(value) or not np.isfinite(value).any():
         reason = stage.estimate.message or "the stage had no data"
-        return Block(key, title, paper, notes=(f"No curve: {reason}",))
+        return Block(key, title, notes=(f"No curve: {reason}",))
     unit = stage.estimate.unit
     notes = []
     lines = limits_of(limits)
@@ -63,7 +61,7 @@ def parameter_block(estimate: Estimate, name: str) -> Block:
                      f"{estimate.settings.viscosity.reference_temperature:g} °C, to which B is "
                      "carried by the viscosity law before it is judged; the curve shows B as "
                      "it is.")
-    return Block(key, title, paper, tuple(pictures), tuple(notes))
+    return Block(key, title, tuple(pictures), tuple(notes))
 
 
 def core_range(stage: StageResult, from_share: float) -> tuple[float, float]:
@@ -77,7 +75,7 @@ def core_range(stage: StageResult, from_share: float) -> tuple[float, float]:
         value, stddev = stage.value, stage.stddev
     finite = np.isfinite(value)
     value = value[finite]
-    spread = 2 * np.nan_to_num(stddev[finite], nan=0.0, posinf=0.0)
+    spread = 2 * stated(value, np.nan_to_num(stddev[finite], nan=0.0, posinf=0.0))
     half = len(value) // 2
     low, high = np.percentile(value, (0.5, 99.5))
     late, wide = value[half:], spread[half:]
@@ -110,7 +108,7 @@ def _picture(stage: StageResult, name: str, part: slice, view: tuple[float, floa
     clock = time_scale(float(whole[-1] - whole[0]))
     scale = axis_scale(max(map(abs, view)), stage.estimate.unit)
     t, value = whole[part] * clock.factor, stage.value[part] * scale.factor
-    spread = 2 * stage.stddev[part] * scale.factor
+    spread = stated(stage.value[part], stage.stddev[part]) * scale.factor
     figure, (axis,) = new_figure()
     pad_limits(axis, view[0] * scale.factor, view[1] * scale.factor, 0.12)
     bottom, top = axis.get_ylim()
@@ -119,7 +117,7 @@ def _picture(stage: StageResult, name: str, part: slice, view: tuple[float, floa
     if len(band_t) == len(also_t) and len(band_t):
         thin = 2 * np.nanmedian(spread) < 0.006 * (top - bottom)
         axis.fill_between(band_t, lower, upper, color=colour, alpha=0.22, linewidth=0,
-                          label="± 2σ (mostly thinner than the line)" if thin else "± 2σ")
+                          label="± 1σ (mostly thinner than the line)" if thin else "± 1σ")
     draw(axis, t, value, color=colour, linewidth=1.8, label=f"{SYMBOLS[name]} estimated")
     draw_limits(axis, value, lines, scale.factor, stage.estimate.unit)
     if len(t) > 1 and t[-1] > t[0]:
@@ -128,7 +126,7 @@ def _picture(stage: StageResult, name: str, part: slice, view: tuple[float, floa
     axis.set_ylabel(f"{SYMBOLS[name]}, {scale.unit}")
     legend_above(axis)
     last = stage.value[np.isfinite(stage.value)][-1]
-    return picture(figure, f"{NAMES[name]} against time with its two-sigma band and limits, "
+    return picture(figure, f"{NAMES[name]} against time with its one-sigma band and limits, "
                            f"{words}; last value {quantity(last, stage.estimate.unit)}")
 
 

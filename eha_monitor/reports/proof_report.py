@@ -5,6 +5,7 @@ from pathlib import Path
 from eha_monitor.mismatch.prove import misses, read_json
 from eha_monitor.mismatch.prove_score import MARKS, UNEXPLAINED
 from eha_monitor.output import write_text
+from eha_monitor.quantity import number, quantity, with_uncertainty
 from eha_monitor.reports.diagnosis_words import effect_words
 from eha_monitor.reports.ground_figures import parameter_pictures
 from eha_monitor.reports.page import render
@@ -69,9 +70,10 @@ def ground_of(found: dict) -> dict | None:
 
 def parameter_row(row: dict) -> dict:
     """Return a parameter as text: recording, name, true, found, error, and whether it is good."""
+    unit = row.get("unit", "")
     said = "not named" if row["said"] is None else (
-        f"{row['said']:.5g} ± {2 * row['stddev']:.2g}")
-    return {"group": row["group"], "name": row["name"], "true": f"{row['true']:.5g}",
+        with_uncertainty(row["said"], row["stddev"], unit))
+    return {"group": row["group"], "name": row["name"], "true": quantity(row["true"], unit),
             "said": said, "error": percent(row["relative"]),
             "aim": percent(row["aim"]) if row["aim"] else "",
             "kind": "" if not row["aim"] else "good" if row["within"] else "poor"}
@@ -163,7 +165,7 @@ def truth_words(row: dict, name: str) -> str:
     words = f"{effect_words(name)} at strength {abs(row['strength'][name]):.3g}"
     gain = row["log_evidence"].get(name)
     if gain is not None:
-        words += f", {gain:.3g} log units for an oracle"
+        words += f", {number(gain, 3)} log units for an oracle"
     return words + (": found" if name in row["pairs"] else "")
 
 

@@ -10,9 +10,11 @@ from pydantic import BaseModel
 
 from eha_monitor.filters.results import Estimate, JointResult, ParameterEstimate
 from eha_monitor.health.alarms import Alarm
+from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.quantity import FLOOR, SYMBOLS, number, quantity, share
 from eha_monitor.reports.alarm_timeline import alarm_words
-from eha_monitor.reports.parameter_figures import NAMES, SYMBOLS, limits_in_words
-from eha_monitor.reports.quantities import number, quantity, with_uncertainty
+from eha_monitor.reports.diagnosis_words import effect_words
+from eha_monitor.reports.parameter_figures import NAMES, limits_in_words
 from eha_monitor.reports.verdict import STATUS_WORDS
 from eha_monitor.settings.monitor import CHANNEL_UNITS, Settings
 
@@ -29,7 +31,7 @@ def parameter_row(estimate: ParameterEstimate) -> dict[str, Any]:
             "value": None if not math.isfinite(estimate.value) else float(estimate.value),
             "stddev": None if not math.isfinite(estimate.stddev) else float(estimate.stddev),
             "unit": estimate.unit,
-            "shown": with_uncertainty(estimate.value, estimate.stddev, estimate.unit),
+            "shown": estimate.shown,
             "status": estimate.status,
             "status_words": STATUS_WORDS.get(estimate.status, estimate.status),
             "message": estimate.message}
@@ -85,7 +87,8 @@ def _relative(ratio: float | None) -> dict[str, str]:
     if ratio is None or not math.isfinite(ratio):
         return {"text": "not observable", "kind": "none"}
     kind = "good" if ratio <= 0.05 else "fair" if ratio <= 0.5 else "poor"
-    return {"text": f"± {number(200 * ratio, 2)} %", "kind": kind}
+    text = f"± {share(ratio, 2)}" if ratio > FLOOR else f"below ± {share(FLOOR)}"
+    return {"text": text, "kind": kind}
 
 
 def noise_rows(estimate: Estimate) -> list[dict[str, str]]:
@@ -104,26 +107,37 @@ def noise_rows(estimate: Estimate) -> list[dict[str, str]]:
 
 def alarm_rows(alarms: tuple[Alarm, ...]) -> list[dict[str, str]]:
     """Return one row for each alarm, or for each change of one."""
-    return [{"name": alarm_words(a.name), "level": a.level, "message": a.message,
-             "time": f"{number(a.time_s)} s"} for a in alarms]
+    return [{"name": alarm_words(a.name), "level": a.word, "message": a.message,
+             "time": seconds(a.time_s)} for a in alarms]
+
+
+def seconds(time_s: float) -> str:
+    """Return a time of the recording to hundredths, so that columns of them can be compared."""
+    return f"{time_s:.2f} s" if math.isfinite(time_s) else "—"
 
 
 def config_sections(settings: Settings) -> list[dict[str, Any]]:
-    """Return the values of the config that shaped this estimate, section by section."""
-    sections = [("rig", settings.rig), ("noise", settings.noise),
-                ("stage_one", settings.stage_one), ("stage_two", settings.stage_two),
-                ("thresholds", settings.thresholds), ("viscosity", settings.viscosity)]
-    found = [{"name": name, "rows": list(_config_rows(section))} for name, section in sections]
-    general = [{"key": key, "value": getattr(settings, key), "unit": "",
-                "description": Settings.model_fields[key].description or ""}
-               for key in ("discretisation", "command_hold")]
-    found.append({"name": "general", "rows": general})
-    effects = [{"key": f"{effect}.{name}", "value": number(value, 6), "unit": "",
-                "description": ""} for effect, values in settings.effects.items()
-               for name, value in values.items()]
-    if effects:
-        found.append({"name": "effects", "rows": effects})
+    """Return the values of the config that shaped this estimate, in words, section by section."""
+    found = []
+    for key in ("rig", "noise", "stage_one", "stage_two", "thresholds", "viscosity"):
+        about = Settings.model_fields[key].description or ""
+        found.append({"name": key, "title": f"{_plain(key).capitalize()}: {about}",
+                      "rows": list(_config_rows(getattr(settings, key)))})
+    found.append({"name": "general", "title": "Equations", "rows": [
+        {"key": _plain(key), "value": str(getattr(settings, key)),
+         "description": Settings.model_fields[key].description or ""}
+        for key in ("discretisation", "command_hold")]})
+    known = [(effect, p, values[p.name]) for effect, values in settings.effects.items()
+             for p in CATALOGUE[effect].parameters if p.name in values]
+    if known:
+        found.append({"name": "effects", "title": "Effects beyond the linear model", "rows": [
+            {"key": f"{effect_words(effect)}, {p.name}", "value": quantity(value, p.unit, 6),
+             "description": p.description} for effect, p, value in known]})
     return found
+
+
+def _plain(key: str) -> str:
+    return key.replace("_", " ").replace(".", ", ")
 
 
 def _config_rows(section: BaseModel, prefix: str = "", unit: str = "") -> Iterator[dict]:
@@ -135,12 +149,18 @@ def _config_rows(section: BaseModel, prefix: str = "", unit: str = "") -> Iterat
             inner = {"viscous_damping": "N·s/m", "bulk_modulus": "Pa"}.get(key, "")
             yield from _config_rows(value, f"{prefix}{key}.", inner)
             continue
-        shown = number(value, 6) if isinstance(value, float) else \
-            "null" if value is None else str(value)
         if unit and own == "1" and key.endswith(("warn", "error")):
             own = unit
-        yield {"key": prefix + key, "value": shown, "unit": "" if own == "1" else own,
+        yield {"key": _plain(prefix + key), "value": _config_value(value, own),
                "description": declared.description or ""}
+
+
+def _config_value(value: Any, unit: str) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int | float):
+        return quantity(float(value), unit, 6)
+    return "not set" if value is None else str(value)
 
 
 def heading(estimate: Estimate) -> list[tuple[str, str]]:
@@ -154,12 +174,15 @@ def heading(estimate: Estimate) -> list[tuple[str, str]]:
               + f" at {number(1 / recording.sample_time)} Hz"),
              ("Channels", ", ".join(name for name in recording.channels
                                     if recording.has(name)) or "none with a value")]
-    if recording.start_ns > 0:
-        try:
-            start = datetime.fromtimestamp(recording.start_ns // 10**9, tz=UTC)
-            facts.append(("Start", start.strftime("%Y-%m-%d %H:%M:%S UTC")))
-        except (ValueError, OverflowError, OSError):
-            pass  # a stamp that is no calendar date is not worth a word
+    facts.append(("Start", _moment(recording.start_ns) if recording.dated else
+                  "no date: the stamps count from 0"))
     if estimate.wall_s > 0:
         facts.append(("Computed in", f"{quantity(estimate.wall_s, 's', 3)}"))
     return facts
+
+
+def _moment(start_ns: int) -> str:
+    try:
+        return datetime.fromtimestamp(start_ns // 10**9, tz=UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+    except (ValueError, OverflowError, OSError):
+        return "no date: the stamps are beyond the calendar"

@@ -4,15 +4,15 @@ from dataclasses import dataclass
 
 from eha_monitor.filters.results import Estimate, ParameterEstimate
 from eha_monitor.health.alarms import Alarm
-from eha_monitor.reports.parameter_figures import NAMES, SYMBOLS
-from eha_monitor.reports.quantities import with_uncertainty
+from eha_monitor.quantity import SYMBOLS
+from eha_monitor.reports.parameter_figures import NAMES
 
 STATUS_WORDS = {"converged": "converged", "not_excited": "not excited by this motion",
                 "diverged": "diverged", "no_data": "no data"}
 _ALARM_WORDS = {"viscous_damping_high": "the viscous damping B is too high",
                 "viscous_damping_low": "the viscous damping B is too low",
-                "bulk_modulus_high": "the effective bulk modulus βₑ is too high",
-                "bulk_modulus_low": "the effective bulk modulus βₑ is too low"}
+                "bulk_modulus_high": "the effective bulk modulus βe is too high",
+                "bulk_modulus_low": "the effective bulk modulus βe is too low"}
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,8 @@ class Verdict:
 
 def verdict(estimate: Estimate, alarms: tuple[Alarm, ...]) -> Verdict:
     """Return what the recording says about the actuator, and what it does not say."""
-    errors = [a for a in alarms if a.level == "ERROR"]
-    warnings = [a for a in alarms if a.level == "WARN"]
+    errors = [a for a in alarms if a.word == "ERROR"]
+    warnings = [a for a in alarms if a.word == "WARN"]
     told = [p for p in estimate.parameters.values() if p.status == "converged"]
     untold = [p for p in estimate.parameters.values() if p.status != "converged"]
     mismatch = estimate.model.status == "mismatch"
@@ -47,17 +47,36 @@ def verdict(estimate: Estimate, alarms: tuple[Alarm, ...]) -> Verdict:
         parts.append("the model explains the recording")
     elif told and not mismatch:
         parts.append("whether the model explains the recording could not be told")
-    kind, headline = _head(errors, warnings, mismatch, told, untold, estimate.model.status)
+    held = [a for a in alarms if a.not_judged]
+    kind, headline = _head(errors, warnings, mismatch, told, untold or held,
+                           estimate.model.status)
+    if held and kind == "ok":
+        kind = "unknown"
     return Verdict(kind, headline, f"{headline}: {'; '.join(parts)}.")
 
 
 def _values(told: list[ParameterEstimate], alarms: tuple[Alarm, ...]) -> str:
     """Return the values that no alarm complains about, and whether one could have."""
-    values = " and ".join(f"{SYMBOLS[p.name]} = {with_uncertainty(p.value, p.stddev, p.unit)}"
-                          for p in told)
-    if all(any(a.name.startswith(_PREFIX[p.name]) for a in alarms) for p in told):
-        return f"{values} {'is' if len(told) == 1 else 'are'} within the limits"
-    return f"{values}, without limits to judge by"
+    doubtful = [p for p in told if any(a.not_judged for a in _of(p, alarms))]
+    sure = [p for p in told if p not in doubtful]
+    parts = []
+    if sure:
+        judged = all(_of(p, alarms) for p in sure)
+        parts.append(_shown(sure) + (f" {'is' if len(sure) == 1 else 'are'} within the limits"
+                                     if judged else ", without limits to judge by"))
+    if doubtful:
+        parts.append(f"{_shown(doubtful)} {'is' if len(doubtful) == 1 else 'are'} not judged")
+    return "; ".join(parts)
+
+
+def _shown(told: list[ParameterEstimate]) -> str:
+    return " and ".join(f"{SYMBOLS[p.name]} = {p.shown}"
+                        for p in told)
+
+
+def _of(parameter: ParameterEstimate, alarms: tuple[Alarm, ...]) -> list[Alarm]:
+    """Return the alarms on a parameter."""
+    return [a for a in alarms if a.name.startswith(_PREFIX[parameter.name])]
 
 
 _PREFIX = {"B": "viscous_damping", "beta_e": "bulk_modulus"}

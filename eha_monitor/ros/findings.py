@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from eha_monitor.filters.results import Consistency, Event, ModelStatus, ParameterEstimate
 from eha_monitor.health.alarms import ADVICE, WATCHED, AlarmBoard
 from eha_monitor.health.finding import Finding
+from eha_monitor.health.overload import Overload
 from eha_monitor.ros.messages import alarm_finding
 from eha_monitor.settings.monitor import Settings
 
@@ -14,7 +15,7 @@ STAGES = {"one": WATCHED[0], "two": WATCHED[1]}
 KEYS = {"B": "viscous_damping_Ns_per_m", "beta_e": "bulk_modulus_Pa"}
 MISMATCH = "model_mismatch"
 _STATUS_LEVEL = {"converged": "OK", "not_excited": "OK", "diverged": "ERROR", "no_data": "STALE"}
-_MODEL_LEVEL = {"consistent": "OK", "mismatch": "WARN"}
+_MODEL_LEVEL = {"consistent": "OK", "mismatch": "WARN"}  # else STALE: it has not been tested
 
 
 @dataclass
@@ -26,6 +27,9 @@ class DataState:
     stopped : why there are no rows now, or None.
     problems : sentences about missing channels and the like.
     unsettled : symbols of parameters that have diverged only just now.
+    implausible : what contradicts the config (signs, units, channels), "" where nothing does.
+    refused : nothing is estimated for it.
+    overload : that the monitor cannot keep up, or None.
     unsaved : why the last bag could not be written, or None.
     values : numbers for the diagnostics: rates, counts, latencies, CPU share.
     """
@@ -33,6 +37,9 @@ class DataState:
     stopped: str | None = "no data yet"
     problems: list[str] = field(default_factory=list)
     unsettled: set[str] = field(default_factory=set)
+    implausible: str = ""
+    refused: bool = False
+    overload: Overload | None = None
     unsaved: str | None = None
     values: dict[str, float | int | str] = field(default_factory=dict)
 
@@ -61,12 +68,17 @@ def all_findings(settings: Settings, board: AlarmBoard,
     for stage, watched in STAGES.items():
         found.append(_stage(stage, parameters.get(watched.symbol), consistency.get(stage),
                             events.get(stage), data))
-    level = "STALE" if data.stopped else _MODEL_LEVEL.get(model.status, "OK")
+    level = "STALE" if data.stopped else _MODEL_LEVEL.get(model.status, "STALE")
     found.append(Finding("model", level, data.stopped or model.message or model.status,
                          {"status": model.status}))
     found.append(_mismatch(model, consistency, data))
-    level = "STALE" if data.stopped else "WARN" if data.problems or data.unsaved else "OK"
-    sentences = [*([data.stopped] if data.stopped else []), *data.problems] or ["data come"]
+    wrong = data.problems or data.unsaved or data.implausible
+    level = ("STALE" if data.stopped else "ERROR" if data.refused else "WARN" if wrong else "OK")
+    if data.overload is not None and not data.refused:  # why data may seem to have stopped
+        level = data.overload.level
+    sentences = [each for each in (
+        data.overload.sentence if data.overload else "", data.stopped, data.implausible,
+        *data.problems) if each] or ["data come"]
     message = "; ".join([*sentences, *([data.unsaved] if data.unsaved else [])])
     found.append(Finding("data", level, message, {**data.values, **_last(events.get("monitor"))}))
     return found
@@ -107,7 +119,8 @@ def _mismatch(model: ModelStatus, consistency: dict[str, Consistency | None],
     for watched in WATCHED:
         values[f"{watched.section}_tainted"] = _doubts(model, watched.symbol)["tainted"]
     if data.stopped or model.status in ("unknown", "not_judged"):
-        return Finding(MISMATCH, "STALE", data.stopped or "no data yet: " + model.message, values)
+        values["not_judged"] = int(not data.stopped and model.status == "not_judged")
+        return Finding(MISMATCH, "STALE", data.stopped or f"not judged: {model.message}", values)
     if not model.mismatches:
         return Finding(MISMATCH, "OK", model.message, values)
     first = min(model.mismatches, key=lambda m: m.since_s)

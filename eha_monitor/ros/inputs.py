@@ -68,6 +68,10 @@ def topics_of(settings: Settings, source: str = "config") -> list[Topic]:
             if not getattr(channel, key):
                 raise InputError(f"{source}: channels.{name}.{key}: expected a {key} to "
                                  "subscribe to")
+        try:
+            check_topic(channel.topic)
+        except InputError as problem:
+            raise InputError(f"{source}: channels.{name}.topic: {problem}") from problem
         if not all(_STEP.fullmatch(part) for part in channel.field.split(".")):
             raise InputError(f"{source}: channels.{name}.field: expected a field path such as "
                              f"position or wrench.force.x, got {channel.field!r}")
@@ -81,6 +85,26 @@ def topics_of(settings: Settings, source: str = "config") -> list[Topic]:
                    for (name, delay, held), channels in found.items()]
         topics.append(Topic(topic, tuple(entries)))
     return topics
+
+
+def check_topic(name: str) -> None:
+    """Refuse a name that ROS does not take for a topic.
+
+    Raises
+    ------
+    InputError
+        One line with the name.
+    """
+    from rclpy.exceptions import InvalidTopicNameException
+    from rclpy.validate_topic_name import validate_topic_name
+
+    try:
+        if not (name.isascii() and name.isprintable()):  # ROS reads up to a zero only
+            raise ValueError(name)
+        validate_topic_name(name)
+    except (InvalidTopicNameException, ValueError) as problem:
+        raise InputError(f"{name!r} is no name of a topic, expected letters, digits, '_' and "
+                         "'/'") from problem
 
 
 def message_class(type_name: str) -> type:

@@ -16,7 +16,7 @@ from eha_monitor.settings import Settings
 POLL_PERIOD = 0.1
 # A bag that could not be written is tried again after this time.
 RETRY_S = 30.0
-_RANK = {"OK": 0, "WARN": 1, "ERROR": 2}  # what is STALE is neither better nor worse
+_RANK = {"OK": 0, "WARN": 1, "ERROR": 2}  # what is not judged is neither better nor worse
 
 
 class Keeper:
@@ -58,7 +58,7 @@ class Keeper:
         """
         raised = False
         for alarm in changes:
-            if alarm.level in _RANK:
+            if alarm.level in _RANK and not alarm.not_judged:
                 rank = _RANK[alarm.level]
                 raised |= rank > self._before.get(alarm.name, 0) and rank >= (self._from or 9)
                 self._before[alarm.name] = rank

@@ -167,11 +167,9 @@ def warm_up() -> None:
 
     Otherwise the first hand-over stops the node for a second while messages come.
     """
-    from eha_monitor.compiled import announce_first_compilation
     from eha_monitor.filters.live import LiveEstimator
     from eha_monitor.physics.simulator import Simulator
 
-    announce_first_compilation()
     settings = Settings()
     estimator, simulator = LiveEstimator(settings), Simulator(settings)
     shown = simulator.advance(WARM_UP_ROWS)

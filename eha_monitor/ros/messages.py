@@ -76,4 +76,5 @@ def findings_of(message: DiagnosticArray) -> list[Finding]:
 def alarm_finding(alarm: Alarm, values: dict[str, float]) -> Finding:
     """Return an alarm as a finding, with the numbers that it was judged on."""
     return Finding(alarm.name, alarm.level, alarm.message,
-                   {**values, "since_s": float(alarm.time_s)})
+                   {**values, "since_s": float(alarm.time_s),
+                    "not_judged": int(alarm.not_judged)})

@@ -10,21 +10,22 @@ from rclpy.node import Node
 from rclpy.timer import Timer
 from std_srvs.srv import Trigger
 
-from eha_monitor.filters.faults import FaultWatch
+from eha_monitor.filters.faults import CONSEQUENCES, FaultWatch
 from eha_monitor.filters.results import Event, ModelStatus, ParameterEstimate
 from eha_monitor.filters.rows import RowAligner
 from eha_monitor.health.alarms import Alarm, AlarmBoard
 from eha_monitor.health.latency import LatencyMeter, ProcessorMeter
+from eha_monitor.health.overload import BEHIND_S
 from eha_monitor.ros import messages
+from eha_monitor.ros.feeding import unfed
 from eha_monitor.ros.findings import DataState, all_findings
 from eha_monitor.ros.inputs import topics_of
 from eha_monitor.ros.keeper import Keeper
+from eha_monitor.ros.load import Load
 from eha_monitor.ros.outputs import Outputs
 from eha_monitor.ros.subscriptions import TopicInput
 from eha_monitor.settings import Settings
 
-# Channels that a parameter needs, besides the position: one of these sets.
-NEEDS = {"B": (("force",), ("p1", "p2")), "beta_e": (("x_d",),)}
 # Health is judged at this spacing of the data's own time, so that a replay at ten times the
 # rate is judged as densely as the original.
 JUDGE_EVERY_NS = 100_000_000
@@ -103,11 +104,12 @@ class Monitor:
         self.inputs = [TopicInput(self.node, topic, self.aligner, self.process, self.keeper)
                        for topic in self._topics]
         wall = Clock(clock_type=ClockType.STEADY_TIME)  # health must not stop with /clock
-        self._timers = [self.node.create_timer(period, callback, clock=wall)
-                        for period, callback in (
-                            (1.0 / self.settings.monitor.publish_rate, self._publish_estimates),
-                            (WATCH_PERIOD, self._watch),
-                            (DIAGNOSTICS_PERIOD, self._every_second))]
+        self.load = Load(((1.0 / self.settings.monitor.publish_rate, self._publish_estimates),
+                          (WATCH_PERIOD, self._watch),
+                          (DIAGNOSTICS_PERIOD, self._every_second)),
+                         self.settings.monitor.stale_after)
+        self._timers = [self.node.create_timer(
+            self.load.period, lambda: self._tick(time.monotonic()), clock=wall)]
         self._publish_health()
 
     def deactivate(self) -> None:
@@ -146,6 +148,7 @@ class Monitor:
 
     def process(self, now: float) -> None:
         """Give the rows that are complete at ``now`` (s, monotonic) to the estimator."""
+        self._tick(now)
         for stamp_ns, row, came in self.aligner.pop(now):
             if self._origin_ns is None:
                 self._origin_ns = stamp_ns
@@ -165,6 +168,15 @@ class Monitor:
             reason = self.aligner.take_reset()
             self.watch.restart(reason, now)
             self._reset(reason)
+
+    def _tick(self, now: float) -> None:
+        """Do what is due; a silence while the monitor itself did not run is none of the data."""
+        away = self.load.tick(now)
+        if away > BEHIND_S:
+            if self._row_came is not None:
+                self._row_came += away
+            for source in self.aligner.sources:
+                source.heard_s += away
 
     def _count_missing(self, stamp_ns: int) -> None:
         steps = (stamp_ns - self._row_ns) * 1e-9 / self.settings.rig.sample_time
@@ -200,13 +212,16 @@ class Monitor:
         self.data.stopped = None
         snapshot = self._snapshot = self._estimator.snapshot()
         self._model = snapshot.model
+        self.data.implausible = snapshot.implausible
+        self.data.refused = bool(snapshot.implausible) and (
+            snapshot.model.message == snapshot.implausible)
         for event in snapshot.events:
             self._events[event.stage] = event
             self.node.get_logger().info(f"stage {event.stage}: {event.message}")
         self._note_diverged(snapshot.parameters)
         parameters = {}
         for symbol, estimate in snapshot.parameters.items():
-            reason = self._unfed(symbol)
+            reason = unfed(symbol, self._seen, self._row_ns, self.inputs, self.settings)
             parameters[symbol] = estimate if reason is None else replace(
                 estimate, status="no_data", message=reason)
         self._announce(self.board.update(self._seconds(), parameters, snapshot.temperature,
@@ -224,20 +239,6 @@ class Monitor:
 
     def _seconds(self) -> float:
         return (self._row_ns - (self._origin_ns or self._row_ns)) * 1e-9
-
-    def _unfed(self, symbol: str) -> str | None:
-        """Return why a parameter has no data now, or None if its channels come."""
-        limit = self.settings.monitor.stale_after * 1e9
-        lacking = []
-        for choice in NEEDS.get(symbol, ()):
-            missing = [name for name in ("x", *choice)
-                       if self._row_ns - self._seen.get(name, -limit * 2) > limit]
-            if not missing:
-                return None
-            lacking.append(" and ".join(
-                f"{name} (topic {self._topic_of.get(name, 'not configured')})"
-                for name in missing))
-        return f"no data for {', or '.join(lacking)}" if lacking else None
 
     def _announce(self, changes: list[Alarm]) -> None:
         self.keeper.note(changes)
@@ -261,13 +262,16 @@ class Monitor:
 
     def _look(self, now: float) -> None:
         """Look for faults of the data, and take back what a frozen channel gave."""
+        self.load.look(self.inputs, self.aligner.rows, self.missing_samples)
+        self.data.overload = overload = self.load.found()
         for channel, since_ns in self.watch.look(now).items():
             if self._origin_ns is not None:
                 self._estimator.withdraw(channel, (since_ns - self._origin_ns) * 1e-9)
         limit = self.settings.monitor.stale_after
         for problem in (p for each in self.inputs for p in each.problems(now, limit)):
             self.watch.note(problem, now, problem)
-        self.data.problems = [*self._clashes, *self.watch.sentences(now)]
+        without = CONSEQUENCES if overload else ()
+        self.data.problems = [*self._clashes, *self.watch.sentences(now, without)]
         self._publish_health(only_changes=True)
 
     def _note_stop(self, now: float) -> None:
@@ -322,7 +326,10 @@ class Monitor:
         for topic_input in self.inputs:
             key = topic_input.topic.name.strip("/").replace("/", "_")
             values[f"rate_{key}_Hz"] = topic_input.rate(now)
-        values |= self.counts()
+        if self._origin_ns is not None:
+            values["first_stamp_ns"] = str(self._origin_ns)
+        values |= self.counts() | {"missing_share_percent": 100.0 * self.load.watch.share,
+                                   "behind_s": self.load.watch.behind}
         for key, value in self.latency.percentiles().items():
             values[f"latency_{key}_ms"] = value
         values["latency_counts_from"] = "stamp" if self._wall_clock else "receipt"
@@ -344,7 +351,7 @@ class Monitor:
                              snapshot.parameters if snapshot else {},
                              snapshot.consistency if snapshot else {},
                              self._model, self._events, self.data)
-        levels = [finding.level for finding in found]
+        levels = [(finding.level, finding.word) for finding in found]
         if only_changes and levels == self._levels:
             return
         self._levels = levels

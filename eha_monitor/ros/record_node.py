@@ -12,7 +12,7 @@ from eha_monitor.errors import InputError
 from eha_monitor.health.alarms import WATCHED
 from eha_monitor.recordings.write import BagWriter, TopicType
 from eha_monitor.ros import running
-from eha_monitor.ros.inputs import message_class
+from eha_monitor.ros.inputs import check_topic, message_class
 from eha_monitor.ros.subscriptions import NO_EVENTS
 from eha_monitor.settings import Settings, load_settings
 
@@ -102,10 +102,13 @@ def run_record(out: Path, ros_args: list[str], topics: tuple[str, ...] | None = 
         If the bag cannot be written, or the config or a ROS argument is wrong.
     """
     settings = load_settings(config)
+    topics = tuple(topics or topics_to_record(settings))
+    for topic in topics:
+        check_topic(topic)
     with (running.ros_session(ros_args),
           running.node("record", settings.monitor.namespace) as node,
           BagWriter(out, {}) as writer):
-        recorder = Recorder(node, writer, tuple(topics or topics_to_record(settings)))
+        recorder = Recorder(node, writer, topics)
         running.spin(node, duration)
         for topic in recorder.waiting:
             print(f"{topic}: nobody published it", file=sys.stderr)

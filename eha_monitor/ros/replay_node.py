@@ -8,7 +8,6 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import rclpy
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -19,10 +18,10 @@ from rosbags.rosbag2.metadata import parse_qos
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
-from eha_monitor.errors import InputError
+from eha_monitor.errors import InputError, one_line
 from eha_monitor.recordings.bag import Bag, Topic, iter_raw, topics
 from eha_monitor.ros import messages, running
-from eha_monitor.ros.inputs import message_class
+from eha_monitor.ros.inputs import check_topic, message_class
 
 # A message due within this time goes out now: waiting is not finer than that.
 SLACK = 0.0005
@@ -80,7 +79,7 @@ class Replay:
                     self._executor.spin_once(timeout_sec=0.05)
                     self._poll(keys)
                     base += time.monotonic() - now  # the pause is no time of the bag
-                    if not rclpy.ok():
+                    if not running.ok():
                         return
                     continue
                 due = base + (log_ns - base_ns) * 1e-9 / self.rate
@@ -90,7 +89,7 @@ class Replay:
                 progress.show((log_ns - base_ns) * 1e-9)
                 self._executor.spin_once(timeout_sec=min(due - now, CLOCK_PERIOD))
                 self._poll(keys)
-                if not rclpy.ok():
+                if not running.ok():
                     return
             self._tick(now, log_ns)
             publisher.publish(raw)
@@ -107,6 +106,7 @@ class Replay:
             if name == "/clock" and self._clock is not None:
                 continue
             try:
+                check_topic(name)
                 kind = message_class(topic.msgtype)
             except InputError as problem:
                 self._warn(f"{self.bag}: {name} is left out: {problem}")
@@ -118,14 +118,14 @@ class Replay:
                 durability=(DurabilityPolicy.TRANSIENT_LOCAL if latched
                             else DurabilityPolicy.VOLATILE)))
         if not made:
-            raise InputError(f"{self.bag}: expected a topic of an installed message type, found "
-                             "none")
+            raise InputError(f"{self.bag}: expected a topic with a name and a message type that "
+                             "this ROS knows, found none")
         return made
 
     def _wait_for_subscribers(self) -> None:
         """Give discovery its time, then leave out what another node publishes."""
         matched, end = 0, time.monotonic() + DISCOVERY
-        while rclpy.ok() and (left := end - time.monotonic()) > 0:
+        while running.ok() and (left := end - time.monotonic()) > 0:
             self._executor.spin_once(timeout_sec=min(left, 0.05))
             now = sum(p.get_subscription_count() > 0 for p in self._publishers.values())
             if now == len(self._publishers):
@@ -133,10 +133,10 @@ class Replay:
             if now > matched:  # discovery is under way: give the others their time too
                 matched, end = now, time.monotonic() + DISCOVERY
         end = time.monotonic() + SETTLE
-        while rclpy.ok() and (left := end - time.monotonic()) > 0:
+        while running.ok() and (left := end - time.monotonic()) > 0:
             self._executor.spin_once(timeout_sec=left)
         for name in list(self._publishers):
-            if name not in SHARED and rclpy.ok() and self.node.count_publishers(name) > 1:
+            if name not in SHARED and running.ok() and self.node.count_publishers(name) > 1:
                 self._warn(f"{name} is left out: another node publishes it")
                 self.node.destroy_publisher(self._publishers.pop(name))
 
@@ -156,7 +156,7 @@ class Replay:
         return response
 
     def _warn(self, text: str) -> None:
-        print(text, file=sys.stderr, flush=True)
+        print(one_line(text), file=sys.stderr, flush=True)
 
 
 def _latched(qos: str) -> bool:
@@ -249,7 +249,7 @@ def run_replay(bag: Path, ros_args: list[str], rate: float = 1.0, clock: bool = 
             with (running.until_shutdown(), Keyboard().listen() as keys,
                   Bar(Path(bag)) as bar):
                 replay.play(keys, bar)
-                while loop and rclpy.ok():
+                while loop and running.ok():
                     replay.play(keys, bar)
         finally:
             replay.close()

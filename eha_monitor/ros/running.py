@@ -1,6 +1,7 @@
 """Starting and ending a node: arguments, signals, the executor."""
 
 import contextlib
+import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 
@@ -11,11 +12,12 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from eha_monitor.errors import InputError
 
-# So often the loop looks up whether it is to end; the executor itself is deaf to signals.
+# So often the loop looks up whether it is to end: while nothing comes, signals wait.
 _LOOK_UP = 1.0
 # So long a node that ends waits for subscribers to confirm its last messages, in seconds; one
 # that was killed never does.
@@ -42,12 +44,59 @@ def ros_session(arguments: list[str]) -> Iterator[None]:
         unknown = remove_ros_args(["eha_monitor", *arguments])[1:]
         if unknown:
             raise InputError(f"{unknown[0]}: unknown argument, expected options or --ros-args")
-        rclpy.init(args=arguments)
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    with _signals_noted() as noted:
+        try:
+            with until_shutdown():
+                yield
+        finally:
+            rclpy.try_shutdown()
+    noted.hand_on()
+
+
+def ok() -> bool:
+    """Tell whether to go on: ROS runs, and no signal has come."""
+    return rclpy.ok() and _Signals.came is None
+
+
+class _Signals:
+    """SIGINT and SIGTERM as a note.
+
+    rclpy's own handler ends the context from a thread: the callback that runs then can publish
+    no more, and the executor logs that as FATAL.  A note waits until the callback is through.
+    """
+
+    came: int | None = None
+
+    def __init__(self):
+        _Signals.came = None
+        self._before = {number: signal.signal(number, self._note)
+                        for number in (signal.SIGINT, signal.SIGTERM)}
+
+    @staticmethod
+    def _note(number: int, frame) -> None:
+        _Signals.came = number
+
+    def close(self) -> None:
+        """Put back the handlers that were there."""
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def hand_on(self) -> None:
+        """Give a signal that came to the handler of whoever called us, if there is one."""
+        number = _Signals.came
+        handler = self._before.get(number)
+        if callable(handler) and handler is not signal.default_int_handler:
+            handler(number, None)
+
+
+@contextlib.contextmanager
+def _signals_noted() -> Iterator[_Signals]:
+    signals = _Signals()
     try:
-        with until_shutdown():
-            yield
+        yield signals
     finally:
-        rclpy.try_shutdown()
+        signals.close()
 
 
 @contextlib.contextmanager
@@ -92,7 +141,7 @@ def made(name: str, make: Callable[..., Node], *arguments, **options) -> Iterato
         found = make(*arguments, **options)
     try:
         yield found
-        if rclpy.ok():  # a signal ends publishing at once
+        if ok():  # a signal ends at once
             deliver(found)
     finally:
         found.destroy_node()
@@ -121,7 +170,7 @@ def spin(nodes: Node | Sequence[Node], duration: float | None = None,
     end = None if duration is None else time.monotonic() + duration
     try:
         with until_shutdown():
-            while rclpy.ok() and not finished():
+            while ok() and not finished():
                 left = _LOOK_UP if end is None else min(_LOOK_UP, end - time.monotonic())
                 if left <= 0:
                     break

@@ -51,6 +51,8 @@ class TopicInput:
         self._decoders = [Decoder(entry) for entry in topic.entries]
         self._type: str | None = None
         self._subscription: Subscription | None = None
+        self._take: Callable | None = None
+        self.waits = False  # whether a message was waiting at the last look
         self._type_problem: str | None = None
         self._zero_stamps = 0
         self._counted = (0, time.monotonic())
@@ -75,21 +77,40 @@ class TopicInput:
         if self._subscription is not None:
             self._node.destroy_subscription(self._subscription)
         self._type, self._type_problem = wanted, None
-        self._subscription = self._node.create_subscription(
-            kind, self.topic.name, self._callback(kind, wanted), self._qos, raw=True,
-            event_callbacks=NO_EVENTS)
+        on_message = self._callback(kind, wanted)
+        self._subscription = subscription = self._node.create_subscription(
+            kind, self.topic.name, on_message, self._qos, raw=True, event_callbacks=NO_EVENTS)
+
+        def take():
+            with subscription.handle:
+                found = subscription.handle.take_message(kind, True)
+            if found is None:
+                return None
+            on_message(found[0])
+            return found[1]["source_timestamp"], found[1]["received_timestamp"]
+        self._take = take
+
+    def take_waiting(self) -> tuple[int, int] | None:
+        """Take the oldest message that waits; return when it was sent and received, ns.
+
+        The executor, which comes to it later, finds the next one, or none.  None where none
+        waits.
+        """
+        found = self._take() if self._take is not None else None
+        self.waits = found is not None
+        return found
 
     def close(self) -> None:
         """End the subscription."""
         if self._subscription is not None:
             self._node.destroy_subscription(self._subscription)
-            self._subscription = None
+            self._subscription = self._take = None
 
     def problems(self, now: float, silent_after: float) -> list[str]:
         """Return what is wrong with the topic at ``now`` (s, monotonic), in sentences."""
         found = [self._type_problem] if self._type_problem else []
         for decoder, entry in zip(self._decoders, self.topic.entries, strict=True):
-            silent = now - entry.source.heard_s > silent_after
+            silent = now - entry.source.heard_s > silent_after and not self.waits
             channels = ", ".join(channel for channel, _ in entry.channels)
             if decoder.problem is not None:
                 found.append(decoder.problem)

@@ -1,20 +1,22 @@
 """Looking on: what a monitor publishes, as lines of text."""
 
-import time
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
-from eha_monitor.health.alarms import ALARM_NAMES, WATCHED, Watched, quantity
+from eha_monitor.health.alarms import ALARM_NAMES, WATCHED, Watched
+from eha_monitor.health.finding import Finding
+from eha_monitor.quantity import SYMBOLS, with_uncertainty
 from eha_monitor.ros import running
 from eha_monitor.ros.findings import MISMATCH
 from eha_monitor.ros.messages import findings_of
 from eha_monitor.ros.outputs import LATCHED
 
-_SYMBOLS = {"B": "B", "beta_e": "βe"}
 _LINE_EVERY = 1.0  # s
 
 # Takes a line, and the level of the alarm that it tells of or None.
@@ -29,19 +31,37 @@ class Seen:
     ----------
     estimates : number of estimates of ``B`` and ``beta_e``.
     raised : names of the alarms that reached WARN or ERROR.
+    heard : whether the monitor has said anything.
+    rows, missing : samples that the monitor had, and that it knows to lack.
     """
 
     estimates: dict[str, int] = field(default_factory=dict)
     raised: set[str] = field(default_factory=set)
+    heard: bool = False
+    rows: int = 0
+    missing: int = 0
+
+    @property
+    def losses(self) -> str:
+        """What was lost, as a sentence; empty where nothing was."""
+        if not self.missing:
+            return ""
+        share = 100.0 * self.missing / (self.rows + self.missing)
+        return (f"{self.missing} of {self.rows + self.missing} samples were lost on the way "
+                f"({share:.2g} %): times and values above may differ from those of the whole bag")
 
 
 class Watcher:
-    """Subscribes to estimates, alarms and model test of one monitor and says what comes."""
+    """Subscribes to estimates, alarms and model test of one monitor and says what comes.
+
+    Times are those of the data, since the first sample: a replay's clock is not the wall's.
+    """
 
     def __init__(self, node: Node, say: Say):
         self.seen = Seen()
         self._say = say
-        self._started = time.monotonic()
+        self._first_ns: int | None = None  # stamp of the first sample, as the monitor gives it
+        self._now_ns: int | None = None  # stamp of the newest estimate
         self._latest: dict[str, float] = {}
         self._levels: dict[str, str] = {}
         for watched in WATCHED:
@@ -49,6 +69,7 @@ class Watcher:
                 node.create_subscription(
                     Float64, f"monitor/{watched.section}{suffix}",
                     self._keep(watched.symbol + suffix), 10)
+        node.create_subscription(JointState, "monitor/joint_states", self._take_state, 10)
         node.create_subscription(DiagnosticArray, "monitor/health", self._take_health, LATCHED)
         node.create_timer(_LINE_EVERY, self._tell)
 
@@ -64,27 +85,48 @@ class Watcher:
             self._say(f"{self._clock()}  {parts}", None)
 
     def _shown(self, watched: Watched) -> str:
-        symbol = _SYMBOLS[watched.symbol]
+        symbol = SYMBOLS[watched.symbol]
         value = self._latest.get(watched.symbol)
         stddev = self._latest.get(f"{watched.symbol}_stddev")
         if value is None or stddev is None or not stddev < abs(value):
             return f"{symbol} not known yet"
-        return f"{symbol} = {quantity(value, stddev, watched.unit)}"
+        return f"{symbol} = {with_uncertainty(value, stddev, watched.unit)}"
 
-    def _clock(self) -> str:
-        return f"{time.monotonic() - self._started:5.1f} s"
+    def _take_state(self, message: JointState) -> None:
+        stamp = message.header.stamp
+        self._now_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
+
+    def _clock(self, since_s: float = math.nan) -> str:
+        """Return a time of the data, or that of the newest estimate."""
+        if math.isnan(since_s) and self._first_ns is not None and self._now_ns is not None:
+            since_s = (self._now_ns - self._first_ns) * 1e-9
+        return f"{'':5}  " if math.isnan(since_s) else f"{since_s:5.1f} s"
 
     def _take_health(self, message: DiagnosticArray) -> None:
-        for finding in findings_of(message):
-            name, level = finding.name, finding.level
-            if name not in (*ALARM_NAMES, MISMATCH):
+        self.seen.heard = True
+        found = {finding.name: finding for finding in findings_of(message)}
+        if "data" in found:
+            self._take_data(found["data"])
+        for name in (*ALARM_NAMES, MISMATCH, "data"):
+            if name not in found:
                 continue
+            finding, word = found[name], found[name].word
             before = self._levels.get(name, "OK")
-            self._levels[name] = level
-            if level != before and {level, before} & {"WARN", "ERROR"}:
-                self._say(f"{self._clock()}  {level:5} {name}: {finding.message}", level)
-            if level in ("WARN", "ERROR") and name in ALARM_NAMES:
+            self._levels[name] = word
+            if word != before and {word, before} & {"WARN", "ERROR"}:
+                since = finding.values.get("since_s", "") if name in ALARM_NAMES else ""
+                self._say(f"{self._clock(float(since or 'nan'))}  {word:5} {name}: "
+                          f"{finding.message}", word)
+            if finding.raised and name in ALARM_NAMES:
                 self.seen.raised.add(name)
+
+    def _take_data(self, finding: Finding) -> None:
+        values = finding.values
+        if values.get("first_stamp_ns"):
+            self._first_ns = int(values["first_stamp_ns"])
+        if values.get("rows"):
+            self.seen.rows = int(values["rows"])
+            self.seen.missing = int(values.get("missing_samples") or 0)
 
 
 def watch(namespace: str, duration: float, say: Say,

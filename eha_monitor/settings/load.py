@@ -8,6 +8,7 @@ from typing import get_args
 from pydantic import BaseModel, ValidationError
 
 from eha_monitor.errors import InputError
+from eha_monitor.regular import check_regular
 from eha_monitor.settings.monitor import Settings
 
 LARGEST = 1024 * 1024  # bytes of a config
@@ -41,8 +42,9 @@ def load_settings(path: str | Path | None) -> Settings:
     from ruamel.yaml.error import YAMLError
 
     path = Path(path)
+    check_regular(path, "a config", streams=True)
     try:
-        with path.open("rb") as file:  # a device or a recording given by mistake never ends
+        with path.open("rb") as file:  # what is given by mistake may be large
             content = file.read(LARGEST + 1)
         if len(content) > LARGEST:
             raise InputError(f"{path}: expected a config of at most {LARGEST // 1024} KiB")

@@ -173,7 +173,8 @@ class Monitor(Section):
     latency: Si("s", "how long a row waits for its last channel", gt=0) = 0.02
     on_mismatch: Literal["hold", "rebase", "ignore"] = Field(
         "hold", description="alarms of an estimate that a model mismatch taints; hold: none is "
-        "raised or cleared; rebase: once settled, judged by the change since; ignore: judged as "
+        "raised or cleared that the mismatch may have moved across its limit; rebase: once "
+        "settled, judged by the change since; ignore: judged as "
         "if the model fitted")
     buffer_minutes: Si("min", "the inputs as they came, the estimates and the health of the last "
                        "minutes are kept in memory, compressed, to be saved as a bag (service "
@@ -200,7 +201,7 @@ class Settings(Section):
     stage_one: StageOne = Field(StageOne(), description="viscous damping")
     stage_two: StageTwo = Field(StageTwo(), description="effective bulk modulus")
     discretisation: Literal["exact", "euler"] = Field(
-        "exact", description="euler runs the equations as printed in the paper")
+        "exact", description="euler: forward Euler, to compare")
     command_hold: Literal["auto", "continuous", "sampled"] = Field(
         "auto", description="sampled: a digital controller holds x_d and x over a sample; "
         "continuous: an analogue or much faster one; auto: the recording says which")

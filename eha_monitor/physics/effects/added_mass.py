@@ -20,7 +20,7 @@ EFFECT = Effect(
         Parameter("dM", "kg", "moving mass beyond the configured one", 0.0, 1e6, 5.0),
     ),
     term=term,
-    statement="{dM:.3g} kg of mass move beyond the configured mass",
+    statement="{dM} of mass move beyond the configured mass",
     rig_check="Weigh what moves, the load included; on a step of speed the peak of the pressure "
     "force grows with it.",
     starts=lambda r: ({"dM": 0.01 * r.force / max(r.acceleration, 1e-3)},),

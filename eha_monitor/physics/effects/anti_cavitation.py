@@ -33,8 +33,8 @@ EFFECT = Effect(
                   1e5),
     ),
     term=term,
-    statement="a check valve feeds a chamber below {p_min:.3g} Pa with {k:.3g} m³/s for each Pa "
-    "that is missing",
+    statement="a check valve feeds a chamber below {p_min} with {k} of the pressure that is "
+    "missing",
     rig_check="Watch the lower pressure in a fast move: it must stay flat at p_min.",
     starts=starts,
     rarity=2,

@@ -68,8 +68,8 @@ EFFECT = Effect(
     ),
     term=term,
     update=update,
-    statement="friction differs by direction: {F_c:.3g} N of dry friction on average, to which "
-    "positive motion adds {dF:+.3g} N and {dB:+.3g} N·s/m, and negative motion the opposite",
+    statement="friction differs by direction: {F_c} of dry friction on average, to which "
+    "positive motion adds {dF:+} and {dB:+}, and negative motion the opposite",
     rig_check="Hold the same steady speed in both directions: the forces differ by twice "
     "dB |v| + dF, and not at rest.",
     starts=lambda r: ({"F_c": 0.01 * r.force, "dF": 0.01 * r.force,

@@ -20,7 +20,7 @@ EFFECT = Effect(
         Parameter("T", "s", "time from the command to the drive", 0.0, 0.1, 1e-3),
     ),
     circuit=circuit,
-    statement="the command reaches the drive {T:.3g} s late",
+    statement="the command reaches the drive {T} late",
     rig_check="Log the command where it is made and where the drive takes it: compare the "
     "stamps of a step.",
     starts=lambda r: tuple({"T": share * r.sample_time} for share in (0.2, 1.0, 4.0)),

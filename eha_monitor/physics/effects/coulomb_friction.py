@@ -43,7 +43,7 @@ EFFECT = Effect(
     ),
     term=term,
     update=update,
-    statement="Coulomb friction of {F_c:.3g} N opposes the motion at every speed",
+    statement="Coulomb friction of {F_c} opposes the motion at every speed",
     rig_check="Push the depressurised rod by hand with a spring balance: the force at which it "
     "keeps creeping is F_c.",
     starts=lambda r: ({"F_c": 0.01 * r.force, **START},),

@@ -22,7 +22,7 @@ EFFECT = Effect(
         Parameter("L", "m^3/(s*Pa)", "added laminar leakage coefficient", -1e-8, 1e-8, 1e-12),
     ),
     term=term,
-    statement="{L:.3g} m³/(s·Pa) of laminar leakage crosses the piston or the pump beyond "
+    statement="{L} of laminar leakage crosses the piston or the pump beyond "
     "the configured value",
     rig_check="Block the rod and hold the pump speed that keeps 1 MPa: that flow over 1 MPa is "
     "the leakage.",

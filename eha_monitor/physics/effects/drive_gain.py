@@ -20,7 +20,7 @@ EFFECT = Effect(
         Parameter("k", "1", "relative error of the gain", -0.9, 10.0, 0.05),
     ),
     circuit=circuit,
-    statement="the drive's gain is {k:+.2%} off the configured position gain",
+    statement="the drive's gain is {k:+%} off the configured position gain",
     rig_check="Read the gain in the drive's parameters; measured speed over position error is "
     "K_pos.",
     starts=lambda r: ({"k": 0.003},),

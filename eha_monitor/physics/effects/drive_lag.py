@@ -20,7 +20,7 @@ EFFECT = Effect(
         Parameter("tau", "s", "time constant of the drive", 0.0, 1.0, 2e-3),
     ),
     circuit=circuit,
-    statement="the drive follows its command with a time constant of {tau:.3g} s",
+    statement="the drive follows its command with a time constant of {tau}",
     rig_check="Step the speed command with the rod free: 63 % of the speed must be there after "
     "tau.",
     starts=lambda r: tuple({"tau": share * r.sample_time} for share in (0.3, 1.0, 5.0)),

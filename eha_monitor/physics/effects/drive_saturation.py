@@ -41,7 +41,7 @@ EFFECT = Effect(
                   neutral=math.inf),
     ),
     circuit=circuit,
-    statement="the drive is limited to {omega_max:.4g} rad/s and {slew:.3g} rad/s²",
+    statement="the drive is limited to {omega_max} and {slew}",
     rig_check="Command a large step: the measured pump speed must stop at omega_max, or rise in a "
     "straight line.",
     starts=starts,

@@ -36,7 +36,7 @@ EFFECT = Effect(
         Parameter("n", "1", "polytropic exponent", 1.0, 1.67, 0.2, 1.4),
     ),
     term=term,
-    statement="{alpha:.2%} of free air (at atmospheric pressure) softens the oil at low pressure",
+    statement="{alpha:%} of free air (at atmospheric pressure) softens the oil at low pressure",
     rig_check="Raise the charge pressure: the apparent bulk modulus must rise with it.",
     starts=lambda r: ({"alpha": 1e-3, "n": 1.4},),
 )

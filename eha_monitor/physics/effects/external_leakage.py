@@ -28,7 +28,7 @@ EFFECT = Effect(
         Parameter("L_2", "m^3/(s*Pa)", "leakage of chamber 2 to the tank", -1e-8, 1e-8, 1e-12),
     ),
     term=term,
-    statement="chamber 1 leaks {L_1:.3g} and chamber 2 {L_2:.3g} m³/(s·Pa) to the outside",
+    statement="chamber 1 leaks {L_1} and chamber 2 {L_2} to the outside",
     rig_check="Look for oil at the rod seal and measure the case drain: both pressures must fall "
     "while the rod is blocked.",
     starts=starts,

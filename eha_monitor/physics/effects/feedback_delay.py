@@ -20,7 +20,7 @@ EFFECT = Effect(
         Parameter("T", "s", "time from the position to the drive", 0.0, 0.1, 1e-3),
     ),
     circuit=circuit,
-    statement="the position reaches the drive {T:.3g} s late",
+    statement="the position reaches the drive {T} late",
     rig_check="Compare the position that the drive logs with the sensor's own output on one "
     "clock.",
     starts=lambda r: tuple({"T": share * r.sample_time} for share in (0.2, 1.0, 4.0)),

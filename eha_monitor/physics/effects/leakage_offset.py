@@ -27,7 +27,7 @@ EFFECT = Effect(
                   1e4, 1e4),
     ),
     term=term,
-    statement="a flow of {Q_0:.3g} m³/s leaks across the piston whatever the pressure difference",
+    statement="a flow of {Q_0} leaks across the piston whatever the pressure difference",
     rig_check="Block the rod and hold a small and a large pressure difference: the flow to hold "
     "them must have the same constant part.",
     starts=lambda r: ({"Q_0": 0.003 * r.flow,  # at each reversal it is the whole flow

@@ -73,8 +73,8 @@ EFFECT = Effect(
     ),
     term=term,
     update=update,
-    statement="the oil in the line rings with a period of 2 pi times {T_l:.3g} s, damping ratio "
-    "{zeta:.2g}: flow reaches the chambers late",
+    statement="the oil in the line rings with a period of 2 pi times {T_l}, damping ratio "
+    "{zeta}: flow reaches the chambers late",
     rig_check="Step the pump speed with the rod blocked: the pressure must ring with a period of "
     "about 2 pi T_l.",
     starts=starts,

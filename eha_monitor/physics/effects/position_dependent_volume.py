@@ -22,7 +22,7 @@ EFFECT = Effect(
                   0.0, 0.1, 5e-4),
     ),
     term=term,
-    statement="the oil volumes change with position by {A_v:.3g} m³ per metre",
+    statement="the oil volumes change with position as under a piston of {A_v}",
     rig_check="Excite the oil column at both ends of the travel: its resonance must shift between "
     "them.",
     starts=lambda r: ({"A_v": 0.3 * r.flow / max(r.speed, 1e-6)},),

@@ -14,7 +14,7 @@ EFFECT = Effect(
     parameters=(
         Parameter("q", "m", "step of the position sensor", 0.0, 0.01, 1e-5),
     ),
-    statement="the position comes in steps of {q:.3g} m",
+    statement="the position comes in steps of {q}",
     rig_check="Read the resolution of the encoder or of its converter in the data sheet.",
     starts=lambda r: (),
 )

@@ -23,7 +23,7 @@ EFFECT = Effect(
                   "does", 0.0, 1.0, 1.0, 0.0, fitted=False),
     ),
     circuit=circuit,
-    statement="the position sensor reads {k:+.2%} off its scale",
+    statement="the position sensor reads {k:+%} off its scale",
     rig_check="Move the rod between two stops and compare with a gauge.",
     starts=lambda r: ({"k": 0.003, "in_loop": 0.0}, {"k": 0.003, "in_loop": 1.0}),
 )

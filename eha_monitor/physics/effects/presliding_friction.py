@@ -43,7 +43,7 @@ EFFECT = Effect(
     ),
     term=term,
     update=update,
-    statement="dry friction of {F_c:.3g} N builds up over {z_0:.2g} m of travel after each "
+    statement="dry friction of {F_c} builds up over {z_0} of travel after each "
     "reversal",
     rig_check="Move the rod to and fro by a tenth of a millimetre: force against position is a "
     "loop with rounded corners, z_0 wide.",

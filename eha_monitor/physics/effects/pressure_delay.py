@@ -21,7 +21,7 @@ EFFECT = Effect(
                   0.1, 1e-3),
     ),
     circuit=circuit,
-    statement="the recorded pressures are {T:.3g} s late",
+    statement="the recorded pressures are {T} late",
     rig_check="Tap the blocked rod while a second sensor is on the same clock: the pressures "
     "must answer T late.",
     starts=lambda r: tuple({"T": share * r.sample_time} for share in (0.2, 1.0, 4.0)),

@@ -28,8 +28,7 @@ EFFECT = Effect(
         Parameter("d_2", "Pa/s", "drift of the zero of sensor 2", -1e7, 1e7, 1e3),
     ),
     circuit=circuit,
-    statement="the pressure sensors drift by {d_1:+.3g} Pa/s (chamber 1) and {d_2:+.3g} Pa/s "
-    "(chamber 2)",
+    statement="the pressure sensors drift by {d_1:+} (chamber 1) and {d_2:+} (chamber 2)",
     rig_check="Log the sensors for as long as the record took with the rig at rest and both "
     "chambers open to the tank.",
     starts=starts,

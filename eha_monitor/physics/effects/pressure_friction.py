@@ -50,7 +50,7 @@ EFFECT = Effect(
     ),
     term=term,
     update=update,
-    statement="seal friction of {mu:.3g} m² times the sum of the chamber pressures opposes the "
+    statement="seal friction of {mu} times the sum of the chamber pressures opposes the "
     "motion",
     rig_check="Raise the charge pressure at the same motion: the friction must rise in "
     "proportion.",

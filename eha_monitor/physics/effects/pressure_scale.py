@@ -28,8 +28,8 @@ EFFECT = Effect(
         Parameter("k_2", "1", "relative error of the scale of sensor 2", -0.9, 2.0, 0.03),
     ),
     circuit=circuit,
-    statement="the pressure sensors read {k_1:+.2%} (chamber 1) and {k_2:+.2%} (chamber 2) off "
-    "their scale",
+    statement="the pressure sensors read {k_1:+%} (chamber 1) and {k_2:+%} (chamber 2) off their "
+    "scale",
     rig_check="Put both sensors on a dead-weight tester, or on one another's port, at two "
     "pressures.",
     starts=starts,

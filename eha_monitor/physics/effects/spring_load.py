@@ -22,7 +22,7 @@ EFFECT = Effect(
                   fitted=False),
     ),
     term=term,
-    statement="a spring of {k:.3g} N/m pulls back to x = {x_0:.3g} m",
+    statement="a spring of {k} pulls back to x = {x_0}",
     rig_check="Hold the actuator at rest at both ends of its travel: the pressure force must "
     "differ by k times the distance.",
     starts=lambda r: ({"k": 0.01 * r.force / max(r.position, 1e-6), "x_0": 0.0},),

@@ -72,7 +72,7 @@ EFFECT = Effect(
     ),
     term=term,
     update=update,
-    statement="dry friction of {F_c:.3g} N at speed rises by {F_d:.3g} N below {v_s:.2g} m/s",
+    statement="dry friction of {F_c} at speed rises by {F_d} below {v_s}",
     rig_check="Let the rod creep at a few speeds below v_s: the force to keep it moving must fall "
     "as the speed rises.",
     starts=starts,

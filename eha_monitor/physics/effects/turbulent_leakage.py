@@ -28,8 +28,8 @@ EFFECT = Effect(
                   1e4),
     ),
     term=term,
-    statement="turbulent leakage of {c:.3g} m³/s times the root of the pressure difference in Pa "
-    "crosses the piston or the pump",
+    statement="turbulent leakage of {c} of the pressure difference crosses the piston or the "
+    "pump",
     rig_check="Block the rod and hold two pressure differences, one four times the other: the "
     "flow to hold them must double.",
     starts=lambda r: ({"c": 0.01 * r.flow / max(r.pressure_difference[3], 1.0) ** 0.5,

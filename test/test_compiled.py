@@ -1,0 +1,165 @@
+"""Compiled functions: shared by every copy of the package, announced, and complete."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from eha_monitor.compiled import CACHE
+
+PACKAGE = Path(__file__).parents[1] / "eha_monitor"
+COUNT = """
+import sys
+from numba.core import event
+
+class Counter(event.Listener):
+    compiled = []
+    def on_start(self, event):
+        function = event.data["dispatcher"].py_func
+        self.compiled.append(f"{function.__module__}.{function.__qualname__}")
+    def on_end(self, event):
+        pass
+
+event.register("numba:compile", Counter())
+"""
+REPORT = "\nprint('compiled', len(Counter.compiled), sorted(set(Counter.compiled)))\n"
+ONE_FUNCTION = COUNT + """
+import numpy as np
+from eha_monitor.physics.contributions import N_EFFECTS, with_term
+assert with_term(np.ones(N_EFFECTS, dtype=bool)).any()
+""" + REPORT
+COMMANDS = COUNT + """
+from pathlib import Path
+from eha_monitor.cli import main
+from eha_monitor.filters.live import LiveEstimator
+from eha_monitor.physics.simulator import Simulator
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.recordings.write import write_recording
+from eha_monitor.settings import Settings
+
+plant, settings = Simulator(Settings(), seed=0), Settings()
+rows = plant.advance(4000)
+everything, position = Path("everything"), Path("position")
+write_recording(everything, Recording(plant.dt, rows), settings, overwrite=True)
+write_recording(position, Recording(plant.dt, {name: rows[name] for name in ("x", "x_d")}),
+                settings, overwrite=True)
+for bag in (everything, position):
+    assert main(["estimate", str(bag), "--json", f"{bag}.json"]) == 0
+    assert main(["diagnose", str(bag), "--no-calibration"]) == 0
+estimator = LiveEstimator(settings)
+for k, row in enumerate(zip(*(rows[name].tolist() for name in rows), strict=True)):
+    estimator.push(k * plant.dt, dict(zip(rows, row, strict=True)))
+estimator.snapshot()
+""" + REPORT
+
+
+def ran(package_root, script, cache, folder, **environment):
+    """Run a script against the package below ``package_root``, with nobody's home."""
+    home = folder / "home"
+    home.mkdir(exist_ok=True)
+    inherited = {key: value for key, value in os.environ.items()
+                 if key not in ("XDG_CACHE_HOME", "NUMBA_CACHE_DIR", "EHA_MONITOR_CACHE")}
+    inherited |= {"HOME": str(home), "PYTHONPATH": str(package_root),
+                  "PYTHONDONTWRITEBYTECODE": "1"}
+    if cache is not None:
+        inherited["EHA_MONITOR_CACHE"] = str(cache)
+    return subprocess.Popen([sys.executable, "-P", "-c", script], cwd=folder, text=True,
+                            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                            env=inherited | environment)
+
+
+def told(process):
+    out, err = process.communicate(timeout=300)
+    assert process.returncode == 0, err
+    line = next(line for line in out.splitlines() if line.startswith("compiled "))
+    return int(line.split()[1]), line, err
+
+
+def copy_of(folder):
+    """Return a place where the package lies as a fresh installation: other path, other times."""
+    shutil.copytree(PACKAGE, folder / "eha_monitor",
+                    ignore=shutil.ignore_patterns("__pycache__"), copy_function=shutil.copyfile)
+    return folder
+
+
+def test_every_copy_of_the_package_shares_what_was_compiled_once(tmp_path):
+    first, line, err = told(ran(PACKAGE.parent, ONE_FUNCTION, None, tmp_path))
+    place = next((tmp_path / "home" / ".cache" / "eha_monitor").glob("numba-*"))
+    assert first, line
+    assert err.count("compiling") == err.count("\n") == 1 and str(place) in err, err
+    for name in ("a", "b"):
+        again = told(ran(copy_of(tmp_path / name), ONE_FUNCTION, None, tmp_path))
+        assert again[0] == 0 and not again[2], again
+
+
+def test_processes_that_compile_at_once_leave_nothing_out_and_nothing_broken(tmp_path):
+    cache = tmp_path / "cache"
+    together = [ran(PACKAGE.parent, ONE_FUNCTION, cache, tmp_path) for _ in range(3)]
+    assert all(told(process)[0] for process in together)
+    assert told(ran(PACKAGE.parent, ONE_FUNCTION, cache, tmp_path))[0] == 0
+    assert not list(cache.rglob("*.tmp"))
+
+
+def test_a_damaged_file_is_compiled_again(tmp_path):
+    cache = tmp_path / "cache"
+    told(ran(PACKAGE.parent, ONE_FUNCTION, cache, tmp_path))
+    for place in cache.rglob("*.nbc"):
+        raw = bytearray(place.read_bytes())
+        raw[len(raw) // 2] ^= 0xff
+        place.write_bytes(raw[:-7])
+    assert told(ran(PACKAGE.parent, ONE_FUNCTION, cache, tmp_path))[0] > 0
+    assert told(ran(PACKAGE.parent, ONE_FUNCTION, cache, tmp_path))[0] == 0
+
+
+def test_a_cache_that_cannot_be_written_costs_no_answer(tmp_path):
+    cache = tmp_path / "cache"
+    name = CACHE.name
+    cache.mkdir()
+    (cache / name).write_text("where the folder should be")
+    assert told(ran(PACKAGE.parent, ONE_FUNCTION, cache, tmp_path))[0] > 0
+
+
+def test_a_user_with_an_empty_home_takes_what_the_set_up_compiled(tmp_path):
+    """A prefix of its own stands for the virtual environment."""
+    cache, prefix = tmp_path / "cache", tmp_path / "venv"
+    told(ran(PACKAGE.parent, ONE_FUNCTION, cache, tmp_path))
+    shutil.copytree(cache, prefix / "share" / "eha_monitor" / "compiled")
+    script = f"import sys; sys.prefix = {str(prefix)!r}\n" + ONE_FUNCTION
+    count, line, err = told(ran(PACKAGE.parent, script, None, tmp_path))
+    assert count == 0 and not err, (line, err)
+
+
+def test_a_second_process_compiles_nothing(tmp_path):
+    """Estimate, diagnosis and live, with all channels and with positions alone; elsewhere."""
+    told(ran(PACKAGE.parent, COMMANDS, CACHE.parent, tmp_path))
+    count, line, err = told(ran(copy_of(tmp_path / "copy"), COMMANDS, CACHE.parent, tmp_path))
+    assert count == 0 and "compiling" not in err, (line, err)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_the_set_up_compiles_all_there_is(tmp_path):
+    cache = tmp_path / "cache"
+    script = "from eha_monitor import compile_all; sys.argv[1:] = []; compile_all.main()"
+    told(ran(PACKAGE.parent, COUNT + script + REPORT, cache, tmp_path))
+    assert told(ran(PACKAGE.parent, COMMANDS, cache, tmp_path))[0] == 0
+    import importlib
+    import pkgutil
+
+    import eha_monitor
+    from eha_monitor.compiled_cache import SharedCache
+
+    # Written into their callers, or the catalogue's "does nothing".
+    never = {"damped_mass_integrals", "no_term", "no_update", "no_circuit"}
+    for room in ("physics", "filters", "recordings", "mismatch"):
+        path = [str(PACKAGE / room)]
+        for module in pkgutil.walk_packages(path, f"{eha_monitor.__name__}.{room}."):
+            for name, made in vars(importlib.import_module(module.name)).items():
+                kept = getattr(made, "_cache", None)
+                if isinstance(kept, SharedCache) and made.__name__ not in never:
+                    folder = cache / CACHE.name / Path(kept.cache_path).name
+                    assert list(folder.glob(f"{made.__name__}-*.nbc")) or "<locals>" in (
+                        made.py_func.__qualname__), f"{module.name}.{name}"

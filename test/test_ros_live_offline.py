@@ -1,0 +1,32 @@
+"""The bundled bag over DDS, through the processes: its alarm, on the bag's own time."""
+
+from pathlib import Path
+
+import pytest
+from rig_tools import settings
+from test_live_offline import BAG, raised
+from test_ros_processes import PATIENCE, command, end
+
+from eha_monitor.commands.answer import judged
+from eha_monitor.filters.pipeline import estimate
+from eha_monitor.recordings.read import read_recording
+from eha_monitor.ros.watch import Watcher
+
+
+def test_a_replay_alarms_when_the_bag_does_and_the_watcher_tells_the_bags_time(graph):
+    name = "bulk_modulus_low"
+    offline = raised(judged(estimate(read_recording(Path(BAG), settings()), settings()))[1])[name]
+    lines = []
+    watcher = Watcher(graph.node("watch", "/eha"), lambda line, level: lines.append(line))
+    with command("monitor") as monitor:
+        graph.until(lambda: watcher.seen.heard, PATIENCE)
+        with command("replay", BAG) as replay:
+            graph.until(lambda: name in watcher.seen.raised, PATIENCE)
+            graph.until(lambda: replay.poll() is not None, PATIENCE)
+        seconds = max(float(line.split()[0]) for line in lines if line.split()[1:2] == ["s"])
+        assert seconds <= 16.0  # the bag's time, however long the processes took
+        assert "FATAL" not in end(monitor)
+    if watcher.seen.missing:
+        assert "were lost on the way" in watcher.seen.losses
+    told = next(line for line in lines if f"WARN  {name}: effective" in line)
+    assert float(told.split()[0]) == pytest.approx(offline, abs=1.0)
