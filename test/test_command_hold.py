@@ -26,6 +26,7 @@ from eha_monitor.mismatch.experiment import experiment_of
 from eha_monitor.mismatch.name import high_threshold
 from eha_monitor.mismatch.screen import starts_of
 from eha_monitor.mismatch.search import nominal
+from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import settings_from_tree
 
 RICH = Motion((("triangle", 3.0, 0.03, 0.5), ("multisine", 3.0, 0.02, 2.0),
@@ -283,3 +284,51 @@ def test_a_high_threshold_is_told():
     assert not high_threshold(Calibration(14.0, (), 0.0).threshold)
     assert not high_threshold(float("nan"))
     assert "45 log units" in high_threshold(45.0)[0]
+
+
+# ---- what a user sees ------------------------------------------------------------------------
+
+
+def test_the_answer_says_it_once_in_words_json_and_config(tmp_path, capsys):
+    import json
+
+    from eha_monitor.cli import main
+    from eha_monitor.recordings.write import write_recording
+    from eha_monitor.settings import load_settings
+    from eha_monitor.settings.document import annotated
+
+    settings = config(Rig(), 1000.0)
+    rig, bag = tmp_path / "rig.yaml", tmp_path / "bag"
+    rig.write_text(annotated(settings, "a rig"), encoding="utf-8")
+    write_recording(bag, run(Rig(), 1000.0, True), settings)
+    assert main(["estimate", str(bag), "--config", str(rig), "--json", str(tmp_path / "a.json"),
+                 "--report", str(tmp_path / "a.html"),
+                 "--write-config", str(tmp_path / "b.yaml")]) == 0
+    words = "the drive holds its command over each sample (a digital controller)"
+    assert " ".join(capsys.readouterr().out.split()).count(words) == 1
+    (entry,) = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))["channels"]
+    assert entry["finding"].startswith(words) and entry["kind"] == "hold"
+    assert entry["channels"] == ["x_d"] and entry["correction"] == {"command_hold": "sampled"}
+    assert words in (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert load_settings(tmp_path / "b.yaml").command_hold == "sampled"
+
+
+@pytest.mark.filterwarnings("error")
+def test_any_numbers_have_an_answer():
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        n, channels = int(rng.choice([300, 400, 1500])), {}
+        for name in ("x", "x_d", "omega", "p1", "p2"):
+            values = 10.0 ** rng.uniform(-12, 18) * rng.standard_normal(n)
+            kind = rng.integers(6)
+            if kind == 1:
+                values[:] = values[0]
+            elif kind == 2:
+                values = np.cumsum(values)
+            elif kind == 3:
+                values[rng.random(n) < 0.5] = np.nan
+            elif kind == 4:
+                values[rng.integers(n)] = np.inf
+            if kind != 5:
+                channels[name] = values
+        resolved([Recording(1e-3, channels)], config(Rig(), 1000.0))

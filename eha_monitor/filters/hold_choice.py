@@ -43,6 +43,8 @@ DECISIVE = 30.0  # log units; the likelihoods know the physics only so well
 LATE = (2.0, 3.0)  # samples by which an input may come late, beside a half and one
 CLEARLY = 2.0 * DECISIVE
 COINCIDENCE = 8.0  # log units that a delay must gain: it could have any length
+BEYOND = 1e15  # SI
+FINEST = 1e-15  # least noise of a sensor, SI
 UNSURE = 4.0  # times the usual variance of the input
 SMOOTH_S, SMOOTHED = 0.012, 7  # s and least samples over which velocity is taken
 IDEAL, BLOCK = 1.5, 16  # variance over that of the noise, sample by sample and in means
@@ -147,7 +149,7 @@ def evidence_of(recording: Recording, settings: Settings) -> tuple[float, str] |
     # Each from where the other has come to, too: a search ends at the top of one hill.
     l_flowing, at = max([first, (*_from(second, flowing),)], key=lambda one: one[0])[::2]
     l_held, at_held = max([second, (*_from(first, held),)], key=lambda one: one[0])[::2]
-    if not np.isfinite(l_held - l_flowing):
+    if not (np.isfinite(l_held) and np.isfinite(l_flowing)):
         return None
 
     def delayed(by: float) -> float:
@@ -181,9 +183,12 @@ def asked_of(recording: Recording, settings: Settings) -> Asked | None:
     start = most_telling(raw, recording.get("x"), length)
     if settings.effects.get(NAMES[LINE]):
         return None  # a line is late by itself, and is not in this filter
-    part = Recording(dt, {name: values[start:start + length]
-                          for name, values in recording.channels.items()
-                          if np.isfinite(values[start:start + length]).any()})
+    cut = {name: np.where(np.isfinite(values), values, np.nan)[start:start + length]
+           for name, values in recording.channels.items()}
+    part = Recording(dt, {name: values for name, values in cut.items()
+                          if np.isfinite(values).any()})
+    if any(np.nanmax(np.abs(values)) > BEYOND for values in part.channels.values()):
+        return None  # no rig does that, and squares of it would not fit into a number
     if missing(settings, part.channels)[1] is not None:
         return None
     noise = noise_levels(part, settings.noise)
@@ -259,7 +264,7 @@ def stretches_of(channels: dict, noise: dict, settings: Settings, drive: Hold, s
         z = np.column_stack([x, force])
         levels.append(np.sqrt(force_variance(rig, noise, 0.0)))
         usual = float(np.sqrt(np.nanmean(force**2)))
-    return [Stretch(np.ascontiguousarray(z), np.array(levels), known, unsure, constants,
+    return [Stretch(np.ascontiguousarray(z), np.maximum(levels, FINEST), known, unsure, constants,
                     model.leak, dt, sigma, damping, max(usual, 1e-9), max(speed, 1e-9))
             for known, damping in ranges]
 
@@ -278,7 +283,7 @@ def friction_of(x: np.ndarray, force: np.ndarray, settings: Settings, dt: float,
     v, a = (savgol_filter(filled, window, 3, deriv=order, delta=dt) for order in (1, 2))
     highest = max(float(np.abs(v).max()), 1e-12)
     columns = np.column_stack([np.ones(len(v)), v / highest, np.tanh(v / (CREEP * highest)),
-                               v * np.abs(v) / highest**2][: 2 + terms])
+                               v * np.abs(v / highest) / highest][: 2 + terms])
     rest = force - rig.mass * a
     rows = np.isfinite(rest)
     lower = np.concatenate([[-np.inf], np.zeros(1 + terms)])

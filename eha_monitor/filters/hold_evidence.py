@@ -232,12 +232,19 @@ class Point:
 
 
 def likelihood_at(stretch: Stretch, lines: tuple[np.ndarray, np.ndarray], at: Point) -> float:
-    """Return the log likelihood of a stretch under an input, with B's own prior."""
+    """Return the log likelihood of a stretch under an input, with B's own prior.
+
+    Parameters that no filter can follow have a likelihood of zero.
+    """
     b, spread = stretch.damping
-    return log_likelihood(
-        stretch.z, stretch.noise, *lines, stretch.known, stretch.unsure, stretch.constants,
-        stretch.leak, at.damping, at.compliance, stretch.dt, stretch.input_noise,
-        at.force * stretch.force, at.flow * stretch.speed) - 0.5 * ((at.damping - b) / spread) ** 2
+    try:
+        reached = log_likelihood(
+            stretch.z, stretch.noise, *lines, stretch.known, stretch.unsure, stretch.constants,
+            stretch.leak, at.damping, at.compliance, stretch.dt, stretch.input_noise,
+            at.force * stretch.force, at.flow * stretch.speed)
+    except np.linalg.LinAlgError:
+        return -np.inf
+    return reached - 0.5 * ((at.damping - b) / spread) ** 2
 
 
 def climbed(stretch: Stretch, lines: tuple[np.ndarray, np.ndarray], at: Point
