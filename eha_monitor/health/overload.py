@@ -18,6 +18,7 @@ LATE_S = 0.5  # behind for so long it warns though nothing is missing yet: the q
 FEW_MISSING = 0.03
 # With more missing than there is, what the drive did between the samples is a guess.
 MOST_MISSING = 0.5
+OVERLOADED = "the monitor cannot keep up"
 WHAT_TO_DO = ("lower the publishers' rate, raise monitor.latency, or give the monitor a core of "
               "its own")
 
@@ -91,5 +92,5 @@ class LoadWatch:
         if behind > BEHIND_S:
             parts.append(f"it is {behind:.1f} s behind")
         of_now = ", so the estimates are not those of now" if worst else ""
-        return Overload("ERROR" if worst else "WARN", "the monitor cannot keep up: "
+        return Overload("ERROR" if worst else "WARN", f"{OVERLOADED}: "
                         f"{' and '.join(parts)}{of_now}; {WHAT_TO_DO}")

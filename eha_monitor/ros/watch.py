@@ -11,6 +11,7 @@ from std_msgs.msg import Float64
 
 from eha_monitor.health.alarms import ALARM_NAMES, WATCHED, Watched
 from eha_monitor.health.finding import Finding
+from eha_monitor.health.overload import OVERLOADED
 from eha_monitor.quantity import SYMBOLS, with_uncertainty
 from eha_monitor.ros import running
 from eha_monitor.ros.findings import MISMATCH
@@ -111,9 +112,12 @@ class Watcher:
             if name not in found:
                 continue
             finding, word = found[name], found[name].word
+            if name == "data" and OVERLOADED not in finding.message and (
+                    name not in self._levels):
+                continue  # that nothing comes before it begins is no news
             before = self._levels.get(name, "OK")
             self._levels[name] = word
-            if word != before and {word, before} & {"WARN", "ERROR"}:
+            if word != before and {word, before, finding.level} & {"WARN", "ERROR"}:
                 since = finding.values.get("since_s", "") if name in ALARM_NAMES else ""
                 self._say(f"{self._clock(float(since or 'nan'))}  {word:5} {name}: "
                           f"{finding.message}", word)
