@@ -57,7 +57,11 @@ estimator.snapshot()
 
 
 def ran(package_root, script, cache, folder, **environment):
-    """Run a script against the package below ``package_root``, with nobody's home."""
+    """Run a script against the package below ``package_root``, with nobody's home.
+
+    Nor with what a set-up has put beside the package: the prefix is another.
+    """
+    script = f"import sys; sys.prefix = {str(folder / 'prefix')!r}\n{script}"
     home = folder / "home"
     home.mkdir(exist_ok=True)
     inherited = {key: value for key, value in os.environ.items()
