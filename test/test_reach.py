@@ -1,5 +1,7 @@
 """How far a misfit can have moved B or beta_e: never less than it has, and little where little."""
 
+import copy
+import itertools
 import math
 
 import numpy as np
@@ -8,7 +10,7 @@ from rig_tools import BETA, CHIRP, MULTISINE, SINE, TRIANGLE, B, settings, simul
 
 from eha_monitor.filters.inputs import StageInputs
 from eha_monitor.filters.pipeline import estimate
-from eha_monitor.filters.reach import Reaches, explain, reach_one, reach_two
+from eha_monitor.filters.reach import Look, Reaches, explain, finished, reach_one, reach_two
 
 MOTIONS = {"multisine": MULTISINE, "chirp": CHIRP, "sine": SINE, "triangle": TRIANGLE,
            "fast": {**MULTISINE, "amplitude": 0.01, "frequency": 0.5, "frequency_end": 40.0,
@@ -50,7 +52,7 @@ def test_a_missing_force_has_moved_b_no_farther_than_its_reach(motion, effects):
     b = found.parameters["B"]
     if b.status != "converged":
         return  # it is not judged anyway
-    reach = reach_one(inputs, settings(), b.value)
+    reach = finished(reach_one(inputs, settings(), b.value))
     assert reach is None or abs(b.value - B) < reach + 2.0 * b.stddev
 
 
@@ -63,7 +65,7 @@ def test_a_missing_flow_has_moved_beta_e_no_farther_than_its_reach(motion, effec
         return
     if (motion, *effects) in TOO_SHORT:
         pytest.xfail("it reads like another beta_e there: see the module's text")
-    reach = reach_two(inputs, settings(), beta.value, (b.value, b.stddev))
+    reach = finished(reach_two(inputs, settings(), beta.value, (b.value, b.stddev)))
     moved = abs(math.log(beta.value / BETA))
     assert reach is None or moved < reach + 2.0 * beta.stddev / beta.value
 
@@ -71,25 +73,28 @@ def test_a_missing_flow_has_moved_beta_e_no_farther_than_its_reach(motion, effec
 def test_a_small_misfit_on_a_rich_motion_reaches_no_farther_than_a_few_times_its_shift():
     found, inputs = looked_at("chirp", FORCES["some dry"])
     b = found.parameters["B"]
-    assert reach_one(inputs, settings(), b.value) < 3.0 * (b.value - B)
+    assert finished(reach_one(inputs, settings(), b.value)) < 3.0 * (b.value - B)
     found, inputs = looked_at("multisine", FLOWS["little leakage"])
     b, beta = found.parameters["B"], found.parameters["beta_e"]
-    assert reach_two(inputs, settings(), beta.value, (b.value, b.stddev)) < math.log(1.9)
+    reach = finished(reach_two(inputs, settings(), beta.value, (b.value, b.stddev)))
+    assert reach < math.log(1.9)
 
 
 def test_nothing_is_said_of_a_parameter_that_the_motion_does_not_tell():
     recording = simulated({"kind": "rest"}, 5.0).recording(0)
-    assert reach_one(StageInputs.of(recording, settings()), settings(), 600.0) is None
+    inputs = StageInputs.of(recording, settings())
+    assert finished(reach_one(inputs, settings(), 600.0)) is None
 
 
 def test_where_the_terms_cannot_be_told_from_the_parameter_the_prior_is_the_reach():
     rng = np.random.default_rng(0)
     noise, shown = rng.standard_normal(1000), np.zeros(1000)
-    found = explain(lambda theta: (noise + theta[0] * shown, 5.0 * theta[0]), np.ones(1), 3)
+    found = finished(explain(lambda theta: (noise + theta[0] * shown, 5.0 * theta[0]),
+                             np.ones(1), 3))
     assert (found.value, found.stddev) == pytest.approx((0.0, 5.0))
     shown = rng.standard_normal(1000)  # and where they can, what they explain is the shift
-    found = explain(lambda theta: (noise + (theta[0] - 0.8) * 9.0 * shown, 5.0 * theta[0]),
-                    np.ones(1), 3)
+    found = finished(explain(
+        lambda theta: (noise + (theta[0] - 0.8) * 9.0 * shown, 5.0 * theta[0]), np.ones(1), 3))
     assert found.value == pytest.approx(4.0, abs=0.1) and found.stddev < 0.1
 
 
@@ -100,3 +105,17 @@ def test_the_largest_reach_of_the_last_half_minute_counts():
     assert reaches.most() == {"B": 5.0}
     reaches.note(31.0, {"B": 1.0})
     assert reaches.most() == {"B": 3.0}
+
+
+def test_a_look_goes_one_filter_run_at_a_time_and_is_no_part_of_a_copy():
+    runs = []
+    look = Look()
+    look.begin(explain(lambda theta: (runs.append(1) or np.zeros(1000) + theta[0], theta[0]),
+                       np.ones(3), 1))
+    counted = []
+    while look.under_way:
+        look.go_on()
+        counted.append(len(runs))
+    assert max(b - a for a, b in itertools.pairwise(counted)) <= 2
+    look.begin(iter(()))
+    assert not copy.deepcopy(look).under_way

@@ -264,8 +264,8 @@ class LiveEstimator(RunAgain):
                 self._stale_piece = True
 
     def _tell(self, stage: str, text: str, number: int | None = None) -> None:
-        number = self._taken if number is None else number
-        self._events.append(Event(self._time_of(number), stage, text))
+        at = self._time_of(self._taken if number is None else number)
+        self._events.append(Event(at, stage, text))
 
     def _time_of(self, number: int) -> float:
         return self._origin + number * self.dt
@@ -298,6 +298,7 @@ class LiveEstimator(RunAgain):
                 self._now, self._buffer.recording(self._buffer.first, self._buffer.end))
             if news:
                 self._tell("monitor", news)
+        self._tester.go_on(self._time_of(self._taken))
         if (self._taken - self._tester.judged_at) * self.dt >= JUDGE_EVERY_S:
             self._judge()
         for name, estimate in self._parameters().items():

@@ -19,7 +19,7 @@ from eha_monitor.filters.pipeline import (
     run_one_kernel,
     unless_unexcited,
 )
-from eha_monitor.filters.reach import WINDOW_S, Reaches, reaches_of
+from eha_monitor.filters.reach import WINDOW_S, Look, Reaches, reaches_of
 from eha_monitor.filters.results import Consistency, Mismatch, ModelStatus, ParameterEstimate
 from eha_monitor.filters.run_two import run_from
 from eha_monitor.filters.status import judge_parameter, units_of
@@ -68,7 +68,7 @@ class LiveModel:
                         for name in PARAMETER.values()}
         self.trying = Backoff(*TRY_EVERY_S)
         self.measuring = Backoff(*TRY_EVERY_S)
-        self._reaches = Reaches()
+        self._reaches, self._look = Reaches(), Look()
         self._settled = math.nan  # B while no mismatch stood
 
     def restart_rows(self) -> None:
@@ -149,19 +149,25 @@ class LiveModel:
     def measure(self, last: Callable[[float], StageInputs],
                 parameters: dict[str, ParameterEstimate], damping: float,
                 two: FilterpyStageTwo | None, time_s: float) -> None:
-        """Find, if that is due, how far what does not fit can have moved the parameters.
+        """Begin, if that is due, to find how far what does not fit can have moved what.
 
         Parameters
         ----------
         last : gives the inputs of the last so many seconds.
         damping : B that stage two takes, N·s/m.
         """
-        if not self.measuring.due(time_s):
+        if self._look.under_way or not self.measuring.due(time_s):
             return
         stages = [stage for stage in PARAMETER if self.standing(stage)]
-        self._reaches.note(time_s, reaches_of(
-            stages, last(WINDOW_S), self.settings, parameters, damping, _sensitivity(two)))
+        self._look.begin(reaches_of(stages, last(WINDOW_S), self.settings, parameters, damping,
+                                    _sensitivity(two)))
         self.measuring.answered(time_s, yes=False)  # it changes as slowly as the mismatch ages
+
+    def go_on(self, time_s: float) -> None:
+        """Go on with a look that is under way."""
+        found = self._look.go_on() if self._look.under_way else None
+        if found is not None and any(watch.standing for watch in self.watches.values()):
+            self._reaches.note(time_s, found)
 
     def _stage_one(self, inputs: StageInputs, damping: tuple[float, float]) -> Fit:
         # Changes excuse nothing here: one value must explain the whole window.

@@ -14,7 +14,7 @@ from eha_monitor.filters.inputs import StageInputs, moved_mass
 from eha_monitor.filters.joint import fits, run_joint
 from eha_monitor.filters.known import new_known_memory
 from eha_monitor.filters.model_watch import BALANCE, tainted_by
-from eha_monitor.filters.reach import WINDOW_S, Reaches, reaches_of
+from eha_monitor.filters.reach import WINDOW_S, Reaches, finished, reaches_of
 from eha_monitor.filters.results import (
     Consistency,
     Estimate,
@@ -333,9 +333,9 @@ def tested_model(one: StageResult, two: StageResult, joint: JointResult | None,
     bias = one.estimate.value - settings.rig.viscous_damping
     reaches = Reaches()
     for part in _looks(found, (one, two), inputs):
-        reaches.note(0.0, reaches_of([m.stage for m in found], part, settings,
-                                     {"B": one.estimate, "beta_e": two.estimate}, damping[-1],
-                                     two.sensitivity))
+        reaches.note(0.0, finished(reaches_of(
+            [m.stage for m in found], part, settings,
+            {"B": one.estimate, "beta_e": two.estimate}, damping[-1], two.sensitivity)))
     return replace(status, mismatches=tuple(found),
                    tainted=tainted_by(found, abs(two.sensitivity * bias), reaches.most()))
 

@@ -26,7 +26,7 @@ show beta_e.
 
 import math
 from collections import deque
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Generator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -78,6 +78,46 @@ class Explained:
         return found if math.isfinite(found) else NOWHERE
 
 
+class Look:
+    """A look under way, one filter run at a time: all at once it would hold up the samples.
+
+    A copy of what an estimator knows has no look under way.
+    """
+
+    def __init__(self):
+        self._runs: Generator | None = None
+
+    def begin(self, runs: Generator) -> None:
+        """Take what :func:`reaches_of` returns."""
+        self._runs = runs
+
+    @property
+    def under_way(self) -> bool:
+        """Whether there is one."""
+        return self._runs is not None
+
+    def go_on(self) -> dict[str, float] | None:
+        """Make the next run; return what was found, once it is."""
+        try:
+            next(self._runs)
+        except StopIteration as end:
+            self._runs = None
+            return end.value
+        return None
+
+    def __deepcopy__(self, memo: dict) -> "Look":
+        return Look()
+
+
+def finished(runs: Generator):
+    """Make all runs; return what was found."""
+    look = Look()
+    look.begin(runs)
+    while look.under_way:
+        found = look.go_on()
+    return found
+
+
 class Reaches:
     """How far a mismatch that stands can have moved each parameter: the most of the last looks.
 
@@ -103,8 +143,10 @@ class Reaches:
 
 def reaches_of(stages: Collection[str], inputs: StageInputs, settings: Settings,
                parameters: Mapping[str, ParameterEstimate], damping: float,
-               sensitivity: float) -> dict[str, float]:
-    """Return by symbol how far the misfit of some stages can have moved what it taints.
+               sensitivity: float) -> Generator[None, None, dict[str, float]]:
+    """Find by symbol how far the misfit of some stages can have moved what it taints.
+
+    This and what it calls stop after each run of a filter (:class:`Look`, :func:`finished`).
 
     Parameters
     ----------
@@ -118,14 +160,15 @@ def reaches_of(stages: Collection[str], inputs: StageInputs, settings: Settings,
     b, beta = parameters["B"], parameters["beta_e"]
     off = b.stddev if b.status == "converged" else settings.stage_two.damping_stddev
     if b.status == "converged" and {"one", "joint"} & set(stages):
-        reach = reach_one(inputs, settings, b.value)
+        reach = yield from reach_one(inputs, settings, b.value)
         if reach is not None:
             found["B"] = reach
             off = max(off, reach)
     if beta.status != "converged" or inputs.no_drive is not None:
         return found
     if {"two", "joint"} & set(stages):
-        reach = reach_two(inputs, settings, beta.value, (damping, min(off, abs(damping))))
+        reach = yield from reach_two(inputs, settings, beta.value,
+                                     (damping, min(off, abs(damping))))
         if reach is not None:
             found["beta_e"] = reach
     elif "B" in found:
@@ -133,7 +176,8 @@ def reaches_of(stages: Collection[str], inputs: StageInputs, settings: Settings,
     return found
 
 
-def explain(run: Run, sigmas: np.ndarray, steps: int) -> Explained | None:
+def explain(run: Run, sigmas: np.ndarray, steps: int
+            ) -> Generator[None, None, Explained | None]:
     """Fit the terms' coefficients to the innovations; None where there are too few.
 
     Parameters
@@ -146,7 +190,10 @@ def explain(run: Run, sigmas: np.ndarray, steps: int) -> Explained | None:
     z, value = run(theta)
     stddev = NOWHERE
     for _ in range(steps):
-        moved = [run(theta + NEAR * unit) for unit in np.eye(len(sigmas))]
+        moved = []
+        for unit in np.eye(len(sigmas)):
+            yield
+            moved.append(run(theta + NEAR * unit))
         slopes = np.stack([(one - z) / NEAR for one, _ in moved], axis=1)
         to_value = np.array([(other - value) / NEAR for _, other in moved])
         good = np.isfinite(z) & np.isfinite(slopes).all(axis=1)
@@ -173,8 +220,9 @@ def _ratio(z: np.ndarray) -> float:
     return max(1.0, float(variance_ratios(z)[1].max()))
 
 
-def reach_one(inputs: StageInputs, settings: Settings, present: float) -> float | None:
-    """Return how far the force that the model lacks may have moved B from what it is, N·s/m.
+def reach_one(inputs: StageInputs, settings: Settings, present: float
+              ) -> Generator[None, None, float | None]:
+    """Find how far the force that the model lacks may have moved B from what it is, N·s/m.
 
     Parameters
     ----------
@@ -212,7 +260,7 @@ def reach_one(inputs: StageInputs, settings: Settings, present: float) -> float 
     value, stddev = plain[2, -1], plain[3, -1]
     if not stddev <= CONVERGED * abs(value):
         return None
-    found = explain(run, np.ones(len(terms)), STEPS)
+    found = yield from explain(run, np.ones(len(terms)), STEPS)
     if found is None:
         return NOWHERE
     # The filter's own B may still remember another motion, with which it was off otherwise.
@@ -220,8 +268,9 @@ def reach_one(inputs: StageInputs, settings: Settings, present: float) -> float 
 
 
 def reach_two(inputs: StageInputs, settings: Settings, present: float,
-              damping: tuple[float, float], steps: int = STEPS) -> float | None:
-    """Return how far the flow that the model lacks may have moved ln beta_e.
+              damping: tuple[float, float], steps: int = STEPS
+              ) -> Generator[None, None, float | None]:
+    """Find how far the flow that the model lacks may have moved ln beta_e.
 
     Parameters
     ----------
@@ -279,7 +328,7 @@ def reach_two(inputs: StageInputs, settings: Settings, present: float,
     for run, count in ((with_damping, 2), (with_flows, len(terms) + 2)):
         sigmas = np.ones(count)
         sigmas[-1] = BROAD
-        found = explain(_limited(run), sigmas, steps)
+        found = yield from explain(_limited(run), sigmas, steps)
         if found is None:
             return NOWHERE
         fits.append(found)
