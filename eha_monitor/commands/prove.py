@@ -61,11 +61,9 @@ def prove(config: Path | None, ground: str, cases: int | None, data: Path | None
     if text_file and not text_file.is_file():
         raise InputError(f"{text_file}: no such file; expected one with the result marks")
 
-    from eha_monitor.compiled import announce_first_compilation
     from eha_monitor.mismatch.prove import misses, write_json
     from eha_monitor.reports.proof_report import write_proof_report
 
-    announce_first_compilation()
     folder = f"{draw}-seed{seed}-{cases or DRAWS}" if ground == "draws" else (
         f"{ground}-seed{seed}" + (f"-{cases}" if cases else ""))
     work = (work or Path("out", "proof", folder)).resolve()
