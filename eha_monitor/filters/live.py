@@ -293,7 +293,8 @@ class LiveEstimator(RunAgain):
         if self._no_drive is None:
             self._hand_over(since_start)
         self._checkpoints.keep(self, self._taken, self.dt)
-        if self._plausible.due(self._now):
+        held = (self._buffer.end - self._buffer.first) * self.dt
+        if self._plausible.due(self._now, held):
             news = self._plausible.ask(
                 self._now, self._buffer.recording(self._buffer.first, self._buffer.end))
             if news:

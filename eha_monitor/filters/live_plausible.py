@@ -32,18 +32,16 @@ class LivePlausibility:
         return self.found.blocking and self._settings.implausible == "refuse"
 
     def ask(self, now: float, rows: Recording) -> str:
-        """Look at the rows where it is time to (``now`` in s); return what is new, in words."""
-        if rows.duration < FIRST_S or not self._asking.due(now):
-            return ""
+        """Look at the rows at ``now`` (s); return what is new, in words."""
         before = self.found.message
         self.found = plausibility_of(rows, self._settings)
         self._asking.answered(now, yes=self.found.message != before)
         return "" if self.found.message == before else (
             self.found.message or "the channels fit the config again")
 
-    def due(self, now: float) -> bool:
-        """Tell whether the rows are to be looked at."""
-        return self._asking.due(now)
+    def due(self, now: float, seconds: float) -> bool:
+        """Tell whether ``seconds`` of rows are to be looked at."""
+        return seconds >= FIRST_S and self._asking.due(now)
 
     def told(self, snapshot: LiveSnapshot) -> LiveSnapshot:
         """Return the snapshot with the finding; without numbers where they would mean nothing."""

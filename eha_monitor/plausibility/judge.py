@@ -59,12 +59,10 @@ class Plausibility:
     ----------
     findings : most important first.
     blocking : no answer would be meaningful while they stand.
-    seen : relations that could be asked; none where the recording moves too little.
     """
 
     findings: tuple[ChannelFinding, ...] = ()
     blocking: bool = False
-    seen: tuple[str, ...] = ()
 
     @property
     def message(self) -> str:
@@ -83,15 +81,14 @@ def plausibility_of(recording: Recording, settings: Settings) -> Plausibility:
     moments = moments_of(recording)
     same = duplicates(moments)
     if same:
-        return Plausibility(same, True, ("same",))
+        return Plausibility(same, True)
     reading = reading_of(moments, settings)
-    best, rivals, given = explain(reading)
-    names = tuple(check.name for check in given.checks)
+    best, rivals = explain(reading)
     found = tuple(finding_of(mistake, best, rivals, reading, settings)
                   for mistake in best.mistakes)
     if found:
-        return Plausibility(found, any(set(one.channels) != {"v"} for one in found), names)
-    return Plausibility(gauge(moments, settings), False, names)
+        return Plausibility(found, any(set(one.channels) != {"v"} for one in found))
+    return Plausibility(gauge(moments, settings), False)
 
 
 def reading_of(moments: Moments, settings: Settings) -> Reading:
@@ -123,11 +120,11 @@ def prior_of(mistakes: tuple[Mistake, ...]) -> float:
     return sum(costs) - AGAIN * EVERYDAY * max(usual - 1, 0)
 
 
-def explain(reading: Reading) -> tuple[Explanation, list[Explanation], Explanation]:
-    """Return the best set of mistakes, those that come close to it, and the reading as given."""
+def explain(reading: Reading) -> tuple[Explanation, list[Explanation]]:
+    """Return the best set of mistakes, and those that come close to it."""
     given = explained(reading, ())
     if given.broken < BROKEN and given.loose < LOOSE:
-        return given, [], given
+        return given, []
     expected = tuple(check.name for check in given.checks if check.fit is not None)
     catalogue = mistakes_for(reading, given.checks)
     seen = front = [given]
@@ -151,10 +148,10 @@ def explain(reading: Reading) -> tuple[Explanation, list[Explanation], Explanati
         seen = [*seen, *front]
     best = max(seen, key=lambda one: (one.score, -len(one.mistakes)))
     if best.score < given.score + DECIDES:
-        return given, [], given
+        return given, []
     rivals = [one for one in sorted(seen, key=lambda one: -one.score)
               if one is not best and one is not given and one.score > best.score - RIVAL]
-    return best, rivals, given
+    return best, rivals
 
 
 def finding_of(mistake: Mistake, best: Explanation, rivals: list[Explanation], reading: Reading,
