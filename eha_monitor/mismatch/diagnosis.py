@@ -30,6 +30,8 @@ class NamedEffect:
     log_evidence : log units that the model loses without it.
     indistinguishable_from : rivals that this very recording cannot tell from it.
     size : how much it does at its largest here, in words ("40 N", "0.3 l/min", "4 ms").
+    probability : that it is there, from the evidence of all sets that were compared; 0 to 1.
+    intervals_s : when it acts, s, where it comes and goes (``intermittent_load``).
     """
 
     name: str
@@ -41,6 +43,29 @@ class NamedEffect:
     equation: str = ""
     rig_check: str = ""
     size: str = ""
+    probability: float = np.nan
+    intervals_s: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class RigFinding:
+    """A number of the rig that the recording contradicts by more than its tolerance.
+
+    Attributes
+    ----------
+    key : of the config's ``rig``; ``configured`` its value there, SI.
+    found : what the recording says, with its standard deviation, SI.
+    probability : that the number is wrong, 0 to 1.
+    statement : one sentence with both numbers.
+    indistinguishable_from : effects that would do the same on this very recording.
+    """
+
+    key: str
+    configured: float
+    found: Value
+    probability: float
+    statement: str
+    indistinguishable_from: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -156,6 +181,8 @@ class Diagnosis:
         and ``signals`` are then of the last one.
     channels : what was found out about the channels; ``command_hold`` of the config, the
         hold in place of ``auto`` where the recordings tell it.
+    probability : of ``consistent`` and of ``unexplained``, 0 to 1.
+    rig_data : numbers of the rig that the recordings contradict.
     """
 
     bags: tuple[str, ...]
@@ -182,3 +209,5 @@ class Diagnosis:
     pieces: tuple[Piece, ...] = ()
     channels: tuple[ChannelFinding, ...] = ()
     command_hold: str = "auto"
+    probability: dict[str, float] = field(default_factory=dict)
+    rig_data: tuple[RigFinding, ...] = ()

@@ -4,7 +4,8 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from eha_monitor.settings.rig import Rig, Section, SensorNoise, Simulation, effects_field
+from eha_monitor.settings.rig import Rig, SensorNoise, Simulation, effects_field
+from eha_monitor.settings.section import Section
 from eha_monitor.settings.table import Table
 from eha_monitor.units import Si
 

@@ -3,17 +3,13 @@
 import math
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.settings.section import Section
+from eha_monitor.settings.tolerance import Tolerance
 from eha_monitor.units import Si, to_si
-
-
-class Section(BaseModel):
-    """A config section: frozen, and an unknown key is an error."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Rig(Section):
@@ -44,6 +40,8 @@ class Rig(Section):
     makeup_conductance: Si("m³/(s·Pa)", "laminar path of each chamber to the make-up source, "
                            "included in leakage", ge=0) = 1e-13
     sample_time: Si("s", "sample time T_s", gt=0, le=1) = 1e-3
+    tolerance: Tolerance = Field(Tolerance(), description="how well each number is known, one "
+                                 "standard deviation; diagnose may move it by that in silence")
 
     @model_validator(mode="after")
     def _makeup_within_leakage(self):

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
 
-from eha_monitor.settings.rig import Section
+from eha_monitor.settings.section import Section
 from eha_monitor.units import Si
 
 CHANNEL_NAMES = ("x", "v", "x_d", "omega", "omega_d", "p1", "p2", "force", "temperature")
