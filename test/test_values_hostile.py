@@ -17,7 +17,7 @@ from eha_monitor.filters.faults import FaultWatch
 from eha_monitor.filters.live import LiveEstimator
 from eha_monitor.filters.pipeline import estimate
 from eha_monitor.filters.rows import Source
-from eha_monitor.mismatch.name import diagnose
+from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.recordings.limits import LARGEST, LIMITS
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import Recording

@@ -92,7 +92,7 @@ def _fill(row: dict, task: Task) -> None:
     row.update(estimate_columns(answer(found, alarms, history)), **_at_reference(found))
     if task.command == "diagnose":
         from eha_monitor.commands.diagnosis_answer import answer as diagnosis_answer
-        from eha_monitor.mismatch.name import diagnose
+        from eha_monitor.mismatch.diagnose import diagnose
 
         diagnosis = diagnose([recording], task.settings, None, None, task.calibration)
         row.update(diagnosis_columns(diagnosis_answer(diagnosis)))

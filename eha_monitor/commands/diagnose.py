@@ -62,7 +62,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
     )
     from eha_monitor.commands.plausible import checked, finding_tree
     from eha_monitor.compiled import load_runtime
-    from eha_monitor.mismatch.name import diagnose as run
+    from eha_monitor.mismatch.diagnose import diagnose as run
     from eha_monitor.recordings.read import read_recording
     from eha_monitor.settings import load_settings
 
