@@ -1,7 +1,7 @@
 """Whatever stands in a config: settings, or one line that names the key.  Nothing else."""
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel
 
@@ -9,6 +9,7 @@ from eha_monitor.errors import InputError
 from eha_monitor.settings import Settings, load_settings, settings_from_tree
 from eha_monitor.settings.document import annotated
 from eha_monitor.settings.monitor import CHANNELS
+from eha_monitor.settings.tolerance import Tolerance
 
 QUICK = settings(max_examples=100, deadline=None,
                  suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -74,6 +75,8 @@ def test_any_tree(tree):
         ["rig:", "\n", "  ", "- ", "{", "}", "[", "&a ", "*a", "? ", "|\n", "mass: ", "2", "'",
          "!", "<<: ", "2026-01-01", "0o9", ".inf", "%YAML 9.9\n", "---\n", "effects: "]),
         max_size=12).map(lambda parts: "".join(parts).encode())))
+@example(content=b"rig:\n%YAML 0.0\n")  # KeyError: (0, 0)
+@example(content=b"%YAML 1.3\n---\n2")  # AssertionError
 def test_any_file(content, tmp_path):
     path = tmp_path / "rig.yaml"
     path.write_bytes(content)
@@ -91,6 +94,14 @@ def value_at(config: Settings, path):
 
 NUMBERS = sorted(path for path in leaves(Settings)
                  if isinstance(value_at(Settings(), path), float))
+
+
+def test_every_tolerance_is_drawn_and_is_of_a_number_of_the_rig():
+    drawn = {path[-1] for path in NUMBERS if path[:2] == ("rig", "tolerance")}
+    assert drawn == set(Tolerance.model_fields)
+    assert {("rig", key) for key in drawn} <= set(NUMBERS)
+    for key in drawn:
+        assert 0.0 < Tolerance().log_spread(key) < 2.0
 
 
 @settings(max_examples=25, deadline=None,
