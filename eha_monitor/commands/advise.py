@@ -1,16 +1,14 @@
 """``advise``: what a recording can and cannot tell apart, and the cheapest motion that would."""
 
-import json
 from dataclasses import asdict
 from io import StringIO
 from pathlib import Path
 
 import click
 
-from eha_monitor.commands.common import check_target, config_option
+from eha_monitor.commands.common import check_outputs, config_option
 from eha_monitor.commands.diagnose import READING, check_inputs, progress_bar
-from eha_monitor.errors import InputError
-from eha_monitor.output import write_text
+from eha_monitor.output import write_json, write_text
 
 SCHEMA = "eha_monitor/advice/1"
 _PATH = click.Path(path_type=Path)
@@ -32,7 +30,7 @@ def advise(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
     checked in simulation.
     """
     check_inputs(bags, None)
-    check_outputs(json_file, excitation_file, bags, config)
+    check_outputs({"--json": json_file, "--write-excitation": excitation_file}, bags, config)
 
     from eha_monitor.commands.plausible import checked, finding_tree
     from eha_monitor.compiled import load_runtime
@@ -49,9 +47,8 @@ def advise(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
         naming, found = run(recordings, settings, check,
                             lambda text, share: told(text, READING + (1 - READING) * share))
     if json_file:
-        write_text(json_file, json.dumps(
-            answer(bags, naming, found) | {"channels": finding_tree(findings)}, indent=1,
-            ensure_ascii=False, allow_nan=False) + "\n")
+        write_json(json_file, answer(bags, naming, found)
+                   | {"channels": finding_tree(findings)})
     if excitation_file and found.motion is not None:
         write_text(excitation_file, written_excitation(found.motion, settings, bags))
     show(bags, naming, found)
@@ -62,20 +59,6 @@ def advise(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
             click.echo(f"written: {path}")
         elif path is not None:
             click.echo(f"{path}: not written, there is no motion to propose")
-
-
-def check_outputs(json_file: Path | None, excitation_file: Path | None, bags: tuple[Path, ...],
-                  config: Path | None) -> None:
-    """Refuse, before the work, outputs that cannot be written or would overwrite an input."""
-    for target in (json_file, excitation_file):
-        for bag in bags:
-            check_target(target, bag)
-        if target is not None and config is not None and target.resolve() == config.resolve():
-            raise InputError(f"{target}: is the config that is read, expected another file")
-    if (json_file is not None and excitation_file is not None
-            and json_file.resolve() == excitation_file.resolve()
-            and (not json_file.exists() or json_file.is_file())):
-        raise InputError(f"{json_file}: --json and --write-excitation name the same file")
 
 
 def answer(bags: tuple[Path, ...], naming, found) -> dict:

@@ -1,6 +1,5 @@
 """``diagnose``: where simulation and recording differ, which physics that is, and the proof."""
 
-import json
 import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -11,7 +10,7 @@ import click
 from eha_monitor.commands.archive import Archive, answer_folder, archive_options, refuse
 from eha_monitor.commands.common import check_outputs, config_option, on_terminal
 from eha_monitor.errors import InputError
-from eha_monitor.output import write_text
+from eha_monitor.output import write_json, write_text
 
 _PATH = click.Path(path_type=Path)
 READING = 0.03  # share of the progress bar
@@ -51,7 +50,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
         return int(answer_folder("diagnose", bags[0], config, archive, calibration)
                    and exit_code)
     check_inputs(bags, held_out)
-    check_outputs((json_file, report_file, config_file),
+    check_outputs({"--json": json_file, "--report": report_file, "--write-config": config_file},
                   (*bags, *((held_out,) if held_out else ())), config)
 
     from eha_monitor.commands.diagnosis_answer import (
@@ -73,22 +72,21 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
         recordings = [read_recording(bag, settings) for bag in bags]
         unseen = read_recording(held_out, settings) if held_out else None
 
-        def write_json(tree: dict) -> None:
+        def refused(findings, message: str) -> None:
             if json_file:
-                write_text(json_file, json.dumps(tree, indent=1, ensure_ascii=False,
-                                                 allow_nan=False) + "\n")
+                write_json(json_file, refusal(bags, message, finding_tree(findings)))
 
         told("asking whether recording and config belong together", READING)
         findings = checked([*recordings, *([unseen] if unseen else [])], settings, config,
-                           config_file, lambda findings, message: write_json(
-                               refusal(bags, message, finding_tree(findings))))
+                           config_file, refused)
 
         def further(text: str, share: float) -> None:
             told(text, READING + (1 - READING) * share)
 
         found = run(recordings, settings, unseen, further, calibration)
         findings = (*findings, *found.channels)
-    write_json(answer(found) | {"channels": finding_tree(findings)})
+    if json_file:
+        write_json(json_file, answer(found) | {"channels": finding_tree(findings)})
     if config_file:
         write_text(config_file, written_config(found, settings, config))
     if report_file:
