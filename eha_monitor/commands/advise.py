@@ -33,6 +33,7 @@ def advise(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
     check_outputs({"--json": json_file, "--write-excitation": excitation_file}, bags, config)
 
     from eha_monitor.commands.plausible import checked, finding_tree
+    from eha_monitor.commands.rotary import of_rig
     from eha_monitor.compiled import load_runtime
     from eha_monitor.mismatch.advise import advise as run
     from eha_monitor.recordings.read import read_recording
@@ -47,11 +48,11 @@ def advise(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
         naming, found = run(recordings, settings, check,
                             lambda text, share: told(text, READING + (1 - READING) * share))
     if json_file:
-        write_json(json_file, answer(bags, naming, found)
+        write_json(json_file, of_rig(answer(bags, naming, found), settings.rig.motion)
                    | {"channels": finding_tree(findings)})
     if excitation_file and found.motion is not None:
         write_text(excitation_file, written_excitation(found.motion, settings, bags))
-    show(bags, naming, found)
+    show(bags, naming, found, settings.rig.motion)
     for finding in findings:
         click.echo(f"note: {finding.finding}")
     for path in (json_file, excitation_file):
@@ -101,12 +102,13 @@ def written_excitation(motion, settings, bags: tuple[Path, ...]) -> str:
     return annotated(settings_from_tree(tree, "advice"), title)
 
 
-def show(bags: tuple[Path, ...], naming, found) -> None:
+def show(bags: tuple[Path, ...], naming, found, motion: str) -> None:
     """Print what the recording tells, what it leaves open, and the motion as YAML."""
     from rich.markup import escape
     from rich.table import Table
     from ruamel.yaml import YAML
 
+    from eha_monitor.commands.rotary import of_rig
     from eha_monitor.commands.table import PIPE_WIDTH, PipeConsole
     from eha_monitor.mismatch.advise_words import doubt_words, sentences
     from eha_monitor.mismatch.motions import excitation_tree
@@ -123,12 +125,12 @@ def show(bags: tuple[Path, ...], naming, found) -> None:
     for one in found.known:
         if one.name in ("B", "beta_e") or one.name.partition(".")[0] in naming.after.named:
             table.add_row(SYMBOLS.get(one.name, one.name),
-                          with_uncertainty(one.value, one.stddev, one.unit),
+                          with_uncertainty(one.value, one.stddev, of_rig(one, motion).unit),
                           number(one.inflation, 3),
                           f"{one.most_with} ({number(one.correlation, 3)})")
     console.print(table)
     console.print(NOTE, style="dim")
-    for text in sentences(found):
+    for text in of_rig(sentences(found), motion):
         console.print(f"- {escape(sentence(text))}")
     if found.tried:
         table = Table("motion", "s", *(escape(doubt_words(d)) for d in found.doubts), box=None,
