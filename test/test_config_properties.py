@@ -1,11 +1,15 @@
 """Whatever stands in a config: settings, or one line that names the key.  Nothing else."""
 
+import re
+from pathlib import Path
+
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel
 
 from eha_monitor.errors import InputError
+from eha_monitor.reports.diagnosis_words import tolerance_words
 from eha_monitor.settings import Settings, load_settings, settings_from_tree
 from eha_monitor.settings.document import annotated
 from eha_monitor.settings.monitor import CHANNELS
@@ -102,6 +106,13 @@ def test_every_tolerance_is_drawn_and_is_of_a_number_of_the_rig():
     assert {("rig", key) for key in drawn} <= set(NUMBERS)
     for key in drawn:
         assert 0.0 < Tolerance().log_spread(key) < 2.0
+
+
+def test_docs_name_every_tolerance_and_its_default():
+    text = (Path(__file__).parents[1] / "docs" / "diagnosis.md").read_text(encoding="utf-8")
+    for key in Tolerance.model_fields:
+        shown = tolerance_words(Tolerance(), key).removeprefix("± ")
+        assert re.search(rf"^\|[^|]*`{key}`[^|]*\| {shown} \|", text, re.MULTILINE), key
 
 
 @settings(max_examples=25, deadline=None,

@@ -75,6 +75,8 @@ def refusal(bags: tuple[Path, ...], message: str, channels: list[dict]) -> dict:
         "schema": SCHEMA,
         "bag": ", ".join(map(str, bags)),
         "verdict": "insufficient_data",
+        "probability": {"consistent": None, "unexplained": None},
+        "rig_data": [],
         "location": {"balance": dict.fromkeys(("force", "flow", "drive", "sensor"), 0.0),
                      "regime": "", "intervals_s": []},
         "effects": [],

@@ -13,6 +13,7 @@ from eha_monitor.quantity import (
     with_uncertainty,
 )
 from eha_monitor.settings.tolerance import Tolerance
+from eha_monitor.units import LARGEST
 
 # Verdict -> (colour, first words).
 VERDICTS = {
@@ -154,10 +155,12 @@ def place_words(found: Diagnosis) -> str:
 
 def interval_words(intervals_s: tuple[tuple[float, float], ...]) -> str:
     """Return intervals in seconds, at most a few of them, or nothing."""
-    few = intervals_s[:_MOST_INTERVALS]
+    known = [(start, stop) for start, stop in intervals_s
+             if abs(start) < LARGEST and abs(stop) < LARGEST]
+    few = known[:_MOST_INTERVALS]
     digits = 1 if all(stop - start > 0.09 for start, stop in few) else 3
     shown = [f"{start:.{digits}f}–{stop:.{digits}f}" for start, stop in few]
-    more = len(intervals_s) - len(shown)
+    more = len(known) - len(shown)
     if not shown:
         return ""
     return f"{', '.join(shown)} s" + (f" and {more} more" if more > 0 else "")
