@@ -57,7 +57,7 @@ def raw_bag(path, channels):
 
 
 @pytest.mark.parametrize("command", [
-    ["estimate"], ["diagnose", "--no-calibration"], ["advise", "--no-check"]],
+    ["estimate"], ["diagnose"], ["advise", "--no-check"]],
     ids=lambda words: words[0])
 def test_a_simulation_that_ran_away_is_one_line(recording, tmp_path, capfd, command):
     bag = raw_bag(tmp_path / "bag", run_away(recording))

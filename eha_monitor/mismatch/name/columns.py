@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eha_monitor.mismatch.experiment import Experiment
+from eha_monitor.mismatch.experiment import Experiment, damping_steps
 from eha_monitor.mismatch.fit import Fit, Free, filtered, innovations, spread, step_of
 from eha_monitor.mismatch.innovations import CLOSED, FORCED
 from eha_monitor.mismatch.name.unnamed import columns_of, unnamed_of
@@ -29,6 +29,7 @@ from eha_monitor.mismatch.screen import (
 from eha_monitor.mismatch.search import base_free, timing_free
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import BASE_KEYS, place_of
+from eha_monitor.physics.signals import B
 
 ALWAYS = ""  # owner of what every model has
 HALF = 0.5  # of a tolerance: the standard deviation of a number that is within it
@@ -36,7 +37,7 @@ WITHIN = 3.0  # of these deviations: what is further off is wrong, and must be n
 BEYOND = 30.0  # of these deviations: how far a number of the rig that is wrong may be off
 TANGENT = 0.05  # of a start's size: where the innovations answer in proportion
 RIG_STEP = 1e-3  # of a tolerance's logarithm: for its sensitivity
-MOST = 1e12  # of a whitened innovation: a run went astray
+COARSER = 3.0  # times the integration step, for differences
 
 
 @dataclass(frozen=True)
@@ -114,6 +115,19 @@ def runs_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray, gains
             for stretch in experiment.stretches]
 
 
+def coarse(experiment: Experiment) -> Experiment:
+    """Return the experiment with integration steps that do for differences.
+
+    A slope that is one per cent off leads to the same optimum; the innovations themselves are
+    taken with the fine steps.
+    """
+    if experiment.inverse:
+        return experiment
+    least = damping_steps(experiment.settings, 2.0 * experiment.theta[B], experiment.dt)
+    steps = max(int(np.ceil(experiment.steps / COARSER)), int(np.ceil(0.75 * least)), 1)
+    return replace(experiment, steps=min(steps, experiment.steps))
+
+
 def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True) -> Columns:
     """Return innovations and columns at a fit, under its gains."""
     present = runs_of(experiment, fit.theta, fit.active, fit.gains)
@@ -130,8 +144,10 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True) -> Column
                            (f.inward(f.upper) - now) / f.spread, f, size=size))
         moves.append((theta, fit.active, step / f.spread))
 
+    twins = {f"rig.{CATALOGUE[name].rig_twin}" for name in effects_of(fit)}
     for f in (*(f for f in fit.free if "." not in f.name),
-              *(f for f in fit.free if timing_only(fit, f)), *rig_free(experiment)):
+              *(f for f in fit.free if timing_only(fit, f)),
+              *(f for f in rig_free(experiment) if f.name not in twins)):
         moved(f, ALWAYS, -1)
     for name in effects_of(fit):
         sizes = {p.name for p in CATALOGUE[name].sizes}
@@ -146,10 +162,13 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True) -> Column
         for variant, start in enumerate(starts_of(name, experiment)):
             entering(fit, start, variant, what, moves)
 
+    rough = coarse(experiment)
+    plain = runs_of(rough, fit.theta, fit.active, fit.gains)
+
     def one(move):
         theta, active, units = move
         return [(run - before) / units for run, before in zip(
-            runs_of(experiment, theta, active, fit.gains), present, strict=True)]
+            runs_of(rough, theta, active, fit.gains), plain, strict=True)]
 
     made = spread(one, moves)
     keep = [all(np.nanmax(np.abs(part), initial=0.0) < 1e30 for part in parts) for parts in made]

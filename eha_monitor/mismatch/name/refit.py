@@ -26,6 +26,7 @@ from eha_monitor.mismatch.name.columns import (
     BEYOND,
     Column,
     Columns,
+    coarse,
     placed,
     rig_free,
     runs_of,
@@ -35,19 +36,21 @@ from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.screen import entered, free_of
 from eha_monitor.mismatch.search import base_free, completed, limits_of, timing_free
 from eha_monitor.physics.effects import CATALOGUE, NAMES
-from eha_monitor.physics.parameters import effect_values, place_of
+from eha_monitor.physics.parameters import BASE_KEYS, effect_values, place_of
 
 LEAST = 0.05  # of its start: where a size enters at least
+INFORMED = 0.5  # of its prior deviation: a number of the rig of which the recording tells
+HALVINGS = 3  # of the way to other unknowns
 FACTORS = (10.0, 3.0)  # of the unknowns' grid
 
 
 def begun(experiment: Experiment, factor: float) -> Fit:
     """Return the nominal model before any fit, unknowns at ``factor`` times the smallest."""
     theta, active = experiment.theta.copy(), experiment.active.copy()
-    free = base_free(experiment) + timing_free(experiment) + rig_free(experiment)
+    free = base_free(experiment) + timing_free(experiment)
     for f in free:
         effect, dot, _ = f.name.partition(".")
-        if dot and effect != "rig":
+        if dot:
             active[NAMES.index(effect)] = True
     small, large = (limit.as_array() for limit in limits_of(experiment))
     unknowns = Unknowns(*np.minimum(factor * small, large))
@@ -88,9 +91,15 @@ def at_level(experiment: Experiment, fit: Fit) -> Fit:
             first = max(tried, key=lambda level: known[tuple(level)])
             moved = known[tuple(first)] > known[tuple(best)] + 0.1
             best = first if moved else best
-    if np.allclose(best, fit.unknowns.as_array(), rtol=1e-9):
-        return fit
-    return with_unknowns(experiment, fit, Unknowns(*best))
+    now = fit.unknowns.as_array()
+    for _ in range(HALVINGS):
+        if np.allclose(best, now, rtol=1e-9):
+            break
+        other = with_unknowns(experiment, fit, Unknowns(*best))
+        if other.log_likelihood > fit.log_likelihood:
+            return other
+        best = np.sqrt(best * now)  # what is not linear there shows at the smaller unknowns
+    return fit
 
 
 class Slopes:
@@ -135,8 +144,11 @@ def polished(experiment: Experiment, fit: Fit, slopes: Slopes, steps: int = 12,
     prior, weight = np.array([f.prior for f in free]), np.array([f.spread for f in free]) ** -2.0
     known = slopes.of(fit)
 
+    rough = coarse(experiment)
+
     def taken(which: list[int]) -> None:
-        fresh = sensitivities(experiment, theta, fit.active, fit.gains, e,
+        plain = innovations(rough, theta, fit.active, fit.gains)
+        fresh = sensitivities(rough, theta, fit.active, fit.gains, plain,
                               [step_of(free[i], theta) for i in which])
         for i, slope in zip(which, fresh, strict=True):
             d[i] = np.nan_to_num(slope)
@@ -238,13 +250,12 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
             theta[f.place] = f.outward(f.inward(theta[f.place]) + BEYOND * amplitude * f.spread)
         else:
             values[column.name] = guess(column, amplitude)
-    own = {f.name: f for f in rig_free(experiment)}  # what is called wrong no more
-    free = [own[f.name] if f.name in gone else f for f in free]
+    free = [f for f in free if not f.name.startswith("rig.")] + informed(
+        experiment, what, ranked)
     for member in ranked.members:
         if member.variant < 0:
             continue
         if member.owner.startswith("rig."):
-            free = [wide(f) if f.name == member.owner else f for f in free]
             named = (*named, member.owner)
             continue
         column = next(c for c in what if (c.owner, c.variant) == (member.owner, member.variant))
@@ -254,7 +265,7 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
             if name.startswith(member.owner + "."):
                 theta[place_of(name)] = value
         timing = {f.name for f in free if f.name.startswith(member.owner + ".")}
-        free = [f for f in free if f.name not in timing] + list(free_of(start, False))
+        free = [f for f in free if f.name not in timing] + list(free_of(start))
         named = (*named, member.owner)
     for f in timing_free(experiment):  # what is named no more may err a little again
         name = f.name.partition(".")[0]
@@ -262,12 +273,36 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
             free.append(f)
             active[NAMES.index(name)] = True
             theta[f.place] = f.outward(f.prior)
+    fitted = {f.place for f in free}
+    for place in BASE_KEYS:
+        if place not in fitted:
+            theta[place] = experiment.theta[place]
     for f in free:
         theta[f.place] = f.outward(f.inward(theta[f.place]))
     k = len(free)
     made = replace(fit, theta=theta, active=active, free=tuple(free), named=named,
                    covariance=np.zeros((k, k)))
     return with_unknowns(experiment, made, ranked.gram.unknowns)
+
+
+def informed(experiment: Experiment, what: tuple[Column, ...], ranked: Ranked) -> list[Free]:
+    """Return the numbers of the rig that the recording says something of, or that are wrong.
+
+    The others stay where the config has them: a number that nothing is known of is its prior's.
+    """
+    here = np.array(sorted(ranked.amplitudes))
+    whole = ranked.gram.products.sum(axis=0)[np.ix_(1 + here, 1 + here)] + np.eye(len(here))
+    deviation = np.sqrt(np.diag(np.linalg.inv(whole)))
+    own = {f.name: f for f in rig_free(experiment)}
+    found = {}
+    for place, sigma in zip(here, deviation, strict=True):
+        column = what[place]
+        if column.owner.startswith("rig."):
+            found[column.name] = wide(own[column.name])
+        elif column.name.startswith("rig.") and column.name not in found:
+            if sigma < INFORMED or abs(ranked.amplitudes[int(place)]) > 1.0:
+                found[column.name] = own[column.name]
+    return list(found.values())
 
 
 def wide(f: Free) -> Free:
