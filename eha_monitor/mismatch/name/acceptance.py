@@ -5,3 +5,4 @@ UNNAMED = -6.0  # of an unknown function: each of its columns pays for itself be
 WRONG_RIG = -4.5  # of a number of the rig beyond its tolerance
 LARGEST_SET = 4  # suspects in a set
 BEAM = 30  # sets that are carried on
+FORM = 100.0  # log units: what is left above the noise counts in full up to here

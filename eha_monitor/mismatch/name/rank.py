@@ -22,9 +22,11 @@ from eha_monitor.mismatch.name.acceptance import (
     UNNAMED,
     WRONG_RIG,
 )
-from eha_monitor.mismatch.name.columns import ALWAYS, Column
+from eha_monitor.mismatch.name.columns import ALWAYS, WITHIN, Column
 from eha_monitor.mismatch.name.gram import Gram
 from eha_monitor.physics.effects import CATALOGUE
+
+PASSES = 4  # of a solution within bounds
 
 
 @dataclass(frozen=True)
@@ -42,13 +44,14 @@ class Ranked:
     Attributes
     ----------
     members : sorted.
-    evidence : log units; comparable at one linearisation.
+    evidence : log units, ``prior`` odds included; comparable at one linearisation.
     gram : of the level that suits it best.
     amplitudes : column's place (in ``what``) -> amplitude.
     """
 
     members: tuple[Member, ...]
     evidence: float
+    prior: float
     gram: Gram = field(repr=False, compare=False)
     amplitudes: dict[int, float] = field(repr=False, compare=False)
 
@@ -163,10 +166,18 @@ class Level:
         return np.concatenate([self.ranking.always, *(
             self.ranking.groups[member] for member in members)]).astype(int)
 
-    def solved(self, members: tuple[Member, ...]):
-        """Return places, factor, amplitudes and evidence without its prior, or None."""
+    def solved(self, members: tuple[Member, ...], fixed: dict[int, float] | None = None):
+        """Return places, factor, amplitudes and evidence without its prior, or None.
+
+        ``fixed`` : place of a column -> amplitude at which it is held.
+        """
         b, power = self.shifted(members)
         here = self.places(members)
+        for i, value in (fixed or {}).items():
+            power += 2.0 * value * b[i] + value**2 * self.whole[1 + i, 1 + i]
+            power += (value - self.ranking.centre[i]) ** 2
+            b = b + value * self.whole[1:, 1 + i]
+            here = here[here != i]
         matrix = self.whole[np.ix_(1 + here, 1 + here)] + np.eye(len(here))
         m = self.ranking.centre[here]
         try:
@@ -181,19 +192,31 @@ class Level:
 
     def evaluated(self, members: tuple[Member, ...]) -> Ranked | None:
         """Return a set with its evidence; None where an amplitude is impossible."""
-        found = self.solved(members)
-        if found is None:
-            return None
-        here, _, a, evidence = found
+        fixed: dict[int, float] = {}
         r = self.ranking
-        own = np.arange(len(here)) >= len(r.always)
+        wrong = {member.owner for member in members}
+        for _ in range(PASSES):
+            found = self.solved(members, fixed)
+            if found is None:
+                return None
+            here, _, a, evidence = found
+            # A number of the rig goes no further than its tolerance allows, unless it is wrong.
+            off = a - r.centre[here]
+            out = [(int(i), float(np.sign(z)) * WITHIN + r.centre[i])
+                   for i, z in zip(here, off, strict=True) if abs(z) > WITHIN
+                   and r.what[i].owner == ALWAYS and r.what[i].name.startswith("rig.")
+                   and r.what[i].name not in wrong]
+            if not out:
+                break
+            fixed.update(out)
+        own = np.array([r.what[i].owner != ALWAYS and r.what[i].size for i in here])
         slack = 1e-9
-        out = own & ((a < r.lower[here] - slack) | (a > r.upper[here] + slack))
-        sizes = np.array([r.what[i].size for i in here])
-        if (out & sizes).any():
+        if (own & ((a < r.lower[here] - slack) | (a > r.upper[here] + slack))).any():
             return None
-        evidence += sum(r.log_prior(member) for member in members)
-        return Ranked(members, float(evidence), self.gram,
+        here, a = np.concatenate([here, list(fixed)]).astype(int), np.concatenate(
+            [a, list(fixed.values())])
+        prior = float(sum(r.log_prior(member) for member in members))
+        return Ranked(members, float(evidence) + prior, prior, self.gram,
                       {int(i): float(v) for i, v in zip(here, a, strict=True)})
 
     def gains(self, one: Ranked) -> list[tuple[Member, float]]:

@@ -19,7 +19,7 @@ from eha_monitor.mismatch.fit import (
     whitener,
     with_unknowns,
 )
-from eha_monitor.mismatch.gains import Unknowns
+from eha_monitor.mismatch.gains import Unknowns, expected_covariance, gains_of
 from eha_monitor.mismatch.name.acceptance import EFFECT, WRONG_RIG
 from eha_monitor.mismatch.name.columns import (
     ALWAYS,
@@ -56,7 +56,7 @@ def begun(experiment: Experiment, factor: float) -> Fit:
     unknowns = Unknowns(*np.minimum(factor * small, large))
     k = len(free)
     fit = Fit(theta, active, free, unknowns, np.zeros((0, 0, 0)), np.zeros((0, 0)),
-              np.zeros((0, 0)), -np.inf, np.zeros((k, k)))
+              np.zeros((0, 0)), -np.inf, np.zeros((k, k)), converged=False)
     return with_unknowns(experiment, fit, unknowns)
 
 
@@ -168,7 +168,7 @@ def polished(experiment: Experiment, fit: Fit, slopes: Slopes, steps: int = 12,
         scale = np.sqrt(np.diag(information) + weight)
         matrix = (information + np.diag(weight)) / np.outer(scale, scale)
         if not np.isfinite(matrix).all():
-            break
+            return replace(fit, log_likelihood=-np.inf)
         improved = False
         for attempt in range(4):
             step = step_within(matrix + damping * np.eye(len(free)), gradient / scale,
@@ -190,6 +190,7 @@ def polished(experiment: Experiment, fit: Fit, slopes: Slopes, steps: int = 12,
                 break
             taken(matters)
             fresh = True
+            damping = 1e-9
             continue
         step = np.array([f.inward(other[f.place]) for f in free]) - now
         missed = np.nan_to_num(moved - e) - np.tensordot(step, d, axes=1)
@@ -215,8 +216,11 @@ def settled(experiment: Experiment, fit: Fit, slopes: Slopes | None = None, roun
             tolerance: float = 0.3) -> Fit:
     """Fit parameters and unknowns in turn until neither gains."""
     slopes = slopes or Slopes(experiment)
-    fit = polished(experiment, fit, slopes, 12, tolerance)
+    if not fit.converged:
+        fit = polished(experiment, fit, slopes, 12, tolerance)
     for _ in range(rounds):
+        if not np.isfinite(fit.log_likelihood):
+            return fit
         before = fit
         fit = at_level(experiment, fit)
         if fit is before:
@@ -281,7 +285,7 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
         theta[f.place] = f.outward(f.inward(theta[f.place]))
     k = len(free)
     made = replace(fit, theta=theta, active=active, free=tuple(free), named=named,
-                   covariance=np.zeros((k, k)))
+                   covariance=np.zeros((k, k)), converged=False)
     return with_unknowns(experiment, made, ranked.gram.unknowns)
 
 
@@ -327,17 +331,37 @@ def guess(column: Column, amplitude: float) -> float:
     return float(min(max(value, p.lower), p.upper))
 
 
-def evidence_of(experiment: Experiment, fit: Fit) -> float:
-    """Return Laplace's evidence of a fitted set, prior odds included, log units.
+def evidence_of(fit: Fit) -> float:
+    """Return Laplace's evidence of a fitted set, without its prior odds, log units.
 
     Comparable with :class:`Ranked`: both are of innovations with their own scale.
     """
     spreads = np.array([f.spread for f in fit.free])
     sign, logdet = np.linalg.slogdet(fit.covariance / np.outer(spreads, spreads))
     occam = 0.5 * logdet if sign > 0 else -np.inf
-    prior = sum(WRONG_RIG if name.startswith("rig.") else
-                EFFECT - 0.1 * CATALOGUE[name].rarity for name in fit.named)
-    return float(fit.log_likelihood - 0.5 * fit.e.size + occam + prior)
+    return float(fit.log_likelihood - 0.5 * fit.e.size + occam)
+
+
+def prior_of(names: frozenset[str]) -> float:
+    """Return the logarithm of a set's prior odds."""
+    return sum(WRONG_RIG if name.startswith("rig.") else
+               EFFECT - 0.1 * CATALOGUE[name].rarity for name in names)
+
+
+def discrepancy(experiment: Experiment, fit: Fit) -> float:
+    """Return what a model's unknowns cost, log units: 0 where it needs next to none.
+
+    The innovations that its filter expects are larger than those of the same model without
+    unknowns; N/2 log det of their ratio is what a right model would gain.
+    """
+    if experiment.inverse:
+        return 0.0
+    found = []
+    for level in (fit.unknowns, limits_of(experiment)[0]):
+        gains = gains_of(experiment, fit.theta, fit.active, level)
+        s = expected_covariance(experiment, fit.theta, fit.active, level, gains)
+        found.append(np.linalg.slogdet(s)[1])
+    return float(0.5 * len(fit.e) * (found[0] - found[1]))
 
 
 def impossible(fit: Fit) -> bool:

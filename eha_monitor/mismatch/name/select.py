@@ -1,12 +1,13 @@
 """Joint selection: linearise, rank every set, refit the best, linearise there again."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from eha_monitor.mismatch.experiment import Experiment
 from eha_monitor.mismatch.fit import Fit, spread
 from eha_monitor.mismatch.gains import Unknowns
+from eha_monitor.mismatch.name.acceptance import FORM
 from eha_monitor.mismatch.name.columns import columns_at
 from eha_monitor.mismatch.name.gram import grams_of
 from eha_monitor.mismatch.name.rank import Ranked, ranked
@@ -14,9 +15,11 @@ from eha_monitor.mismatch.name.refit import (
     Slopes,
     at_level,
     begun,
+    discrepancy,
     evidence_of,
     joined,
     polished,
+    prior_of,
     settled,
 )
 from eha_monitor.mismatch.search import limits_of
@@ -25,9 +28,51 @@ from eha_monitor.physics.effects import CATALOGUE
 FIRST = 100.0  # times the smallest unknowns: where the nominal model is linearised
 LEANING = 30.0  # times the smallest unknowns: below, the nominal model needs next to nothing
 HANDFUL = 4  # sets that are refitted at a linearisation
-REACH = 0.7  # share of the best set's gain that a set must have to be refitted
-ROUNDS = 4
+MOST_OF = 0.9  # of the best set's gain: the smallest sets that reach it are refitted first
+CATCHING_UP = 0.7  # of the best refitted set's gain, after a few steps, to be fitted to the end
+QUICK = 5  # steps of the first look
+ROUNDS = 5
 TRACE = False
+
+
+@dataclass
+class Seen:
+    """Every set that was refitted.
+
+    Attributes
+    ----------
+    fits, evidence, left : names -> model, Laplace evidence, cost of its unknowns, log units.
+    """
+
+    fits: dict[frozenset[str], Fit] = field(default_factory=dict)
+    evidence: dict[frozenset[str], float] = field(default_factory=dict)
+    left: dict[frozenset[str], float] = field(default_factory=dict)
+
+    def add(self, experiment: Experiment, names: frozenset[str], fit: Fit) -> None:
+        """Keep a fit of a set, if it is one and better than what is there."""
+        value = evidence_of(fit) if np.isfinite(fit.log_likelihood) else -np.inf
+        if np.isfinite(value) and value > self.evidence.get(names, -np.inf):
+            self.fits[names], self.evidence[names] = fit, value
+            self.left[names] = discrepancy(experiment, fit)
+
+    def floor(self) -> float:
+        """Return the evidence of a model that needs no unknowns, as far as it is known."""
+        best = max(self.evidence, key=self.evidence.get)
+        return self.evidence[best] + self.left[best]
+
+    def score(self, evidence: float, prior: float) -> float:
+        """Return what an evidence counts, log units: see :func:`counted`."""
+        return counted(self.floor() - evidence) + prior
+
+    def scores(self) -> dict[frozenset[str], float]:
+        """Return the score of every refitted set."""
+        return {names: self.score(value, prior_of(names))
+                for names, value in self.evidence.items()}
+
+    def best(self) -> frozenset[str]:
+        """Return the set with the highest score."""
+        scores = self.scores()
+        return max(scores, key=scores.get)
 
 
 @dataclass(frozen=True)
@@ -37,15 +82,24 @@ class Selection:
     Attributes
     ----------
     nominal : the model without effects; ``best`` the model of the set with most evidence.
-    fits : names -> refitted model; ``evidence`` names -> log units, of refitted sets.
+    seen : every refitted set.
     ranking : sets at the last linearisation, by the linear guess.
     """
 
     nominal: Fit
     best: Fit
-    fits: dict[frozenset[str], Fit]
-    evidence: dict[frozenset[str], float]
+    seen: Seen
     ranking: list[Ranked]
+
+
+def counted(left: float) -> float:
+    """Return what evidence that is lacking counts: in full near the noise, less far above it.
+
+    No model is exact to the last newton.  A likelihood (1 + left / FORM)^-FORM is that of a model
+    whose form error is unknown in size: what takes a tenth of much that is left has gained little,
+    what takes the last bit has gained all of it.
+    """
+    return -FORM * float(np.log1p(max(left, 0.0) / FORM))
 
 
 def levels_of(experiment: Experiment, fit: Fit) -> list[Unknowns]:
@@ -53,13 +107,11 @@ def levels_of(experiment: Experiment, fit: Fit) -> list[Unknowns]:
     small = limits_of(experiment)[0].as_array()
     now = fit.unknowns.as_array()
     found = {tuple(small), tuple(now)}
-    for factor in (0.1, 0.01, 0.001):
+    for factor in (0.1, 0.01):
         found.add(tuple(np.maximum(factor * now, small)))
     for i in range(3):
         only = small.copy()
         only[i] = now[i]
-        found.add(tuple(only))
-        only[i] = max(0.1 * now[i], small[i])
         found.add(tuple(only))
     return [Unknowns(*level) for level in sorted(found)]
 
@@ -74,61 +126,79 @@ def nominal_model(experiment: Experiment) -> Fit:
     return settled(experiment, held)
 
 
-def by_names(found: list[Ranked], named_only: bool) -> list[Ranked]:
-    """Return the best set of each set of names."""
+def with_names(found: list[Ranked]) -> list[Ranked]:
+    """Return the best set of each set of names that the catalogue or the rig has."""
     seen, chosen = set(), []
     for one in found:
-        if named_only and any(name not in CATALOGUE and not name.startswith("rig.")
-                              for name in one.names):
-            continue
-        if one.names not in seen:
+        if all(name in CATALOGUE or name.startswith("rig.") for name in one.names) \
+                and one.names not in seen:
             seen.add(one.names)
             chosen.append(one)
     return chosen
+
+
+def proposals_of(found: list[Ranked], own: float, seen: Seen) -> list[Ranked]:
+    """Return the sets that are worth a refit: the smallest that reach most of the best gain."""
+    named = with_names(found)
+    better = [one for one in named if one.evidence > own]
+    if not better:
+        return []
+    own = max(own, better[-1].evidence)
+    enough = own + MOST_OF * (better[0].evidence - own)
+    size = min(len(one.members) for one in better if one.evidence >= enough)
+    chosen = [one for one in better if len(one.members) <= size and one.evidence >= enough]
+    others = [one for one in better if len(one.members) == size and one not in chosen]
+    chosen = chosen[:HANDFUL] or others[:HANDFUL]
+    if better[0] not in chosen:
+        chosen.append(better[0])
+    return [one for one in chosen if one.names not in seen.fits]
 
 
 def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
     """Find the set of effects and wrong numbers of the rig that a recording supports."""
     say("fitting the nominal model", 0.05)
     first = nominal_model(experiment)
-    fits = {frozenset(): first}
-    evidence = {frozenset(): evidence_of(experiment, first)}
-    here, ranking = frozenset(), []
+    seen = Seen()
+    seen.add(experiment, frozenset(), first)
     done: set[frozenset[str]] = set()
+    ranking: list[Ranked] = []
     for turn in range(ROUNDS):
-        say(f"weighing all sets, round {turn + 1}", 0.1 + 0.2 * turn)
-        fit = fits[here]
+        say(f"weighing all sets, round {turn + 1}", 0.1 + 0.15 * turn)
+        here = seen.best()
+        if here in done:
+            break
         done.add(here)
+        fit = seen.fits[here]
         columns = columns_at(experiment, fit)
-        slopes = Slopes(experiment, fit, columns)
         grams = grams_of(experiment, fit, columns.values, levels_of(experiment, fit))
         ranking = ranked(columns.what, fit.named, grams)
         own = next((one.evidence for one in ranking if one.names == here), -np.inf)
-        proposals = [one for one in by_names(ranking, True) if one.names not in fits]
-        top = proposals[0].evidence if proposals else -np.inf
+        chosen = proposals_of(ranking, own, seen)
         if TRACE:
-            print("   turn", turn, sorted(here), "own %.1f top %.1f" % (own, top), fit.unknowns)
-            for one in proposals[:8]:
+            print("   turn", turn, sorted(here), "own %.1f" % own, fit.unknowns)
+            for one in ranking[:3] + chosen:
                 print("      %.1f" % one.evidence, [f"{m.owner}:{m.variant}" for m in one.members])
-        chosen = [one for one in proposals[:HANDFUL] if one.evidence > own
-                  and one.evidence - own >= REACH * (top - own)]
-
-        def refitted(one: Ranked):
-            return settled(experiment, joined(experiment, fit, columns.what, one), slopes)
-
-        if TRACE:
-            print("      refit")
-        for one, made in zip(chosen, spread(refitted, chosen), strict=True):
-            value = evidence_of(experiment, made)
-            if TRACE:
-                print("      %.1f" % value, made.named, made.unknowns)
-            if np.isfinite(value):
-                fits[one.names], evidence[one.names] = made, value
-        best = max(evidence, key=evidence.get)
-        if best in done:
+        if not chosen:
             break
-        here = best
-    return Selection(first, fits[max(evidence, key=evidence.get)], fits, evidence, ranking)
+        slopes = Slopes(experiment, fit, columns)
+
+        def quick(one: Ranked) -> Fit:
+            return polished(experiment, joined(experiment, fit, columns.what, one), slopes, QUICK)
+
+        def whole(made: Fit) -> Fit:
+            return settled(experiment, made, slopes)
+
+        looks = spread(quick, chosen)
+        reach = max(made.log_likelihood for made in looks)
+        base = min(made.log_likelihood for made in [*looks, first] if np.isfinite(
+            made.log_likelihood))
+        going = [made for made in looks
+                 if made.log_likelihood >= base + CATCHING_UP * (reach - base)]
+        for made in spread(whole, going):
+            seen.add(experiment, frozenset(made.named), made)
+            if TRACE:
+                print("      refit %.1f" % evidence_of(made), made.named, made.unknowns)
+    return Selection(first, seen.fits[seen.best()], seen, ranking)
 
 
-__all__ = ["Selection", "at_level", "selected"]
+__all__ = ["Seen", "Selection", "replace", "selected"]
