@@ -28,7 +28,7 @@ PACKAGE = Path(__file__).parents[1] / "eha_monitor"
 SIMULATOR = Path(__file__).parents[2] / "shared" / "data" / "fluid_power_sim"
 NOISE = {"x": 2e-6, "omega": 0.1, "p1": 2e3, "p2": 2e3}
 TRIANGLE = triangle(np.arange(3000) * 1e-3, 4.0, 0.04)  # the paper's, as far as needed
-BARRED = ("physics", "filters", "mismatch", "health", "settings")
+BARRED = ("physics", "filters", "mismatch", "prove", "health", "settings")
 # The one module that writes bags; its reach stops at what it calls.
 WRITING = ("eha_monitor.recordings", "eha_monitor.settings", "eha_monitor.output",
            "eha_monitor.errors", "eha_monitor.compiled")

@@ -14,10 +14,10 @@ from eha_monitor.cli import main
 from eha_monitor.concealed.cases import Case, effect_names
 from eha_monitor.concealed.generate import nominal_config
 from eha_monitor.errors import InputError
-from eha_monitor.mismatch import prove_score as score
-from eha_monitor.mismatch.prove import Trial, prove
-from eha_monitor.mismatch.prove_curve import binned, curve_of, curves_of
-from eha_monitor.mismatch.prove_draws import DRAWS, cases_of, on_rig
+from eha_monitor.prove import score
+from eha_monitor.prove.curve import binned, curve_of, curves_of
+from eha_monitor.prove.draws import DRAWS, cases_of, on_rig
+from eha_monitor.prove.trial import Trial, prove
 from eha_monitor.reports.proof_report import proof_page
 from eha_monitor.reports.proof_text import write_result
 from eha_monitor.settings import settings_from_tree
@@ -127,7 +127,7 @@ def test_report_shows_marks_hash_and_misses(trial, done):
 
 
 def blind(trial: Path, allowed: Path, code: str) -> subprocess.CompletedProcess:
-    guarded = (f"import sys; from eha_monitor.mismatch.prove_blind import guard;"
+    guarded = (f"import sys; from eha_monitor.prove.blind import guard;"
                f"sys.addaudithook(guard({str(trial)!r}, [{str(allowed)!r}])); {code}")
     return subprocess.run([sys.executable, "-c", guarded], capture_output=True, text=True,
                           timeout=60, cwd=ROOT)

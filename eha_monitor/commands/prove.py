@@ -61,7 +61,7 @@ def prove(config: Path | None, ground: str, cases: int | None, data: Path | None
     if text_file and not text_file.is_file():
         raise InputError(f"{text_file}: no such file; expected one with the result marks")
 
-    from eha_monitor.mismatch.prove import misses, write_json
+    from eha_monitor.prove.trial import misses, write_json
     from eha_monitor.reports.proof_report import write_proof_report
 
     folder = f"{draw}-seed{seed}-{cases or DRAWS}" if ground == "draws" else (
@@ -72,7 +72,7 @@ def prove(config: Path | None, ground: str, cases: int | None, data: Path | None
             found = on_draws(config, draw, cases or DRAWS, seed, work, oracle, jobs, keep,
                              calibration, told)
         else:
-            from eha_monitor.mismatch.prove_ground import Ground
+            from eha_monitor.prove.grounds.ground import Ground
 
             found = on_ground(ground, Ground(work, seed, cases or 0, jobs or 0, keep,
                                              calibration), data, config, told)
@@ -113,9 +113,9 @@ def check_ground(ground: str, config: Path | None, data: Path | None, oracle: bo
 def on_draws(config: Path | None, draw: str, cases: int, seed: int, work: Path, oracle: bool,
              jobs: int | None, keep: str, calibration: bool, told) -> dict:
     """Run the trial on draws of the independent plant."""
-    from eha_monitor.mismatch.prove import Trial
-    from eha_monitor.mismatch.prove import prove as run
-    from eha_monitor.mismatch.prove_draws import cases_of, on_rig
+    from eha_monitor.prove.draws import cases_of, on_rig
+    from eha_monitor.prove.trial import Trial
+    from eha_monitor.prove.trial import prove as run
 
     drawn = cases_of(draw, cases, seed)
     if config:
@@ -128,14 +128,14 @@ def on_draws(config: Path | None, draw: str, cases: int, seed: int, work: Path, 
 def on_ground(name: str, ground, data: Path | None, config: Path | None, told) -> dict:
     """Run the trial on one of the other grounds."""
     if name == "mcmaster":
-        from eha_monitor.mismatch.prove_mcmaster import prove_mcmaster
+        from eha_monitor.prove.grounds.mcmaster import prove_mcmaster
 
         return prove_mcmaster(ground, click.echo, told)
     if name == "simulator":
-        from eha_monitor.mismatch.prove_simulator import prove_simulator
+        from eha_monitor.prove.grounds.simulator import prove_simulator
 
         return prove_simulator(ground, data, config, click.echo, told)
-    from eha_monitor.mismatch.prove_triangle import prove_triangle
+    from eha_monitor.prove.grounds.triangle import prove_triangle
 
     return prove_triangle(ground, click.echo, told)
 
@@ -158,7 +158,7 @@ def parameter_lines(rows: list[dict]) -> str:
 
 def summary(found: dict) -> str:
     """Return the marks as lines, each beside the figure that is aimed at."""
-    from eha_monitor.mismatch.prove_score import MARKS
+    from eha_monitor.prove.score import MARKS
 
     lines = []
     for name, (words, aim, _, _) in MARKS.items():

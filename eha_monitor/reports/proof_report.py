@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from eha_monitor.mismatch.prove import misses, read_json
-from eha_monitor.mismatch.prove_score import MARKS, UNEXPLAINED
 from eha_monitor.output import write_text
+from eha_monitor.prove.score import MARKS, UNEXPLAINED
+from eha_monitor.prove.trial import misses, read_json
 from eha_monitor.quantity import number, quantity, with_uncertainty
 from eha_monitor.reports.diagnosis_words import effect_words
 from eha_monitor.reports.ground_figures import parameter_pictures
@@ -34,7 +34,7 @@ def write_proof_report(path: str | Path, found: dict, work: Path | None = None) 
     Parameters
     ----------
     path : file to write.
-    found : result of :func:`eha_monitor.mismatch.prove.prove`.
+    found : result of :func:`eha_monitor.prove.trial.prove`.
     work : the trial's folder, for the curves of the misses.
 
     Raises

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from eha_monitor.errors import InputError
-from eha_monitor.mismatch.prove import misses
 from eha_monitor.output import write_text
+from eha_monitor.prove.trial import misses
 from eha_monitor.reports.proof_report import (
     GROUPS,
     confusion_rows,

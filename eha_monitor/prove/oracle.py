@@ -1,6 +1,6 @@
 """The oracle of a trial: a fit that is told the concealed effects, for what can be reached.
 
-It runs as ``python -m eha_monitor.mismatch.prove_oracle KEY CASE BAG CONFIG ANSWER``, once the
+It runs as ``python -m eha_monitor.prove.oracle KEY CASE BAG CONFIG ANSWER``, once the
 key is open.
 """
 

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from eha_monitor.concealed.cases import Case
-from eha_monitor.mismatch.prove import Question, Trial, write_json
+from eha_monitor.prove.trial import Question, Trial, write_json
 
 
 @dataclass(frozen=True)
 class Ground:
-    """How a ground is run; the meaning is that of :class:`eha_monitor.mismatch.prove.Trial`.
+    """How a ground is run; the meaning is that of :class:`eha_monitor.prove.trial.Trial`.
 
     ``cases`` 0 takes the ground's own number.
     """

@@ -1,7 +1,7 @@
 """The concealed-effect trial: recordings made, key sealed, diagnosed by others, opened, scored.
 
 The diagnosis of each case is a process of its own, the public ``diagnose`` command, under a guard
-(:mod:`eha_monitor.mismatch.prove_blind`) that lets it open its bag and its nominal config only.
+(:mod:`eha_monitor.prove.blind`) that lets it open its bag and its nominal config only.
 
 A trial's folder::
 
@@ -30,14 +30,15 @@ from pathlib import Path
 from eha_monitor.compiled import FIRST_RUN
 from eha_monitor.concealed.cases import Case, truth_of
 from eha_monitor.errors import InputError
-from eha_monitor.mismatch import prove_score as score
-from eha_monitor.mismatch.prove_curve import binned, curves_of
 from eha_monitor.output import write_text
+from eha_monitor.prove import score
+from eha_monitor.prove.curve import binned, curves_of
 from eha_monitor.source import source_digest as digest_of_source
 
 SCHEMA = "eha_monitor/proof/1"
 PACKAGE = Path(__file__).parents[1]
-ROOMS = ("physics", "filters", "mismatch", "recordings", "settings")  # what makes an answer
+# What makes an answer.
+ROOMS = ("physics", "filters", "mismatch", "recordings", "settings", "prove/blind.py")
 LONGEST = 1800.0  # s that a diagnosis may take
 FEW = 4  # cases that are made without processes of their own
 KEEP = ("same", "all", "none")
@@ -228,7 +229,7 @@ def answer(trial: Trial, say: Report, what: str = "diagnosing") -> None:
                  *(["--held-out", *unseen] if unseen else [])]
         if question.command == "diagnose" and not trial.calibration:
             words.append("--no-calibration")
-        return [*map(str, (sys.executable, "-m", "eha_monitor.mismatch.prove_blind", trial.work,
+        return [*map(str, (sys.executable, "-m", "eha_monitor.prove.blind", trial.work,
                            *bags, *unseen, config, answer, "--", *words))]
 
     children(trial, tuple(questions), "answers", source_digest(), command, say, what)
@@ -239,10 +240,10 @@ def ask_oracle(trial: Trial, say: Report) -> None:
     def command(name: str) -> list[str]:
         bag, config, answer = places(trial, name, "oracles")
         key = trial.work / "key" / "key.json"
-        return [*map(str, (sys.executable, "-m", "eha_monitor.mismatch.prove_oracle", key, name,
+        return [*map(str, (sys.executable, "-m", "eha_monitor.prove.oracle", key, name,
                            bag, config, answer))]
 
-    source = source_digest() + digest_of((PACKAGE / "mismatch" / "prove_oracle.py").read_bytes())
+    source = source_digest() + digest_of((PACKAGE / "prove" / "oracle.py").read_bytes())
     names = tuple(case.name for case in trial.cases)
     children(trial, names, "oracles", digest_of(source.encode())[:16], command, say,
              "asking the oracle")
@@ -355,8 +356,7 @@ def jobs_of(trial: Trial) -> int:
 
 def source_digest() -> str:
     """Return a digest of everything that has a part in an answer."""
-    return digest_of_source(ROOMS, lambda path: not path.name.startswith("prove")
-                            or path.name == "prove_blind.py")
+    return digest_of_source(ROOMS)
 
 
 def commit() -> str | None:

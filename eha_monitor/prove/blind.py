@@ -1,6 +1,6 @@
 """Runs a command that can see what it was handed of a trial, and nothing else of it.
 
-    python -m eha_monitor.mismatch.prove_blind TRIAL ALLOWED... -- diagnose BAG ...
+    python -m eha_monitor.prove.blind TRIAL ALLOWED... -- diagnose BAG ...
 
 An audit hook, which Python cannot take off again, refuses to open or list anything below TRIAL
 but the ALLOWED files and folders, to load the generator of the cases, and to start a process that
