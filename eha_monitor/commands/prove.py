@@ -33,6 +33,10 @@ DRAWS = 200
 @click.option("--draw", type=click.Choice(("mixed", "ladder")), default="mixed",
               show_default=True, help="Sets of 0 to 3 effects on all rigs and motions; or single "
               "effects over a ladder of strengths, for a detection curve of each.")
+@click.option("--rig", type=click.Choice(("exact", "within", "beyond", "mixed")), default="mixed",
+              show_default=True, help="What the nominal configs say of the rig: the truth; each "
+              "number off by one tolerance (standard deviation); one number off by 3 to 10 of "
+              "them; or 40 %, 40 % and 20 % of these.")
 @click.option("--work", type=_PATH, metavar="DIR",
               help="Folder of recordings, key and answers; by default out/proof/... here. A trial "
               "that was interrupted goes on.")
@@ -48,7 +52,8 @@ DRAWS = 200
               help="As in diagnose; without it the usual threshold of evidence is used.")
 def prove(config: Path | None, ground: str, cases: int | None, data: Path | None, seed: int,
           json_file: Path | None, report_file: Path | None, text_file: Path | None, draw: str,
-          work: Path | None, keep: str, oracle: bool, jobs: int | None, calibration: bool) -> int:
+          rig: str, work: Path | None, keep: str, oracle: bool, jobs: int | None,
+          calibration: bool) -> int:
     """Conceal effects in recordings, seal the key, diagnose blindly, open the key and score.
 
     The key's SHA-256 is printed before any recording is read.  With a config all cases are on its
@@ -64,13 +69,17 @@ def prove(config: Path | None, ground: str, cases: int | None, data: Path | None
     from eha_monitor.prove.trial import misses, write_json
     from eha_monitor.reports.proof_report import write_proof_report
 
-    folder = f"{draw}-seed{seed}-{cases or DRAWS}" if ground == "draws" else (
+    kind = draw if rig == "mixed" else f"{draw}-{rig}"
+    folder = f"{kind}-seed{seed}-{cases or DRAWS}" if ground == "draws" else (
         f"{ground}-seed{seed}" + (f"-{cases}" if cases else ""))
     work = (work or Path("out", "proof", folder)).resolve()
     with progress_bar() as told:
         if ground == "draws":
-            found = on_draws(config, draw, cases or DRAWS, seed, work, oracle, jobs, keep,
-                             calibration, told)
+            from eha_monitor.prove.trial import Trial
+            from eha_monitor.prove.trial import prove as run
+
+            found = run(Trial(drawn_cases(config, draw, cases or DRAWS, seed, rig), seed, work,
+                              oracle, jobs or 0, keep, calibration), click.echo, told)
         else:
             from eha_monitor.prove.grounds.ground import Ground
 
@@ -110,19 +119,13 @@ def check_ground(ground: str, config: Path | None, data: Path | None, oracle: bo
         raise InputError(f"--oracle: --ground {ground} has none, expected --ground draws")
 
 
-def on_draws(config: Path | None, draw: str, cases: int, seed: int, work: Path, oracle: bool,
-             jobs: int | None, keep: str, calibration: bool, told) -> dict:
-    """Run the trial on draws of the independent plant."""
-    from eha_monitor.prove.draws import cases_of, on_rig
-    from eha_monitor.prove.trial import Trial
-    from eha_monitor.prove.trial import prove as run
+def drawn_cases(config: Path | None, draw: str, count: int, seed: int, rig: str) -> tuple:
+    """Return the draws of the independent plant, on the rig of a config if there is one."""
+    from eha_monitor.prove.draws import cases_of
+    from eha_monitor.settings import load_settings
 
-    drawn = cases_of(draw, cases, seed)
-    if config:
-        from eha_monitor.settings import load_settings
-
-        drawn = on_rig(drawn, load_settings(config), str(config))
-    return run(Trial(drawn, seed, work, oracle, jobs or 0, keep, calibration), click.echo, told)
+    settings = load_settings(config) if config else None
+    return cases_of(draw, count, seed, rig, settings, str(config))
 
 
 def on_ground(name: str, ground, data: Path | None, config: Path | None, told) -> dict:
