@@ -116,6 +116,8 @@ def test_command_refuses_another_seed_in_one_line(trial, done, capsys):
 
 def test_report_shows_marks_hash_and_misses(trial, done):
     found, _, _ = done
+    assert 'id="reliability"' in proof_page({**found, "reliability": [
+        {"low": 0.9, "high": 1.0, "n": 3, "said": 0.97, "right": 1.0}]})
     missed = dict(found["rows"][0], exact=False, within_class=False, named=["spring_load"],
                   classes={"spring_load": []}, pairs={}, verdict="mismatch")
     rest = [dict(row, within_class=True) for row in found["rows"][1:]]
