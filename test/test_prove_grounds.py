@@ -12,9 +12,10 @@ from eha_monitor.concealed.cases import truth_of
 from eha_monitor.concealed.draws import MCMASTER, MCMASTER_RIG, mcmaster_case
 from eha_monitor.concealed.generate import nominal_config, recording_of
 from eha_monitor.errors import InputError
+from eha_monitor.prove.files import write_json
 from eha_monitor.prove.grounds import mcmaster, simulator, triangle
 from eha_monitor.prove.grounds.ground import Ground, compared_row, said_of, with_ground
-from eha_monitor.prove.trial import Question, write_json
+from eha_monitor.prove.trial import Question
 from eha_monitor.reports.proof_report import proof_page
 from eha_monitor.reports.proof_text import write_result
 from eha_monitor.settings import load_settings, settings_from_tree

@@ -66,7 +66,8 @@ def prove(config: Path | None, ground: str, cases: int | None, data: Path | None
     if text_file and not text_file.is_file():
         raise InputError(f"{text_file}: no such file; expected one with the result marks")
 
-    from eha_monitor.prove.trial import misses, write_json
+    from eha_monitor.prove.files import write_json
+    from eha_monitor.prove.trial import misses
     from eha_monitor.reports.proof_report import write_proof_report
 
     kind = draw if rig == "mixed" else f"{draw}-{rig}"

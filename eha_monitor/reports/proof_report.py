@@ -3,9 +3,10 @@
 from pathlib import Path
 
 from eha_monitor.output import write_text
+from eha_monitor.prove.files import read_json
 from eha_monitor.prove.numbers import number_of
 from eha_monitor.prove.score import MARKS, UNEXPLAINED
-from eha_monitor.prove.trial import misses, read_json
+from eha_monitor.prove.trial import misses
 from eha_monitor.quantity import number, quantity, with_uncertainty
 from eha_monitor.reports.diagnosis_words import effect_words
 from eha_monitor.reports.ground_figures import parameter_pictures

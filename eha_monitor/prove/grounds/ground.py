@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from eha_monitor.concealed.cases import Case
-from eha_monitor.prove.trial import Question, Trial, write_json
+from eha_monitor.prove.files import write_json
+from eha_monitor.prove.trial import Question, Trial
 
 
 @dataclass(frozen=True)
