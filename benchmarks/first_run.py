@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[1]
 RUNS = (("a", "estimate"), ("a", "estimate"), ("b", "estimate"),
         ("a", "diagnose"), ("a", "diagnose"), ("b", "diagnose"))
 ARGUMENTS = {"estimate": ["bags/air_ingress"],
-             "diagnose": ["bags/hidden_friction", "--no-calibration"]}
+             "diagnose": ["bags/hidden_friction"]}
 
 
 def timed(package: Path, command: str, home: Path) -> tuple[float, float, str]:

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.ndimage import gaussian_filter1d
 
-from eha_monitor.mismatch.name import diagnose
+from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import load_settings
 

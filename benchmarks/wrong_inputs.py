@@ -98,10 +98,8 @@ class Trial:
             done = self.run("import", str(file), "--map", str(config), "--out", str(bag))
             if done.status:
                 return answer_of(done, answer), done.wall
-        more = ["--no-calibration"] if command == "diagnose" else []
-        limit = {"timeout": DIAGNOSE_S} if self.run is shell and more else {}
-        ran = self.run(command, str(bag), "--config", str(config), "--json", str(answer), *more,
-                       **limit)
+        limit = {"timeout": DIAGNOSE_S} if self.run is shell and command == "diagnose" else {}
+        ran = self.run(command, str(bag), "--config", str(config), "--json", str(answer), **limit)
         return answer_of(ran, answer), ran.wall
 
     def scores(self, mistake: Mistake, commands: tuple[str, ...]) -> list[Score]:

@@ -20,7 +20,7 @@ from eha_monitor.filters.pipeline import estimate
 from eha_monitor.mismatch.advise import advise
 from eha_monitor.mismatch.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.missing import drive_along, played
-from eha_monitor.mismatch.name import diagnose
+from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.mismatch.rivals import latent_gains
 from eha_monitor.mismatch.search import nominal
 from eha_monitor.mismatch.smooth import smoothed

@@ -1,5 +1,6 @@
 """Writing a file whole or not at all."""
 
+import json
 import os
 import tempfile
 from pathlib import Path
@@ -11,6 +12,11 @@ def write_text(path: str | Path, text: str) -> None:
     """Write ``text`` in UTF-8 as :func:`write_bytes` does."""
     # File names in the text may hold bytes that are no text; they must not cost the answer.
     _write(Path(path), text, "w", encoding="utf-8", errors="replace")
+
+
+def write_json(path: str | Path, tree: dict) -> None:
+    """Write an answer as JSON for programs and for people; NaN must be null in it already."""
+    write_text(path, json.dumps(tree, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def write_bytes(path: str | Path, content: bytes) -> None:

@@ -145,6 +145,18 @@ def with_uncertainty(value: float, stddev: float, unit: str, scale: Scale | None
     return f"({text}){power} {scale.unit}".rstrip() if power else f"{text} {scale.unit}".rstrip()
 
 
+def side_by_side(given: float, value: float, stddev: float, unit: str) -> tuple[str, str]:
+    """Return a number without and one with ±, in one unit, so that they can be compared.
+
+    >>> side_by_side(2e6, 3e5, 2e3, "Pa")
+    ('2000 kPa', '300.0 ± 2.0 kPa')
+    """
+    smaller = min((abs(one) for one in (given, value) if one and math.isfinite(one)), default=0.0)
+    scale = readable(smaller, unit)
+    return (f"{number(given * scale.factor)} {scale.unit}".rstrip(),
+            with_uncertainty(value, stddev, unit, scale))
+
+
 def _decimals(stddev: float) -> int:
     """Return the decimals of the Particle Data Group's rule; negative ones are tens."""
     if stddev == 0.0:

@@ -12,6 +12,7 @@ from eha_monitor.mismatch.diagnosis import (
     Location,
     NamedEffect,
     Overlay,
+    RigFinding,
     SignalFit,
     Value,
 )
@@ -77,7 +78,7 @@ def coulomb() -> Diagnosis:
         {"F_c": Value(40.03, 0.08, "N"), "v_e": Value(3.1e-4, 4e-5, "m/s")},
         48211.7, ("presliding_friction",), "F_steady = F_c s,  s = tanh(v / v_e)",
         "Push the depressurised rod by hand with a spring balance: the force at which it keeps "
-        "creeping is F_c.", "40 N")
+        "creeping is F_c.", "40 N", 0.9991)
     considered = (
         Considered("stribeck_friction", 48214.1, (), "says the same with two parameters more"),
         Considered("presliding_friction", 48207.3, (), "cannot be told apart in this recording"),
@@ -116,7 +117,8 @@ def coulomb() -> Diagnosis:
         ("B read 1412 N·s/m; 811 of it is 40 N of Coulomb friction, not wear",
          "The bulk modulus read 531 MPa; 69 MPa of the fall is Coulomb friction, not air"),
         ("Slower motion, 1 mm/s and below, would tell Coulomb friction from presliding",),
-        {"coulomb_friction": {"F_c": 40.03, "v_e": 3.1e-4}}, 14.3, True, 0.998, 24.0, 6.8)
+        {"coulomb_friction": {"F_c": 40.03, "v_e": 3.1e-4}}, duration_s=24.0, wall_s=6.8,
+        probability={"consistent": 0.0, "unexplained": 0.004})
 
 
 def consistent() -> Diagnosis:
@@ -130,8 +132,8 @@ def consistent() -> Diagnosis:
         values, values, "held_out",
         {"position": SignalFit("m", 2.1e-6, 2.1e-6, 2.0e-6, 1.1, 1.1)}, quiet,
         considered=(Considered("constant_load", 3.2, (), "below the threshold"),),
-        health=("B and the bulk modulus can be read as they are",), threshold=14.3,
-        calibrated=True, duration_s=24.0, wall_s=3.0)
+        health=("B and the bulk modulus can be read as they are",), duration_s=24.0, wall_s=3.0,
+        probability={"consistent": 0.97, "unexplained": 0.01})
 
 
 def unexplained() -> Diagnosis:
@@ -145,7 +147,8 @@ def unexplained() -> Diagnosis:
         agreement=(), considered=(Considered("quadratic_friction", 911.0, (),
                                              "explains 4 % of the mismatch"),),
         health=("B and the bulk modulus carry what is missing and tell nothing of the health",),
-        advice=("Record the rod pushed by hand, depressurised",), explained=0.04)
+        advice=("Record the rod pushed by hand, depressurised",),
+        probability={"consistent": 0.0, "unexplained": 0.93})
 
 
 def insufficient() -> Diagnosis:
@@ -165,7 +168,8 @@ def pair() -> Diagnosis:
         "below 8.1 rad/s the pump gives no flow, and above it that much less",
         {"omega_0": Value(8.1, 0.2, "rad/s")}, 611.0,
         ("leakage_offset", "cross_port_leakage"), "Q = D_p (|omega| - omega_0)+ sgn omega",
-        "Let the pump creep and see from which speed on the piston follows.", "0.8 l/min")
+        "Let the pump creep and see from which speed on the piston follows.", "0.8 l/min",
+        0.91)
     return replace(
         one, effects=(*one.effects, second),
         message="The force balance lacks Coulomb friction of 40 N; the flow balance lacks a pump "
@@ -177,9 +181,51 @@ def pair() -> Diagnosis:
 
 def partly() -> Diagnosis:
     """An effect that takes away a part, and more that no entry has."""
-    return replace(pair(), verdict="unexplained", explained=0.35, agreement=(),
-                   message="Something in the force balance is left out that no entry explains")
+    return replace(pair(), verdict="unexplained", agreement=(),
+                   message="Something in the force balance is left out that no entry explains",
+                   probability={"consistent": 0.0, "unexplained": 0.88})
+
+
+CHARGE = RigFinding(
+    "charge_pressure", 2e6, Value(3e5, 2e3, "Pa"), 0.99,
+    "charge_pressure: the config says 2000 kPa, the recording 300.0 ± 2.0 kPa")
+MASS = RigFinding(
+    "mass", 20.0, Value(25.1, 0.2, "kg"), 0.71,
+    "mass: the config says 20 kg, the recording 25.10 ± 0.20 kg", ("added_mass",))
+
+
+def wrong_number() -> Diagnosis:
+    """20 bar of charge pressure in the config, 3 bar on the rig, and nothing left out."""
+    found = coulomb()
+    return replace(found, effects=(), config_effects={}, message=CHARGE.statement,
+                   rig_data=(CHARGE,), considered=(), curves=found.curves[3:],
+                   location=replace(found.location, regime="always", balance={
+                       "force": 0.05, "flow": 0.93, "drive": 0.0, "sensor": 0.02}),
+                   health=("B read 1412 N·s/m; 811 of it is the charge pressure, not wear",),
+                   probability={"consistent": 0.0, "unexplained": 0.02})
+
+
+def everything() -> Diagnosis:
+    """Two effects, a load that comes and goes, and a wrong number of the rig."""
+    two = pair()
+    load = NamedEffect(
+        "intermittent_load", "force",
+        "a load of −95 N pushes against positive motion now and then",
+        {"F": Value(-95.2, 1.6, "N")}, 5120.0, ("constant_load",), "M v' = ... - F(t)",
+        "Look what touches the rod at those times.", "95 N", 0.86,
+        ((3.2, 5.1), (8.0, 9.4), (17.25, 21.0)))
+    rng = np.random.default_rng(5)
+    t = np.linspace(0.0, 24.0, 121)
+    pushed = -95.0 * sum((t > start) & (t < stop) for start, stop in load.intervals_s)
+    time = Curve("force", "time", "s", "N", t, pushed + rng.normal(0.0, 6.0, t.size),
+                 np.full(t.size, 6.0), pushed)
+    return replace(
+        two, effects=(load, *two.effects), rig_data=(CHARGE, MASS), curves=(*two.curves, time),
+        message="; ".join([CHARGE.statement, MASS.statement, load.statement,
+                           *(effect.statement for effect in two.effects)]),
+        probability={"consistent": 0.0, "unexplained": 0.06})
 
 
 ALL = {"coulomb": coulomb, "pair": pair, "partly": partly, "consistent": consistent,
-       "unexplained": unexplained, "insufficient": insufficient}
+       "unexplained": unexplained, "insufficient": insufficient, "wrong_number": wrong_number,
+       "everything": everything}

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from archive_tools import killed_by_three
-from diagnosis_tools import coulomb
+from diagnosis_tools import coulomb, everything
 from test_reports import Page
 
 from eha_monitor.archive.columns import COLUMNS
@@ -20,7 +20,7 @@ from eha_monitor.commands import diagnosis_answer
 from eha_monitor.commands.archive_row import Task, diagnosis_columns, estimate_columns, row_of
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.write import write_recording
-from eha_monitor.reports.archive_report import archive_page
+from eha_monitor.reports.archive_report import archive_page, phrases
 from eha_monitor.settings import settings_from_tree
 
 pyarrow = pytest.importorskip(
@@ -285,6 +285,28 @@ def test_a_row_of_a_diagnosis_holds_what_it_says(tmp_path):
         name: one["value"] for name, one in said["parameters"].items()}
 
 
+def test_a_row_tells_wrong_numbers_of_the_rig_before_the_effects(tmp_path):
+    tree = diagnosis_answer.answer(everything())
+    with Store(tmp_path / "out", "diagnose", tmp_path) as store:
+        store.add({"bag": "a", "stamp": "1", "made_with": "2", **diagnosis_columns(tree)})
+        store.add({"bag": "old", "stamp": "1", "made_with": "1", "effects": [
+            {"name": "drive_lag", "indistinguishable_from": [], "parameters": []}]})
+        store.write()
+    rows = rows_of(tmp_path / "out", "diagnose")
+    row, said = rows["a"], tree["rig_data"][0]
+    assert row["rig_data"][0] == {key: said[key] for key in said if key != "found"} | said["found"]
+    assert row["probability_unexplained"] == tree["probability"]["unexplained"]
+    assert row["effects"][0]["intervals_s"] == [[3.2, 5.1], [8.0, 9.4], [17.25, 21.0]]
+    assert phrases(row)[:3] == [
+        "charge_pressure: the config says 2000 kPa, the recording 300.0 ± 2.0 kPa, 99 %",
+        "mass: the config says 20 kg, the recording 25.10 ± 0.20 kg, 71 %, or added mass",
+        "intermittent load (F = −95.2 ± 1.6 N), 86 %, or constant load"]
+    assert phrases(rows["old"]) == ["drive lag"]  # of a version that knew no probabilities
+    page = Page(archive_page(list(rows.values()), "diagnose", settings_from_tree({}, "x"),
+                             tmp_path, "2")).text
+    assert all(phrase in page for phrase in phrases(row))
+
+
 def test_diagnose_of_a_folder_is_diagnose_of_its_bags(tmp_path, monkeypatch, capsys):
     settings = settings_from_tree({}, "test")
     (tmp_path / "in").mkdir()
@@ -293,11 +315,8 @@ def test_diagnose_of_a_folder_is_diagnose_of_its_bags(tmp_path, monkeypatch, cap
         write_recording(tmp_path / "in" / f"bag{k}", {"x": noise, "x_d": np.zeros(1000)},
                         settings, start_ns=START)
     counted(monkeypatch)
-    options = ["--no-calibration"]
-    assert main(["diagnose", str(tmp_path / "in"), "--out", str(tmp_path / "out"),
-                 *options]) == 0
-    assert main(["diagnose", str(tmp_path / "in/bag1"), "--json", str(tmp_path / "a.json"),
-                 *options]) == 0
+    assert main(["diagnose", str(tmp_path / "in"), "--out", str(tmp_path / "out")]) == 0
+    assert main(["diagnose", str(tmp_path / "in/bag1"), "--json", str(tmp_path / "a.json")]) == 0
     row = rows_of(tmp_path / "out", "diagnose")["bag1"]
     for key, value in diagnosis_columns(json.loads((tmp_path / "a.json").read_text())).items():
         assert row[key] == value, key
@@ -318,7 +337,7 @@ def test_a_defect_is_a_row_too(folder, monkeypatch):
 
     monkeypatch.setattr("eha_monitor.filters.pipeline.estimate", broken)
     settings = settings_from_tree({}, "test")
-    row = row_of(Task("n0", folder / "october/n0", "estimate", settings, True, "1", "2"))
+    row = row_of(Task("n0", folder / "october/n0", "estimate", settings, "1", "2"))
     assert row["error"].startswith("defect of eha_monitor: ZeroDivisionError: a defect at ")
     assert row["bag"] == "n0"
 
@@ -349,7 +368,7 @@ def test_every_column_is_documented():
 def test_stamps_that_are_no_dates_are_not_written_as_dates():
     settings = settings_from_tree({}, "test")
     bag = Path(__file__).parents[1] / "bags" / "air_ingress"  # its stamps count from 0
-    row = row_of(Task("air", bag, "estimate", settings, True, "1", "2"))
+    row = row_of(Task("air", bag, "estimate", settings, "1", "2"))
     assert row.get("error") is None and row.get("start") is None
     text = Page(archive_page([row], "estimate", settings, bag.parent, "2")).text
     assert "1970" not in text and "600" in text

@@ -25,7 +25,7 @@ from eha_monitor.filters.live import LiveEstimator
 from eha_monitor.filters.pipeline import estimate
 from eha_monitor.mismatch.calibrate import Calibration, fingerprint, gain_of_chance, simulated
 from eha_monitor.mismatch.experiment import experiment_of
-from eha_monitor.mismatch.name import high_threshold
+from eha_monitor.mismatch.diagnose import high_threshold
 from eha_monitor.mismatch.screen import starts_of
 from eha_monitor.mismatch.search import nominal
 from eha_monitor.recordings.recording import Recording
@@ -200,7 +200,7 @@ def test_the_monitor_asks_its_own_rows(digital):
 def test_after_write_config_the_promise_holds(tmp_path):
     """The issue: beta_e 680.9 ± 0.24 MPa for 700 after the diagnosis, and a mismatch."""
     from eha_monitor.commands.diagnosis_answer import written_config
-    from eha_monitor.mismatch.name import diagnose
+    from eha_monitor.mismatch.diagnose import diagnose
     from eha_monitor.settings import load_settings
 
     recording, settings = run(ISSUE, 1000.0, True), config(ISSUE, 1000.0)

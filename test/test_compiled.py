@@ -48,7 +48,7 @@ write_recording(position, Recording(plant.dt, {name: rows[name] for name in ("x"
                 settings, overwrite=True)
 for bag in (everything, position):
     assert main(["estimate", str(bag), "--json", f"{bag}.json"]) == 0
-    assert main(["diagnose", str(bag), "--no-calibration"]) == 0
+    assert main(["diagnose", str(bag)]) == 0
 estimator = LiveEstimator(settings)
 for k, row in enumerate(zip(*(rows[name].tolist() for name in rows), strict=True)):
     estimator.push(k * plant.dt, dict(zip(rows, row, strict=True)))

@@ -1,14 +1,19 @@
 """Whatever stands in a config: settings, or one line that names the key.  Nothing else."""
 
+import re
+from pathlib import Path
+
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel
 
 from eha_monitor.errors import InputError
+from eha_monitor.reports.diagnosis_words import tolerance_words
 from eha_monitor.settings import Settings, load_settings, settings_from_tree
 from eha_monitor.settings.document import annotated
 from eha_monitor.settings.monitor import CHANNELS
+from eha_monitor.settings.tolerance import Tolerance
 
 QUICK = settings(max_examples=100, deadline=None,
                  suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -74,6 +79,8 @@ def test_any_tree(tree):
         ["rig:", "\n", "  ", "- ", "{", "}", "[", "&a ", "*a", "? ", "|\n", "mass: ", "2", "'",
          "!", "<<: ", "2026-01-01", "0o9", ".inf", "%YAML 9.9\n", "---\n", "effects: "]),
         max_size=12).map(lambda parts: "".join(parts).encode())))
+@example(content=b"rig:\n%YAML 0.0\n")  # KeyError: (0, 0)
+@example(content=b"%YAML 1.3\n---\n2")  # AssertionError
 def test_any_file(content, tmp_path):
     path = tmp_path / "rig.yaml"
     path.write_bytes(content)
@@ -91,6 +98,21 @@ def value_at(config: Settings, path):
 
 NUMBERS = sorted(path for path in leaves(Settings)
                  if isinstance(value_at(Settings(), path), float))
+
+
+def test_every_tolerance_is_drawn_and_is_of_a_number_of_the_rig():
+    drawn = {path[-1] for path in NUMBERS if path[:2] == ("rig", "tolerance")}
+    assert drawn == set(Tolerance.model_fields)
+    assert {("rig", key) for key in drawn} <= set(NUMBERS)
+    for key in drawn:
+        assert 0.0 < Tolerance().log_spread(key) < 2.0
+
+
+def test_docs_name_every_tolerance_and_its_default():
+    text = (Path(__file__).parents[1] / "docs" / "diagnosis.md").read_text(encoding="utf-8")
+    for key in Tolerance.model_fields:
+        shown = tolerance_words(Tolerance(), key).removeprefix("± ")
+        assert re.search(rf"^\|[^|]*`{key}`[^|]*\| {shown} \|", text, re.MULTILINE), key
 
 
 @settings(max_examples=25, deadline=None,

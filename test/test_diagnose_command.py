@@ -20,6 +20,11 @@ BAG = ROOT / "bags" / "hidden_friction"
 FAMILY = {"coulomb_friction", "stribeck_friction", "presliding_friction", "asymmetric_friction"}
 
 
+def test_what_does_nothing_is_not_offered(capsys):
+    assert main(["diagnose", "--help"]) == 0
+    assert "calibration" not in capsys.readouterr().out
+
+
 def complaint(capsys, *arguments) -> str:
     """Run a command that must fail with status 2, and return its one line."""
     assert main([str(a) for a in arguments]) == 2
@@ -45,6 +50,7 @@ def complaint(capsys, *arguments) -> str:
      "is the config that is read"),
     ([BAG, "--config", "missing.yaml"], "missing.yaml: cannot read config"),
     ([BAG, "--ros-args", "-r", "a:=b"], "is no ROS node"),
+    (["--no-calibration", "missing_bag"], "missing_bag: no such bag"),  # it does nothing any more
 ])
 def test_bad_usage_is_one_line_before_any_work(capsys, arguments, words):
     assert words in complaint(capsys, "diagnose", *arguments)
@@ -55,8 +61,8 @@ def answered(tmp_path_factory):
     """One diagnosis as a process of its own, with everything it writes; it takes the longest."""
     folder = tmp_path_factory.mktemp("diagnosed")
     done = subprocess.run(
-        [sys.executable, "-m", "eha_monitor", "diagnose", str(BAG), "--no-calibration",
-         "--exit-code", "--json", folder / "a.json", "--report", folder / "a.html",
+        [sys.executable, "-m", "eha_monitor", "diagnose", str(BAG), "--exit-code",
+         "--json", folder / "a.json", "--report", folder / "a.html",
          "--write-config", folder / "a.yaml"], cwd=ROOT, capture_output=True, text=True,
         timeout=280)
     return folder, done

@@ -176,7 +176,7 @@ def test_names_that_are_no_text(tmp_path, terminal):
             ["config", "--config", name(b"map.yaml")],
             ["estimate", name(b"bag"), "--json", name(b".json"), "--report", name(b".html")],
             ["import", name(b"a.csv"), "--map", name(b"map.yaml"), "--out", name(b"table")],
-            ["diagnose", name(b"bag"), "--no-calibration", "--json", name(b"d.json"), "--report",
+            ["diagnose", name(b"bag"), "--json", name(b"d.json"), "--report",
              name(b"d.html"), "--write-config", name(b"d.yaml")],
             ["advise", name(b"bag"), "--no-check", "--json", name(b"v.json")])
     for arguments in whole if terminal is TERMINALS[0] else whole[:3]:

@@ -6,7 +6,7 @@ from rig_tools import TRIANGLE, settings, simulated
 
 from eha_monitor.mismatch.choice import quiet_gain, take, weak
 from eha_monitor.mismatch.experiment import experiment_of
-from eha_monitor.mismatch.name import diagnose
+from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.mismatch.screen import Start, own_sizes
 from eha_monitor.mismatch.search import Round, candidate_of, first_fit, settle, with_effect
 

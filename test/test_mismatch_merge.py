@@ -8,7 +8,7 @@ from rig_tools import settings, simulated, without
 from eha_monitor.mismatch.contest import contenders
 from eha_monitor.mismatch.experiment import experiment_of
 from eha_monitor.mismatch.merge import merged, singles_of
-from eha_monitor.mismatch.name import diagnose
+from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.mismatch.screen import Start, own_sizes
 from eha_monitor.mismatch.search import Candidate, Round, first_fit, settle, with_effect
 

@@ -24,7 +24,7 @@ from eha_monitor.mismatch.contest import slack_of
 from eha_monitor.mismatch.fit import with_unknowns
 from eha_monitor.mismatch.gains import Unknowns, expected_covariance
 from eha_monitor.mismatch.model import config_effects
-from eha_monitor.mismatch.name import EXPLAINED, verdict_of
+from eha_monitor.mismatch.diagnose import EXPLAINED, verdict_of
 from eha_monitor.mismatch.screen import screen, starts_of
 from eha_monitor.mismatch.search import (
     Candidate,

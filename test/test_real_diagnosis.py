@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from eha_monitor.mismatch.experiment import experiment_of
-from eha_monitor.mismatch.name import diagnose
+from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import load_settings

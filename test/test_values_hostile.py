@@ -17,7 +17,7 @@ from eha_monitor.filters.faults import FaultWatch
 from eha_monitor.filters.live import LiveEstimator
 from eha_monitor.filters.pipeline import estimate
 from eha_monitor.filters.rows import Source
-from eha_monitor.mismatch.name import diagnose
+from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.recordings.limits import LARGEST, LIMITS
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import Recording
@@ -57,7 +57,7 @@ def raw_bag(path, channels):
 
 
 @pytest.mark.parametrize("command", [
-    ["estimate"], ["diagnose", "--no-calibration"], ["advise", "--no-check"]],
+    ["estimate"], ["diagnose"], ["advise", "--no-check"]],
     ids=lambda words: words[0])
 def test_a_simulation_that_ran_away_is_one_line(recording, tmp_path, capfd, command):
     bag = raw_bag(tmp_path / "bag", run_away(recording))

@@ -9,7 +9,7 @@ COMMANDS = ("estimate", "diagnose")
 
 @dataclass(frozen=True)
 class Column:
-    """One column; ``kind`` is ``text``, ``number``, ``count``, ``flag``, ``time`` or ``effects``.
+    """One column; ``kind``: text, number, count, flag, time, effects or rig.
 
     ``only`` names the command whose table has it; both have it where it is empty.
     """
@@ -66,11 +66,15 @@ COLUMNS = (
     *(Column(f"balance_{name}", "number", f"share of the {name} in the disagreement",
              "diagnose") for name in ("force", "flow", "drive", "sensor")),
     Column("regime", "text", "where they disagree", "diagnose"),
+    *(Column(f"probability_{name}", "number", f"probability that {words}, 0 to 1", "diagnose")
+      for name, words in (("consistent", "nothing is missing"),
+                          ("unexplained", "something without a name is missing"))),
+    Column("rig_data", "rig", "numbers of the rig that the recording contradicts: key, "
+           "configured, value, stddev, unit, probability, statement, indistinguishable_from",
+           "diagnose"),
     Column("effects", "effects", "what was left out: name, balance, size, statement, "
-           "log_evidence, indistinguishable_from, parameters (name, value, stddev, unit)",
-           "diagnose"),
-    Column("explained", "number", "share of the evidence that the effects take away",
-           "diagnose"),
+           "probability, log_evidence, intervals_s, indistinguishable_from, parameters (name, "
+           "value, stddev, unit)", "diagnose"),
     *_of_diagnosis("B"),
     *_of_diagnosis("beta_e"),
     Column("losses", "text", "what was lost or repaired in reading"),

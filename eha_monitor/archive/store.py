@@ -190,12 +190,18 @@ def _schema(columns: Iterable[Column], folder: str):
     value = pa.struct([("name", pa.string()), ("value", pa.float64()),
                        ("stddev", pa.float64()), ("unit", pa.string())])
     effect = pa.struct([("name", pa.string()), ("balance", pa.string()), ("size", pa.string()),
-                        ("statement", pa.string()), ("log_evidence", pa.float64()),
+                        ("statement", pa.string()), ("probability", pa.float64()),
+                        ("log_evidence", pa.float64()),
+                        ("intervals_s", pa.list_(pa.list_(pa.float64()))),
                         ("indistinguishable_from", pa.list_(pa.string())),
                         ("parameters", pa.list_(value))])
+    number = pa.struct([("key", pa.string()), ("configured", pa.float64()),
+                        ("value", pa.float64()), ("stddev", pa.float64()), ("unit", pa.string()),
+                        ("probability", pa.float64()), ("statement", pa.string()),
+                        ("indistinguishable_from", pa.list_(pa.string()))])
     kinds = {"text": pa.string(), "number": pa.float64(), "count": pa.int64(),
              "flag": pa.bool_(), "time": pa.timestamp("ns", tz="UTC"),
-             "effects": pa.list_(effect)}
+             "effects": pa.list_(effect), "rig": pa.list_(number)}
     return pa.schema([pa.field(c.name, kinds[c.kind], metadata={"description": c.words})
                       for c in columns],
                      metadata={"schema": SCHEMA, "folder": os.fsencode(folder)})

@@ -1,16 +1,14 @@
 """``advise``: what a recording can and cannot tell apart, and the cheapest motion that would."""
 
-import json
 from dataclasses import asdict
 from io import StringIO
 from pathlib import Path
 
 import click
 
-from eha_monitor.commands.common import check_target, config_option
+from eha_monitor.commands.common import check_outputs, config_option
 from eha_monitor.commands.diagnose import READING, check_inputs, progress_bar
-from eha_monitor.errors import InputError
-from eha_monitor.output import write_text
+from eha_monitor.output import write_json, write_text
 
 SCHEMA = "eha_monitor/advice/1"
 _PATH = click.Path(path_type=Path)
@@ -32,9 +30,10 @@ def advise(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
     checked in simulation.
     """
     check_inputs(bags, None)
-    check_outputs(json_file, excitation_file, bags, config)
+    check_outputs({"--json": json_file, "--write-excitation": excitation_file}, bags, config)
 
     from eha_monitor.commands.plausible import checked, finding_tree
+    from eha_monitor.commands.rotary import of_rig
     from eha_monitor.compiled import load_runtime
     from eha_monitor.mismatch.advise import advise as run
     from eha_monitor.recordings.read import read_recording
@@ -49,12 +48,11 @@ def advise(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
         naming, found = run(recordings, settings, check,
                             lambda text, share: told(text, READING + (1 - READING) * share))
     if json_file:
-        write_text(json_file, json.dumps(
-            answer(bags, naming, found) | {"channels": finding_tree(findings)}, indent=1,
-            ensure_ascii=False, allow_nan=False) + "\n")
+        write_json(json_file, of_rig(answer(bags, naming, found), settings.rig.motion)
+                   | {"channels": finding_tree(findings)})
     if excitation_file and found.motion is not None:
         write_text(excitation_file, written_excitation(found.motion, settings, bags))
-    show(bags, naming, found)
+    show(bags, naming, found, settings.rig.motion)
     for finding in findings:
         click.echo(f"note: {finding.finding}")
     for path in (json_file, excitation_file):
@@ -62,20 +60,6 @@ def advise(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
             click.echo(f"written: {path}")
         elif path is not None:
             click.echo(f"{path}: not written, there is no motion to propose")
-
-
-def check_outputs(json_file: Path | None, excitation_file: Path | None, bags: tuple[Path, ...],
-                  config: Path | None) -> None:
-    """Refuse, before the work, outputs that cannot be written or would overwrite an input."""
-    for target in (json_file, excitation_file):
-        for bag in bags:
-            check_target(target, bag)
-        if target is not None and config is not None and target.resolve() == config.resolve():
-            raise InputError(f"{target}: is the config that is read, expected another file")
-    if (json_file is not None and excitation_file is not None
-            and json_file.resolve() == excitation_file.resolve()
-            and (not json_file.exists() or json_file.is_file())):
-        raise InputError(f"{json_file}: --json and --write-excitation name the same file")
 
 
 def answer(bags: tuple[Path, ...], naming, found) -> dict:
@@ -118,12 +102,13 @@ def written_excitation(motion, settings, bags: tuple[Path, ...]) -> str:
     return annotated(settings_from_tree(tree, "advice"), title)
 
 
-def show(bags: tuple[Path, ...], naming, found) -> None:
+def show(bags: tuple[Path, ...], naming, found, motion: str) -> None:
     """Print what the recording tells, what it leaves open, and the motion as YAML."""
     from rich.markup import escape
     from rich.table import Table
     from ruamel.yaml import YAML
 
+    from eha_monitor.commands.rotary import of_rig
     from eha_monitor.commands.table import PIPE_WIDTH, PipeConsole
     from eha_monitor.mismatch.advise_words import doubt_words, sentences
     from eha_monitor.mismatch.motions import excitation_tree
@@ -140,12 +125,12 @@ def show(bags: tuple[Path, ...], naming, found) -> None:
     for one in found.known:
         if one.name in ("B", "beta_e") or one.name.partition(".")[0] in naming.after.named:
             table.add_row(SYMBOLS.get(one.name, one.name),
-                          with_uncertainty(one.value, one.stddev, one.unit),
+                          with_uncertainty(one.value, one.stddev, of_rig(one, motion).unit),
                           number(one.inflation, 3),
                           f"{one.most_with} ({number(one.correlation, 3)})")
     console.print(table)
     console.print(NOTE, style="dim")
-    for text in sentences(found):
+    for text in of_rig(sentences(found), motion):
         console.print(f"- {escape(sentence(text))}")
     if found.tried:
         table = Table("motion", "s", *(escape(doubt_words(d)) for d in found.doubts), box=None,

@@ -72,8 +72,7 @@ def refuse(bag: Path, **options: object) -> None:
                              "for a single bag, and the table goes to --out")
 
 
-def answer_folder(command: str, folder: Path, config: Path | None, asked: Archive,
-                  calibration: bool = True) -> bool:
+def answer_folder(command: str, folder: Path, config: Path | None, asked: Archive) -> bool:
     """Bring the table of a folder up to date; tell whether any bag is not well.
 
     Raises
@@ -87,12 +86,12 @@ def answer_folder(command: str, folder: Path, config: Path | None, asked: Archiv
 
     check_parquet()
     settings = load_settings(config)
-    made_with = digest_of(command, settings, calibration)
+    made_with = digest_of(command, settings)
     with ExitStack() as open_ones:
         cluster = None if asked.scheduler is None else open_ones.enter_context(
             connected(asked.scheduler, command))
         store = open_ones.enter_context(Store(asked.out or OUT, command, folder))
-        todo, failed = plan(store, find_bags(folder), command, settings, calibration, made_with,
+        todo, failed = plan(store, find_bags(folder), command, settings, made_with,
                             asked.keep or "same")
         for row in failed:
             store.add(row)
@@ -117,18 +116,18 @@ def answer_folder(command: str, folder: Path, config: Path | None, asked: Archiv
     return any(unhealthy(row) for row in here)
 
 
-def digest_of(command: str, settings: "Settings", calibration: bool) -> str:
+def digest_of(command: str, settings: "Settings") -> str:
     """Return a digest of everything beside the bag that has a part in a row."""
     import hashlib
 
     from eha_monitor.commands.archive_row import source_of
 
-    parts = (command, settings.model_dump_json(), str(calibration), source_of(command))
+    parts = (command, settings.model_dump_json(), source_of(command))
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
 
 
 def plan(store: "Store", places: list[Place], command: str, settings: "Settings",
-         calibration: bool, made_with: str, keep: str) -> tuple[list["Task"], list[dict]]:
+         made_with: str, keep: str) -> tuple[list["Task"], list[dict]]:
     """Return the bags that are to be answered, and rows of those that cannot even be looked at.
 
     A row stays where the bag's files have the same names, sizes and times, and config, options
@@ -147,7 +146,7 @@ def plan(store: "Store", places: list[Place], command: str, settings: "Settings"
             stamp = stamp_of(place.path) if not problem else ""
         except OSError as reason:
             stamp, problem = "", f"{place.path}: cannot read bag: {reason.strerror}"
-        task = Task(place.name, place.path, command, settings, calibration, stamp, made_with)
+        task = Task(place.name, place.path, command, settings, stamp, made_with)
         if problem:
             failed.append(error_row(task, problem))
             continue

@@ -28,9 +28,12 @@ _ROOMS = {
                  "quantity.py"),
     "diagnose": ("physics", "filters", "recordings", "settings", "health", "mismatch",
                  "plausibility", "commands/answer.py", "commands/plausible.py",
-                 "commands/diagnosis_answer.py", "commands/archive_row.py", "quantity.py"),
+                 "commands/diagnosis_answer.py", "commands/rotary.py", "commands/archive_row.py",
+                 "quantity.py"),
 }
-_EFFECT = ("name", "balance", "size", "statement", "log_evidence", "indistinguishable_from")
+_EFFECT = ("name", "balance", "size", "statement", "probability", "log_evidence",
+           "intervals_s", "indistinguishable_from")
+_RIG = ("key", "configured", "probability", "statement", "indistinguishable_from")
 _ONE = threading.Lock()  # a worker of a cluster may have threads, and the filters use all cores
 
 
@@ -42,7 +45,6 @@ class Task:
     path: Path
     command: str
     settings: "Settings"
-    calibration: bool
     stamp: str
     made_with: str
 
@@ -91,9 +93,10 @@ def _fill(row: dict, task: Task) -> None:
     row.update(estimate_columns(answer(found, alarms, history)), **_at_reference(found))
     if task.command == "diagnose":
         from eha_monitor.commands.diagnosis_answer import answer as diagnosis_answer
-        from eha_monitor.mismatch.name import diagnose
+        from eha_monitor.commands.rotary import of_rig
+        from eha_monitor.mismatch.diagnose import diagnose
 
-        diagnosis = diagnose([recording], task.settings, None, None, task.calibration)
+        diagnosis = of_rig(diagnose([recording], task.settings), task.settings.rig.motion)
         row.update(diagnosis_columns(diagnosis_answer(diagnosis)))
 
 
@@ -138,11 +141,14 @@ def _at_reference(found: "Estimate") -> dict:
 def diagnosis_columns(tree: dict) -> dict:
     """Return the columns that the answer of ``diagnose`` holds."""
     row = {"verdict": tree["verdict"], "verdict_message": tree["message"],
-           "regime": tree["location"]["regime"], "explained": tree["explained"],
+           "regime": tree["location"]["regime"],
+           "rig_data": [{key: one[key] for key in _RIG} | one["found"]
+                        for one in tree["rig_data"]],
            "effects": [{key: one[key] for key in _EFFECT}
                        | {"parameters": [{"name": name} | value
                                          for name, value in one["parameters"].items()]}
                        for one in tree["effects"]]}
+    row |= {f"probability_{name}": value for name, value in tree["probability"].items()}
     row |= {f"balance_{name}": share for name, share in tree["location"]["balance"].items()}
     for when in ("before", "after"):
         for name in PARAMETERS:

@@ -12,7 +12,7 @@ from eha_monitor.commands.table import PIPE_WIDTH, PipeConsole
 from eha_monitor.health.alarms import NOT_JUDGED
 from eha_monitor.quantity import NOTE
 from eha_monitor.reports.archive_figures import trend_words
-from eha_monitor.reports.archive_report import effect_phrase, summary_words
+from eha_monitor.reports.archive_report import phrases, summary_words
 from eha_monitor.settings import Settings
 
 MOST = 20  # recordings shown; all are in the table
@@ -61,8 +61,8 @@ def _why(row: dict) -> str:
     """Return what is wrong with a recording, the worst first."""
     if row.get("error"):
         return row["error"]
-    if row.get("effects"):
-        return "; ".join(effect_phrase(effect) for effect in row["effects"])
+    if told := phrases(row):
+        return "; ".join(told)
     if row.get("alarm") in ("WARN", "ERROR", NOT_JUDGED):
         return row["alarm_message"]
     return row.get("verdict_message") or row.get("model_message") or ""

@@ -76,12 +76,14 @@ def check_target(path: Path | None, bag: Path | None = None) -> None:
         raise InputError(f"{path}: is part of the bag {bag} that is read, expected another file")
 
 
-def check_outputs(targets: tuple[Path | None, ...], bags: tuple[Path, ...],
+def check_outputs(targets: dict[str, Path | None], bags: tuple[Path, ...],
                   config: Path | None) -> None:
-    """Refuse, before the work, outputs that cannot be written or would overwrite an input."""
-    options = ("--json", "--report", "--write-config")
+    """Refuse, before the work, outputs that cannot be written or would overwrite an input.
+
+    ``targets`` : option (``--json``) -> file, None where it is not given.
+    """
     taken: dict[Path, str] = {}
-    for option, target in zip(options, targets, strict=True):
+    for option, target in targets.items():
         if target is None:
             continue
         for bag in bags:

@@ -1,6 +1,5 @@
 """``diagnose``: where simulation and recording differ, which physics that is, and the proof."""
 
-import json
 import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -11,7 +10,7 @@ import click
 from eha_monitor.commands.archive import Archive, answer_folder, archive_options, refuse
 from eha_monitor.commands.common import check_outputs, config_option, on_terminal
 from eha_monitor.errors import InputError
-from eha_monitor.output import write_text
+from eha_monitor.output import write_json, write_text
 
 _PATH = click.Path(path_type=Path)
 READING = 0.03  # share of the progress bar
@@ -24,18 +23,17 @@ READING = 0.03  # share of the progress bar
 @click.option("--report", "report_file", type=_PATH, metavar="FILE.html",
               help="Write a self-contained HTML report.")
 @click.option("--write-config", "config_file", type=_PATH, metavar="FILE",
-              help="Write the config with the named physics in it.")
+              help="Write the config with the named physics and the rig's numbers in it.")
 @click.option("--held-out", "held_out", type=_PATH, metavar="BAG",
               help="Show the fit on this recording; without it on a part that is kept back.")
-@click.option("--calibration/--no-calibration", default=True,
-              help="Set the threshold of evidence by simulated clean recordings of this rig and "
-              "motion (a minute, once), or take the usual one.")
+@click.option("--calibration/--no-calibration", hidden=True, expose_value=False,
+              help="Does nothing; it chose how a threshold was set that there is no more.")
 @click.option("--exit-code", is_flag=True,
               help="Exit with 1 if the model does not fit the recording.")
 @archive_options
 def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
              report_file: Path | None, config_file: Path | None, held_out: Path | None,
-             calibration: bool, exit_code: bool, **asked) -> int:
+             exit_code: bool, **asked) -> int:
     """Say where BAG and the model differ, what physics was left out, and show the fit improve.
 
     Several BAGs of one rig are explained together.  Where BAG is a folder that holds bags, each
@@ -48,10 +46,9 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
                              + ", ".join(map(str, bags)))
         refuse(bags[0], json=json_file, report=report_file, write_config=config_file,
                held_out=held_out)
-        return int(answer_folder("diagnose", bags[0], config, archive, calibration)
-                   and exit_code)
+        return int(answer_folder("diagnose", bags[0], config, archive) and exit_code)
     check_inputs(bags, held_out)
-    check_outputs((json_file, report_file, config_file),
+    check_outputs({"--json": json_file, "--report": report_file, "--write-config": config_file},
                   (*bags, *((held_out,) if held_out else ())), config)
 
     from eha_monitor.commands.diagnosis_answer import (
@@ -61,8 +58,9 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
         written_config,
     )
     from eha_monitor.commands.plausible import checked, finding_tree
+    from eha_monitor.commands.rotary import of_rig
     from eha_monitor.compiled import load_runtime
-    from eha_monitor.mismatch.name import diagnose as run
+    from eha_monitor.mismatch.diagnose import diagnose as run
     from eha_monitor.recordings.read import read_recording
     from eha_monitor.settings import load_settings
 
@@ -73,22 +71,21 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
         recordings = [read_recording(bag, settings) for bag in bags]
         unseen = read_recording(held_out, settings) if held_out else None
 
-        def write_json(tree: dict) -> None:
+        def refused(findings, message: str) -> None:
             if json_file:
-                write_text(json_file, json.dumps(tree, indent=1, ensure_ascii=False,
-                                                 allow_nan=False) + "\n")
+                write_json(json_file, refusal(bags, message, finding_tree(findings)))
 
         told("asking whether recording and config belong together", READING)
         findings = checked([*recordings, *([unseen] if unseen else [])], settings, config,
-                           config_file, lambda findings, message: write_json(
-                               refusal(bags, message, finding_tree(findings))))
+                           config_file, refused)
 
         def further(text: str, share: float) -> None:
             told(text, READING + (1 - READING) * share)
 
-        found = run(recordings, settings, unseen, further, calibration)
+        found = of_rig(run(recordings, settings, unseen, further), settings.rig.motion)
         findings = (*findings, *found.channels)
-    write_json(answer(found) | {"channels": finding_tree(findings)})
+    if json_file:
+        write_json(json_file, answer(found) | {"channels": finding_tree(findings)})
     if config_file:
         write_text(config_file, written_config(found, settings, config))
     if report_file:
@@ -97,7 +94,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
         losses = [f"{recording.source}: {loss}" for recording in recordings
                   for loss in recording.losses] + [finding.finding for finding in findings]
         write_diagnosis_report(report_file, found, settings, losses,
-                               command_line(bags, config, held_out, calibration))
+                               command_line(bags, config, held_out))
 
     from eha_monitor.commands.diagnosis_table import show
 
@@ -117,13 +114,11 @@ def check_inputs(bags: tuple[Path, ...], held_out: Path | None) -> None:
                          "is not")
 
 
-def command_line(bags: tuple[Path, ...], config: Path | None, held_out: Path | None,
-                 calibration: bool) -> str:
+def command_line(bags: tuple[Path, ...], config: Path | None, held_out: Path | None) -> str:
     """Return the command that makes the same answer again."""
     words = ["eha-monitor", "diagnose", *map(str, bags)]
     words += ["--config", str(config)] if config else []
     words += ["--held-out", str(held_out)] if held_out else []
-    words += [] if calibration else ["--no-calibration"]
     return shlex.join(words)
 
 

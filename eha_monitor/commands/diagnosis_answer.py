@@ -8,7 +8,15 @@ from textwrap import wrap
 from eha_monitor import __version__
 from eha_monitor.commands.answer import finite
 from eha_monitor.mismatch.diagnosis import Diagnosis, NamedEffect, Value
+from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import NOTE, with_uncertainty
+from eha_monitor.reports.diagnosis_words import (
+    in_brackets,
+    interval_words,
+    rig_values,
+    value_words,
+)
+from eha_monitor.settings.corrected import corrected, rounded
 from eha_monitor.settings.document import annotated
 from eha_monitor.settings.load import settings_from_tree
 from eha_monitor.settings.monitor import Settings
@@ -17,7 +25,7 @@ from eha_monitor.units import LARGEST
 SCHEMA = "eha_monitor/diagnosis/1"
 # Estimated parameter -> key of the rig that holds it.
 RIG_KEYS = {"B": "viscous_damping", "beta_e": "bulk_modulus"}
-_FIGURES = 6  # digits of a number in a config: more than any of them is known to
+_WIDTH = 95  # of the head of a written config
 
 
 def mismatched(found: Diagnosis) -> bool:
@@ -31,6 +39,9 @@ def answer(found: Diagnosis) -> dict:
         "schema": SCHEMA,
         "bag": ", ".join(found.bags),
         "verdict": found.verdict,
+        "probability": {key: found.probability.get(key)
+                        for key in ("consistent", "unexplained")},
+        "rig_data": [asdict(finding) for finding in found.rig_data],
         "location": {"balance": found.location.balance, "regime": found.location.regime,
                      "intervals_s": found.location.intervals_s},
         "effects": [_effect(effect) for effect in found.effects],
@@ -48,8 +59,9 @@ def answer(found: Diagnosis) -> dict:
                                         ("x", "measured", "spread", "modelled")}}
                    for curve in found.curves],
         "config_effects": found.config_effects,
-        "threshold": {"log_units": found.threshold, "calibrated": found.calibrated},
-        "explained": found.explained,
+        # Probabilities took their place; programs that read them find the keys.
+        "threshold": {"log_units": None, "calibrated": False},
+        "explained": None,
         "pieces": [{"bag": piece.bag, "start_s": piece.start_s, "stop_s": piece.stop_s,
                     "parameters": _values(piece.values)} for piece in found.pieces],
         "duration_s": found.duration_s,
@@ -63,6 +75,8 @@ def refusal(bags: tuple[Path, ...], message: str, channels: list[dict]) -> dict:
         "schema": SCHEMA,
         "bag": ", ".join(map(str, bags)),
         "verdict": "insufficient_data",
+        "probability": {"consistent": None, "unexplained": None},
+        "rig_data": [],
         "location": {"balance": dict.fromkeys(("force", "flow", "drive", "sensor"), 0.0),
                      "regime": "", "intervals_s": []},
         "effects": [],
@@ -76,7 +90,8 @@ def refusal(bags: tuple[Path, ...], message: str, channels: list[dict]) -> dict:
 
 def _effect(effect: NamedEffect) -> dict:
     return {"name": effect.name, "balance": effect.balance, "statement": effect.statement,
-            "parameters": _values(effect.parameters), "log_evidence": effect.log_evidence,
+            "parameters": _values(effect.parameters), "probability": effect.probability,
+            "log_evidence": effect.log_evidence, "intervals_s": effect.intervals_s,
             "indistinguishable_from": effect.indistinguishable_from, "size": effect.size,
             "equation": effect.equation, "rig_check": effect.rig_check}
 
@@ -86,37 +101,74 @@ def _values(values: dict[str, Value]) -> dict:
 
 
 def written_config(found: Diagnosis, settings: Settings, source: Path | None) -> str:
-    """Return the given config completed with the named physics, as an annotated file.
+    """Return the given config completed with what was found, as an annotated file.
 
-    ``effects`` is what the diagnosis says.  B and beta_e of the rig become the fitted ones:
-    ``simulator`` then makes what was recorded, and the filters start where the rig is.  Nothing
-    else is changed, thresholds and priors included: whether the rig is healthy is not for a fit
-    to say.  Where the names do not explain the mismatch, the config stays as it was.
+    ``effects`` is what the diagnosis says, and numbers of the rig that it contradicts become the
+    found ones.  B and beta_e of the rig become the fitted ones: ``simulator`` then makes what was
+    recorded, and the filters start where the rig is.  Nothing else is changed, thresholds and
+    priors included: whether the rig is healthy is not for a fit to say.  Where the names do not
+    explain the mismatch, the config stays as it was.
     """
     tree = settings.model_dump()
-    changed = []
+    changed, missing = [], []
     if found.command_hold != settings.command_hold:
         tree["command_hold"] = found.command_hold
         changed.append(f"command_hold: {found.command_hold}")
     if found.verdict == "mismatch":
-        tree["effects"] = {name: {key: _rounded(value) for key, value in values.items()
-                                  if math.isfinite(value)}
-                           for name, values in found.config_effects.items()}
-        changed.append(f"effects: {', '.join(effect.name for effect in found.effects)}")
+        changed += _corrected_numbers(found, settings, tree["rig"], missing)
+        changed += _named_physics(found, tree, missing)
         for name, key in RIG_KEYS.items():
             value = found.after.get(name)
             if value is not None and 0 < value.value < LARGEST:
-                tree["rig"][key] = _rounded(value.value)
+                tree["rig"][key] = rounded(value.value)
                 shown = with_uncertainty(value.value, value.stddev, value.unit)
                 changed.append(f"rig.{key}: {shown}")
     given = f"Completes {source.name}." if source else "Completes the paper's EHA."
-    lines = [f"Written by eha_monitor {__version__}, diagnose of {', '.join(found.bags)}.", given]
-    lines += ["Set by it:", *(f"  {line}" for line in changed), *wrap(NOTE, 95)] \
-        if changed else [f"Nothing is changed in it: the verdict is {found.verdict}."]
-    title = "\n".join(" ".join(line.split()) if not line.startswith(" ") else line
-                      for line in lines)
-    return annotated(settings_from_tree(tree, "diagnosis"), title)
+    lines = [" ".join(line.split()) for line in (
+        f"Written by eha_monitor {__version__}, diagnose of {', '.join(found.bags)}.", given)]
+    lines += ["Set by it:", *_indented(changed), *wrap(NOTE, _WIDTH)] if changed else [
+        f"Nothing is changed in it: the verdict is {found.verdict}."]
+    lines += ["Found, and not in it:", *_indented(missing)] if missing else []
+    return annotated(settings_from_tree(tree, "diagnosis"), "\n".join(lines))
 
 
-def _rounded(value: float) -> float:
-    return float(f"{value:.{_FIGURES}g}")
+def _indented(points: list[str]) -> list[str]:
+    """Return points of a list as lines of a file's head; names of bags may hold line breaks."""
+    return [line for point in points for line in wrap(
+        point, _WIDTH, initial_indent="  ", subsequent_indent="    ", break_long_words=False)]
+
+
+def _corrected_numbers(found: Diagnosis, settings: Settings, rig: dict, missing: list[str]
+                       ) -> list[str]:
+    """Put the found numbers into the tree of the rig; return what was changed, in words."""
+    findings = {finding.key: finding for finding in found.rig_data}
+    values, refused = corrected(settings.rig, {
+        key: finding.found.value for key, finding in findings.items()})
+    missing += [f"rig.{key}: {why}" for key, why in refused.items()]
+    rig.update(values)
+    lines = []
+    for key, value in values.items():
+        if key in findings and value == rounded(findings[key].found.value):
+            before, now = rig_values(findings[key])
+            lines.append(f"rig.{key}: {now}, was {before}"
+                         f"{in_brackets(findings[key].probability)}")
+        else:
+            lines.append(f"rig.{key}: {value:g}, was {getattr(settings.rig, key):g}; "
+                         "makeup_conductance is a part of leakage")
+    return lines
+
+
+def _named_physics(found: Diagnosis, tree: dict, missing: list[str]) -> list[str]:
+    """Put the named effects into the tree; return what was changed, in words."""
+    tree["effects"] = {name: {key: rounded(value) for key, value in values.items()
+                              if math.isfinite(value)}
+                       for name, values in found.config_effects.items() if name in CATALOGUE}
+    for effect in found.effects:
+        if effect.name not in CATALOGUE:
+            sizes = ", ".join(f"{name} = {value_words(value)}"
+                              for name, value in effect.parameters.items())
+            when = interval_words(effect.intervals_s)
+            missing.append(f"{effect.name}: {sizes}{f' at {when}' if when else ''}; a config "
+                           "holds only what acts all the time")
+    names = [effect.name for effect in found.effects if effect.name in CATALOGUE]
+    return [f"effects: {', '.join(names)}"] if names else []

@@ -16,12 +16,15 @@ from eha_monitor.reports.diagnosis_words import (
     effect_words,
     error_words,
     head_of,
+    head_words,
     interval_words,
     listed,
-    log_units,
+    message_words,
     percent,
     place_words,
+    probability,
     removed,
+    rig_words,
     sentence,
     value_words,
 )
@@ -30,20 +33,29 @@ _COLOURS = {"ok": "green", "warn": "yellow", "error": "red", "unknown": "dim"}
 
 
 def show(found: Diagnosis, written: list[Path], notes: list[str] = ()) -> None:
-    """Print verdict, place, effects, parameters before and after, the proof, and ``notes``."""
+    """Print wrong numbers of the rig, verdict, place, effects, parameters, proof, ``notes``."""
     console = PipeConsole(highlight=False)
     if not console.is_terminal:
         console = PipeConsole(highlight=False, width=PIPE_WIDTH)
-    kind, head = head_of(found)
+    kind = head_of(found)[0]
     console.print(f"{escape(', '.join(found.bags))}: {number(found.duration_s)} s "
                   f"(answered in {found.wall_s:.1f} s)")
-    console.print(f"[bold {_COLOURS[kind]}]{escape(head)}[/]: {escape(sentence(found.message))}")
+    for finding in found.rig_data:  # first of all: what follows rests on them
+        console.print(f"[bold yellow]wrong number of the rig[/]: {escape(rig_words(finding))}")
+        if finding.indistinguishable_from:
+            console.print(escape(f"  in this recording {finding.key} cannot be told from "
+                                 f"{_rivals(finding.indistinguishable_from)}"))
+    console.print(f"[bold {_COLOURS[kind]}]{escape(head_words(found))}[/]: "
+                  f"{escape(message_words(found))}".rstrip(": "))
     _print_place(console, found)
     if found.effects:
         console.print(_effects(found))
         for effect in found.effects:
             if effect.statement not in found.message:
                 console.print(escape(sentence(effect.statement)))
+            if effect.intervals_s:
+                console.print(escape(f"{effect.name} acts at "
+                                     f"{interval_words(effect.intervals_s)}"))
     if found.before or found.after:
         console.print(_parameters(found))
     if found.signals:
@@ -52,8 +64,8 @@ def show(found: Diagnosis, written: list[Path], notes: list[str] = ()) -> None:
                              ("note", notes)):
         for text in sentences:
             console.print(f"[yellow]{title}[/]: {escape(sentence(text))}")
-    if found.verdict != "insufficient_data":
-        console.print(escape(certainty(found)), style="dim")
+    if text := certainty(found):
+        console.print(escape(text), style="dim")
     if found.before or found.after:
         console.print(NOTE, style="dim")
     for path in written:
@@ -63,7 +75,7 @@ def show(found: Diagnosis, written: list[Path], notes: list[str] = ()) -> None:
 def _print_place(console: Console, found: Diagnosis) -> None:
     place = place_words(found)
     if found.verdict in ("mismatch", "unexplained") and place:
-        worst = interval_words(found)
+        worst = interval_words(found.location.intervals_s)
         console.print(escape(f"where: {place}{f'; worst at {worst}' if worst else ''}"))
 
 
@@ -72,16 +84,19 @@ def _table(*columns: str) -> Table:
 
 
 def _effects(found: Diagnosis) -> Table:
-    table = _table("left out", "balance", "size", "parameters", "log evidence",
+    table = _table("left out", "probability", "balance", "size", "parameters",
                    "not told apart from")
     for effect in found.effects:
-        table.add_row(effect.name, effect.balance, escape(effect.size),
+        table.add_row(effect.name, probability(effect.probability), effect.balance,
+                      escape(effect.size),
                       escape("\n".join(f"{name} = {value_words(value)}"
                                        for name, value in effect.parameters.items())),
-                      log_units(effect.log_evidence),
-                      escape(listed([effect_words(r) for r in effect.indistinguishable_from],
-                                    "or")) or "–")
+                      escape(_rivals(effect.indistinguishable_from)) or "–")
     return table
+
+
+def _rivals(names: tuple[str, ...]) -> str:
+    return listed([effect_words(name) for name in names], "or")
 
 
 def _parameters(found: Diagnosis) -> Table:

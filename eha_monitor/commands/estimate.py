@@ -1,6 +1,5 @@
 """``estimate``: the monitor's pipeline on a bag, as fast as it goes."""
 
-import json
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from eha_monitor.commands.common import (
     refuse_short,
     working,
 )
-from eha_monitor.output import write_text
+from eha_monitor.output import write_json, write_text
 
 
 @click.command()
@@ -40,7 +39,8 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
     if archive.covers(bag):
         refuse(bag, json=json_file, report=report_file, write_config=config_file)
         return int(answer_folder("estimate", bag, config, archive) and exit_code)
-    check_outputs((json_file, report_file, config_file), (bag,), config)
+    check_outputs({"--json": json_file, "--report": report_file, "--write-config": config_file},
+                  (bag,), config)
 
     from eha_monitor.commands.answer import answer, judged, refusal, unhealthy
     from eha_monitor.commands.plausible import checked, corrected_config, finding_tree
@@ -56,13 +56,11 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
     with working(f"reading {bag}"):
         recording = read_recording(bag, settings)
 
-    def write_json(tree: dict) -> None:
+    def refused(findings, message: str) -> None:
         if json_file:
-            write_text(json_file, json.dumps(tree, indent=1, ensure_ascii=False, allow_nan=False)
-                       + "\n")
+            write_json(json_file, refusal(recording, message, finding_tree(findings)))
 
-    findings = checked([recording], settings, config, config_file, lambda findings, message:
-                       write_json(refusal(recording, message, finding_tree(findings))))
+    findings = checked([recording], settings, config, config_file, refused)
     refuse_short(recording)  # a clock that runs wrong has been told before
     with working("estimating"):
         found = run(recording, settings)
@@ -75,7 +73,7 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
         with working("asking what each combination of channels could tell"):
             observable = observability(found)
     if json_file:
-        write_json(answer(found, alarms, history, observable)
+        write_json(json_file, answer(found, alarms, history, observable)
                    | {"channels": finding_tree(findings)})
     if config_file and any(finding.correction for finding in findings):
         write_text(config_file, corrected_config(findings, settings, config))

@@ -48,12 +48,11 @@ DRAWS = 200
               "be reached, and the evidence there is (half as long again).")
 @click.option("--jobs", type=click.IntRange(1, 1024), default=None,
               help="Processes at a time; all cores by default.")
-@click.option("--calibration/--no-calibration", default=True,
-              help="As in diagnose; without it the usual threshold of evidence is used.")
+@click.option("--calibration/--no-calibration", hidden=True, expose_value=False,
+              help="Does nothing, as in diagnose.")
 def prove(config: Path | None, ground: str, cases: int | None, data: Path | None, seed: int,
           json_file: Path | None, report_file: Path | None, text_file: Path | None, draw: str,
-          rig: str, work: Path | None, keep: str, oracle: bool, jobs: int | None,
-          calibration: bool) -> int:
+          rig: str, work: Path | None, keep: str, oracle: bool, jobs: int | None) -> int:
     """Conceal effects in recordings, seal the key, diagnose blindly, open the key and score.
 
     The key's SHA-256 is printed before any recording is read.  With a config all cases are on its
@@ -80,12 +79,12 @@ def prove(config: Path | None, ground: str, cases: int | None, data: Path | None
             from eha_monitor.prove.trial import prove as run
 
             found = run(Trial(drawn_cases(config, draw, cases or DRAWS, seed, rig), seed, work,
-                              oracle, jobs or 0, keep, calibration), click.echo, told)
+                              oracle, jobs or 0, keep), click.echo, told)
         else:
             from eha_monitor.prove.grounds.ground import Ground
 
-            found = on_ground(ground, Ground(work, seed, cases or 0, jobs or 0, keep,
-                                             calibration), data, config, told)
+            found = on_ground(ground, Ground(work, seed, cases or 0, jobs or 0, keep), data,
+                              config, told)
         told("writing the report", 1.0)
         report = report_file or work / "proof.html"
         write_proof_report(report, found, work)

@@ -24,6 +24,7 @@ from eha_monitor.physics.contributions import new_memory
 from eha_monitor.physics.plant import N_OUTPUTS, new_past, new_state
 
 MOVED = 0.03  # of the logarithm of a base parameter: its own and the others' slopes have changed
+FAR = 0.1  # of the logarithm of a number of the rig: the same, which matters less there
 NARROW = 1e-4  # smallest eigenvalue of the scaled information: old slopes lead out of the valley
 SINGULAR = 1e-12  # of a correlation: what rounding may make of it
 LEAST_DAMPING, SHORTER = 1e-9, 0.3
@@ -275,17 +276,21 @@ def refine(experiment: Experiment, fit: Fit, steps: int = 12, tolerance: float =
     information = np.zeros((len(free), len(free)))
     bounds = np.array([[f.inward(f.lower), f.inward(f.upper)] for f in free]).reshape(-1, 2)
     slopes: list[np.ndarray] = []
-    taken, narrow = theta, False
+    taken, narrow = np.zeros(len(free)), False
     for _ in range(steps):
         if not np.isfinite(best):
             break
         w = whitener(covariance_of(e))
         white = np.nan_to_num(e) @ w.T
-        afar = any(f.log and f.name.partition(".")[0] not in fit.named and abs(
-            f.inward(theta[f.place]) - f.inward(taken[f.place])) > MOVED for f in free)
-        moving = [i for i, f in enumerate(free) if not slopes or not fit.named or afar or narrow
-                  or f.name.partition(".")[0] in fit.named]
-        taken = theta if afar or not slopes else taken
+        way = np.array([f.inward(theta[f.place]) for f in free])
+        afar = any(f.log and "." not in f.name and abs(way[i] - taken[i]) > MOVED
+                   for i, f in enumerate(free)) if slopes else True
+        moving = [i for i, f in enumerate(free) if not slopes
+                  or f.name.partition(".")[0] in fit.named
+                  or (abs(way[i] - taken[i]) > FAR if f.name.startswith("rig.")
+                      else afar or narrow or not fit.named)]
+        taken = way.copy() if not slopes else taken
+        taken[moving] = way[moving]
         fresh = sensitivities(experiment, theta, fit.active, fit.gains, e,
                               [step_of(free[i], theta) for i in moving])
         slopes = slopes or fresh

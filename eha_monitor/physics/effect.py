@@ -126,6 +126,8 @@ class Effect:
     contains : simpler effects that are a special case of this one.
     family : effects of one family explain one another's errors of form ("dry" friction); two of
         them are named only where the second one is large.
+    rig_twin : number of the rig that does the same when it is wrong: one cannot be told from the
+        other.
     rarity : the larger, the less common on rigs; decides where a recording cannot.
     starts : ``starts(ranges)`` returns where a fit begins: dicts of parameter values, each a
         *small but visible* instance of the effect.  Several where the effect has a threshold.
@@ -145,6 +147,7 @@ class Effect:
     remembers_place: bool = False
     contains: tuple[str, ...] = ()
     family: str = ""
+    rig_twin: str = ""
     rarity: int = 1
 
     @property

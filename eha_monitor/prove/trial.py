@@ -38,7 +38,7 @@ PACKAGE = Path(__file__).parents[1]
 # What has a part in an answer.
 ROOMS = ("physics", "filters", "mismatch", "recordings", "settings", "plausibility",
          "commands/diagnose.py", "commands/plausible.py", "commands/diagnosis_answer.py",
-         "prove/blind.py", "prove/warm.py")
+         "commands/rotary.py", "prove/blind.py", "prove/warm.py")
 FEW = 4  # cases that are made without processes of their own
 KEEP = ("same", "all", "none")
 
@@ -75,7 +75,6 @@ class Trial:
     oracle : also fit each case with a model that was told the effects.
     jobs : processes at a time; each gets its share of the cores.
     keep : which answers of an earlier run stay: of the ``same`` source, ``all``, ``none``.
-    calibration : let each diagnosis calibrate its threshold.
     groups : case -> name of a group that is marked by itself.
     questions : what is asked; without them one diagnosis of each recording by itself.
     conceal : writes the recording of a case into a folder and returns what is true of it.
@@ -88,7 +87,6 @@ class Trial:
     oracle: bool = False
     jobs: int = 0
     keep: str = "same"
-    calibration: bool = True
     groups: tuple[tuple[str, str], ...] = ()
     questions: tuple[Question, ...] = ()
     conceal: Callable[[Case, Path], dict] | None = None
@@ -226,8 +224,6 @@ def answer(trial: Trial, say: Report, what: str = "diagnosing") -> None:
         unseen = [places(trial, bag, "")[0] for bag in (question.held_out,) if bag]
         words = [question.command, *bags, "--config", config, "--json", answer,
                  *(["--held-out", *unseen] if unseen else [])]
-        if question.command == "diagnose" and not trial.calibration:
-            words.append("--no-calibration")
         return [*map(str, (trial.work, *bags, *unseen, config, answer, "--", *words))]
 
     ask(trial, tuple(questions), Asked("eha_monitor.prove.blind", trial.work / "answers",
@@ -287,7 +283,7 @@ def result(trial: Trial, key: dict, sealed: str) -> dict:
         "detection_curves": curves_of(detection), "detection_bins": binned(detection),
         "failed": sum(row["verdict"] == score.FAILED for row in rows),
         "oracle": trial.oracle, "seed": trial.seed, "commit": commit(),
-        "sources": sources, "calibrated": trial.calibration,
+        "sources": sources,
     }
 
 

@@ -13,6 +13,7 @@ module's ``main``; a line of the output is how it ended, ``{"status": 0, "error"
 import importlib
 import json
 import os
+import pkgutil
 import select
 import signal
 import sys
@@ -21,15 +22,8 @@ import traceback
 import warnings
 from collections.abc import Callable
 
-# What the commands load only when they are asked.
-LOADED = {
-    "eha_monitor.prove.blind": (
-        "eha_monitor.cli", "eha_monitor.commands.diagnosis_answer",
-        "eha_monitor.commands.diagnosis_table", "eha_monitor.commands.plausible",
-        "eha_monitor.mismatch.name", "eha_monitor.mismatch.advise",
-        "eha_monitor.recordings.read", "eha_monitor.settings"),
-    "eha_monitor.prove.oracle": ("eha_monitor.recordings.read", "eha_monitor.settings"),
-}
+# Rooms that are loaded whole: what the commands load only when they are asked.
+ROOMS = ("commands", "mismatch", "plausibility", "filters", "physics", "recordings", "settings")
 MOST_WORDS = 100_000  # bytes of a complaint that are kept
 
 
@@ -91,12 +85,19 @@ def become(main: Callable[[list[str]], None], arguments: list[str], writing: int
         os._exit(status)
 
 
+def load() -> None:
+    """Load every module of the rooms that have a part in an answer."""
+    for room in ROOMS:
+        package = importlib.import_module(f"eha_monitor.{room}")
+        for found in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            importlib.import_module(found.name)
+
+
 def serve(module: str) -> None:
     """Answer questions until the input ends."""
     from eha_monitor.compiled import load_runtime
 
-    for name in LOADED[module]:
-        importlib.import_module(name)
+    load()
     main = importlib.import_module(module).main
     load_runtime()
     running = 0

@@ -12,7 +12,12 @@ from eha_monitor.mismatch.diagnosis import Value
 from eha_monitor.output import write_text
 from eha_monitor.quantity import SYMBOLS, number, quantity
 from eha_monitor.reports.archive_figures import history_block
-from eha_monitor.reports.diagnosis_words import effect_words, listed, value_words
+from eha_monitor.reports.diagnosis_words import (
+    effect_words,
+    listed,
+    probability,
+    value_words,
+)
 from eha_monitor.reports.page import render
 from eha_monitor.reports.verdict import STATUS_WORDS
 from eha_monitor.settings.monitor import Settings
@@ -112,13 +117,29 @@ def effect_counts(rows: Sequence[dict]) -> list[dict]:
                          default="—")} for name, mine in ordered]
 
 
+def phrases(row: dict) -> list[str]:
+    """Return what was found in a row: wrong numbers of the rig first, then the effects."""
+    return [*map(rig_phrase, row.get("rig_data") or ()),
+            *map(effect_phrase, row.get("effects") or ())]
+
+
 def effect_phrase(effect: dict) -> str:
-    """Return an effect with its values: ``Coulomb friction (F_c = 40.0 ± 0.2 N)``."""
+    """Return an effect with its values: ``Coulomb friction (F_c = 40.0 ± 0.2 N), 97 %``."""
     values = ", ".join(f"{one['name']} = {_value(one['value'], one['stddev'], one['unit'])}"
                        for one in effect["parameters"] or ())
-    words = effect_words(effect["name"]) + (f" ({values})" if values else "")
-    rivals = [effect_words(name) for name in effect["indistinguishable_from"] or ()]
-    return words + (f", or {listed(rivals, 'or')}" if rivals else "")
+    return _phrase(effect_words(effect["name"]) + (f" ({values})" if values else ""), effect)
+
+
+def rig_phrase(number: dict) -> str:
+    """Return a wrong number of the rig with both values, and how probable it is."""
+    return _phrase(number["statement"], number)
+
+
+def _phrase(words: str, found: dict) -> str:
+    chance = found.get("probability")
+    rivals = [effect_words(name) for name in found["indistinguishable_from"] or ()]
+    return (words + ("" if chance is None else f", {probability(chance)}")
+            + (f", or {listed(rivals, 'or')}" if rivals else ""))
 
 
 def _kind(rows: Sequence[dict]) -> str:
@@ -150,7 +171,7 @@ def _row(row: dict, command: str, made_with: str) -> dict:
         "verdict": (row.get("verdict") or "").replace("_", " "),
         "fits": _FITS.get(row.get("verdict"), "") if command == "diagnose" else (
             row.get("model") or ""),
-        "effects": [effect_phrase(effect) for effect in row.get("effects") or ()],
+        "effects": phrases(row),
         "losses": row.get("losses") or "",
     }
 

@@ -46,14 +46,15 @@ def telling(found: Diagnosis) -> list[Curve]:
 
     A curve tells much where its quantity decides the missing term: what it varies by is then
     large against the spread at each place.  The balance that is blamed goes first; time goes last,
-    for it decides nothing by itself.
+    for it decides nothing by itself, unless what is named comes and goes.
     """
+    timed = bool(found.effects and found.effects[0].intervals_s)
     blamed = found.effects[0].balance if found.effects else max(
         found.location.balance, key=found.location.balance.get, default="")
     drawable = [curve for curve in found.curves
                 if np.isfinite(curve.measured * curve.x).sum() >= 2]
     return sorted(drawable, key=lambda curve: (
-        curve.balance != blamed, curve.against == "time",
+        curve.balance != blamed, (curve.against == "time") != timed,
         -_contrast(curve) * (_STAND_IN if (curve.balance, curve.against) == _INDIRECT else 1.0)))
 
 

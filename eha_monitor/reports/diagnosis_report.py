@@ -8,7 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from eha_monitor.mismatch.diagnosis import Considered, Diagnosis, NamedEffect, Value
+from eha_monitor.mismatch.diagnosis import (
+    Considered,
+    Curve,
+    Diagnosis,
+    NamedEffect,
+    RigFinding,
+    Value,
+)
 from eha_monitor.output import write_text
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import SYMBOLS, number, quantity
@@ -24,7 +31,9 @@ from eha_monitor.reports.drawing import Block, Picture
 from eha_monitor.reports.page import render
 from eha_monitor.reports.parameter_figures import NAMES
 from eha_monitor.reports.tables import config_sections
+from eha_monitor.settings.corrected import corrected
 from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.tolerance import Tolerance
 
 _LARGEST = 1e60  # SI; beyond it squares and matplotlib's own sums overflow
 _MOST_CURVES = 6
@@ -56,7 +65,7 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
     """Return the report as HTML text."""
     found = _presentable(found)
     name = words.listed([Path(bag).name or bag for bag in found.bags]) or settings.rig.name
-    kind, head = words.head_of(found)
+    kind = words.head_of(found)[0]
     curves = telling(found)
     return render(
         "diagnosis.html.j2",
@@ -65,20 +74,21 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
         heading=_heading(found, settings),
         kind=kind,
         verdict=found.verdict,
-        head=head,
-        message=words.sentence(found.message),
+        head=words.head_words(found),
+        message=words.message_words(found, probable=True),
+        wrong=[_rig(finding, settings.rig.tolerance) for finding in found.rig_data],
         doubts=[f"In this recording {words.effect_words(effect.name)} cannot be told from "
-                f"{_rivals(effect)}." for effect in found.effects
+                f"{_rivals(effect.indistinguishable_from)}." for effect in found.effects
                 if effect.indistinguishable_from],
         hero=curve_picture(found, curves[0], large=True) if curves else None,
-        hero_words=_curve_note(found),
+        hero_words=_curve_note(found, curves[0]) if curves else "",
         summary=_summary(found),
         health=[words.sentence(text) for text in found.health],
-        compared=bool(found.effects or found.pieces),
+        compared=_compared(found),
         pieces=_pieces(found),
         location=_location(found),
         curves=[curve_picture(found, curve) for curve in curves[1:_MOST_CURVES]],
-        effects=[_effect(effect) for effect in found.effects],
+        effects=[_effect(effect, found.duration_s) for effect in found.effects],
         considered=_considered(found.considered),
         fit=_fit(found),
         by_balances="position" not in found.signals,
@@ -86,15 +96,41 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
         overlays=_overlays(found),
         agreement=_agreement(found),
         advice=[words.sentence(text) for text in found.advice],
-        certainty=words.certainty(found) if found.verdict != "insufficient_data" else "",
-        explained=words.percent(found.explained) if found.effects and math.isfinite(
-            found.explained) else "",
+        certainty=words.certainty(found),
         losses=losses,
         command=command,
         config=config_sections(settings),
-        config_effects=found.config_effects if found.verdict == "mismatch" else {},
+        **_for_config(found, settings),
         rotary=settings.rig.motion == "rotary",
     )
+
+
+def _compared(found: Diagnosis) -> bool:
+    """Tell whether there is a model after the one of the config."""
+    return bool(found.effects or found.rig_data or found.pieces)
+
+
+def _rig(finding: RigFinding, tolerance: Tolerance) -> dict[str, str]:
+    configured, said = words.rig_values(finding)
+    return {"key": finding.key, "words": words.rig_words(finding), "configured": configured,
+            "found": said, "tolerance": words.tolerance_words(tolerance, finding.key),
+            "beyond": words.beyond_words(tolerance, finding),
+            "probability": words.probability(finding.probability),
+            "rivals": _rivals(finding.indistinguishable_from)}
+
+
+def _for_config(found: Diagnosis, settings: Settings) -> dict[str, Any]:
+    """Return what ``--write-config`` would put into a config, and what it cannot."""
+    if found.verdict != "mismatch":
+        return {"config_rig": {}, "config_effects": {}, "config_lacks": ""}
+    rig, _ = corrected(settings.rig, {finding.key: finding.found.value
+                                      for finding in found.rig_data})
+    return {"config_rig": rig,
+            "config_effects": {name: values for name, values in found.config_effects.items()
+                               if name in CATALOGUE},
+            "config_lacks": words.listed([words.effect_words(effect.name)
+                                          for effect in found.effects
+                                          if effect.name not in CATALOGUE])}
 
 
 def _presentable(found: Diagnosis) -> Diagnosis:
@@ -130,13 +166,16 @@ def _heading(found: Diagnosis, settings: Settings) -> list[tuple[str, str]]:
     return facts
 
 
-def _curve_note(found: Diagnosis) -> str:
+def _curve_note(found: Diagnosis, curve: Curve) -> str:
+    dots, line = ("Grey", "Blue") if curve.against == "time" else ("Dots", "Line")
     if found.effects:
-        return ("Dots: what the recording shows and the linear model lacks. "
-                "Line: what the named physics makes.")
+        return (f"{dots}: what the recording shows and the linear model lacks. "
+                f"{line}: what the named physics makes.")
+    if found.rig_data:
+        return f"{dots}: what the recording shows and the model of the config lacks."
     if found.verdict == "consistent":
         return "What is left when the model has explained the recording: noise about zero."
-    return "Dots: what the recording shows and the model lacks. No entry of the catalogue fits."
+    return f"{dots}: what the recording shows and the model lacks. No entry of the catalogue fits."
 
 
 def _summary(found: Diagnosis) -> list[dict[str, str]]:
@@ -173,38 +212,51 @@ def _location(found: Diagnosis) -> dict[str, Any] | None:
               if math.isfinite(share)}
     if not any(share > 0 for share in shares.values()):
         return None
-    end = max([found.duration_s, *(stop for _, stop in found.location.intervals_s)])
-    spans = [{"left": round(100 * max(start, 0.0) / end, 3),
-              "width": round(max(100 * (stop - start) / end, 0.4), 3),
-              "title": f"{number(start)} s to {number(stop)} s"}
-             for start, stop in found.location.intervals_s] if end > 0 else []
+    spans, ticks = _spans(found.location.intervals_s, found.duration_s)
     return {"bars": [{"name": words.BALANCES.get(name, name), "share": words.percent(share),
                       "width": round(100 * min(max(share, 0.0), 1.0), 2)}
                      for name, share in sorted(shares.items(), key=lambda item: -item[1])],
             "regime": words.REGIMES.get(found.location.regime,
                                         found.location.regime.replace("_", " ")),
-            "spans": spans, "ticks": time_ticks(end) if end > 0 else (),
-            "intervals": words.interval_words(found)}
+            "spans": spans, "ticks": ticks,
+            "intervals": words.interval_words(found.location.intervals_s)}
 
 
-def _effect(effect: NamedEffect) -> dict[str, Any]:
+def _spans(intervals_s: tuple[tuple[float, float], ...], duration_s: float
+           ) -> tuple[list[dict[str, Any]], Sequence]:
+    """Return intervals as places on the time axis of the recording, in per cent, and its ticks."""
+    known = [(start, stop) for start, stop in intervals_s
+             if math.isfinite(start) and math.isfinite(stop)]
+    end = max([duration_s, *(stop for _, stop in known)])
+    if not (known and 0 < end < _LARGEST):
+        return [], ()
+    return [{"left": round(100 * max(start, 0.0) / end, 3),
+             "width": round(max(100 * (stop - start) / end, 0.4), 3),
+             "title": f"{number(start)} s to {number(stop)} s"}
+            for start, stop in known], time_ticks(end)
+
+
+def _effect(effect: NamedEffect, duration_s: float) -> dict[str, Any]:
     known = CATALOGUE.get(effect.name)
     about = {p.name: p.description for p in known.parameters} if known else {}
+    spans, ticks = _spans(effect.intervals_s, duration_s)
     return {"key": effect.name, "name": words.effect_words(effect.name),
             "balance": words.BALANCES.get(effect.balance, effect.balance), "size": effect.size,
             "statement": words.sentence(effect.statement), "equation": effect.equation,
             "source": known.source if known else "",
             "rig_check": words.sentence(effect.rig_check),
+            "probability": words.probability(effect.probability),
             "evidence": words.log_units(effect.log_evidence),
+            "intervals": words.interval_words(effect.intervals_s), "spans": spans,
+            "ticks": ticks,
             "parameters": [{"symbol": symbol, "shown": words.value_words(value),
                             "about": about.get(symbol, "")}
                            for symbol, value in effect.parameters.items()],
-            "rivals": _rivals(effect)}
+            "rivals": _rivals(effect.indistinguishable_from)}
 
 
-def _rivals(effect: NamedEffect) -> str:
-    return words.listed([words.effect_words(name) for name in effect.indistinguishable_from],
-                        "or")
+def _rivals(names: tuple[str, ...]) -> str:
+    return words.listed([words.effect_words(name) for name in names], "or")
 
 
 def _considered(considered: tuple[Considered, ...]) -> list[dict[str, Any]]:
@@ -246,8 +298,7 @@ def _memory(ratio: float) -> str:
 
 
 def _overlays(found: Diagnosis) -> list[Picture]:
-    both = bool(found.effects or found.pieces)
-    made = [overlay_picture(overlay, both) for overlay in found.overlays]
+    made = [overlay_picture(overlay, _compared(found)) for overlay in found.overlays]
     return [one for one in made if one is not None]
 
 

@@ -2,8 +2,18 @@
 
 import math
 
-from eha_monitor.mismatch.diagnosis import Diagnosis, SignalFit, Value
-from eha_monitor.quantity import Scale, number, quantity, readable, with_uncertainty
+from eha_monitor.mismatch.diagnosis import Diagnosis, RigFinding, SignalFit, Value
+from eha_monitor.quantity import (
+    Scale,
+    number,
+    quantity,
+    readable,
+    share,
+    side_by_side,
+    with_uncertainty,
+)
+from eha_monitor.settings.tolerance import Tolerance
+from eha_monitor.units import LARGEST
 
 # Verdict -> (colour, first words).
 VERDICTS = {
@@ -13,6 +23,7 @@ VERDICTS = {
     "insufficient_data": ("unknown", "Too little to tell"),
 }
 CHANGED = ("warn", "A parameter changed, and nothing else is missing")
+WRONG_NUMBERS = ("warn", "The numbers of the rig explain the mismatch, and nothing is left out")
 REGIMES = {
     "velocity_reversal": "where the motion turns round", "high_speed": "at high speed",
     "high_pressure": "at a high pressure difference", "near_limit": "near a limit",
@@ -27,7 +38,84 @@ _MOST_INTERVALS = 6
 
 def head_of(found: Diagnosis) -> tuple[str, str]:
     """Return the colour and the first words of a verdict."""
-    return CHANGED if found.pieces else VERDICTS.get(found.verdict, ("unknown", found.verdict))
+    if found.pieces:
+        return CHANGED
+    if found.verdict == "mismatch" and found.rig_data and not found.effects:
+        return WRONG_NUMBERS
+    return VERDICTS.get(found.verdict, ("unknown", found.verdict))
+
+
+def probability(share_of_one: float) -> str:
+    """Return a probability in per cent; nothing is certain, so never 0 or 100.
+
+    >>> probability(0.9999), probability(0.97), probability(0.0)
+    ('>99 %', '97 %', '<1 %')
+    """
+    if not math.isfinite(share_of_one):
+        return "—"
+    whole = round(100 * min(max(share_of_one, 0.0), 1.0))
+    return ">99 %" if whole == 100 else "<1 %" if whole == 0 else f"{whole} %"
+
+
+def verdict_probability(found: Diagnosis) -> float:
+    """Return the probability of the verdict, NaN where none was computed."""
+    clean, nameless = (found.probability.get(key, math.nan)
+                       for key in ("consistent", "unexplained"))
+    return {"consistent": clean, "unexplained": nameless,
+            "mismatch": 1.0 - clean - nameless}.get(found.verdict, math.nan)
+
+
+def head_words(found: Diagnosis) -> str:
+    """Return the first words of a verdict with its probability: ``Too little to tell (80 %)``."""
+    return head_of(found)[1] + in_brackets(verdict_probability(found))
+
+
+def in_brackets(share_of_one: float) -> str:
+    """Return `` (97 %)``, or nothing where the probability is not known."""
+    return f" ({probability(share_of_one)})" if math.isfinite(share_of_one) else ""
+
+
+def message_words(found: Diagnosis, probable: bool = False) -> str:
+    """Return the message as a sentence, without the numbers of the rig, which are told before it.
+
+    ``probable`` puts its probability behind each effect.
+    """
+    told = {finding.statement for finding in found.rig_data}
+    text = "; ".join(part for part in found.message.split("; ") if part not in told)
+    for effect in found.effects if probable else ():
+        text = text.replace(effect.statement,
+                            effect.statement + in_brackets(effect.probability))
+    return sentence(text)
+
+
+def rig_words(finding: RigFinding) -> str:
+    """Return what is wrong about a number of the rig, with its probability.
+
+    No sentence: it begins with the key as the config spells it.
+    """
+    return finding.statement.rstrip(". ") + in_brackets(finding.probability)
+
+
+def tolerance_words(tolerance: Tolerance, key: str) -> str:
+    """Return how well a number is known by the config: ``± 20 %``, ``a factor of 3``."""
+    if key not in Tolerance.model_fields:
+        return "—"
+    value = getattr(tolerance, key)
+    return f"a factor of {number(value, 3)}" if value > 1.0 else f"± {share(value)}"
+
+
+def beyond_words(tolerance: Tolerance, finding: RigFinding) -> str:
+    """Return by how many of its tolerances a number is off, or a dash where that is not known."""
+    ratio = finding.found.value / finding.configured if finding.configured else math.nan
+    if finding.key not in Tolerance.model_fields or not (math.isfinite(ratio) and ratio > 0):
+        return "—"
+    return f"{number(abs(math.log(ratio)) / tolerance.log_spread(finding.key), 2)} tolerances"
+
+
+def rig_values(finding: RigFinding) -> tuple[str, str]:
+    """Return a number of the rig as configured and as found, in one unit."""
+    found = finding.found
+    return side_by_side(finding.configured, found.value, found.stddev, found.unit)
 
 
 def effect_words(name: str) -> str:
@@ -65,16 +153,17 @@ def place_words(found: Diagnosis) -> str:
     return f"{text}; {regime}" if regime else text
 
 
-def interval_words(found: Diagnosis) -> str:
-    """Return the intervals in seconds, at most a few of them, or nothing."""
-    few = found.location.intervals_s[:_MOST_INTERVALS]
+def interval_words(intervals_s: tuple[tuple[float, float], ...]) -> str:
+    """Return intervals in seconds, at most a few of them, or nothing."""
+    known = [(start, stop) for start, stop in intervals_s
+             if abs(start) < LARGEST and abs(stop) < LARGEST]
+    few = known[:_MOST_INTERVALS]
     digits = 1 if all(stop - start > 0.09 for start, stop in few) else 3
     shown = [f"{start:.{digits}f}–{stop:.{digits}f}" for start, stop in few]
-    more = len(found.location.intervals_s) - len(shown)
+    more = len(known) - len(shown)
     if not shown:
         return ""
     return f"{', '.join(shown)} s" + (f" and {more} more" if more > 0 else "")
-
 
 
 def percent(share: float) -> str:
@@ -131,16 +220,14 @@ def removed(fit: SignalFit) -> float:
 
 
 def certainty(found: Diagnosis) -> str:
-    """Return the threshold of evidence and where it comes from, as sentences."""
-    if not math.isfinite(found.threshold):
-        return "No threshold of evidence was needed."
-    text = (f"An effect had to gain {log_units(found.threshold)} log units over the model "
-            "without it to be named, and to be of a size that matters. ")
-    if found.calibrated:
-        from eha_monitor.mismatch.calibrate import FALSE_ALARM
-
-        return text + ("That threshold comes from simulated clean recordings of this rig, with "
-                       "this motion, this sample time and this noise; about one such recording "
-                       f"in {1 / FALSE_ALARM:.0f} would reach it.")
-    return text + ("That is the usual threshold; it was not calibrated on simulated clean "
-                   "recordings of this rig and motion.")
+    """Return what speaks for the other verdicts, and where a probability is from, as sentences."""
+    rest = [f"{words}: {probability(found.probability[key])}" for key, words in
+            (("consistent", "that nothing is missing"),
+             ("unexplained", "that something without a name is missing"))
+            if math.isfinite(found.probability.get(key, math.nan))]
+    if not rest:
+        return ""
+    return (f"Probability {'; '.join(rest)}. This and every probability here come from the "
+            "evidence of all sets of effects, wrong numbers of the rig and terms without a name "
+            "that were compared. What holds 5 % or more in the place of an answer is listed as "
+            "not told apart from it.")

@@ -38,9 +38,6 @@ def load_settings(path: str | Path | None) -> Settings:
     """
     if path is None:
         return Settings()
-    from ruamel.yaml import YAML  # YAML 1.2, where 6e8 is a number
-    from ruamel.yaml.error import YAMLError
-
     path = Path(path)
     check_regular(path, "a config", streams=True)
     try:
@@ -48,17 +45,28 @@ def load_settings(path: str | Path | None) -> Settings:
             content = file.read(LARGEST + 1)
         if len(content) > LARGEST:
             raise InputError(f"{path}: expected a config of at most {LARGEST // 1024} KiB")
-        tree = YAML(typ="safe").load(content.decode("utf-8"))
+        text = content.decode("utf-8")
     except OSError as problem:
         raise InputError(f"{path}: cannot read config: {problem.strerror}") from problem
     except UnicodeDecodeError as problem:
         raise InputError(f"{path}: expected UTF-8 text") from problem
-    except (YAMLError, ValueError, RecursionError) as problem:
+    return settings_from_tree(_parsed(text, path), str(path))
+
+
+def _parsed(text: str, path: Path):
+    """Return the tree of a YAML text; whatever the parser raises is one line with the file."""
+    from ruamel.yaml import YAML  # YAML 1.2, where 6e8 is a number
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        return YAML(typ="safe").load(text)
+    except Exception as problem:  # beside its own errors there were KeyError and AssertionError
         where = getattr(problem, "problem_mark", None)
         line = f" at line {where.line + 1}" if where else ""
         what = " ".join(str(getattr(problem, "problem", None) or problem).split())[:120]
+        what = what if isinstance(problem, (YAMLError, ValueError)) else (
+            f"the parser failed ({type(problem).__name__}: {what})")
         raise InputError(f"{path}: expected YAML, cannot parse{line}: {what}") from problem
-    return settings_from_tree(tree, str(path))
 
 
 def settings_from_tree(tree, source: str) -> Settings:

@@ -23,5 +23,6 @@ EFFECT = Effect(
     statement="{dM} of mass move beyond the configured mass",
     rig_check="Weigh what moves, the load included; on a step of speed the peak of the pressure "
     "force grows with it.",
+    rig_twin="mass",
     starts=lambda r: ({"dM": 0.01 * r.force / max(r.acceleration, 1e-3)},),
 )

@@ -26,6 +26,7 @@ EFFECT = Effect(
     "the configured value",
     rig_check="Block the rod and hold the pump speed that keeps 1 MPa: that flow over 1 MPa is "
     "the leakage.",
+    rig_twin="leakage",
     starts=lambda r: ({"L": 0.01 * r.flow / max(r.pressure_difference[3], 1.0)},),
     rarity=0,
 )

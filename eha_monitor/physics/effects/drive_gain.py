@@ -23,5 +23,6 @@ EFFECT = Effect(
     statement="the drive's gain is {k:+%} off the configured position gain",
     rig_check="Read the gain in the drive's parameters; measured speed over position error is "
     "K_pos.",
+    rig_twin="position_gain",
     starts=lambda r: ({"k": 0.003},),
 )

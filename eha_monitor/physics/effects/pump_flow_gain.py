@@ -23,5 +23,6 @@ EFFECT = Effect(
     statement="the pump gives {k:+%} flow at every speed, against the configured displacement",
     rig_check="Turn the pump by hand for a number of turns without load: the rod's travel times "
     "its area over the angle is the displacement.",
+    rig_twin="pump_displacement",
     starts=lambda r: ({"k": 0.003},),
 )

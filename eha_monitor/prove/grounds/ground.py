@@ -21,12 +21,11 @@ class Ground:
     cases: int = 0
     jobs: int = 0
     keep: str = "same"
-    calibration: bool = True
 
     def trial(self, cases: tuple[Case, ...], questions: tuple[Question, ...] = (),
               **more) -> Trial:
         """Return the trial of some recordings."""
-        return Trial(cases, self.seed, self.work, False, self.jobs, self.keep, self.calibration,
+        return Trial(cases, self.seed, self.work, False, self.jobs, self.keep,
                      questions=questions, **more)
 
 

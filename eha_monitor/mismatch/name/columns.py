@@ -1,0 +1,236 @@
+"""The columns of the joint selection: what each suspect does to the innovations, per unit of prior.
+
+A column is the innovations' sensitivity to one number, times the prior deviation of that number,
+so that amplitudes of all columns have the prior N(centre, 1).  Suspects are
+
+    base        B, beta_e and the small timing errors that every record has: always there
+    rig         numbers of the config within their tolerance: always there
+    wrong rig   the same numbers, beyond it
+    effects     every start of every entry of the catalogue, and those that the model already has
+    unnamed     smooth unknown functions (:mod:`eha_monitor.mismatch.name.unnamed`)
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eha_monitor.mismatch.experiment import Experiment, damping_steps
+from eha_monitor.mismatch.fit import Fit, Free, filtered, innovations, spread, step_of
+from eha_monitor.mismatch.innovations import CLOSED, FORCED
+from eha_monitor.mismatch.name.unnamed import columns_of, unnamed_of
+from eha_monitor.mismatch.screen import (
+    Start,
+    directions_of,
+    free_parameter,
+    own_sizes,
+    possible,
+    starts_of,
+)
+from eha_monitor.mismatch.search import base_free, timing_free
+from eha_monitor.physics.effects import CATALOGUE, NAMES
+from eha_monitor.physics.parameters import BASE_KEYS, place_of
+from eha_monitor.physics.signals import B
+
+ALWAYS = ""  # owner of what every model has
+HALF = 0.5  # of a tolerance: the standard deviation of a number that is within it
+WITHIN = 3.0  # of these deviations: what is further off is wrong, and must be named
+BEYOND = 30.0  # of these deviations: how far a number of the rig that is wrong may be off
+TANGENT = 0.05  # of a start's size: where the innovations answer in proportion
+RIG_STEP = 1e-3  # of a tolerance's logarithm: for its sensitivity
+COARSER = 3.0  # times the integration step, for differences
+
+
+@dataclass(frozen=True)
+class Column:
+    """One number that may differ from the model at hand.
+
+    Attributes
+    ----------
+    owner : effect, unnamed term, ``rig.<key>``, or ``ALWAYS``.
+    variant : which of the owner's starts; -1 where the model has it.
+    name : of the number, as in :class:`Free`.
+    centre : prior mean less the present value, in prior deviations.
+    lower, upper : bounds of the amplitude.
+    free : how it is fitted; None for unnamed terms.
+    start : of the effect that it brings in.
+    size : it is a size: without it its effect is absent.
+    """
+
+    owner: str
+    variant: int
+    name: str
+    centre: float = 0.0
+    lower: float = -np.inf
+    upper: float = np.inf
+    free: Free | None = None
+    start: Start | None = None
+    size: bool = False
+
+
+@dataclass(frozen=True)
+class Columns:
+    """All columns at a fit: ``what`` (m - 1,) and for each stretch (n, c, m), innovations first."""
+
+    what: tuple[Column, ...]
+    values: list[np.ndarray]
+    runs: int
+
+
+def rig_free(experiment: Experiment) -> tuple[Free, ...]:
+    """Return the numbers of the rig that this experiment can tell, as logarithms.
+
+    Each has the prior of its tolerance (``rig.tolerance``).  What is nil or unknown is none.
+    """
+    rig = experiment.settings.rig
+    if experiment.mode == FORCED:
+        keys = {"mass"}
+    else:
+        keys = set(BASE_KEYS.values()) - {"viscous_damping", "bulk_modulus"}
+        if experiment.inverse:  # the force was made of areas and pressures
+            keys -= {"area_1", "area_2", "volume_1", "volume_2", "charge_pressure"}
+        if experiment.mode != CLOSED or experiment.wanted_speed:
+            keys -= {"position_gain"}
+    found = []
+    for place, key in BASE_KEYS.items():
+        value = getattr(rig, key) if key in keys else None
+        if value:
+            width = HALF * rig.tolerance.log_spread(key)
+            reach = float(np.exp(WITHIN * width))
+            found.append(Free(f"rig.{key}", place, value / reach, value * reach,
+                              float(np.log(value)), width, True))
+    return tuple(found)
+
+
+def always_free(experiment: Experiment) -> tuple[Free, ...]:
+    """Return what every model fits: base parameters, small timing errors, the rig's numbers."""
+    return base_free(experiment) + timing_free(experiment) + rig_free(experiment)
+
+
+def runs_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray, gains: np.ndarray
+            ) -> list[np.ndarray]:
+    """Return the innovations of the used channels at all samples, (n, c) for each stretch."""
+    if experiment.inverse:
+        return [innovations(experiment, theta, active, gains)]
+    return [filtered(experiment, stretch, theta, active, gains)[0][:, experiment.columns]
+            for stretch in experiment.stretches]
+
+
+def coarse(experiment: Experiment) -> Experiment:
+    """Return the experiment with integration steps that do for differences.
+
+    A slope that is one per cent off leads to the same optimum; the innovations themselves are
+    taken with the fine steps.
+    """
+    if experiment.inverse:
+        return experiment
+    least = damping_steps(experiment.settings, 2.0 * experiment.theta[B], experiment.dt)
+    steps = max(int(np.ceil(experiment.steps / COARSER)), int(np.ceil(0.75 * least)), 1)
+    return replace(experiment, steps=min(steps, experiment.steps))
+
+
+def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True) -> Columns:
+    """Return innovations and columns at a fit, under its gains."""
+    present = runs_of(experiment, fit.theta, fit.active, fit.gains)
+    what: list[Column] = []
+    moves: list[tuple[np.ndarray, np.ndarray, float]] = []  # theta, active, over how many units
+
+    def moved(f: Free, owner: str, variant: int, size: bool = False) -> None:
+        """Add a number that the model has."""
+        theta, step = (step_of(f, fit.theta) if not f.name.startswith("rig.")
+                       else rig_step(f, fit.theta))
+        now = f.inward(fit.theta[f.place])
+        what.append(Column(owner, variant, f.name, (f.prior - now) / f.spread,
+                           (f.inward(f.lower) - now) / f.spread,
+                           (f.inward(f.upper) - now) / f.spread, f, size=size))
+        moves.append((theta, fit.active, step / f.spread))
+
+    twins = {f"rig.{CATALOGUE[name].rig_twin}" for name in effects_of(fit)}
+    for f in (*(f for f in fit.free if "." not in f.name),
+              *(f for f in fit.free if timing_only(fit, f)),
+              *(f for f in rig_free(experiment) if f.name not in twins)):
+        moved(f, ALWAYS, -1)
+    for name in effects_of(fit):
+        sizes = {p.name for p in CATALOGUE[name].sizes}
+        for f in fit.free:
+            effect, _, symbol = f.name.partition(".")
+            if effect == name:
+                moved(f, name, -1, symbol in sizes)
+    for name in NAMES:
+        if name in fit.named or experiment.active[NAMES.index(name)] or not possible(
+                name, experiment):
+            continue
+        for variant, start in enumerate(starts_of(name, experiment)):
+            entering(fit, start, variant, what, moves)
+
+    rough = coarse(experiment)
+    plain = runs_of(rough, fit.theta, fit.active, fit.gains)
+
+    def one(move):
+        theta, active, units = move
+        return [(run - before) / units for run, before in zip(
+            runs_of(rough, theta, active, fit.gains), plain, strict=True)]
+
+    made = spread(one, moves)
+    keep = [all(np.nanmax(np.abs(part), initial=0.0) < 1e30 for part in parts) for parts in made]
+    values = [np.stack([present[i], *(parts[i] for parts, good in zip(made, keep, strict=True)
+                                      if good)], axis=2) for i in range(len(present))]
+    what = [column for column, good in zip(what, keep, strict=True) if good]
+    wrong = [c for c in what if c.owner == ALWAYS and c.name.startswith("rig.")]
+    places = [1 + what.index(column) for column in wrong]
+    values = [np.concatenate([part, BEYOND * part[:, :, places]], axis=2) for part in values]
+    what += [Column(c.name, -1 if c.name in fit.named else 0, c.name, free=c.free, size=True)
+             for c in wrong]
+    if unnamed and not experiment.inverse:
+        terms = unnamed_of(experiment, fit)
+        more, sizes = columns_of(experiment, fit, terms)
+        values = [np.concatenate([one, two], axis=2)
+                  for one, two in zip(values, more, strict=True)]
+        what += [Column(term.name, 0, term.name, size=True)
+                 for term, size in zip(terms, sizes, strict=True) for _ in range(size)]
+    return Columns(tuple(what), [np.ascontiguousarray(part) for part in values], len(moves) + 1)
+
+
+def effects_of(fit: Fit) -> tuple[str, ...]:
+    """Return the effects that a model has, without the numbers of the rig that it calls wrong."""
+    return tuple(name for name in fit.named if name in CATALOGUE)
+
+
+def timing_only(fit: Fit, f: Free) -> bool:
+    """Tell whether a free parameter is a small timing error, no effect that has a name."""
+    effect, dot, _ = f.name.partition(".")
+    return bool(dot) and effect not in fit.named and not f.name.startswith("rig.")
+
+
+def rig_step(f: Free, theta: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return theta with a number of the rig moved by a little, and the step of its logarithm."""
+    other, step = theta.copy(), max(RIG_STEP * f.spread, 1e-5)
+    other[f.place] *= np.exp(step)
+    return other, step
+
+
+def entering(fit: Fit, start: Start, variant: int, what: list, moves: list) -> None:
+    """Add the columns of an effect at one of its starts."""
+    effect, values = CATALOGUE[start.effect], dict(start.values)
+    sizes = own_sizes(start)
+    smooth = start.among == 1 and all(np.isfinite(p.neutral) for p in sizes)
+    share = TANGENT if smooth else 1.0
+    for p, (theta, active) in zip(sizes, directions_of(fit, start, share), strict=True):
+        f = free_parameter(effect, p, values[p.name])
+        if p.log or not np.isfinite(p.neutral):  # all or nothing, at this start
+            what.append(Column(start.effect, variant, f.name, 0.0, 0.0, 1.5, f, start, True))
+            moves.append((theta, active, 1.0))
+            continue
+        width = values[p.name] - p.neutral
+        units = width / f.spread
+        lower, upper = sorted(((p.lower - p.neutral) / f.spread, (p.upper - p.neutral) / f.spread))
+        what.append(Column(start.effect, variant, f.name, 0.0, lower, upper, f, start, True))
+        moves.append((theta, active, share * units))
+
+
+def placed(column: Column, amplitude: float) -> float:
+    """Return the value of a size that enters with an amplitude, SI."""
+    return column.free.outward(column.free.prior + amplitude * column.free.spread)
+
+
+__all__ = ["ALWAYS", "Column", "Columns", "always_free", "columns_at", "placed", "replace",
+           "rig_free", "runs_of"]

@@ -1,0 +1,305 @@
+"""Gram matrices of sensitivities under other gains of the filter, without running it again.
+
+Innovations and their sensitivities under gains K are a linear map of those under gains K': the
+filter's state differs by delta, which the linearised plant carries on,
+
+    e' = e - H delta,   delta+ = A (delta + K' e' - K e)
+
+(the error recursion of two filters of one model).  So each level of the unknowns costs a pass over
+the columns, no run of the plant, and only products are kept.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from eha_monitor.compiled import njit
+from eha_monitor.mismatch.experiment import Experiment
+from eha_monitor.mismatch.fit import Fit, spread
+from eha_monitor.mismatch.gains import Unknowns, expected_covariance, gains_of, linear_of
+from eha_monitor.mismatch.innovations import N_FILTERED
+
+BLOCK = 1024  # samples whose products are taken at once
+
+
+@dataclass(frozen=True)
+class Gram:
+    """Products of whitened columns at one level of the unknowns.
+
+    Attributes
+    ----------
+    unknowns : the level.
+    products : (c, m, m), one for each whitened channel; their sum is the Gram matrix.
+    counts : (c,) samples in each channel.
+    logdet : sum over the samples of log det S / 2 that the filter expects.
+    """
+
+    unknowns: Unknowns
+    products: np.ndarray
+    counts: np.ndarray
+    logdet: float
+
+
+@njit(nogil=True)
+def remap(columns, missing, counted, a, h, old, new, w, block, products, counts):
+    """Add the products of a stretch's columns under new gains, whitened, to ``products``.
+
+    Parameters
+    ----------
+    columns : (n, c, m) under the old gains; NaN nowhere.
+    missing : (n, c) bool, what was not measured; counted : (n,) bool.
+    a : (N, N), h : (c, N) of the linearised plant; old, new : (., N, c) gains.
+    w : (c, c) whitener.
+    block : (c, BLOCK, m) scratch.
+    products : (c, m, m), counts : (c,) added to.
+    """
+    n, channels, m = columns.shape
+    states = a.shape[0]
+    delta = np.zeros((states, m))
+    other = np.zeros((states, m))
+    fresh = np.zeros((channels, m))
+    filled = 0
+    length = block.shape[1]
+    for k in range(n):
+        k_old, k_new = old[min(k, old.shape[0] - 1)], new[min(k, new.shape[0] - 1)]
+        for j in range(channels):
+            if missing[k, j]:
+                fresh[j] = 0.0
+                continue
+            for lane in range(m):
+                fresh[j, lane] = columns[k, j, lane]
+            for i in range(states):
+                value = h[j, i]
+                if value != 0.0:
+                    for lane in range(m):
+                        fresh[j, lane] -= value * delta[i, lane]
+        for i in range(states):
+            for j in range(channels):
+                if missing[k, j]:
+                    continue
+                up, down = k_new[i, j], k_old[i, j]
+                if up != 0.0 or down != 0.0:
+                    for lane in range(m):
+                        delta[i, lane] += up * fresh[j, lane] - down * columns[k, j, lane]
+        for i in range(states):
+            other[i] = 0.0
+            for j in range(states):
+                value = a[i, j]
+                if value != 0.0:
+                    for lane in range(m):
+                        other[i, lane] += value * delta[j, lane]
+        delta, other = other, delta
+        if counted[k]:
+            for i in range(channels):
+                row = block[i, filled]
+                row[:] = 0.0
+                for j in range(channels):
+                    value = w[i, j]
+                    if value != 0.0:
+                        for lane in range(m):
+                            row[lane] += value * fresh[j, lane]
+                if not missing[k, i]:
+                    counts[i] += 1.0
+            filled += 1
+        if filled == length or (k == n - 1 and filled > 0):
+            for i in range(channels):
+                part = block[i, :filled]
+                products[i] += np.dot(part.T, part)
+            filled = 0
+
+
+@njit(nogil=True)
+def power_at(e, missing, counted, a, h, old, new, w):
+    """Return the squared whitened innovations under new gains, summed; see :func:`remap`.
+
+    e : (n, c) under the old gains, NaN nowhere.
+    """
+    n, channels = e.shape
+    states = a.shape[0]
+    delta, other = np.zeros(states), np.zeros(states)
+    fresh = np.zeros(channels)
+    total = 0.0
+    for k in range(n):
+        k_old, k_new = old[min(k, old.shape[0] - 1)], new[min(k, new.shape[0] - 1)]
+        for j in range(channels):
+            value = 0.0
+            if not missing[k, j]:
+                value = e[k, j]
+                for i in range(states):
+                    value -= h[j, i] * delta[i]
+            fresh[j] = value
+        for i in range(states):
+            value = delta[i]
+            for j in range(channels):
+                if not missing[k, j]:
+                    value += k_new[i, j] * fresh[j] - k_old[i, j] * e[k, j]
+            delta[i] = value
+        for i in range(states):
+            value = 0.0
+            for j in range(states):
+                value += a[i, j] * delta[j]
+            other[i] = value
+        delta, other = other, delta
+        if counted[k]:
+            for i in range(channels):
+                value = 0.0
+                for j in range(i + 1):
+                    value += w[i, j] * fresh[j]
+                total += value * value
+    return total
+
+
+@njit(nogil=True)
+def mapped(columns, missing, a, h, old, new, out):
+    """Write columns under new gains, (n, c, m) SI; see :func:`remap`."""
+    n, channels, m = columns.shape
+    states = a.shape[0]
+    delta, other = np.zeros((states, m)), np.zeros((states, m))
+    for k in range(n):
+        k_old, k_new = old[min(k, old.shape[0] - 1)], new[min(k, new.shape[0] - 1)]
+        for j in range(channels):
+            for lane in range(m):
+                out[k, j, lane] = 0.0 if missing[k, j] else columns[k, j, lane]
+            if missing[k, j]:
+                continue
+            for i in range(states):
+                value = h[j, i]
+                if value != 0.0:
+                    for lane in range(m):
+                        out[k, j, lane] -= value * delta[i, lane]
+        for i in range(states):
+            for j in range(channels):
+                if not missing[k, j]:
+                    up, down = k_new[i, j], k_old[i, j]
+                    for lane in range(m):
+                        delta[i, lane] += up * out[k, j, lane] - down * columns[k, j, lane]
+        for i in range(states):
+            other[i] = 0.0
+            for j in range(states):
+                value = a[i, j]
+                if value != 0.0:
+                    for lane in range(m):
+                        other[i, lane] += value * delta[j, lane]
+        delta, other = other, delta
+
+
+def evidence_at(experiment: Experiment, fit: Fit, present: list[np.ndarray], level: Unknowns
+                ) -> float:
+    """Return the likelihood of innovations (n, c) at another level, with the expected S."""
+    used = experiment.columns
+    linear = linear_of(experiment, fit.theta, fit.active, level)
+    try:
+        gains = gains_of(experiment, fit.theta, fit.active, level)
+        s = expected_covariance(experiment, fit.theta, fit.active, level, gains)
+        w = np.linalg.inv(np.linalg.cholesky(0.5 * (s + s.T)))
+    except np.linalg.LinAlgError:
+        return -np.inf
+    old = np.ascontiguousarray(fit.gains[:, :, used])
+    new, h = np.ascontiguousarray(gains[:, :, used]), np.ascontiguousarray(linear.h[used])
+    total = 0.0
+    for stretch, part in zip(experiment.stretches, present, strict=True):
+        missing = ~np.isfinite(part)
+        power = power_at(np.nan_to_num(part), missing, stretch.counted, linear.a, h, old, new, w)
+        count = (~missing[stretch.counted]).sum(axis=0)
+        total += -0.5 * power + float(count @ np.log(np.diag(w)))
+    return total
+
+
+def under(experiment: Experiment, fit: Fit, columns: list[np.ndarray], gains: np.ndarray
+          ) -> list[np.ndarray]:
+    """Return columns of a fit under other gains, (n, c, m) SI for each stretch, 0 if missing."""
+    used = experiment.columns
+    linear = linear_of(experiment, fit.theta, fit.active, fit.unknowns)
+    found = []
+    for part in columns:
+        out = np.empty_like(part)
+        mapped(np.nan_to_num(part), ~np.isfinite(part[:, :, 0]), linear.a,
+               np.ascontiguousarray(linear.h[used]), np.ascontiguousarray(fit.gains[:, :, used]),
+               np.ascontiguousarray(gains[:, :, used]), out)
+        found.append(out)
+    return found
+
+
+def grams_of(experiment: Experiment, fit: Fit, columns: list[np.ndarray],
+             levels: list[Unknowns]) -> list[Gram]:
+    """Return the Gram matrices of columns at some levels of the unknowns.
+
+    Parameters
+    ----------
+    fit : where the columns were taken, under its gains.
+    columns : for each stretch (n, c, m) in SI; NaN where nothing was measured.
+    """
+    used = experiment.columns
+    missing = [~np.isfinite(part[:, :, 0]) for part in columns]
+    whole = [np.nan_to_num(part) for part in columns]
+    m = columns[0].shape[2]
+
+    def one(level: Unknowns) -> Gram | None:
+        linear = linear_of(experiment, fit.theta, fit.active, level)
+        try:
+            gains = gains_of(experiment, fit.theta, fit.active, level)
+            s = expected_covariance(experiment, fit.theta, fit.active, level, gains)
+            w = np.linalg.inv(np.linalg.cholesky(0.5 * (s + s.T)))
+        except np.linalg.LinAlgError:
+            return None
+        products = np.zeros((len(used), m, m))
+        counts = np.zeros(len(used))
+        old = np.ascontiguousarray(fit.gains[:, :, used])
+        new = np.ascontiguousarray(gains[:, :, used])
+        block = np.zeros((len(used), BLOCK, m))
+        for stretch, part, gone in zip(experiment.stretches, whole, missing, strict=True):
+            remap(part, gone, stretch.counted, linear.a, np.ascontiguousarray(linear.h[used]),
+                  old, new, w, block, products, counts)
+        logdet = -float(counts @ np.log(np.diag(w)))
+        return Gram(level, products, counts, logdet)
+
+    return [gram for gram in spread(one, levels) if gram is not None]
+
+
+@njit(nogil=True)
+def injected(forcing, missing, a, h, gains, into, out):
+    """Write what unit inputs to the linearised plant do to a filter's innovations.
+
+    Parameters
+    ----------
+    forcing : (n, m) each input over the sample that begins there.
+    into : (N, m) what a unit of it adds to the state over a sample.
+    a, h, gains : as in :func:`remap`, gains (., N, c).
+    out : (n, c, m) written.
+    """
+    n, m = forcing.shape
+    states, channels = a.shape[0], h.shape[0]
+    delta = np.zeros((states, m))
+    other = np.zeros((states, m))
+    for k in range(n):
+        gain = gains[min(k, gains.shape[0] - 1)]
+        for j in range(channels):
+            if missing[k, j]:
+                out[k, j] = 0.0
+                continue
+            for lane in range(m):
+                total = 0.0
+                for i in range(states):
+                    total -= h[j, i] * delta[i, lane]
+                out[k, j, lane] = total
+        for i in range(states):
+            for j in range(channels):
+                if not missing[k, j] and gain[i, j] != 0.0:
+                    for lane in range(m):
+                        delta[i, lane] += gain[i, j] * out[k, j, lane]
+        for i in range(states):
+            for lane in range(m):
+                other[i, lane] = into[i, lane] * forcing[k, lane]
+            for j in range(states):
+                value = a[i, j]
+                if value != 0.0:
+                    for lane in range(m):
+                        other[i, lane] += value * delta[j, lane]
+        delta, other = other, delta
+
+
+def carried(linear_a: np.ndarray, place: int) -> np.ndarray:
+    """Return what a unit of an unknown, held over a sample, adds to the plant's state, (N,)."""
+    into = linear_a[:, place].copy()
+    into[5:N_FILTERED] = 0.0
+    return into

@@ -1,0 +1,360 @@
+"""Refit of a set of effects to the end, from the linear guess, and its evidence."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from eha_monitor.mismatch.experiment import Experiment
+from eha_monitor.mismatch.fit import (
+    Fit,
+    Free,
+    covariance_of,
+    innovations,
+    log_likelihood_of,
+    prior_exponent,
+    sensitivities,
+    spread,
+    step_of,
+    step_within,
+    whitener,
+    with_unknowns,
+)
+from eha_monitor.mismatch.gains import Unknowns
+from eha_monitor.mismatch.name.acceptance import EFFECT, WRONG_RIG
+from eha_monitor.mismatch.name.columns import (
+    ALWAYS,
+    BEYOND,
+    Column,
+    Columns,
+    coarse,
+    placed,
+    rig_free,
+    runs_of,
+)
+from eha_monitor.mismatch.name.gram import evidence_at, under
+from eha_monitor.mismatch.name.rank import Ranked
+from eha_monitor.mismatch.screen import entered, free_of
+from eha_monitor.mismatch.search import base_free, completed, limits_of, timing_free
+from eha_monitor.physics.effects import CATALOGUE, NAMES
+from eha_monitor.physics.parameters import BASE_KEYS, effect_values, place_of
+
+LEAST = 0.05  # of its start: where a size enters at least
+INFORMED = 0.5  # of its prior deviation: a number of the rig of which the recording tells
+HALVINGS = 3  # of the way to other unknowns
+FACTORS = (10.0, 3.0)  # of the unknowns' grid
+
+
+def begun(experiment: Experiment, factor: float) -> Fit:
+    """Return the nominal model before any fit, unknowns at ``factor`` times the smallest."""
+    theta, active = experiment.theta.copy(), experiment.active.copy()
+    free = base_free(experiment) + timing_free(experiment)
+    for f in free:
+        effect, dot, _ = f.name.partition(".")
+        if dot:
+            active[NAMES.index(effect)] = True
+    small, large = (limit.as_array() for limit in limits_of(experiment))
+    unknowns = Unknowns(*np.minimum(factor * small, large))
+    k = len(free)
+    fit = Fit(theta, active, free, unknowns, np.zeros((0, 0, 0)), np.zeros((0, 0)),
+              np.zeros((0, 0)), -np.inf, np.zeros((k, k)))
+    return with_unknowns(experiment, fit, unknowns)
+
+
+def at_level(experiment: Experiment, fit: Fit) -> Fit:
+    """Return a fit under the unknowns that its innovations ask for.
+
+    The likelihood at other unknowns is that of the innovations mapped to their gains.
+    """
+    if experiment.inverse:
+        return fit
+    present = runs_of(experiment, fit.theta, fit.active, fit.gains)
+    small, large = (limit.as_array() for limit in limits_of(experiment))
+    known: dict[tuple, float] = {}
+
+    def likelihood(levels: list[np.ndarray]) -> None:
+        todo = [tuple(level) for level in levels if tuple(level) not in known]
+        known.update(zip(todo, spread(lambda level: evidence_at(
+            experiment, fit, present, Unknowns(*level)), todo), strict=True))
+
+    best = fit.unknowns.as_array()
+    likelihood([best])
+    for factor in FACTORS:
+        moved = True
+        while moved:
+            tried = []
+            for i in range(3):
+                for step in (factor, 1.0 / factor):
+                    other = best.copy()
+                    other[i] = min(max(other[i] * step, small[i]), large[i])
+                    tried.append(other)
+            likelihood(tried)
+            first = max(tried, key=lambda level: known[tuple(level)])
+            moved = known[tuple(first)] > known[tuple(best)] + 0.1
+            best = first if moved else best
+    now = fit.unknowns.as_array()
+    for _ in range(HALVINGS):
+        if np.allclose(best, now, rtol=1e-9):
+            break
+        other = with_unknowns(experiment, fit, Unknowns(*best))
+        if other.log_likelihood > fit.log_likelihood:
+            return other
+        best = np.sqrt(best * now)  # what is not linear there shows at the smaller unknowns
+    return fit
+
+
+class Slopes:
+    """Slopes of the innovations that are at hand from a linearisation, under any gains."""
+
+    def __init__(self, experiment: Experiment, fit: Fit | None = None,
+                 columns: Columns | None = None):
+        self.experiment, self.fit, self.columns = experiment, fit, columns
+        self.places = {c.name: i for i, c in enumerate(columns.what)
+                       if c.free is not None and (c.owner == ALWAYS or c.variant < 0)
+                       } if columns else {}
+
+    def of(self, fit: Fit) -> dict[str, np.ndarray]:
+        """Return name -> (N, c) slope in the fitted coordinate, of what is known."""
+        wanted = [f for f in fit.free if f.name in self.places]
+        if not wanted:
+            return {}
+        places = [1 + self.places[f.name] for f in wanted]
+        parts = under(self.experiment, self.fit, [
+            np.ascontiguousarray(part[:, :, places]) for part in self.columns.values], fit.gains)
+        whole = np.concatenate([part[stretch.counted] for part, stretch in zip(
+            parts, self.experiment.stretches, strict=True)])
+        units = [self.columns.what[self.places[f.name]].free.spread for f in wanted]
+        return {f.name: whole[:, :, i] / unit
+                for i, (f, unit) in enumerate(zip(wanted, units, strict=True))}
+
+
+def polished(experiment: Experiment, fit: Fit, slopes: Slopes, steps: int = 12,
+             tolerance: float = 0.3) -> Fit:
+    """Carry a fit to its optimum with held gains: Gauss-Newton, slopes brought up to date.
+
+    Slopes come from the linearisation where it has them, else from differences; each step then
+    corrects them by what it has seen (Broyden 1965), in the metric of the information.  They are
+    taken afresh where a step fails.
+    """
+    theta, free = fit.theta.copy(), fit.free
+    e = innovations(experiment, theta, fit.active, fit.gains)
+    best = log_likelihood_of(e) + prior_exponent(free, theta)
+    if not np.isfinite(best):
+        return replace(fit, e=e, log_likelihood=-np.inf)
+    bounds = np.array([[f.inward(f.lower), f.inward(f.upper)] for f in free]).reshape(-1, 2)
+    prior, weight = np.array([f.prior for f in free]), np.array([f.spread for f in free]) ** -2.0
+    known = slopes.of(fit)
+
+    rough = coarse(experiment)
+
+    def taken(which: list[int]) -> None:
+        plain = innovations(rough, theta, fit.active, fit.gains)
+        fresh = sensitivities(rough, theta, fit.active, fit.gains, plain,
+                              [step_of(free[i], theta) for i in which])
+        for i, slope in zip(which, fresh, strict=True):
+            d[i] = np.nan_to_num(slope)
+
+    d = np.stack([known.get(f.name, np.zeros(e.shape)) for f in free])
+    taken([i for i, f in enumerate(free) if f.name not in known])
+    matters = [i for i, f in enumerate(free) if not f.name.startswith("rig.")]
+    fresh, damping, converged = not known, 1e-9, False
+    white = information = None
+    for _ in range(steps):
+        w = whitener(covariance_of(e))
+        white = (np.nan_to_num(e) @ w.T).ravel()
+        flat = (d @ w.T).reshape(len(free), -1)
+        information = flat @ flat.T
+        now = np.array([f.inward(theta[f.place]) for f in free])
+        gradient = -(flat @ white) - weight * (now - prior)
+        scale = np.sqrt(np.diag(information) + weight)
+        matrix = (information + np.diag(weight)) / np.outer(scale, scale)
+        if not np.isfinite(matrix).all():
+            break
+        improved = False
+        for attempt in range(4):
+            step = step_within(matrix + damping * np.eye(len(free)), gradient / scale,
+                               scale[:, None] * (bounds - now[:, None])) / scale
+            step *= 0.3 if attempt == 1 else 1.0
+            other = theta.copy()
+            for f, value in zip(free, now + step, strict=True):
+                other[f.place] = f.outward(value)
+            moved = innovations(experiment, other, fit.active, fit.gains)
+            reached = log_likelihood_of(moved) + prior_exponent(free, other)
+            if reached > best:
+                improved = True
+                break
+            if attempt:
+                damping = max(10.0 * damping, 1e-3)
+        if not improved:
+            if fresh:
+                converged = True
+                break
+            taken(matters)
+            fresh = True
+            continue
+        step = np.array([f.inward(other[f.place]) for f in free]) - now
+        missed = np.nan_to_num(moved - e) - np.tensordot(step, d, axes=1)
+        along = scale**2 * step
+        d += (along / max(float(along @ step), 1e-300))[:, None, None] * missed[None]
+        gained, theta, e, best = reached - best, other, moved, reached
+        damping = max(damping / 10.0, 1e-9)
+        if gained < tolerance:
+            if fresh:
+                converged = True
+                break
+            taken(matters)
+            fresh = True
+        else:
+            fresh = False
+    covariance = np.linalg.inv(information + np.diag(weight)) if information is not None else (
+        fit.covariance)
+    return replace(fit, theta=theta, e=e, s=covariance_of(e), log_likelihood=best,
+                   covariance=covariance, converged=converged)
+
+
+def settled(experiment: Experiment, fit: Fit, slopes: Slopes | None = None, rounds: int = 3,
+            tolerance: float = 0.3) -> Fit:
+    """Fit parameters and unknowns in turn until neither gains."""
+    slopes = slopes or Slopes(experiment)
+    fit = polished(experiment, fit, slopes, 12, tolerance)
+    for _ in range(rounds):
+        before = fit
+        fit = at_level(experiment, fit)
+        if fit is before:
+            break
+        fit = polished(experiment, fit, slopes, 12, tolerance)
+        if fit.log_likelihood < before.log_likelihood + 1.0:
+            fit = max(fit, before, key=lambda one: one.log_likelihood)
+            break
+    return fit
+
+
+def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: Ranked) -> Fit:
+    """Return the model of a ranked set at its linear guess, under the gains of its level."""
+    theta, active = fit.theta.copy(), fit.active.copy()
+    keep = {member.owner for member in ranked.members if member.variant < 0}
+    gone = [name for name in fit.named if name not in keep]
+    free = [f for f in fit.free if f.name.partition(".")[0] not in gone]
+    for name in (name for name in gone if name in CATALOGUE):
+        active[NAMES.index(name)] = False
+    named = tuple(name for name in fit.named if name in keep)
+    values: dict[str, float] = {}
+    for place, amplitude in ranked.amplitudes.items():
+        column = what[place]
+        if column.free is None:
+            continue
+        f = column.free
+        if column.variant < 0 and not (column.owner.startswith("rig.")):  # it is there: moved from where it is
+            now = f.inward(theta[f.place]) + amplitude * f.spread
+            theta[f.place] = f.outward(now)
+        elif column.owner.startswith("rig."):
+            theta[f.place] = f.outward(f.inward(theta[f.place]) + BEYOND * amplitude * f.spread)
+        else:
+            values[column.name] = guess(column, amplitude)
+    free = [f for f in free if not f.name.startswith("rig.")] + informed(
+        experiment, what, ranked)
+    for member in ranked.members:
+        if member.variant < 0:
+            continue
+        if member.owner.startswith("rig."):
+            named = (*named, member.owner)
+            continue
+        column = next(c for c in what if (c.owner, c.variant) == (member.owner, member.variant))
+        start = column.start
+        theta, active = entered(theta, active, start)
+        for name, value in values.items():
+            if name.startswith(member.owner + "."):
+                theta[place_of(name)] = value
+        timing = {f.name for f in free if f.name.startswith(member.owner + ".")}
+        free = [f for f in free if f.name not in timing] + list(free_of(start))
+        named = (*named, member.owner)
+    for f in timing_free(experiment):  # what is named no more may err a little again
+        name = f.name.partition(".")[0]
+        if name not in named and all(one.name != f.name for one in free):
+            free.append(f)
+            active[NAMES.index(name)] = True
+            theta[f.place] = f.outward(f.prior)
+    fitted = {f.place for f in free}
+    for place in BASE_KEYS:
+        if place not in fitted:
+            theta[place] = experiment.theta[place]
+    for f in free:
+        theta[f.place] = f.outward(f.inward(theta[f.place]))
+    k = len(free)
+    made = replace(fit, theta=theta, active=active, free=tuple(free), named=named,
+                   covariance=np.zeros((k, k)))
+    return with_unknowns(experiment, made, ranked.gram.unknowns)
+
+
+def informed(experiment: Experiment, what: tuple[Column, ...], ranked: Ranked) -> list[Free]:
+    """Return the numbers of the rig that the recording says something of, or that are wrong.
+
+    The others stay where the config has them: a number that nothing is known of is its prior's.
+    """
+    here = np.array(sorted(ranked.amplitudes))
+    whole = ranked.gram.products.sum(axis=0)[np.ix_(1 + here, 1 + here)] + np.eye(len(here))
+    deviation = np.sqrt(np.diag(np.linalg.inv(whole)))
+    own = {f.name: f for f in rig_free(experiment)}
+    found = {}
+    for place, sigma in zip(here, deviation, strict=True):
+        column = what[place]
+        if column.owner.startswith("rig."):
+            found[column.name] = wide(own[column.name])
+        elif column.name.startswith("rig.") and column.name not in found:
+            if sigma < INFORMED or abs(ranked.amplitudes[int(place)]) > 1.0:
+                found[column.name] = own[column.name]
+    return list(found.values())
+
+
+def wide(f: Free) -> Free:
+    """Return a number of the rig that may be wrong altogether."""
+    return replace(f, spread=BEYOND * f.spread, lower=1e-4 * f.lower, upper=1e4 * f.upper)
+
+
+def guess(column: Column, amplitude: float) -> float:
+    """Return where a size enters, SI: the linear guess, but no nearer to nothing than visible."""
+    values = dict(column.start.values)
+    symbol = column.name.partition(".")[2]
+    p = next(p for p in CATALOGUE[column.owner].parameters if p.name == symbol)
+    start = values[symbol]
+    if p.log or not np.isfinite(p.neutral):
+        return start
+    value = placed(column, amplitude)
+    least = p.neutral + LEAST * (start - p.neutral)
+    if p.lower >= 0 and abs(value - p.neutral) < abs(least - p.neutral):
+        value = least
+    if column.start.among > 1 and p.unit in ("s", "m"):  # a shift is linear near itself only
+        value = min(value, 3.0 * start)
+    return float(min(max(value, p.lower), p.upper))
+
+
+def evidence_of(experiment: Experiment, fit: Fit) -> float:
+    """Return Laplace's evidence of a fitted set, prior odds included, log units.
+
+    Comparable with :class:`Ranked`: both are of innovations with their own scale.
+    """
+    spreads = np.array([f.spread for f in fit.free])
+    sign, logdet = np.linalg.slogdet(fit.covariance / np.outer(spreads, spreads))
+    occam = 0.5 * logdet if sign > 0 else -np.inf
+    prior = sum(WRONG_RIG if name.startswith("rig.") else
+                EFFECT - 0.1 * CATALOGUE[name].rarity for name in fit.named)
+    return float(fit.log_likelihood - 0.5 * fit.e.size + occam + prior)
+
+
+def impossible(fit: Fit) -> bool:
+    """Tell whether a fit stands on something that cannot be: B or a stiffness at its bound."""
+    return any("." not in f.name and f.at_bound(fit.theta[f.place]) for f in fit.free)
+
+
+def in_full(experiment: Experiment, fit: Fit) -> Fit:
+    """Return a fit in which the late shapes of its effects are fitted too."""
+    effects = tuple(name for name in fit.named if name in CATALOGUE)
+    if not effects:
+        return fit
+    whole = completed(replace(fit, named=effects))
+    k = len(whole.free)
+    if k == len(fit.free):
+        return fit
+    return settled(experiment, replace(whole, named=fit.named, covariance=np.zeros((k, k))))
+
+
+__all__ = ["at_level", "begun", "effect_values", "evidence_of", "in_full", "joined", "settled"]

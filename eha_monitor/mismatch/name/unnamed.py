@@ -1,0 +1,126 @@
+"""Rivals without a name: smooth unknown functions of the motion, one group of columns each.
+
+For each balance a term that no entry of the catalogue has is put together from hat functions of
+one signal, or of that signal times another, or of time; a unit of it acts as an unknown force,
+flow or shaft speed (:mod:`eha_monitor.mismatch.name.gram`).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from eha_monitor.mismatch.experiment import Experiment
+from eha_monitor.mismatch.fit import Fit, filtered
+from eha_monitor.mismatch.gains import linear_of, smallest_unknowns
+from eha_monitor.mismatch.innovations import CLOSED, FORCED
+from eha_monitor.mismatch.missing import signals_along
+from eha_monitor.mismatch.name.gram import carried, injected
+from eha_monitor.physics import signals as s
+from eha_monitor.physics.plant import Y_FLOW, Y_FORCE, Y_SPEED
+
+HATS = 13  # of a signal
+BLOCK, MOST_BLOCKS = 0.5, 60  # s of a time in which an unknown load is constant; how many
+INTERMITTENT = "intermittent_load"
+PLACES = {"force": Y_FORCE, "flow": Y_FLOW, "drive": Y_SPEED}
+PRIOR = 100.0  # times the smallest unknown, 1 % of what the record covers
+
+
+@dataclass(frozen=True)
+class Unnamed:
+    """A smooth unknown function.
+
+    Attributes
+    ----------
+    name : e.g. ``force of x``; ``balance`` it acts in; ``of`` what it is a function of.
+    basis : for each stretch (n, k) hat functions times the signal that it scales.
+    """
+
+    name: str
+    balance: str
+    of: str
+    basis: tuple[np.ndarray, ...]
+
+
+def hats(values: list[np.ndarray], count: int) -> list[np.ndarray]:
+    """Return hat functions over the quantiles that the values cover, (n, count) each."""
+    whole = np.concatenate(values)
+    low, high = np.quantile(whole, [0.002, 0.998])
+    if not high > low:
+        return [np.zeros((len(v), 0)) for v in values]
+    centres = np.linspace(low, high, count)
+    width = centres[1] - centres[0]
+    return [np.maximum(0.0, 1.0 - np.abs(np.clip(v, low, high)[:, None] - centres) / width)
+            for v in values]
+
+
+def unnamed_of(experiment: Experiment, fit: Fit) -> list[Unnamed]:
+    """Return the unknown functions that compete, along the filtered motion of a fit."""
+    tracks = []
+    for stretch in experiment.stretches:
+        states = filtered(experiment, stretch, fit.theta, fit.active, fit.gains, states=True)[1]
+        tracks.append(signals_along(experiment, stretch, states))
+    x = [track[:, s.X] for track in tracks]
+    v = [track[:, s.V] for track in tracks]
+    sense = [np.tanh(one / max(0.01 * experiment.ranges.speed, 1e-9)) for one in v]
+    of_x, of_v = hats(x, HATS), hats(v, HATS)
+    blocks = []
+    duration = sum(len(stretch) for stretch in experiment.stretches) * experiment.dt
+    length = max(BLOCK, duration / MOST_BLOCKS)
+    total = 0
+    for stretch in experiment.stretches:
+        which = (np.arange(len(stretch)) * experiment.dt / length).astype(int)
+        blocks.append((which + total, which.max() + 1))
+        total += which.max() + 1
+    of_time = [(which[:, None] == np.arange(total)).astype(float) for which, _ in blocks]
+
+    def times(basis, signal):
+        return tuple(one * other[:, None] for one, other in zip(basis, signal, strict=True))
+
+    found = [Unnamed("force of v", "force", "v", tuple(of_v)),
+             Unnamed("force of x", "force", "x", tuple(of_x)),
+             Unnamed("force of x and direction", "force", "x·sgn v", times(of_x, sense)),
+             Unnamed(INTERMITTENT, "force", "time", tuple(of_time))]
+    if experiment.mode != FORCED:
+        dp = [track[:, s.P1] - track[:, s.P2] for track in tracks]
+        omega = [track[:, s.OMEGA] for track in tracks]
+        scale = max(float(np.quantile(np.abs(np.concatenate(dp)), 0.98)), 1e-9)
+        relative = [one / scale for one in dp]
+        angle = [np.cumsum(one) * experiment.dt for one in omega]
+        found += [Unnamed("flow of v", "flow", "v", tuple(of_v)),
+                  Unnamed("flow of x", "flow", "x", tuple(of_x)),
+                  Unnamed("flow of dp", "flow", "Δp", tuple(hats(dp, HATS))),
+                  Unnamed("flow of x and dp", "flow", "x·Δp", times(of_x, relative)),
+                  Unnamed("flow of the shaft's angle", "flow", "angle", tuple(
+                      np.column_stack([f(k * one) for k in (1, 2, 3, 7, 9, 11)
+                                       for f in (np.cos, np.sin)]) for one in angle))]
+        if experiment.mode == CLOSED:
+            found += [Unnamed("speed of omega", "drive", "ω", tuple(hats(omega, HATS))),
+                      Unnamed("speed of x", "drive", "x", tuple(of_x))]
+    return [one for one in found if one.basis[0].shape[1]]
+
+
+def columns_of(experiment: Experiment, fit: Fit, unnamed: list[Unnamed]
+               ) -> tuple[list[np.ndarray], list[int]]:
+    """Return the innovations' sensitivities to unnamed terms, (n, c, m) for each stretch.
+
+    A unit is the prior deviation.  The second list tells how many columns each term has.
+    """
+    linear = linear_of(experiment, fit.theta, fit.active, fit.unknowns)
+    small = dict(zip(PLACES, smallest_unknowns(experiment).as_array(), strict=True))
+    used = experiment.columns
+    sizes = [one.basis[0].shape[1] for one in unnamed]
+    into = np.concatenate([np.repeat(
+        PRIOR * small[one.balance] * carried(linear.a, PLACES[one.balance])[:, None], size, axis=1)
+        for one, size in zip(unnamed, sizes, strict=True)], axis=1)
+    gains = np.ascontiguousarray(fit.gains[:, :, used])
+    found = []
+    for i, stretch in enumerate(experiment.stretches):
+        forcing = np.concatenate([one.basis[i] for one in unnamed], axis=1)
+        forcing[:-1] = 0.5 * (forcing[:-1] + forcing[1:])
+        missing = ~np.isfinite(stretch.z[:, used])
+        out = np.zeros((len(stretch), len(used), forcing.shape[1]))
+        injected(np.ascontiguousarray(forcing), missing, linear.a,
+                 np.ascontiguousarray(linear.h[used]), gains, into, out)
+        out[missing] = np.nan
+        found.append(out)
+    return found, sizes
