@@ -14,7 +14,9 @@ import numpy as np
 import pytest
 
 from eha_monitor.cli import main
+from eha_monitor.commands.prove import prove as command
 from eha_monitor.concealed.cases import Case, effect_names, truth_of
+from eha_monitor.concealed.configured import KINDS
 from eha_monitor.concealed.generate import nominal_config
 from eha_monitor.errors import InputError
 from eha_monitor.prove.children import Place
@@ -228,6 +230,12 @@ def test_result_goes_between_the_marks_of_a_text(done, tmp_path):
     with pytest.raises(InputError, match="expected the lines"):
         write_result(text, found)
     assert text.read_text() == "no marks"
+
+
+def test_the_command_offers_every_kind_of_rig_numbers():
+    offered = {option.name: option.type for option in command.params}
+    assert set(offered["rig"].choices) == set(KINDS)
+    assert set(offered["draw"].choices) == set(DRAWS)
 
 
 def test_draws_of_a_seed_are_a_head_of_more_and_the_ladder_has_every_effect():
