@@ -117,7 +117,7 @@ def figures_of(group: str, found: dict) -> list[tuple[str, float | None, str, bo
 def run(group: str, count: int, seed: int, oracle: bool, jobs: int, keep: str,
         told: Callable[[str, float], None]) -> dict:
     """Run the trial of a group, or what is left of it."""
-    from eha_monitor.mismatch.prove import Trial, prove
+    from eha_monitor.prove.trial import Trial, prove
 
     work = Path("out", "diagnosis_trial", f"seed{seed}-{group}-{count}").resolve()
     trial = Trial(cases_of(group, count, seed), seed, work, oracle or group in NEEDS_ORACLE, jobs,

@@ -2,6 +2,7 @@
 
 import ast
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,26 +10,33 @@ import pytest
 from ruamel.yaml import YAML
 
 from eha_monitor.concealed.cases import (
+    CONFIG_KEYS,
+    TOLERANCES,
     Case,
     balance_of,
     effect_names,
     fine_run,
     hidden_of,
     outside_names,
+    rig_of,
+    rig_off,
     truth_of,
 )
+from eha_monitor.concealed.configured import KINDS, SHARES, TWINS, misconfigured
 from eha_monitor.concealed.draws import FAMILIES, draw_cases, mcmaster_case
 from eha_monitor.concealed.generate import nominal_config, recording_of, write_case
 from eha_monitor.concealed.motions import triangle
 from eha_monitor.concealed.places import OMEGA, P1, P2, V, X
 from eha_monitor.recordings.read import read_recording
+from eha_monitor.settings import settings_from_tree
 from eha_monitor.settings.load import load_settings
+from eha_monitor.settings.tolerance import Tolerance
 
 PACKAGE = Path(__file__).parents[1] / "eha_monitor"
 SIMULATOR = Path(__file__).parents[2] / "shared" / "data" / "fluid_power_sim"
 NOISE = {"x": 2e-6, "omega": 0.1, "p1": 2e3, "p2": 2e3}
 TRIANGLE = triangle(np.arange(3000) * 1e-3, 4.0, 0.04)  # the paper's, as far as needed
-BARRED = ("physics", "filters", "mismatch", "health", "settings")
+BARRED = ("physics", "filters", "mismatch", "prove", "health", "settings")
 # The one module that writes bags; its reach stops at what it calls.
 WRITING = ("eha_monitor.recordings", "eha_monitor.settings", "eha_monitor.output",
            "eha_monitor.errors", "eha_monitor.compiled")
@@ -215,6 +223,10 @@ def test_key_and_nominal_config():
     assert truth["effects"][0]["parameters"] == {"F_c": 20.0}
     assert truth["effects"][1]["balance"] == "sensor"
     assert truth["effects"][1]["parameters"] == {"k_1": 0.0, "k_2": -0.08}
+    assert truth["rig_off"] == []
+    assert truth_of(replace(case, nominal={"M": 25.0, "B": 700.0}))["rig_off"] == [
+        {"key": "mass", "true": 20.0, "configured": 25.0,
+         "tolerances": pytest.approx(np.log(1.25) / 0.05)}]
     config = nominal_config(case)["/**"]["ros__parameters"]
     assert config["rig"]["viscous_damping"] == 600.0 and "effects" not in config
     assert config["noise"] == {"position": 2e-6, "pressure": 2e3, "pump_speed": 0.1}
@@ -246,6 +258,66 @@ def test_draws_repeat_and_are_varied():
         names = [name for name, _ in case.effects]
         assert all(sum(name in family for name in names) <= 1 for family in FAMILIES)
         assert len(set(names)) == len(names)
+
+
+# What the nominal config says of the rig.
+
+def test_tolerances_of_the_draws_are_the_configs():
+    for symbol, spread in TOLERANCES.items():
+        for key in CONFIG_KEYS[symbol]:
+            assert Tolerance().log_spread(key) == pytest.approx(spread)
+    assert {key for symbol in TOLERANCES for key in CONFIG_KEYS[symbol]} == set(
+        Tolerance.model_fields)
+
+
+def test_kinds_of_rig_numbers_change_the_config_and_nothing_else():
+    kinds = {kind: draw_cases(60, 5, rig=kind) for kind in KINDS}
+    assert draw_cases(60, 5) == kinds["mixed"] == draw_cases(80, 5)[:60]
+    for kind, cases in kinds.items():
+        for case, exact in zip(cases, kinds["exact"], strict=True):
+            assert (case.effects, case.rig, case.motion, case.seed) == (
+                exact.effects, exact.rig, exact.motion, exact.seed)
+            assert rig_of(case) == rig_of(exact), "the plant runs on the true numbers"
+            count = {"exact": {0}, "within": {10}, "beyond": {1, 2}}.get(kind, {0, 1, 2, 10})
+            assert len(rig_off(case)) in count
+    assert not any(case.nominal for case in kinds["exact"])
+    with pytest.raises(ValueError, match="no kind 'all'"):
+        misconfigured((), 1, "all")
+
+
+def test_rig_numbers_are_off_by_what_is_said():
+    errors = {symbol: [] for symbol in TOLERANCES}
+    for case in draw_cases(300, 5, rig="within"):
+        off = {one["key"]: one["tolerances"] for one in rig_off(case)}
+        assert off["area_1"] == off["area_2"] and off["volume_1"] == off["volume_2"]
+        for symbol in TOLERANCES:
+            errors[symbol].append(off[CONFIG_KEYS[symbol][0]])
+    for symbol, found in errors.items():
+        assert abs(np.mean(found)) < (0.5 if symbol in ("C_T", "G") else 0.25), symbol
+        assert 0.75 < np.std(found) < 1.25, symbol
+    seen = set()
+    for case in draw_cases(150, 5, rig="beyond"):
+        off = rig_off(case)
+        symbol = next(symbol for symbol, keys in CONFIG_KEYS.items() if off[0]["key"] in keys)
+        assert [one["key"] for one in off] == list(CONFIG_KEYS[symbol])
+        assert 2.99 < abs(off[0]["tolerances"]) < 10.01
+        assert TWINS.get(symbol) not in dict(case.effects)
+        seen.add(symbol)
+    assert seen == set(TOLERANCES)
+
+
+def test_a_config_with_wrong_numbers_is_still_one_of_a_rig():
+    """It is read, its make-up path is part of its leakage, and its position loop is stable."""
+    kinds = []
+    for case in draw_cases(300, 9):
+        rig = settings_from_tree(nominal_config(case), case.name).rig
+        off = {one["key"]: one for one in rig_off(case)}
+        assert all(getattr(rig, key) == one["configured"] for key, one in off.items())
+        loop = rig.position_gain * rig.pump_displacement / rig.area_1
+        assert loop < 0.7 * min(rig_of(case)["damping"], rig.viscous_damping) / rig.mass
+        kinds.append("exact" if not off else "beyond" if len(off) < 3 else "within")
+    for kind, share in SHARES.items():
+        assert kinds.count(kind) / len(kinds) == pytest.approx(share, abs=0.07)
 
 
 def test_a_drawn_rig_runs_within_its_means():

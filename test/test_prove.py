@@ -2,22 +2,27 @@
 
 import hashlib
 import json
+import os
 import re
+import signal
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from eha_monitor.cli import main
-from eha_monitor.concealed.cases import Case, effect_names
+from eha_monitor.commands.prove import prove as command
+from eha_monitor.concealed.cases import Case, effect_names, truth_of
+from eha_monitor.concealed.configured import KINDS
 from eha_monitor.concealed.generate import nominal_config
 from eha_monitor.errors import InputError
-from eha_monitor.mismatch import prove_score as score
-from eha_monitor.mismatch.prove import Trial, prove
-from eha_monitor.mismatch.prove_curve import binned, curve_of, curves_of
-from eha_monitor.mismatch.prove_draws import DRAWS, cases_of, on_rig
+from eha_monitor.prove.children import Place
+from eha_monitor.prove.draws import DRAWS, cases_of, on_rig
+from eha_monitor.prove.trial import Trial, prove
+from eha_monitor.prove.warm import answered
 from eha_monitor.reports.proof_report import proof_page
 from eha_monitor.reports.proof_text import write_result
 from eha_monitor.settings import settings_from_tree
@@ -31,7 +36,7 @@ CASES = (Case("c001", (("coulomb_friction", 1.0),), motion="short", seed=11),
 
 @pytest.fixture(scope="module")
 def trial(tmp_path_factory):
-    return Trial(CASES, 4, tmp_path_factory.mktemp("trial"), calibration=False)
+    return Trial(CASES, 4, tmp_path_factory.mktemp("trial"))
 
 
 @pytest.fixture(scope="module")
@@ -117,6 +122,8 @@ def test_command_refuses_another_seed_in_one_line(trial, done, capsys):
 
 def test_report_shows_marks_hash_and_misses(trial, done):
     found, _, _ = done
+    assert 'id="reliability"' in proof_page({**found, "reliability": [
+        {"low": 0.9, "high": 1.0, "n": 3, "said": 0.97, "right": 1.0}]})
     missed = dict(found["rows"][0], exact=False, within_class=False, named=["spring_load"],
                   classes={"spring_load": []}, pairs={}, verdict="mismatch")
     rest = [dict(row, within_class=True) for row in found["rows"][1:]]
@@ -127,7 +134,7 @@ def test_report_shows_marks_hash_and_misses(trial, done):
 
 
 def blind(trial: Path, allowed: Path, code: str) -> subprocess.CompletedProcess:
-    guarded = (f"import sys; from eha_monitor.mismatch.prove_blind import guard;"
+    guarded = (f"import sys; from eha_monitor.prove.blind import guard;"
                f"sys.addaudithook(guard({str(trial)!r}, [{str(allowed)!r}])); {code}")
     return subprocess.run([sys.executable, "-c", guarded], capture_output=True, text=True,
                           timeout=60, cwd=ROOT)
@@ -154,138 +161,61 @@ def test_a_diagnosis_sees_its_own_recording_and_nothing_else(tmp_path):
         assert bad.returncode == 1 and "PermissionError" in bad.stderr, code
 
 
-# Marks, by hand.
+def test_a_fork_of_the_loaded_process_is_under_the_same_guard(trial, done):
+    recordings, key = trial.work / "recordings", trial.work / "key" / "key.json"
+    own, other = recordings / "c001", recordings / "c002"
+    answer = trial.work / "answers" / "x.json"
+    place = Place("eha_monitor.prove.blind", sorted(os.sched_getaffinity(0)))
 
-def concealed(*effects, outside=()) -> dict:
-    """Return a key's entry: (name, balance, parameters) each."""
-    return {"case": "c1", "B": 600.0, "beta_e": 6e8, "motion": "rich", "noise": 1.0,
-            "channels": ["x"], "effects": [
-                {"name": name, "balance": balance, "strength": 1.0, "parameters": parameters,
-                 "in_catalogue": name not in outside} for name, balance, parameters in effects]}
+    def ask(*words):
+        return place.ask([*map(str, (trial.work, own, f"{own}.yaml", answer, "--", "diagnose",
+                                     *words, "--json", answer))])
 
-
-def said(*effects, verdict="mismatch", place="force", after=None) -> dict:
-    """Return an answer: (name, balance, rivals, parameters) each."""
-    return {"verdict": verdict, "location": {"balance": {place: 0.9} if place else {}},
-            "message": "", "wall_s": 1.0, "effects": [
-                {"name": name, "balance": balance, "indistinguishable_from": list(rivals),
-                 "parameters": {k: {"value": v, "stddev": s, "unit": ""}
-                                for k, (v, s) in parameters.items()}}
-                for name, balance, rivals, parameters in effects],
-            "parameters": {"after": {"B": {"value": 606.0, "stddev": 2.0},
-                                     "beta_e": {"value": 6.3e8, "stddev": 2e7}}},
-            "fit": {"signals": {"position": {"before_rms": 10e-6, "after_rms": after or 3e-6,
-                                             "noise_rms": 2e-6}}}}
+    try:
+        for words, why in (((other, "--config", f"{own}.yaml"), "must not see it"),
+                           ((own, "--config", key), "key.json: cannot read config"),
+                           ((own, "--config", f"{other}.yaml"), "cannot read config")):
+            status, complaint = ask(*words)
+            assert status == 2 and why in complaint
+        assert ask(own, "--config", recordings / "none.yaml")[0] == 2, "it goes on"
+        assert not answer.exists()
+    finally:
+        place.leave()
 
 
-COULOMB = ("coulomb_friction", "force", {"F_c": 40.0})
-DELAY = ("position_delay", "sensor", {"T": 2e-3})
-OFFSET = ("pressure_offset", "sensor", {"b_1": 4e4, "b_2": 0.0})
-HUMP = ("position_friction_hump", "force", {"F": 60.0})
+def test_the_generator_in_memory_is_refused():
+    code = ("import eha_monitor.concealed.cases; from eha_monitor.prove.blind import main;"
+            "main(['/nowhere', '--', 'diagnose', 'bag'])")
+    bad = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60,
+                         cwd=ROOT)
+    assert bad.returncode == 1 and "must not know it" in bad.stderr
 
 
-@pytest.mark.parametrize(("truth", "answer", "exact", "within"), [
-    ([], said(verdict="consistent", place=""), True, True),
-    ([], said(verdict="unexplained"), False, False),
-    ([], said(("spring_load", "force", (), {})), False, False),
-    ([COULOMB], said(("coulomb_friction", "force", (), {})), True, True),
-    ([COULOMB], said(("coulomb_friction", "force", ("a", "b", "c"), {})), True, True),
-    ([COULOMB], said(("spring_load", "force", ("coulomb_friction", "b"), {})), False, True),
-    ([COULOMB], said(("spring_load", "force", ("coulomb_friction", "b", "c"), {})), False, False),
-    ([COULOMB], said(("pressure_friction", "force", (), {})), False, True),
-    ([COULOMB, ("external_leakage", "flow", {})],  # the mean pressure moves
-     said(("pressure_friction", "force", (), {}), ("external_leakage", "flow", (), {})),
-     False, False),
-    ([COULOMB], said(("coulomb_friction", "force", (), {}), ("spring_load", "force", (), {})),
-     False, False),
-    ([COULOMB], said(("coulomb_friction", "force", (), {}), verdict="unexplained"), False, False),
-    ([COULOMB], said(verdict="consistent", place=""), False, False),
-    ([COULOMB, DELAY], said(("coulomb_friction", "force", ("position_delay",), {})),
-     False, False),  # one name stands for one effect
-    ([COULOMB, DELAY], said(("drive_lag", "drive", ("position_delay",), {}),
-                            ("coulomb_friction", "force", (), {})), False, True),
-    ([HUMP], said(verdict="unexplained"), True, True),
-    ([HUMP], said(verdict="unexplained", place="flow"), False, False),
-    ([HUMP], said(("spring_load", "force", (), {}), verdict="unexplained"), False, True),
-    ([HUMP], said(("spring_load", "force", (), {})), False, False),
+@pytest.mark.parametrize(("main", "status", "error"), [
+    (lambda words: None, 0, ""),
+    (lambda words: sys.exit(2), 2, ""),
+    (lambda words: print(*words, file=sys.stderr), 0, "a b"),
+    (lambda words: os.kill(os.getpid(), signal.SIGKILL), -signal.SIGKILL, ""),
+    (lambda words: signal.pause(), -signal.SIGKILL, "took more than 0 s"),
 ])
-def test_marks_of_a_case(truth, answer, exact, within):
-    row = score.row_of(concealed(*truth, outside=("position_friction_hump",)), answer)
-    assert (row["exact"], row["within_class"]) == (exact, within)
+def test_how_a_fork_ended_is_told(main, status, error):
+    running = []
+    told = answered(main, ["a", "b"], 0.3, running.append)
+    assert told == {"status": status, "error": error}
+    assert running[0] > 0 and running[1] == 0
+    assert answered(lambda words: 1 / 0, [], 9.0, running.append)["error"].endswith(
+        "ZeroDivisionError: division by zero")
 
 
-def test_what_an_oracle_cannot_see_need_not_be_named():
-    truth = concealed(COULOMB, DELAY)
-    oracle = {"log_evidence": {"coulomb_friction": 900.0, "position_delay": 7.0},
-              "over_simpler": {}, "signals": said()["fit"]["signals"]}
-    row = score.row_of(truth, said(("coulomb_friction", "force", (), {})), oracle)
-    assert not row["exact"] and row["within_class"] and not row["detectable"]
-    blind_to_both = score.row_of(truth, said(verdict="consistent", place=""), {
-        **oracle, "log_evidence": {"coulomb_friction": 3.0, "position_delay": 7.0}})
-    assert blind_to_both["within_class"] and not blind_to_both["exact"]
-    stribeck = concealed(("stribeck_friction", "force", {"F_c": 40.0}))
-    simple = said(("coulomb_friction", "force", (), {}))
-    for over, right in ((5.0, True), (500.0, False)):
-        told = {"log_evidence": {"stribeck_friction": 900.0}, "signals": {},
-                "over_simpler": {"stribeck_friction": over}}
-        assert score.row_of(stribeck, simple, told)["within_class"] is right
-
-
-def test_blame_error_removed_and_parameters():
-    blamed = score.row_of(concealed(DELAY), said(("added_mass", "force", (), {})))
-    declared = score.row_of(concealed(DELAY), said(("added_mass", "force",
-                                                    ("position_delay",), {})))
-    drive = score.row_of(concealed(DELAY), said(("drive_lag", "drive", (), {})))
-    assert [row["sensor_blamed"] for row in (blamed, declared, drive)] == [True, False, False]
-    # 5 noises before, 1.5 after, 1.2 with an oracle: 3.5 of the 3.8 that go.
-    oracle = {"log_evidence": {"pressure_offset": 99.0}, "signals": {
-        "position": {"before_rms": 10e-6, "after_rms": 2.4e-6, "noise_rms": 2e-6}}}
-    row = score.row_of(concealed(OFFSET), said(
-        ("pressure_offset", "sensor", (), {"b_1": (4.1e4, 400.0), "b_2": (1e3, 400.0)}),
-        place="sensor"), oracle)
-    assert row["removed"] == pytest.approx(3.5 / 3.8)
-    assert row["oracle_rms"] == pytest.approx(1.2)
-    errors = {one["name"]: (one["relative"], one["sigmas"]) for one in row["parameters"]}
-    assert errors["pressure_offset.b_1"] == pytest.approx((0.025, 2.5))
-    assert errors["pressure_offset.b_2"] == pytest.approx((0.025, 2.5))
-    assert errors["B"] == pytest.approx((0.01, 3.0))
-    assert errors["beta_e"] == pytest.approx((0.05, 1.5))
-    marks = score.score_of([row, blamed])
-    assert marks["exact"] == 0.5 and marks["sensor_blamed_on_physics"] == 0.5
-    assert marks["base_parameters_within_2_percent"] == 0.5
-    assert marks["parameters_inside_2_sigma"] == 0.25
-    assert marks["null_false_alarm"] is None
-
-
-def test_a_diagnosis_that_failed_counts_as_missed():
-    row = score.row_of(concealed(COULOMB), None, None, {"error": "killed"})
-    assert row["verdict"] == "failed" and not row["within_class"] and row["message"] == "killed"
-    clean = score.row_of(concealed(), None)
-    assert score.score_of([row, clean])["null_false_alarm"] == 1.0
-    assert score.confusion([row, clean]) == {"coulomb_friction": {"failed": 1},
-                                             "none": {"failed": 1}}
-
-
-def test_confusion_counts_each_concealed_effect():
-    rows = [score.row_of(concealed(COULOMB), said(("coulomb_friction", "force", (), {}))),
-            score.row_of(concealed(COULOMB), said(("spring_load", "force", (), {}))),
-            score.row_of(concealed(COULOMB), said(verdict="consistent", place="")),
-            score.row_of(concealed(), said(("spring_load", "force", (), {}))),
-            score.row_of(concealed(), said(verdict="consistent", place=""))]
-    assert score.confusion(rows) == {
-        "coulomb_friction": {"coulomb_friction": 1, "spring_load": 1, "none": 1},
-        "none": {"spring_load": 1, "none": 1}}
-
-
-def test_detection_curve_finds_its_95_percent_point():
-    units = [0.2, 0.4, 0.6, 0.8, 1.0, 1.3, 1.6, 2.0, 3.0, 5.0, 9.0, 20.0] * 3
-    marks = [{"effect": "coulomb_friction", "units": u, "said": "exact" if u > 1.1 else "nothing"}
-             for u in units]
-    curve = curves_of(marks)["coulomb_friction"]
-    assert 0.9 < curve["middle"] < 1.4 and curve["middle"] < curve["point_95"] < 2.0
-    assert curve_of([10.0] * 5, [False] * 5)["point_95"] > 20.0
-    assert next(one["share"] for one in binned(marks)) == 0.0
-    assert curves_of([{"effect": "a", "units": None, "said": "exact"}]) == {}
+def test_a_process_that_died_is_started_again():
+    place = Place("eha_monitor.prove.oracle", sorted(os.sched_getaffinity(0)))
+    try:
+        assert place.ask(["no", "such", "case"])[0] == 1
+        place._process.kill()
+        place._process.wait()
+        assert "ValueError" in place.ask(["no", "such", "case"])[1]
+    finally:
+        place.leave()
 
 
 def test_result_goes_between_the_marks_of_a_text(done, tmp_path):
@@ -300,6 +230,12 @@ def test_result_goes_between_the_marks_of_a_text(done, tmp_path):
     with pytest.raises(InputError, match="expected the lines"):
         write_result(text, found)
     assert text.read_text() == "no marks"
+
+
+def test_the_command_offers_every_kind_of_rig_numbers():
+    offered = {option.name: option.type for option in command.params}
+    assert set(offered["rig"].choices) == set(KINDS)
+    assert set(offered["draw"].choices) == set(DRAWS)
 
 
 def test_draws_of_a_seed_are_a_head_of_more_and_the_ladder_has_every_effect():
@@ -318,5 +254,12 @@ def test_a_config_puts_all_cases_on_its_rig():
     assert {case.rig["M"] for case in cases} == {33.0}
     assert {nominal_config(case)["/**"]["ros__parameters"]["rig"]["viscous_damping"]
             for case in cases} == {700.0}
+    own = {"rig": {"mass": 33.0, "tolerance": {"mass": 0.2, "leakage": 2.0}}}
+    for case in cases_of("ladder", 9, 1, "beyond", settings_from_tree(own, "rig"), "rig"):
+        nominal = settings_from_tree(nominal_config(case), case.name).rig
+        assert nominal.tolerance == settings_from_tree(own, "rig").rig.tolerance
+        off = truth_of(case)["rig_off"]
+        error = np.log(off[0]["configured"] / off[0]["true"])
+        assert 2.99 < abs(error) / nominal.tolerance.log_spread(off[0]["key"]) < 10.01
     with pytest.raises(InputError, match="equal areas"):
         on_rig(cases, settings_from_tree({"rig": {"area_2": 4e-4}}, "rig"), "rig")

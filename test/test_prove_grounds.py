@@ -12,9 +12,10 @@ from eha_monitor.concealed.cases import truth_of
 from eha_monitor.concealed.draws import MCMASTER, MCMASTER_RIG, mcmaster_case
 from eha_monitor.concealed.generate import nominal_config, recording_of
 from eha_monitor.errors import InputError
-from eha_monitor.mismatch import prove_mcmaster, prove_simulator, prove_triangle
-from eha_monitor.mismatch.prove import Question, write_json
-from eha_monitor.mismatch.prove_ground import Ground, compared_row, said_of, with_ground
+from eha_monitor.prove.files import write_json
+from eha_monitor.prove.grounds import mcmaster, simulator, triangle
+from eha_monitor.prove.grounds.ground import Ground, compared_row, said_of, with_ground
+from eha_monitor.prove.trial import Question
 from eha_monitor.reports.proof_report import proof_page
 from eha_monitor.reports.proof_text import write_result
 from eha_monitor.settings import load_settings, settings_from_tree
@@ -63,12 +64,12 @@ def test_no_motion_of_the_published_rig_comes_near_cavitation(state):
 
 @pytest.mark.parametrize("shape", ["triangle", "sine"])
 def test_a_linear_fit_reads_the_friction_it_lacks_as_viscous(shape):
-    fit = prove_mcmaster.linear_fit(shape)
-    assert fit["B"] == pytest.approx(prove_mcmaster.PUBLISHED[shape], rel=0.1)
+    fit = mcmaster.linear_fit(shape)
+    assert fit["B"] == pytest.approx(mcmaster.PUBLISHED[shape], rel=0.1)
 
 
 def test_parameters_are_compared_with_the_published_ones(tmp_path):
-    case = prove_mcmaster.case_of(0, 1)
+    case = mcmaster.case_of(0, 1)
     leak, offset, a_1, a_2, a_3 = MCMASTER["normal"]
     (tmp_path / "answers").mkdir()
     write_json(tmp_path / "answers" / f"{case.name}.json", said(
@@ -76,7 +77,7 @@ def test_parameters_are_compared_with_the_published_ones(tmp_path):
         ("presliding_friction", ("coulomb_friction",), {"F_c": a_3}),
         ("cross_port_leakage", (), {"L": leak - 2.5e-13}),
         after={"B": {"value": 1.2 * a_2, "stddev": 1.0}}))
-    rows = {row["name"]: row for row in prove_mcmaster.parameters(case, tmp_path)}
+    rows = {row["name"]: row for row in mcmaster.parameters(case, tmp_path)}
     assert [name for name, row in rows.items() if row["within"]] == ["a1", "a3", "L"]
     assert rows["L"]["relative"] == pytest.approx(0.0, abs=1e-9)
     assert rows["a2"]["relative"] == pytest.approx(0.2)
@@ -86,8 +87,8 @@ def test_parameters_are_compared_with_the_published_ones(tmp_path):
 def test_dry_friction_may_be_said_as_pressure_friction():
     mu = 436.0 / 16e6
     answer = said(("pressure_friction", ("coulomb_friction",), {"mu": mu}))
-    assert prove_mcmaster.dry_friction(answer)["value"] == pytest.approx(436.0)
-    assert prove_mcmaster.dry_friction(said(("pressure_friction", (), {"mu": mu}))) is None
+    assert mcmaster.dry_friction(answer)["value"] == pytest.approx(436.0)
+    assert mcmaster.dry_friction(said(("pressure_friction", (), {"mu": mu}))) is None
 
 
 # The simulator.
@@ -99,7 +100,7 @@ def test_the_simulators_key_in_the_catalogues_terms():
         {"name": "pump_flow_gain", "parameters": {"flow_factor": 0.97}},
         {"name": "pressure_offset", "parameters": {"sensor": "p2", "bias_Pa": 2.5e4}},
         {"name": "sticking_vane", "parameters": {"force_N": 3.0}}]}
-    found = {one["name"]: one for one in prove_simulator.truth_of(entry, 5e-13)["effects"]}
+    found = {one["name"]: one for one in simulator.truth_of(entry, 5e-13)["effects"]}
     assert found["stribeck_friction"]["parameters"] == pytest.approx(
         {"F_c": 7.0, "F_d": 11.0, "v_s": 0.004})
     assert found["pump_flow_gain"]["parameters"] == pytest.approx({"k": -0.03})
@@ -107,7 +108,7 @@ def test_the_simulators_key_in_the_catalogues_terms():
     assert not found["sticking_vane"]["in_catalogue"]
     # What the config does not have is other than configured.
     assert found["cross_port_leakage"]["parameters"]["L"] == pytest.approx(2.5e-13)
-    assert "cross_port_leakage" not in {one["name"] for one in prove_simulator.truth_of(
+    assert "cross_port_leakage" not in {one["name"] for one in simulator.truth_of(
         {**entry, "C_T": 5e-13}, 5e-13)["effects"]}
 
 
@@ -115,14 +116,14 @@ def test_the_simulators_key_in_the_catalogues_terms():
 def test_simulators_recordings_come_through_the_import_with_noise(tmp_path):
     from eha_monitor.recordings.read import read_recording
 
-    table = prove_simulator.Table("h32_tri", DATA / "h32_tri.csv.gz", CONFIG, 1)
-    entry = prove_simulator.conceal(table, tmp_path)
+    table = simulator.Table("h32_tri", DATA / "h32_tri.csv.gz", CONFIG, 1)
+    entry = simulator.conceal(table, tmp_path)
     assert "effects" not in entry and len(entry["key_sha256"]) == 64
     recording = read_recording(tmp_path / "h32_tri", load_settings(tmp_path / "h32_tri.yaml"))
     plain = np.genfromtxt(DATA / "h32_tri.csv.gz", delimiter=",", names=True)
     n = len(recording)
     for name, column in (("x", "x"), ("p1", "p1"), ("omega", "w")):
-        noise, step = prove_simulator.SENSORS[name]
+        noise, step = simulator.SENSORS[name]
         left = recording.channels[name] - plain[column][:n]
         assert np.std(left) == pytest.approx(np.hypot(noise, step / np.sqrt(12)), rel=0.05)
     assert recording.channels["x_d"] == pytest.approx(plain["xd"][:n], abs=1e-12)
@@ -132,28 +133,28 @@ def test_simulators_recordings_come_through_the_import_with_noise(tmp_path):
 def test_simulators_key_must_be_the_sealed_one():
     entry = {"case": "h32_tri", "key_sha256": "0" * 64}
     with pytest.raises(InputError, match="is not the key that was sealed"):
-        prove_simulator.completed({"cases": [entry]}, DATA, CONFIG)
+        simulator.completed({"cases": [entry]}, DATA, CONFIG)
 
 
 @needs_data
 def test_each_motion_is_asked_alone_and_all_of_a_rig_together():
-    tables = prove_simulator.tables_of(DATA, CONFIG, Ground(Path("out"), cases=1))
-    assert [q.bags for q in prove_simulator.questions_of(tables)] == [
+    tables = simulator.tables_of(DATA, CONFIG, Ground(Path("out"), cases=1))
+    assert [q.bags for q in simulator.questions_of(tables)] == [
         ("h03_rich",), ("h03_tri",), ("h03_rich", "h03_tri")]
-    assert [q.name for q in prove_simulator.questions_of(tables, ("both",))] == ["h03_both"]
+    assert [q.name for q in simulator.questions_of(tables, ("both",))] == ["h03_both"]
 
 
 # The triangle.
 
 def test_an_advised_motion_becomes_a_demand():
-    x_d = prove_triangle.demanded({"sine": {"kind": "sine", "duration": 2.0, "frequency": 2.0,
+    x_d = triangle.demanded({"sine": {"kind": "sine", "duration": 2.0, "frequency": 2.0,
                                             "amplitude": 0.01, "offset": 0.001}})
     assert len(x_d) == 2000 and x_d[125] == pytest.approx(0.011)
 
 
 def test_what_the_advice_must_say(tmp_path, monkeypatch):
-    monkeypatch.setattr(prove_triangle, "linear_fit", lambda case, work: 900.0)
-    case = prove_triangle.triangle_case(0, 1)
+    monkeypatch.setattr(triangle, "linear_fit", lambda case, work: 900.0)
+    case = triangle.triangle_case(0, 1)
     force, true = case.options["coulomb_friction"]["F_c"], case.rig["B"]
     (tmp_path / "answers").mkdir()
     write_json(tmp_path / "answers" / f"{case.name}_both.json", {**said(
@@ -164,13 +165,13 @@ def test_what_the_advice_must_say(tmp_path, monkeypatch):
                               "plateau_correlation": -0.99999, "plateau_shift": -500.0}],
               "doubts": [{"parameter": "B", "effect": "coulomb_friction", "then": 800.0}],
               "motion": {"words": "a sine", "excitation": {}}}
-    row = prove_triangle.judged(case, advice, tmp_path)
+    row = triangle.judged(case, advice, tmp_path)
     assert row["shift_right"] and row["decides"] and row["named"] == ["coulomb_friction"]
-    facts = prove_triangle.facts_of([row])
+    facts = triangle.facts_of([row])
     assert [fact.split(":")[0] for fact in facts[:3]] == ["1 of 1"] * 3
-    rows = prove_triangle.parameters(case, tmp_path)
+    rows = triangle.parameters(case, tmp_path)
     assert [row["within"] for row in rows] == [False, False, True, True]
-    wrong = prove_triangle.judged(case, {**advice, "motion": None, "doubts": []}, tmp_path)
+    wrong = triangle.judged(case, {**advice, "motion": None, "doubts": []}, tmp_path)
     assert not wrong["decides"]
 
 

@@ -133,7 +133,7 @@ def _case(name, kind, case, folder):
 def _draw(k, seed, offset):
     from eha_monitor.concealed.draws import draw_cases
 
-    case = draw_cases(k + 1, 100 * seed + offset)[k]
+    case = draw_cases(k + 1, 100 * seed + offset, rig="exact")[k]
     # The long motions take three times as long and say the same.
     return replace(case, motion="short" if case.motion == "rich" and k % 3 else case.motion)
 

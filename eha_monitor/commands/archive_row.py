@@ -51,8 +51,7 @@ class Task:
 
 def source_of(command: str) -> str:
     """Return a digest of the source that has a part in the rows of a command."""
-    return source_digest(_ROOMS[command],
-                         lambda path: not path.name.startswith("prove"))
+    return source_digest(_ROOMS[command])
 
 
 def row_of(task: Task) -> dict:

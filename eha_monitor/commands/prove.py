@@ -33,6 +33,10 @@ DRAWS = 200
 @click.option("--draw", type=click.Choice(("mixed", "ladder")), default="mixed",
               show_default=True, help="Sets of 0 to 3 effects on all rigs and motions; or single "
               "effects over a ladder of strengths, for a detection curve of each.")
+@click.option("--rig", type=click.Choice(("exact", "within", "beyond", "mixed")), default="mixed",
+              show_default=True, help="What the nominal configs say of the rig: the truth; each "
+              "number off by one tolerance (standard deviation); one number off by 3 to 10 of "
+              "them; or 40 %, 40 % and 20 % of these.")
 @click.option("--work", type=_PATH, metavar="DIR",
               help="Folder of recordings, key and answers; by default out/proof/... here. A trial "
               "that was interrupted goes on.")
@@ -44,11 +48,11 @@ DRAWS = 200
               "be reached, and the evidence there is (half as long again).")
 @click.option("--jobs", type=click.IntRange(1, 1024), default=None,
               help="Processes at a time; all cores by default.")
-@click.option("--calibration/--no-calibration", default=True,
-              help="As in diagnose; without it the usual threshold of evidence is used.")
+@click.option("--calibration/--no-calibration", hidden=True, expose_value=False,
+              help="Does nothing, as in diagnose.")
 def prove(config: Path | None, ground: str, cases: int | None, data: Path | None, seed: int,
           json_file: Path | None, report_file: Path | None, text_file: Path | None, draw: str,
-          work: Path | None, keep: str, oracle: bool, jobs: int | None, calibration: bool) -> int:
+          rig: str, work: Path | None, keep: str, oracle: bool, jobs: int | None) -> int:
     """Conceal effects in recordings, seal the key, diagnose blindly, open the key and score.
 
     The key's SHA-256 is printed before any recording is read.  With a config all cases are on its
@@ -61,21 +65,26 @@ def prove(config: Path | None, ground: str, cases: int | None, data: Path | None
     if text_file and not text_file.is_file():
         raise InputError(f"{text_file}: no such file; expected one with the result marks")
 
-    from eha_monitor.mismatch.prove import misses, write_json
+    from eha_monitor.prove.files import write_json
+    from eha_monitor.prove.trial import misses
     from eha_monitor.reports.proof_report import write_proof_report
 
-    folder = f"{draw}-seed{seed}-{cases or DRAWS}" if ground == "draws" else (
+    kind = draw if rig == "mixed" else f"{draw}-{rig}"
+    folder = f"{kind}-seed{seed}-{cases or DRAWS}" if ground == "draws" else (
         f"{ground}-seed{seed}" + (f"-{cases}" if cases else ""))
     work = (work or Path("out", "proof", folder)).resolve()
     with progress_bar() as told:
         if ground == "draws":
-            found = on_draws(config, draw, cases or DRAWS, seed, work, oracle, jobs, keep,
-                             calibration, told)
-        else:
-            from eha_monitor.mismatch.prove_ground import Ground
+            from eha_monitor.prove.trial import Trial
+            from eha_monitor.prove.trial import prove as run
 
-            found = on_ground(ground, Ground(work, seed, cases or 0, jobs or 0, keep,
-                                             calibration), data, config, told)
+            found = run(Trial(drawn_cases(config, draw, cases or DRAWS, seed, rig), seed, work,
+                              oracle, jobs or 0, keep), click.echo, told)
+        else:
+            from eha_monitor.prove.grounds.ground import Ground
+
+            found = on_ground(ground, Ground(work, seed, cases or 0, jobs or 0, keep), data,
+                              config, told)
         told("writing the report", 1.0)
         report = report_file or work / "proof.html"
         write_proof_report(report, found, work)
@@ -110,32 +119,26 @@ def check_ground(ground: str, config: Path | None, data: Path | None, oracle: bo
         raise InputError(f"--oracle: --ground {ground} has none, expected --ground draws")
 
 
-def on_draws(config: Path | None, draw: str, cases: int, seed: int, work: Path, oracle: bool,
-             jobs: int | None, keep: str, calibration: bool, told) -> dict:
-    """Run the trial on draws of the independent plant."""
-    from eha_monitor.mismatch.prove import Trial
-    from eha_monitor.mismatch.prove import prove as run
-    from eha_monitor.mismatch.prove_draws import cases_of, on_rig
+def drawn_cases(config: Path | None, draw: str, count: int, seed: int, rig: str) -> tuple:
+    """Return the draws of the independent plant, on the rig of a config if there is one."""
+    from eha_monitor.prove.draws import cases_of
+    from eha_monitor.settings import load_settings
 
-    drawn = cases_of(draw, cases, seed)
-    if config:
-        from eha_monitor.settings import load_settings
-
-        drawn = on_rig(drawn, load_settings(config), str(config))
-    return run(Trial(drawn, seed, work, oracle, jobs or 0, keep, calibration), click.echo, told)
+    settings = load_settings(config) if config else None
+    return cases_of(draw, count, seed, rig, settings, str(config))
 
 
 def on_ground(name: str, ground, data: Path | None, config: Path | None, told) -> dict:
     """Run the trial on one of the other grounds."""
     if name == "mcmaster":
-        from eha_monitor.mismatch.prove_mcmaster import prove_mcmaster
+        from eha_monitor.prove.grounds.mcmaster import prove_mcmaster
 
         return prove_mcmaster(ground, click.echo, told)
     if name == "simulator":
-        from eha_monitor.mismatch.prove_simulator import prove_simulator
+        from eha_monitor.prove.grounds.simulator import prove_simulator
 
         return prove_simulator(ground, data, config, click.echo, told)
-    from eha_monitor.mismatch.prove_triangle import prove_triangle
+    from eha_monitor.prove.grounds.triangle import prove_triangle
 
     return prove_triangle(ground, click.echo, told)
 
@@ -158,7 +161,7 @@ def parameter_lines(rows: list[dict]) -> str:
 
 def summary(found: dict) -> str:
     """Return the marks as lines, each beside the figure that is aimed at."""
-    from eha_monitor.mismatch.prove_score import MARKS
+    from eha_monitor.prove.score import MARKS
 
     lines = []
     for name, (words, aim, _, _) in MARKS.items():

@@ -1,5 +1,6 @@
 """A case of the trial, what is true in it, and the plant's run of it."""
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
@@ -24,6 +25,20 @@ RIG = {
     "B": ("damping", 600.0), "beta_e": ("bulk_modulus", 6e8), "C_T": ("leakage", 5e-13),
     "G": ("makeup", 1e-13), "p_charge": ("charge_pressure", 2e6),
     "D_p": ("displacement", 1.6925e-7), "K_pos": ("position_gain", 23000.0),
+}
+# Key of Case.rig -> keys of a config's rig.  One number for both sides of the piston: the plant is
+# symmetric, and so is whoever measures it.
+CONFIG_KEYS = {
+    "A": ("area_1", "area_2"), "V": ("volume_1", "volume_2"), "M": ("mass",),
+    "B": ("viscous_damping",), "beta_e": ("bulk_modulus",), "C_T": ("leakage",),
+    "G": ("makeup_conductance",), "p_charge": ("charge_pressure",),
+    "D_p": ("pump_displacement",), "K_pos": ("position_gain",),
+}
+# How well an engineer knows each: one standard deviation of its logarithm, as in the config's
+# rig.tolerance.  Of the leakages only the order of magnitude is known.
+TOLERANCES = {
+    "A": 0.005, "V": 0.1, "M": 0.05, "C_T": math.log(3.0), "G": math.log(3.0), "p_charge": 0.2,
+    "D_p": 0.03, "K_pos": 0.03,
 }
 SEAL_TRAVEL = 4e-6  # m
 SAMPLE_TIME = 1e-3  # s
@@ -50,6 +65,7 @@ class Case:
         ``amplitude``, the factor on the motion.
     nominal : constants that the nominal config gets in place of the true design values; B and
         beta_e are the paper's there unless named here.
+    tolerances : standard deviations of the logarithm that differ from ``TOLERANCES``, by symbol.
     options : effect -> parameters of its key to set outright, e.g. ``{"pressure_offset":
         {"sensor": "p2"}}``.
     nuisance : factor on sensor lag, clock jitter and encoder step.
@@ -64,6 +80,7 @@ class Case:
     channels: tuple[str, ...] = ("x", "x_d", "omega", "p1", "p2")
     rig: dict = field(default_factory=dict)
     nominal: dict = field(default_factory=dict)
+    tolerances: dict = field(default_factory=dict)
     options: dict = field(default_factory=dict)
     nuisance: float = 1.0
     demand: np.ndarray | None = field(default=None, compare=False, repr=False)
@@ -100,7 +117,7 @@ def rig_of(case: Case) -> dict[str, float]:
 
 
 def truth_of(case: Case) -> dict:
-    """Return the key's entry: effects with balance and SI parameters, true B and beta_e."""
+    """Return the key's entry: effects with SI parameters, true B and beta_e, rig numbers off."""
     made = hidden_of(case)
     return {
         "effects": [
@@ -108,7 +125,28 @@ def truth_of(case: Case) -> dict:
              "in_catalogue": name in effect_names(), "parameters": dict(one.parameters)}
             for (name, strength), one in zip(case.effects, made, strict=True)],
         "B": rig_of(case)["damping"], "beta_e": rig_of(case)["bulk_modulus"],
+        "rig_off": rig_off(case),
     }
+
+
+def rig_off(case: Case) -> list[dict]:
+    """Return the rig numbers that the nominal config has wrong.
+
+    Returns
+    -------
+    list of dict
+        ``key`` of the config, ``true`` and ``configured`` value (SI), ``tolerances`` between
+        them, positive where the config says too much.
+    """
+    true, spreads, found = rig_of(case), TOLERANCES | case.tolerances, []
+    for symbol, spread in spreads.items():
+        value = true[RIG[symbol][0]]
+        said = case.nominal.get(symbol, value)
+        if said != value:
+            found += [{"key": key, "true": value, "configured": said,
+                       "tolerances": math.log(said / value) / spread}
+                      for key in CONFIG_KEYS[symbol]]
+    return found
 
 
 def hidden_of(case: Case) -> list[Hidden]:

@@ -3,6 +3,7 @@
 import numpy as np
 
 from eha_monitor.concealed.cases import RIG, Case, effect_names, outside_names
+from eha_monitor.concealed.configured import misconfigured
 from eha_monitor.concealed.hidden import SIGNED
 
 # At most one of each: with two, one contains or undoes the other.
@@ -57,17 +58,21 @@ def draw_rig(rng: np.random.Generator) -> dict[str, float]:
     return {key: float(f"{value:.4g}") for key, value in rig.items()}
 
 
-def draw_cases(n: int, seed: int, *, paper_rig: float = 0.3) -> list[Case]:
+def draw_cases(n: int, seed: int, *, paper_rig: float = 0.3, rig: str = "mixed") -> list[Case]:
     """Draw ``n`` cases; the same seed gives the same cases, and fewer are a head of more.
+
+    Whatever ``rig`` is, effects, motions and true rigs of a seed are the same.
 
     Parameters
     ----------
     n : how many.
     seed : of everything.
     paper_rig : share of the cases on the paper's own rig.
+    rig : what the nominal configs say of it, one of :data:`configured.KINDS`.
     """
-    return [_draw(f"c{i + 1:03d}", np.random.default_rng([seed, i]), paper_rig)
-            for i in range(n)]
+    cases = [_draw(f"c{i + 1:03d}", np.random.default_rng([seed, i]), paper_rig)
+             for i in range(n)]
+    return misconfigured(cases, seed, rig)
 
 
 def _draw(name: str, rng: np.random.Generator, paper_rig: float) -> Case:

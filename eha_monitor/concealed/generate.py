@@ -1,11 +1,13 @@
 """From a case to what the diagnosis is given: channels, nominal config, a bag."""
 
+import math
 from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
 from eha_monitor.concealed.cases import (
+    CONFIG_KEYS,
     RIG,
     SAMPLE_TIME,
     Case,
@@ -40,8 +42,8 @@ def recording_of(case: Case) -> tuple[dict[str, np.ndarray], np.ndarray]:
 def nominal_config(case: Case) -> dict:
     """Return the config of the nominal rig as plain YAML data; it says nothing of the effects.
 
-    Design constants are the true ones.  B and beta_e, which the monitor is there to find, are
-    the paper's, whatever the rig has; ``case.nominal`` overrides any of them.
+    Design constants are the true ones unless ``case.nominal`` has others.  B and beta_e, which
+    the monitor is there to find, are the paper's, whatever the rig has.
     """
     true = rig_of(case)
     nominal = {key: true[place] for key, (place, _) in RIG.items()}
@@ -53,15 +55,13 @@ def nominal_config(case: Case) -> dict:
         "pump_speed": levels.speed_noise * case.noise,
     }
     rig = {
-        "name": case.name,
-        "area_1": nominal["A"], "area_2": nominal["A"],
-        "volume_1": nominal["V"], "volume_2": nominal["V"],
-        "mass": nominal["M"], "viscous_damping": nominal["B"],
-        "bulk_modulus": nominal["beta_e"], "leakage": nominal["C_T"],
-        "pump_displacement": nominal["D_p"], "position_gain": nominal["K_pos"],
-        "charge_pressure": nominal["p_charge"], "makeup_conductance": nominal["G"],
-        "sample_time": SAMPLE_TIME,
+        "name": case.name, "sample_time": SAMPLE_TIME,
+        **{key: nominal[symbol] for symbol, keys in CONFIG_KEYS.items() for key in keys},
     }
+    if case.tolerances:  # a leakage's is a factor, the others' are relative
+        rig["tolerance"] = {
+            key: math.exp(spread) if symbol in ("C_T", "G") else spread
+            for symbol, spread in case.tolerances.items() for key in CONFIG_KEYS[symbol]}
     # Whoever states B and the bulk modulus of a rig also expects them there.
     expected = {stage: {"prior": case.nominal[key], "prior_stddev": 2.0 * case.nominal[key]}
                 for stage, key in (("stage_one", "B"), ("stage_two", "beta_e"))

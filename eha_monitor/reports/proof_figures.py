@@ -1,8 +1,10 @@
 """Pictures of a trial: who was found at which strength, and the pooled detection curve."""
 
 import numpy as np
+from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
 from eha_monitor.mismatch.diagnosis import Curve, Diagnosis, Location, NamedEffect
+from eha_monitor.prove.curve import wilson
 from eha_monitor.reports.diagnosis_figures import curve_picture, telling
 from eha_monitor.reports.diagnosis_words import effect_words
 from eha_monitor.reports.drawing import (
@@ -27,6 +29,7 @@ MARKS = {
 }
 ROW = 19  # pixels of an effect's row
 LEAST = 0.1  # units at which the axis begins
+RELIABILITY = 470  # pixels of the height of the reliability diagram
 
 
 def detection_picture(found: dict) -> Picture | None:
@@ -86,6 +89,46 @@ def curve_of_all(found: dict) -> Picture | None:
     axis.set_ylabel("right name or declared class")
     legend_above(axis)
     return picture(figure, "probability of the right name against strength")
+
+
+def reliability_picture(found: dict) -> Picture | None:
+    """Draw the share that was right against the probability that was said, counts below it."""
+    bins = found.get("reliability") or []
+    if not bins:
+        return None
+    figure, (above, below) = new_figure(2, ratios=(3.0, 1.0), height=RELIABILITY)
+    said = np.array([one["said"] for one in bins])
+    right = np.array([one["right"] for one in bins])
+    count = np.array([one["n"] for one in bins])
+    above.plot([0.0, 1.0], [0.0, 1.0], color=INK, linewidth=1.0, linestyle=":",
+               label="honest: right as often as was said")
+    low, high = wilson(right, count)
+    above.vlines(said, np.minimum(right, said), np.maximum(right, said), color=ERROR_LINE,
+                 linewidth=5.0, alpha=0.35, label="from what was said to what was right")
+    above.errorbar(said, right, [right - low, high - right], linestyle="", marker="o",
+                   color=STAGE_ONE, elinewidth=0.9, capsize=2.5,
+                   label="share that was right, with its 68 % interval")
+    above.set_ylim(-0.04, 1.06)
+    above.set_ylabel("share that was right")
+    legend_above(above)
+    middles = [0.5 * (one["low"] + one["high"]) for one in bins]
+    below.bar(middles, count, width=0.092, color=MEASURED)
+    for at, n in zip(middles, count, strict=True):
+        below.annotate(str(n), (at, n), xytext=(0, 2), textcoords="offset points",
+                       ha="center", va="bottom", fontsize=9.5, color=INK)
+    # Most statements are sure ones: on a linear scale the bins between could not be seen.
+    below.set_yscale("log")
+    below.set_ylim(0.6, 6.0 * count.max())
+    below.yaxis.set_major_locator(LogLocator(10.0, numticks=4))
+    below.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    below.yaxis.set_minor_locator(NullLocator())
+    below.set_ylabel("statements")
+    below.set_xlim(-0.02, 1.02)
+    below.set_xticks(np.linspace(0.0, 1.0, 11))
+    below.set_xlabel("probability that was said")
+    error = found["score"].get("calibration_error")
+    words = "" if error is None else f", expected calibration error {100 * error:.1f} %"
+    return picture(figure, f"how often a statement was right against its probability{words}")
 
 
 def missing_term(answer: dict | None) -> Picture | None:

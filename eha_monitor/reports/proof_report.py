@@ -2,14 +2,21 @@
 
 from pathlib import Path
 
-from eha_monitor.mismatch.prove import misses, read_json
-from eha_monitor.mismatch.prove_score import MARKS, UNEXPLAINED
 from eha_monitor.output import write_text
+from eha_monitor.prove.files import read_json
+from eha_monitor.prove.numbers import number_of
+from eha_monitor.prove.score import MARKS, UNEXPLAINED
+from eha_monitor.prove.trial import misses
 from eha_monitor.quantity import number, quantity, with_uncertainty
 from eha_monitor.reports.diagnosis_words import effect_words
 from eha_monitor.reports.ground_figures import parameter_pictures
 from eha_monitor.reports.page import render
-from eha_monitor.reports.proof_figures import curve_of_all, detection_picture, missing_term
+from eha_monitor.reports.proof_figures import (
+    curve_of_all,
+    detection_picture,
+    missing_term,
+    reliability_picture,
+)
 
 GROUNDS = {
     "mcmaster": ("The second published EHA", "The independent plant with the published numbers, "
@@ -22,7 +29,8 @@ GROUNDS = {
                  "as viscous friction there. The advice is asked first, the second motion is "
                  "recorded as advised, and both recordings are diagnosed together."),
 }
-GROUPS = {"by_kind": "effects in a recording", "by_strength": "strength (single effects)",
+GROUPS = {"by_kind": "effects in a recording", "by_rig": "numbers of the config",
+          "by_strength": "strength (single effects)",
           "by_motion": "motion", "by_noise": "noise, times the sensors' own",
           "by_channels": "channels"}
 MOST_PICTURES = 80  # of misses; each is some 30 kB
@@ -34,7 +42,7 @@ def write_proof_report(path: str | Path, found: dict, work: Path | None = None) 
     Parameters
     ----------
     path : file to write.
-    found : result of :func:`eha_monitor.mismatch.prove.prove`.
+    found : result of :func:`eha_monitor.prove.trial.prove`.
     work : the trial's folder, for the curves of the misses.
 
     Raises
@@ -53,7 +61,7 @@ def proof_page(found: dict, work: Path | None = None) -> str:
         groups=[{"title": title, "rows": group_rows(found[name])}
                 for name, title in GROUPS.items() if found.get(name)],
         pictures=[one for one in (detection_picture(found), curve_of_all(found)) if one],
-        units=bool(found["detection_curves"]),
+        units=bool(found["detection_curves"]), reliability=reliability_picture(found),
         effects=effect_rows(found), confusion=confusion_rows(found),
         misses=miss_cards(found, work), cases=found["cases"], ground=ground_of(found))
 
@@ -148,11 +156,10 @@ def miss_cards(found: dict, work: Path | None) -> list[dict]:
         answer = read_json(work / "answers" / f"{row['case']}.json") if work else None
         drawn = len(cards) < MOST_PICTURES
         cards.append({
-            "case": row["case"], "truth": [truth_words(row, name) for name in row["truth"]]
-            or ["nothing: a clean recording"],
+            "case": row["case"], "truth": truths_of(row) or ["nothing: a clean recording"],
             "said": said_words(row), "message": row["message"],
             "place": row["located"] or "nowhere",
-            "place_right": row["located_right"] or not row["truth"],
+            "place_right": row["located_right"] or row["kind"] == "null",
             "setting": ", ".join([str(row["motion"]), f"noise × {row['noise']:g}",
                                   " ".join(row["channels"] or ())]),
             "picture": missing_term(answer) if drawn else None,
@@ -169,12 +176,31 @@ def truth_words(row: dict, name: str) -> str:
     return words + (": found" if name in row["pairs"] else "")
 
 
+def truths_of(row: dict) -> list[str]:
+    """Return all that was concealed in words: effects, and rig numbers beyond tolerance."""
+    return [*(truth_words(row, name) for name in row["truth"]),
+            *(number_words(row, one) for one in row.get("rig_errors", ())
+              if one["key"] in row["rig_truth"])]
+
+
+def number_words(row: dict, one: dict) -> str:
+    """Return a rig number that the config has wrong in words, SI."""
+    words = (f"{one['key']}: the config says {number(one['configured'], 4)}, "
+             f"{number(one['true'], 4)} is true, {abs(one['tolerances']):.2g} tolerances")
+    name = number_of(one["key"])
+    gain = row["rig_evidence"].get(name)
+    if gain is not None:
+        words += f", {number(gain, 3)} log units for an oracle"
+    return words + (": found" if name in row["pairs"] else "")
+
+
 def said_words(row: dict) -> str:
-    """Return what was said, with the declared classes."""
-    if not row["named"]:
+    """Return what was said, with the declared classes; rig numbers by their names."""
+    classes = {**row["classes"], **row.get("rig_classes", {})}
+    if not classes:
         return row["verdict"].replace("_", " ")
     named = "; ".join(effect_words(name) + (
         f" (or {', '.join(map(effect_words, rivals))})" if rivals else "")
-        for name, rivals in row["classes"].items())
+        for name, rivals in classes.items())
     return named if row["verdict"] == "mismatch" else f"{row['verdict']}, with {named}"
 

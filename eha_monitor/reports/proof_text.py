@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from eha_monitor.errors import InputError
-from eha_monitor.mismatch.prove import misses
 from eha_monitor.output import write_text
+from eha_monitor.prove.trial import misses
 from eha_monitor.reports.proof_report import (
     GROUPS,
     confusion_rows,
@@ -13,8 +13,9 @@ from eha_monitor.reports.proof_report import (
     heading,
     marks,
     parameter_row,
+    percent,
     said_words,
-    truth_words,
+    truths_of,
 )
 
 BEGIN, END = "<!-- result -->", "<!-- end of result -->"
@@ -60,6 +61,10 @@ def result_text(found: dict) -> str:
         return "\n\n".join([*parts, table(("recording", "concealed", "said", "balance"), answers)])
     parts.append(table(("mark", "reached", "aim"), [
         (row["words"], row["value"], row["aim"]) for row in marks(found)]))
+    if found.get("reliability"):
+        parts.append(table(("probability said", "statements", "mean said", "right"), [
+            (f"{one['low']:.1f} to {one['high']:.1f}", one["n"], percent(one["said"]),
+             percent(one["right"])) for one in found["reliability"]]))
     head = ("cases", "exact", "within class", "detectable", "within class of these")
     for name, title in GROUPS.items():
         if found.get(name):
@@ -74,7 +79,7 @@ def result_text(found: dict) -> str:
     parts.append(f"Misses: {len(missed)} of {found['cases']}.")
     parts.append("\n".join(
         f"- {row['case']} ({row['motion']}, noise × {row['noise']:g}): "
-        f"{'; '.join(truth_words(row, name) for name in row['truth']) or 'clean'}. "
+        f"{'; '.join(truths_of(row)) or 'clean'}. "
         f"Said: {said_words(row)}, {row['located'] or 'no'} balance." for row in missed))
     return "\n\n".join(part for part in parts if part)
 

@@ -1,12 +1,13 @@
-"""The oracle of a trial: a fit that is told the concealed effects, for what can be reached.
+"""The oracle of a trial: a fit that is told effects and true rig, for what can be reached.
 
-It runs as ``python -m eha_monitor.mismatch.prove_oracle KEY CASE BAG CONFIG ANSWER``, once the
+It runs as ``python -m eha_monitor.prove.oracle KEY CASE BAG CONFIG ANSWER``, once the
 key is open.
 """
 
 import json
 import math
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from eha_monitor.mismatch.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.fit import Fit, spread
 from eha_monitor.mismatch.screen import Start, possible, starts_of
 from eha_monitor.mismatch.search import (
+    first_fit,
     nominal,
     settle,
     with_effect,
@@ -25,25 +27,32 @@ from eha_monitor.mismatch.search import (
 from eha_monitor.output import write_text
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.prove.numbers import keys_off, number_of
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.monitor import Settings
 
 RESOLUTION = "position_quantisation"  # has no parameter that is fitted
 
 
-def oracle(experiment: Experiment, truth: dict) -> dict:
-    """Return what a fit reaches that knows which effects there are.
+def oracle(recordings: list[Recording], settings: Settings, truth: dict) -> dict:
+    """Return what a fit reaches that knows which effects there are, and the rig's true numbers.
 
     Parameters
     ----------
-    experiment : the recording, with the same samples held out as in the diagnosis.
-    truth : the key's entry: ``effects`` with name and parameters, ``B``, ``beta_e``.
+    recordings : with the same samples held out as in the diagnosis.
+    settings : the nominal config.
+    truth : the key's entry: ``effects`` with name and parameters, ``B``, ``beta_e``, ``rig_off``.
 
     Returns
     -------
     dict
         ``log_evidence`` effect -> log units lost without it; ``over_simpler`` effect -> log units
-        over the best effect that it contains; ``signals`` as in the answer of ``diagnose``.
-        Effects outside the catalogue are left out.
+        over the best effect that it contains; ``rig_evidence`` number of the rig that is off by
+        three tolerances -> log units lost with the config's; ``signals`` as in the answer of
+        ``diagnose``.  Effects outside the catalogue are left out.
     """
+    off = truth.get("rig_off", ())
+    experiment = experiment_of(recordings, corrected(settings, off))
     known = {one["name"]: one["parameters"] for one in truth["effects"]
              if one["name"] in CATALOGUE}
     names = tuple(name for name in known if name != RESOLUTION and possible(name, experiment))
@@ -62,11 +71,36 @@ def oracle(experiment: Experiment, truth: dict) -> dict:
         if name not in names:
             evidence[name] = (rounding(experiment, known[name]["q"]) if name == RESOLUTION
                               else 0.0)
+    wrong = {number: without_number(experiment, after, experiment_of(recordings, corrected(
+        settings, [one for one in off if number_of(one["key"]) != number])))
+        for number in dict.fromkeys(map(number_of, keys_off(truth)))}
     signals = {name: asdict(fit) for name, fit in show.shown(experiment, first, after).items()}
     values = {name: after.value(name) for name in ("B", "beta_e")
               if any(f.name == name for f in after.free)}
     return {"log_evidence": evidence, "over_simpler": simpler, "signals": signals,
-            "values": values}
+            "values": values, "rig_evidence": {
+                number: after.log_likelihood - fit.log_likelihood
+                for number, fit in wrong.items()}}
+
+
+def corrected(settings: Settings, off: Sequence[dict]) -> Settings:
+    """Return a config with the true values of some rig numbers."""
+    values = {one["key"]: one["true"] for one in off}
+    return settings.model_copy(update={"rig": settings.rig.model_copy(update=values)})
+
+
+def without_number(experiment: Experiment, after: Fit, mistaken: Experiment) -> Fit:
+    """Return the best fit with the same effects where the config has a number wrong."""
+    mistaken = replace(mistaken, steps=experiment.steps, noise=experiment.noise)
+    if not after.named:
+        return first_fit(mistaken)
+    theta = after.theta.copy()
+    for i in range(s.N_BASE):
+        if mistaken.theta[i] != experiment.theta[i]:
+            theta[i] = mistaken.theta[i]
+            if i == s.VOL_1:  # what the oil column yields is its volume over its bulk modulus
+                theta[s.BETA_E] *= mistaken.theta[i] / experiment.theta[i]
+    return settle(mistaken, replace(after, theta=theta))
 
 
 def told(experiment: Experiment, first: Fit, known: dict[str, dict], base: dict[str, float]
@@ -135,8 +169,7 @@ def main(arguments: list[str]) -> None:
     truth = next(one for one in json.loads(Path(key).read_text(encoding="utf-8"))["cases"]
                  if one["case"] == case)
     settings = load_settings(Path(config))
-    experiment = experiment_of([read_recording(Path(bag), settings)], settings)
-    found = oracle(experiment, truth)
+    found = oracle([read_recording(Path(bag), settings)], settings, truth)
     text = json.dumps(found, indent=1)
     write_text(Path(answer), text.replace("-Infinity", "null").replace("Infinity", "null")
                .replace("NaN", "null") + "\n")

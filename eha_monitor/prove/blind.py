@@ -1,6 +1,6 @@
 """Runs a command that can see what it was handed of a trial, and nothing else of it.
 
-    python -m eha_monitor.mismatch.prove_blind TRIAL ALLOWED... -- diagnose BAG ...
+    python -m eha_monitor.prove.blind TRIAL ALLOWED... -- diagnose BAG ...
 
 An audit hook, which Python cannot take off again, refuses to open or list anything below TRIAL
 but the ALLOWED files and folders, to load the generator of the cases, and to start a process that
@@ -62,6 +62,8 @@ def main(arguments: list[str]) -> None:
     """Set the guard and run ``python -m eha_monitor`` with what follows ``--``."""
     end = arguments.index("--")
     trial, *allowed = arguments[:end]
+    if known := [name for name in sys.modules if f"{name}.".startswith(f"{GENERATOR}.")]:
+        raise PermissionError(f"{known[0]}: a diagnosis of the trial must not know it")
     sys.addaudithook(guard(trial, allowed))
     sys.argv = ["eha_monitor", *arguments[end + 1:]]
     runpy.run_module("eha_monitor", run_name="__main__", alter_sys=True)

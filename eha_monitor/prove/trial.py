@@ -1,7 +1,8 @@
 """The concealed-effect trial: recordings made, key sealed, diagnosed by others, opened, scored.
 
 The diagnosis of each case is a process of its own, the public ``diagnose`` command, under a guard
-(:mod:`eha_monitor.mismatch.prove_blind`) that lets it open its bag and its nominal config only.
+(:mod:`eha_monitor.prove.blind`) that lets it open its bag and its nominal config only.  It is a
+fork of one that has the program loaded (:mod:`eha_monitor.prove.warm`).
 
 A trial's folder::
 
@@ -14,31 +15,30 @@ A trial's folder::
     proof.json            the result
 """
 
-import hashlib
 import json
 import os
 import subprocess
-import sys
-import threading
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 
-from eha_monitor.compiled import FIRST_RUN
 from eha_monitor.concealed.cases import Case, truth_of
 from eha_monitor.errors import InputError
-from eha_monitor.mismatch import prove_score as score
-from eha_monitor.mismatch.prove_curve import binned, curves_of
-from eha_monitor.output import write_text
+from eha_monitor.prove import score
+from eha_monitor.prove.children import Asked, children, kept
+from eha_monitor.prove.curve import binned, curves_of
+from eha_monitor.prove.files import digest_of, read_json, write_json
 from eha_monitor.source import source_digest as digest_of_source
 
 SCHEMA = "eha_monitor/proof/1"
 PACKAGE = Path(__file__).parents[1]
-ROOMS = ("physics", "filters", "mismatch", "recordings", "settings")  # what makes an answer
-LONGEST = 1800.0  # s that a diagnosis may take
+# What has a part in an answer.
+ROOMS = ("physics", "filters", "mismatch", "recordings", "settings", "plausibility",
+         "commands/diagnose.py", "commands/plausible.py", "commands/diagnosis_answer.py",
+         "commands/rotary.py", "prove/blind.py", "prove/warm.py")
 FEW = 4  # cases that are made without processes of their own
 KEEP = ("same", "all", "none")
 
@@ -75,7 +75,6 @@ class Trial:
     oracle : also fit each case with a model that was told the effects.
     jobs : processes at a time; each gets its share of the cores.
     keep : which answers of an earlier run stay: of the ``same`` source, ``all``, ``none``.
-    calibration : let each diagnosis calibrate its threshold.
     groups : case -> name of a group that is marked by itself.
     questions : what is asked; without them one diagnosis of each recording by itself.
     conceal : writes the recording of a case into a folder and returns what is true of it.
@@ -88,7 +87,6 @@ class Trial:
     oracle: bool = False
     jobs: int = 0
     keep: str = "same"
-    calibration: bool = True
     groups: tuple[tuple[str, str], ...] = ()
     questions: tuple[Question, ...] = ()
     conceal: Callable[[Case, Path], dict] | None = None
@@ -219,102 +217,41 @@ def answer(trial: Trial, say: Report, what: str = "diagnosing") -> None:
     """Have every question answered by a process that sees its bags and nominal config only."""
     questions = {question.name: question for question in trial.asked()}
 
-    def command(name: str) -> list[str]:
+    def arguments(name: str) -> list[str]:
         question = questions[name]
         config, answer = places(trial, question.bags[0], "")[1], places(trial, name, "answers")[2]
         bags = [places(trial, bag, "")[0] for bag in question.bags]
         unseen = [places(trial, bag, "")[0] for bag in (question.held_out,) if bag]
         words = [question.command, *bags, "--config", config, "--json", answer,
                  *(["--held-out", *unseen] if unseen else [])]
-        if question.command == "diagnose" and not trial.calibration:
-            words.append("--no-calibration")
-        return [*map(str, (sys.executable, "-m", "eha_monitor.mismatch.prove_blind", trial.work,
-                           *bags, *unseen, config, answer, "--", *words))]
+        return [*map(str, (trial.work, *bags, *unseen, config, answer, "--", *words))]
 
-    children(trial, tuple(questions), "answers", source_digest(), command, say, what)
+    ask(trial, tuple(questions), Asked("eha_monitor.prove.blind", trial.work / "answers",
+                                       source_digest(), arguments, what), say)
 
 
 def ask_oracle(trial: Trial, say: Report) -> None:
     """Have every case fitted by a process that is told its effects."""
-    def command(name: str) -> list[str]:
+    def arguments(name: str) -> list[str]:
         bag, config, answer = places(trial, name, "oracles")
-        key = trial.work / "key" / "key.json"
-        return [*map(str, (sys.executable, "-m", "eha_monitor.mismatch.prove_oracle", key, name,
-                           bag, config, answer))]
+        return [*map(str, (trial.work / "key" / "key.json", name, bag, config, answer))]
 
-    source = source_digest() + digest_of((PACKAGE / "mismatch" / "prove_oracle.py").read_bytes())
+    source = source_digest() + digest_of((PACKAGE / "prove" / "oracle.py").read_bytes())
     names = tuple(case.name for case in trial.cases)
-    children(trial, names, "oracles", digest_of(source.encode())[:16], command, say,
-             "asking the oracle")
+    ask(trial, names, Asked("eha_monitor.prove.oracle", trial.work / "oracles",
+                            digest_of(source.encode())[:16], arguments, "asking the oracle"), say)
+
+
+def ask(trial: Trial, names: Sequence[str], asked: Asked, say: Report) -> None:
+    """Have all of these answered that have no answer which may stay."""
+    children(asked, [name for name in names if not kept(asked, name, trial.keep)],
+             jobs_of(trial), say)
 
 
 def places(trial: Trial, name: str, folder: str) -> tuple[Path, Path, Path]:
     """Return a case's bag, config and answer."""
     recordings = trial.work / "recordings"
     return recordings / name, recordings / f"{name}.yaml", trial.work / folder / f"{name}.json"
-
-
-def children(trial: Trial, names: Sequence[str], folder: str, source: str,
-             command: Callable[[str], list[str]], say: Report, what: str) -> None:
-    """Run one process for each name without an answer, ``jobs`` at a time, each on its cores."""
-    todo = [name for name in names if not kept(trial, folder, name, source)]
-    jobs = max(1, min(jobs_of(trial), len(todo)))
-    cores = sorted(os.sched_getaffinity(0))
-    shares, running, stop = [cores[i::jobs] for i in range(jobs)], set(), threading.Event()
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(
-        [str(PACKAGE.parent), *filter(None, [os.environ.get("PYTHONPATH")])])}
-
-    def one(name: str) -> None:
-        if stop.is_set():
-            return
-        place = shares.pop()
-        os.sched_setaffinity(0, place)  # of this thread; its child inherits it
-        target = trial.work / folder / f"{name}.json"
-        target.unlink(missing_ok=True)
-        started = time.perf_counter()
-        child = subprocess.Popen(command(name), env=environment, stdout=subprocess.DEVNULL,
-                                 stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-        running.add(child)
-        try:
-            complaint = child.communicate(timeout=LONGEST)[1].strip()
-        except subprocess.TimeoutExpired:
-            child.kill()
-            child.communicate()
-            complaint = f"took more than {LONGEST:.0f} s"
-        finally:
-            running.discard(child)
-            shares.append(place)
-        if stop.is_set():
-            return
-        fine = child.returncode == 0 and read_json(target) is not None
-        write_json(trial.work / folder / f"{name}.run.json", {
-            "status": child.returncode, "seconds": time.perf_counter() - started,
-            "source": source, "cores": len(place),
-            "error": "" if fine else (complaint.splitlines() or ["no answer"])[-1]})
-
-    head = 1 if FIRST_RUN else 0  # it compiles; the others would all do so at the same time
-    with ThreadPoolExecutor(jobs) as pool:
-        try:
-            ended = 0
-            for batch in (todo[:head], todo[head:]):
-                for future in as_completed([pool.submit(one, name) for name in batch]):
-                    future.result()
-                    ended += 1
-                    say(f"{what}, {ended} of {len(todo)}", ended / len(todo))
-        except BaseException:
-            stop.set()
-            for child in list(running):
-                child.terminate()
-            raise
-
-
-def kept(trial: Trial, folder: str, name: str, source: str) -> bool:
-    """Tell whether an answer is there that may stay."""
-    run = read_json(trial.work / folder / f"{name}.run.json") or {}
-    if trial.keep == "none" or run.get("status") != 0 or (
-            trial.keep == "same" and run.get("source") != source):
-        return False
-    return read_json(trial.work / folder / f"{name}.json") is not None
 
 
 def result(trial: Trial, key: dict, sealed: str) -> dict:
@@ -337,14 +274,16 @@ def result(trial: Trial, key: dict, sealed: str) -> dict:
             [row for row in rows if row["kind"] == "single"],
             lambda row: score.bin_of(next(iter(row["strength"].values())))),
         "by_kind": score.by_group(rows, lambda row: row["kind"]),
+        "by_rig": score.by_group(rows, lambda row: row["rig"]),
         "by_motion": score.by_group(rows, lambda row: row["motion"]),
         "by_noise": score.by_group(rows, lambda row: f"{row['noise']:g}"),
         "by_channels": score.by_group(rows, lambda row: ", ".join(row["channels"])),
+        "reliability": score.reliability(rows),
         "confusion": score.confusion(rows), "detection": (detection := score.detection(rows)),
         "detection_curves": curves_of(detection), "detection_bins": binned(detection),
         "failed": sum(row["verdict"] == score.FAILED for row in rows),
         "oracle": trial.oracle, "seed": trial.seed, "commit": commit(),
-        "sources": sources, "calibrated": trial.calibration,
+        "sources": sources,
     }
 
 
@@ -355,8 +294,7 @@ def jobs_of(trial: Trial) -> int:
 
 def source_digest() -> str:
     """Return a digest of everything that has a part in an answer."""
-    return digest_of_source(ROOMS, lambda path: not path.name.startswith("prove")
-                            or path.name == "prove_blind.py")
+    return digest_of_source(ROOMS)
 
 
 def commit() -> str | None:
@@ -371,25 +309,6 @@ def commit() -> str | None:
 
     head = git("rev-parse", "--short=12", "HEAD")
     return f"{head}+" if head and git("status", "--porcelain", "--", ".") else head
-
-
-def digest_of(content: bytes) -> str:
-    """Return the SHA-256 in hexadecimal."""
-    return hashlib.sha256(content).hexdigest()
-
-
-def read_json(path: Path) -> dict | None:
-    """Return what a JSON file holds; None where there is none that can be read."""
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return found if isinstance(found, dict) else None
-
-
-def write_json(path: Path, content: dict) -> None:
-    """Write a JSON file whole."""
-    write_text(path, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
 
 
 def misses(found: dict) -> Sequence[dict]:

@@ -1,10 +1,11 @@
-"""Draws of a trial beside the mixed one: single effects over a ladder of strengths."""
+"""Draws of a trial: the mixed one or a ladder of strengths, on drawn rigs or that of a config."""
 
 from dataclasses import replace
 
 import numpy as np
 
-from eha_monitor.concealed.cases import Case, effect_names
+from eha_monitor.concealed.cases import CONFIG_KEYS, TOLERANCES, Case, effect_names
+from eha_monitor.concealed.configured import misconfigured
 from eha_monitor.concealed.draws import draw_cases
 from eha_monitor.concealed.hidden import SIGNED
 from eha_monitor.errors import InputError
@@ -12,24 +13,25 @@ from eha_monitor.settings.monitor import Settings
 
 DRAWS = ("mixed", "ladder")
 WEAKEST, STRONGEST = 0.01, 1.2
-# Constant of the generator's rig -> key of a config.
-RIG_KEYS = {"A": "area_1", "V": "volume_1", "M": "mass", "B": "viscous_damping",
-            "beta_e": "bulk_modulus", "C_T": "leakage", "G": "makeup_conductance",
-            "p_charge": "charge_pressure", "D_p": "pump_displacement", "K_pos": "position_gain"}
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
-def cases_of(draw: str, count: int, seed: int) -> tuple[Case, ...]:
+def cases_of(draw: str, count: int, seed: int, rig: str = "mixed",
+             settings: Settings | None = None, source: str = "") -> tuple[Case, ...]:
     """Return the cases of a trial; fewer of the same seed are a head of more.
 
     Parameters
     ----------
     draw : ``mixed`` (rigs, motions, sets of 0 to 3 effects, outside the catalogue) or ``ladder``
         (one effect on rich motion, each effect at strengths that fill the scale evenly).
+    rig : what the nominal configs say of the rig, one of :data:`configured.KINDS`.
+    settings : config on whose rig all cases are, ``source`` its name; drawn rigs without it.
     """
-    if draw == "mixed":
-        return tuple(draw_cases(count, seed))
-    return tuple(rung(i, seed) for i in range(count))
+    cases = (tuple(draw_cases(count, seed, rig="exact")) if draw == "mixed" else
+             tuple(rung(i, seed) for i in range(count)))
+    if settings is not None:
+        cases = on_rig(cases, settings, source)
+    return tuple(misconfigured(cases, seed, rig))
 
 
 def rung(i: int, seed: int) -> Case:
@@ -48,7 +50,7 @@ def rung(i: int, seed: int) -> Case:
 
 
 def on_rig(cases: tuple[Case, ...], settings: Settings, source: str) -> tuple[Case, ...]:
-    """Return the cases on the rig of a config in place of the drawn ones.
+    """Return the cases on the rig of a config in place of the drawn ones, with its tolerances.
 
     Raises
     ------
@@ -60,11 +62,14 @@ def on_rig(cases: tuple[Case, ...], settings: Settings, source: str) -> tuple[Ca
     if rig.motion != "linear" or rig.area_1 != rig.area_2 or rig.volume_1 != rig.volume_2:
         raise InputError(f"{source}: expected a linear actuator with equal areas and volumes: no "
                          "other can be made for the trial")
-    constants = {symbol: getattr(rig, key) for symbol, key in RIG_KEYS.items()}
+    constants = {symbol: getattr(rig, keys[0]) for symbol, keys in CONFIG_KEYS.items()}
     for symbol, value in constants.items():
         if value is None:
-            raise InputError(f"{source}: rig.{RIG_KEYS[symbol]}: expected a value, the trial "
-                             "simulates the rig")
+            raise InputError(f"{source}: rig.{CONFIG_KEYS[symbol][0]}: expected a value, the "
+                             "trial simulates the rig")
+    spreads = {symbol: rig.tolerance.log_spread(CONFIG_KEYS[symbol][0]) for symbol in TOLERANCES}
+    own = {symbol: spread for symbol, spread in spreads.items() if spread != TOLERANCES[symbol]}
     return tuple(replace(case, rig={symbol: float(value) for symbol, value in constants.items()},
                          nominal={"B": float(rig.viscous_damping),
-                                  "beta_e": float(rig.bulk_modulus)}) for case in cases)
+                                  "beta_e": float(rig.bulk_modulus)},
+                         tolerances=own) for case in cases)

@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from eha_monitor.errors import InputError
-from eha_monitor.mismatch.prove import Question, digest_of, prove, read_json
-from eha_monitor.mismatch.prove_ground import Ground, compared_row, said_of, with_ground
 from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.prove.files import digest_of, read_json
+from eha_monitor.prove.grounds.ground import Ground, compared_row, said_of, with_ground
+from eha_monitor.prove.trial import Question, prove
 
 KEY = "key.json"
 SUFFIX = ".csv.gz"

@@ -4,6 +4,9 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
+from eha_monitor.prove import numbers
+from eha_monitor.prove.reliability import calibration_error, reliability_of, statements_of
+
 LARGEST_CLASS = 3  # members of a declared class: the name and at most two rivals
 DETECTABLE = 20.0  # log units that an oracle gains: less need not be found
 JUST = 10.0  # log units: what an oracle can just detect
@@ -34,9 +37,16 @@ MARKS = {
                                 0.02, False),
     "held_out_error_removed": ("of the removable error on unseen data, removed",
                                "at least 90 %", 0.9, True),
-    "named_parameters_within_5_percent": ("parameters of named effects within 5 %", "", None,
-                                          True),
-    "base_parameters_within_2_percent": ("B and the bulk modulus within 2 %", "", None, True),
+    "rig_found": ("rig numbers off by three tolerances or more, named", "at least 95 %", 0.95,
+                  True),
+    "rig_false_name": ("a rig number named although it is within its tolerance", "at most 1 %",
+                       0.01, False),
+    "calibration_error": ("expected calibration error of the probabilities", "at most 5 %", 0.05,
+                          False),
+    "named_parameters_within_5_percent": ("parameters of named effects within 5 %, where the "
+                                          "config's numbers are right", "", None, True),
+    "base_parameters_within_2_percent": ("B and the bulk modulus within 2 %, where the config's "
+                                         "numbers are right", "", None, True),
     "parameters_inside_2_sigma": ("parameters inside their ± two standard deviations",
                                   "at least 90 %", 0.9, True),
 }
@@ -62,47 +72,73 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
     catalogued = [one["name"] for one in truth["effects"] if one["in_catalogue"]]
     outside = len(catalogued) < len(names)
     known = [name for name in catalogued if not oracle or (evidence.get(name) or 0) >= DETECTABLE]
-    classes = {one["name"]: tuple(one["indistinguishable_from"]) for one in answer["effects"]}
-    accepted = {name: accepted_for(name, names, oracle) for name in catalogued}
-    pairs = matched(accepted, classes)
+    errors_off, findings = numbers.errors_of(truth), numbers.findings_of(answer)
+    off = [name for name, error in errors_off.items() if error >= numbers.OFF]
+    loose = [name for name, error in errors_off.items() if numbers.NEAR <= error < numbers.OFF]
+    rig_evidence = (oracle or {}).get("rig_evidence", {})
+    rig_known = [name for name in off
+                 if not oracle or (rig_evidence.get(name) or 0) >= DETECTABLE]
+    classes = {one["name"]: tuple(map(numbers.number_of, one["indistinguishable_from"]))
+               for one in answer["effects"]}
+    said = {**classes, **{one["number"]: numbers.rivals_of(one, one["number"])
+                          for one in findings}}
+    accepted = {**{name: accepted_for(name, names, oracle) for name in catalogued},
+                **{name: {name} for name in (*off, *loose)}}
+    pairs = matched(accepted, said)
     share = {name: value or 0.0 for name, value in answer["location"]["balance"].items()}
     located = max(share, key=share.get) if any(share.values()) else ""
-    balances = {one["balance"] for one in truth["effects"]}
-    verdict, null = answer["verdict"], not names
+    balances = {one["balance"] for one in truth["effects"]}.union(
+        *(numbers.BALANCES[name] for name in off))
+    verdict, null = answer["verdict"], not names and not off
     place_right = located in balances
+    wanted = {*names, *off}
+    all_paired = verdict == "mismatch" and set(said) == set(pairs.values())
     if null:
-        exact = within = verdict == "consistent" and not classes
+        exact = within = (all_paired if said else verdict == "consistent")
     elif outside:
         right = verdict == UNEXPLAINED and place_right
-        exact, within = right and not set(classes) - set(names), right
+        exact, within = right and not set(said) - wanted - set(loose), right
     else:
-        exact = set(classes) == set(names) and verdict == "mismatch"
-        nothing = not known and not classes
-        within = nothing or (verdict == "mismatch" and set(known) <= set(pairs)
-                             and set(classes) == set(pairs.values()))
+        exact = verdict == "mismatch" and wanted <= set(said) <= wanted | set(loose)
+        nothing = not known and not rig_known and not said
+        within = nothing or (all_paired and {*known, *rig_known} <= set(pairs))
+    # Without an oracle nobody knows whether this recording shows a wrong number of the rig; and
+    # where something is there that cannot be seen, nobody knows what "consistent" is worth.
+    seen = bool(outside or known or (oracle and rig_known))
+    consistent = False if seen else True if null and not loose else None
     lost = [one for one in truth["effects"] if one["name"] not in pairs
             and (one["balance"] == "sensor" or one["name"] in TIMING)]
     blaming = [one["name"] for one in answer["effects"]
                if one["balance"] in PLANT and one["name"] not in pairs.values()]
     before, after = errors(answer["fit"]["signals"])
-    _, reached = errors(oracle["signals"]) if oracle and catalogued else (None, None)
+    _, reached = errors(oracle["signals"]) if oracle and (catalogued or off) else (None, None)
     return {
         "case": truth["case"], "truth": names, "named": list(classes), "located": located,
         "before_rms": before, "after_rms": after, "oracle_rms": reached,
-        "kind": "outside" if outside else ("null", "single", "pair", "triple")[min(
-            len(names), 3)],
+        "kind": "outside" if outside else "rig" if off and not names else (
+            "null", "single", "pair", "triple")[min(len(names), 3)],
         "verdict": verdict, "message": answer.get("message", ""),
         "classes": {name: list(rivals) for name, rivals in classes.items()},
         "pairs": pairs, "strength": {one["name"]: one["strength"] for one in truth["effects"]},
         "log_evidence": evidence, "expected": known,
-        "detectable": (not oracle or len(known) == len(catalogued)) and not null,
+        "detectable": None if off and not oracle else not null and (
+            len(known) == len(catalogued) and len(rig_known) == len(off)),
         "exact": exact, "within_class": within, "located_right": place_right,
         "sensor_or_timing": any(one["balance"] == "sensor" or one["name"] in TIMING
                                 for one in truth["effects"]),
         "sensor_blamed": bool(lost and blaming), "confident_wrong":
-            verdict == "mismatch" and bool(set(classes) - set(pairs.values())),
+            verdict == "mismatch" and bool(set(said) - set(pairs.values())),
         "removed": removed(before, after, reached),
         "parameters": parameter_errors(truth, answer, pairs) if exact and not null else [],
+        "rig": numbers.kind_of(errors_off), "rig_truth": numbers.keys_off(truth),
+        "rig_named": [one["key"] for one in answer.get("rig_data", ())],
+        "rig_off": off, "rig_expected": rig_known, "rig_evidence": rig_evidence,
+        "rig_classes": {one["number"]: list(said[one["number"]]) for one in findings},
+        "rig_false": numbers.false_names([one["number"] for one in findings],
+                                         list(pairs.values()), errors_off),
+        "rig_errors": truth.get("rig_off", []),
+        "probabilities": statements_of(answer, findings, list(pairs.values()), consistent,
+                                       outside),
         "motion": truth.get("motion"), "noise": truth.get("noise"),
         "channels": truth.get("channels"), "group": truth.get("group"),
         "wall_s": answer.get("wall_s"), "seconds": (run or {}).get("seconds"),
@@ -171,7 +207,9 @@ def removed(before: float | None, after: float | None, reached: float | None) ->
 
 def parameter_errors(truth: dict, answer: dict, pairs: dict[str, str]) -> list[dict]:
     """Return for each parameter of key and answer its error: relative, and in its own sigmas."""
-    found = []
+    found = [compared(f"rig.{one['key']}", one["true"], said["found"], abs(one["true"]))
+             for one in truth.get("rig_off", ()) for said in answer.get("rig_data", ())
+             if said["key"] == one["key"] and said["found"]["value"] is not None]
     said = {one["name"]: one for one in answer["effects"]}
     for one in truth["effects"]:
         name = one["name"]
@@ -210,7 +248,8 @@ def share(flags: Iterable[bool]) -> float | None:
 def score_of(rows: Sequence[dict]) -> dict:
     """Return the marks of all cases together; None where no case tells."""
     hidden = [row for row in rows if row["kind"] != "null"]
-    told = [row for row in hidden if row["kind"] == "outside" or row["expected"]]
+    told = [row for row in hidden if row["kind"] == "outside" or row["expected"]
+            or row["rig_expected"]]
     able = [row for row in hidden if row["detectable"] and row["kind"] != "outside"]
     outside = [row for row in rows if row["kind"] == "outside"]
     gone = [row["removed"] for row in hidden
@@ -227,15 +266,28 @@ def score_of(rows: Sequence[dict]) -> dict:
         "detectable_within_class": share(row["within_class"] for row in able),
         "outside_unexplained": share(row["within_class"] for row in outside),
         "outside_confident_wrong": share(row["confident_wrong"] for row in outside),
+        "rig_found": share(name in row["pairs"] for row in rows for name in row["rig_expected"]),
+        "rig_false_name": share(bool(row["rig_false"]) for row in rows),
+        "calibration_error": calibration_error(reliability(rows)),
         **parameter_score(rows),
     }
 
 
+def reliability(rows: Sequence[dict]) -> list[dict]:
+    """Return the bins of the reliability diagram, over all statements of all answers."""
+    return reliability_of([one for row in rows for one in row["probabilities"]])
+
+
 def parameter_score(rows: Sequence[dict]) -> dict:
-    """Return how many parameters of exactly named cases are close, and inside their 2 sigma."""
+    """Return how many parameters of exactly named cases are close, and inside their 2 sigma.
+
+    Close can only be asked for where the config's numbers are right: a volume that is 10 % off
+    is 10 % of the bulk modulus.  Its standard deviation has to say so, so that is asked of all.
+    """
     every = [one for row in rows for one in row["parameters"]]
-    base = [one for one in every if one["name"] in ("B", "beta_e")]
-    own = [one for one in every if one["name"] not in ("B", "beta_e")]
+    known = [one for row in rows if row["rig"] == "exact" for one in row["parameters"]]
+    base = [one for one in known if one["name"] in ("B", "beta_e")]
+    own = [one for one in known if one["name"] not in ("B", "beta_e")]
     return {
         "named_parameters_within_5_percent": share(
             one["relative"] <= CLOSE for one in own if one["relative"] is not None),
@@ -296,17 +348,20 @@ def confusion(rows: Sequence[dict]) -> dict[str, dict[str, int]]:
     A found effect counts under its own name, or under the name whose class has it.  One that was
     not found counts under each name that stands for nothing, else under ``unexplained`` or
     ``none``.  The row ``none`` holds what was named on clean recordings and beside complete sets.
+    A rig number that is off is one of the concealed.
     """
     table: dict[str, Counter] = {}
     for row in rows:
-        spare = [name for name in row["named"] if name not in row["pairs"].values()]
+        spare = [name for name in (*row["named"], *row["rig_classes"])
+                 if name not in row["pairs"].values()]
+        hidden = [*row["truth"], *row["rig_off"]]
         empty = {FAILED: FAILED, UNEXPLAINED: UNEXPLAINED}.get(row["verdict"], NONE)
-        lost = [name for name in row["truth"] if name not in row["pairs"]]
-        for name in row["truth"]:
+        lost = [name for name in hidden if name not in row["pairs"]]
+        for name in hidden:
             said = [row["pairs"][name]] if name in row["pairs"] else spare or [empty]
             table.setdefault(name, Counter()).update(said)
         if not lost:
-            said = spare or ([empty] if not row["truth"] else [])
+            said = spare or ([empty] if not hidden else [])
             if said:
                 table.setdefault(NONE, Counter()).update(said)
     return {name: dict(counts.most_common()) for name, counts in sorted(table.items())}

@@ -5,12 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from eha_monitor.concealed.cases import Case
-from eha_monitor.mismatch.prove import Question, Trial, write_json
+from eha_monitor.prove.files import write_json
+from eha_monitor.prove.trial import Question, Trial
 
 
 @dataclass(frozen=True)
 class Ground:
-    """How a ground is run; the meaning is that of :class:`eha_monitor.mismatch.prove.Trial`.
+    """How a ground is run; the meaning is that of :class:`eha_monitor.prove.trial.Trial`.
 
     ``cases`` 0 takes the ground's own number.
     """
@@ -20,12 +21,11 @@ class Ground:
     cases: int = 0
     jobs: int = 0
     keep: str = "same"
-    calibration: bool = True
 
     def trial(self, cases: tuple[Case, ...], questions: tuple[Question, ...] = (),
               **more) -> Trial:
         """Return the trial of some recordings."""
-        return Trial(cases, self.seed, self.work, False, self.jobs, self.keep, self.calibration,
+        return Trial(cases, self.seed, self.work, False, self.jobs, self.keep,
                      questions=questions, **more)
 
 

@@ -15,8 +15,9 @@ from eha_monitor.concealed.cases import SAMPLE_TIME, Case
 from eha_monitor.concealed.draws import MCMASTER, MCMASTER_RIG, mcmaster_case
 from eha_monitor.concealed.generate import nominal_config, recording_of
 from eha_monitor.concealed.motions import triangle
-from eha_monitor.mismatch.prove import prove, read_json
-from eha_monitor.mismatch.prove_ground import Ground, compared_row, said_of, with_ground
+from eha_monitor.prove.files import read_json
+from eha_monitor.prove.grounds.ground import Ground, compared_row, said_of, with_ground
+from eha_monitor.prove.trial import prove
 
 CLOSE = 0.1
 PUMP_SPEED = 100.0  # rad/s of the published linear fits

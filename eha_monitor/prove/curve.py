@@ -68,9 +68,15 @@ def binned(detection: list[dict]) -> list[dict]:
             continue
         n, hits = len(mine), sum(one["said"] in RIGHT for one in mine)
         p = hits / n
-        middle = (p + 0.5 / n) / (1.0 + 1.0 / n)
-        half = np.sqrt(p * (1 - p) / n + 0.25 / n**2) / (1.0 + 1.0 / n)
+        low_share, high_share = wilson(p, n)
         place = np.exp(np.mean(np.log([max(one["units"], 0.1) for one in mine])))
         found.append({"units": float(place), "share": p, "n": n,
-                      "low": float(middle - half), "high": float(middle + half)})
+                      "low": float(low_share), "high": float(high_share)})
     return found
+
+
+def wilson(share: np.ndarray | float, n: np.ndarray | int) -> tuple:
+    """Return the ends of Wilson's 68 % interval of shares of n cases, the share inside."""
+    middle = (share + 0.5 / n) / (1.0 + 1.0 / n)
+    half = np.sqrt(share * (1.0 - share) / n + 0.25 / n**2) / (1.0 + 1.0 / n)
+    return np.minimum(middle - half, share), np.maximum(middle + half, share)

@@ -13,18 +13,10 @@ import numpy as np
 
 from eha_monitor.concealed.cases import SAMPLE_TIME, Case
 from eha_monitor.concealed.generate import write_case
-from eha_monitor.mismatch.prove import (
-    Question,
-    answer,
-    begin,
-    made,
-    opened,
-    read_json,
-    result,
-    seal,
-)
-from eha_monitor.mismatch.prove_ground import Ground, compared_row, said_of, with_ground
 from eha_monitor.physics.excitation import demanded_position, total_duration
+from eha_monitor.prove.files import read_json
+from eha_monitor.prove.grounds.ground import Ground, compared_row, said_of, with_ground
+from eha_monitor.prove.trial import Question, answer, begin, made, opened, result, seal
 from eha_monitor.settings.rig import Segment
 
 SPEED = 0.04  # m/s of the paper's triangle

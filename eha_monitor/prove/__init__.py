@@ -1,0 +1,1 @@
+"""The proof: effects concealed in recordings, a sealed key, a blind diagnosis, and its marks."""
