@@ -18,9 +18,9 @@ from eha_monitor.compiled_cache import shipped
 from eha_monitor.filters.live import LiveEstimator
 from eha_monitor.filters.pipeline import estimate
 from eha_monitor.mismatch.advise import advise
+from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.mismatch.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.missing import drive_along, played
-from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.mismatch.rivals import latent_gains
 from eha_monitor.mismatch.search import nominal
 from eha_monitor.mismatch.smooth import smoothed
@@ -67,7 +67,7 @@ def compile_diagnosis(recording: Recording) -> None:
     settings = Settings()
     rubbing = simulated(settings_from_tree(
         {"effects": {"coulomb_friction": {"F_c": 40.0}}}, "compile_all"))
-    diagnose([rubbing], settings, calibrate=False)
+    diagnose([rubbing], settings)
     advise([recording], settings, check=False)
     for names in (("x", "x_d", "omega", "p1", "p2"), ("x", "omega"), ("x", "p1", "p2")):
         part = replace(recording, channels={name: recording.channels[name] for name in names})

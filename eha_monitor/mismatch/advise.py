@@ -9,12 +9,12 @@ from eha_monitor.breakdown import computing
 from eha_monitor.errors import InputError
 from eha_monitor.filters.hold_choice import resolved
 from eha_monitor.mismatch.advise_words import sentences
-from eha_monitor.mismatch.choice import Naming, name_effects
 from eha_monitor.mismatch.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.fit import Fit
 from eha_monitor.mismatch.gains import Unknowns
 from eha_monitor.mismatch.information import Slope, Traces, free_slopes
 from eha_monitor.mismatch.motions import Limits, Motion, limits_for, looped
+from eha_monitor.mismatch.name.naming import Naming, name_effects
 from eha_monitor.mismatch.search import YIELDING, limits_of, settle, with_effect
 from eha_monitor.mismatch.separate import (
     DECISIVE,
@@ -230,7 +230,7 @@ def _advised(recordings: list[Recording], settings: Settings, check: bool, say: 
                          f"{quantity(moved, 'm', 2)} with "
                          f"{quantity(experiment.noise[0], 'm', 2)} of noise: any motion tells "
                          "more")
-    naming = name_effects(experiment, report=lambda text, share: say(text, 0.6 * share))
+    naming = name_effects(experiment, lambda text, share: say(text, 0.6 * share))
     found = advice(experiment, naming.after, naming.rivals, rival_fits(naming), check,
                    report=lambda text, share: say(text, 0.6 + 0.4 * share))
     return naming, found
@@ -239,9 +239,11 @@ def _advised(recordings: list[Recording], settings: Settings, check: bool, say: 
 def rival_fits(naming: Naming) -> dict[str, Fit]:
     """Return the fits of the candidates that were tried, effect -> fit."""
     found = {}
-    for step in naming.rounds:
-        for candidate in step.candidates:
-            found.setdefault(candidate.effect, candidate.fit)
+    for names, fit, _ in naming.tried:  # best first
+        for name in names:
+            if name in CATALOGUE:
+                found.setdefault(name, replace(fit, named=tuple(
+                    other for other in fit.named if other in CATALOGUE)))
     return found
 
 

@@ -11,18 +11,22 @@ from itertools import pairwise
 import numpy as np
 
 from eha_monitor.filters.pipeline import estimate
-from eha_monitor.mismatch.choice import EXPLAINED, lacking
 from eha_monitor.mismatch.diagnosis import Piece, Value
 from eha_monitor.mismatch.experiment import BURN_IN, Experiment, Stretch
-from eha_monitor.mismatch.fit import Fit, innovations, log_likelihood_of, spread
+from eha_monitor.mismatch.fit import Fit, innovations, log_likelihood_of, spread, with_unknowns
 from eha_monitor.mismatch.model import HEALTH_WORDS, robust, values_of
-from eha_monitor.mismatch.search import expected_likelihood, first_fit
+from eha_monitor.mismatch.name.acceptance import EXPLAINED
+from eha_monitor.mismatch.name.naming import Naming, lacking
+from eha_monitor.mismatch.name.refit import begun, settled
+from eha_monitor.mismatch.search import expected_likelihood
 from eha_monitor.quantity import with_uncertainty
 from eha_monitor.recordings.recording import Recording
 
 # Left out around a change, s: the stages see it later than it begins, and it may take its time.
 BEFORE_S, AFTER_S = 1.5, 0.5
 SHORTEST_S = 2.0  # of the fitted samples of a piece
+HELD = 100.0  # times the smallest unknowns: where the fit of a piece begins
+LEAST = 20.0  # log units by which the pieces must be better
 MOVED, SIGMAS = 0.03, 4.0  # a change: relative, and in standard deviations
 
 
@@ -34,35 +38,37 @@ class Changed:
     ----------
     pieces : in order of time; neighbours of one recording differ in B or beta_e.
     experiment, fit : the data of the last piece, and the nominal model fitted to them.
+    whole : the nominal model of all data.
     """
 
     pieces: tuple[Piece, ...]
     experiment: Experiment
     fit: Fit
+    whole: Fit
 
 
-def changed_between(experiment: Experiment, recordings: list[Recording], named: Fit,
-                    threshold: float) -> Changed | None:
+def changed_between(experiment: Experiment, recordings: list[Recording], naming: Naming
+                    ) -> Changed | None:
     """Return the pieces that explain the data better than any named physics, or None.
 
     Parameters
     ----------
     experiment : of ``recordings``, at least one; compared by a filter, not by balances.
-    named : the best model of constant parameters.
-    threshold : log units by which the pieces must be better.
+    naming : the best model of constant parameters.
     """
+    named = naming.after
     parts = [part for part in (part_of(experiment, *span) for span in spans_of(
         experiment, recordings)) if part is not None]
     if len(parts) < 2:
         return None
-    fits = [first_fit(part) for part in parts]  # each on all cores
+    fits = [settled(part, begun(part, HELD)) for part in parts]  # each on all cores
     if any(lacking(part, fit) for part, fit in zip(parts, fits, strict=True)):
         return None  # the nominal model does not explain them piece by piece either
     expected = sum(expected_likelihood(part, fit) for part, fit in zip(parts, fits, strict=True))
     reached = sum(fit.log_likelihood for fit in fits)
     constant = sum(spread(lambda part: log_likelihood_of(innovations(
         part, named.theta, named.active, named.gains)), parts))
-    if reached - constant < max(threshold, EXPLAINED * (expected - constant)):
+    if reached - constant < max(LEAST, EXPLAINED * (expected - constant)):
         return None
     pieces = tuple(Piece(part.stretches[0].source, float(part.stretches[0].start), end_of(part),
                          values_of(part, robust(part, fit)))
@@ -70,7 +76,8 @@ def changed_between(experiment: Experiment, recordings: list[Recording], named: 
     if not any(differ(one.values, other.values)
                for one, other in pairwise(pieces)):
         return None
-    return Changed(pieces, parts[-1], fits[-1])
+    return Changed(pieces, parts[-1], fits[-1], with_unknowns(
+        parts[-1], naming.before, naming.before.unknowns))
 
 
 def spans_of(experiment: Experiment, recordings: list[Recording]

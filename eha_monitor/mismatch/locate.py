@@ -124,13 +124,13 @@ def location_of(experiment: Experiment, before: Fit, after: Fit | None,
 
     Parameters
     ----------
-    named : effect -> log evidence; empty where nothing in the catalogue explains the mismatch.
+    named : effect or ``rig.<key>`` -> log evidence; empty where nothing in the catalogue explains the mismatch.
         What the named effects leave behind counts beside them.
     terms : :func:`missing_terms` of the named effects, where they are at hand.
     """
     weights = dict.fromkeys(BALANCES, 0.0)
     for name, gain in named.items():
-        weights[CATALOGUE[name].balance] += max(float(gain), 0.0)
+        weights[balance_of(name)] += max(float(gain), 0.0)
     known, outputs = sum(weights.values()), []
     last = before if after is None else after
     small = limits_of(experiment)[0].as_array()
@@ -146,7 +146,7 @@ def location_of(experiment: Experiment, before: Fit, after: Fit | None,
     shares = {balance: weight / total for balance, weight in weights.items()}
     balance = max(shares, key=shares.get)
     mine = [term for term in terms or [] if term.balance == balance]
-    if not mine and any(CATALOGUE[name].balance == balance for name in named):
+    if not mine and any(balance_of(name) == balance for name in named if name in CATALOGUE):
         mine = [term for term in missing_terms(experiment, before, after)
                 if term.balance == balance]
     if not mine and balance in UNITS:
@@ -160,6 +160,15 @@ def location_of(experiment: Experiment, before: Fit, after: Fit | None,
     regime, weight = regime_of(experiment, mine[-1])
     return Location(shares, regime, worst_intervals(experiment, weight) if regime != "always"
                     else whole_of(experiment))
+
+
+def balance_of(name: str) -> str:
+    """Return the balance of an effect, or of a number of the rig (``rig.<key>``)."""
+    if name in CATALOGUE:
+        return CATALOGUE[name].balance
+    key = name.removeprefix("rig.")
+    return ("force" if key in ("mass", "area_1", "area_2")
+            else "drive" if key == "position_gain" else "flow")
 
 
 def regime_of(experiment: Experiment, term: Missing) -> tuple[str, list[np.ndarray]]:

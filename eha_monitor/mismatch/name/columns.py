@@ -28,7 +28,7 @@ from eha_monitor.mismatch.screen import (
 )
 from eha_monitor.mismatch.search import base_free, timing_free
 from eha_monitor.physics.effects import CATALOGUE, NAMES
-from eha_monitor.physics.parameters import BASE_KEYS, place_of
+from eha_monitor.physics.parameters import BASE_KEYS
 from eha_monitor.physics.signals import B
 
 ALWAYS = ""  # owner of what every model has

@@ -19,6 +19,7 @@ from eha_monitor.mismatch.name.acceptance import (
     BEAM,
     EFFECT,
     LARGEST_SET,
+    RARE,
     UNNAMED,
     WRONG_RIG,
 )
@@ -86,7 +87,7 @@ class Ranking:
         if member.owner not in CATALOGUE:
             return UNNAMED
         several = np.log(self.starts[member.owner]) if member.variant >= 0 else 0.0
-        return EFFECT - 0.1 * CATALOGUE[member.owner].rarity - several
+        return EFFECT + RARE * CATALOGUE[member.owner].rarity - several
 
     def roots(self) -> list[tuple[Member, ...]]:
         """Return the subsets of what the model has, each a set to begin with."""
@@ -209,7 +210,7 @@ class Level:
             if not out:
                 break
             fixed.update(out)
-        own = np.array([r.what[i].owner != ALWAYS and r.what[i].size for i in here])
+        own = np.array([r.what[i].owner != ALWAYS and r.what[i].size for i in here], dtype=bool)
         slack = 1e-9
         if (own & ((a < r.lower[here] - slack) | (a > r.upper[here] + slack))).any():
             return None

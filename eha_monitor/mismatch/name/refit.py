@@ -20,7 +20,7 @@ from eha_monitor.mismatch.fit import (
     with_unknowns,
 )
 from eha_monitor.mismatch.gains import Unknowns, expected_covariance, gains_of
-from eha_monitor.mismatch.name.acceptance import EFFECT, WRONG_RIG
+from eha_monitor.mismatch.name.acceptance import EFFECT, RARE, WRONG_RIG
 from eha_monitor.mismatch.name.columns import (
     ALWAYS,
     BEYOND,
@@ -31,7 +31,7 @@ from eha_monitor.mismatch.name.columns import (
     rig_free,
     runs_of,
 )
-from eha_monitor.mismatch.name.gram import evidence_at, under
+from eha_monitor.mismatch.name.gram import evidence_at, lasting, under
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.screen import entered, free_of
 from eha_monitor.mismatch.search import base_free, completed, limits_of, timing_free
@@ -39,7 +39,7 @@ from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import BASE_KEYS, effect_values, place_of
 
 LEAST = 0.05  # of its start: where a size enters at least
-INFORMED = 0.5  # of its prior deviation: a number of the rig of which the recording tells
+INFORMED = 0.5  # of its prior deviation, all else known: a number that the recording answers to
 HALVINGS = 3  # of the way to other unknowns
 FACTORS = (10.0, 3.0)  # of the unknowns' grid
 
@@ -118,10 +118,16 @@ class Slopes:
         if not wanted:
             return {}
         places = [1 + self.places[f.name] for f in wanted]
+        if self.experiment.inverse:
+            whole = np.nan_to_num(self.columns.values[0][:, :, places])
+            return self._in_units(wanted, whole)
         parts = under(self.experiment, self.fit, [
             np.ascontiguousarray(part[:, :, places]) for part in self.columns.values], fit.gains)
         whole = np.concatenate([part[stretch.counted] for part, stretch in zip(
             parts, self.experiment.stretches, strict=True)])
+        return self._in_units(wanted, whole)
+
+    def _in_units(self, wanted: list[Free], whole: np.ndarray) -> dict[str, np.ndarray]:
         units = [self.columns.what[self.places[f.name]].free.spread for f in wanted]
         return {f.name: whole[:, :, i] / unit
                 for i, (f, unit) in enumerate(zip(wanted, units, strict=True))}
@@ -296,7 +302,7 @@ def informed(experiment: Experiment, what: tuple[Column, ...], ranked: Ranked) -
     """
     here = np.array(sorted(ranked.amplitudes))
     whole = ranked.gram.products.sum(axis=0)[np.ix_(1 + here, 1 + here)] + np.eye(len(here))
-    deviation = np.sqrt(np.diag(np.linalg.inv(whole)))
+    deviation = 1.0 / np.sqrt(np.diag(whole))
     own = {f.name: f for f in rig_free(experiment)}
     found = {}
     for place, sigma in zip(here, deviation, strict=True):
@@ -331,21 +337,28 @@ def guess(column: Column, amplitude: float) -> float:
     return float(min(max(value, p.lower), p.upper))
 
 
-def evidence_of(fit: Fit) -> float:
+def evidence_of(experiment: Experiment, fit: Fit) -> float:
     """Return Laplace's evidence of a fitted set, without its prior odds, log units.
 
     Comparable with :class:`Ranked`: both are of innovations with their own scale.
     """
+    likelihood = fit.log_likelihood - 0.5 * fit.e.size
+    if experiment.inverse:
+        prior = prior_exponent(fit.free, fit.theta)
+        likelihood = prior
+        for column in fit.e.T:
+            rows = column[np.isfinite(column)]
+            likelihood -= len(rows) / lasting(rows) * (0.5 + np.log(np.sqrt(np.mean(rows**2))))
     spreads = np.array([f.spread for f in fit.free])
     sign, logdet = np.linalg.slogdet(fit.covariance / np.outer(spreads, spreads))
     occam = 0.5 * logdet if sign > 0 else -np.inf
-    return float(fit.log_likelihood - 0.5 * fit.e.size + occam)
+    return float(likelihood + occam)
 
 
 def prior_of(names: frozenset[str]) -> float:
     """Return the logarithm of a set's prior odds."""
     return sum(WRONG_RIG if name.startswith("rig.") else
-               EFFECT - 0.1 * CATALOGUE[name].rarity for name in names)
+               EFFECT + RARE * CATALOGUE[name].rarity for name in names)
 
 
 def discrepancy(experiment: Experiment, fit: Fit) -> float:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from eha_monitor.mismatch.experiment import Experiment
-from eha_monitor.mismatch.fit import Fit, spread
+from eha_monitor.mismatch.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.gains import Unknowns
 from eha_monitor.mismatch.name.acceptance import FORM
 from eha_monitor.mismatch.name.columns import columns_at
@@ -30,6 +30,7 @@ LEANING = 30.0  # times the smallest unknowns: below, the nominal model needs ne
 HANDFUL = 4  # sets that are refitted at a linearisation
 MOST_OF = 0.9  # of the best set's gain: the smallest sets that reach it are refitted first
 CATCHING_UP = 0.7  # of the best refitted set's gain, after a few steps, to be fitted to the end
+WITHIN_REACH, FINALISTS = 20.0, 3  # log units; sets that are fitted to the end
 QUICK = 5  # steps of the first look
 ROUNDS = 5
 TRACE = False
@@ -50,7 +51,7 @@ class Seen:
 
     def add(self, experiment: Experiment, names: frozenset[str], fit: Fit) -> None:
         """Keep a fit of a set, if it is one and better than what is there."""
-        value = evidence_of(fit) if np.isfinite(fit.log_likelihood) else -np.inf
+        value = evidence_of(experiment, fit) if np.isfinite(fit.log_likelihood) else -np.inf
         if np.isfinite(value) and value > self.evidence.get(names, -np.inf):
             self.fits[names], self.evidence[names] = fit, value
             self.left[names] = discrepancy(experiment, fit)
@@ -178,9 +179,19 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
             print("   turn", turn, sorted(here), "own %.1f" % own, fit.unknowns)
             for one in ranking[:3] + chosen:
                 print("      %.1f" % one.evidence, [f"{m.owner}:{m.variant}" for m in one.members])
-        if not chosen:
-            break
         slopes = Slopes(experiment, fit, columns)
+        mine = next((one for one in ranking if one.names == here), None)
+        if not chosen:
+            # Nothing is better: then it must hold at the unknowns that suit it best.
+            if mine is None or experiment.inverse or mine.gram.unknowns == fit.unknowns:
+                break
+            again = settled(experiment, joined(experiment, fit, columns.what, mine), slopes)
+            before = seen.evidence[here]
+            seen.add(experiment, here, again)
+            if seen.evidence[here] < before + 1.0:
+                break
+            done.discard(here)
+            continue
 
         def quick(one: Ranked) -> Fit:
             return polished(experiment, joined(experiment, fit, columns.what, one), slopes, QUICK)
@@ -197,8 +208,30 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
         for made in spread(whole, going):
             seen.add(experiment, frozenset(made.named), made)
             if TRACE:
-                print("      refit %.1f" % evidence_of(made), made.named, made.unknowns)
+                print("      refit %.1f" % evidence_of(experiment, made), made.named, made.unknowns)
+    finish(experiment, seen)
     return Selection(first, seen.fits[seen.best()], seen, ranking)
+
+
+def finish(experiment: Experiment, seen: Seen) -> None:
+    """Fit the sets that are within reach of the best to the end, under the same unknowns.
+
+    A refit that is cut short ranks the wrong set first where effects trade.
+    """
+    scores = seen.scores()
+    best = seen.best()
+    near = [names for names in sorted(scores, key=lambda names: -scores[names])
+            if names and scores[names] > scores[best] - WITHIN_REACH][:FINALISTS]
+    level = seen.fits[best].unknowns
+
+    def ended(names: frozenset[str]) -> Fit:
+        fit = seen.fits[names]
+        if not experiment.inverse and fit.unknowns != level:
+            fit = with_unknowns(experiment, fit, level)
+        return settled(experiment, replace(fit, converged=False))
+
+    for names, fit in zip(near, spread(ended, near), strict=True):
+        seen.add(experiment, names, fit)
 
 
 __all__ = ["Seen", "Selection", "replace", "selected"]
