@@ -40,6 +40,7 @@ from eha_monitor.physics.parameters import BASE_KEYS, effect_values, place_of
 
 LEAST = 0.05  # of its start: where a size enters at least
 INFORMED = 0.5  # of its prior deviation, all else known: a number that the recording answers to
+ROUGH_STEPS, ROUGHLY = 8, 5.0  # steps and log units of a fit whose unknowns will change
 HALVINGS = 3  # of the way to other unknowns
 FACTORS = (10.0, 3.0)  # of the unknowns' grid
 
@@ -205,7 +206,7 @@ def polished(experiment: Experiment, fit: Fit, slopes: Slopes, steps: int = 12,
         gained, theta, e, best = reached - best, other, moved, reached
         damping = max(damping / 10.0, 1e-9)
         if gained < tolerance:
-            if fresh:
+            if fresh or tolerance >= ROUGHLY:
                 converged = True
                 break
             taken(matters)
@@ -218,24 +219,21 @@ def polished(experiment: Experiment, fit: Fit, slopes: Slopes, steps: int = 12,
                    covariance=covariance, converged=converged)
 
 
-def settled(experiment: Experiment, fit: Fit, slopes: Slopes | None = None, rounds: int = 3,
+def settled(experiment: Experiment, fit: Fit, slopes: Slopes | None = None, rounds: int = 4,
             tolerance: float = 0.3) -> Fit:
     """Fit parameters and unknowns in turn until neither gains."""
     slopes = slopes or Slopes(experiment)
-    if not fit.converged:
-        fit = polished(experiment, fit, slopes, 12, tolerance)
+    best = fit
     for _ in range(rounds):
+        fit = polished(experiment, fit, slopes, ROUGH_STEPS, ROUGHLY)
         if not np.isfinite(fit.log_likelihood):
             return fit
-        before = fit
-        fit = at_level(experiment, fit)
-        if fit is before:
+        best = max(best, fit, key=lambda one: one.log_likelihood)
+        fit = at_level(experiment, best)
+        if fit is best:
             break
-        fit = polished(experiment, fit, slopes, 12, tolerance)
-        if fit.log_likelihood < before.log_likelihood + 1.0:
-            fit = max(fit, before, key=lambda one: one.log_likelihood)
-            break
-    return fit
+    return polished(experiment, max(best, fit, key=lambda one: one.log_likelihood), slopes, 12,
+                    tolerance)
 
 
 def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: Ranked) -> Fit:

@@ -31,6 +31,7 @@ HANDFUL = 4  # sets that are refitted at a linearisation
 MOST_OF = 0.9  # of the best set's gain: the smallest sets that reach it are refitted first
 CATCHING_UP = 0.7  # of the best refitted set's gain, after a few steps, to be fitted to the end
 WITHIN_REACH, FINALISTS = 20.0, 3  # log units; sets that are fitted to the end
+CLOSE = 1000.0  # log units: the nominal model is a rival too
 QUICK = 5  # steps of the first look
 ROUNDS = 5
 TRACE = False
@@ -49,10 +50,11 @@ class Seen:
     evidence: dict[frozenset[str], float] = field(default_factory=dict)
     left: dict[frozenset[str], float] = field(default_factory=dict)
 
-    def add(self, experiment: Experiment, names: frozenset[str], fit: Fit) -> None:
-        """Keep a fit of a set, if it is one and better than what is there."""
+    def add(self, experiment: Experiment, names: frozenset[str], fit: Fit,
+            anyway: bool = False) -> None:
+        """Keep a fit of a set, if it is one and better than what is there, or ``anyway``."""
         value = evidence_of(experiment, fit) if np.isfinite(fit.log_likelihood) else -np.inf
-        if np.isfinite(value) and value > self.evidence.get(names, -np.inf):
+        if np.isfinite(value) and (anyway or value > self.evidence.get(names, -np.inf)):
             self.fits[names], self.evidence[names] = fit, value
             self.left[names] = discrepancy(experiment, fit)
 
@@ -146,13 +148,28 @@ def proposals_of(found: list[Ranked], own: float, seen: Seen) -> list[Ranked]:
         return []
     own = max(own, better[-1].evidence)
     enough = own + MOST_OF * (better[0].evidence - own)
-    size = min(len(one.members) for one in better if one.evidence >= enough)
-    chosen = [one for one in better if len(one.members) <= size and one.evidence >= enough]
-    others = [one for one in better if len(one.members) == size and one not in chosen]
-    chosen = chosen[:HANDFUL] or others[:HANDFUL]
-    if better[0] not in chosen:
-        chosen.append(better[0])
-    return [one for one in chosen if one.names not in seen.fits]
+    able = [one for one in better if one.evidence >= enough]
+    size = min(len(one.members) for one in able)
+    chosen: list[Ranked] = []
+    for one in sorted((one for one in able if len(one.members) == size), key=simplicity):
+        if not any(contained(other, one) for other in chosen):
+            chosen.append(one)
+    chosen.sort(key=lambda one: -one.evidence)
+    return [one for one in chosen if one.names not in seen.fits][:HANDFUL] or [
+        one for one in able if one.names not in seen.fits][:HANDFUL]
+
+
+def simplicity(one: Ranked) -> tuple[int, float]:
+    """Return the key that puts what is contained before what contains it."""
+    return (sum(len(CATALOGUE[name].contains) for name in one.names if name in CATALOGUE),
+            -one.evidence)
+
+
+def contained(simple: Ranked, other: Ranked) -> bool:
+    """Tell whether a set is another one with an effect in place of one that contains it."""
+    less, more = simple.names - other.names, other.names - simple.names
+    return len(less) == len(more) == 1 and (name := next(iter(more))) in CATALOGUE \
+        and next(iter(less)) in CATALOGUE[name].contains
 
 
 def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
@@ -199,6 +216,9 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
         def whole(made: Fit) -> Fit:
             return settled(experiment, made, slopes)
 
+        if mine is not None and not here and chosen[0].evidence < own + CLOSE:
+            # With the same numbers of the rig free as in its rivals: else their evidence differs.
+            seen.add(experiment, here, whole(joined(experiment, fit, columns.what, mine)), True)
         looks = spread(quick, chosen)
         reach = max(made.log_likelihood for made in looks)
         base = min(made.log_likelihood for made in [*looks, first] if np.isfinite(
