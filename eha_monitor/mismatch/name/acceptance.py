@@ -1,9 +1,9 @@
 """Every constant that decides what is named, with its reason."""
 
-EFFECT = -4.0  # log prior odds of an effect
+EFFECT = -5.0  # log prior odds of an effect
 RARE = -0.5  # for each degree of an effect's rarity
-UNNAMED = -6.0  # of an unknown function: each of its columns pays for itself besides
-WRONG_RIG = -4.5  # of a number of the rig beyond its tolerance
+UNNAMED = -7.0  # of an unknown function: each of its columns pays for itself besides
+WRONG_RIG = -5.0  # of a number of the rig beyond its tolerance
 LARGEST_SET = 4  # suspects in a set
 BEAM = 30  # sets that are carried on
 FORM = 100.0  # log units: what is left above the noise counts in full up to here

@@ -58,15 +58,17 @@ def posterior(found: Selection) -> dict[Names, float]:
     Sets by the linear guess are those of the last linearisation, measured from the model there.
     """
     seen, best = found.seen, found.seen.best()
-    scores = seen.scores()
+    scores = {names: TEMPER * seen.score(value, 0.0) + prior_of(names)
+              for names, value in seen.evidence.items()}
     own = next((one for one in found.ranking if one.names == best), None)
     if own is not None:
         start = seen.evidence[best] - (own.evidence - own.prior)
         for one in found.ranking:
             if one.names not in scores:
-                scores[one.names] = seen.score(start + one.evidence - one.prior, one.prior)
+                scores[one.names] = TEMPER * seen.score(
+                    start + one.evidence - one.prior, 0.0) + one.prior
     weights = np.array(list(scores.values()))
-    weights = np.exp(TEMPER * (weights - weights.max()))
+    weights = np.exp(weights - weights.max())
     return dict(zip(scores, (weights / weights.sum()).tolist(), strict=True))
 
 

@@ -33,7 +33,7 @@ from eha_monitor.mismatch.name.columns import (
 )
 from eha_monitor.mismatch.name.gram import evidence_at, lasting, under
 from eha_monitor.mismatch.name.rank import Ranked
-from eha_monitor.mismatch.screen import entered, free_of
+from eha_monitor.mismatch.screen import entered, free_of, own_sizes
 from eha_monitor.mismatch.search import base_free, completed, limits_of, timing_free
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import BASE_KEYS, effect_values, place_of
@@ -257,7 +257,8 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
         elif column.owner.startswith("rig."):
             theta[f.place] = f.outward(f.inward(theta[f.place]) + BEYOND * amplitude * f.spread)
         else:
-            values[column.name] = guess(column, amplitude)
+            if own_sizes(column.start):
+                values[column.name] = guess(column, amplitude)
     free = [f for f in free if not f.name.startswith("rig.")] + informed(
         experiment, what, ranked)
     for member in ranked.members:
@@ -268,6 +269,14 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
             continue
         column = next(c for c in what if (c.owner, c.variant) == (member.owner, member.variant))
         start = column.start
+        if start.replaces:
+            shared = effect_values(theta, start.replaces)  # moved by the linear guess
+            bounds = {p.name: p for p in CATALOGUE[start.effect].parameters}
+            start = replace(start, values=tuple(
+                (key, min(max(shared[key], bounds[key].lower), bounds[key].upper)
+                 if key in shared else value) for key, value in start.values))
+            free = [f for f in free if not f.name.startswith(start.replaces + ".")]
+            named = tuple(name for name in named if name != start.replaces)
         theta, active = entered(theta, active, start)
         for name, value in values.items():
             if name.startswith(member.owner + "."):

@@ -178,15 +178,14 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
     first = nominal_model(experiment)
     seen = Seen()
     seen.add(experiment, frozenset(), first)
-    done: set[frozenset[str]] = set()
+    at: Fit | None = None  # where the innovations were linearised last
     ranking: list[Ranked] = []
     for turn in range(ROUNDS):
         say(f"weighing all sets, round {turn + 1}", 0.1 + 0.15 * turn)
         here = seen.best()
-        if here in done:
+        if seen.fits[here] is at:
             break
-        done.add(here)
-        fit = seen.fits[here]
+        at = fit = seen.fits[here]
         columns = columns_at(experiment, fit)
         grams = grams_of(experiment, fit, columns.values, levels_of(experiment, fit))
         ranking = ranked(columns.what, fit.named, grams)
@@ -207,7 +206,6 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
             seen.add(experiment, here, again)
             if seen.evidence[here] < before + 1.0:
                 break
-            done.discard(here)
             continue
 
         def quick(one: Ranked) -> Fit:
