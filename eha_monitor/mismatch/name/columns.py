@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eha_monitor.mismatch.experiment import Experiment, damping_steps
-from eha_monitor.mismatch.fit import Fit, Free, filtered, innovations, spread, step_of
-from eha_monitor.mismatch.innovations import CLOSED, FORCED
-from eha_monitor.mismatch.name.unnamed import columns_of, unnamed_of
-from eha_monitor.mismatch.screen import (
+from eha_monitor.mismatch.data.experiment import Experiment, damping_steps
+from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
+from eha_monitor.mismatch.likelihood.fit import Fit, Free, filtered, innovations, spread, step_of
+from eha_monitor.mismatch.name.base import base_free, timing_free
+from eha_monitor.mismatch.name.starts import (
     Start,
     directions_of,
     free_parameter,
@@ -26,7 +26,7 @@ from eha_monitor.mismatch.screen import (
     possible,
     starts_of,
 )
-from eha_monitor.mismatch.search import base_free, timing_free
+from eha_monitor.mismatch.name.unnamed import columns_of, unnamed_of
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import BASE_KEYS
 from eha_monitor.physics.signals import B
