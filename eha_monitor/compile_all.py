@@ -17,13 +17,13 @@ from eha_monitor.compiled import CACHE
 from eha_monitor.compiled_cache import shipped
 from eha_monitor.filters.live import LiveEstimator
 from eha_monitor.filters.pipeline import estimate
-from eha_monitor.mismatch.advise import advise
+from eha_monitor.mismatch.advise.advice import advise
+from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.diagnose import diagnose
-from eha_monitor.mismatch.experiment import Experiment, experiment_of
-from eha_monitor.mismatch.missing import drive_along, played
-from eha_monitor.mismatch.rivals import latent_gains
-from eha_monitor.mismatch.search import nominal
-from eha_monitor.mismatch.smooth import smoothed
+from eha_monitor.mismatch.likelihood.along import drive_along, played
+from eha_monitor.mismatch.likelihood.smooth import smoothed
+from eha_monitor.mismatch.locate.latent import latent_gains
+from eha_monitor.mismatch.name.base import nominal
 from eha_monitor.physics.contributions import circuit_of
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.read import read_recording

@@ -9,8 +9,8 @@ import numpy as np
 
 from eha_monitor.breakdown import computing
 from eha_monitor.filters.hold_choice import resolved
-from eha_monitor.mismatch import advise, balance_show, locate, show
-from eha_monitor.mismatch.changed import change_words, changed_between
+from eha_monitor.mismatch.advise import advice as advise
+from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.diagnosis import (
     Considered,
     Diagnosis,
@@ -21,8 +21,13 @@ from eha_monitor.mismatch.diagnosis import (
     SignalFit,
     Value,
 )
-from eha_monitor.mismatch.experiment import Experiment, experiment_of
-from eha_monitor.mismatch.model import (
+from eha_monitor.mismatch.locate import location as locate
+from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
+from eha_monitor.mismatch.name.naming import Naming, name_effects
+from eha_monitor.mismatch.show import balances as balance_show
+from eha_monitor.mismatch.show import held_out as show
+from eha_monitor.mismatch.show.changed import change_words, changed_between
+from eha_monitor.mismatch.show.model import (
     config_effects,
     health_sentences,
     in_doubt,
@@ -31,9 +36,7 @@ from eha_monitor.mismatch.model import (
     stated_stddev,
     values_of,
 )
-from eha_monitor.mismatch.name.naming import Naming, name_effects
-from eha_monitor.mismatch.sizes import filtered_tracks, size_of
-from eha_monitor.mismatch.terms import BALANCES, missing_terms
+from eha_monitor.mismatch.show.sizes import filtered_tracks, size_of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
 from eha_monitor.quantity import number, quantity, side_by_side

@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eha_monitor.mismatch.experiment import Experiment, damping_steps
-from eha_monitor.mismatch.fit import Fit, Free, filtered, innovations, spread, step_of
-from eha_monitor.mismatch.innovations import CLOSED, FORCED
-from eha_monitor.mismatch.name.unnamed import columns_of, unnamed_of
-from eha_monitor.mismatch.screen import (
+from eha_monitor.mismatch.data.experiment import Experiment, damping_steps
+from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
+from eha_monitor.mismatch.likelihood.fit import Fit, Free, filtered, innovations, spread, step_of
+from eha_monitor.mismatch.name.base import base_free, timing_free
+from eha_monitor.mismatch.name.starts import (
     Start,
     directions_of,
     free_parameter,
@@ -26,9 +26,9 @@ from eha_monitor.mismatch.screen import (
     possible,
     starts_of,
 )
-from eha_monitor.mismatch.search import base_free, replacements_of, timing_free
+from eha_monitor.mismatch.name.unnamed import columns_of, unnamed_of
 from eha_monitor.physics.effects import CATALOGUE, NAMES
-from eha_monitor.physics.parameters import BASE_KEYS
+from eha_monitor.physics.parameters import BASE_KEYS, effect_values
 from eha_monitor.physics.signals import B
 
 ALWAYS = ""  # owner of what every model has
@@ -162,8 +162,7 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True) -> Column
             continue
         for variant, start in enumerate(starts_of(name, experiment)):
             entering(fit, start, variant, what, moves)
-    for place, start in enumerate(replacements_of(experiment, replace(
-            fit, named=effects_of(fit)))):
+    for place, start in enumerate(grown_from(experiment, fit)):
         if possible(start.effect, experiment):
             entering(fit, start, REPLACING + place, what, moves)
 
@@ -198,6 +197,27 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True) -> Column
 def effects_of(fit: Fit) -> tuple[str, ...]:
     """Return the effects that a model has, without the numbers of the rig that it calls wrong."""
     return tuple(name for name in fit.named if name in CATALOGUE)
+
+
+def grown_from(experiment: Experiment, fit: Fit) -> list[Start]:
+    """Return starts of effects that contain one that the model has, or share what it contains.
+
+    They begin where that one stands, so that only what they add is judged.
+    """
+    found = []
+    for name in effects_of(fit):
+        family = {name, *CATALOGUE[name].contains}
+        for other in NAMES:
+            if other in fit.named or not family & {other, *CATALOGUE[other].contains}:
+                continue
+            bounds = {p.name: p for p in CATALOGUE[other].parameters}
+            for start in starts_of(other, experiment):
+                values = dict(start.values)
+                for key, now in effect_values(fit.theta, name).items():
+                    if key in values and bounds[key].lower <= now <= bounds[key].upper:
+                        values[key] = now
+                found.append(replace(start, values=tuple(values.items()), replaces=name))
+    return found
 
 
 def timing_only(fit: Fit, f: Free) -> bool:

@@ -14,10 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.mismatch.experiment import Experiment
-from eha_monitor.mismatch.fit import Fit, spread
-from eha_monitor.mismatch.gains import Unknowns, expected_covariance, gains_of, linear_of
-from eha_monitor.mismatch.innovations import N_FILTERED
+from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.likelihood.fit import Fit, spread
+from eha_monitor.mismatch.likelihood.gains import (
+    Unknowns,
+    expected_covariance,
+    gains_of,
+    linear_of,
+)
+from eha_monitor.mismatch.likelihood.innovations import N_FILTERED
 
 BLOCK = 1024  # samples whose products are taken at once
 

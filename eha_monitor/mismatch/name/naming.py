@@ -5,13 +5,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from eha_monitor.mismatch.experiment import Experiment
-from eha_monitor.mismatch.fit import Fit
+from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.name.acceptance import EXPLAINED, LACKING, RIVAL, TEMPER
+from eha_monitor.mismatch.name.base import limits_of
 from eha_monitor.mismatch.name.refit import discrepancy, prior_of, settled
 from eha_monitor.mismatch.name.select import Selection, selected
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT
-from eha_monitor.mismatch.search import limits_of
 from eha_monitor.physics.effects import CATALOGUE
 
 Report = Callable[[str, float], None]

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from eha_monitor.mismatch.experiment import Experiment
-from eha_monitor.mismatch.fit import (
+from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.likelihood.fit import (
     Fit,
     Free,
     covariance_of,
@@ -19,8 +19,9 @@ from eha_monitor.mismatch.fit import (
     whitener,
     with_unknowns,
 )
-from eha_monitor.mismatch.gains import Unknowns, expected_covariance, gains_of
+from eha_monitor.mismatch.likelihood.gains import Unknowns, expected_covariance, gains_of
 from eha_monitor.mismatch.name.acceptance import EFFECT, RARE, WRONG_RIG
+from eha_monitor.mismatch.name.base import base_free, completed, limits_of, timing_free
 from eha_monitor.mismatch.name.columns import (
     ALWAYS,
     BEYOND,
@@ -33,8 +34,7 @@ from eha_monitor.mismatch.name.columns import (
 )
 from eha_monitor.mismatch.name.gram import evidence_at, lasting, under
 from eha_monitor.mismatch.name.rank import Ranked
-from eha_monitor.mismatch.screen import entered, free_of, own_sizes
-from eha_monitor.mismatch.search import base_free, completed, limits_of, timing_free
+from eha_monitor.mismatch.name.starts import entered, free_of, own_sizes
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import BASE_KEYS, effect_values, place_of
 

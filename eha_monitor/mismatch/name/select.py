@@ -4,10 +4,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from eha_monitor.mismatch.experiment import Experiment
-from eha_monitor.mismatch.fit import Fit, spread, with_unknowns
-from eha_monitor.mismatch.gains import Unknowns
+from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
+from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.name.acceptance import FORM
+from eha_monitor.mismatch.name.base import limits_of
 from eha_monitor.mismatch.name.columns import columns_at
 from eha_monitor.mismatch.name.gram import grams_of
 from eha_monitor.mismatch.name.rank import Ranked, ranked
@@ -22,7 +23,6 @@ from eha_monitor.mismatch.name.refit import (
     prior_of,
     settled,
 )
-from eha_monitor.mismatch.search import limits_of
 from eha_monitor.physics.effects import CATALOGUE
 
 FIRST = 100.0  # times the smallest unknowns: where the nominal model is linearised
