@@ -27,11 +27,13 @@ class Start:
     ----------
     effect : its name.
     values : all parameters, a small but visible instance.
+    replaces : named effect that it contains and takes the place of, or "".
     among : how many starts the effect has.
     """
 
     effect: str
     values: tuple[tuple[str, float], ...]
+    replaces: str = ""
     among: int = 1
 
 
@@ -75,6 +77,8 @@ def starts_of(name: str, experiment: Experiment) -> list[Start]:
 def entered(theta: np.ndarray, active: np.ndarray, start: Start) -> tuple[np.ndarray, np.ndarray]:
     """Return theta and active with an effect at its start."""
     theta, active = theta.copy(), active.copy()
+    if start.replaces:
+        active[NAMES.index(start.replaces)] = False
     active[NAMES.index(start.effect)] = True
     for name, value in start.values:
         theta[place_of(f"{start.effect}.{name}")] = value
@@ -104,9 +108,14 @@ def free_of(start: Start, whole: bool = True) -> tuple[Free, ...]:
 
 
 def own_sizes(start: Start) -> list[Parameter]:
-    """Return the sizes that a start brings in; none where it brings in another shape only."""
+    """Return the sizes that a start brings in: those of the effect that it replaces are there.
+
+    Empty where it brings in another shape only.
+    """
     values = dict(start.values)
-    return [p for p in CATALOGUE[start.effect].sizes if values[p.name] != p.neutral]
+    shared = {p.name for p in CATALOGUE[start.replaces].sizes} if start.replaces else set()
+    return [p for p in CATALOGUE[start.effect].sizes
+            if values[p.name] != p.neutral and p.name not in shared]
 
 
 def directions_of(fit: Fit, start: Start, share: float = 1.0
