@@ -69,7 +69,8 @@ def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
     Parameters
     ----------
     experiment : the recordings; ``fit`` their model, with what was named.
-    doubts : named effect -> effects that may be there instead.
+    doubts : named effect -> effects and numbers of the rig that may be there instead; of them a
+        motion is looked for that tells the effects.
     rivals : effect -> a fit that has it instead; without it the rival enters at its start.
     check : put the proposed motion to a simulation with noise.
     thorough : look at the whole catalogue and at all motions; otherwise at the usual ones.
@@ -90,7 +91,8 @@ def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
     traces = Traces(experiment, fit, [*base, *slopes, *found_slopes])
     pairs = [pair(experiment, fit, effect, rival,
                   (rivals or {}).get(rival) or entered_at(experiment, traces, effect, rival, base))
-             for effect, others in doubts.items() if effect in fit.named for rival in others]
+             for effect, others in doubts.items() if effect in fit.named
+             for rival in others if rival in CATALOGUE]  # a number of the rig is looked up
     here = traces.gram([s.label for s in [*base, *slopes, *found_slopes]])
     reading = Reading(fit, here, base, directions, found)
     named = [c for d in found for parameter in ("B", "beta_e") if parameter in reading.labels
