@@ -39,7 +39,6 @@ from eha_monitor.mismatch.likelihood.fit import (
 )
 from eha_monitor.mismatch.likelihood.gains import CORRELATION, Unknowns, gains_of, linear_of
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED, riccati
-from eha_monitor.mismatch.name.base import first_fit, with_effect
 from eha_monitor.mismatch.name.starts import screen, starts_of
 from eha_monitor.mismatch.show.model import robust
 from eha_monitor.physics.plant import N_OUTPUTS, Y_OMEGA
@@ -221,7 +220,7 @@ def test_likelihood_counts_a_slow_channel_as_often_as_it_was_measured():
 
 
 def test_fit_is_unbiased_and_its_deviation_is_the_scatter_over_seeds(run):
-    fits = [first_fit(experiment_of([run.recording(seed)], settings(
+    fits = [nominal_fit(experiment_of([run.recording(seed)], settings(
         stage_one={"prior": 900.0}, stage_two={"prior": 9e8}))) for seed in range(14)]
     for name, truth in (("B", B), ("beta_e", BETA)):
         values = np.array([fit.value(name) for fit in fits])
@@ -239,7 +238,7 @@ def test_what_the_score_test_promises_is_what_the_fit_gains(effect, values, tole
     """Small and linear in its size: one Gauss-Newton step from the clean model is all."""
     run = simulated(MULTISINE, 4.0, effects={effect: values})
     experiment = experiment_of([run.recording(3)], settings())
-    first = first_fit(experiment)
+    first = nominal_fit(experiment)
     score = screen(experiment, first, starts_of(effect, experiment))[0]
     refined = refine(experiment, with_effect(first, score.start, score.amplitudes))
     gained = refined.log_likelihood - first.log_likelihood
@@ -251,7 +250,7 @@ def test_what_the_score_test_promises_is_what_the_fit_gains(effect, values, tole
 
 
 def test_refined_likelihood_is_a_maximum(experiment):
-    fit = first_fit(experiment)
+    fit = nominal_fit(experiment)
     for f in fit.free:
         for sign in (-1, 1):
             theta = fit.theta.copy()
@@ -264,7 +263,7 @@ def test_refined_likelihood_is_a_maximum(experiment):
 
 def test_unknowns_never_spoil_a_clean_record(experiment):
     """With none the model is right already: with large ones the likelihood is lower."""
-    fit = first_fit(experiment)
+    fit = nominal_fit(experiment)
     large = with_unknowns(experiment, fit, Unknowns(50.0, 1e-5, 5.0))
     assert large.log_likelihood < fit.log_likelihood
 
@@ -273,7 +272,7 @@ def test_unknowns_never_spoil_a_clean_record(experiment):
 
 
 def test_robust_deviation_is_never_the_smaller_one(experiment):
-    fit = first_fit(experiment)
+    fit = nominal_fit(experiment)
     safe = robust(experiment, fit)
     ratio = np.sqrt(np.diag(safe.covariance) / np.diag(fit.covariance))
     assert (ratio > 0.97).all() and ratio[0] < 2.0 and ratio[1] < 2.0
@@ -282,7 +281,7 @@ def test_robust_deviation_is_never_the_smaller_one(experiment):
 def test_robust_deviation_grows_where_the_model_is_wrong():
     rubbing = simulated(MULTISINE, 4.0, effects={"coulomb_friction": {"F_c": 20.0}})
     experiment = experiment_of([rubbing.recording(0)], settings())
-    fit = first_fit(experiment)
+    fit = nominal_fit(experiment)
     safe = robust(experiment, fit)
     assert safe.stddev("B") > 1.5 * fit.stddev("B")
     assert np.array_equal(safe.theta, fit.theta)

@@ -5,12 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mismatch_tools import fitted
+from mismatch_tools import fitted, nominal_fit
 
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnosis import Agreement, Value
 from eha_monitor.mismatch.likelihood.fit import refine
-from eha_monitor.mismatch.name.base import first_fit
 from eha_monitor.mismatch.show.held_out import (
     agreement,
     force_residual,
@@ -133,11 +132,11 @@ def forced(friction: float, seconds: float = 12.0):
 
 def test_force_residual_of_a_mass_on_a_damper():
     clean = forced(0.0)
-    residual, force = force_residual(clean, first_fit(clean))
+    residual, force = force_residual(clean, nominal_fit(clean))
     assert force == pytest.approx(np.hypot(120.0, 40.0) / np.sqrt(2.0), rel=0.1)
     assert residual < 0.01 * force
     dry = forced(10.0)
-    found = shown(dry, first_fit(dry), None)
+    found = shown(dry, nominal_fit(dry), None)
     assert found["force"].unit == "N"
     assert 2.0 < found["force"].before_rms < 8.0  # 10 N, of which the damping takes a part
 
@@ -155,7 +154,7 @@ def test_force_residual_of_emps_is_below_the_published_one(tmp_path):
                              "v_d": 5e-3},
         "constant_load": {"F_0": -3.16}}})
     experiment = experiment_of([read_recording(tmp_path / "emps", settings)], settings)
-    residual, force = force_residual(experiment, first_fit(experiment))
+    residual, force = force_residual(experiment, nominal_fit(experiment))
     assert residual < 0.045 * force
 
 

@@ -278,6 +278,3 @@ def placed(column: Column, amplitude: float) -> float:
     """Return the value of a size that enters with an amplitude, SI."""
     return column.free.outward(column.free.prior + amplitude * column.free.spread)
 
-
-__all__ = ["ALWAYS", "Column", "Columns", "always_free", "columns_at", "placed", "replace",
-           "rig_free", "runs_of"]

@@ -17,7 +17,6 @@ from eha_monitor.mismatch.name.acceptance import (
 from eha_monitor.mismatch.name.base import limits_of
 from eha_monitor.mismatch.name.refit import discrepancy, settled
 from eha_monitor.mismatch.name.select import Selection, selected
-from eha_monitor.mismatch.name.unnamed import INTERMITTENT
 from eha_monitor.physics.effects import CATALOGUE
 
 Report = Callable[[str, float], None]
@@ -30,6 +29,7 @@ class Naming:
 
     Attributes
     ----------
+    experiment : with integration steps that resolve the damping that was found.
     before, after : nominal model with B and beta_e fitted; the model with what is named.
     wrong : numbers of the rig that ``after`` calls wrong, ``mass`` and so on.
     probability : effect, ``rig.<key>`` -> probability that it, or what cannot be told from it,
@@ -41,6 +41,7 @@ class Naming:
     explained : share of what speaks against the nominal model that the names take away.
     """
 
+    experiment: Experiment
     before: Fit
     after: Fit
     wrong: tuple[str, ...] = ()
@@ -120,8 +121,8 @@ def name_effects(experiment: Experiment, report: Report | None = None) -> Naming
     say = report or (lambda text, share: None)
     found = selected(experiment, say)
     say("fitting the nominal model to the end", 0.9)
-    before = settled(experiment, replace(found.nominal, converged=False))
-    return naming_of(experiment, found, before)
+    before = settled(found.experiment, replace(found.nominal, converged=False))
+    return naming_of(found.experiment, found, before)
 
 
 def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
@@ -157,11 +158,9 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
     unnamed = 1.0 - (1.0 - unnamed) * (1.0 - beyond)
     order = sorted(scores, key=lambda names: -scores[names])
     return Naming(
-        before, replace(after, named=tuple(n for n in after.named if n in CATALOGUE)),
+        experiment, before, replace(after, named=tuple(n for n in after.named if n in CATALOGUE)),
         tuple(name.removeprefix("rig.") for name in after.named if name.startswith("rig.")),
         probability, float(empty), unnamed, evidence, rivals,
         tuple((names, seen.fits[names], scores[best] - scores[names]) for names in order),
         explained)
 
-
-__all__ = ["INTERMITTENT", "Naming", "lacking", "name_effects"]

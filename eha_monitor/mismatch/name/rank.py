@@ -15,6 +15,7 @@ from itertools import combinations
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from eha_monitor.mismatch.likelihood.fit import spread
 from eha_monitor.mismatch.name.acceptance import (
     BEAM,
     EFFECT,
@@ -24,7 +25,6 @@ from eha_monitor.mismatch.name.acceptance import (
     WRONG_RIG,
 )
 from eha_monitor.mismatch.name.columns import ALWAYS, ASTRAY_OWNER, Column
-from eha_monitor.mismatch.likelihood.fit import spread
 from eha_monitor.mismatch.name.gram import Gram
 from eha_monitor.physics.effects import CATALOGUE
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.data.experiment import Experiment, resolving
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.name.acceptance import FORM, TEMPER
@@ -25,6 +25,7 @@ from eha_monitor.mismatch.name.refit import (
     settled,
 )
 from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.signals import B
 
 FIRST = 100.0  # times the smallest unknowns: where the nominal model is linearised
 LEANING = 30.0  # times the smallest unknowns: below, the nominal model needs next to nothing
@@ -36,7 +37,6 @@ FEW = 2  # sets more from where fewer unknowns are allowed
 CLOSE = 1000.0  # log units: the nominal model is a rival too
 QUICK = 5  # steps of the first look
 ROUNDS = 7
-TRACE = False
 
 
 @dataclass
@@ -91,11 +91,13 @@ class Selection:
 
     Attributes
     ----------
+    experiment : with integration steps that resolve the damping that was found.
     nominal : the model without effects; ``best`` the model of the set with most evidence.
     seen : every refitted set.
     ranking : sets at the last linearisation, by the linear guess.
     """
 
+    experiment: Experiment
     nominal: Fit
     best: Fit
     seen: Seen
@@ -182,7 +184,12 @@ def contained(simple: Ranked, other: Ranked) -> bool:
 def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
     """Find the set of effects and wrong numbers of the rig that a recording supports."""
     say("fitting the nominal model", 0.05)
-    first = nominal_model(experiment)
+    while True:
+        first = nominal_model(experiment)
+        finer = experiment if experiment.inverse else resolving(experiment, first.theta[B])
+        if finer.steps == experiment.steps:
+            break
+        experiment = finer
     seen = Seen()
     seen.add(experiment, frozenset(), first)
     at: Fit | None = None  # where the innovations were linearised last
@@ -209,10 +216,6 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
             there = next((one.evidence for one in level if one.names == here), -np.inf)
             chosen += [one for one in proposals_of(level, there, seen)[:FEW]
                        if one.names not in {other.names for other in chosen}]
-        if TRACE:
-            print("   turn", turn, sorted(here), "own %.1f" % own, fit.unknowns)
-            for one in ranking[:3] + chosen:
-                print("      %.1f" % one.evidence, [f"{m.owner}:{m.variant}" for m in one.members])
         slopes = Slopes(experiment, fit, columns)
         mine = next((one for one in ranking if one.names == here), None)
         if not chosen:
@@ -243,9 +246,7 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
                  if made.log_likelihood >= base + CATCHING_UP * (reach - base)]
         for made in spread(whole, going):
             seen.add(experiment, frozenset(made.named), made)
-            if TRACE:
-                print("      refit %.1f" % evidence_of(experiment, made), made.named, made.unknowns)
-    return Selection(first, seen.fits[seen.best()], seen, ranking)
+        return Selection(experiment, first, seen.fits[seen.best()], seen, ranking)
 
 
 def tight(one: Ranked, fit: Fit) -> bool:
@@ -274,6 +275,3 @@ def finish(experiment: Experiment, seen: Seen) -> None:
     for names, fit in zip(near, spread(ended, near), strict=True):
         if evidence_of(experiment, fit) > seen.evidence[names] + 1.0:
             seen.add(experiment, names, fit)
-
-
-__all__ = ["Seen", "Selection", "replace", "selected"]
