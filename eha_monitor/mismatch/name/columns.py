@@ -1,5 +1,6 @@
-"""The columns of the joint selection: what each suspect does to the innovations, per unit of prior.
+"""The columns of the joint selection: what each suspect does to the innovations.
 
+Each is for one deviation of its prior.
 A column is the innovations' sensitivity to one number, times the prior deviation of that number,
 so that amplitudes of all columns have the prior N(centre, 1).  Suspects are
 

@@ -32,7 +32,7 @@ from eha_monitor.mismatch.name.columns import (
     rig_free,
     runs_of,
 )
-from eha_monitor.mismatch.name.gram import evidence_at, lasting, under
+from eha_monitor.mismatch.name.gram import evidence_at, under
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.starts import entered, free_of, own_sizes
 from eha_monitor.physics.effects import CATALOGUE, NAMES
@@ -111,9 +111,10 @@ class Slopes:
     def __init__(self, experiment: Experiment, fit: Fit | None = None,
                  columns: Columns | None = None):
         self.experiment, self.fit, self.columns = experiment, fit, columns
-        self.places = {c.name: i for i, c in enumerate(columns.what)
-                       if c.free is not None and (c.owner == ALWAYS or c.variant < 0)
-                       } if columns else {}
+        self.places: dict[str, int] = {}
+        for i, column in enumerate(columns.what if columns else ()):
+            if column.free is not None and (column.owner == ALWAYS or column.variant < 0):
+                self.places.setdefault(column.name, i)  # a number that is wrong stands there twice
 
     def of(self, fit: Fit) -> dict[str, np.ndarray]:
         """Return name -> (N, c) slope in the fitted coordinate, of what is known."""
@@ -253,7 +254,7 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
         if column.free is None:
             continue
         f = column.free
-        if column.variant < 0 and not (column.owner.startswith("rig.")):  # it is there: moved from where it is
+        if column.variant < 0 and not column.owner.startswith("rig."):  # it is there, and moves
             now = f.inward(theta[f.place]) + amplitude * f.spread
             theta[f.place] = f.outward(now)
         elif column.owner.startswith("rig."):
@@ -320,9 +321,9 @@ def informed(experiment: Experiment, what: tuple[Column, ...], ranked: Ranked) -
         column = what[place]
         if column.owner.startswith("rig."):
             found[column.name] = wide(own[column.name])
-        elif column.name.startswith("rig.") and column.name not in found:
-            if sigma < INFORMED or abs(ranked.amplitudes[int(place)]) > 1.0:
-                found[column.name] = own[column.name]
+        elif column.name.startswith("rig.") and column.name not in found and (
+                sigma < INFORMED or abs(ranked.amplitudes[int(place)]) > 1.0):
+            found[column.name] = own[column.name]
     return list(found.values())
 
 
@@ -359,7 +360,7 @@ def evidence_of(experiment: Experiment, fit: Fit) -> float:
         likelihood = prior
         for column in fit.e.T:
             rows = column[np.isfinite(column)]
-            likelihood -= len(rows) / lasting(rows) * (0.5 + np.log(np.sqrt(np.mean(rows**2))))
+            likelihood -= len(rows) * (0.5 + np.log(np.sqrt(np.mean(rows**2))))
     spreads = np.array([f.spread for f in fit.free])
     sign, logdet = np.linalg.slogdet(fit.covariance / np.outer(spreads, spreads))
     occam = 0.5 * logdet if sign > 0 else -np.inf
