@@ -21,8 +21,8 @@ from eha_monitor.mismatch.advise.motions import candidates, excitation_tree, lim
 from eha_monitor.mismatch.advise.tells import Reading, directions_for, largest_cosine
 from eha_monitor.mismatch.advise.words import amount, motion_sentence, rounded
 from eha_monitor.mismatch.data.experiment import experiment_of
-from eha_monitor.mismatch.likelihood.information import Traces, free_slopes
 from eha_monitor.mismatch.likelihood.fit import with_unknowns
+from eha_monitor.mismatch.likelihood.information import Traces, free_slopes
 from eha_monitor.mismatch.name.base import with_effect
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.refit import settled
