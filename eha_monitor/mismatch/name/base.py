@@ -14,6 +14,7 @@ from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import effect_values, place_of
 
 LEAST_SHARE, LEAST_OF_MANY = 0.05, 0.3  # of its start: where a size enters at least
+LEAST_B = 1e-3  # of its prior: below, there is no viscous damping
 TIMING = 0.05  # samples: timing errors up to here need no name
 
 
@@ -22,8 +23,8 @@ def base_free(experiment: Experiment) -> tuple[Free, ...]:
     one, two = experiment.settings.stage_one, experiment.settings.stage_two
     rig = experiment.settings.rig
     scale = max(one.prior_stddev, one.prior, rig.viscous_damping)
-    # Beside dry and quadratic friction at one speed nothing but this keeps B off a negative value.
-    lowest = 0.01 * one.prior if experiment.inverse else -1e3 * scale
+    # A damping is positive.  Beside dry and quadratic friction nothing else keeps it so.
+    lowest = LEAST_B * one.prior
     found = [Free("B", s.B, lowest, 1e5 * scale, one.prior, 10.0 * scale)]
     if experiment.mode != FORCED:
         found.append(Free("beta_e", s.BETA_E, 1e5, 1e12, float(np.log(two.prior)), 3.0, True))

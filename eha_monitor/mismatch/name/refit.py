@@ -42,6 +42,8 @@ LEAST = 0.05  # of its start: where a size enters at least
 INFORMED = 0.5  # of its prior deviation, all else known: a number that the recording answers to
 ROUGH_STEPS, ROUGHLY = 8, 5.0  # steps and log units of a fit whose unknowns will change
 HALVINGS = 3  # of the way to other unknowns
+# Shapes that act over micrometres and milliseconds, outside the band of the balances.
+OUT_OF_BAND = (".v_e", ".z_0", ".t_1", ".v_d", ".dB")
 FACTORS = (10.0, 3.0)  # of the unknowns' grid
 
 
@@ -282,7 +284,9 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
             if name.startswith(member.owner + "."):
                 theta[place_of(name)] = value
         timing = {f.name for f in free if f.name.startswith(member.owner + ".")}
-        free = [f for f in free if f.name not in timing] + list(free_of(start))
+        own = [f for f in free_of(start) if not (
+            experiment.inverse and f.name.endswith(OUT_OF_BAND))]
+        free = [f for f in free if f.name not in timing] + own
         named = (*named, member.owner)
     for f in timing_free(experiment):  # what is named no more may err a little again
         name = f.name.partition(".")[0]
@@ -400,5 +404,3 @@ def in_full(experiment: Experiment, fit: Fit) -> Fit:
         return fit
     return settled(experiment, replace(whole, named=fit.named, covariance=np.zeros((k, k))))
 
-
-__all__ = ["at_level", "begun", "effect_values", "evidence_of", "in_full", "joined", "settled"]

@@ -4,37 +4,39 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.data.experiment import Experiment, resolving
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns
-from eha_monitor.mismatch.name.acceptance import FORM
+from eha_monitor.mismatch.name.acceptance import FORM, TEMPER
 from eha_monitor.mismatch.name.base import limits_of
 from eha_monitor.mismatch.name.columns import columns_at
 from eha_monitor.mismatch.name.gram import grams_of
-from eha_monitor.mismatch.name.rank import Ranked, ranked
+from eha_monitor.mismatch.name.rank import Ranked, best_over, ranked_at
 from eha_monitor.mismatch.name.refit import (
     Slopes,
     at_level,
     begun,
     discrepancy,
     evidence_of,
+    impossible,
     joined,
     polished,
     prior_of,
     settled,
 )
 from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.signals import B
 
 FIRST = 100.0  # times the smallest unknowns: where the nominal model is linearised
 LEANING = 30.0  # times the smallest unknowns: below, the nominal model needs next to nothing
 HANDFUL = 4  # sets that are refitted at a linearisation
 MOST_OF = 0.9  # of the best set's gain: the smallest sets that reach it are refitted first
 CATCHING_UP = 0.7  # of the best refitted set's gain, after a few steps, to be fitted to the end
-WITHIN_REACH, FINALISTS = 20.0, 3  # log units; sets that are fitted to the end
+WITHIN_REACH, FINALISTS = 6.0, 3  # log units; sets that are fitted to the end
+FEW = 2  # sets more from where fewer unknowns are allowed
 CLOSE = 1000.0  # log units: the nominal model is a rival too
 QUICK = 5  # steps of the first look
-ROUNDS = 5
-TRACE = False
+ROUNDS = 7
 
 
 @dataclass
@@ -53,7 +55,8 @@ class Seen:
     def add(self, experiment: Experiment, names: frozenset[str], fit: Fit,
             anyway: bool = False) -> None:
         """Keep a fit of a set, if it is one and better than what is there, or ``anyway``."""
-        value = evidence_of(experiment, fit) if np.isfinite(fit.log_likelihood) else -np.inf
+        possible = np.isfinite(fit.log_likelihood) and not (names and impossible(fit))
+        value = evidence_of(experiment, fit) if possible else -np.inf
         if np.isfinite(value) and (anyway or value > self.evidence.get(names, -np.inf)):
             self.fits[names], self.evidence[names] = fit, value
             self.left[names] = discrepancy(experiment, fit)
@@ -65,12 +68,16 @@ class Seen:
 
     def score(self, evidence: float, prior: float) -> float:
         """Return what an evidence counts, log units: see :func:`counted`."""
-        return counted(self.floor() - evidence) + prior
+        return TEMPER * counted(self.floor() - evidence) + prior
 
     def scores(self) -> dict[frozenset[str], float]:
         """Return the score of every refitted set."""
         return {names: self.score(value, prior_of(names))
                 for names, value in self.evidence.items()}
+
+    def ahead(self) -> frozenset[str]:
+        """Return the set with the highest evidence: where the search goes on."""
+        return max(self.evidence, key=lambda names: self.evidence[names] + prior_of(names))
 
     def best(self) -> frozenset[str]:
         """Return the set with the highest score."""
@@ -84,11 +91,13 @@ class Selection:
 
     Attributes
     ----------
+    experiment : with integration steps that resolve the damping that was found.
     nominal : the model without effects; ``best`` the model of the set with most evidence.
     seen : every refitted set.
     ranking : sets at the last linearisation, by the linear guess.
     """
 
+    experiment: Experiment
     nominal: Fit
     best: Fit
     seen: Seen
@@ -149,9 +158,9 @@ def proposals_of(found: list[Ranked], own: float, seen: Seen) -> list[Ranked]:
     own = max(own, better[-1].evidence)
     enough = own + MOST_OF * (better[0].evidence - own)
     able = [one for one in better if one.evidence >= enough]
-    size = min(len(one.members) for one in able)
+    size = min(len(one.names) for one in able)
     chosen: list[Ranked] = []
-    for one in sorted((one for one in able if len(one.members) == size), key=simplicity):
+    for one in sorted((one for one in able if len(one.names) == size), key=simplicity):
         if not any(contained(other, one) for other in chosen):
             chosen.append(one)
     chosen.sort(key=lambda one: -one.evidence)
@@ -175,26 +184,38 @@ def contained(simple: Ranked, other: Ranked) -> bool:
 def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
     """Find the set of effects and wrong numbers of the rig that a recording supports."""
     say("fitting the nominal model", 0.05)
-    first = nominal_model(experiment)
+    while True:
+        first = nominal_model(experiment)
+        finer = experiment if experiment.inverse else resolving(experiment, first.theta[B])
+        if finer.steps == experiment.steps:
+            break
+        experiment = finer
     seen = Seen()
     seen.add(experiment, frozenset(), first)
     at: Fit | None = None  # where the innovations were linearised last
     ranking: list[Ranked] = []
     for turn in range(ROUNDS):
         say(f"weighing all sets, round {turn + 1}", 0.1 + 0.15 * turn)
-        here = seen.best()
+        here = seen.ahead()
         if seen.fits[here] is at:
-            break
+            finish(experiment, seen)
+            here = seen.best()
+            if seen.fits[here] is at or turn == ROUNDS - 1:
+                break
         at = fit = seen.fits[here]
         columns = columns_at(experiment, fit)
-        grams = grams_of(experiment, fit, columns.values, levels_of(experiment, fit))
-        ranking = ranked(columns.what, fit.named, grams)
+        grams = grams_of(experiment, fit, columns.values, levels_of(experiment, fit),
+                         columns.copies)
+        levels = ranked_at(columns.what, fit.named, grams)
+        ranking = best_over(levels)
         own = next((one.evidence for one in ranking if one.names == here), -np.inf)
         chosen = proposals_of(ranking, own, seen)
-        if TRACE:
-            print("   turn", turn, sorted(here), "own %.1f" % own, fit.unknowns)
-            for one in ranking[:3] + chosen:
-                print("      %.1f" % one.evidence, [f"{m.owner}:{m.variant}" for m in one.members])
+        # Large unknowns hide what they take the place of; where fewer are allowed it shows.
+        tighter = [level for level in levels if level and tight(level[0], fit)]
+        for level in tighter:
+            there = next((one.evidence for one in level if one.names == here), -np.inf)
+            chosen += [one for one in proposals_of(level, there, seen)[:FEW]
+                       if one.names not in {other.names for other in chosen}]
         slopes = Slopes(experiment, fit, columns)
         mine = next((one for one in ranking if one.names == here), None)
         if not chosen:
@@ -225,10 +246,13 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
                  if made.log_likelihood >= base + CATCHING_UP * (reach - base)]
         for made in spread(whole, going):
             seen.add(experiment, frozenset(made.named), made)
-            if TRACE:
-                print("      refit %.1f" % evidence_of(experiment, made), made.named, made.unknowns)
-    finish(experiment, seen)
-    return Selection(first, seen.fits[seen.best()], seen, ranking)
+        return Selection(experiment, first, seen.fits[seen.best()], seen, ranking)
+
+
+def tight(one: Ranked, fit: Fit) -> bool:
+    """Tell whether a level leaves a tenth of a fit's unknowns."""
+    ratio = one.gram.unknowns.as_array() / fit.unknowns.as_array()
+    return bool(0.09 < ratio.min() < 0.5)
 
 
 def finish(experiment: Experiment, seen: Seen) -> None:
@@ -249,7 +273,5 @@ def finish(experiment: Experiment, seen: Seen) -> None:
         return settled(experiment, replace(fit, converged=False))
 
     for names, fit in zip(near, spread(ended, near), strict=True):
-        seen.add(experiment, names, fit)
-
-
-__all__ = ["Seen", "Selection", "replace", "selected"]
+        if evidence_of(experiment, fit) > seen.evidence[names] + 1.0:
+            seen.add(experiment, names, fit)
