@@ -70,3 +70,11 @@ def graph():
     made = Graph()
     yield made
     made.close()
+
+
+@pytest.fixture(scope="session")
+def rubbing():
+    """The diagnosis of a recording with 40 N of dry friction in it; seconds of work, shared."""
+    from mismatch_tools import diagnosed
+
+    return diagnosed("coulomb_friction")

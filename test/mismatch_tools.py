@@ -6,6 +6,8 @@ from functools import lru_cache
 from eha_monitor.concealed.cases import Case
 from eha_monitor.concealed.generate import nominal_config, recording_of
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
+from eha_monitor.mismatch.diagnose import diagnose
+from eha_monitor.mismatch.diagnosis import Diagnosis
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.name.nominal import nominal
 from eha_monitor.prove.oracle import best_of
@@ -39,6 +41,17 @@ def recorded(case: Case) -> tuple[Recording, Settings]:
 def nominal_fit(experiment: Experiment) -> Fit:
     """Return the nominal model, fitted to the end."""
     return nominal(experiment)[1]
+
+
+def case_of(*effects: str, **options) -> Case:
+    """Return a case of 6 s with effects at full strength."""
+    return Case("test", tuple((name, 1.0) for name in effects), motion="short", seed=3, **options)
+
+
+def diagnosed(*effects: str, **options) -> Diagnosis:
+    """Diagnose a case of 6 s with effects at full strength."""
+    recording, settings = recorded(case_of(*effects, **options))
+    return diagnose([recording], settings)
 
 
 @lru_cache(maxsize=16)

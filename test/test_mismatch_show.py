@@ -1,5 +1,6 @@
-"""The proof on unseen data."""
+"""The proof on unseen data, and the model as a config."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +19,9 @@ from eha_monitor.mismatch.show.held_out import (
     shown,
     windows_of,
 )
-from eha_monitor.mismatch.show.model import in_doubt, stated_stddev
+from eha_monitor.mismatch.show.model import config_effects, in_doubt, stated_stddev
+from eha_monitor.physics.effects import CATALOGUE, NAMES
+from eha_monitor.physics.parameters import place_of, theta_of
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.load import settings_from_tree
 
@@ -176,3 +179,27 @@ def test_a_named_delay_is_known_no_better_than_a_sensors_own_lag():
     assert stated_stddev(case.experiment, case.after, "command_delay.T") == pytest.approx(
         np.hypot(own, floor))
     assert stated_stddev(case.experiment, case.after, "B") == case.after.stddev("B")
+
+
+# ---- the model as a config ---------------------------------------------------------------------
+
+
+def test_named_physics_goes_through_a_config_and_explains_the_record():
+    """As a config it is known: B and the likelihood are those of the fit that found it."""
+    case = fitted("coulomb_friction")
+    found = config_effects(case.experiment, case.after, ("coulomb_friction",))
+    assert set(found) == {"coulomb_friction"}
+    assert config_effects(case.experiment, case.after, ()) == {}
+    tree = json.loads(json.dumps({**case.experiment.settings.model_dump(mode="json"),
+                                  "effects": found}))
+    again = settings_from_tree(tree, "written")
+    theta, active = theta_of(again.rig, again.effects)
+    for p in CATALOGUE["coulomb_friction"].parameters:
+        place = place_of(f"coulomb_friction.{p.name}")
+        assert theta[place] == pytest.approx(case.after.theta[place], rel=1e-9, abs=1e-15)
+    assert active[NAMES.index("coulomb_friction")]
+    explained = nominal_fit(replace(case.experiment, settings=again, theta=theta, active=active))
+    assert explained.named == ()
+    assert explained.log_likelihood > case.before.log_likelihood + 0.98 * (
+        case.after.log_likelihood - case.before.log_likelihood)
+    assert explained.value("B") == pytest.approx(600.0, rel=0.02)
