@@ -11,16 +11,15 @@ from eha_monitor.mismatch.name.acceptance import FORM, TEMPER
 from eha_monitor.mismatch.name.base import limits_of
 from eha_monitor.mismatch.name.columns import Column, columns_at
 from eha_monitor.mismatch.name.gram import grams_of, lasting
+from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.rank import Ranked, best_over, ranked_at
 from eha_monitor.mismatch.name.refit import (
-    Slopes,
     at_level,
     begun,
     discrepancy,
     evidence_of,
     impossible,
     joined,
-    polished,
     prior_of,
     settled,
 )
