@@ -42,6 +42,10 @@ def possible(name: str, experiment: Experiment) -> bool:
     effect = CATALOGUE[name]
     if experiment.inverse and (effect.balance == "sensor" or name in UNSEEN):
         return False
+    if name == "pressure_friction" and not any(
+            np.ptp(stretch.p1) + np.ptp(stretch.p2) > 0.0 for stretch in experiment.stretches) \
+            and experiment.mode == FORCED:
+        return False  # at a pressure that nobody knows it is Coulomb friction
     if effect.balance == "force":
         return name != "backlash" or experiment.mode == CLOSED
     if experiment.mode == FORCED:
