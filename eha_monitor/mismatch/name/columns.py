@@ -1,7 +1,7 @@
-"""The columns of the joint selection: what each suspect does to the innovations, per unit of prior.
+"""The columns of the joint selection: what each suspect does to the innovations.
 
-A column is the innovations' sensitivity to one number, times the prior deviation of that number,
-so that amplitudes of all columns have the prior N(centre, 1).  Suspects are
+A column is the sensitivity to one number times the prior deviation of that number, so that
+amplitudes of all columns have the prior N(centre, 1).  Suspects are
 
     base        B, beta_e and the small timing errors that every record has: always there
     rig         numbers of the config within their tolerance: always there

@@ -278,16 +278,15 @@ def extended(gram: Gram, copies: Sequence[tuple[int, float]]) -> Gram:
 def balances_gram(fit: Fit, columns: np.ndarray) -> Gram:
     """Return the Gram matrix where the balances' own errors are compared, (n, c, m).
 
-    They are weighed by what is left of each, and count by how long it lasts (:func:`lasting`).
+    They are weighed by what is left of each.
     """
-    n, channels, m = columns.shape
+    _, channels, m = columns.shape
     products, counts, logdet = np.zeros((channels, m, m)), np.zeros(channels), 0.0
     for j in range(channels):
         rows = columns[np.isfinite(columns[:, j, 0]), j]
         scale = max(float(np.sqrt(np.mean(rows[:, 0] ** 2))), 1e-300)
-        weight = 1.0 / lasting(rows[:, 0])
-        products[j] = weight * (rows.T @ rows) / scale**2
-        counts[j] = weight * len(rows)
+        products[j] = (rows.T @ rows) / scale**2
+        counts[j] = len(rows)
         logdet += counts[j] * np.log(scale)
     return Gram(fit.unknowns, products, counts, float(logdet))
 

@@ -70,7 +70,9 @@ def posterior(found: Selection) -> dict[Names, float]:
     if own is not None:
         start = seen.evidence[best] - (own.evidence - own.prior)
         for one in found.ranking:
-            if one.names not in scores:
+            # What has names and seemed better was refitted, or is beyond what the guess can say.
+            unnamed = not all(is_named(name) for name in one.names)
+            if one.names not in scores and (unnamed or one.evidence <= own.evidence):
                 scores[one.names] = seen.score(start + one.evidence - one.prior, one.prior)
     weights = np.array(list(scores.values()))
     weights = np.exp(weights - weights.max())

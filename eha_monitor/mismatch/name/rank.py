@@ -99,9 +99,15 @@ class Ranking:
         return EFFECT + RARE * CATALOGUE[member.owner].rarity - several
 
     def roots(self) -> list[tuple[Member, ...]]:
-        """Return the subsets of what the model has, each a set to begin with."""
+        """Return the subsets of what the model has, each a set to begin with.
+
+        A limit cannot be taken away by a linear guess: it has no size that goes to nil.
+        """
         have = [Member(name, -1) for name in self.named]
-        return [subset for k in range(len(have) + 1) for subset in combinations(have, k)]
+        kept = tuple(member for member in have if limited(member.owner))
+        free = [member for member in have if member not in kept]
+        return [(*kept, *subset) for k in range(len(free) + 1)
+                for subset in combinations(free, k)]
 
     def fits(self, members: tuple[Member, ...], other: Member) -> bool:
         """Tell whether a suspect can join: one of a kind, and none that another contains."""
@@ -274,6 +280,12 @@ class Level:
                 r.log_prior(Member(member.replaces, -1)) if member.replaces else 0.0)
             gains.append((member, float(gain) + prior))
         return gains
+
+
+def limited(name: str) -> bool:
+    """Tell whether an effect is a limit, or is fitted as a logarithm: it has no linear size."""
+    return name in CATALOGUE and any(p.log or not np.isfinite(p.neutral)
+                                     for p in CATALOGUE[name].sizes)
 
 
 def twins(one: str, other: str) -> bool:

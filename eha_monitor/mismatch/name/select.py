@@ -9,18 +9,17 @@ from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.name.acceptance import FORM, TEMPER
 from eha_monitor.mismatch.name.base import limits_of
-from eha_monitor.mismatch.name.columns import columns_at
-from eha_monitor.mismatch.name.gram import grams_of
+from eha_monitor.mismatch.name.columns import Column, columns_at
+from eha_monitor.mismatch.name.gram import grams_of, lasting
+from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.rank import Ranked, best_over, ranked_at
 from eha_monitor.mismatch.name.refit import (
-    Slopes,
     at_level,
     begun,
     discrepancy,
     evidence_of,
     impossible,
     joined,
-    polished,
     prior_of,
     settled,
 )
@@ -45,8 +44,11 @@ class Seen:
 
     Attributes
     ----------
+    inverse : the balances' own errors are compared, not predictions.
     fits, evidence, left : names -> model, Laplace evidence, cost of its unknowns, log units.
     """
+
+    inverse: bool = False
 
     fits: dict[frozenset[str], Fit] = field(default_factory=dict)
     evidence: dict[frozenset[str], float] = field(default_factory=dict)
@@ -68,7 +70,19 @@ class Seen:
 
     def score(self, evidence: float, prior: float) -> float:
         """Return what an evidence counts, log units: see :func:`counted`."""
-        return TEMPER * counted(self.floor() - evidence) + prior
+        return self.power() * counted(self.floor() - evidence) + prior
+
+    def power(self) -> float:
+        """Return the power of the likelihood.
+
+        Where the balances' own errors are compared, what is left of them lasts: so many samples
+        count as one.
+        """
+        if not self.inverse:
+            return TEMPER
+        best = self.fits[max(self.evidence, key=self.evidence.get)]
+        return 1.0 / float(np.mean([lasting(column[np.isfinite(column)])
+                                    for column in best.e.T]))
 
     def scores(self) -> dict[frozenset[str], float]:
         """Return the score of every refitted set."""
@@ -181,72 +195,125 @@ def contained(simple: Ranked, other: Ranked) -> bool:
         and next(iter(less)) in CATALOGUE[name].contains
 
 
+@dataclass
+class Linearised:
+    """The innovations linearised at one model, with every set ranked there.
+
+    Attributes
+    ----------
+    here : names of the model; ``fit`` the model itself.
+    what : whose the columns are; ``slopes`` of what the model has, under any gains.
+    levels : ranked sets at each level of the unknowns; ``ranking`` at the best of all levels.
+    """
+
+    here: frozenset[str]
+    fit: Fit
+    what: tuple[Column, ...]
+    slopes: Slopes
+    levels: list[list[Ranked]]
+    ranking: list[Ranked]
+
+    @property
+    def own(self) -> Ranked | None:
+        """The model itself in the ranking."""
+        return own_in(self.ranking, self.here)
+
+
+def own_in(ranking: list[Ranked], names: frozenset[str]) -> Ranked | None:
+    """Return a set's place in a ranking."""
+    return next((one for one in ranking if one.names == names), None)
+
+
+def linearised(experiment: Experiment, here: frozenset[str], fit: Fit) -> Linearised:
+    """Take the columns at a model and rank every set of suspects there."""
+    columns = columns_at(experiment, fit)
+    grams = grams_of(experiment, fit, columns.values, levels_of(experiment, fit), columns.copies)
+    levels = ranked_at(columns.what, fit.named, grams)
+    return Linearised(here, fit, columns.what, Slopes(experiment, fit, columns), levels,
+                      best_over(levels))
+
+
+def chosen_at(view: Linearised, seen: Seen) -> list[Ranked]:
+    """Return the sets that are worth a refit at a linearisation."""
+    own = view.own
+    chosen = proposals_of(view.ranking, own.evidence if own else -np.inf, seen)
+    # Large unknowns hide what they take the place of; where fewer are allowed it shows.
+    for level in view.levels:
+        if level and tight(level[0], view.fit):
+            there = own_in(level, view.here)
+            known = {one.names for one in chosen}
+            chosen += [one for one in proposals_of(
+                level, there.evidence if there else -np.inf, seen)[:FEW]
+                if one.names not in known]
+    return chosen
+
+
+def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], seen: Seen) -> None:
+    """Refit sets from their linear guess: a first look at all, to the end what keeps up."""
+    def entered(one: Ranked) -> Fit:
+        return joined(experiment, view.fit, view.what, one)
+
+    def quick(one: Ranked) -> Fit:
+        return polished(experiment, entered(one), view.slopes, QUICK)
+
+    own = view.own
+    if own is not None and not view.here and chosen[0].evidence < own.evidence + CLOSE:
+        # With the same numbers of the rig free as in its rivals: else their evidence differs.
+        seen.add(experiment, view.here, settled(experiment, entered(own), view.slopes), True)
+    looks = [made for made in spread(quick, chosen) if np.isfinite(made.log_likelihood)]
+    if not looks:
+        return
+    reach = max(made.log_likelihood for made in looks)
+    base = min(*(made.log_likelihood for made in looks), view.fit.log_likelihood)
+    going = [made for made in looks
+             if made.log_likelihood >= base + CATCHING_UP * (reach - base)]
+    for made in spread(lambda made: settled(experiment, made, view.slopes), going):
+        seen.add(experiment, frozenset(made.named), made)
+
+
+def held(experiment: Experiment, view: Linearised, seen: Seen) -> bool:
+    """Fit a model again under the unknowns that suit it best; tell whether it has changed."""
+    own = view.own
+    if own is None or experiment.inverse or own.gram.unknowns == view.fit.unknowns:
+        return False
+    before = seen.evidence[view.here]
+    seen.add(experiment, view.here, settled(
+        experiment, joined(experiment, view.fit, view.what, own), view.slopes))
+    return seen.evidence[view.here] > before + 1.0
+
+
 def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
     """Find the set of effects and wrong numbers of the rig that a recording supports."""
     say("fitting the nominal model", 0.05)
+    experiment, first = resolved_nominal(experiment)
+    seen = Seen(experiment.inverse)
+    seen.add(experiment, frozenset(), first)
+    view: Linearised | None = None
+    for turn in range(ROUNDS):
+        say(f"weighing all sets, round {turn + 1}", 0.1 + 0.12 * turn)
+        here = seen.ahead()
+        if view is not None and seen.fits[here] is view.fit:
+            finish(experiment, seen)
+            here = seen.best()
+            if seen.fits[here] is view.fit:
+                break
+        view = linearised(experiment, here, seen.fits[here])
+        chosen = chosen_at(view, seen)
+        if chosen:
+            refit(experiment, view, chosen, seen)
+        elif not held(experiment, view, seen) and here == seen.best():
+            break  # nothing is better, and it is where it should be
+    return Selection(experiment, first, seen.fits[seen.best()], seen, view.ranking)
+
+
+def resolved_nominal(experiment: Experiment) -> tuple[Experiment, Fit]:
+    """Fit the nominal model with integration steps that resolve the damping it finds."""
     while True:
         first = nominal_model(experiment)
         finer = experiment if experiment.inverse else resolving(experiment, first.theta[B])
         if finer.steps == experiment.steps:
-            break
+            return experiment, first
         experiment = finer
-    seen = Seen()
-    seen.add(experiment, frozenset(), first)
-    at: Fit | None = None  # where the innovations were linearised last
-    ranking: list[Ranked] = []
-    for turn in range(ROUNDS):
-        say(f"weighing all sets, round {turn + 1}", 0.1 + 0.15 * turn)
-        here = seen.ahead()
-        if seen.fits[here] is at:
-            finish(experiment, seen)
-            here = seen.best()
-            if seen.fits[here] is at or turn == ROUNDS - 1:
-                break
-        at = fit = seen.fits[here]
-        columns = columns_at(experiment, fit)
-        grams = grams_of(experiment, fit, columns.values, levels_of(experiment, fit),
-                         columns.copies)
-        levels = ranked_at(columns.what, fit.named, grams)
-        ranking = best_over(levels)
-        own = next((one.evidence for one in ranking if one.names == here), -np.inf)
-        chosen = proposals_of(ranking, own, seen)
-        # Large unknowns hide what they take the place of; where fewer are allowed it shows.
-        tighter = [level for level in levels if level and tight(level[0], fit)]
-        for level in tighter:
-            there = next((one.evidence for one in level if one.names == here), -np.inf)
-            chosen += [one for one in proposals_of(level, there, seen)[:FEW]
-                       if one.names not in {other.names for other in chosen}]
-        slopes = Slopes(experiment, fit, columns)
-        mine = next((one for one in ranking if one.names == here), None)
-        if not chosen:
-            # Nothing is better: then it must hold at the unknowns that suit it best.
-            if mine is None or experiment.inverse or mine.gram.unknowns == fit.unknowns:
-                break
-            again = settled(experiment, joined(experiment, fit, columns.what, mine), slopes)
-            before = seen.evidence[here]
-            seen.add(experiment, here, again)
-            if seen.evidence[here] < before + 1.0:
-                break
-            continue
-
-        def quick(one: Ranked) -> Fit:
-            return polished(experiment, joined(experiment, fit, columns.what, one), slopes, QUICK)
-
-        def whole(made: Fit) -> Fit:
-            return settled(experiment, made, slopes)
-
-        if mine is not None and not here and chosen[0].evidence < own + CLOSE:
-            # With the same numbers of the rig free as in its rivals: else their evidence differs.
-            seen.add(experiment, here, whole(joined(experiment, fit, columns.what, mine)), True)
-        looks = spread(quick, chosen)
-        reach = max(made.log_likelihood for made in looks)
-        base = min(made.log_likelihood for made in [*looks, first] if np.isfinite(
-            made.log_likelihood))
-        going = [made for made in looks
-                 if made.log_likelihood >= base + CATCHING_UP * (reach - base)]
-        for made in spread(whole, going):
-            seen.add(experiment, frozenset(made.named), made)
-        return Selection(experiment, first, seen.fits[seen.best()], seen, ranking)
 
 
 def tight(one: Ranked, fit: Fit) -> bool:
