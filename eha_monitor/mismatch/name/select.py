@@ -31,7 +31,7 @@ LEANING = 30.0  # times the smallest unknowns: below, the nominal model needs ne
 HANDFUL = 4  # sets that are refitted at a linearisation
 MOST_OF = 0.9  # of the best set's gain: the smallest sets that reach it are refitted first
 CATCHING_UP = 0.7  # of the best refitted set's gain, after a few steps, to be fitted to the end
-WITHIN_REACH, FINALISTS = 6.0, 3  # log units; sets that are fitted to the end
+WITHIN_REACH, FINALISTS = 20.0, 3  # log units; sets that are fitted to the end
 FEW = 2  # sets more from where fewer unknowns are allowed
 CLOSE = 1000.0  # log units: the nominal model is a rival too
 QUICK = 5  # steps of the first look
@@ -293,16 +293,15 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
         say(f"weighing all sets, round {turn + 1}", 0.1 + 0.12 * turn)
         here = seen.ahead()
         if view is not None and seen.fits[here] is view.fit:
-            finish(experiment, seen)
             here = seen.best()
-            if seen.fits[here] is view.fit:
-                break
+        if view is not None and seen.fits[here] is view.fit:
+            break  # nothing is better, and it is where it should be
         view = linearised(experiment, here, seen.fits[here])
         chosen = chosen_at(view, seen)
         if chosen:
             refit(experiment, view, chosen, seen)
-        elif not held(experiment, view, seen) and here == seen.best():
-            break  # nothing is better, and it is where it should be
+        elif not held(experiment, view, seen):
+            finish(experiment, seen)
     return Selection(experiment, first, seen.fits[seen.best()], seen, view.ranking)
 
 
