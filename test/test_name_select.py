@@ -168,7 +168,8 @@ def selection_of(evidence: dict[tuple[str, ...], float], ranking=()) -> Selectio
     for names, value in evidence.items():
         key = frozenset(names)
         seen.fits[key], seen.evidence[key], seen.left[key] = fitted().before, value, 0.0
-    return Selection(None, None, None, seen, list(ranking))
+    here = max(evidence, key=evidence.get)
+    return Selection(None, None, None, seen, list(ranking), here=frozenset(here))
 
 
 def test_probabilities_add_up_to_one_and_follow_the_evidence():

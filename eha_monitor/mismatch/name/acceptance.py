@@ -16,3 +16,5 @@ BEYOND_FORM = 3.0  # times that: as likely something without a name as form erro
 EXPLAINED = 0.75  # share of what speaks against the nominal model that pieces must take away
 LACKING = 100.0  # times the smallest unknowns, 1 % of what a balance does: it matters
 LIKELY = 0.5  # probability from which something is the answer
+UNTOLD = 0.3  # of its prior deviation: a number of the rig of which a recording tells little
+RIDGE = 3.0  # log units that such numbers may gain together and still stay where the config is

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.likelihood.fit import Fit
+from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.name.acceptance import (
     BEYOND_FORM,
@@ -14,12 +14,15 @@ from eha_monitor.mismatch.name.acceptance import (
     FORM_SHARE,
     LACKING,
     LIKELY,
+    RIDGE,
     RIVAL,
     TEMPER,
+    UNTOLD,
 )
 from eha_monitor.mismatch.name.base import limits_of
 from eha_monitor.mismatch.name.columns import runs_of
 from eha_monitor.mismatch.name.gram import evidence_at
+from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.refit import discrepancy, settled
 from eha_monitor.mismatch.name.select import Selection, selected
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT, loads_of
@@ -97,6 +100,32 @@ def in_place_of(name: str, best: Names, weights: dict[Names, float]) -> dict[str
     return others
 
 
+def at_config(experiment: Experiment, fit: Fit) -> Fit:
+    """Return a fit in which numbers of the rig that it tells little of are the config's.
+
+    Volumes and beta_e trade, and so do mass, areas and B: on such a ridge only the prior decides,
+    and the config's own number is the one to report the others beside.  What the numbers'
+    tolerances make uncertain stays in the covariance.
+    """
+    loose = {f.name for i, f in enumerate(fit.free)
+             if f.name.startswith("rig.") and f.name not in fit.named
+             and np.sqrt(fit.covariance[i, i]) > UNTOLD * f.spread}
+    if not loose:
+        return fit
+    theta = fit.theta.copy()
+    for f in fit.free:
+        if f.name in loose:
+            theta[f.place] = experiment.theta[f.place]
+    free = tuple(f for f in fit.free if f.name not in loose)
+    k = len(free)
+    plain = polished(experiment, with_unknowns(experiment, replace(
+        fit, theta=theta, free=free, covariance=np.zeros((k, k)), converged=False),
+        fit.unknowns), Slopes(experiment))
+    if not fit.log_likelihood - plain.log_likelihood < RIDGE:
+        return fit  # it says something of them after all
+    return replace(plain, free=fit.free, covariance=fit.covariance)
+
+
 def own_evidence(found: Selection) -> float:
     """Return the evidence of the best model in the last ranking."""
     return next((one.evidence for one in found.ranking if one.names == found.seen.best()), -np.inf)
@@ -150,7 +179,7 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
     seen, best = found.seen, found.seen.best()
     weights = posterior(found)
     scores = seen.scores()
-    after = seen.fits[best]
+    after = at_config(experiment, seen.fits[best])
     rivals, probability, evidence = {}, {}, {}
     for name in best:
         stands = in_place_of(name, best, weights)
@@ -170,8 +199,7 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
     unnamed = float(sum(weight for names, weight in weights.items()
                         if any(not is_named(name) for name in names)))
     against = discrepancy(experiment, before) if not experiment.inverse else 0.0
-    left = seen.left[best]
-    explained = 1.0 - left / against if against > left else (0.0 if against > 0.0 else 1.0)
+    explained = 1.0 - min(max(seen.left[best], 0.0) / against, 1.0) if against > 0.0 else 1.0
     loads: tuple[tuple[float, float, float], ...] = ()
     acting = float(sum(weight for names, weight in weights.items() if INTERMITTENT in names))
     needs = after.unknowns

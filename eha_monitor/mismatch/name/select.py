@@ -33,6 +33,7 @@ MOST_OF = 0.9  # of the best set's gain: the smallest sets that reach it are ref
 CATCHING_UP = 0.7  # of the best refitted set's gain, after a few steps, to be fitted to the end
 WITHIN_REACH, FINALISTS = 20.0, 3  # log units; sets that are fitted to the end
 FEW = 2  # sets more from where fewer unknowns are allowed
+STRAYED = 5.0  # log units: a fit that is that far from its optimum is made again
 CLOSE = 1000.0  # log units: the nominal model is a rival too
 QUICK = 5  # steps of the first look
 ROUNDS = 7
@@ -239,6 +240,15 @@ def linearised(experiment: Experiment, here: frozenset[str], fit: Fit) -> Linear
 def chosen_at(view: Linearised, seen: Seen) -> list[Ranked]:
     """Return the sets that are worth a refit at a linearisation."""
     own = view.own
+    if own is not None:
+        # What was fitted from elsewhere and would be better by a guess from here is fitted again.
+        start = seen.evidence[view.here] - (own.evidence - own.prior)
+        again = [one for one in with_names(view.ranking) if one.names < view.here
+                 and one.names in seen.fits
+                 and start + one.evidence - one.prior > seen.evidence[one.names] + STRAYED
+                 and one.evidence > own.evidence]
+        if again:
+            return again[:HANDFUL]
     chosen = proposals_of(view.ranking, own.evidence if own else -np.inf, seen)
     # Large unknowns hide what they take the place of; where fewer are allowed it shows.
     for level in view.levels:
@@ -277,12 +287,18 @@ def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], seen: 
 def held(experiment: Experiment, view: Linearised, seen: Seen) -> bool:
     """Fit a model again under the unknowns that suit it best; tell whether it has changed."""
     own = view.own
-    if own is None or experiment.inverse or own.gram.unknowns == view.fit.unknowns:
+    if own is None or experiment.inverse:
         return False
     before = seen.evidence[view.here]
     seen.add(experiment, view.here, settled(
         experiment, joined(experiment, view.fit, view.what, own), view.slopes))
     return seen.evidence[view.here] > before + 1.0
+
+
+def strayed(view: Linearised, seen: Seen) -> bool:
+    """Tell whether a model is far from the optimum that a guess from itself promises."""
+    own = view.own
+    return own is not None and own.evidence - own.prior > seen.evidence[view.here] + STRAYED
 
 
 def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
@@ -300,6 +316,8 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
         if view is not None and seen.fits[here] is view.fit:
             break  # nothing is better, and it is where it should be
         view = linearised(experiment, here, seen.fits[here])
+        if here and strayed(view, seen) and held(experiment, view, seen):
+            continue
         chosen = chosen_at(view, seen)
         if chosen:
             refit(experiment, view, chosen, seen)
