@@ -60,7 +60,8 @@ def innovate(z, u, p1, p2, mode, dt, steps, theta, active, gains, decay, y, memo
         pressure difference that is taken from the sensors because the volume that entered since
         the last sample is not known.
     e : (n, N_OUTPUTS) written: innovations, NaN where nothing was measured.
-    states : (n, N_FILTERED) written after the correction, or (0, N_FILTERED) where not wanted.
+    states : (n, N_FILTERED) written after the correction, or (0, N_FILTERED) where not wanted;
+        with two more columns for each active effect that remembers, its memory.
     """
     n = z.shape[0]
     w = circuit_of(theta, active)
@@ -99,7 +100,11 @@ def innovate(z, u, p1, p2, mode, dt, steps, theta, active, gains, decay, y, memo
         for j in range(4):
             past[last, j] = y[j]
         if states.shape[0]:
-            states[k] = y[:N_FILTERED]
+            for i in range(N_FILTERED):
+                states[k, i] = y[i]
+            for i in range((states.shape[1] - N_FILTERED) // 2):
+                states[k, N_FILTERED + 2 * i] = memory[updates[i], 0]
+                states[k, N_FILTERED + 2 * i + 1] = memory[updates[i], 1]
         if mode == FORCED:
             advance_forced(y, t, dt, steps, u, k, p1, p2, theta, terms, updates, memory, c, s)
         else:

@@ -5,9 +5,9 @@ Over a sample the difference delta of two filters whose models differ a little f
     delta+ = Phi (delta + K d_e) + Gamma g,   d_e = -(H delta + d_shown)
 
 with g the difference of the rates (v', p1', p2', omega') that the two models have at the same
-state, and d_shown that of what their sensors show.  Phi is the plant's own Runge-Kutta map, constant;
-what active effects add to it, which changes along the way, is a kick in the middle of the sample,
-implicit, so that a friction that turns over within a step stays stable.
+state, and d_shown that of what their sensors show.  Phi is the plant's own Runge-Kutta map and
+constant.  What active effects add to it is a kick in the middle of the sample, implicit, or,
+where they turn over within it, the tangent of each Runge-Kutta step and of the effects' memory.
 """
 
 import math
@@ -16,11 +16,32 @@ import numpy as np
 
 from eha_monitor.compiled import njit
 from eha_monitor.mismatch.innovations import CLOSED, FORCED, FREE, N_FILTERED
-from eha_monitor.physics.balances import acceleration, drive_speed, rates
-from eha_monitor.physics.contributions import add_contributions, shift_memory, update_memory
+from eha_monitor.mismatch.tangent_lanes import (
+    apart,
+    driven,
+    per_turn,
+    remember_all,
+    sensed,
+    shift_all,
+)
+from eha_monitor.mismatch.tangent_motion import (
+    EARLY,
+    LATE,
+    N_MOVED,
+    N_RATES,
+    between,
+    course,
+    inputs_at,
+    jacobian,
+    late_by,
+    recall,
+    remembered,
+    state_at,
+    told,
+    wanted_speed,
+)
 from eha_monitor.physics.plant import (
     N_OUTPUTS,
-    Y_FLOW,
     Y_FORCE,
     Y_OMEGA,
     Y_P1,
@@ -28,20 +49,12 @@ from eha_monitor.physics.plant import (
     Y_SPEED,
     Y_V,
     Y_X,
-    drive_rate,
-    input_at,
-    piece_at,
-    seen_by_drive,
-    shaft_speed,
 )
 from eha_monitor.physics.signals import (
     AREA_1,
     AREA_2,
     COMMAND_DELAY,
-    DRIVE_LAG,
     FEEDBACK_DELAY,
-    FORCE,
-    N_BASE,
     N_CONTRIBUTIONS,
     N_SIGNALS,
     OMEGA,
@@ -50,434 +63,59 @@ from eha_monitor.physics.signals import (
     POSITION_DELAY,
     POSITION_SCALE,
     PRESSURE_DELAY,
-    PRESSURE_DRIFT_1,
-    PRESSURE_DRIFT_2,
-    PRESSURE_OFFSET_1,
-    PRESSURE_OFFSET_2,
     PRESSURE_SCALE_1,
     PRESSURE_SCALE_2,
-    SLEW_LIMIT,
-    X_D,
     M,
     T,
     V,
     X,
 )
 
-BASE, TERM, CIRCUIT = 0, 1, 2  # what a lane's model has different
-N_RATES = 4  # v', p1', p2', omega'
-N_MOVED = 5  # x, v, p1, p2, omega: the states that the rates move
-EARLY, LATE = 0.5 - 0.5 / math.sqrt(3.0), 0.5 + 0.5 / math.sqrt(3.0)  # of a sample: Gauss
-TINY = 1e-6  # of a state's size: for its derivative
+
+@njit(nogil=True)
+def shafts(model, motion, shaft):
+    """Write the shown speed's derivative by the state before each correction."""
+    w = model.w
+    for k in range(motion.states.shape[0]):
+        shaft[k, Y_SPEED] = 1.0
+        if model.mode == CLOSED and model.slow:
+            shaft[k, Y_OMEGA] = 1.0
+        elif model.mode == CLOSED:
+            value = told(motion.u, k, 0.0, w[COMMAND_DELAY], model.dt)
+            late = late_by(motion, 0, k, w[FEEDBACK_DELAY], model.dt, model.steps)
+            d = 1e-7
+            slope = (wanted_speed(value, late + d, model.theta, w)
+                     - wanted_speed(value, late - d, model.theta, w)) / (2.0 * d)
+            shaft[k, Y_X] = slope
+            shaft[k, Y_V] = -slope * w[FEEDBACK_DELAY]
 
 
-@njit
-def contribute(s, theta, terms, memory, c):
-    """:func:`add_contributions`, compiled once."""
-    add_contributions(s, theta, terms, memory, c)
+@njit(nogil=True)
+def turns_over(jacs, constant, motion, dt, typical, hard):
+    """Mark the samples in which an effect turns over, (n,) bool.
 
-
-@njit
-def remembered(s, theta, updates, h, memory):
-    """:func:`update_memory`, compiled once."""
-    update_memory(s, theta, updates, h, memory)
-
-
-@njit(forceinline=True)
-def between(a, b, da, db, dt, f):
-    """Return the cubic from a to b with slopes da, db at ``f`` of the sample."""
-    return a + f * (da * dt + f * (3.0 * (b - a) - (2.0 * da + db) * dt
-                                   + f * (2.0 * (a - b) + (da + db) * dt)))
-
-
-@njit(forceinline=True)
-def was(starts, ends, slopes, slopes_end, i, dt, place):
-    """Return state ``i`` at ``place`` samples after the first; before it all rests."""
-    j = min(max(math.floor(place), 0), starts.shape[0] - 2)
-    f = min(max(place - j, 0.0), 1.0)
-    return between(starts[j, i], ends[j + 1, i], slopes[j, i], slopes_end[j + 1, i], dt, f)
-
-
-@njit
-def told(u, k, f, delay, dt):
-    """Return the input ``f`` into sample k as it reaches the drive."""
-    if delay == 0.0:
-        return piece_at(u, k, f)
-    return input_at(u, 1, k + f - delay / dt)
-
-
-@njit(forceinline=True)
-def wanted_speed(value, late, theta, w):
-    """Return the shaft speed that the drive wants, within its limit, rad/s."""
-    return shaft_speed(drive_speed(value, seen_by_drive(late, late, w), theta, w), w)
-
-
-@njit
-def course(mode, slow, y, unknown, t, value, behind, theta, w, lag, terms, memory, s, c, out):
-    """Write the rates at a state and leave the signals there in ``s``; return the shaft's speed.
-
-    Parameters
-    ----------
-    y : (N_MOVED,) state; unknown : (3,) force, flow, speed.
-    value : input as it reaches the drive.
-    behind : what the drive's late position is ahead of x - T v, m.
-    lag : s, where the drive is ``slow``.
-    out : (N_RATES,) written.
+    typical : (N_RATES,) size of each rate.
     """
-    turning = value
-    out[3] = 0.0
-    if mode == CLOSED:
-        turning = wanted_speed(value, y[0] - w[FEEDBACK_DELAY] * y[1] + behind, theta, w)
-        if slow:
-            out[3] = drive_rate(turning, y[4], lag, w[SLEW_LIMIT])
-            turning = y[4]
-    turning += unknown[2]
-    s[T], s[X], s[V], s[P1], s[P2] = t, y[0], y[1], y[2], y[3]
-    s[OMEGA], s[X_D] = turning, value
-    if mode == FORCED:
-        s[OMEGA] = s[X_D] = 0.0
-    if len(terms):
-        contribute(s, theta, terms, memory, c)
-    rest(mode, value, y, turning, unknown, theta, c, out)
-    return turning
-
-
-@njit(forceinline=True)
-def rest(mode, value, y, turning, unknown, theta, c, out):
-    """Write v', p1', p2' at given contributions."""
-    c[FORCE] += unknown[0]
-    if mode == FORCED:
-        out[0], out[1], out[2] = acceleration(value, y[1], theta, c), 0.0, 0.0
-    else:
-        out[0], out[1], out[2] = rates(y[1], y[2], y[3], turning, unknown[1], theta, c)
-    c[FORCE] -= unknown[0]
-
-
-@njit
-def jacobian(mode, slow, y, unknown, span, t, value, behind, theta, w, lag, terms, memory, s, c,
-             up, down, jac):
-    """Write the rates' derivatives by all filtered states, (N_RATES, N_FILTERED).
-
-    span : (N_FILTERED,) half of each difference: over what the state moves in a sample, so that
-    what turns over faster counts by its mean.
-    """
-    for i in range(N_FILTERED):
-        d = span[i]
-        if i < N_MOVED:
-            kept = y[i]
-            y[i] = kept + d
-            course(mode, slow, y, unknown, t, value, behind, theta, w, lag, terms, memory, s, c, up)
-            y[i] = kept - d
-            course(mode, slow, y, unknown, t, value, behind, theta, w, lag, terms, memory, s, c,
-                   down)
-            y[i] = kept
-        else:
-            kept = unknown[i - N_MOVED]
-            unknown[i - N_MOVED] = kept + d
-            course(mode, slow, y, unknown, t, value, behind, theta, w, lag, terms, memory, s, c, up)
-            unknown[i - N_MOVED] = kept - d
-            course(mode, slow, y, unknown, t, value, behind, theta, w, lag, terms, memory, s, c,
-                   down)
-            unknown[i - N_MOVED] = kept
+    n = jacs.shape[0]
+    for k in range(n - 1):
         for r in range(N_RATES):
-            jac[r, i] = (up[r] - down[r]) / (2.0 * d)
-
-
-@njit(nogil=True)
-def predicted_states(states, e, gains, role, dt, theta, ends, shifts):
-    """Write the states before their correction, (n, N_FILTERED), and what a role took over.
-
-    shifts : (n,) half the pressure difference that was taken from the sensors, Pa.
-    """
-    for k in range(states.shape[0]):
-        gain = gains[min(k, gains.shape[0] - 1)]
-        for i in range(N_FILTERED):
-            ends[k, i] = states[k, i]
-        if role[k] == FREE:
-            continue
-        by_1 = by_2 = 0.0
-        for j in range(N_OUTPUTS):
-            if math.isfinite(e[k, j]):
-                for i in range(N_FILTERED):
-                    ends[k, i] -= gain[i, j] * e[k, j]
-                by_1 += gain[Y_P1, j] * e[k, j]
-                by_2 += gain[Y_P2, j] * e[k, j]
-        if role[k] > 0.0 and math.isfinite(e[k, 2]) and math.isfinite(e[k, 3]):
-            half = 0.5 * role[k] * (e[k, 2] - by_1 - e[k, 3] + by_2)
-            shifts[k] = half
-            ends[k, Y_P1] -= half
-            ends[k, Y_P2] += half
-            ends[k, Y_V] -= 0.5 * dt * half * (theta[AREA_1] + theta[AREA_2]) / theta[M]
-
-
-@njit(nogil=True)
-def slopes_along(mode, slow, states, ends, u, p1, p2, dt, theta, w, lag, terms, places, updates,
-                 slopes, slopes_end, memories):
-    """Write the rates (x', v', p1', p2', omega') after and before each correction, and memories.
-
-    memories : (n, 3, E, 2), of the ``updates`` at the start, middle and end of each sample.
-    """
-    n = states.shape[0]
-    s, c, out = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS), np.zeros(N_RATES)
-    y, unknown = np.zeros(N_MOVED), np.zeros(3)
-    memory = np.zeros((memories.shape[2], 2))
-    for k in range(n):
-        shift_memory(places, states[k, 0] - ends[k, 0], memory)
-        if memories.shape[0] > 1:
-            memories[k, 0] = memory
-        for side in range(2):
-            here = k if side == 0 else k + 1
-            if here == n:
-                break
             for i in range(N_MOVED):
-                y[i] = states[k, i] if side == 0 else ends[k + 1, i]
-            for i in range(3):
-                unknown[i] = states[k, N_MOVED + i]
-            if mode == FORCED:
-                y[2], y[3] = p1[here], p2[here]
-            value = told(u, k, float(side), w[COMMAND_DELAY], dt)
-            behind = 0.0
-            if w[FEEDBACK_DELAY] > 0.0 and k > 0:  # slopes up to here are known
-                place = k + side - w[FEEDBACK_DELAY] / dt
-                if place <= k - 1e-9:
-                    behind = (was(states, ends, slopes, slopes_end, 0, dt, place)
-                              - y[0] + w[FEEDBACK_DELAY] * y[1])
-            if side == 1 and len(updates):
-                s[T], s[V], s[P1], s[P2] = (k + 0.5) * dt, 0.5 * (states[k, 1] + y[1]), 0.5 * (
-                    states[k, 2] + y[2]), 0.5 * (states[k, 3] + y[3])
-                s[X] = between(states[k, 0], y[0], states[k, 1], y[1], dt, 0.5)
-                remembered(s, theta, updates, 0.5 * dt, memory)
-                memories[k, 1] = memory
-                s[T], s[X], s[V], s[P1], s[P2] = (k + 1) * dt, y[0], y[1], y[2], y[3]
-                remembered(s, theta, updates, 0.5 * dt, memory)
-                memories[k, 2] = memory
-            course(mode, slow, y, unknown, (k + side) * dt, value, behind, theta, w, lag, terms,
-                   memory, s, c, out)
-            written = slopes if side == 0 else slopes_end
-            written[here, 0] = y[1]
-            for i in range(N_RATES):
-                written[here, 1 + i] = out[i]
-    slopes_end[0] = slopes[0]
+                more = abs(jacs[k, r, i] - constant[r, i])
+                moved = abs(motion.ends[k + 1, i] - motion.states[k, i])
+                if more * moved > SUDDEN * typical[r]:
+                    hard[k] = True
+            if dt * abs(jacs[k, r, 1 + r] - constant[r, 1 + r]) > STIFF:
+                hard[k] = True
+        if dt * dt * abs(jacs[k, 0, 0] - constant[0, 0]) > SPRING:
+            hard[k] = True
 
 
-@njit(forceinline=True)
-def shown_by(j, t, position, v, pressure, w):
-    """Return what a sensor shows of the late position (m) or pressure (Pa)."""
-    if j == 0:
-        return (1.0 + w[POSITION_SCALE]) * position
-    if j == 1:
-        return v
-    if j == 2:
-        return (1.0 + w[PRESSURE_SCALE_1]) * pressure + w[PRESSURE_OFFSET_1] + (
-            w[PRESSURE_DRIFT_1] * t)
-    return (1.0 + w[PRESSURE_SCALE_2]) * pressure + w[PRESSURE_OFFSET_2] + w[PRESSURE_DRIFT_2] * t
-
-
-@njit
-def late_by(starts, ends, slopes, slopes_end, i, k, delay, dt, steps):
-    """Return state ``i`` as it was ``delay`` s before sample k, before its correction."""
-    if delay == 0.0:
-        return ends[k, i]
-    if delay < 0.0 or k == 0:
-        return ends[k, i] - delay * slopes_end[k, i]
-    if i == 0:
-        return was(starts, ends, slopes, slopes_end, i, dt, k - delay / dt)
-    # Of the pressures the filter knows the ends of its steps, and goes straight between them.
-    step = dt / steps
-    j = math.floor(delay / step)
-    f = delay / step - j
-    new = ends[k, i] if j == 0 else was(starts, ends, slopes, slopes_end, i, dt, k - j / steps)
-    return (1.0 - f) * new + f * was(starts, ends, slopes, slopes_end, i, dt,
-                                     k - (j + 1) / steps)
-
-
-@njit(nogil=True)
-def forced(mode, slow, states, ends, slopes, slopes_end, memories, u, p1, p2, dt, steps, theta, w, lag,
-           shortest, terms, kinds, thetas, circuits, which, has_update, has_place, inverse, gains, e,
-           node_g, shown):
-    """Write what drives the lanes: differences of the rates at two nodes, and of the sensors.
-
-    Parameters
-    ----------
-    states, ends : (n, N_FILTERED) after and before each correction; slopes of the first five.
-    memories : (n, 3, E, 2) of the model at hand, or (1, ...) where none remembers.
-    kinds, thetas, circuits, which : (L,), (L, N_THETA), (L, N_CIRCUIT), (L,) of the lanes' models.
-    inverse : (L,) one over each lane's step.
-    node_g : (n, 2, N_RATES, L), shown : (n, N_OUTPUTS, L) written, over the step.
-    """
-    n, lanes = states.shape[0], len(kinds)
-    s, c, out = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS), np.zeros(N_RATES)
-    plus, minus = np.zeros(N_RATES), np.zeros(N_RATES)
-    other = np.zeros(N_CONTRIBUTIONS)
-    each = np.zeros((len(terms), N_CONTRIBUTIONS))
-    y, unknown = np.zeros(N_MOVED), np.zeros(3)
-    per_turn = np.zeros(N_RATES)
-    effects = memories.shape[2]
-    memory = np.zeros((effects, 2))
-    own = np.zeros((lanes, effects if has_update.any() else 1, 2))
-    spinning = np.zeros(lanes)  # speed of lanes whose drive lags where the model's does not
-    before_wanted = np.zeros(lanes)
-    for k in range(n):
-        # ---- what the sensors show of the state before its correction
-        t = k * dt
-        if mode != FORCED:
-            for lane in range(lanes):
-                if kinds[lane] == TERM:
-                    continue
-                for j in range(4):
-                    if kinds[lane] == BASE or j == 1:
-                        continue
-                    place = POSITION_DELAY if j == 0 else PRESSURE_DELAY
-                    there = late_by(states, ends, slopes, slopes_end, j, k,
-                                    circuits[lane, place], dt, steps)
-                    here = late_by(states, ends, slopes, slopes_end, j, k, w[place], dt, steps)
-                    shown[k, j, lane] = (
-                        shown_by(j, t, there, 0.0, there, circuits[lane])
-                        - shown_by(j, t, here, 0.0, here, w)) * inverse[lane]
-                if slow and mode == CLOSED:
-                    continue
-                value = told(u, k, 0.0, w[COMMAND_DELAY], dt)
-                there = told(u, k, 0.0, circuits[lane, COMMAND_DELAY], dt)
-                if mode == CLOSED:
-                    late = late_by(states, ends, slopes, slopes_end, 0, k, w[FEEDBACK_DELAY], dt, steps)
-                    value = wanted_speed(value, late, theta, w)
-                    late = late_by(states, ends, slopes, slopes_end, 0, k,
-                                   circuits[lane, FEEDBACK_DELAY], dt, steps)
-                    there = wanted_speed(there, late, thetas[lane], circuits[lane])
-                    if lags(circuits[lane]):
-                        if k == 0:
-                            spinning[lane] = there
-                        there = spinning[lane]
-                        for j in range(N_OUTPUTS):  # gains correct its speed too
-                            if math.isfinite(e[k, j]):
-                                spinning[lane] += gains[min(k, gains.shape[0] - 1), Y_OMEGA, j] * (
-                                    e[k, j])
-                shown[k, 4, lane] = (there - value) * inverse[lane]
-        if k == n - 1:
-            break
-        for i in range(3):
-            unknown[i] = states[k, N_MOVED + i]
-        if memories.shape[0] > 1:
-            memory[:] = memories[k, 0]
-        for lane in range(lanes):
-            if kinds[lane] == TERM and has_place[lane]:
-                own[lane, which[lane], 1] += states[k, 0] - ends[k, 0]
-        last_f = 0.0
-        for node in range(3):  # two nodes, and the end for what is remembered
-            f = EARLY if node == 0 else (LATE if node == 1 else 1.0)
-            t = (k + f) * dt
-            for i in range(N_MOVED):
-                y[i] = between(states[k, i], ends[k + 1, i], slopes[k, i], slopes_end[k + 1, i],
-                               dt, f)
-            if mode == FORCED:
-                y[2], y[3] = (1.0 - f) * p1[k] + f * p1[k + 1], (1.0 - f) * p2[k] + f * p2[k + 1]
-            value = told(u, k, f, w[COMMAND_DELAY], dt)
-            behind = 0.0
-            if w[FEEDBACK_DELAY] > 0.0:
-                behind = (was(states, ends, slopes, slopes_end, 0, dt,
-                              k + f - w[FEEDBACK_DELAY] / dt)
-                          - y[0] + w[FEEDBACK_DELAY] * y[1])
-            if node < 2:
-                turning = course(mode, slow, y, unknown, t, value, behind, theta, w, lag, terms,
-                                 memory, s, c, out)
-                for i in range(len(terms)):
-                    contribute(s, theta, terms[i : i + 1], memory, each[i])
-                per_turn_at(mode, value, y, turning, unknown, theta, terms, memory, s, c, plus,
-                            minus, per_turn)
-                s[OMEGA] = turning if mode != FORCED else 0.0
-                g = node_g[k, node]
-            else:
-                s[T], s[X], s[V], s[P1], s[P2] = t, y[0], y[1], y[2], y[3]
-            for lane in range(lanes):
-                if kinds[lane] == TERM:
-                    place = which[lane]
-                    if node < 2:
-                        contribute(s, thetas[lane], which[lane : lane + 1], own[lane], other)
-                        for i in range(N_CONTRIBUTIONS):
-                            other[i] += c[i]
-                        for r in range(len(terms)):
-                            if terms[r] == place:
-                                for i in range(N_CONTRIBUTIONS):
-                                    other[i] -= each[r, i]
-                        rest(mode, value, y, s[OMEGA], unknown, theta, other, plus)
-                        for r in range(3):
-                            g[r, lane] = (plus[r] - out[r]) * inverse[lane]
-                    if node > 0 and has_update[lane]:
-                        remembered(s, thetas[lane], which[lane : lane + 1], (f - last_f) * dt,
-                                   own[lane])
-                elif node < 2 and kinds[lane] == BASE and which[lane] >= 0:
-                    rest(mode, value, y, turning, unknown, thetas[lane], c, plus)
-                    for r in range(3):
-                        g[r, lane] = (plus[r] - out[r]) * inverse[lane]
-                if kinds[lane] == CIRCUIT or (kinds[lane] == BASE and which[lane] < 0):
-                    if mode == FORCED:
-                        continue
-                    there = told(u, k, f, circuits[lane, COMMAND_DELAY], dt)
-                    if mode == CLOSED:
-                        late = y[0]
-                        delay = circuits[lane, FEEDBACK_DELAY]
-                        if delay > 0.0:
-                            late = was(states, ends, slopes, slopes_end, 0, dt, k + f - delay / dt)
-                        there = wanted_speed(there, late, thetas[lane], circuits[lane])
-                        if slow:
-                            if node < 2:
-                                g[3, lane] = (drive_rate(
-                                    there, y[4], max(circuits[lane, DRIVE_LAG], shortest),
-                                    circuits[lane, SLEW_LIMIT]) - out[3]) * inverse[lane]
-                            continue
-                        if lags(circuits[lane]):
-                            if k == 0 and node == 0:
-                                before_wanted[lane] = there
-                            spinning[lane] = followed(
-                                spinning[lane], before_wanted[lane], there, (f - last_f) * dt,
-                                max(circuits[lane, DRIVE_LAG], shortest),
-                                circuits[lane, SLEW_LIMIT])
-                            before_wanted[lane] = there
-                            there = spinning[lane]
-                    if node < 2:
-                        change = (there + unknown[2] - turning) * inverse[lane]
-                        for r in range(3):
-                            g[r, lane] = per_turn[r] * change
-            last_f = f
-
-
-@njit(forceinline=True)
-def lags(w):
-    """Tell whether a drive is slow."""
-    return w[DRIVE_LAG] > 0.0 or w[SLEW_LIMIT] < np.inf
-
-
-@njit
-def followed(omega, before, wanted, h, lag, slew):
-    """Return the speed of a lagging drive after ``h`` s of a wanted speed that is linear in time."""
-    slope = (wanted - before) / h
-    target = wanted - slope * lag + (omega - before + slope * lag) * math.exp(-h / lag)
-    limit = slew * h
-    return omega + min(max(target - omega, -limit), limit)
-
-
-@njit
-def per_turn_at(mode, value, y, turning, unknown, theta, terms, memory, s, c, plus, minus, out):
-    """Write the rates' derivative by the shaft's speed; the contributions ``c`` are left."""
-    out[:] = 0.0
-    if mode == FORCED:
-        return
-    d = 1e-3 * (1.0 + abs(turning))
-    kept = c.copy()
-    for side in range(2):
-        moved = turning + (d if side == 0 else -d)
-        if len(terms):
-            s[OMEGA] = moved
-            contribute(s, theta, terms, memory, c)
-        rest(mode, value, y, moved, unknown, theta, c, plus if side == 0 else minus)
-    c[:] = kept
-    for r in range(3):
-        out[r] = (plus[r] - minus[r]) / (2.0 * d)
+SUDDEN, STIFF, SPRING = 0.02, 0.1, 1e-3
 
 
 @njit(forceinline=True)
 def kicked(jac, constant, dt, matrix, right, kick):
-    """Write the kick (S - 1), (N_RATES, N_FILTERED), of what the rates' Jacobian has beyond.
+    """Write the kick S - 1, (N_RATES, N_FILTERED), of what the rates' Jacobian has beyond.
 
     S = (1 - Z + Z^2/2)^-1 with Z = dt (J - J0): of second order, and nothing that is stiff stays.
     """
@@ -510,128 +148,12 @@ def kicked(jac, constant, dt, matrix, right, kick):
             kick[i, j] = value * pivot
 
 
-@njit(nogil=True)
-def carried_on(e, gains, role, decay, dt, theta, areas, shifts, w, shaft, phi, gamma, half,
-               half_gamma, jacs, constant, node_g, shown, used, out):
-    """Carry all lanes along; write the innovations' tangents.
-
-    Parameters
-    ----------
-    areas : (L,) what each lane's parameter does to (A1 + A2)/M.
-    shaft : (n, N_FILTERED) the shown speed's derivative by the state.
-    phi, gamma : (N, N), (2, N, N_RATES) of a sample; ``half``, ``half_gamma`` up to its middle.
-    jacs : (n, N_RATES, N_FILTERED) rates' Jacobians, or (0, ...) where they are ``constant``.
-    out : (n, len(used), L) written, NaN where nothing was measured.
-    """
-    n, lanes = e.shape[0], areas.shape[0]
-    delta, other = np.zeros((N_FILTERED, lanes)), np.zeros((N_FILTERED, lanes))
-    middle = np.zeros((N_FILTERED, lanes))
-    depth = 2 + int(math.ceil(max(w[POSITION_DELAY], w[PRESSURE_DELAY], 0.0) / dt))
-    old_start, old_end = np.zeros((depth, 4, lanes)), np.zeros((depth, 4, lanes))
-    matrix, right = np.zeros((N_RATES, N_RATES)), np.zeros((N_RATES, N_FILTERED))
-    kick = np.zeros((N_RATES, N_FILTERED))
-    row, taken = np.zeros(lanes), np.zeros(lanes)
-    varying = jacs.shape[0] > 0
-    for k in range(n):
-        gain = gains[min(k, gains.shape[0] - 1)]
-        for i in range(4):
-            old_end[k % depth, i] = delta[i]
-        for i in range(N_FILTERED):
-            other[i] = delta[i]
-        both = role[k] > 0.0 and math.isfinite(e[k, 2]) and math.isfinite(e[k, 3])
-        for place in range(len(used)):
-            j = used[place]
-            if not math.isfinite(e[k, j]):
-                out[k, place] = math.nan
-                continue
-            for lane in range(lanes):
-                row[lane] = shown[k, j, lane]
-            if j == 4:
-                for i in range(N_FILTERED):
-                    value = shaft[k, i]
-                    if value != 0.0:
-                        for lane in range(lanes):
-                            row[lane] += value * delta[i, lane]
-            elif j == 1:
-                for lane in range(lanes):
-                    row[lane] += delta[1, lane]
-            else:
-                scale = 1.0 + (w[POSITION_SCALE] if j == 0 else (
-                    w[PRESSURE_SCALE_1] if j == 2 else w[PRESSURE_SCALE_2]))
-                delay = w[POSITION_DELAY] if j == 0 else w[PRESSURE_DELAY]
-                if delay <= 0.0 or k == 0:
-                    ahead = -delay if j == 0 else 0.0
-                    for lane in range(lanes):
-                        row[lane] += scale * (delta[j, lane] + ahead * delta[1, lane])
-                else:
-                    since = min(k - delay / dt, float(k))
-                    first = max(min(math.floor(since), k - 1), 0)
-                    f = max(since - first, 0.0)
-                    for lane in range(lanes):
-                        a, b = old_start[first % depth, j, lane], old_end[(first + 1) % depth, j,
-                                                                          lane]
-                        if j == 0:
-                            value = between(a, b, old_start[first % depth, 1, lane],
-                                            old_end[(first + 1) % depth, 1, lane], dt, f)
-                        else:
-                            value = a + f * (b - a)
-                        row[lane] += scale * value
-            for lane in range(lanes):
-                out[k, place, lane] = -row[lane]
-            if role[k] == FREE:
-                continue
-            for i in range(N_FILTERED):
-                value = -gain[i, j]
-                if value != 0.0:
-                    for lane in range(lanes):
-                        other[i, lane] += value * row[lane]
-            if both and (j == 2 or j == 3):
-                sign = 1.0 if j == 2 else -1.0
-                for lane in range(lanes):
-                    taken[lane] = (taken[lane] if j == 3 else 0.0) - sign * row[lane]
-        if both:
-            for lane in range(lanes):
-                value = 0.5 * role[k] * (taken[lane] - (other[Y_P1, lane] - delta[Y_P1, lane])
-                                         + other[Y_P2, lane] - delta[Y_P2, lane])
-                other[Y_P1, lane] += value
-                other[Y_P2, lane] -= value
-                other[Y_V, lane] += 0.5 * dt * (
-                    value * (theta[AREA_1] + theta[AREA_2]) / theta[M]
-                    + shifts[k] * areas[lane])
-        for i in range(4):
-            old_start[k % depth, i] = other[i]
-        if k == n - 1:
-            break
-        g = node_g[k]
-        pushed(other, phi, gamma, g, delta)
-        if varying:
-            pushed(other, half, half_gamma, g, middle)
-            kicked(jacs[k], constant, dt, matrix, right, kick)
-            for r in range(N_RATES):
-                for lane in range(lanes):
-                    row[lane] = 0.0
-                for i in range(N_FILTERED):
-                    value = kick[r, i]
-                    if value != 0.0:
-                        for lane in range(lanes):
-                            row[lane] += value * middle[i, lane]
-                for i in range(N_MOVED):
-                    value = half[i, 1 + r]
-                    if value != 0.0:
-                        for lane in range(lanes):
-                            delta[i, lane] += value * row[lane]
-        for i in range(Y_FORCE, N_FILTERED):
-            for lane in range(lanes):
-                delta[i, lane] = decay * other[i, lane]
-
-
 @njit
 def pushed(start, phi, gamma, g, end):
-    """Write Phi start + Gamma g of the moved states."""
+    """Write Phi start + Gamma g of the moved states, the others as they are."""
     lanes = start.shape[1]
     for i in range(N_MOVED):
-        a = phi[i]
-        b, d = gamma[0, i], gamma[1, i]
+        a, b, d = phi[i], gamma[0, i], gamma[1, i]
         for lane in range(lanes):
             end[i, lane] = (
                 a[0] * start[0, lane] + a[1] * start[1, lane] + a[2] * start[2, lane]
@@ -647,52 +169,315 @@ def pushed(start, phi, gamma, g, end):
             end[i, lane] = start[i, lane]
 
 
-@njit(nogil=True)
-def jacobians(mode, slow, states, ends, slopes, slopes_end, memories, u, p1, p2, dt, theta, w,
-              lag, terms, size, every, jacs):
-    """Write the rates' Jacobians in the middle of each ``every``-th sample."""
-    n = states.shape[0]
-    s, c = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS)
-    up, down = np.zeros(N_RATES), np.zeros(N_RATES)
-    y, unknown, span = np.zeros(N_MOVED), np.zeros(3), np.zeros(N_FILTERED)
-    memory = np.zeros((memories.shape[2], 2))
-    for at in range(jacs.shape[0]):
-        k = min(at * every, n - 2)
+@njit
+def stepped(model, motion, lanes, k, delta, kept, turned, size, memory, room, scratch):
+    """Carry delta (N_FILTERED, L) over sample k by the tangent of each Runge-Kutta step.
+
+    Parameters
+    ----------
+    kept : (E, 2, L) tangents of the effects' memories, carried on.
+    turned : (2, L) of :func:`driven` at both nodes.
+    size : (N_FILTERED,) of the states.
+    """
+    count, remembering = len(lanes.kinds), len(model.updates)
+    h = model.dt / model.steps
+    s, c, out = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS), np.zeros(N_RATES)
+    work, up, down = np.zeros(N_RATES), np.zeros(N_RATES), np.zeros(N_RATES)
+    faster, jac = np.zeros(N_RATES), np.zeros((N_RATES, N_FILTERED))
+    by_memory = np.zeros((remembering, 2, N_RATES))
+    y, at, unknown = np.zeros(N_MOVED), np.zeros(N_MOVED), np.zeros(3)
+    slope, total = np.zeros(N_MOVED), np.zeros(N_MOVED)
+    span = np.zeros(N_FILTERED)
+    g = np.zeros((N_RATES, count))
+    inside, rate = np.zeros((N_FILTERED, count)), np.zeros((N_MOVED, count))
+    whole, now = np.zeros((N_MOVED, count)), np.zeros(count)
+    for i in range(N_FILTERED):
+        span[i] = 1e-7 * size[i]
+    for i in range(N_MOVED):
+        y[i] = motion.states[k, i]
+    for i in range(3):
+        unknown[i] = motion.states[k, N_MOVED + i]
+    recall(model, motion, k, memory)
+    for step in range(model.steps):
+        total[:], whole[:] = 0.0, 0.0
+        for stage in range(4):
+            offset = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+            f = (step + offset) / model.steps
+            for i in range(N_MOVED):
+                at[i] = y[i] + offset * h * slope[i] if stage > 0 else y[i]
+            for i in range(N_FILTERED):
+                for lane in range(count):
+                    inside[i, lane] = delta[i, lane]
+                if stage > 0 and i < N_MOVED:
+                    for lane in range(count):
+                        inside[i, lane] += offset * h * rate[i, lane]
+            if model.mode == FORCED:
+                at[2] = (1.0 - f) * motion.p1[k] + f * motion.p1[k + 1]
+                at[3] = (1.0 - f) * motion.p2[k] + f * motion.p2[k + 1]
+            value, behind = inputs_at(model, motion, k, f, at[0], at[1])
+            t = (k + f) * model.dt
+            jacobian(model, at, unknown, span, t, value, behind, memory, s, c, up, down, jac)
+            for e in range(remembering):
+                for m in range(2):
+                    which = model.updates[e]
+                    was = memory[which, m]
+                    d = 1e-7 * (abs(was) + (1e-6 if m == 0 else size[0]))
+                    memory[which, m] = was + d
+                    course(model, at, unknown, t, value, behind, memory, s, c, up)
+                    memory[which, m] = was - d
+                    course(model, at, unknown, t, value, behind, memory, s, c, down)
+                    memory[which, m] = was
+                    for r in range(N_RATES):
+                        by_memory[e, m, r] = (up[r] - down[r]) / (2.0 * d)
+            turning = course(model, at, unknown, t, value, behind, memory, s, c, out)
+            for r in range(N_RATES):
+                faster[r] = jac[r, Y_SPEED]
+            along = (f - EARLY) / (LATE - EARLY)
+            for lane in range(count):
+                now[lane] = turned[0, lane] + along * (turned[1, lane] - turned[0, lane])
+            apart(model, lanes, value, at, turning, unknown, now, faster, scratch, s, c, out,
+                  room, work, g)
+            weight = 1.0 if stage == 0 or stage == 3 else 2.0
+            slope[0] = at[1]
+            for r in range(N_RATES):
+                slope[1 + r] = out[r]
+            for i in range(N_MOVED):
+                total[i] += weight * slope[i]
+            for lane in range(count):
+                rate[0, lane] = inside[1, lane]
+            for r in range(N_RATES):
+                for lane in range(count):
+                    rate[1 + r, lane] = g[r, lane]
+                for i in range(N_FILTERED):
+                    share = jac[r, i]
+                    if share != 0.0:
+                        for lane in range(count):
+                            rate[1 + r, lane] += share * inside[i, lane]
+                for e in range(remembering):
+                    for m in range(2):
+                        share = by_memory[e, m, r]
+                        if share != 0.0:
+                            for lane in range(count):
+                                rate[1 + r, lane] += share * kept[e, m, lane]
+            for i in range(N_MOVED):
+                for lane in range(count):
+                    whole[i, lane] += weight * rate[i, lane]
         for i in range(N_MOVED):
-            y[i] = between(states[k, i], ends[k + 1, i], slopes[k, i], slopes_end[k + 1, i], dt,
-                           0.5)
-            span[i] = max(TINY * size[i], 0.5 * abs(ends[k + 1, i] - states[k, i]))
-        for i in range(3):
-            unknown[i] = states[k, N_MOVED + i]
-            span[N_MOVED + i] = 1e-3 * size[N_MOVED + i]
-        if mode == FORCED:
-            y[2], y[3] = 0.5 * (p1[k] + p1[k + 1]), 0.5 * (p2[k] + p2[k + 1])
-        if memories.shape[0] > 1:
-            memory[:] = memories[k, 0]
-        value = told(u, k, 0.5, w[COMMAND_DELAY], dt)
-        behind = 0.0
-        if w[FEEDBACK_DELAY] > 0.0:
-            behind = (was(states, ends, slopes, slopes_end, 0, dt,
-                          k + 0.5 - w[FEEDBACK_DELAY] / dt) - y[0] + w[FEEDBACK_DELAY] * y[1])
-        jacobian(mode, slow, y, unknown, span, (k + 0.5) * dt, value, behind, theta, w, lag,
-                 terms, memory, s, c, up, down, jacs[at])
+            y[i] += h / 6.0 * total[i]
+            for lane in range(count):
+                delta[i, lane] += h / 6.0 * whole[i, lane]
+        if model.mode == FORCED:
+            f = (step + 1.0) / model.steps
+            y[2] = (1.0 - f) * motion.p1[k] + f * motion.p1[k + 1]
+            y[3] = (1.0 - f) * motion.p2[k] + f * motion.p2[k + 1]
+        t = k * model.dt + (step + 1) * h
+        if remembering:
+            tangent_of_memory(model, t, y, h, size, delta, kept, memory, s)
+        remember_all(model, lanes, t, y, h, scratch, s)
+
+
+@njit
+def tangent_of_memory(model, t, y, h, size, delta, kept, memory, s):
+    """Carry the memories over ``h`` s that have ended at the state ``y``, and their tangents."""
+    count = delta.shape[1]
+    ends, derivative = np.zeros((2, 2)), np.zeros((2, 6))
+    s[T] = t
+    fresh = np.zeros((2, count))
+    for e in range(len(model.updates)):
+        one = model.updates[e : e + 1]
+        which = model.updates[e]
+        first, second = memory[which, 0], memory[which, 1]
+        for i in range(6):
+            for side in range(2):
+                s[X], s[V], s[P1], s[P2] = y[0], y[1], y[2], y[3]
+                memory[which, 0], memory[which, 1] = first, second
+                if i < 4:
+                    d = 1e-7 * size[i]
+                    s[X + i] += d if side == 0 else -d
+                else:
+                    d = 1e-7 * (abs(memory[which, i - 4]) + (1e-6 if i == 4 else size[0]))
+                    memory[which, i - 4] += d if side == 0 else -d
+                remembered(s, model.theta, one, h, memory)
+                ends[side] = memory[which]
+            for m in range(2):
+                derivative[m, i] = (ends[0, m] - ends[1, m]) / (2.0 * d)
+        for m in range(2):
+            for lane in range(count):
+                fresh[m, lane] = (derivative[m, 4] * kept[e, 0, lane]
+                                  + derivative[m, 5] * kept[e, 1, lane])
+            for i in range(4):
+                share = derivative[m, i]
+                if share != 0.0:
+                    for lane in range(count):
+                        fresh[m, lane] += share * delta[i, lane]
+        kept[e] = fresh
+        s[X], s[V], s[P1], s[P2] = y[0], y[1], y[2], y[3]
+        memory[which, 0], memory[which, 1] = first, second
+        remembered(s, model.theta, one, h, memory)
 
 
 @njit(nogil=True)
-def shafts(mode, slow, states, ends, slopes, slopes_end, u, dt, steps, theta, w, shaft):
-    """Write the shown speed's derivative by the state before each correction."""
-    for k in range(states.shape[0]):
-        shaft[k, Y_SPEED] = 1.0
-        if mode == CLOSED and slow:
-            shaft[k, Y_OMEGA] = 1.0
-        elif mode == CLOSED:
-            value = told(u, k, 0.0, w[COMMAND_DELAY], dt)
-            late = late_by(states, ends, slopes, slopes_end, 0, k, w[FEEDBACK_DELAY], dt, steps)
-            d = 1e-7
-            slope = (wanted_speed(value, late + d, theta, w)
-                     - wanted_speed(value, late - d, theta, w)) / (2.0 * d)
-            shaft[k, Y_X] = slope
-            shaft[k, Y_V] = -slope * w[FEEDBACK_DELAY]
+def carried_on(model, motion, lanes, e, gains, role, decay, areas, shifts, shaft, phi, gamma,
+               half, half_gamma, jacs, constant, hard, size, memory, scratch, used, out):
+    """Carry all lanes along; write the innovations' tangents.
+
+    Parameters
+    ----------
+    areas : (L,) what each lane's parameter does to (A1 + A2)/M.
+    shaft : (n, N_FILTERED) of :func:`shafts`.
+    phi, gamma : (N, N), (2, N, N_RATES) of a sample; ``half``, ``half_gamma`` up to its middle.
+    jacs : (n, N_RATES, N_FILTERED) rates' Jacobians, or (0, ...) where they are ``constant``.
+    hard : (n,) bool, samples that are gone through step by step.
+    memory, scratch : (N_EFFECTS, 2) scratch.
+    out : (n, len(used), L) written, NaN where nothing was measured.
+    """
+    n, count, w, dt = e.shape[0], len(lanes.kinds), model.w, model.dt
+    delta, other = np.zeros((N_FILTERED, count)), np.zeros((N_FILTERED, count))
+    middle, kept = np.zeros((N_FILTERED, count)), np.zeros((len(model.updates), 2, count))
+    depth = 2 + int(math.ceil(max(w[POSITION_DELAY], w[PRESSURE_DELAY], 0.0) / dt))
+    old_start, old_end = np.zeros((depth, 4, count)), np.zeros((depth, 4, count))
+    matrix, right = np.zeros((N_RATES, N_RATES)), np.zeros((N_RATES, N_FILTERED))
+    kick, row = np.zeros((N_RATES, N_FILTERED)), np.zeros(count)
+    shown, turned = np.zeros((N_OUTPUTS, count)), np.zeros((2, count))
+    g, taken = np.zeros((2, N_RATES, count)), np.zeros(count)
+    s, c, rates = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS), np.zeros(N_RATES)
+    room, work = np.zeros((2, N_CONTRIBUTIONS)), np.zeros(N_RATES)
+    plus, minus, faster = np.zeros(N_RATES), np.zeros(N_RATES), np.zeros(N_RATES)
+    y, unknown = np.zeros(N_MOVED), np.zeros(3)
+    varying, drives = jacs.shape[0] > 0, (lanes.kinds == 1).any()
+    for k in range(n):
+        gain = gains[min(k, gains.shape[0] - 1)]
+        for i in range(4):
+            old_end[k % depth, i] = delta[i]
+        if drives:
+            sensed(model, motion, lanes, k, gain, e[k], shown)
+        for i in range(N_FILTERED):
+            other[i] = delta[i]
+        both = role[k] > 0.0 and math.isfinite(e[k, 2]) and math.isfinite(e[k, 3])
+        for place in range(len(used)):
+            j = used[place]
+            if not math.isfinite(e[k, j]):
+                out[k, place] = math.nan
+                continue
+            for lane in range(count):
+                row[lane] = shown[j, lane]
+            if j == 4:
+                for i in range(N_FILTERED):
+                    value = shaft[k, i]
+                    if value != 0.0:
+                        for lane in range(count):
+                            row[lane] += value * delta[i, lane]
+            elif j == 1:
+                for lane in range(count):
+                    row[lane] += delta[1, lane]
+            else:
+                scale = 1.0 + (w[POSITION_SCALE] if j == 0 else (
+                    w[PRESSURE_SCALE_1] if j == 2 else w[PRESSURE_SCALE_2]))
+                delay = w[POSITION_DELAY] if j == 0 else w[PRESSURE_DELAY]
+                if delay <= 0.0 or k == 0:
+                    ahead = -delay if j == 0 else 0.0
+                    for lane in range(count):
+                        row[lane] += scale * (delta[j, lane] + ahead * delta[1, lane])
+                else:
+                    since = k - delay / dt
+                    first = max(min(math.floor(since), k - 1), 0)
+                    f = max(since - first, 0.0)
+                    a, b = old_start[first % depth], old_end[(first + 1) % depth]
+                    for lane in range(count):
+                        if j == 0:
+                            value = between(a[0, lane], b[0, lane], a[1, lane], b[1, lane], dt, f)
+                        else:
+                            value = a[j, lane] + f * (b[j, lane] - a[j, lane])
+                        row[lane] += scale * value
+            for lane in range(count):
+                out[k, place, lane] = -row[lane]
+            if role[k] == FREE:
+                continue
+            for i in range(N_FILTERED):
+                value = -gain[i, j]
+                if value != 0.0:
+                    for lane in range(count):
+                        other[i, lane] += value * row[lane]
+            if both and (j == 2 or j == 3):
+                for lane in range(count):
+                    taken[lane] = -row[lane] if j == 2 else taken[lane] + row[lane]
+        if both:
+            for lane in range(count):
+                value = 0.5 * role[k] * (taken[lane] - (other[Y_P1, lane] - delta[Y_P1, lane])
+                                         + other[Y_P2, lane] - delta[Y_P2, lane])
+                other[Y_P1, lane] += value
+                other[Y_P2, lane] -= value
+                other[Y_V, lane] += 0.5 * dt * (
+                    value * (model.theta[AREA_1] + model.theta[AREA_2]) / model.theta[M]
+                    + shifts[k] * areas[lane])
+        for i in range(len(model.updates)):  # remembered places move with the position
+            for which in model.places:
+                if which == model.updates[i]:
+                    for lane in range(count):
+                        kept[i, 1, lane] += other[0, lane] - delta[0, lane]
+        for i in range(4):
+            old_start[k % depth, i] = other[i]
+        if k == n - 1:
+            break
+        # ---- over the sample
+        shift_all(lanes, motion.states[k, 0] - motion.ends[k, 0])
+        for i in range(3):
+            unknown[i] = motion.states[k, N_MOVED + i]
+        recall(model, motion, k, memory)
+        slow_way = varying and hard[k]
+        since = 0.0
+        for node in range(3):
+            f = EARLY if node == 0 else (LATE if node == 1 else 1.0)
+            state_at(motion, dt, k, f, y)
+            if drives:
+                driven(model, motion, lanes, k, f, since, y[0], y[1], y[4],
+                       turned[node] if node < 2 else row)
+            since = f
+            if node == 2 or slow_way:
+                continue
+            if model.mode == FORCED:
+                y[2] = (1.0 - f) * motion.p1[k] + f * motion.p1[k + 1]
+                y[3] = (1.0 - f) * motion.p2[k] + f * motion.p2[k + 1]
+            t = (k + f) * dt
+            value, behind = inputs_at(model, motion, k, f, y[0], y[1])
+            turning = course(model, y, unknown, t, value, behind, memory, s, c, rates)
+            if drives:
+                per_turn(model, value, y, turning, unknown, memory, s, c, room[0], plus, minus,
+                         faster)
+            apart(model, lanes, value, y, s[OMEGA] if model.mode == FORCED else turning, unknown,
+                  turned[node], faster, scratch, s, c, rates, room, work, g[node])
+            if node == 1:
+                remember_all(model, lanes, t, y, f * dt, scratch, s)
+                state_at(motion, dt, k, 1.0, y)
+                remember_all(model, lanes, (k + 1) * dt, y, (1.0 - f) * dt, scratch, s)
+        if slow_way:
+            for i in range(N_FILTERED):
+                delta[i] = other[i]
+            stepped(model, motion, lanes, k, delta, kept, turned, size, memory, room, scratch)
+        else:
+            pushed(other, phi, gamma, g, delta)
+        if varying and not slow_way:
+            pushed(other, half, half_gamma, g, middle)
+            kicked(jacs[k], constant, dt, matrix, right, kick)
+            for r in range(N_RATES):
+                for lane in range(count):
+                    row[lane] = 0.0
+                for i in range(N_FILTERED):
+                    value = kick[r, i]
+                    if value != 0.0:
+                        for lane in range(count):
+                            row[lane] += value * middle[i, lane]
+                for i in range(N_MOVED):
+                    value = half[i, 1 + r]
+                    if value != 0.0:
+                        for lane in range(count):
+                            delta[i, lane] += value * row[lane]
+            if len(model.updates):
+                state_at(motion, dt, k, 1.0, y)
+                tangent_of_memory(model, (k + 1) * dt, y, dt, size, delta, kept, memory, s)
+        for i in range(Y_FORCE, N_FILTERED):
+            for lane in range(count):
+                delta[i, lane] = decay * other[i, lane]
 
 
-__all__ = ["BASE", "CIRCUIT", "N_BASE", "TERM", "Y_FLOW"]
+__all__ = ["X", "Y_OMEGA"]

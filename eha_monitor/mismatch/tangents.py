@@ -10,21 +10,35 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.mismatch import tangent_pass as pass_
 from eha_monitor.mismatch.experiment import Experiment, Stretch
-from eha_monitor.mismatch.fit import Fit, filtered, spread, step_of
+from eha_monitor.mismatch.fit import Fit, spread, start_of, step_of
 from eha_monitor.mismatch.gains import decay_of
-from eha_monitor.mismatch.innovations import CLOSED, N_FILTERED
+from eha_monitor.mismatch.innovations import CLOSED, N_FILTERED, innovate
+from eha_monitor.mismatch.tangent_lanes import BALANCE, DRIVE, TERM, Lanes
+from eha_monitor.mismatch.tangent_motion import (
+    EARLY,
+    LATE,
+    N_MOVED,
+    N_RATES,
+    Model,
+    Motion,
+    before_corrections,
+    jacobians,
+    lags,
+    slopes_along,
+)
+from eha_monitor.mismatch.tangent_pass import carried_on, shafts, turns_over
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import (
     N_EFFECTS,
     circuit_of,
+    new_memory,
     with_place,
     with_term,
     with_update,
 )
 from eha_monitor.physics.effects import NAMES
-from eha_monitor.physics.plant import N_OUTPUTS, SHORTEST_LAG
+from eha_monitor.physics.plant import N_OUTPUTS, SHORTEST_LAG, new_past
 
 LANES = 32  # that one pass carries
 POINTS = 64  # of a stretch, at which the constant Jacobian is looked for
@@ -93,96 +107,94 @@ class Track:
     def __init__(self, experiment: Experiment, fit: Fit, stretch: Stretch):
         theta, active = fit.theta, fit.active
         self.experiment, self.fit, self.stretch = experiment, fit, stretch
-        self.e, self.states = filtered(experiment, stretch, theta, active, fit.gains, states=True)
+        dt, mode, n = experiment.dt, experiment.mode, len(stretch)
+        self.role = np.zeros(n) if stretch.loose is None else stretch.loose
+        w = circuit_of(theta, active)
+        slow = bool(mode == CLOSED and lags(w))
+        shortest = SHORTEST_LAG * dt / experiment.steps
+        updates = with_update(active)
+        self.model = Model(mode, dt, experiment.steps, theta, w, slow,
+                           max(w[s.DRIVE_LAG], shortest), shortest, with_term(active), updates,
+                           with_place(active))
+        self.e, states = np.empty((n, N_OUTPUTS)), np.zeros((n, N_FILTERED + 2 * len(updates)))
+        y = start_of(experiment, stretch)
+        innovate(stretch.z, stretch.u, stretch.p1, stretch.p2, mode, dt, experiment.steps, theta,
+                 active, fit.gains, decay_of(experiment), y, new_memory(), new_past(y), self.role,
+                 self.e, states)
         self.astray = not np.nanmax(np.abs(self.e), initial=0.0) < 1e29
         if self.astray:
             return
-        dt, mode = experiment.dt, experiment.mode
-        self.role = np.zeros(len(stretch)) if stretch.loose is None else stretch.loose
-        self.w = circuit_of(theta, active)
-        self.slow = bool(mode == CLOSED and pass_.lags(self.w))
-        self.shortest = SHORTEST_LAG * dt / experiment.steps
-        self.lag = max(self.w[s.DRIVE_LAG], self.shortest)
-        self.terms, updates = with_term(active), with_update(active)
-        n = len(stretch)
-        self.ends, self.shifts = np.empty((n, N_FILTERED)), np.zeros(n)
-        pass_.predicted_states(self.states, self.e, fit.gains, self.role, dt, theta, self.ends,
-                               self.shifts)
-        self.slopes, self.slopes_end = np.empty((2, n, pass_.N_MOVED))
-        self.memories = np.zeros((n if len(updates) else 1, 3, N_EFFECTS, s.MAX_MEMORY))
-        self.motion = (mode, self.slow, self.states, self.ends)
-        pass_.slopes_along(*self.motion, stretch.u, stretch.p1, stretch.p2, dt, theta, self.w,
-                           self.lag, self.terms, with_place(active), updates, self.slopes,
-                           self.slopes_end, self.memories)
-        self.motion += (self.slopes, self.slopes_end)
+        ends, self.shifts = np.empty((n, N_FILTERED)), np.zeros(n)
+        before_corrections(states, self.e, fit.gains, self.role, dt, theta, ends, self.shifts)
+        slopes, slopes_end = np.zeros((2, n, N_MOVED))
+        self.motion = Motion(stretch.u, stretch.p1, stretch.p2, states, ends, slopes, slopes_end)
+        slopes_along(self.model, self.motion, new_memory())
         self.linearise()
 
     def linearise(self) -> None:
         """Take the rates' Jacobians: the median, and each sample's where it changes."""
-        fit, stretch, dt = self.fit, self.stretch, self.experiment.dt
-        n = len(stretch)
-        size = np.abs(self.states).max(axis=0) + 1e-12
-        size[5:] = np.maximum(size[5:], 1e-6 * np.array([
-            np.abs(stretch.p1).max() * (fit.theta[s.AREA_1] or 1.0), 1.0, size[4]]))
-        size[6] = max(size[6], 1e-12)
-        given = (*self.motion, self.memories, stretch.u, stretch.p1, stretch.p2, dt, fit.theta,
-                 self.w, self.lag, self.terms, size)
-        varying = len(self.terms) > 0 or np.isfinite(self.w[[s.SPEED_LIMIT, s.SLEW_LIMIT]]).any()
-        self.jacs = np.empty((n if varying else 0, pass_.N_RATES, N_FILTERED))
+        model, motion, steps = self.model, self.motion, self.experiment.steps
+        n, dt = len(self.stretch), model.dt
+        size = np.abs(motion.states[:, :N_FILTERED]).max(axis=0)
+        rate = np.sqrt(np.mean(motion.slopes**2, axis=0))[1:] + 1e-30
+        size[5] = max(size[5], 1e-3 * rate[0] * model.theta[s.M])
+        size[6] = max(size[6], 1e-3 * size[1] * (model.theta[s.AREA_1] or 1.0))
+        size[7] = max(size[7], 1e-3 * size[4])
+        self.size = size + 1e-12
+        varying = len(model.terms) > 0 or np.isfinite(model.w[[s.SPEED_LIMIT, s.SLEW_LIMIT]]).any()
+        self.jacs = np.empty((n if varying else 0, N_RATES, N_FILTERED))
+        self.hard = np.zeros(len(self.jacs), dtype=np.bool_)
         if varying:
-            pass_.jacobians(*given, 1, self.jacs)
-            self.constant = np.median(self.jacs[:: max(n // (8 * POINTS), 1)], axis=0)
+            jacobians(model, motion, self.size, 1e-6, new_memory(), 1, self.jacs)
+            self.constant = np.median(self.jacs[:: max(n // POINTS, 1)], axis=0)
+            turns_over(self.jacs, self.constant, motion, dt, rate, self.hard)
         else:
-            one = np.empty((1, pass_.N_RATES, N_FILTERED))
-            pass_.jacobians(*given, n // 2, one)
+            one = np.empty((1, N_RATES, N_FILTERED))
+            jacobians(model, motion, self.size, 1e-6, new_memory(), 1, one)
             self.constant = one[0]
-        steps = self.experiment.steps
         self.phi, self.gamma = maps_of(self.constant, dt, dt, steps)
         self.half, self.half_gamma = maps_of(self.constant, dt, 0.5 * dt, -(-steps // 2))
         self.shaft = np.zeros((n, N_FILTERED))
         if self.experiment.used[4]:
-            pass_.shafts(*self.motion, stretch.u, dt, steps, fit.theta, self.w, self.shaft)
+            shafts(model, motion, self.shaft)
 
     def carry(self, lanes: Sequence[Lane]) -> np.ndarray:
         """Return the tangents of some lanes, (n, c, len(lanes))."""
-        n, used, fit = len(self.stretch), self.experiment.columns, self.fit
+        n, used, theta = len(self.stretch), self.experiment.columns, self.fit.theta
         out = np.empty((n, len(used), len(lanes)))
         if self.astray:
             out[:] = np.inf
             return out
-        dt, stretch, theta = self.experiment.dt, self.stretch, fit.theta
-        steps = self.experiment.steps
-        kinds, which = np.zeros((2, len(lanes)), dtype=np.int64)
-        for i, lane in enumerate(lanes):
-            (which[i],) = differing(fit, lane) or [0]
-            if which[i] < 0:
-                kinds[i] = pass_.BASE
-                if lane.theta[s.K_POS] == theta[s.K_POS]:
-                    which[i] = 0  # its rates differ, its drive does not
-            else:
-                one = np.arange(N_EFFECTS) == which[i]
-                kinds[i] = pass_.TERM if len(with_term(one)) else pass_.CIRCUIT
-        thetas = np.array([lane.theta for lane in lanes])
-        circuits = np.array([circuit_of(lane.theta, lane.active) for lane in lanes])
-        flags = [[len(has(np.arange(N_EFFECTS) == place)) > 0 and kind == pass_.TERM
-                  for place, kind in zip(which, kinds, strict=True)]
-                 for has in (with_update, with_place)]
-        inverse = 1.0 / np.array([lane.step for lane in lanes])
-        gone = np.array([pass_.TERM == kind and not lane.active[place] for kind, place, lane in
-                         zip(kinds, which, lanes, strict=True)])
-        assert not gone.any()
-        areas = inverse * ((thetas[:, s.AREA_1] + thetas[:, s.AREA_2]) / thetas[:, s.M]
-                           - (theta[s.AREA_1] + theta[s.AREA_2]) / theta[s.M])
-        node_g = np.zeros((n, 2, pass_.N_RATES, len(lanes)))
-        shown = np.zeros((n, N_OUTPUTS, len(lanes)))
-        pass_.forced(*self.motion, self.memories, stretch.u, stretch.p1, stretch.p2, dt, steps,
-                     theta, self.w, self.lag, self.shortest, self.terms, kinds, thetas, circuits, which,
-                     np.array(flags[0]), np.array(flags[1]), inverse, fit.gains, self.e, node_g,
-                     shown)
-        pass_.carried_on(self.e, fit.gains, self.role, decay_of(self.experiment), dt, theta,
-                         areas, self.shifts, self.w, self.shaft, self.phi, self.gamma, self.half,
-                         self.half_gamma, self.jacs, self.constant, node_g, shown, used, out)
+        made = lanes_of(self.fit, lanes)
+        areas = made.inverse * (
+            (made.thetas[:, s.AREA_1] + made.thetas[:, s.AREA_2]) / made.thetas[:, s.M]
+            - (theta[s.AREA_1] + theta[s.AREA_2]) / theta[s.M])
+        carried_on(self.model, self.motion, made, self.e, self.fit.gains, self.role,
+                   decay_of(self.experiment), areas, self.shifts, self.shaft, self.phi, self.gamma,
+                   self.half, self.half_gamma, self.jacs, self.constant, self.hard, self.size,
+                   new_memory(), new_memory(), used, out)
         return out
+
+
+def lanes_of(fit: Fit, lanes: Sequence[Lane]) -> Lanes:
+    """Return lanes as the compiled pass takes them."""
+    kinds, which = np.zeros((2, len(lanes)), dtype=np.int64)
+    for i, lane in enumerate(lanes):
+        places = differing(fit, lane)
+        which[i] = places[0] if places else 0
+        if which[i] < 0:
+            which[i] = 0
+            kinds[i] = BALANCE if lane.theta[s.K_POS] == fit.theta[s.K_POS] else DRIVE
+        else:
+            kinds[i] = TERM if len(with_term(np.arange(N_EFFECTS) == which[i])) else DRIVE
+    flags = [np.array([kind == TERM and len(has(np.arange(N_EFFECTS) == place)) > 0
+                       for kind, place in zip(kinds, which, strict=True)])
+             for has in (with_update, with_place)]
+    count = len(lanes)
+    return Lanes(kinds, which, np.array([lane.theta for lane in lanes]),
+                 np.array([circuit_of(lane.theta, lane.active) for lane in lanes]), *flags,
+                 1.0 / np.array([lane.step for lane in lanes]), np.zeros((count, 2)),
+                 np.zeros((count, 2)), np.zeros(count), np.zeros(count))
 
 
 def maps_of(jacobian: np.ndarray, dt: float, length: float, steps: int
@@ -191,7 +203,7 @@ def maps_of(jacobian: np.ndarray, dt: float, length: float, steps: int
 
     What drives the rates is linear in time through its values at the two nodes of a sample.
     """
-    size, rates = N_FILTERED, pass_.N_RATES
+    size, rates = N_FILTERED, N_RATES
     whole = np.zeros((size + 2 * rates,) * 2)
     whole[0, s.V - 1] = 1.0  # x' = v
     whole[1 : 1 + rates, :size] = jacobian
@@ -202,6 +214,6 @@ def maps_of(jacobian: np.ndarray, dt: float, length: float, steps: int
         np.eye(len(z)) + z / 4)))
     power = np.linalg.matrix_power(one, steps)[:size]
     constant, ramp = power[:, size : size + rates], power[:, size + rates :] / dt
-    apart = pass_.LATE - pass_.EARLY
-    gamma = np.stack([constant * pass_.LATE - ramp, ramp - constant * pass_.EARLY]) / apart
+    apart = LATE - EARLY
+    gamma = np.stack([constant * LATE - ramp, ramp - constant * EARLY]) / apart
     return np.ascontiguousarray(power[:, :size]), gamma
