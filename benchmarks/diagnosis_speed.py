@@ -87,8 +87,8 @@ def measure(runs: int, lengths: tuple[int, ...], folder: Path, table: Table) -> 
 
 def rival(count: int, folder: Path) -> tuple[list[tuple[str, float, float]], int]:
     """Return (effect, seconds, cost) of simulation fits, and how many the catalogue asks for."""
-    from eha_monitor.mismatch.experiment import experiment_of
-    from eha_monitor.mismatch.screen import possible
+    from eha_monitor.mismatch.data.experiment import experiment_of
+    from eha_monitor.mismatch.name.starts import possible
     from eha_monitor.physics.effects import NAMES
     from eha_monitor.recordings.read import read_recording
     from eha_monitor.settings import load_settings
@@ -112,10 +112,10 @@ def simulation_fit(experiment, name: str, most: int) -> float:
     """Fit B, beta_e and an effect to the free-running simulation; returns rms error in noises."""
     from scipy.optimize import least_squares
 
-    from eha_monitor.mismatch.fit import filtered
-    from eha_monitor.mismatch.gains import Unknowns, gains_of
-    from eha_monitor.mismatch.screen import entered, free_of, starts_of
-    from eha_monitor.mismatch.search import base_free, limits_of
+    from eha_monitor.mismatch.likelihood.fit import filtered
+    from eha_monitor.mismatch.likelihood.gains import Unknowns, gains_of
+    from eha_monitor.mismatch.name.base import base_free, limits_of
+    from eha_monitor.mismatch.name.starts import entered, free_of, starts_of
 
     start = starts_of(name, experiment)[0]
     theta, active = entered(experiment.theta, experiment.active, start)

@@ -17,13 +17,13 @@ from eha_monitor.compiled import CACHE
 from eha_monitor.compiled_cache import shipped
 from eha_monitor.filters.live import LiveEstimator
 from eha_monitor.filters.pipeline import estimate
-from eha_monitor.mismatch.advise import advise
-from eha_monitor.mismatch.experiment import Experiment, experiment_of
-from eha_monitor.mismatch.missing import drive_along, played
+from eha_monitor.mismatch.advise.advice import advise
+from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.diagnose import diagnose
-from eha_monitor.mismatch.rivals import latent_gains
-from eha_monitor.mismatch.search import nominal
-from eha_monitor.mismatch.smooth import smoothed
+from eha_monitor.mismatch.likelihood.along import drive_along, played
+from eha_monitor.mismatch.likelihood.smooth import smoothed
+from eha_monitor.mismatch.locate.latent import latent_gains
+from eha_monitor.mismatch.name.base import nominal
 from eha_monitor.physics.contributions import circuit_of
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.read import read_recording
@@ -67,7 +67,7 @@ def compile_diagnosis(recording: Recording) -> None:
     settings = Settings()
     rubbing = simulated(settings_from_tree(
         {"effects": {"coulomb_friction": {"F_c": 40.0}}}, "compile_all"))
-    diagnose([rubbing], settings, calibrate=False)
+    diagnose([rubbing], settings)
     advise([recording], settings, check=False)
     for names in (("x", "x_d", "omega", "p1", "p2"), ("x", "omega"), ("x", "p1", "p2")):
         part = replace(recording, channels={name: recording.channels[name] for name in names})

@@ -5,10 +5,10 @@ from functools import lru_cache
 
 from eha_monitor.concealed.cases import Case
 from eha_monitor.concealed.generate import nominal_config, recording_of
-from eha_monitor.mismatch.experiment import Experiment, experiment_of
-from eha_monitor.mismatch.fit import Fit
-from eha_monitor.mismatch.screen import screen, starts_of
-from eha_monitor.mismatch.search import first_fit, settle, with_effect
+from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
+from eha_monitor.mismatch.likelihood.fit import Fit
+from eha_monitor.mismatch.name.base import first_fit, settle, with_effect
+from eha_monitor.mismatch.name.starts import screen, starts_of
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.load import settings_from_tree
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from eha_monitor.mismatch.choice import Naming
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
@@ -15,15 +16,14 @@ from eha_monitor.commands.advise import written_excitation
 from eha_monitor.concealed.cases import Case
 from eha_monitor.concealed.generate import nominal_config, recording_of
 from eha_monitor.concealed.motions import triangle
-from eha_monitor.mismatch import advise
-from eha_monitor.mismatch.advise_words import amount, motion_sentence, rounded
-from eha_monitor.mismatch.choice import Naming
-from eha_monitor.mismatch.experiment import experiment_of
-from eha_monitor.mismatch.information import Traces, free_slopes
-from eha_monitor.mismatch.motions import candidates, excitation_tree, limits_for, planned
-from eha_monitor.mismatch.screen import starts_of
-from eha_monitor.mismatch.search import first_fit, settle, with_effect
-from eha_monitor.mismatch.tells import Reading, directions_for, largest_cosine
+from eha_monitor.mismatch.advise import advice as advise
+from eha_monitor.mismatch.advise.motions import candidates, excitation_tree, limits_for, planned
+from eha_monitor.mismatch.advise.tells import Reading, directions_for, largest_cosine
+from eha_monitor.mismatch.advise.words import amount, motion_sentence, rounded
+from eha_monitor.mismatch.data.experiment import experiment_of
+from eha_monitor.mismatch.likelihood.information import Traces, free_slopes
+from eha_monitor.mismatch.name.base import first_fit, settle, with_effect
+from eha_monitor.mismatch.name.starts import starts_of
 from eha_monitor.physics.excitation import demanded_position
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.recording import Recording

@@ -20,7 +20,7 @@ FORBIDDEN = {
                      "eha_monitor.reports", "eha_monitor.commands", "eha_monitor.health"),
     "recordings": ("rclpy", "eha_monitor.ros", "eha_monitor.filters", "eha_monitor.mismatch"),
     "mismatch": ("rclpy", "eha_monitor.ros", "eha_monitor.commands", "eha_monitor.prove",
-                 "eha_monitor.concealed"),
+                 "eha_monitor.concealed", "eha_monitor.reports"),
     "prove": ("rclpy", "eha_monitor.ros", "eha_monitor.commands", "eha_monitor.reports"),
     "reports": ("rclpy", "eha_monitor.ros", "eha_monitor.commands"),
     "archive": ("rclpy", "eha_monitor.ros", "eha_monitor.mismatch", "eha_monitor.reports",
@@ -28,6 +28,9 @@ FORBIDDEN = {
     "dashboard": ("rclpy", "eha_monitor.ros", "eha_monitor.commands", "eha_monitor.recordings",
                   "eha_monitor.mismatch"),
 }
+# The rooms of the diagnosis, in the order in which a recording goes through them: each may use
+# those before it.  Files that stand in no room tie them together; ``diagnosis`` holds records.
+ROOMS = ("data", "likelihood", "name", "locate", "show", "advise")
 ROS_PACKAGES = ("rclpy", "rcl_interfaces", "sensor_msgs", "std_msgs", "std_srvs",
                 "diagnostic_msgs", "lifecycle_msgs", "rosgraph_msgs", "builtin_interfaces")
 # The one place that asks whether ROS is there, to say so in one line.
@@ -59,6 +62,35 @@ def test_rooms_import_only_what_they_may(path):
     if relative.parts[0] != "ros" and str(relative) not in MAY_ASK_FOR_ROS:
         for package in ROS_PACKAGES:
             assert not uses(names, package), "ROS is imported only in eha_monitor/ros/"
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_recording_goes_through_the_rooms_of_the_diagnosis_one_way(room):
+    later = [*ROOMS[ROOMS.index(room) + 1 :], "diagnose"]
+    files = sorted((PACKAGE / "mismatch" / room).glob("*.py"))
+    assert files
+    for path in files:
+        for other in later:
+            assert not uses(imported(path), f"eha_monitor.mismatch.{other}"), path
+
+
+def test_every_file_of_the_diagnosis_stands_in_a_room():
+    loose = {path.name for path in (PACKAGE / "mismatch").glob("*.py")}
+    assert loose == {"__init__.py", "diagnose.py", "diagnosis.py"}
+    assert {path.name for path in (PACKAGE / "mismatch").iterdir() if path.is_dir()
+            and path.name != "__pycache__"} == set(ROOMS)
+
+
+def test_no_circle_of_imports_within_the_diagnosis():
+    modules = {".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts): path
+               for path in (PACKAGE / "mismatch").rglob("*.py")}
+    needs = {name: {other for other in modules if other != name
+                    and uses(imported(path), other) and not other.endswith("__init__")}
+             for name, path in modules.items()}
+    while free := [name for name, others in needs.items() if not others & needs.keys()]:
+        for name in free:
+            del needs[name]
+    assert not needs
 
 
 def test_physics_names_nothing_of_the_diagnosis():

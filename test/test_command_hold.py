@@ -23,11 +23,16 @@ from eha_monitor.filters.hold import hold_of
 from eha_monitor.filters.hold_choice import resolved
 from eha_monitor.filters.live import LiveEstimator
 from eha_monitor.filters.pipeline import estimate
-from eha_monitor.mismatch.calibrate import Calibration, fingerprint, gain_of_chance, simulated
-from eha_monitor.mismatch.experiment import experiment_of
+from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnose import high_threshold
-from eha_monitor.mismatch.screen import starts_of
-from eha_monitor.mismatch.search import nominal
+from eha_monitor.mismatch.likelihood.simulated import (
+    Calibration,
+    fingerprint,
+    gain_of_chance,
+    simulated,
+)
+from eha_monitor.mismatch.name.base import nominal
+from eha_monitor.mismatch.name.starts import starts_of
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import settings_from_tree
 

@@ -7,10 +7,10 @@ import pytest
 from rig_tools import BETA, SINE, B, settings, simulated
 
 from eha_monitor.commands.diagnosis_answer import answer, mismatched
-from eha_monitor.mismatch.changed import change_words, changed_between, cut
-from eha_monitor.mismatch.experiment import experiment_of
+from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnose import diagnose
-from eha_monitor.mismatch.search import first_fit
+from eha_monitor.mismatch.name.base import first_fit
+from eha_monitor.mismatch.show.changed import change_words, changed_between, cut
 from eha_monitor.recordings.recording import Recording
 
 THRESHOLD = 12.0

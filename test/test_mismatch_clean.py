@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from eha_monitor.mismatch.choice import quiet_gain, take, weak
 from rig_tools import TRIANGLE, settings, simulated
 
-from eha_monitor.mismatch.choice import quiet_gain, take, weak
-from eha_monitor.mismatch.experiment import experiment_of
+from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnose import diagnose
-from eha_monitor.mismatch.screen import Start, own_sizes
-from eha_monitor.mismatch.search import Round, candidate_of, first_fit, settle, with_effect
+from eha_monitor.mismatch.name.base import Round, candidate_of, first_fit, settle, with_effect
+from eha_monitor.mismatch.name.starts import Start, own_sizes
 
 THRESHOLD = 12.0
 

@@ -6,8 +6,8 @@ import pytest
 from eha_monitor.concealed.cases import Case
 from eha_monitor.concealed.generate import nominal_config, recording_of
 from eha_monitor.concealed.motions import multisine, triangle
-from eha_monitor.mismatch.diagnosis import VERDICTS
 from eha_monitor.mismatch.diagnose import diagnose
+from eha_monitor.mismatch.diagnosis import VERDICTS
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.load import settings_from_tree
 

@@ -25,8 +25,8 @@ from rig_tools import (
 )
 from scipy.linalg import expm, solve_discrete_are
 
-from eha_monitor.mismatch.experiment import experiment_of
-from eha_monitor.mismatch.fit import (
+from eha_monitor.mismatch.data.experiment import experiment_of
+from eha_monitor.mismatch.likelihood.fit import (
     covariance_of,
     filtered,
     innovations,
@@ -37,11 +37,11 @@ from eha_monitor.mismatch.fit import (
     whitener,
     with_unknowns,
 )
-from eha_monitor.mismatch.gains import CORRELATION, Unknowns, gains_of, linear_of
-from eha_monitor.mismatch.innovations import N_FILTERED, riccati
-from eha_monitor.mismatch.model import robust
-from eha_monitor.mismatch.screen import screen, starts_of
-from eha_monitor.mismatch.search import first_fit, with_effect
+from eha_monitor.mismatch.likelihood.gains import CORRELATION, Unknowns, gains_of, linear_of
+from eha_monitor.mismatch.likelihood.innovations import N_FILTERED, riccati
+from eha_monitor.mismatch.name.base import first_fit, with_effect
+from eha_monitor.mismatch.name.starts import screen, starts_of
+from eha_monitor.mismatch.show.model import robust
 from eha_monitor.physics.plant import N_OUTPUTS, Y_OMEGA
 
 MAKEUP, CHARGE, DT = 1e-13, 2e6, 1e-3

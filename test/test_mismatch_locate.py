@@ -5,18 +5,18 @@ import pytest
 from mismatch_tools import fitted
 from scipy.linalg import solve_discrete_are
 
-from eha_monitor.mismatch.fit import filtered, log_likelihood_of, with_unknowns
-from eha_monitor.mismatch.gains import CORRELATION, Unknowns, linear_of
-from eha_monitor.mismatch.locate import (
+from eha_monitor.mismatch.likelihood.fit import filtered, log_likelihood_of, with_unknowns
+from eha_monitor.mismatch.likelihood.gains import CORRELATION, Unknowns, linear_of
+from eha_monitor.mismatch.likelihood.smooth import covariance_before, gain_of, smooth_back
+from eha_monitor.mismatch.locate.latent import larger_model, rival_innovations, rivals_of
+from eha_monitor.mismatch.locate.location import (
     after_reversal,
     latent_curves,
     location_of,
     regime_of,
 )
-from eha_monitor.mismatch.rivals import larger_model, rival_innovations, rivals_of
-from eha_monitor.mismatch.search import limits_of
-from eha_monitor.mismatch.smooth import covariance_before, gain_of, smooth_back
-from eha_monitor.mismatch.terms import Missing, missing_terms
+from eha_monitor.mismatch.locate.terms import Missing, missing_terms
+from eha_monitor.mismatch.name.base import limits_of
 from eha_monitor.physics import signals as s
 
 

@@ -5,11 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mismatch_tools import fitted
-from scipy.stats import gumbel_r
-
-from eha_monitor.mismatch import calibrate as calibrating
-from eha_monitor.mismatch.calibrate import Calibration, calibrate, read, simulated
 from eha_monitor.mismatch.choice import (
     FAMILY_SHARE,
     FORM_SHARE,
@@ -21,12 +16,15 @@ from eha_monitor.mismatch.choice import (
     prune,
 )
 from eha_monitor.mismatch.contest import slack_of
-from eha_monitor.mismatch.fit import with_unknowns
-from eha_monitor.mismatch.gains import Unknowns, expected_covariance
-from eha_monitor.mismatch.model import config_effects
+from mismatch_tools import fitted
+from scipy.stats import gumbel_r
+
+from eha_monitor.mismatch import calibrate as calibrating
 from eha_monitor.mismatch.diagnose import EXPLAINED, verdict_of
-from eha_monitor.mismatch.screen import screen, starts_of
-from eha_monitor.mismatch.search import (
+from eha_monitor.mismatch.likelihood.fit import with_unknowns
+from eha_monitor.mismatch.likelihood.gains import Unknowns, expected_covariance
+from eha_monitor.mismatch.likelihood.simulated import Calibration, calibrate, read, simulated
+from eha_monitor.mismatch.name.base import (
     Candidate,
     Round,
     completed,
@@ -40,6 +38,8 @@ from eha_monitor.mismatch.search import (
     with_effect,
     without_effect,
 )
+from eha_monitor.mismatch.name.starts import screen, starts_of
+from eha_monitor.mismatch.show.model import config_effects
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of, theta_of
 from eha_monitor.settings.load import settings_from_tree
@@ -365,7 +365,7 @@ def test_expected_likelihood_is_that_of_the_sensors_noise(clean):
     rng = np.random.default_rng(0)
     noise = experiment.noise[experiment.columns]
     e = rng.standard_normal(clean.before.e.shape) * noise
-    from eha_monitor.mismatch.fit import log_likelihood_of
+    from eha_monitor.mismatch.likelihood.fit import log_likelihood_of
 
     assert expected_likelihood(experiment, clean.before) == pytest.approx(
         log_likelihood_of(e), abs=5 * np.sqrt(e.size))

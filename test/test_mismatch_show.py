@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 from mismatch_tools import fitted
 
+from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnosis import Agreement, Value
-from eha_monitor.mismatch.experiment import experiment_of
-from eha_monitor.mismatch.fit import refine
-from eha_monitor.mismatch.model import in_doubt, stated_stddev
-from eha_monitor.mismatch.search import first_fit
-from eha_monitor.mismatch.show import (
+from eha_monitor.mismatch.likelihood.fit import refine
+from eha_monitor.mismatch.name.base import first_fit
+from eha_monitor.mismatch.show.held_out import (
     agreement,
     force_residual,
     free_runs,
@@ -20,6 +19,7 @@ from eha_monitor.mismatch.show import (
     shown,
     windows_of,
 )
+from eha_monitor.mismatch.show.model import in_doubt, stated_stddev
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.load import settings_from_tree
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eha_monitor.mismatch.experiment import experiment_of
+from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.recording import Recording

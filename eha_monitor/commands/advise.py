@@ -35,7 +35,7 @@ def advise(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
     from eha_monitor.commands.plausible import checked, finding_tree
     from eha_monitor.commands.rotary import of_rig
     from eha_monitor.compiled import load_runtime
-    from eha_monitor.mismatch.advise import advise as run
+    from eha_monitor.mismatch.advise.advice import advise as run
     from eha_monitor.recordings.read import read_recording
     from eha_monitor.settings import load_settings
 
@@ -65,8 +65,8 @@ def advise(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
 def answer(bags: tuple[Path, ...], naming, found) -> dict:
     """Return the JSON tree; NaN becomes null."""
     from eha_monitor.commands.answer import finite
-    from eha_monitor.mismatch.advise_words import motion_sentence, sentences
-    from eha_monitor.mismatch.motions import excitation_tree
+    from eha_monitor.mismatch.advise.motions import excitation_tree
+    from eha_monitor.mismatch.advise.words import motion_sentence, sentences
 
     motion = found.motion
     return finite({
@@ -89,8 +89,8 @@ def answer(bags: tuple[Path, ...], naming, found) -> dict:
 
 def written_excitation(motion, settings, bags: tuple[Path, ...]) -> str:
     """Return the config with the motion as its ``simulation.excitation``, an annotated file."""
-    from eha_monitor.mismatch.advise_words import motion_sentence
-    from eha_monitor.mismatch.motions import excitation_tree
+    from eha_monitor.mismatch.advise.motions import excitation_tree
+    from eha_monitor.mismatch.advise.words import motion_sentence
     from eha_monitor.settings.document import annotated
     from eha_monitor.settings.load import settings_from_tree
 
@@ -110,10 +110,11 @@ def show(bags: tuple[Path, ...], naming, found, motion: str) -> None:
 
     from eha_monitor.commands.rotary import of_rig
     from eha_monitor.commands.table import PIPE_WIDTH, PipeConsole
-    from eha_monitor.mismatch.advise_words import doubt_words, sentences
-    from eha_monitor.mismatch.motions import excitation_tree
+    from eha_monitor.mismatch.advise.motions import excitation_tree
+    from eha_monitor.mismatch.advise.words import doubt_words, sentences
     from eha_monitor.quantity import NOTE, SYMBOLS, number, with_uncertainty
-    from eha_monitor.reports.diagnosis_words import effect_words, listed, log_units, sentence
+    from eha_monitor.reports.diagnosis_words import log_units, sentence
+    from eha_monitor.words import effect_words, listed
 
     console = PipeConsole(highlight=False)
     if not console.is_terminal:

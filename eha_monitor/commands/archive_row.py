@@ -29,7 +29,7 @@ _ROOMS = {
     "diagnose": ("physics", "filters", "recordings", "settings", "health", "mismatch",
                  "plausibility", "commands/answer.py", "commands/plausible.py",
                  "commands/diagnosis_answer.py", "commands/rotary.py", "commands/archive_row.py",
-                 "quantity.py"),
+                 "quantity.py", "words.py"),
 }
 _EFFECT = ("name", "balance", "size", "statement", "probability", "log_evidence",
            "intervals_s", "indistinguishable_from")

@@ -13,12 +13,10 @@ from eha_monitor.quantity import NOTE, SYMBOLS, number
 from eha_monitor.reports.diagnosis_words import (
     DATA,
     certainty,
-    effect_words,
     error_words,
     head_of,
     head_words,
     interval_words,
-    listed,
     message_words,
     percent,
     place_words,
@@ -28,6 +26,7 @@ from eha_monitor.reports.diagnosis_words import (
     sentence,
     value_words,
 )
+from eha_monitor.words import effect_words, listed
 
 _COLOURS = {"ok": "green", "warn": "yellow", "error": "red", "unknown": "dim"}
 

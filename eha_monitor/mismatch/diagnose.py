@@ -9,62 +9,53 @@ import numpy as np
 
 from eha_monitor.breakdown import computing
 from eha_monitor.filters.hold_choice import resolved
-from eha_monitor.mismatch import advise, balance_show, locate, show
-from eha_monitor.mismatch.calibrate import DRAWS, Calibration, calibrate
-from eha_monitor.mismatch.changed import change_words, changed_between
-from eha_monitor.mismatch.choice import (
-    EXPLAINED,
-    NOTHING,
-    Naming,
-    lacking,
-    little_left,
-    name_effects,
-)
+from eha_monitor.mismatch.advise import advice as advise
+from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.diagnosis import (
     Considered,
     Diagnosis,
     Location,
     NamedEffect,
     Piece,
+    RigFinding,
     SignalFit,
     Value,
 )
-from eha_monitor.mismatch.experiment import Experiment, experiment_of
-from eha_monitor.mismatch.fit import Fit, with_unknowns
-from eha_monitor.mismatch.innovations import CLOSED
-from eha_monitor.mismatch.model import (
+from eha_monitor.mismatch.locate import location as locate
+from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
+from eha_monitor.mismatch.name.naming import Naming, name_effects
+from eha_monitor.mismatch.show import balances as balance_show
+from eha_monitor.mismatch.show import held_out as show
+from eha_monitor.mismatch.show.changed import change_words, changed_between
+from eha_monitor.mismatch.show.model import (
     config_effects,
     health_sentences,
     in_doubt,
     quantised,
     robust,
-    spoken,
     stated_stddev,
     values_of,
 )
-from eha_monitor.mismatch.search import THRESHOLD, expected_likelihood, nominal
-from eha_monitor.mismatch.sizes import filtered_tracks, size_of
-from eha_monitor.mismatch.terms import BALANCES, missing_terms
+from eha_monitor.mismatch.show.sizes import filtered_tracks, size_of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
-from eha_monitor.quantity import number, quantity
+from eha_monitor.quantity import number, quantity, side_by_side
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
 LEAST_MOTION = 20.0  # times the position's noise: less motion says nothing
-MOSTLY = 0.5  # share of a balance's variance, where no clean record says how little may be left
+LIKELY = 0.5  # probability from which ``unexplained`` is the answer
 LARGE_PART = 0.5  # of the evidence: what an effect must take away to be named beside an unknown
 # Effect of the force balance -> errors of pressure sensors that make the same force: an offset,
 # and a scale by the mean pressure.
 FORCE_OF_SENSORS = {"constant_load": ("pressure_offset", "pressure_scale")}
-HIGH = 30.0  # log units of a threshold that a user must know of
 WORSE = 1.02  # ratio of squared errors on unseen data that is beyond chance
 
 Report = Callable[[str, float], None]
 
 
 def diagnose(recordings: list[Recording], settings: Settings, held_out: Recording | None = None,
-             progress: Report | None = None, calibrate: bool = True) -> Diagnosis:
+             progress: Report | None = None) -> Diagnosis:
     """Say where model and recordings differ, which physics that is, and show the fit improve.
 
     Parameters
@@ -74,7 +65,6 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
     held_out : recording on which the fit is shown; without it the last fifth of every 5 s of
         the recordings is kept aside and enters no fit.
     progress : told what is done and how far it is, 0 to 1.
-    calibrate : set the threshold of evidence by simulated clean recordings of this rig.
 
     Raises
     ------
@@ -83,15 +73,14 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
         calculation.
     """
     with computing(*(recording.source for recording in recordings)):
-        return _diagnosed(recordings, settings, held_out, progress or (lambda text, share: None),
-                          calibrate)
+        return _diagnosed(recordings, settings, held_out, progress or (lambda text, share: None))
 
 
 def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Recording | None,
-               say: Report, calibrate: bool) -> Diagnosis:
+               say: Report) -> Diagnosis:
     started = time.perf_counter()
     held, decision = resolved(recordings, settings)
-    found = diagnose_held(recordings, held, held_out, say, calibrate)
+    found = diagnose_held(recordings, held, held_out, say)
     told = decision is not None and decision.decided
     return replace(found, channels=decision.findings if told else (),
                    command_hold=(held if told else settings).command_hold,
@@ -99,7 +88,7 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
 
 
 def diagnose_held(recordings: list[Recording], settings: Settings, held_out: Recording | None,
-                  say: Report, calibrate: bool) -> Diagnosis:
+                  say: Report) -> Diagnosis:
     """Diagnose with the hold that the settings say."""
     started = time.perf_counter()
     experiment = experiment_of(recordings, settings, hold_out=held_out is None)
@@ -110,39 +99,20 @@ def diagnose_held(recordings: list[Recording], settings: Settings, held_out: Rec
                             f"the piston moves by {quantity(experiment.ranges.position, 'm', 2)} "
                             f"only, with {quantity(experiment.noise[0], 'm', 2)} of noise: "
                             "nothing can be told")
-    say("fitting the nominal model", 0.02)
-    experiment, first = nominal(experiment)
-    calibration = calibrated(experiment, first, say, calibrate)
-    threshold = calibration.threshold if calibrate and calibration else THRESHOLD
-    base = 0.5 if calibrate else 0.05
-    naming = name_effects(experiment, threshold,
-                          lambda text, share: say(text, base + (0.85 - base) * share), first)
+    naming = name_effects(experiment, lambda text, share: say(text, 0.85 * share))
     pieces: tuple[Piece, ...] = ()
-    if not experiment.inverse and verdict_of(experiment, naming, calibration)[0] != "consistent":
+    if not experiment.inverse and verdict_of(experiment, naming) != "consistent":
         say("asking whether a parameter changed", 0.86)
-        changed = changed_between(experiment, recordings, naming.after, threshold)
+        changed = changed_between(experiment, recordings, naming)
         if changed is not None:
             pieces, experiment = changed.pieces, changed.experiment
-            whole = with_unknowns(experiment, first, first.unknowns)
-            naming = Naming(whole, changed.fit, naming.rounds, {}, {})
+            naming = Naming(changed.whole, changed.fit, consistent=naming.unexplained,
+                            unexplained=0.0)
     say("showing the fit on unseen data", 0.88)
     shown = experiment if held_out is None else replace(
         experiment_of([held_out], settings, False), steps=experiment.steps)
-    return assemble(experiment, shown, naming, calibration, bags, duration, started,
-                    held_out is not None, threshold if calibrate else np.nan, pieces)
-
-
-def calibrated(experiment: Experiment, first: Fit, say: Report, whole: bool
-               ) -> Calibration | None:
-    """Return the threshold of evidence and the likelihood of a right model; 5 to 50 % done.
-
-    Not ``whole``: where a measured input brings its own noise into every innovation, two draws
-    tell the likelihood; else the sensors' noise does.
-    """
-    if not whole and (experiment.inverse or experiment.mode == CLOSED):
-        return None
-    return calibrate(experiment, first, DRAWS if whole else 2,
-                     lambda text, share: say(text, 0.05 + 0.45 * share))
+    return assemble(experiment, shown, naming, bags, duration, started, held_out is not None,
+                    pieces)
 
 
 def insufficient(bags: tuple[str, ...], duration: float, started: float, why: str) -> Diagnosis:
@@ -152,38 +122,16 @@ def insufficient(bags: tuple[str, ...], duration: float, started: float, why: st
                      duration_s=duration, wall_s=time.perf_counter() - started)
 
 
-def verdict_of(experiment: Experiment, naming: Naming, calibration: Calibration | None,
-               ) -> tuple[str, float]:
-    """Return the verdict and the share of the evidence that the named effects take away."""
-    before, after = naming.before, naming.after
-    if experiment.inverse:
-        closed = balance_show.balances_of(experiment, before, after)
-        if not after.named:
-            return ("unexplained" if closed.open.any() else "consistent"), 0.0
-        explained = variance_removed(before, after)
-        return ("mismatch" if explained >= MOSTLY or not closed.open.any()
-                else "unexplained"), explained
-    floor = (calibration.per_sample * len(before.e) if calibration
-             else expected_likelihood(experiment, before))
-    against = floor - before.log_likelihood
-    taken = after.log_likelihood - before.log_likelihood
-    explained = float(np.clip(taken / max(against, taken, 1e-9), 0.0, 1.0)) if taken > 0 else 0.0
-    left = floor - after.log_likelihood
-    if after.named:
-        right = explained >= EXPLAINED or (
-            explained >= LARGE_PART and little_left(experiment, naming, left))
-        return ("mismatch" if right else "unexplained"), explained
-    return ("unexplained" if lacking(experiment, after) and left > NOTHING * len(after.e)
-            else "consistent"), explained
-
-
-def variance_removed(before: Fit, after: Fit) -> float:
-    """Return the share of the variance left in the balances that the named effects take away.
-
-    Of the balance in which they take away most.
-    """
-    left = np.diag(after.s) / np.diag(before.s)
-    return float(np.clip(1.0 - left.min(), 0.0, 1.0))
+def verdict_of(experiment: Experiment, naming: Naming) -> str:
+    """Return the verdict: what is more likely than not."""
+    if naming.unexplained > LIKELY:
+        return "unexplained"
+    if naming.after.named or naming.wrong:
+        return "mismatch"
+    if experiment.inverse and balance_show.balances_of(
+            experiment, naming.before, naming.after).open.any():
+        return "unexplained"
+    return "consistent"
 
 
 def worse(signals: dict[str, SignalFit]) -> bool:
@@ -193,14 +141,13 @@ def worse(signals: dict[str, SignalFit]) -> bool:
     return sum(after**2 for _, after in pairs) > WORSE * sum(before**2 for before, _ in pairs)
 
 
-def assemble(experiment: Experiment, shown: Experiment, naming: Naming,
-             calibration: Calibration | None, bags: tuple[str, ...], duration: float,
-             started: float, other_bag: bool, threshold: float, pieces: tuple[Piece, ...] = ()
+def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tuple[str, ...],
+             duration: float, started: float, other_bag: bool, pieces: tuple[Piece, ...] = ()
              ) -> Diagnosis:
-    """Put the answer together; ``threshold`` NaN where it was not calibrated."""
+    """Put the answer together."""
     naming = replace(naming, before=robust(experiment, naming.before),
                      after=robust(experiment, naming.after))
-    verdict, explained = verdict_of(experiment, naming, calibration)
+    verdict, explained = verdict_of(experiment, naming), naming.explained
     before, after = naming.before, naming.after
     by_equations = experiment.inverse
     if by_equations:
@@ -212,17 +159,19 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming,
         tracks = filtered_tracks(experiment, after) if after.named else []
     # A fit that fails on unseen data has named nothing.
     if after.named and worse(signals):
-        verdict, explained = "unexplained", min(explained, 1.0 - EXPLAINED)
+        verdict, explained = "unexplained", 0.0
     effects = tuple(named_effect(experiment, naming, name, tracks) for name in sorted(
         after.named, key=lambda name: -naming.evidence[name]))
+    wrong = rig_findings(experiment, naming)
     if verdict == "unexplained":  # what takes away a small part only is a confident wrong name
-        against = max(after.log_likelihood - before.log_likelihood, 1e-9) / max(explained, 1e-9)
-        effects = tuple(e for e in effects if e.log_evidence >= LARGE_PART * against)
+        effects = effects if explained >= LARGE_PART else ()
+        wrong = wrong if explained >= LARGE_PART else ()
     step = quantised(experiment)
     if step is not None:
         effects = (*effects, step)
         verdict = "mismatch" if verdict == "consistent" else verdict
-    evidence = {effect.name: effect.log_evidence for effect in effects}
+    evidence = {effect.name: effect.log_evidence for effect in effects} | {
+        f"rig.{one.key}": naming.evidence.get(f"rig.{one.key}", 0.0) for one in wrong}
     if verdict == "consistent":
         between = tuple((one.stop_s, other.start_s) for one, other in pairwise(pieces)
                         if one.bag == other.bag)
@@ -243,25 +192,31 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming,
         known = known[0], in_doubt(known[1], parts)
     return Diagnosis(
         bags, verdict, change_words(pieces) if pieces else message_of(
-            verdict, effects, where, explained), where, effects, *known,
+            verdict, effects, where, explained, wrong), where, effects, *known,
         "held_out_bag" if other_bag else "held_out", signals, curves,
         how.overlays(shown, before, after), considered_of(naming),
         parts,
         health_sentences(experiment, *known, effects),
-        (*(balance_show.doubts(effects) if by_equations
-           else advise.advice_for(experiment, naming)), *high_threshold(threshold)),
+        balance_show.doubts(effects) if by_equations else advise.advice_for(experiment, naming),
         config_effects(experiment, after, tuple(effect.name for effect in effects)),
-        threshold if np.isfinite(threshold) else THRESHOLD, bool(np.isfinite(threshold)),
-        explained, duration, time.perf_counter() - started, pieces)
+        duration_s=duration, wall_s=time.perf_counter() - started, pieces=pieces,
+        probability={"consistent": naming.consistent, "unexplained": naming.unexplained},
+        rig_data=wrong)
 
 
-def high_threshold(threshold: float) -> tuple[str, ...]:
-    """Say so where an effect needs far more evidence than usual to be named."""
-    if not threshold > HIGH:
-        return ()
-    return (f"on simulated clean recordings of this rig and motion chance alone comes near "
-            f"{threshold:.0f} log units, far more than the usual 10 to 20: small effects stay "
-            "unnamed here; check rig and noise levels of the config, or record at a higher rate",)
+def rig_findings(experiment: Experiment, naming: Naming) -> tuple[RigFinding, ...]:
+    """Return the numbers of the rig that a recording contradicts, the most certain first."""
+    found = []
+    for key in naming.wrong:
+        name = f"rig.{key}"
+        unit = type(experiment.settings.rig).model_fields[key].json_schema_extra["unit"]
+        value = Value(naming.after.value(name), naming.after.stddev(name), unit)
+        configured = float(getattr(experiment.settings.rig, key))
+        one, other = side_by_side(configured, value.value, value.stddev, unit)
+        found.append(RigFinding(
+            key, configured, value, naming.probability.get(name, np.nan),
+            f"{key}: the config says {one}, the recording {other}", naming.rivals.get(name, ())))
+    return tuple(sorted(found, key=lambda finding: -finding.probability))
 
 
 def named_effect(experiment: Experiment, naming: Naming, name: str, tracks: list[np.ndarray]
@@ -281,7 +236,8 @@ def named_effect(experiment: Experiment, naming: Naming, name: str, tracks: list
             parameters[p.name] = Value(value, 0.0, p.unit.replace("*", "·"))
     return NamedEffect(name, entry.balance, entry.said(numbers), parameters,
                        naming.evidence[name], rivals_of(experiment, naming, name), entry.equation,
-                       entry.rig_check, size_of(experiment, fit, name, tracks))
+                       entry.rig_check, size_of(experiment, fit, name, tracks),
+                       naming.probability.get(name, np.nan))
 
 
 def rivals_of(experiment: Experiment, naming: Naming, name: str) -> tuple[str, ...]:
@@ -296,12 +252,13 @@ def rivals_of(experiment: Experiment, naming: Naming, name: str) -> tuple[str, .
 
 
 def message_of(verdict: str, effects: tuple[NamedEffect, ...], where: Location,
-               explained: float) -> str:
+               explained: float, wrong: tuple[RigFinding, ...] = ()) -> str:
     """Return the verdict in a sentence."""
     if verdict == "consistent":
         return "the nominal model explains this recording down to the sensors' noise"
     if verdict == "mismatch":
-        return "; ".join(effect.statement for effect in effects)
+        return "; ".join([*(finding.statement for finding in wrong),
+                          *(effect.statement for effect in effects)])
     balance = max(where.balance, key=where.balance.get)
     named = (f"; of the evidence {', '.join(effect.name for effect in effects)} would take away "
              f"{100 * explained:.0f} % only" if effects else "")
@@ -312,34 +269,18 @@ def message_of(verdict: str, effects: tuple[NamedEffect, ...], where: Location,
 def considered_of(naming: Naming) -> tuple[Considered, ...]:
     """Return what was tried and why it is not named."""
     found: dict[str, Considered] = {}
-    for place, step in enumerate(naming.rounds):
-        beside = step.before.named
-        following = naming.rounds[place + 1].before if place + 1 < len(naming.rounds) else None
-        took = following.log_likelihood - step.before.log_likelihood if following else 0.0
-        for candidate in step.candidates:
-            name = candidate.effect
-            if name in naming.after.named:
+    best = {*naming.after.named, *(f"rig.{key}" for key in naming.wrong)}
+    for names, _, behind in naming.tried:
+        for name in names - best:
+            plain = name.removeprefix("rig.")
+            if plain in found:
                 continue
-            gain = max(candidate.gain, 0.0)
-            if any(name in rivals for rivals in naming.rivals.values()):
+            beside = tuple(sorted(names - {name}))
+            if any(plain in rivals for rivals in naming.rivals.values()):
                 why = "this recording cannot tell it from what is named"
-            elif following is not None and name in following.named and name not in beside:
-                heirs = [other for other in naming.after.named
-                         if name in CATALOGUE[other].contains]
-                why = (f"taken at first, then gave way to {spoken((heirs or ['the others'])[0])}"
-                       if naming.after.named else "taken at first, but it does not explain enough")
-            elif following is not None:
-                why = (f"gains {number(gain, 3)} log units where what was taken gains "
-                       f"{number(took, 3)}")
+            elif best <= names:
+                why = "what is named explains as much without it"
             else:
-                why = f"gains only {number(gain, 3)} log units, or is of no size that matters"
-            found[name] = Considered(name, gain, beside, why)
-        for score in step.scores:
-            name = score.start.effect
-            if name not in found and name not in naming.after.named:
-                found[name] = Considered(name, score.gain, beside, "hardly moves the innovations "
-                                         f"the right way: {number(score.gain, 2)} log units in "
-                                         "the score test")
-    return tuple(sorted(found.values(), key=lambda c: -c.gain))
-
-
+                why = f"the best set with it is {number(behind, 3)} log units behind"
+            found[plain] = Considered(plain, -behind, beside, why)
+    return tuple(found.values())

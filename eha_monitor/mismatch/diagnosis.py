@@ -175,8 +175,6 @@ class Diagnosis:
     data : ``held_out`` or ``held_out_bag``: on what the fit was shown.
     health : sentences on what the mismatch did to the health estimate.
     config_effects : the ``effects:`` section that holds the named physics.
-    threshold : log units that an effect had to gain; ``calibrated`` on simulated clean records.
-    explained : share of the evidence against the nominal model that the effects take away.
     pieces : where a parameter changed and nothing else is missing, the data in pieces; ``after``
         and ``signals`` are then of the last one.
     channels : what was found out about the channels; ``command_hold`` of the config, the
@@ -201,9 +199,6 @@ class Diagnosis:
     health: tuple[str, ...] = ()
     advice: tuple[str, ...] = ()
     config_effects: dict[str, dict[str, float]] = field(default_factory=dict)
-    threshold: float = np.nan
-    calibrated: bool = False
-    explained: float = np.nan
     duration_s: float = 0.0
     wall_s: float = 0.0
     pieces: tuple[Piece, ...] = ()

@@ -13,17 +13,17 @@ from pathlib import Path
 
 import numpy as np
 
-from eha_monitor.mismatch import show
-from eha_monitor.mismatch.experiment import Experiment, experiment_of
-from eha_monitor.mismatch.fit import Fit, spread
-from eha_monitor.mismatch.screen import Start, possible, starts_of
-from eha_monitor.mismatch.search import (
+from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
+from eha_monitor.mismatch.likelihood.fit import Fit, spread
+from eha_monitor.mismatch.name.base import (
     first_fit,
     nominal,
     settle,
     with_effect,
     without_effect,
 )
+from eha_monitor.mismatch.name.starts import Start, possible, starts_of
+from eha_monitor.mismatch.show import held_out
 from eha_monitor.output import write_text
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import CATALOGUE
@@ -74,7 +74,7 @@ def oracle(recordings: list[Recording], settings: Settings, truth: dict) -> dict
     wrong = {number: without_number(experiment, after, experiment_of(recordings, corrected(
         settings, [one for one in off if number_of(one["key"]) != number])))
         for number in dict.fromkeys(map(number_of, keys_off(truth)))}
-    signals = {name: asdict(fit) for name, fit in show.shown(experiment, first, after).items()}
+    signals = {name: asdict(fit) for name, fit in held_out.shown(experiment, first, after).items()}
     values = {name: after.value(name) for name in ("B", "beta_e")
               if any(f.name == name for f in after.free)}
     return {"log_evidence": evidence, "over_simpler": simpler, "signals": signals,

@@ -12,15 +12,11 @@ from eha_monitor.mismatch.diagnosis import Value
 from eha_monitor.output import write_text
 from eha_monitor.quantity import SYMBOLS, number, quantity
 from eha_monitor.reports.archive_figures import history_block
-from eha_monitor.reports.diagnosis_words import (
-    effect_words,
-    listed,
-    probability,
-    value_words,
-)
+from eha_monitor.reports.diagnosis_words import probability, value_words
 from eha_monitor.reports.page import render
 from eha_monitor.reports.verdict import STATUS_WORDS
 from eha_monitor.settings.monitor import Settings
+from eha_monitor.words import effect_words, listed
 
 # Verdict -> class of its badge, which are those of the model's status.
 _FITS = {"consistent": "consistent", "mismatch": "mismatch", "unexplained": "mismatch"}

@@ -8,7 +8,6 @@ from matplotlib.axes import Axes
 from eha_monitor.mismatch.diagnosis import Agreement, Curve, Diagnosis, Overlay, Value
 from eha_monitor.quantity import SYMBOLS
 from eha_monitor.reports.axes import axis_scale, scale_of, stated, time_scale
-from eha_monitor.reports.diagnosis_words import effect_words, listed
 from eha_monitor.reports.drawing import (
     INK,
     STAGE_ONE,
@@ -21,6 +20,7 @@ from eha_monitor.reports.drawing import (
 )
 from eha_monitor.reports.parameter_figures import NAMES
 from eha_monitor.reports.traces import robust_range
+from eha_monitor.words import effect_words, listed
 
 # What is measured is dark grey, the model before orange, the model after blue.
 SEEN, BEFORE, AFTER = "#5b6873", STAGE_TWO, STAGE_ONE

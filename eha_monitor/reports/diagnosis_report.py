@@ -34,6 +34,7 @@ from eha_monitor.reports.tables import config_sections
 from eha_monitor.settings.corrected import corrected
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.tolerance import Tolerance
+from eha_monitor.words import effect_words, listed
 
 _LARGEST = 1e60  # SI; beyond it squares and matplotlib's own sums overflow
 _MOST_CURVES = 6
@@ -64,7 +65,7 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
                    command: str = "") -> str:
     """Return the report as HTML text."""
     found = _presentable(found)
-    name = words.listed([Path(bag).name or bag for bag in found.bags]) or settings.rig.name
+    name = listed([Path(bag).name or bag for bag in found.bags]) or settings.rig.name
     kind = words.head_of(found)[0]
     curves = telling(found)
     return render(
@@ -77,7 +78,7 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
         head=words.head_words(found),
         message=words.message_words(found, probable=True),
         wrong=[_rig(finding, settings.rig.tolerance) for finding in found.rig_data],
-        doubts=[f"In this recording {words.effect_words(effect.name)} cannot be told from "
+        doubts=[f"In this recording {effect_words(effect.name)} cannot be told from "
                 f"{_rivals(effect.indistinguishable_from)}." for effect in found.effects
                 if effect.indistinguishable_from],
         hero=curve_picture(found, curves[0], large=True) if curves else None,
@@ -128,7 +129,7 @@ def _for_config(found: Diagnosis, settings: Settings) -> dict[str, Any]:
     return {"config_rig": rig,
             "config_effects": {name: values for name, values in found.config_effects.items()
                                if name in CATALOGUE},
-            "config_lacks": words.listed([words.effect_words(effect.name)
+            "config_lacks": listed([effect_words(effect.name)
                                           for effect in found.effects
                                           if effect.name not in CATALOGUE])}
 
@@ -240,7 +241,7 @@ def _effect(effect: NamedEffect, duration_s: float) -> dict[str, Any]:
     known = CATALOGUE.get(effect.name)
     about = {p.name: p.description for p in known.parameters} if known else {}
     spans, ticks = _spans(effect.intervals_s, duration_s)
-    return {"key": effect.name, "name": words.effect_words(effect.name),
+    return {"key": effect.name, "name": effect_words(effect.name),
             "balance": words.BALANCES.get(effect.balance, effect.balance), "size": effect.size,
             "statement": words.sentence(effect.statement), "equation": effect.equation,
             "source": known.source if known else "",
@@ -256,7 +257,7 @@ def _effect(effect: NamedEffect, duration_s: float) -> dict[str, Any]:
 
 
 def _rivals(names: tuple[str, ...]) -> str:
-    return words.listed([words.effect_words(name) for name in names], "or")
+    return listed([effect_words(name) for name in names], "or")
 
 
 def _considered(considered: tuple[Considered, ...]) -> list[dict[str, Any]]:
@@ -268,11 +269,11 @@ def _considered(considered: tuple[Considered, ...]) -> list[dict[str, Any]]:
     for beside, members in sorted(groups.items(), key=lambda item: len(item[0])):
         members = sorted(members, key=lambda one: -one.gain if math.isfinite(one.gain)
                          else math.inf)
-        rows = [{"name": words.effect_words(one.name), "gain": words.log_units(one.gain),
+        rows = [{"name": effect_words(one.name), "gain": words.log_units(one.gain),
                  "balance": words.BALANCES.get(CATALOGUE[one.name].balance)
                  if one.name in CATALOGUE else "", "why": words.sentence(one.why)}
                 for one in members]
-        title = "Beside " + words.listed([words.effect_words(b) for b in beside]) if beside \
+        title = "Beside " + listed([effect_words(b) for b in beside]) if beside \
             else "With nothing named yet"
         shown = _MOST_OPEN if len(rows) > _MOST_OPEN + 2 else len(rows)
         tables.append({"title": title, "open": rows[:shown], "rest": rows[shown:]})

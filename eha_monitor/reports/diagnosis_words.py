@@ -118,21 +118,6 @@ def rig_values(finding: RigFinding) -> tuple[str, str]:
     return side_by_side(finding.configured, found.value, found.stddev, found.unit)
 
 
-def effect_words(name: str) -> str:
-    """Return the name of an effect as people say it: ``Coulomb friction``."""
-    words = name.replace("_", " ")
-    for person in ("coulomb", "stribeck"):
-        words = words.replace(person, person.capitalize())
-    return words
-
-
-def listed(words: list[str] | tuple[str, ...], last: str = "and") -> str:
-    """Return ``a, b and c``."""
-    if len(words) < 2:
-        return "".join(words)
-    return f"{', '.join(words[:-1])} {last} {words[-1]}"
-
-
 def sentence(text: str) -> str:
     """Return a text with a capital at its start and a full stop at its end."""
     text = text.strip()

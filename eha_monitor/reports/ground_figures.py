@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from eha_monitor.reports.diagnosis_words import effect_words
 from eha_monitor.reports.drawing import (
     ERROR_LINE,
     INK,
@@ -12,6 +11,7 @@ from eha_monitor.reports.drawing import (
     new_figure,
     picture,
 )
+from eha_monitor.words import effect_words
 
 ROW = 21  # pixels of a parameter's row
 MOST_ROWS = 40  # in one picture

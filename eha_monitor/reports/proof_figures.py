@@ -6,7 +6,6 @@ from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 from eha_monitor.mismatch.diagnosis import Curve, Diagnosis, Location, NamedEffect
 from eha_monitor.prove.curve import wilson
 from eha_monitor.reports.diagnosis_figures import curve_picture, telling
-from eha_monitor.reports.diagnosis_words import effect_words
 from eha_monitor.reports.drawing import (
     ERROR_LINE,
     INK,
@@ -18,6 +17,7 @@ from eha_monitor.reports.drawing import (
     new_figure,
     picture,
 )
+from eha_monitor.words import effect_words
 
 # What was said -> colour, marker, words; drawn in this order.
 MARKS = {

@@ -8,7 +8,6 @@ from eha_monitor.prove.numbers import number_of
 from eha_monitor.prove.score import MARKS, UNEXPLAINED
 from eha_monitor.prove.trial import misses
 from eha_monitor.quantity import number, quantity, with_uncertainty
-from eha_monitor.reports.diagnosis_words import effect_words
 from eha_monitor.reports.ground_figures import parameter_pictures
 from eha_monitor.reports.page import render
 from eha_monitor.reports.proof_figures import (
@@ -17,6 +16,7 @@ from eha_monitor.reports.proof_figures import (
     missing_term,
     reliability_picture,
 )
+from eha_monitor.words import effect_words
 
 GROUNDS = {
     "mcmaster": ("The second published EHA", "The independent plant with the published numbers, "

@@ -1,8 +1,13 @@
 """Every constant that decides what is named, with its reason."""
 
-EFFECT = -4.0  # log prior odds of an effect
-UNNAMED = -6.0  # of an unknown function: each of its columns pays for itself besides
-WRONG_RIG = -4.5  # of a number of the rig beyond its tolerance
+EFFECT = -5.0  # log prior odds of an effect
+RARE = -0.5  # for each degree of an effect's rarity
+UNNAMED = -7.0  # of an unknown function: each of its columns pays for itself besides
+WRONG_RIG = -5.0  # of a number of the rig beyond its tolerance
 LARGEST_SET = 4  # suspects in a set
 BEAM = 30  # sets that are carried on
 FORM = 100.0  # log units: what is left above the noise counts in full up to here
+TEMPER = 0.3  # power of the evidence between sets: makes the probabilities honest
+RIVAL = 0.05  # probability in an effect's place from which another cannot be told from it
+EXPLAINED = 0.75  # share of what speaks against the nominal model that names must take away
+LACKING = 100.0  # times the smallest unknowns, 1 % of what a balance does: it matters

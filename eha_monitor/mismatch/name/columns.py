@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eha_monitor.mismatch.experiment import Experiment, damping_steps
-from eha_monitor.mismatch.fit import Fit, Free, filtered, innovations, spread, step_of
-from eha_monitor.mismatch.innovations import CLOSED, FORCED
-from eha_monitor.mismatch.name.unnamed import columns_of, unnamed_of
-from eha_monitor.mismatch.screen import (
+from eha_monitor.mismatch.data.experiment import Experiment, damping_steps
+from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
+from eha_monitor.mismatch.likelihood.fit import Fit, Free, filtered, innovations, spread, step_of
+from eha_monitor.mismatch.name.base import base_free, timing_free
+from eha_monitor.mismatch.name.starts import (
     Start,
     directions_of,
     free_parameter,
@@ -26,17 +26,18 @@ from eha_monitor.mismatch.screen import (
     possible,
     starts_of,
 )
-from eha_monitor.mismatch.search import base_free, timing_free
+from eha_monitor.mismatch.name.unnamed import columns_of, unnamed_of
 from eha_monitor.physics.effects import CATALOGUE, NAMES
-from eha_monitor.physics.parameters import BASE_KEYS, place_of
+from eha_monitor.physics.parameters import BASE_KEYS, effect_values
 from eha_monitor.physics.signals import B
 
 ALWAYS = ""  # owner of what every model has
-HALF = 0.5  # of a tolerance: the standard deviation of a number that is within it
+SHARE = 0.7  # of a tolerance: the standard deviation of a number that nobody doubts
 WITHIN = 3.0  # of these deviations: what is further off is wrong, and must be named
-BEYOND = 30.0  # of these deviations: how far a number of the rig that is wrong may be off
+BEYOND = 20.0  # of these deviations: how far a number of the rig that is wrong may be off
 TANGENT = 0.05  # of a start's size: where the innovations answer in proportion
 RIG_STEP = 1e-3  # of a tolerance's logarithm: for its sensitivity
+REPLACING = 100  # variants from here on grow out of an effect that the model has
 COARSER = 3.0  # times the integration step, for differences
 
 
@@ -94,7 +95,7 @@ def rig_free(experiment: Experiment) -> tuple[Free, ...]:
     for place, key in BASE_KEYS.items():
         value = getattr(rig, key) if key in keys else None
         if value:
-            width = HALF * rig.tolerance.log_spread(key)
+            width = SHARE * rig.tolerance.log_spread(key)
             reach = float(np.exp(WITHIN * width))
             found.append(Free(f"rig.{key}", place, value / reach, value * reach,
                               float(np.log(value)), width, True))
@@ -161,6 +162,9 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True) -> Column
             continue
         for variant, start in enumerate(starts_of(name, experiment)):
             entering(fit, start, variant, what, moves)
+    for place, start in enumerate(grown_from(experiment, fit)):
+        if possible(start.effect, experiment):
+            entering(fit, start, REPLACING + place, what, moves)
 
     rough = coarse(experiment)
     plain = runs_of(rough, fit.theta, fit.active, fit.gains)
@@ -195,6 +199,27 @@ def effects_of(fit: Fit) -> tuple[str, ...]:
     return tuple(name for name in fit.named if name in CATALOGUE)
 
 
+def grown_from(experiment: Experiment, fit: Fit) -> list[Start]:
+    """Return starts of effects that contain one that the model has, or share what it contains.
+
+    They begin where that one stands, so that only what they add is judged.
+    """
+    found = []
+    for name in effects_of(fit):
+        family = {name, *CATALOGUE[name].contains}
+        for other in NAMES:
+            if other in fit.named or not family & {other, *CATALOGUE[other].contains}:
+                continue
+            bounds = {p.name: p for p in CATALOGUE[other].parameters}
+            for start in starts_of(other, experiment):
+                values = dict(start.values)
+                for key, now in effect_values(fit.theta, name).items():
+                    if key in values and bounds[key].lower <= now <= bounds[key].upper:
+                        values[key] = now
+                found.append(replace(start, values=tuple(values.items()), replaces=name))
+    return found
+
+
 def timing_only(fit: Fit, f: Free) -> bool:
     """Tell whether a free parameter is a small timing error, no effect that has a name."""
     effect, dot, _ = f.name.partition(".")
@@ -212,6 +237,13 @@ def entering(fit: Fit, start: Start, variant: int, what: list, moves: list) -> N
     """Add the columns of an effect at one of its starts."""
     effect, values = CATALOGUE[start.effect], dict(start.values)
     sizes = own_sizes(start)
+    if not sizes:  # another shape only: all of it, or nothing
+        theta, active = directions_of(fit, start)[0]
+        p = effect.sizes[0]
+        what.append(Column(start.effect, variant, f"{start.effect}.{p.name}", 0.0, 0.0, 1.0,
+                           free_parameter(effect, p, values[p.name]), start, True))
+        moves.append((theta, active, 1.0))
+        return
     smooth = start.among == 1 and all(np.isfinite(p.neutral) for p in sizes)
     share = TANGENT if smooth else 1.0
     for p, (theta, active) in zip(sizes, directions_of(fit, start, share), strict=True):

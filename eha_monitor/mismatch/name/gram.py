@@ -14,10 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.mismatch.experiment import Experiment
-from eha_monitor.mismatch.fit import Fit, spread
-from eha_monitor.mismatch.gains import Unknowns, expected_covariance, gains_of, linear_of
-from eha_monitor.mismatch.innovations import N_FILTERED
+from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.likelihood.fit import Fit, spread
+from eha_monitor.mismatch.likelihood.gains import (
+    Unknowns,
+    expected_covariance,
+    gains_of,
+    linear_of,
+)
+from eha_monitor.mismatch.likelihood.innovations import N_FILTERED
 
 BLOCK = 1024  # samples whose products are taken at once
 
@@ -229,6 +234,8 @@ def grams_of(experiment: Experiment, fit: Fit, columns: list[np.ndarray],
     fit : where the columns were taken, under its gains.
     columns : for each stretch (n, c, m) in SI; NaN where nothing was measured.
     """
+    if experiment.inverse:
+        return [balances_gram(fit, columns[0])]
     used = experiment.columns
     missing = [~np.isfinite(part[:, :, 0]) for part in columns]
     whole = [np.nan_to_num(part) for part in columns]
@@ -254,6 +261,38 @@ def grams_of(experiment: Experiment, fit: Fit, columns: list[np.ndarray],
         return Gram(level, products, counts, logdet)
 
     return [gram for gram in spread(one, levels) if gram is not None]
+
+
+def balances_gram(fit: Fit, columns: np.ndarray) -> Gram:
+    """Return the Gram matrix where the balances' own errors are compared, (n, c, m).
+
+    They are weighed by what is left of each, and count by how long it lasts (:func:`lasting`).
+    """
+    n, channels, m = columns.shape
+    products, counts, logdet = np.zeros((channels, m, m)), np.zeros(channels), 0.0
+    for j in range(channels):
+        rows = columns[np.isfinite(columns[:, j, 0]), j]
+        scale = max(float(np.sqrt(np.mean(rows[:, 0] ** 2))), 1e-300)
+        weight = 1.0 / lasting(rows[:, 0])
+        products[j] = weight * (rows.T @ rows) / scale**2
+        counts[j] = weight * len(rows)
+        logdet += counts[j] * np.log(scale)
+    return Gram(fit.unknowns, products, counts, float(logdet))
+
+
+def lasting(left: np.ndarray) -> float:
+    """Return how many samples count as one where what is left is not white, 1 or more.
+
+    1 + 2 sum rho^2 over the lags at which it is beyond chance (Bartlett 1946).
+    """
+    left = left - left.mean()
+    n, power, total = len(left), float(left @ left), 1.0
+    for lag in range(1, n // 4):
+        rho = float(left[lag:] @ left[:-lag]) / max(power, 1e-300)
+        if rho < 2.0 / np.sqrt(n):
+            break
+        total += 2.0 * rho * rho
+    return total
 
 
 @njit(nogil=True)

@@ -19,6 +19,7 @@ from eha_monitor.mismatch.name.acceptance import (
     BEAM,
     EFFECT,
     LARGEST_SET,
+    RARE,
     UNNAMED,
     WRONG_RIG,
 )
@@ -31,10 +32,14 @@ PASSES = 4  # of a solution within bounds
 
 @dataclass(frozen=True)
 class Member:
-    """A suspect in a set: an owner at one of its starts, or as the model has it (-1)."""
+    """A suspect in a set: an owner at one of its starts, or as the model has it (-1).
+
+    ``replaces`` : effect of the model that it contains and grows out of; both are in the set.
+    """
 
     owner: str
     variant: int
+    replaces: str = ""
 
 
 @dataclass(frozen=True)
@@ -58,7 +63,8 @@ class Ranked:
     @property
     def names(self) -> frozenset[str]:
         """Owners in the set."""
-        return frozenset(member.owner for member in self.members)
+        return frozenset(member.owner for member in self.members) - {
+            member.replaces for member in self.members}
 
 
 class Ranking:
@@ -70,11 +76,13 @@ class Ranking:
         groups: dict[Member, list[int]] = {}
         for i, column in enumerate(what):
             if column.owner != ALWAYS:
-                groups.setdefault(Member(column.owner, column.variant), []).append(i)
+                replaces = column.start.replaces if column.start else ""
+                groups.setdefault(Member(column.owner, column.variant, replaces), []).append(i)
         self.groups = {member: np.array(places) for member, places in groups.items()}
         self.starts: dict[str, int] = {}
         for member in groups:
-            self.starts[member.owner] = self.starts.get(member.owner, 0) + 1
+            if not member.replaces:
+                self.starts[member.owner] = self.starts.get(member.owner, 0) + 1
         self.centre = np.array([c.centre for c in what])
         self.lower = np.array([c.lower for c in what])
         self.upper = np.array([c.upper for c in what])
@@ -85,8 +93,9 @@ class Ranking:
             return WRONG_RIG
         if member.owner not in CATALOGUE:
             return UNNAMED
-        several = np.log(self.starts[member.owner]) if member.variant >= 0 else 0.0
-        return EFFECT - 0.1 * CATALOGUE[member.owner].rarity - several
+        several = (np.log(self.starts[member.owner])
+                   if member.variant >= 0 and not member.replaces else 0.0)
+        return EFFECT + RARE * CATALOGUE[member.owner].rarity - several
 
     def roots(self) -> list[tuple[Member, ...]]:
         """Return the subsets of what the model has, each a set to begin with."""
@@ -95,9 +104,16 @@ class Ranking:
 
     def fits(self, members: tuple[Member, ...], other: Member) -> bool:
         """Tell whether a suspect can join: one of a kind, and none that another contains."""
+        if other.replaces and Member(other.replaces, -1) not in members:
+            return False
+        gone = {member.replaces for member in members} | {other.replaces}
         for member in members:
-            if member.owner == other.owner:
+            if member.owner == other.owner or twins(member.owner, other.owner):
                 return False
+            if member.owner in gone:
+                if other.replaces and any(one.replaces == other.replaces for one in members):
+                    return False
+                continue
             one, two = CATALOGUE.get(member.owner), CATALOGUE.get(other.owner)
             if one and two:
                 if {one.name, *one.contains} & {two.name, *two.contains}:
@@ -124,7 +140,7 @@ class Ranking:
                     continue
                 for member, gain in level.gains(one):
                     key = tuple(sorted((*one.members, member),
-                                       key=lambda m: (m.owner, m.variant)))
+                                       key=lambda m: (m.owner, m.variant, m.replaces)))
                     grown[key] = max(grown.get(key, -np.inf), one.evidence + gain)
             best = sorted(grown, key=lambda key: -grown[key])
             beam = []
@@ -209,13 +225,14 @@ class Level:
             if not out:
                 break
             fixed.update(out)
-        own = np.array([r.what[i].owner != ALWAYS and r.what[i].size for i in here])
+        own = np.array([r.what[i].owner != ALWAYS and r.what[i].size for i in here], dtype=bool)
         slack = 1e-9
         if (own & ((a < r.lower[here] - slack) | (a > r.upper[here] + slack))).any():
             return None
         here, a = np.concatenate([here, list(fixed)]).astype(int), np.concatenate(
             [a, list(fixed.values())])
-        prior = float(sum(r.log_prior(member) for member in members))
+        gone = {member.replaces for member in members}
+        prior = float(sum(r.log_prior(member) for member in members if member.owner not in gone))
         return Ranked(members, float(evidence) + prior, prior, self.gram,
                       {int(i): float(v) for i, v in zip(here, a, strict=True)})
 
@@ -250,8 +267,16 @@ class Level:
                     continue
                 y = np.linalg.solve(c, side)
                 gain = 0.5 * y @ y - np.log(np.diag(c)).sum()
-            gains.append((member, float(gain) + r.log_prior(member)))
+            prior = r.log_prior(member) - (
+                r.log_prior(Member(member.replaces, -1)) if member.replaces else 0.0)
+            gains.append((member, float(gain) + prior))
         return gains
+
+
+def twins(one: str, other: str) -> bool:
+    """Tell whether an effect and a number of the rig are one equation."""
+    return any(name in CATALOGUE and f"rig.{CATALOGUE[name].rig_twin}" == key
+               for name, key in ((one, other), (other, one)))
 
 
 def ranked(what: tuple[Column, ...], named: tuple[str, ...], grams: list[Gram]) -> list[Ranked]:

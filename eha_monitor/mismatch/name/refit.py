@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from eha_monitor.mismatch.experiment import Experiment
-from eha_monitor.mismatch.fit import (
+from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.likelihood.fit import (
     Fit,
     Free,
     covariance_of,
@@ -19,8 +19,9 @@ from eha_monitor.mismatch.fit import (
     whitener,
     with_unknowns,
 )
-from eha_monitor.mismatch.gains import Unknowns, expected_covariance, gains_of
-from eha_monitor.mismatch.name.acceptance import EFFECT, WRONG_RIG
+from eha_monitor.mismatch.likelihood.gains import Unknowns, expected_covariance, gains_of
+from eha_monitor.mismatch.name.acceptance import EFFECT, RARE, WRONG_RIG
+from eha_monitor.mismatch.name.base import base_free, completed, limits_of, timing_free
 from eha_monitor.mismatch.name.columns import (
     ALWAYS,
     BEYOND,
@@ -31,15 +32,15 @@ from eha_monitor.mismatch.name.columns import (
     rig_free,
     runs_of,
 )
-from eha_monitor.mismatch.name.gram import evidence_at, under
+from eha_monitor.mismatch.name.gram import evidence_at, lasting, under
 from eha_monitor.mismatch.name.rank import Ranked
-from eha_monitor.mismatch.screen import entered, free_of
-from eha_monitor.mismatch.search import base_free, completed, limits_of, timing_free
+from eha_monitor.mismatch.name.starts import entered, free_of, own_sizes
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import BASE_KEYS, effect_values, place_of
 
 LEAST = 0.05  # of its start: where a size enters at least
-INFORMED = 0.5  # of its prior deviation: a number of the rig of which the recording tells
+INFORMED = 0.5  # of its prior deviation, all else known: a number that the recording answers to
+ROUGH_STEPS, ROUGHLY = 8, 5.0  # steps and log units of a fit whose unknowns will change
 HALVINGS = 3  # of the way to other unknowns
 FACTORS = (10.0, 3.0)  # of the unknowns' grid
 
@@ -118,10 +119,16 @@ class Slopes:
         if not wanted:
             return {}
         places = [1 + self.places[f.name] for f in wanted]
+        if self.experiment.inverse:
+            whole = np.nan_to_num(self.columns.values[0][:, :, places])
+            return self._in_units(wanted, whole)
         parts = under(self.experiment, self.fit, [
             np.ascontiguousarray(part[:, :, places]) for part in self.columns.values], fit.gains)
         whole = np.concatenate([part[stretch.counted] for part, stretch in zip(
             parts, self.experiment.stretches, strict=True)])
+        return self._in_units(wanted, whole)
+
+    def _in_units(self, wanted: list[Free], whole: np.ndarray) -> dict[str, np.ndarray]:
         units = [self.columns.what[self.places[f.name]].free.spread for f in wanted]
         return {f.name: whole[:, :, i] / unit
                 for i, (f, unit) in enumerate(zip(wanted, units, strict=True))}
@@ -199,7 +206,7 @@ def polished(experiment: Experiment, fit: Fit, slopes: Slopes, steps: int = 12,
         gained, theta, e, best = reached - best, other, moved, reached
         damping = max(damping / 10.0, 1e-9)
         if gained < tolerance:
-            if fresh:
+            if fresh or tolerance >= ROUGHLY:
                 converged = True
                 break
             taken(matters)
@@ -212,24 +219,21 @@ def polished(experiment: Experiment, fit: Fit, slopes: Slopes, steps: int = 12,
                    covariance=covariance, converged=converged)
 
 
-def settled(experiment: Experiment, fit: Fit, slopes: Slopes | None = None, rounds: int = 3,
+def settled(experiment: Experiment, fit: Fit, slopes: Slopes | None = None, rounds: int = 4,
             tolerance: float = 0.3) -> Fit:
     """Fit parameters and unknowns in turn until neither gains."""
     slopes = slopes or Slopes(experiment)
-    if not fit.converged:
-        fit = polished(experiment, fit, slopes, 12, tolerance)
+    best = fit
     for _ in range(rounds):
+        fit = polished(experiment, fit, slopes, ROUGH_STEPS, ROUGHLY)
         if not np.isfinite(fit.log_likelihood):
             return fit
-        before = fit
-        fit = at_level(experiment, fit)
-        if fit is before:
+        best = max(best, fit, key=lambda one: one.log_likelihood)
+        fit = at_level(experiment, best)
+        if fit is best:
             break
-        fit = polished(experiment, fit, slopes, 12, tolerance)
-        if fit.log_likelihood < before.log_likelihood + 1.0:
-            fit = max(fit, before, key=lambda one: one.log_likelihood)
-            break
-    return fit
+    return polished(experiment, max(best, fit, key=lambda one: one.log_likelihood), slopes, 12,
+                    tolerance)
 
 
 def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: Ranked) -> Fit:
@@ -253,7 +257,8 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
         elif column.owner.startswith("rig."):
             theta[f.place] = f.outward(f.inward(theta[f.place]) + BEYOND * amplitude * f.spread)
         else:
-            values[column.name] = guess(column, amplitude)
+            if own_sizes(column.start):
+                values[column.name] = guess(column, amplitude)
     free = [f for f in free if not f.name.startswith("rig.")] + informed(
         experiment, what, ranked)
     for member in ranked.members:
@@ -264,6 +269,14 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
             continue
         column = next(c for c in what if (c.owner, c.variant) == (member.owner, member.variant))
         start = column.start
+        if start.replaces:
+            shared = effect_values(theta, start.replaces)  # moved by the linear guess
+            bounds = {p.name: p for p in CATALOGUE[start.effect].parameters}
+            start = replace(start, values=tuple(
+                (key, min(max(shared[key], bounds[key].lower), bounds[key].upper)
+                 if key in shared else value) for key, value in start.values))
+            free = [f for f in free if not f.name.startswith(start.replaces + ".")]
+            named = tuple(name for name in named if name != start.replaces)
         theta, active = entered(theta, active, start)
         for name, value in values.items():
             if name.startswith(member.owner + "."):
@@ -296,7 +309,7 @@ def informed(experiment: Experiment, what: tuple[Column, ...], ranked: Ranked) -
     """
     here = np.array(sorted(ranked.amplitudes))
     whole = ranked.gram.products.sum(axis=0)[np.ix_(1 + here, 1 + here)] + np.eye(len(here))
-    deviation = np.sqrt(np.diag(np.linalg.inv(whole)))
+    deviation = 1.0 / np.sqrt(np.diag(whole))
     own = {f.name: f for f in rig_free(experiment)}
     found = {}
     for place, sigma in zip(here, deviation, strict=True):
@@ -331,21 +344,28 @@ def guess(column: Column, amplitude: float) -> float:
     return float(min(max(value, p.lower), p.upper))
 
 
-def evidence_of(fit: Fit) -> float:
+def evidence_of(experiment: Experiment, fit: Fit) -> float:
     """Return Laplace's evidence of a fitted set, without its prior odds, log units.
 
     Comparable with :class:`Ranked`: both are of innovations with their own scale.
     """
+    likelihood = fit.log_likelihood - 0.5 * fit.e.size
+    if experiment.inverse:
+        prior = prior_exponent(fit.free, fit.theta)
+        likelihood = prior
+        for column in fit.e.T:
+            rows = column[np.isfinite(column)]
+            likelihood -= len(rows) / lasting(rows) * (0.5 + np.log(np.sqrt(np.mean(rows**2))))
     spreads = np.array([f.spread for f in fit.free])
     sign, logdet = np.linalg.slogdet(fit.covariance / np.outer(spreads, spreads))
     occam = 0.5 * logdet if sign > 0 else -np.inf
-    return float(fit.log_likelihood - 0.5 * fit.e.size + occam)
+    return float(likelihood + occam)
 
 
 def prior_of(names: frozenset[str]) -> float:
     """Return the logarithm of a set's prior odds."""
     return sum(WRONG_RIG if name.startswith("rig.") else
-               EFFECT - 0.1 * CATALOGUE[name].rarity for name in names)
+               EFFECT + RARE * CATALOGUE[name].rarity for name in names)
 
 
 def discrepancy(experiment: Experiment, fit: Fit) -> float:

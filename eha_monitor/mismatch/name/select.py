@@ -4,10 +4,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from eha_monitor.mismatch.experiment import Experiment
-from eha_monitor.mismatch.fit import Fit, spread
-from eha_monitor.mismatch.gains import Unknowns
+from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
+from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.name.acceptance import FORM
+from eha_monitor.mismatch.name.base import limits_of
 from eha_monitor.mismatch.name.columns import columns_at
 from eha_monitor.mismatch.name.gram import grams_of
 from eha_monitor.mismatch.name.rank import Ranked, ranked
@@ -22,7 +23,6 @@ from eha_monitor.mismatch.name.refit import (
     prior_of,
     settled,
 )
-from eha_monitor.mismatch.search import limits_of
 from eha_monitor.physics.effects import CATALOGUE
 
 FIRST = 100.0  # times the smallest unknowns: where the nominal model is linearised
@@ -30,6 +30,8 @@ LEANING = 30.0  # times the smallest unknowns: below, the nominal model needs ne
 HANDFUL = 4  # sets that are refitted at a linearisation
 MOST_OF = 0.9  # of the best set's gain: the smallest sets that reach it are refitted first
 CATCHING_UP = 0.7  # of the best refitted set's gain, after a few steps, to be fitted to the end
+WITHIN_REACH, FINALISTS = 20.0, 3  # log units; sets that are fitted to the end
+CLOSE = 1000.0  # log units: the nominal model is a rival too
 QUICK = 5  # steps of the first look
 ROUNDS = 5
 TRACE = False
@@ -48,10 +50,11 @@ class Seen:
     evidence: dict[frozenset[str], float] = field(default_factory=dict)
     left: dict[frozenset[str], float] = field(default_factory=dict)
 
-    def add(self, experiment: Experiment, names: frozenset[str], fit: Fit) -> None:
-        """Keep a fit of a set, if it is one and better than what is there."""
-        value = evidence_of(fit) if np.isfinite(fit.log_likelihood) else -np.inf
-        if np.isfinite(value) and value > self.evidence.get(names, -np.inf):
+    def add(self, experiment: Experiment, names: frozenset[str], fit: Fit,
+            anyway: bool = False) -> None:
+        """Keep a fit of a set, if it is one and better than what is there, or ``anyway``."""
+        value = evidence_of(experiment, fit) if np.isfinite(fit.log_likelihood) else -np.inf
+        if np.isfinite(value) and (anyway or value > self.evidence.get(names, -np.inf)):
             self.fits[names], self.evidence[names] = fit, value
             self.left[names] = discrepancy(experiment, fit)
 
@@ -145,13 +148,28 @@ def proposals_of(found: list[Ranked], own: float, seen: Seen) -> list[Ranked]:
         return []
     own = max(own, better[-1].evidence)
     enough = own + MOST_OF * (better[0].evidence - own)
-    size = min(len(one.members) for one in better if one.evidence >= enough)
-    chosen = [one for one in better if len(one.members) <= size and one.evidence >= enough]
-    others = [one for one in better if len(one.members) == size and one not in chosen]
-    chosen = chosen[:HANDFUL] or others[:HANDFUL]
-    if better[0] not in chosen:
-        chosen.append(better[0])
-    return [one for one in chosen if one.names not in seen.fits]
+    able = [one for one in better if one.evidence >= enough]
+    size = min(len(one.members) for one in able)
+    chosen: list[Ranked] = []
+    for one in sorted((one for one in able if len(one.members) == size), key=simplicity):
+        if not any(contained(other, one) for other in chosen):
+            chosen.append(one)
+    chosen.sort(key=lambda one: -one.evidence)
+    return [one for one in chosen if one.names not in seen.fits][:HANDFUL] or [
+        one for one in able if one.names not in seen.fits][:HANDFUL]
+
+
+def simplicity(one: Ranked) -> tuple[int, float]:
+    """Return the key that puts what is contained before what contains it."""
+    return (sum(len(CATALOGUE[name].contains) for name in one.names if name in CATALOGUE),
+            -one.evidence)
+
+
+def contained(simple: Ranked, other: Ranked) -> bool:
+    """Tell whether a set is another one with an effect in place of one that contains it."""
+    less, more = simple.names - other.names, other.names - simple.names
+    return len(less) == len(more) == 1 and (name := next(iter(more))) in CATALOGUE \
+        and next(iter(less)) in CATALOGUE[name].contains
 
 
 def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
@@ -160,15 +178,14 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
     first = nominal_model(experiment)
     seen = Seen()
     seen.add(experiment, frozenset(), first)
-    done: set[frozenset[str]] = set()
+    at: Fit | None = None  # where the innovations were linearised last
     ranking: list[Ranked] = []
     for turn in range(ROUNDS):
         say(f"weighing all sets, round {turn + 1}", 0.1 + 0.15 * turn)
         here = seen.best()
-        if here in done:
+        if seen.fits[here] is at:
             break
-        done.add(here)
-        fit = seen.fits[here]
+        at = fit = seen.fits[here]
         columns = columns_at(experiment, fit)
         grams = grams_of(experiment, fit, columns.values, levels_of(experiment, fit))
         ranking = ranked(columns.what, fit.named, grams)
@@ -178,9 +195,18 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
             print("   turn", turn, sorted(here), "own %.1f" % own, fit.unknowns)
             for one in ranking[:3] + chosen:
                 print("      %.1f" % one.evidence, [f"{m.owner}:{m.variant}" for m in one.members])
-        if not chosen:
-            break
         slopes = Slopes(experiment, fit, columns)
+        mine = next((one for one in ranking if one.names == here), None)
+        if not chosen:
+            # Nothing is better: then it must hold at the unknowns that suit it best.
+            if mine is None or experiment.inverse or mine.gram.unknowns == fit.unknowns:
+                break
+            again = settled(experiment, joined(experiment, fit, columns.what, mine), slopes)
+            before = seen.evidence[here]
+            seen.add(experiment, here, again)
+            if seen.evidence[here] < before + 1.0:
+                break
+            continue
 
         def quick(one: Ranked) -> Fit:
             return polished(experiment, joined(experiment, fit, columns.what, one), slopes, QUICK)
@@ -188,6 +214,9 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
         def whole(made: Fit) -> Fit:
             return settled(experiment, made, slopes)
 
+        if mine is not None and not here and chosen[0].evidence < own + CLOSE:
+            # With the same numbers of the rig free as in its rivals: else their evidence differs.
+            seen.add(experiment, here, whole(joined(experiment, fit, columns.what, mine)), True)
         looks = spread(quick, chosen)
         reach = max(made.log_likelihood for made in looks)
         base = min(made.log_likelihood for made in [*looks, first] if np.isfinite(
@@ -197,8 +226,30 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
         for made in spread(whole, going):
             seen.add(experiment, frozenset(made.named), made)
             if TRACE:
-                print("      refit %.1f" % evidence_of(made), made.named, made.unknowns)
+                print("      refit %.1f" % evidence_of(experiment, made), made.named, made.unknowns)
+    finish(experiment, seen)
     return Selection(first, seen.fits[seen.best()], seen, ranking)
+
+
+def finish(experiment: Experiment, seen: Seen) -> None:
+    """Fit the sets that are within reach of the best to the end, under the same unknowns.
+
+    A refit that is cut short ranks the wrong set first where effects trade.
+    """
+    scores = seen.scores()
+    best = seen.best()
+    near = [names for names in sorted(scores, key=lambda names: -scores[names])
+            if names and scores[names] > scores[best] - WITHIN_REACH][:FINALISTS]
+    level = seen.fits[best].unknowns
+
+    def ended(names: frozenset[str]) -> Fit:
+        fit = seen.fits[names]
+        if not experiment.inverse and fit.unknowns != level:
+            fit = with_unknowns(experiment, fit, level)
+        return settled(experiment, replace(fit, converged=False))
+
+    for names, fit in zip(near, spread(ended, near), strict=True):
+        seen.add(experiment, names, fit)
 
 
 __all__ = ["Seen", "Selection", "replace", "selected"]

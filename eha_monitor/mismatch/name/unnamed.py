@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.mismatch.experiment import Experiment
-from eha_monitor.mismatch.fit import Fit, filtered
-from eha_monitor.mismatch.gains import linear_of, smallest_unknowns
-from eha_monitor.mismatch.innovations import CLOSED, FORCED
-from eha_monitor.mismatch.missing import signals_along
+from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
+from eha_monitor.mismatch.likelihood.along import signals_along
+from eha_monitor.mismatch.likelihood.fit import Fit, filtered
+from eha_monitor.mismatch.likelihood.gains import linear_of, smallest_unknowns
 from eha_monitor.mismatch.name.gram import carried, injected
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.plant import Y_FLOW, Y_FORCE, Y_SPEED

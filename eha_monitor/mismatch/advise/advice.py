@@ -1,0 +1,253 @@
+"""Advice: what a recording can and cannot tell apart, and the cheapest motion that would."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from eha_monitor.breakdown import computing
+from eha_monitor.errors import InputError
+from eha_monitor.filters.hold_choice import resolved
+from eha_monitor.mismatch.advise.motions import Limits, Motion, limits_for, looped
+from eha_monitor.mismatch.advise.separate import (
+    DECISIVE,
+    WANTED,
+    Advice,
+    Check,
+    Doubt,
+    Question,
+    Tried,
+    cheapest,
+    checked,
+    entered_at,
+    instead,
+    try_motions,
+)
+from eha_monitor.mismatch.advise.tells import (
+    HOPELESS,
+    Confusion,
+    Reading,
+    directions_for,
+    effects_for,
+    named_directions,
+)
+from eha_monitor.mismatch.advise.words import sentences
+from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
+from eha_monitor.mismatch.likelihood.fit import Fit
+from eha_monitor.mismatch.likelihood.gains import Unknowns
+from eha_monitor.mismatch.likelihood.information import Slope, Traces, free_slopes
+from eha_monitor.mismatch.name.base import YIELDING, limits_of, settle, with_effect
+from eha_monitor.mismatch.name.naming import Naming, name_effects
+from eha_monitor.physics.effects import CATALOGUE, NAMES
+from eha_monitor.physics.parameters import place_of
+from eha_monitor.quantity import quantity
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.monitor import Settings
+
+COMMON = ("coulomb_friction", "quadratic_friction", "spring_load", "added_mass",
+          "cross_port_leakage")  # what B and beta_e are most often mistaken for
+LEAST_MOTION = 20.0  # times the position's noise: less motion says nothing
+ATTEMPTS = 3  # motions that are put to a simulation
+MOST_QUESTIONS = 4
+Report = Callable[[str, float], None]
+
+
+def predicting(experiment: Experiment, fit: Fit) -> tuple[Experiment, Fit]:
+    """Return both as the filter takes them: a motion is judged by what its prediction shows."""
+    plain = replace(experiment, inverse=False)
+    unknowns = Unknowns(*(YIELDING * limits_of(plain)[0].as_array()))
+    return plain, settle(plain, replace(fit, unknowns=unknowns))
+
+
+def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
+           rivals: dict[str, Fit] | None = None, check: bool = True, thorough: bool = True,
+           report: Report | None = None) -> Advice:
+    """Say what a recording tells apart, and which motion would tell the rest.
+
+    Parameters
+    ----------
+    experiment : the recordings; ``fit`` their model, with what was named.
+    doubts : named effect -> effects that may be there instead.
+    rivals : effect -> a fit that has it instead; without it the rival enters at its start.
+    check : put the proposed motion to a simulation with noise.
+    thorough : look at the whole catalogue and at all motions; otherwise at the usual ones.
+    report : told what is done and how far it is, 0 to 1.
+    """
+    say = report or (lambda text, share: None)
+    say("asking what this recording tells", 0.0)
+    if experiment.inverse:
+        experiment, fit = predicting(experiment, fit)
+    limits = limits_for(experiment)
+    if limits is not None:
+        fit = looped(fit, limits)
+    unit = "N·s/m" if experiment.settings.rig.motion == "linear" else "N·m·s/rad"
+    base = [s for s in free_slopes(fit) if thorough or not small_timing(s.label, fit)]
+    directions, slopes = directions_for(experiment, fit, effects_for(
+        experiment, fit, NAMES if thorough else COMMON))
+    found, found_slopes = named_directions(experiment, fit)
+    traces = Traces(experiment, fit, [*base, *slopes, *found_slopes])
+    pairs = [pair(experiment, fit, effect, rival,
+                  (rivals or {}).get(rival) or entered_at(experiment, traces, effect, rival, base))
+             for effect, others in doubts.items() if effect in fit.named for rival in others]
+    here = traces.gram([s.label for s in [*base, *slopes, *found_slopes]])
+    reading = Reading(fit, here, base, directions, found)
+    named = [c for d in found for parameter in ("B", "beta_e") if parameter in reading.labels
+             and (c := reading.confusion(d, parameter, d.amount, True)) is not None]
+    confusions = (*named, *reading.confusions())
+    units = {"B": unit, "beta_e": "Pa"} | {
+        f"{name}.{p.name}": p.unit for name in NAMES for p in CATALOGUE[name].parameters}
+    questions = [*pairs, *(hidden(fit, c, reading) for c in open_ones(confusions))]
+    say("looking for a motion", 0.2)
+    asked, now = open_questions(traces, questions, base)
+    motion, tried, checks = None, [], []
+    if asked and limits is not None:
+        here = traces.gram([s.label for s in [*base, *(s for q in asked for s in q.slopes())]])
+        tried = try_motions(experiment, fit, asked, here, limits, base, thorough)
+        motion = cheapest(tried)
+        if check:
+            motion, checks = proven(experiment, fit, asked, tried, limits, say)
+    then = next((one.gains for one in tried if one.motion is motion), (np.nan,) * len(asked))
+    return Advice(
+        reading.known(units), reading.plateaus, confusions, reading.sights(), reading.groups(),
+        tuple(Doubt(q.effect, q.rival, q.parameter, q.steady, q.amount, q.symbol, q.unit, a, b)
+              for q, a, b in zip(asked, now, then, strict=True)), motion,
+        tuple(tried), tuple(checks), limits is not None, unit)
+
+
+def open_ones(confusions: Sequence[Confusion]) -> list[Confusion]:
+    """Return the confusions worth a motion: the commonest effects, one for each parameter."""
+    chosen: dict[str, Confusion] = {}
+    for c in confusions:
+        if c.named or CATALOGUE[c.effect].rarity <= 1:
+            chosen.setdefault(c.parameter, c)
+    return list(chosen.values())
+
+
+def hidden(fit: Fit, c: Confusion, reading: Reading) -> Question:
+    """Return the question whether an amount that matters is an effect, or B or beta_e."""
+    steady = abs(c.plateau_correlation) > HOPELESS
+    d = next(d for d in (*reading.directions, *reading.found)
+             if d.effect == c.effect and d.parameter == c.symbol)
+    size = reading.matters(d, steady)
+    if c.named:  # a little less of what was found, and B or beta_e makes up for it
+        key = f"{c.effect}.{c.symbol}"
+        size = min(size, 0.5 * abs(d.amount))
+        theta = fit.theta.copy()
+        theta[place_of(key)] -= size * np.sign(d.amount)
+        less = replace(fit, theta=theta, free=tuple(f for f in fit.free if f.name != key))
+        return Question(c.effect, "", c.parameter, steady, fit, less, size, c.symbol, c.unit)
+    share = size / abs(d.amount)
+    truth = with_effect(fit, d.start, tuple(share if p.name == c.symbol else 0.0
+                                            for p in CATALOGUE[c.effect].sizes))
+    return Question(c.effect, "", c.parameter, steady, truth, fit, size, c.symbol, c.unit,
+                    "other")
+
+
+def pair(experiment: Experiment, fit: Fit, effect: str, rival: str, other: Fit) -> Question:
+    """Return the question which of two effects is there."""
+    p = CATALOGUE[effect].sizes[0]
+    return Question(effect, rival, "", False, fit,
+                    instead(experiment, fit, effect, other, rival),
+                    float(fit.theta[place_of(f"{effect}.{p.name}")]), p.name, p.unit)
+
+
+def open_questions(traces: Traces, questions: Sequence[Question], base: Sequence[Slope]
+                   ) -> tuple[list[Question], list[float]]:
+    """Return the questions that the recording leaves open, and the log units it has on each."""
+    found = []
+    for question in questions:
+        traces.add(question.slopes())
+        now = question.gain(traces.gram([s.label for s in [*base, *question.slopes()]]), base)
+        if now < DECISIVE:
+            found.append((question, now))
+    found = found[:MOST_QUESTIONS]
+    return [question for question, _ in found], [now for _, now in found]
+
+
+def proven(experiment: Experiment, fit: Fit, asked: Sequence[Question], tried: Sequence[Tried],
+           limits: Limits, say: Report) -> tuple[Motion | None, list[Check]]:
+    """Return the cheapest motion that also decides in simulation, with its checks.
+
+    None where none does; the checks then show it.  The prediction is linear, and where friction
+    sticks or a limit is reached it can be far off: after a failure more is asked of the next one.
+    """
+    rejected: list[str] = []
+    best, most, failed = None, 0, []
+    for attempt in range(ATTEMPTS):
+        motion = cheapest(tried, rejected, WANTED * 4.0**attempt)
+        if motion is None:
+            break
+        gains = next(one.gains for one in tried if one.motion is motion)
+        checks = []
+        for i, question in enumerate(asked):
+            say(f"checking in simulation: {motion.words}",
+                0.4 + 0.6 * (attempt + i / len(asked)) / ATTEMPTS)
+            if gains[i] >= DECISIVE:
+                checks.append(checked(experiment, fit, question, motion, limits))
+        held = sum(one.found >= DECISIVE for one in checks)
+        if held == len(checks):
+            return motion, checks
+        if held > most:
+            best, most, failed = motion, held, checks
+        failed = failed or checks
+        rejected.append(motion.name)
+    return best, failed
+
+
+def small_timing(name: str, fit: Fit) -> bool:
+    """Tell whether a parameter is one of the small timing errors that every record has."""
+    effect, dot, _ = name.partition(".")
+    return bool(dot) and effect not in fit.named
+
+
+def advise(recordings: list[Recording], settings: Settings, check: bool = True,
+           report: Report | None = None) -> tuple[Naming, Advice]:
+    """Name what recordings of one rig support, and say what they leave open.
+
+    Parameters
+    ----------
+    settings : nominal config; its effects count as known.
+    check : put the proposed motion to a simulation with noise.
+    report : told what is done and how far it is, 0 to 1.
+
+    Raises
+    ------
+    InputError
+        If the recordings hold nothing that a model predicts, hardly any motion, or numbers that
+        break the calculation.
+    """
+    with computing(*(recording.source for recording in recordings)):
+        return _advised(recordings, settings, check, report or (lambda text, share: None))
+
+
+def _advised(recordings: list[Recording], settings: Settings, check: bool, say: Report
+             ) -> tuple[Naming, Advice]:
+    settings, _ = resolved(recordings, settings)
+    experiment = experiment_of(recordings, settings, hold_out=False)
+    moved = experiment.ranges.position
+    if moved < LEAST_MOTION * experiment.noise[0]:
+        raise InputError(f"{recordings[0].source}: expected a piston that moves, found "
+                         f"{quantity(moved, 'm', 2)} with "
+                         f"{quantity(experiment.noise[0], 'm', 2)} of noise: any motion tells "
+                         "more")
+    naming = name_effects(experiment, lambda text, share: say(text, 0.6 * share))
+    found = advice(experiment, naming.after, naming.rivals, rival_fits(naming), check,
+                   report=lambda text, share: say(text, 0.6 + 0.4 * share))
+    return naming, found
+
+
+def rival_fits(naming: Naming) -> dict[str, Fit]:
+    """Return the fits of the candidates that were tried, effect -> fit."""
+    found = {}
+    for names, fit, _ in naming.tried:  # best first
+        for name in names:
+            if name in CATALOGUE:
+                found.setdefault(name, replace(fit, named=tuple(
+                    other for other in fit.named if other in CATALOGUE)))
+    return found
+
+
+def advice_for(experiment: Experiment, naming: Naming, check: bool = False) -> tuple[str, ...]:
+    """Return the advice of a diagnosis in sentences, quickly: its doubts and the usual ones."""
+    return sentences(advice(experiment, naming.after, naming.rivals, rival_fits(naming), check,
+                            thorough=False))

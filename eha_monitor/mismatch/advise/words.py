@@ -1,0 +1,213 @@
+"""Advice in sentences, with the units that people write."""
+
+import math
+
+from eha_monitor.mismatch.advise.motions import Motion
+from eha_monitor.mismatch.advise.separate import DECISIVE, Advice, Check, Doubt
+from eha_monitor.mismatch.advise.tells import (
+    BASE,
+    CONFUSED,
+    HOPELESS,
+    LEAST,
+    Confusion,
+    Known,
+    Sight,
+)
+from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.quantity import SYMBOLS, number, quantity, share
+from eha_monitor.settings.rig import Segment
+from eha_monitor.words import effect_words, listed
+
+NOTABLE = 0.02  # of B or beta_e: a shift below is of no matter
+HOPELESS_INFLATION = 1000.0
+HARDLY = 100.0  # variance inflation: standard deviations are ten times as large
+MOST = 4  # sentences of a kind
+
+
+def sentences(advice: Advice) -> tuple[str, ...]:
+    """Return the advice as sentences, the most important first."""
+    found = [confusion_words(c, advice) for c in worst(advice)]
+    found += [known_words(one) for one in advice.known
+              if one.name in BASE and abs(one.correlation) > CONFUSED
+              and not any(c.parameter == one.name and one.most_with.startswith(c.effect)
+                          for c in advice.confusions)]
+    found += group_words(advice.groups)
+    found += blind_words(advice)
+    found += motion_words(advice)
+    found += [check_words(check, advice.damping_unit) for check in advice.checks]
+    return tuple(found)
+
+
+def amount(value: float, unit: str, digits: int = 3) -> str:
+    """Return an SI value in a unit that people write: ``0.12 bar`` is kPa, ``1`` is %."""
+    value = float(f"{value:.6g}")
+    return share(value, digits) if unit == "1" else quantity(value, unit, digits)
+
+
+def rounded(value: float) -> float:
+    """Return 1, 2 or 5 times a power of ten, at most a value."""
+    power = 10.0 ** math.floor(math.log10(abs(value)))
+    step = next(step for step in (5.0, 2.0, 1.0) if step * power <= abs(value) * (1 + 1e-9))
+    return float(f"{math.copysign(step * power, value):.6g}")
+
+
+def unit_of(parameter: str, advice: Advice) -> str:
+    """Return the unit of a health parameter."""
+    return advice.damping_unit if parameter == "B" else "Pa"
+
+
+def worst(advice: Advice) -> list:
+    """Return the confusions that are said: of each parameter the named and commonest ones."""
+    chosen = []
+    for parameter in BASE:
+        chosen += [c for c in advice.confusions if c.parameter == parameter][:2]
+    return chosen
+
+
+def confusion_words(c: Confusion, advice: Advice) -> str:
+    """Return a confusion as a sentence."""
+    parameter, effect = SYMBOLS[c.parameter], effect_words(c.effect)
+    unit = unit_of(c.parameter, advice)
+    share = 1.0 if c.named else rounded(c.amount) / c.amount
+    size = amount(share * c.amount, c.unit)
+    if abs(c.plateau_correlation) > HOPELESS:
+        can = "cannot" if c.plateau_inflation > HOPELESS_INFLATION else "can hardly"
+        text = (f"{parameter} and {effect} {can} be told apart from the plateaus of steady speed "
+                f"({advice.plateaus:.0%} of this recording): correlation "
+                f"{abs(c.plateau_correlation):.3f}, variance inflation "
+                f"{number(c.plateau_inflation, 2)}; {parameter} may be off by "
+                f"{amount(share * abs(c.plateau_shift), unit)} for {size} of it")
+        how = "between them" if c.named else "there"
+        if abs(c.correlation) < HOPELESS:
+            text += (f"; the changes of speed {how} tell them apart (correlation "
+                     f"{abs(c.correlation):.3f}, inflation {number(c.inflation, 2)} over all), "
+                     "as far as the model of the turn-round is right")
+        return text
+    text = (f"{parameter} and {effect}: correlation {abs(c.correlation):.3f}, variance inflation "
+            f"{number(c.inflation, 2)}")
+    if c.inflation > HARDLY:
+        text += ": this recording hardly tells them apart"
+    shift = amount(share * abs(c.shift), unit)
+    return (f"{text}; without the {size} of it that was found, {parameter} would be off by "
+            f"{shift}" if c.named else
+            f"{text}; {size} of it, left out, would put {parameter} off by {shift}")
+
+
+def known_words(one: Known) -> str:
+    """Return with what a health parameter is confused inside the fit."""
+    effect, dot, symbol = one.most_with.partition(".")
+    other = f"{symbol} of {effect_words(effect)}" if dot else SYMBOLS.get(effect, effect)
+    return (f"{SYMBOLS[one.name]} and {other} are estimated together: correlation "
+            f"{abs(one.correlation):.3f}, variance inflation {number(one.inflation, 2)}")
+
+
+def group_words(groups: tuple[tuple[str, ...], ...]) -> list[str]:
+    """Return the effects that the recording shows, but does not tell apart."""
+    if not groups:
+        return []
+    return ["this recording would show, but not tell apart: " + "; ".join(
+        listed([effect_words(name) for name in group]) for group in groups)]
+
+
+def blind_words(advice: Advice) -> list[str]:
+    """Return which effects the recording does not show at a size that matters."""
+    unseen: dict[str, Sight] = {}
+    for sight in advice.sights:
+        if sight.gain < LEAST:
+            unseen.setdefault(sight.effect, sight)
+    found = []
+    for sight in list(unseen.values())[:MOST]:
+        text = f"{effect_words(sight.effect)} would not show here"
+        if math.isfinite(sight.visible) and sight.visible < 1e6 * sight.matters:
+            text += f" below {amount(sight.visible, sight.unit, 2)}"
+            moved = [f"{SYMBOLS[name]} by {abs(shift):.0%}"
+                     for name, shift in sight.shifts.items() if abs(shift) > NOTABLE]
+            if moved:
+                text += f", and would shift {listed(moved)}"
+        found.append(text)
+    if len(unseen) > MOST:
+        rest = [effect_words(name) for name in list(unseen)[MOST:]]
+        found.append(f"nor would {listed(rest, 'or')} show at a size that matters")
+    return found
+
+
+def doubt_words(doubt: Doubt) -> str:
+    """Return what is to be told from what."""
+    effect = effect_words(doubt.effect)
+    if doubt.rival:
+        return f"{effect} from {effect_words(doubt.rival)}"
+    return f"{amount(doubt.amount, doubt.unit, 2)} of {effect} from {SYMBOLS[doubt.parameter]}"
+
+
+def segment_words(name: str, segment: Segment) -> str:
+    """Return one stretch of a motion: shape, size, time."""
+    size = f"amplitude {amount(segment.amplitude, 'm')}" if segment.kind != "rest" else ""
+    about = f" about x = {amount(segment.offset, 'm')}" if abs(segment.offset) > 1e-9 else ""
+    lasting = f"for {number(segment.duration, 3)} s"
+    if segment.kind == "rest":
+        return f"rest{about.replace('about', 'at')} {lasting}"
+    if segment.kind == "triangle":
+        speed = 4.0 * segment.amplitude * segment.frequency
+        return (f"a triangle of {size} at {amount(speed, 'm/s')} "
+                f"({number(segment.frequency, 3)} Hz){about} {lasting}")
+    if segment.kind in ("multisine", "chirp"):
+        return (f"a {segment.kind} of {size} from {number(segment.frequency)} to "
+                f"{number(segment.frequency_end)} Hz{about} {lasting}")
+    if segment.kind == "steps":
+        return (f"random steps of {size}, {number(segment.frequency)} a second{about} "
+                f"{lasting}")
+    return f"a sine of {size} at {number(segment.frequency)} Hz{about} {lasting}"
+
+
+def motion_sentence(motion: Motion) -> str:
+    """Return a motion in full."""
+    return ", then ".join(segment_words(name, segment)
+                          for name, segment in motion.segments.items())
+
+
+def motion_words(advice: Advice) -> list[str]:
+    """Return what to record next, and what no motion settles."""
+    found = []
+    if not advice.doubts:
+        return ["nothing that was named is in doubt: this recording tells it from its rivals"
+                ] if not advice.groups and not advice.confusions else []
+    failed = {(c.effect, c.rival) for c in advice.checks if c.found < DECISIVE}
+    settled = [d for d in advice.doubts
+               if d.then >= DECISIVE and (d.effect, d.rival) not in failed]
+    if advice.motion is not None and settled:
+        gains = listed([f"{doubt_words(d)} by {number(d.then, 3)} log units (this recording alone "
+                        f"{number(max(d.now, 0.0), 2)})" for d in settled])
+        found.append(f"record also {motion_sentence(advice.motion)}: together with this "
+                     f"recording it tells {gains}")
+    for doubt in advice.doubts:
+        if doubt in settled:
+            continue
+        check = CATALOGUE[doubt.rival or doubt.effect].rig_check
+        check = check[0].lower() + check[1:].rstrip(".")
+        if not advice.plannable:
+            found.append(f"this recording cannot tell {doubt_words(doubt)}, and the config has "
+                         f"too little to plan a motion (areas and pump); at the rig: {check}")
+            continue
+        if (doubt.effect, doubt.rival) in failed:
+            found.append(f"no motion tells {doubt_words(doubt)}: what was predicted to fails in "
+                         f"simulation; at the rig: {check}")
+            continue
+        best = max((one.gains[advice.doubts.index(doubt)] for one in advice.tried), default=0.0)
+        found.append(f"no motion within the travel and the speed of this recording tells "
+                     f"{doubt_words(doubt)} (at best {number(max(best, 0.0), 2)} log units); "
+                     f"at the rig: {check}")
+    return found
+
+
+def check_words(check: Check, damping_unit: str) -> str:
+    """Return what came of the proposed motion in simulation."""
+    values = listed([f"{SYMBOLS[name]} = {amount(found, unit, 4)} where "
+                     f"{amount(true, unit, 4)} is true"
+                     for name, (found, _, true), unit in (
+                         (name, row, damping_unit if name == "B" else "Pa")
+                         for name, row in check.values.items())])
+    other = f" against {effect_words(check.rival)}" if check.rival else ""
+    failed = "" if check.found >= DECISIVE else ", so that motion does not decide"
+    return (f"checked in simulation with noise: {effect_words(check.effect)}{other} "
+            f"gives {number(check.found, 3)} log units, {number(check.predicted, 3)} were "
+            f"predicted{failed}; {values}")

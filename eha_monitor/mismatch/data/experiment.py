@@ -1,0 +1,400 @@
+"""What the diagnosis looks at: one or more recordings of one rig, ready for the filter."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from eha_monitor.errors import InputError
+from eha_monitor.filters.inputs import force_of, without_spikes
+from eha_monitor.filters.noise import noise_levels, quantum
+from eha_monitor.mismatch.data.inputs import (
+    CLOSED,
+    FORCED,
+    OPEN,
+    course_of,
+    filled,
+    noise_governs,
+    present,
+)
+from eha_monitor.physics.effect import Ranges
+from eha_monitor.physics.parameters import theta_of
+from eha_monitor.physics.plant import N_OUTPUTS
+from eha_monitor.physics.signals import K_POS
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.rig import Rig
+
+OUTPUTS = ("x", "v", "p1", "p2", "omega")
+BURN_IN = 0.15  # s at the start of each stretch in which the filter finds the state
+LONGEST_GAP = 0.02  # s of missing input that is bridged
+SHORTEST = 0.5  # s of a stretch worth fitting
+PERIOD, SHARE = 5.0, 0.2  # of every 5 s the last fifth is held out
+STEP_PHASE = 0.16  # rad of the fastest resonance in one integration step
+MOST_DAMPING = 3.0  # times the prior of B: how far a fit may take it
+STEP_DECAY = 1.5  # times the fastest decay in one; Runge-Kutta runs away from 2.8
+MOST_STEPS = 40
+ABOVE = 1.3  # times a fitted B: quadratic friction adds to it at the highest speed
+PULL = 1.0  # rad/s for a metre: what stands for K_pos where the wanted speed is recorded
+LOOSE = 0.01  # of the pressure noise squared: what an unknown course of the demand may do
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """One gapless stretch of a recording.
+
+    Attributes
+    ----------
+    start : time of its first sample in its recording, s; ``source`` names the recording.
+    z : (n, N_OUTPUTS) measured x, v, p1, p2, omega (SI), NaN where missing.
+    u : (n, 4) input as cubics: x_d (m), pump speed (rad/s) or force (N).
+    p1, p2 : (n,) pressures for a forced model, Pa.
+    counted : (n,) bool, samples whose innovations are fitted.
+    held_out : (n,) bool, samples kept aside for the proof.
+    loose : (n,) share of the pressure difference that is taken from the sensors because the
+        input's course before the sample is not known, or None.
+    """
+
+    source: str
+    start: float
+    z: np.ndarray
+    u: np.ndarray
+    p1: np.ndarray
+    p2: np.ndarray
+    counted: np.ndarray
+    held_out: np.ndarray
+    loose: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.z)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Recordings of one rig as the mismatch filter takes them.
+
+    Attributes
+    ----------
+    settings : nominal config, effects included.
+    mode : ``CLOSED`` (x_d drives the loop), ``OPEN`` (pump speed drives) or ``FORCED``.
+    dt, steps : sample time in s, integration steps in it.
+    used : (N_OUTPUTS,) bool, the channels that are compared.
+    noise : (N_OUTPUTS,) standard deviation of each sensor, SI.
+    theta, active : nominal parameters and the effects that the config has.
+    stretches : the data.
+    ranges : what the record covers.
+    position_step : resolution of the position sensor, m; 0 where it is continuous.
+    input_noise : standard deviation of the noise on a measured input, in its unit.
+    largest_unknown : how far unknown force, flow and speed may go, times their smallest; 1e4
+        times is what the record covers.
+    wanted_speed : the input of ``CLOSED`` is the speed that the drive was told, not x_d.
+    by_pressures : the input of ``FORCED`` is what the pressure sensors say.
+    held : the drive holds its input over each sample, a digital controller.
+    inverse : the balances' own errors are compared (:mod:`equation_error`), not predictions.
+    drift : by how much the circuit outside the model moves a chamber's pressure in a sample, Pa.
+    """
+
+    settings: Settings
+    mode: int
+    dt: float
+    steps: int
+    used: np.ndarray
+    noise: np.ndarray
+    theta: np.ndarray
+    active: np.ndarray
+    stretches: tuple[Stretch, ...]
+    ranges: Ranges
+    position_step: float = 0.0
+    input_noise: float = 0.0
+    spikes: dict[str, int] = field(default_factory=dict)
+    wanted_speed: bool = False
+    drift: float = 0.0
+    inverse: bool = False
+    largest_unknown: float = 3e4
+    by_pressures: bool = False
+    held: bool = False
+
+    @property
+    def n(self) -> int:
+        """Samples in all stretches."""
+        return sum(len(stretch) for stretch in self.stretches)
+
+    @property
+    def columns(self) -> np.ndarray:
+        """Places of the used outputs."""
+        return np.flatnonzero(self.used)
+
+    def only(self, stretches: tuple[Stretch, ...]) -> "Experiment":
+        """Return the same rig with other data."""
+        return replace(self, stretches=stretches)
+
+
+def experiment_of(recordings: list[Recording], settings: Settings,
+                  hold_out: bool = True) -> Experiment:
+    """Make the experiment of one or more recordings of a rig.
+
+    Raises
+    ------
+    InputError
+        If the recordings differ in sample time, or hold nothing that a model predicts.
+    """
+    first = recordings[0]
+    mode = mode_of(first, settings)
+    theta, active = theta_of(settings.rig, settings.effects)
+    wanted = mode == CLOSED and wants_speed(first)
+    if wanted:
+        theta[K_POS] = PULL
+    levels, spikes, parts, columns = {}, {}, [], []
+    for recording in recordings:
+        if abs(recording.sample_time - first.sample_time) > 1e-6 * first.sample_time:
+            raise InputError(f"{recording.source}: expected the sample time of {first.source}, "
+                             f"{first.sample_time:g} s, got {recording.sample_time:g} s")
+        noise = noise_levels(recording, settings.noise)
+        channels, found = without_spikes(
+            {name: values for name, values in recording.channels.items()
+             if recording.has(name)}, noise)
+        for name, count in found.items():
+            spikes[name] = spikes.get(name, 0) + count
+        for name, level in noise.items():
+            levels.setdefault(name, []).append(level.value)
+        parts += stretches_of(recording, channels, settings, mode, levels, hold_out)
+        columns.append(channels)
+    if not parts:
+        raise InputError(f"{first.source}: expected at least {SHORTEST:g} s without a gap of "
+                         "position and of the input (command, pump speed or force)")
+    sigma = np.array([np.median(levels[name]) if name in levels else np.nan for name in OUTPUTS])
+    x = first.get("x")
+    step = quantum(x[np.isfinite(x)])
+    sigma[0] = max(sigma[0], step / np.sqrt(12.0))
+    used = np.array([any(np.isfinite(part.z[:, j]).any() for part in parts)
+                     for j in range(N_OUTPUTS)])
+    ranges = ranges_of(columns, settings, first.sample_time)
+    return Experiment(settings, mode, first.sample_time,
+                      integration_steps(settings, mode, first.sample_time), used, sigma, theta,
+                      active, tuple(parts), ranges, step, input_noise(mode, settings, levels),
+                      spikes, wanted, circuit_drift(settings, mode, columns),
+                      by_equations(settings, mode, columns), by_pressures=mode == FORCED
+                      and settings.rig.area_1 is not None and "p1" in levels and "p2" in levels,
+                      held=is_held(mode, settings))
+
+
+def is_held(mode: int, settings: Settings) -> bool:
+    """Tell whether the model's input is held over each sample; a slow shaft turns in between."""
+    slow = settings.effects.get("drive_lag", {}).get("tau", 0.0) > 0.0
+    return mode == OPEN and settings.command_hold == "sampled" and not slow
+
+
+def input_noise(mode: int, settings: Settings, levels: dict) -> float:
+    """Return the standard deviation of the noise on a measured input, in its unit."""
+    def level(name):
+        return float(np.median(levels[name])) if name in levels else 0.0
+
+    if mode == OPEN:
+        gain = settings.rig.position_gain if "x_d" in levels else None
+        return level("omega") if gain is None else abs(gain) * level("x")
+    if mode == FORCED and "p1" in levels and "p2" in levels and settings.rig.area_1:
+        return float(np.hypot(settings.rig.area_1 * level("p1"),
+                              settings.rig.area_2 * level("p2")))
+    return level("force") if mode == FORCED else 0.0
+
+
+def mode_of(recording: Recording, settings: Settings) -> int:
+    """Tell which input drives the model.
+
+    Raises
+    ------
+    InputError
+        If there is no position, or nothing that moves it.
+    """
+    rig = settings.rig
+    known = None not in (rig.area_1, rig.area_2, rig.volume_1, rig.volume_2,
+                         rig.pump_displacement)
+    if not recording.has("x"):
+        raise InputError(f"{recording.source}: expected a position (channel x), found "
+                         f"{', '.join(recording.channels) or 'nothing'}")
+    if known and wants_speed(recording):
+        return CLOSED
+    if known and rig.position_gain is not None and recording.has("x_d"):
+        return OPEN if settings.command_hold == "sampled" else CLOSED
+    if known and recording.has("omega"):
+        return OPEN
+    if recording.has("force") or (recording.has("p1", "p2") and rig.area_1 and rig.area_2):
+        return FORCED
+    raise InputError(f"{recording.source}: expected what moves the piston: x_d (with "
+                     "rig.position_gain), omega, or force or p1 and p2")
+
+
+def circuit_drift(settings: Settings, mode: int, columns: list[dict]) -> float:
+    """Return by how much the circuit outside the model moves a chamber's pressure, Pa a sample.
+
+    A single-rod cylinder takes more oil on one side than it gives on the other.  Valves and an
+    accumulator make up for that; where the config holds no path for it the model cannot say
+    what the mean pressure does, and must not be judged by it.  The record says how fast it moves.
+    """
+    rig = settings.rig
+    if mode == FORCED or rig.area_1 == rig.area_2 or rig.makeup_conductance > 0.0:
+        return 0.0
+    steps = [np.diff(smooth(0.5 * (c["p1"] + c["p2"]), rig.charge_pressure))
+             for c in columns if "p1" in c and "p2" in c]
+    return float(np.sqrt(np.mean(np.concatenate(steps) ** 2))) if steps else 0.0
+
+
+def by_equations(settings: Settings, mode: int, columns: list[dict]) -> bool:
+    """Tell whether the balances' own errors are compared (:mod:`equation_error`).
+
+    So it is where noise governs the force that is measured, where the motion answers to it within
+    a sample, so that there is nothing to integrate, and around a single-rod cylinder whose
+    circuit the config does not hold.
+    """
+    if mode == FORCED:
+        quick = settings.stage_one.prior / settings.rig.mass * settings.rig.sample_time > 1.0
+        return quick or noise_governs([force_of(settings.rig, c) for c in columns])
+    rig = settings.rig
+    return (rig.area_1 != rig.area_2 and rig.makeup_conductance == 0.0
+            and all(name in c for c in columns for name in ("p1", "p2", "omega")))
+
+
+def wants_speed(recording: Recording) -> bool:
+    """Tell whether the speed that the drive was told is there, and what it made of it.
+
+    Such a record tells drive and position loop apart, whatever that loop is; with x_d alone the
+    loop must be the config's own.
+    """
+    return recording.has("omega_d", "omega")
+
+
+def integration_steps(settings: Settings, mode: int, dt: float) -> int:
+    """Return Runge-Kutta steps in a sample, so that the resonance turns little in each."""
+    rig = settings.rig
+    fastest = 0.0
+    if mode != FORCED:
+        stiff = 2.0 * max(rig.bulk_modulus, settings.stage_two.prior) * (
+            rig.area_1**2 / rig.volume_1 + rig.area_2**2 / rig.volume_2)
+        fastest = np.sqrt(0.5 * stiff / rig.mass)
+    steps = max(fastest * dt / STEP_PHASE, damping_steps(
+        settings, MOST_DAMPING * settings.stage_one.prior, dt))
+    return int(np.clip(np.ceil(steps), 2, MOST_STEPS))
+
+
+def damping_steps(settings: Settings, damping: float, dt: float) -> float:
+    """Return how many steps of a sample a viscous damping, N s/m, needs."""
+    return damping / settings.rig.mass * dt / STEP_DECAY
+
+
+def resolving(experiment: Experiment, damping: float) -> Experiment:
+    """Return the experiment with steps short enough for a viscous damping, N s/m.
+
+    Where they are too long Runge-Kutta runs away, and a fit stops there in place of at the
+    optimum, or adds a mass so that it does not.
+    """
+    steps = damping_steps(experiment.settings, ABOVE * damping, experiment.dt)
+    return replace(experiment, steps=max(experiment.steps,
+                                         int(np.clip(np.ceil(steps), 2, MOST_STEPS))))
+
+
+def stretches_of(recording: Recording, channels: dict, settings: Settings, mode: int,
+                 levels: dict, hold_out: bool) -> list[Stretch]:
+    """Cut a recording where its input is missing for long."""
+    n, dt, rig = len(recording), recording.sample_time, settings.rig
+    nothing = np.full(n, np.nan)
+    if mode == CLOSED and wants_speed(recording):
+        # omega = K_pos (x_d - x) with a K_pos so small that a metre more or less does not count.
+        u, sigma, held = channels["omega_d"] / PULL + channels["x"], 0.0, False
+    elif mode == CLOSED:
+        u, sigma, held = channels["x_d"], 0.0, False
+    elif mode == OPEN and rig.position_gain is not None and "x_d" in channels:
+        u, sigma = rig.position_gain * (channels["x_d"] - channels["x"]), 0.0
+        held = is_held(mode, settings)
+    elif mode == OPEN:
+        u, sigma, held = channels["omega"], levels["omega"][-1], is_held(mode, settings)
+    else:
+        u, sigma, held = force_of(rig, channels), 0.0, False
+    z = np.column_stack([channels.get(name, nothing) for name in OUTPUTS])
+    if mode == OPEN and not (held and rig.position_gain is not None and "x_d" in channels):
+        z[:, 4] = np.nan  # the pump speed is the input
+    if mode == FORCED:
+        z[:, 2:] = np.nan
+    p1, p2 = channels.get("p1", nothing), channels.get("p2", nothing)
+    charge = rig.charge_pressure
+    parts = []
+    for start, stop in present(u, z[:, 0], int(LONGEST_GAP / dt)):
+        if (stop - start) * dt < SHORTEST:
+            continue
+        here = slice(start, stop)
+        time = np.arange(stop - start) * dt
+        course, off = course_of(filled(u[here]), sigma, held)
+        loose = np.zeros(stop - start)
+        if mode == CLOSED and not wants_speed(recording) and "p1" in levels and "p2" in levels:
+            known = 0.5 * (levels["p1"][-1]**2 + levels["p2"][-1]**2)
+            entered = pressure_of(off, rig, dt)[:-1] ** 2
+            loose[1:] = np.where(entered > LOOSE * known, entered / (entered + 0.5 * known), 0.0)
+        held_out = (np.mod(time, PERIOD) >= PERIOD * (1 - SHARE)) & hold_out
+        if (stop - start) * dt < 2 * PERIOD:  # a short record: its last fifth
+            held_out = (time >= (1 - SHARE) * (stop - start) * dt) & hold_out
+        # What follows a held-out part starts from a state that has seen it.
+        burn = max(1, int(BURN_IN / dt))
+        seen = np.convolve(held_out, np.ones(burn + 1))[: len(time)] > 0.5
+        parts.append(Stretch(
+            recording.source, start * dt, z[here].copy(),
+            course, smooth(p1[here], charge), smooth(p2[here], charge),
+            (time >= BURN_IN) & ~seen & (loose == 0.0), held_out, loose))
+    return parts
+
+
+def pressure_of(off: np.ndarray, rig: Rig, dt: float) -> np.ndarray:
+    """Return what a demand off by ``off`` m over a sample does to the pressures, (n,) Pa."""
+    return (rig.position_gain * off * rig.pump_displacement * dt
+            * rig.bulk_modulus / min(rig.volume_1, rig.volume_2))
+
+
+def smooth(values: np.ndarray, otherwise: float) -> np.ndarray:
+    """Return a pressure without gaps and with less noise (mean of five), Pa."""
+    if not np.isfinite(values).any():
+        return np.full(len(values), otherwise)
+    whole = filled(values)
+    return np.convolve(np.pad(whole, 2, mode="edge"), np.full(5, 0.2), mode="valid")
+
+
+def ranges_of(columns: list[dict], settings: Settings, dt: float) -> Ranges:
+    """Return what the recordings cover, from the channels or from what stands for them."""
+    rig = settings.rig
+    area = rig.area_1 or 1.0
+
+    def pooled(make):
+        found = [values[np.isfinite(values)] for values in map(make, columns)
+                 if values is not None]
+        return np.concatenate(found) if found else np.zeros(1)
+
+    def slope(values, reach):
+        return None if values is None else (values[reach:] - values[:-reach]) / (reach * dt)
+
+    reach = max(1, round(0.01 / dt))
+    x = pooled(lambda c: c.get("x"))
+    v = np.abs(pooled(lambda c: slope(c.get("x"), reach)))
+    a = np.abs(pooled(lambda c: slope(slope(c.get("x"), reach), reach)))
+    both = all("p1" in c and "p2" in c for c in columns)
+    dp = np.abs(pooled(lambda c: c["p1"] - c["p2"])) if both else np.array([1e5])
+    low = (pooled(lambda c: np.minimum(c["p1"], c["p2"])) if both
+           else np.array([rig.charge_pressure]))
+    mean = pooled(lambda c: 0.5 * (c["p1"] + c["p2"])) if both else low
+    force = np.abs(pooled(lambda c: force_of(rig, c))) if (
+        both or all("force" in c for c in columns)) else rig.mass * a
+    gain = rig.position_gain
+
+    def speed(c):
+        if "omega" in c:
+            return c["omega"]
+        return gain * (c["x_d"] - c["x"]) if gain and "x_d" in c else None
+
+    omega = np.abs(pooled(speed))
+    turn = np.abs(pooled(lambda c: slope(speed(c), 1)))
+
+    def q(values, *levels):
+        return tuple(float(max(value, 1e-12)) for value in np.quantile(values, levels))
+
+    return Ranges(
+        speed=q(v, 0.998)[0], position=float(max(np.ptp(x) / 2, 1e-9)),
+        acceleration=q(a, 0.99)[0], pressure_difference=q(dp, 0.5, 0.9, 0.98, 1.0),
+        lowest_pressure=q(low, 0.002, 0.02, 0.2), mean_pressure=q(mean, 0.5)[0],
+        pump_speed=q(omega, 0.5, 0.9, 0.98, 1.0), pump_acceleration=q(turn, 0.9, 0.98, 1.0),
+        force=q(force, 0.98)[0], flow=area * q(v, 0.98)[0], sample_time=dt,
+        duration=float(sum(len(next(iter(c.values()))) for c in columns) * dt))

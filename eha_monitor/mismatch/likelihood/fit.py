@@ -1,0 +1,389 @@
+"""Fit of one model to an experiment: Gauss-Newton on the innovations of all channels at once.
+
+The likelihood is that of innovations with unknown covariance S,
+
+    log L = -(N/2) log det S,  S = 1/N sum e e'
+
+so that every channel's scale is free and the force, flow, drive and sensor candidates compete on
+one number.
+"""
+
+import os
+import threading
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.likelihood.equation_error import residuals
+from eha_monitor.mismatch.likelihood.gains import Unknowns, decay_of, gains_of
+from eha_monitor.mismatch.likelihood.innovations import FREE, N_FILTERED, innovate
+from eha_monitor.physics.contributions import new_memory
+from eha_monitor.physics.plant import N_OUTPUTS, new_past, new_state
+
+MOVED = 0.03  # of the logarithm of a base parameter: its own and the others' slopes have changed
+FAR = 0.1  # of the logarithm of a number of the rig: the same, which matters less there
+NARROW = 1e-4  # smallest eigenvalue of the scaled information: old slopes lead out of the valley
+SINGULAR = 1e-12  # of a correlation: what rounding may make of it
+LEAST_DAMPING, SHORTER = 1e-9, 0.3
+
+
+@dataclass(frozen=True)
+class Free:
+    """One fitted parameter.
+
+    Attributes
+    ----------
+    name : ``B``, ``beta_e`` or ``<effect>.<parameter>``.
+    place : its place in theta.
+    lower, upper : bounds, SI.
+    prior, spread : Gaussian prior in the fitted coordinate.
+    log : fitted as its logarithm.
+    """
+
+    name: str
+    place: int
+    lower: float
+    upper: float
+    prior: float
+    spread: float
+    log: bool = False
+
+    def inward(self, value: float) -> float:
+        """Return the fitted coordinate of a value."""
+        return float(np.log(max(value, 1e-300))) if self.log else value
+
+    def at_bound(self, value: float) -> bool:
+        """Tell whether a value stands on one of the bounds."""
+        reach = 1e-6 * (self.upper - self.lower)
+        return not self.lower + reach < value < self.upper - reach
+
+    def outward(self, coordinate: float) -> float:
+        """Return the value of a coordinate, kept within the bounds."""
+        value = float(np.exp(min(coordinate, 600.0))) if self.log else coordinate
+        return min(max(value, self.lower), self.upper)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted model; immutable.
+
+    Attributes
+    ----------
+    theta, active : parameters of the equations and active effects.
+    free : what was fitted; ``covariance`` (k, k) in their coordinates.
+    unknowns : deviations of the unexplained force, flow and speed.
+    gains : the filter's gains.
+    e : (N, c) innovations of the counted samples, SI; ``s`` (c, c) their covariance.
+    log_likelihood : of the innovations plus the prior's exponent.
+    named : effects of the catalogue that the fit has, in the order in which they were found;
+        small timing errors that every record has are active but not named.
+    converged : False where the steps ran out.
+    """
+
+    theta: np.ndarray
+    active: np.ndarray
+    free: tuple[Free, ...]
+    unknowns: Unknowns
+    gains: np.ndarray
+    e: np.ndarray
+    s: np.ndarray
+    log_likelihood: float
+    covariance: np.ndarray
+    named: tuple[str, ...] = ()
+    converged: bool = True
+
+    def value(self, name: str) -> float:
+        """Return a fitted parameter by name."""
+        return float(self.theta[next(f.place for f in self.free if f.name == name)])
+
+    def stddev(self, name: str) -> float:
+        """Return the standard deviation of a fitted parameter, in its unit."""
+        i = next(i for i, f in enumerate(self.free) if f.name == name)
+        sigma = float(np.sqrt(max(self.covariance[i, i], 0.0)))
+        return sigma * abs(self.value(name)) if self.free[i].log else sigma
+
+
+@lru_cache(maxsize=1)
+def workers() -> ThreadPoolExecutor:
+    """Return the threads on which filters run; the compiled code leaves the lock."""
+    return ThreadPoolExecutor(len(os.sched_getaffinity(0)), thread_name_prefix="mismatch")
+
+
+def spread(function: Callable, items: Iterable) -> list:
+    """Map over all cores; within a worker, which must not wait for its own pool, in turn."""
+    if threading.current_thread().name.startswith("mismatch"):
+        return [function(item) for item in items]
+    return list(workers().map(function, items))
+
+
+def innovations(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
+                gains: np.ndarray) -> np.ndarray:
+    """Return the innovations of the used channels at the counted samples, (N, c); NaN if none."""
+    if experiment.inverse:
+        return residuals(experiment, theta, active)
+    parts = []
+    for stretch in experiment.stretches:
+        e = filtered(experiment, stretch, theta, active, gains)[0]
+        parts.append(e[stretch.counted])
+    return np.concatenate(parts)[:, experiment.columns]
+
+
+def filtered(experiment: Experiment, stretch, theta, active, gains, states: bool = False,
+             free: np.ndarray | None = None, begin=None) -> tuple[np.ndarray, np.ndarray]:
+    """Filter one stretch; returns all innovations (n, N_OUTPUTS) and the states, if wanted.
+
+    ``free`` (n,) marks samples that correct nothing; ``begin`` is the stretch that tells the
+    state at the start, if it is another.
+    """
+    n = len(stretch)
+    e = np.empty((n, N_OUTPUTS))
+    role = np.zeros(n) if stretch.loose is None else stretch.loose.copy()
+    if free is not None:
+        role[free] = FREE
+    kept = np.empty((n if states else 0, N_FILTERED))
+    y = start_of(experiment, stretch if begin is None else begin)
+    innovate(stretch.z, stretch.u, stretch.p1, stretch.p2, experiment.mode, experiment.dt,
+             experiment.steps, theta, active, gains, decay_of(experiment), y, new_memory(),
+             new_past(y), role, e, kept)
+    return e, kept
+
+
+def free_run(experiment: Experiment, stretch, fit: Fit) -> np.ndarray:
+    """Return what the model shows on a stretch, running free from its start, (n, N_OUTPUTS)."""
+    zero = replace(stretch, z=np.zeros_like(stretch.z))
+    return -filtered(experiment, zero, fit.theta, fit.active, fit.gains,
+                     free=np.ones(len(stretch), dtype=np.bool_), begin=stretch)[0]
+
+
+def start_of(experiment: Experiment, stretch) -> np.ndarray:
+    """Return the state with which a stretch begins."""
+    z = stretch.z
+    charge = experiment.settings.rig.charge_pressure
+
+    def first(column, otherwise):
+        good = z[:20, column][np.isfinite(z[:20, column])]
+        return float(np.mean(good[:3])) if len(good) else otherwise
+
+    y = new_state(first(0, 0.0), first(2, charge), first(3, charge))
+    head = z[:8, 0]
+    if np.isfinite(head).all() and len(head) == 8:
+        y[1] = np.polyfit(np.arange(8) * experiment.dt, head, 1)[0]
+    y[4] = first(4, 0.0)
+    return y
+
+
+def covariance_of(e: np.ndarray) -> np.ndarray:
+    """Return S of the innovations, (c, c); pairs with a missing channel are left out."""
+    good = np.where(np.isfinite(e), np.clip(e, -1e60, 1e60), 0.0)  # a run that went astray
+    count = np.isfinite(e).astype(float)
+    return (good.T @ good) / np.maximum(count.T @ count, 1.0)
+
+
+def log_likelihood_of(e: np.ndarray) -> float:
+    """Return -(N/2) log det S, per channel scaled with how often it was measured."""
+    s = covariance_of(e)
+    scale = np.sqrt(np.diag(s))
+    if not np.isfinite(scale).all() or (scale <= 0).any() or (scale > 1e29).any():
+        return -np.inf
+    share = np.isfinite(e).sum(axis=0)
+    correlation = s / np.outer(scale, scale)
+    sign, logdet = np.linalg.slogdet(correlation)
+    if sign <= 0:
+        return -np.inf
+    return float(-np.sum(share * np.log(scale)) - 0.5 * share.max() * logdet)
+
+
+def whitener(s: np.ndarray) -> np.ndarray:
+    """Return W with W S W' = 1, (c, c).
+
+    A run that went astray has innovations that are one curve in all channels; rounding then makes
+    their S singular, or worse.
+    """
+    scale = np.sqrt(np.diag(s))
+    correlation = s / np.outer(scale, scale) + SINGULAR * np.eye(len(s))
+    return np.linalg.inv(np.linalg.cholesky(correlation)) / scale
+
+
+def prior_exponent(free: Sequence[Free], theta: np.ndarray) -> float:
+    """Return the exponent of the prior at theta, <= 0."""
+    return -0.5 * sum(((f.inward(theta[f.place]) - f.prior) / f.spread) ** 2 for f in free)
+
+
+def sensitivities(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
+                  gains: np.ndarray, e: np.ndarray, moved: Iterable[tuple[np.ndarray, float]]
+                  ) -> list[np.ndarray]:
+    """Return (e(theta') - e) / step for each (theta', step), on all cores, (N, c) each."""
+    def one(item):
+        other, step = item
+        return (innovations(experiment, other, active, gains) - e) / step
+
+    return spread(one, moved)
+
+
+def step_of(f: Free, theta: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return theta with one parameter moved by a small step, and the step's length."""
+    now = f.inward(theta[f.place])
+    step = 1e-3 * f.spread if not f.log else 2e-5
+    step = max(step, 1e-5 * abs(now)) if not f.log else step
+    other = theta.copy()
+    if f.outward(now + step) >= f.upper:
+        step = -step
+    other[f.place] = f.outward(now + step)
+    return other, f.inward(other[f.place]) - now
+
+
+def step_within(matrix: np.ndarray, gradient: np.ndarray, bounds: np.ndarray) -> np.ndarray:
+    """Solve ``matrix @ step = gradient`` for a step within ``bounds`` (k, 2), (k,).
+
+    What would cross a bound stops there; the others are solved for again.
+    """
+    step, on = np.zeros(len(gradient)), np.ones(len(gradient), dtype=bool)
+    while on.any():
+        right = gradient[on] - matrix[np.ix_(on, ~on)] @ step[~on]
+        step[on] = np.linalg.solve(matrix[np.ix_(on, on)], right)
+        within = np.clip(step, bounds[:, 0], bounds[:, 1])
+        out = on & (step != within)
+        if not out.any():
+            break
+        step[out] = within[out]
+        on &= ~out
+    return step
+
+
+def refine(experiment: Experiment, fit: Fit, steps: int = 12, tolerance: float = 0.02) -> Fit:
+    """Carry a fit to its optimum with held gains: damped Gauss-Newton.
+
+    Beside named effects the slopes of the base parameters change little on the way and are taken
+    again only where one has moved by ``MOVED`` or parameters nearly trade; those of the effects'
+    parameters, inside non-linearities, at every step.  A parameter that a step would carry over a
+    bound stops there, and the others answer to that.
+
+    Parameters
+    ----------
+    fit : start; its gains are held.
+    steps : most steps.
+    tolerance : ends when a step gains less than this many log units.
+    """
+    theta, free = fit.theta.copy(), fit.free
+    e = innovations(experiment, theta, fit.active, fit.gains)
+    best = log_likelihood_of(e) + prior_exponent(free, theta)
+    damping, converged = LEAST_DAMPING, False
+    information = np.zeros((len(free), len(free)))
+    bounds = np.array([[f.inward(f.lower), f.inward(f.upper)] for f in free]).reshape(-1, 2)
+    slopes: list[np.ndarray] = []
+    taken, narrow = np.zeros(len(free)), False
+    for _ in range(steps):
+        if not np.isfinite(best):
+            break
+        w = whitener(covariance_of(e))
+        white = np.nan_to_num(e) @ w.T
+        way = np.array([f.inward(theta[f.place]) for f in free])
+        afar = any(f.log and "." not in f.name and abs(way[i] - taken[i]) > MOVED
+                   for i, f in enumerate(free)) if slopes else True
+        moving = [i for i, f in enumerate(free) if not slopes
+                  or f.name.partition(".")[0] in fit.named
+                  or (abs(way[i] - taken[i]) > FAR if f.name.startswith("rig.")
+                      else afar or narrow or not fit.named)]
+        taken = way.copy() if not slopes else taken
+        taken[moving] = way[moving]
+        fresh = sensitivities(experiment, theta, fit.active, fit.gains, e,
+                              [step_of(free[i], theta) for i in moving])
+        slopes = slopes or fresh
+        for i, slope in zip(moving, fresh, strict=True):
+            slopes[i] = slope
+        d = np.stack([(np.nan_to_num(slope) @ w.T).ravel() for slope in slopes])
+        information = d @ d.T
+        now = np.array([f.inward(theta[f.place]) for f in free])
+        prior = np.array([f.prior for f in free])
+        weight = np.array([f.spread for f in free]) ** -2.0
+        gradient = -(d @ white.ravel()) - weight * (now - prior)
+        scale = np.sqrt(np.diag(information) + weight)
+        matrix = (information + np.diag(weight)) / np.outer(scale, scale)
+        if not np.isfinite(matrix).all():  # a run went astray
+            break
+        narrow = np.linalg.eigvalsh(matrix)[0] < NARROW
+        improved = False
+        for attempt in range(9):
+            step = step_within(matrix + damping * np.eye(len(free)), gradient / scale,
+                               scale[:, None] * (bounds - now[:, None])) / scale
+            # Shorter first: along a valley the direction is right, and damping would turn it.
+            step *= SHORTER if attempt == 1 else 1.0
+            other = theta.copy()
+            for f, value in zip(free, now + step, strict=True):
+                other[f.place] = f.outward(value)
+            e_other = innovations(experiment, other, fit.active, fit.gains)
+            reached = log_likelihood_of(e_other) + prior_exponent(free, other)
+            if reached > best:
+                improved = True
+                break
+            if attempt:
+                damping = max(damping * 10.0, 1e-3)
+            if damping > 1e6:
+                break
+        if not improved:
+            converged = True
+            break
+        gained = reached - best
+        theta, e, best = other, e_other, reached
+        damping = max(damping / 10.0, LEAST_DAMPING)
+        if gained < tolerance:
+            converged = True
+            break
+    weight = np.array([f.spread for f in free]) ** -2.0
+    covariance = np.linalg.inv(information + np.diag(weight)) if len(free) else information
+    return replace(fit, theta=theta, e=e, s=covariance_of(e), log_likelihood=best,
+                   covariance=covariance, converged=converged)
+
+
+def with_unknowns(experiment: Experiment, fit: Fit, unknowns: Unknowns) -> Fit:
+    """Return the same parameters under other unknowns: new gains, innovations, likelihood.
+
+    Parameters that no filter can follow have a likelihood of zero.
+    """
+    try:
+        gains = gains_of(experiment, fit.theta, fit.active, unknowns)
+    except np.linalg.LinAlgError:
+        return replace(fit, unknowns=unknowns, log_likelihood=-np.inf)
+    e = innovations(experiment, fit.theta, fit.active, gains)
+    return replace(fit, unknowns=unknowns, gains=gains, e=e, s=covariance_of(e),
+                   log_likelihood=log_likelihood_of(e) + prior_exponent(fit.free, fit.theta))
+
+
+def tune(experiment: Experiment, fit: Fit, smallest: Unknowns, largest: Unknowns,
+         factors: Sequence[float] = (10.0, 3.0), upward: bool = True) -> Fit:
+    """Find the unknowns' deviations of greatest likelihood, one balance after the other.
+
+    This is the location in small: an unknown that must be large names the balance that is wrong.
+
+    Parameters
+    ----------
+    smallest, largest : between which they are sought, on a grid of ``factors``.
+    upward : False where they can only fall: an effect has just entered.
+    """
+    if experiment.inverse:  # no filter, nothing to tune
+        return fit
+    low, high = smallest.as_array(), largest.as_array()
+    for factor in factors:
+        for i in range(3):
+            if high[i] <= low[i]:
+                continue
+            for direction in (1.0 / factor, factor):
+                if direction > 1 and not upward:
+                    continue
+                moved = False
+                while True:
+                    now = fit.unknowns.as_array()
+                    now[i] = min(max(now[i] * direction, low[i]), high[i])
+                    if now[i] == fit.unknowns.as_array()[i]:
+                        break
+                    other = with_unknowns(experiment, fit, Unknowns(*now))
+                    if other.log_likelihood <= fit.log_likelihood + 0.1:
+                        break
+                    fit, moved = other, True
+                if moved:
+                    break
+    return fit

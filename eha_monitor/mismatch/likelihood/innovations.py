@@ -1,0 +1,210 @@
+"""One steady Kalman filter over all channels, around the simulator's own plant, compiled.
+
+The prediction is :func:`physics.plant.advance`, so every effect of the catalogue is in it as soon
+as it is active.  The correction uses gains that were computed beforehand
+(:mod:`eha_monitor.mismatch.likelihood.gains`), so that innovations are smooth functions of the
+parameters.  Besides the plant's own states three unknowns are tracked: a force, a flow and a pump
+speed that nothing accounts for, each an Ornstein-Uhlenbeck process.
+"""
+
+import math
+
+import numpy as np
+
+from eha_monitor.compiled import njit
+from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
+from eha_monitor.physics.contributions import (
+    circuit_of,
+    shift_memory,
+    with_place,
+    with_term,
+    with_update,
+)
+from eha_monitor.physics.plant import (
+    N_OUTPUTS,
+    RING,
+    Y_FLOW,
+    Y_FORCE,
+    Y_P1,
+    Y_P2,
+    Y_SPEED,
+    Y_V,
+    Y_X,
+    advance,
+    advance_forced,
+    sense,
+    speed_now,
+)
+from eha_monitor.physics.signals import AREA_1, AREA_2, N_CONTRIBUTIONS, N_SIGNALS, M
+
+FREE = -1.0  # role of a sample that corrects nothing
+N_FILTERED = 8  # x, v, p1, p2, omega, force, flow, speed: the head of the plant's state
+
+
+@njit(nogil=True)
+def innovate(z, u, p1, p2, mode, dt, steps, theta, active, gains, decay, y, memory, past,
+             role, e, states):
+    """Filter one stretch of a record.
+
+    Parameters
+    ----------
+    z : (n, N_OUTPUTS) measured x, v, p1, p2, omega; NaN where missing.
+    u : (n, 4) input as a cubic on each sample: x_d, pump speed or force after ``mode``.
+    p1, p2 : (n,) pressures for ``FORCED``, Pa.
+    dt, steps : sample time in s, Runge-Kutta steps in it.
+    theta, active : parameters and active effects.
+    gains : (m, N_FILTERED, N_OUTPUTS), of the first m samples; the last serves from there on.
+    decay : share of the unknowns that is left after a sample.
+    y, memory, past : state at the start, carried on.
+    role : (n,) what is done with each sample: ``FREE`` (nothing), or the share, 0 to 1, of the
+        pressure difference that is taken from the sensors because the volume that entered since
+        the last sample is not known.
+    e : (n, N_OUTPUTS) written: innovations, NaN where nothing was measured.
+    states : (n, N_FILTERED) written after the correction, or (0, N_FILTERED) where not wanted;
+        with two more columns for each active effect that remembers, its memory.
+    """
+    n = z.shape[0]
+    w = circuit_of(theta, active)
+    terms, updates, places = with_term(active), with_update(active), with_place(active)
+    c, s = np.zeros(N_CONTRIBUTIONS), np.zeros(N_SIGNALS)
+    shown = np.zeros(N_OUTPUTS)
+    last = 0
+    h = dt / steps
+    for k in range(n):
+        t = k * dt
+        if mode == FORCED:
+            shown[0], shown[1] = y[Y_X], y[Y_V]
+            shown[2] = shown[3] = shown[4] = math.nan
+        else:
+            sense(y, t, h, past, last, w, shown)
+            shown[4] = speed_now(y, u, 1, k, dt, steps, mode == CLOSED, theta, w, past, last)[1]
+        gain = gains[min(k, gains.shape[0] - 1)]
+        predicted, before_1, before_2 = y[Y_X], y[Y_P1], y[Y_P2]
+        for j in range(N_OUTPUTS):
+            difference = z[k, j] - shown[j]
+            e[k, j] = difference
+            if math.isfinite(difference) and role[k] != FREE:
+                for i in range(N_FILTERED):
+                    y[i] += gain[i, j] * difference
+        if role[k] > 0.0 and math.isfinite(z[k, 2]) and math.isfinite(z[k, 3]):
+            # Less what the gains have corrected; the innovations know the sensors' own errors.
+            half = 0.5 * role[k] * (e[k, 2] - y[Y_P1] + before_1 - e[k, 3] + y[Y_P2] - before_2)
+            y[Y_P1] += half
+            y[Y_P2] -= half
+            # On the mean it entered in the middle of the sample, and has pushed since.
+            y[Y_V] += 0.5 * dt * half * (theta[AREA_1] + theta[AREA_2]) / theta[M]
+        if not math.isfinite(y[0]):
+            e[k:] = 1e30
+            return
+        shift_memory(places, y[Y_X] - predicted, memory)
+        for j in range(4):
+            past[last, j] = y[j]
+        if states.shape[0]:
+            for i in range(N_FILTERED):
+                states[k, i] = y[i]
+            for i in range((states.shape[1] - N_FILTERED) // 2):
+                states[k, N_FILTERED + 2 * i] = memory[updates[i], 0]
+                states[k, N_FILTERED + 2 * i + 1] = memory[updates[i], 1]
+        if mode == FORCED:
+            advance_forced(y, t, dt, steps, u, k, p1, p2, theta, terms, updates, memory, c, s)
+        else:
+            last = advance(y, t, dt, steps, u, 1, k, mode == CLOSED, theta, terms, updates, w,
+                           memory, past, last, c, s)
+        y[Y_FORCE] *= decay
+        y[Y_FLOW] *= decay
+        y[Y_SPEED] *= decay
+
+
+@njit(nogil=True)
+def transition(mode, dt, steps, theta, active, memory, decay, y, u, shifts, a, hh):
+    """Write the linearised one-sample map and output map at ``y`` by central differences.
+
+    Parameters
+    ----------
+    y : (N_STATE,) operating point; u : (1, 4) input there.
+    shifts : (N_FILTERED,) size of the differences, in each state's unit.
+    a : (N_FILTERED, N_FILTERED), hh : (N_OUTPUTS, N_FILTERED), written.
+    """
+    w = circuit_of(theta, active)
+    terms, updates = with_term(active), with_update(active)
+    c, s = np.zeros(N_CONTRIBUTIONS), np.zeros(N_SIGNALS)
+    past = np.zeros((RING, 4))
+    shown = np.zeros((2, N_OUTPUTS))
+    ends = np.zeros((2, y.shape[0]))
+    given = y[2:4]
+    for i in range(N_FILTERED):
+        for side in range(2):
+            moved = y.copy()
+            moved[i] += shifts[i] * (1.0 if side == 0 else -1.0)
+            moved[8] = moved[0]
+            inner = memory.copy()
+            for r in range(RING):  # the past of a steady motion to this point
+                past[r, 0] = moved[0] - ((RING - r) % RING) * dt / steps * moved[1]
+                past[r, 1:] = moved[1:4]
+            if mode == FORCED:
+                shown[side, 0], shown[side, 1] = moved[0], moved[1]
+                advance_forced(moved, 0.0, dt, steps, u, 0, given[:1], given[1:], theta, terms,
+                               updates, inner, c, s)
+            else:
+                sense(moved, 0.0, dt / steps, past, 0, w, shown[side])
+                shown[side, 4] = speed_now(moved, u, 1, 0, dt, steps, mode == CLOSED, theta, w,
+                                           past, 0)[1]
+                advance(moved, 0.0, dt, steps, u, 1, 0, mode == CLOSED, theta, terms, updates, w,
+                        inner, past, 0, c, s)
+            moved[Y_FORCE] *= decay
+            moved[Y_FLOW] *= decay
+            moved[Y_SPEED] *= decay
+            ends[side] = moved
+        for j in range(N_FILTERED):
+            a[j, i] = (ends[0, j] - ends[1, j]) / (2.0 * shifts[i])
+        for j in range(N_OUTPUTS):
+            hh[j, i] = (shown[0, j] - shown[1, j]) / (2.0 * shifts[i])
+
+
+@njit(nogil=True)
+def riccati(a, h, q, r, p, used, gains):
+    """Iterate the Riccati equation from ``p``; write the gains of each step, return the last S.
+
+    Parameters
+    ----------
+    a : (N, N); h : (N_OUTPUTS, N), N = N_FILTERED or more.
+    q : (N,) variances of the process noise of a sample.
+    r : (N_OUTPUTS,) variances of the sensors.
+    p : (N, N) covariance at the start, overwritten.
+    used : (N_OUTPUTS,) bool, channels that are measured.
+    gains : (m, N, N_OUTPUTS) written; ends early, repeating, when nothing changes.
+
+    Returns
+    -------
+    int
+        How many of the gains differ; the last of them is the steady one.
+    """
+    places = np.flatnonzero(used)
+    m, states = len(places), a.shape[0]
+    hs = np.zeros((m, states))
+    for i in range(m):
+        hs[i] = h[places[i]]
+    old = np.zeros((states, m))
+    for k in range(gains.shape[0]):
+        ph = p @ hs.T
+        s = hs @ ph
+        for i in range(m):
+            s[i, i] += r[places[i]]
+        gain = np.linalg.solve(s, ph.T).T
+        gains[k] = 0.0
+        for i in range(m):
+            gains[k, :, places[i]] = gain[:, i]
+        p = p - gain @ ph.T
+        p = a @ (0.5 * (p + p.T)) @ a.T
+        for i in range(states):
+            p[i, i] += q[i]
+        size = np.abs(gain).max() + 1e-300
+        change = 0.0
+        for i in range(states):
+            for j in range(m):
+                change = max(change, abs(gain[i, j] - old[i, j])
+                             / (1e-3 * size + abs(gain[i, j])))
+        old = gain
+        if change < 1e-6 and k > 50:
+            return k + 1
+    return gains.shape[0]

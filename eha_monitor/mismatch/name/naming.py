@@ -1,0 +1,150 @@
+"""What the joint selection names, with a probability for each name and for none."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.likelihood.fit import Fit
+from eha_monitor.mismatch.name.acceptance import EXPLAINED, LACKING, RIVAL, TEMPER
+from eha_monitor.mismatch.name.base import limits_of
+from eha_monitor.mismatch.name.refit import discrepancy, prior_of, settled
+from eha_monitor.mismatch.name.select import Selection, selected
+from eha_monitor.mismatch.name.unnamed import INTERMITTENT
+from eha_monitor.physics.effects import CATALOGUE
+
+Report = Callable[[str, float], None]
+Names = frozenset[str]
+
+
+@dataclass(frozen=True)
+class Naming:
+    """What was named.
+
+    Attributes
+    ----------
+    before, after : nominal model with B and beta_e fitted; the model with what is named.
+    wrong : numbers of the rig that ``after`` calls wrong, ``mass`` and so on.
+    probability : effect, ``rig.<key>`` -> probability that it, or what cannot be told from it,
+        is there.
+    consistent, unexplained : probabilities of these answers.
+    evidence : effect, ``rig.<key>`` -> log units that the model loses without it.
+    rivals : effect, ``rig.<key>`` -> names that this record cannot tell from it.
+    tried : set -> its model and the log units by which it is behind, best first.
+    explained : share of what speaks against the nominal model that the names take away.
+    """
+
+    before: Fit
+    after: Fit
+    wrong: tuple[str, ...] = ()
+    probability: dict[str, float] = field(default_factory=dict)
+    consistent: float = np.nan
+    unexplained: float = np.nan
+    evidence: dict[str, float] = field(default_factory=dict)
+    rivals: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    tried: tuple[tuple[Names, Fit, float], ...] = ()
+    explained: float = np.nan
+
+
+def is_named(name: str) -> bool:
+    """Tell whether a suspect is an entry of the catalogue or a number of the rig."""
+    return name in CATALOGUE or name.startswith("rig.")
+
+
+def posterior(found: Selection) -> dict[Names, float]:
+    """Return the probability of every set that was seen, refitted or by the linear guess.
+
+    Sets by the linear guess are those of the last linearisation, measured from the model there.
+    """
+    seen, best = found.seen, found.seen.best()
+    scores = {names: TEMPER * seen.score(value, 0.0) + prior_of(names)
+              for names, value in seen.evidence.items()}
+    own = next((one for one in found.ranking if one.names == best), None)
+    if own is not None:
+        start = seen.evidence[best] - (own.evidence - own.prior)
+        for one in found.ranking:
+            if one.names not in scores:
+                scores[one.names] = TEMPER * seen.score(
+                    start + one.evidence - one.prior, 0.0) + one.prior
+    weights = np.array(list(scores.values()))
+    weights = np.exp(weights - weights.max())
+    return dict(zip(scores, (weights / weights.sum()).tolist(), strict=True))
+
+
+def in_place_of(name: str, best: Names, weights: dict[Names, float]) -> dict[str, float]:
+    """Return what stands for a name in sets that have all the others of the best one."""
+    others: dict[str, float] = {}
+    for names, weight in weights.items():
+        if name not in names and best - {name} <= names:
+            for other in names - best:
+                others[other] = others.get(other, 0.0) + weight
+    return others
+
+
+def lacking(experiment: Experiment, fit: Fit) -> bool:
+    """Tell whether a fit needs an unknown that matters."""
+    if experiment.inverse:
+        return False
+    small = limits_of(experiment)[0].as_array()
+    return bool((fit.unknowns.as_array() > LACKING * small).any())
+
+
+def name_effects(experiment: Experiment, report: Report | None = None) -> Naming:
+    """Find the effects and the wrong numbers of the rig that an experiment supports.
+
+    Parameters
+    ----------
+    report : told what is done and how far it is, 0 to 1.
+    """
+    say = report or (lambda text, share: None)
+    found = selected(experiment, say)
+    say("fitting the nominal model to the end", 0.9)
+    before = settled(experiment, replace(found.nominal, converged=False))
+    return naming_of(experiment, found, before)
+
+
+def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
+    """Return names and probabilities of a selection."""
+    seen, best = found.seen, found.seen.best()
+    weights = posterior(found)
+    scores = seen.scores()
+    after = seen.fits[best]
+    rivals, probability, evidence = {}, {}, {}
+    for name in best:
+        stands = in_place_of(name, best, weights)
+        mine = sum(weight for names, weight in weights.items() if name in names)
+        share = {other: weight / max(mine + weight, 1e-300) for other, weight in stands.items()}
+        near = [other for other in sorted(share, key=lambda other: -share[other])
+                if share[other] >= RIVAL and is_named(other)]
+        twin = CATALOGUE[name].rig_twin if name in CATALOGUE else next(
+            (f"{other}" for other, entry in CATALOGUE.items()
+             if f"rig.{entry.rig_twin}" == name), "")
+        if twin and twin not in near and f"rig.{twin}" not in near:
+            near.append(twin)
+        rivals[name] = tuple(dict.fromkeys(other.removeprefix("rig.") for other in near))
+        held = {name, *near, *(f"rig.{other}" for other in near)}
+        probability[name] = float(sum(
+            weight for names, weight in weights.items() if held & names))
+        without = [scores[names] - prior_of(names) for names in scores if not held & names]
+        evidence[name] = float(scores[best] - prior_of(best) - max(without, default=-np.inf))
+    unnamed = float(sum(weight for names, weight in weights.items()
+                        if any(not is_named(name) for name in names)))
+    against = discrepancy(experiment, before) if not experiment.inverse else 0.0
+    left = seen.left[best]
+    explained = 1.0 - left / against if against > left else (0.0 if against > 0.0 else 1.0)
+    if lacking(experiment, after) and explained < EXPLAINED:
+        unnamed = max(unnamed, 1.0 - explained)
+        unnamed = max(unnamed, 0.5 + 0.5 * (1.0 - explained / EXPLAINED))
+        probability = {name: value * (1.0 - unnamed) for name, value in probability.items()}
+    empty = weights.get(frozenset(), 0.0) * (1.0 - unnamed if lacking(experiment, after) else 1.0)
+    order = sorted(scores, key=lambda names: -scores[names])
+    return Naming(
+        before, replace(after, named=tuple(n for n in after.named if n in CATALOGUE)),
+        tuple(name.removeprefix("rig.") for name in after.named if name.startswith("rig.")),
+        probability, float(empty), unnamed, evidence, rivals,
+        tuple((names, seen.fits[names], scores[best] - scores[names]) for names in order),
+        explained)
+
+
+__all__ = ["INTERMITTENT", "Naming", "lacking", "name_effects"]

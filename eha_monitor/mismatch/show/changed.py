@@ -1,0 +1,156 @@
+"""A parameter that changed while a recording ran, or between recordings of one rig.
+
+No physics is left out then: the nominal model explains each piece of the data, with other values
+of B and beta_e.  Where something changed is told by the two stages, which follow the parameters;
+that nothing else is missing, by the nominal model fitted to each piece for itself.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from eha_monitor.filters.pipeline import estimate
+from eha_monitor.mismatch.data.experiment import BURN_IN, Experiment, Stretch
+from eha_monitor.mismatch.diagnosis import Piece, Value
+from eha_monitor.mismatch.likelihood.fit import (
+    Fit,
+    innovations,
+    log_likelihood_of,
+    spread,
+    with_unknowns,
+)
+from eha_monitor.mismatch.name.acceptance import EXPLAINED
+from eha_monitor.mismatch.name.base import expected_likelihood
+from eha_monitor.mismatch.name.naming import Naming, lacking
+from eha_monitor.mismatch.name.refit import begun, settled
+from eha_monitor.mismatch.show.model import HEALTH_WORDS, robust, values_of
+from eha_monitor.quantity import with_uncertainty
+from eha_monitor.recordings.recording import Recording
+
+# Left out around a change, s: the stages see it later than it begins, and it may take its time.
+BEFORE_S, AFTER_S = 1.5, 0.5
+SHORTEST_S = 2.0  # of the fitted samples of a piece
+HELD = 100.0  # times the smallest unknowns: where the fit of a piece begins
+LEAST = 20.0  # log units by which the pieces must be better
+MOVED, SIGMAS = 0.03, 4.0  # a change: relative, and in standard deviations
+
+
+@dataclass(frozen=True)
+class Changed:
+    """The nominal model in pieces.
+
+    Attributes
+    ----------
+    pieces : in order of time; neighbours of one recording differ in B or beta_e.
+    experiment, fit : the data of the last piece, and the nominal model fitted to them.
+    whole : the nominal model of all data.
+    """
+
+    pieces: tuple[Piece, ...]
+    experiment: Experiment
+    fit: Fit
+    whole: Fit
+
+
+def changed_between(experiment: Experiment, recordings: list[Recording], naming: Naming
+                    ) -> Changed | None:
+    """Return the pieces that explain the data better than any named physics, or None.
+
+    Parameters
+    ----------
+    experiment : of ``recordings``, at least one; compared by a filter, not by balances.
+    naming : the best model of constant parameters.
+    """
+    named = naming.after
+    parts = [part for part in (part_of(experiment, *span) for span in spans_of(
+        experiment, recordings)) if part is not None]
+    if len(parts) < 2:
+        return None
+    fits = [settled(part, begun(part, HELD)) for part in parts]  # each on all cores
+    if any(lacking(part, fit) for part, fit in zip(parts, fits, strict=True)):
+        return None  # the nominal model does not explain them piece by piece either
+    expected = sum(expected_likelihood(part, fit) for part, fit in zip(parts, fits, strict=True))
+    reached = sum(fit.log_likelihood for fit in fits)
+    constant = sum(spread(lambda part: log_likelihood_of(innovations(
+        part, named.theta, named.active, named.gains)), parts))
+    if reached - constant < max(LEAST, EXPLAINED * (expected - constant)):
+        return None
+    pieces = tuple(Piece(part.stretches[0].source, float(part.stretches[0].start), end_of(part),
+                         values_of(part, robust(part, fit)))
+                   for part, fit in zip(parts, fits, strict=True))
+    if not any(differ(one.values, other.values)
+               for one, other in pairwise(pieces)):
+        return None
+    return Changed(pieces, parts[-1], fits[-1], with_unknowns(
+        parts[-1], naming.before, naming.before.unknowns))
+
+
+def spans_of(experiment: Experiment, recordings: list[Recording]
+             ) -> list[tuple[str, float, float]]:
+    """Return (recording, from, to) between the changes that the stages saw; s."""
+    found = []
+    for recording in recordings:
+        answer = estimate(recording, experiment.settings)
+        rows = np.concatenate([answer.stage_one.changes, answer.stage_two.changes])
+        at, dt = np.sort(rows[:, 0]) * recording.sample_time, recording.sample_time
+        edges = [-np.inf, *at, np.inf]
+        found += [(recording.source, start + AFTER_S, stop - BEFORE_S)
+                  for start, stop in pairwise(edges)
+                  if stop - start > BEFORE_S + AFTER_S + dt]
+    return found
+
+
+def part_of(experiment: Experiment, source: str, start: float, stop: float) -> Experiment | None:
+    """Return the experiment cut to a time of one recording; None if too little is fitted there."""
+    stretches = []
+    for stretch in experiment.stretches:
+        time = stretch.start + np.arange(len(stretch)) * experiment.dt
+        here = np.flatnonzero((time >= start) & (time <= stop))
+        if stretch.source == source and len(here):
+            stretches.append(cut(stretch, here[0], here[-1] + 1, experiment.dt))
+    fitted = sum(int(stretch.counted.sum()) for stretch in stretches) * experiment.dt
+    return experiment.only(tuple(stretches)) if fitted >= SHORTEST_S else None
+
+
+def cut(stretch: Stretch, first: int, last: int, dt: float) -> Stretch:
+    """Return samples ``first`` to ``last`` of a stretch; the filter finds its state anew."""
+    here = slice(first, last)
+    counted = stretch.counted[here].copy()
+    counted[: round(BURN_IN / dt) if first else 0] = False
+    return replace(stretch, start=stretch.start + first * dt, z=stretch.z[here],
+                   u=stretch.u[here], p1=stretch.p1[here], p2=stretch.p2[here], counted=counted,
+                   held_out=stretch.held_out[here],
+                   loose=None if stretch.loose is None else stretch.loose[here])
+
+
+def end_of(part: Experiment) -> float:
+    """Return the time at which the last stretch ends, s."""
+    last = part.stretches[-1]
+    return float(last.start + len(last) * part.dt)
+
+
+def differ(one: dict[str, Value], other: dict[str, Value]) -> list[str]:
+    """Return the parameters that have changed between two pieces."""
+    return [name for name, before in one.items() if name in other
+            and abs(other[name].value - before.value) > max(
+                MOVED * abs(before.value),
+                SIGMAS * float(np.hypot(before.stddev, other[name].stddev)))]
+
+
+def change_words(pieces: tuple[Piece, ...]) -> str:
+    """Return the message: what changed, when, and that no physics is missing."""
+    said = []
+    for one, other in pairwise(pieces):
+        names = differ(one.values, other.values)
+        when = (f"between {one.stop_s:.1f} and {other.start_s:.1f} s" if one.bag == other.bag
+                else f"from {one.bag} to {other.bag}")
+        said += [f"{HEALTH_WORDS[name]} changed {when} from {words_of(one.values[name])} to "
+                 f"{words_of(other.values[name])}" for name in names]
+    return (f"{'; '.join(said)}. No physics is missing: the nominal model explains each piece "
+            "by itself, and estimate follows the change")
+
+
+def words_of(value: Value) -> str:
+    """Return a value with its uncertainty."""
+    return with_uncertainty(value.value, value.stddev, value.unit)

@@ -1,0 +1,154 @@
+"""The model with the named physics: its parameters, its config, what it says about health."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.diagnosis import Agreement, NamedEffect, Value
+from eha_monitor.mismatch.likelihood.fit import Fit, sensitivities, step_of, whitener
+from eha_monitor.mismatch.name.base import TIMING
+from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.parameters import effect_values
+from eha_monitor.quantity import quantity
+
+# Parameters in seconds that the sensors' own lags cannot be told from.
+TIMED = ("command_delay.T", "position_delay.T", "pressure_delay.T", "feedback_delay.T",
+         "drive_lag.tau")
+BLOCK = 0.5  # s
+INVERSE_BLOCK = 10  # compared samples of the balances, a second
+COARSE = 0.5  # times the configured noise: rounding that makes it a tenth larger is worth a name
+NOTABLE = 0.02  # relative change of a health parameter that is worth a sentence
+HEALTH_WORDS = {"B": "B", "beta_e": "the effective bulk modulus"}
+
+
+def values_of(experiment: Experiment, fit: Fit) -> dict[str, Value]:
+    """Return B and beta_e of a fit with their standard deviations."""
+    unit = "N·s/m" if experiment.settings.rig.motion == "linear" else "N·m·s/rad"
+    known = {f.name for f in fit.free}
+    found = {}
+    if "B" in known:
+        found["B"] = Value(fit.value("B"), fit.stddev("B"), unit)
+    if "beta_e" in known:
+        found["beta_e"] = Value(fit.value("beta_e"), fit.stddev("beta_e"), "Pa")
+    return found
+
+
+def stated_stddev(experiment: Experiment, fit: Fit, key: str) -> float:
+    """Return the standard deviation of a named effect's parameter (``effect.parameter``).
+
+    A sensor's own lag of up to ``TIMING`` samples needs no name, so a delay that has one is known
+    no better: an error even within that limit has a standard deviation of limit/sqrt(3).
+    """
+    floor = TIMING * experiment.dt / np.sqrt(3.0) if key in TIMED else 0.0
+    return float(np.hypot(fit.stddev(key), floor))
+
+
+def in_doubt(known: dict[str, Value], agreement: tuple[Agreement, ...]) -> dict[str, Value]:
+    """Return B and beta_e of a model that lacks something, as uncertain as its parts differ.
+
+    What has no name pulls them one way in the slow half and another in the fast one; the
+    innovations' own sigma knows nothing of it.
+    """
+    found = {}
+    for name, value in known.items():
+        apart = max((abs(part.after[name].value - value.value) for part in agreement
+                     if name in part.after), default=0.0)
+        found[name] = replace(value, stddev=float(np.hypot(value.stddev, apart)))
+    return found
+
+
+def robust(experiment: Experiment, fit: Fit, block: float = BLOCK) -> Fit:
+    """Return a fit whose covariance counts blocks of the record, not samples.
+
+    Where a model is not exact to the last newton, its innovations pull the parameters one way in
+    one part of the record and another way in the next.  With slopes d_b and innovations r_b of
+    block b the covariance is H^-1 (sum g_b g_b') H^-1, g_b = d_b r_b (White 1982); the larger of
+    this and the usual H^-1 is kept for each parameter.
+
+    Parameters
+    ----------
+    block : length of a block, s.
+    """
+    if not fit.free:
+        return fit
+    w = whitener(fit.s)
+    white = np.nan_to_num(fit.e) @ w.T
+    slopes = sensitivities(experiment, fit.theta, fit.active, fit.gains, fit.e,
+                           [step_of(f, fit.theta) for f in fit.free])
+    d = np.stack([np.nan_to_num(slope) @ w.T for slope in slopes])
+    length = INVERSE_BLOCK if experiment.inverse else max(1, round(block / experiment.dt))
+    count = max(1, white.shape[0] // length)
+    pulls = np.stack([np.einsum("kic,ic->k", part, r) for part, r in zip(
+        np.array_split(d, count, axis=1), np.array_split(white, count, axis=0), strict=True)])
+    pulls = pulls - pulls.mean(axis=0)
+    weight = np.diag([f.spread**-2.0 for f in fit.free])
+    information = np.einsum("kic,lic->kl", d, d) + weight
+    unit = 1.0 / np.sqrt(np.diag(information))  # newtons beside square metres per pascal second
+    bread = np.linalg.pinv(information * np.outer(unit, unit), hermitian=True) * np.outer(
+        unit, unit)
+    meat = pulls.T @ pulls * count / max(count - len(fit.free), 1)
+    sandwich = bread @ meat @ bread
+    scale = np.sqrt(np.maximum(np.diag(sandwich) / np.maximum(np.diag(bread), 1e-300), 1.0))
+    return replace(fit, covariance=bread * np.outer(scale, scale))
+
+
+def config_effects(experiment: Experiment, fit: Fit, names: tuple[str, ...]
+                   ) -> dict[str, dict[str, float]]:
+    """Return the ``effects:`` section: what the config had, and the named ones of ``names``."""
+    found = {name: dict(values) for name, values in experiment.settings.effects.items()}
+    for name in (name for name in fit.named if name in names):
+        values = effect_values(fit.theta, name)
+        found[name] = {p.name: float(min(max(values[p.name], p.lower), p.upper))
+                       for p in CATALOGUE[name].parameters}
+    return found
+
+
+def quantised(experiment: Experiment) -> NamedEffect | None:
+    """Return the encoder's resolution as an effect, where the config knows of none so coarse.
+
+    A rounding error has no parameter to fit: the step is read off the data.
+    """
+    step = experiment.position_step
+    levels = experiment.settings.noise
+    known = max(levels.position_resolution,
+                experiment.settings.simulation.noise.position_resolution)
+    if step <= 1.5 * known or step / np.sqrt(12.0) <= COARSE * levels.position:
+        return None
+    entry = CATALOGUE["position_quantisation"]
+    ratio = step / np.sqrt(12.0) / levels.position
+    against = 0.5 * experiment.n * np.log1p(ratio**2)
+    return NamedEffect("position_quantisation", entry.balance, entry.said({"q": step}),
+                       {"q": Value(step, 0.0, "m")}, float(against), (), entry.equation,
+                       entry.rig_check, quantity(step, "m", 3))
+
+
+def spoken(name: str) -> str:
+    """Return the name of an effect as it stands in a sentence."""
+    return name.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
+
+
+def health_sentences(experiment: Experiment, before: dict[str, Value], after: dict[str, Value],
+                     effects: tuple[NamedEffect, ...]) -> tuple[str, ...]:
+    """Return in plain words what the mismatch did to the health estimates."""
+    found = []
+    plant = [effect for effect in effects if effect.balance in ("force", "flow")] or list(effects)
+    for name, first in before.items():
+        if name not in after or not effects:
+            continue
+        then = after[name].value
+        change = first.value - then
+        if abs(change) < NOTABLE * abs(then) or abs(change) < 3.0 * after[name].stddev:
+            continue
+        cause = " and ".join(f"{effect.size} of {spoken(effect.name)}".strip()
+                             for effect in plant[:3])
+        read = f"{HEALTH_WORDS[name]} read {quantity(first.value, first.unit, 3)}"
+        sense = "not wear" if name == "B" else "not the fluid"
+        if change > 0:
+            found.append(f"{read}; {quantity(change, first.unit, 3)} of it is {cause}, {sense}")
+        else:
+            found.append(f"{read}, {quantity(-change, first.unit, 3)} too little, because of "
+                         f"{cause}")
+    return tuple(found)
+
+
