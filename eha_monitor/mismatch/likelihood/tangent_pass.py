@@ -15,8 +15,9 @@ import math
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.mismatch.innovations import CLOSED, FORCED, FREE, N_FILTERED
-from eha_monitor.mismatch.tangent_lanes import (
+from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
+from eha_monitor.mismatch.likelihood.innovations import FREE, N_FILTERED
+from eha_monitor.mismatch.likelihood.tangent_lanes import (
     apart,
     driven,
     per_turn,
@@ -24,7 +25,7 @@ from eha_monitor.mismatch.tangent_lanes import (
     sensed,
     shift_all,
 )
-from eha_monitor.mismatch.tangent_motion import (
+from eha_monitor.mismatch.likelihood.tangent_motion import (
     EARLY,
     LATE,
     N_MOVED,

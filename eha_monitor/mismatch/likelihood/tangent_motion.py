@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.mismatch.innovations import CLOSED, FORCED, FREE, N_FILTERED
+from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
+from eha_monitor.mismatch.likelihood.innovations import FREE, N_FILTERED
 from eha_monitor.physics.balances import acceleration, drive_speed, rates
 from eha_monitor.physics.contributions import add_contributions, update_memory
 from eha_monitor.physics.plant import (

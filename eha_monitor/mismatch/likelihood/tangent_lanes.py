@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.mismatch.innovations import CLOSED, FORCED
-from eha_monitor.mismatch.tangent_motion import (
+from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
+from eha_monitor.mismatch.likelihood.tangent_motion import (
     N_RATES,
     balanced,
     contribute,

@@ -2,7 +2,7 @@
 
 A lane is a model beside the one at hand: one parameter moved a little, or an effect that enters.
 Its difference in the rates and in what the sensors show, taken along the trajectory of the model
-at hand, drives the linearised filter (:mod:`eha_monitor.mismatch.tangent_pass`).
+at hand, drives the linearised filter (:mod:`eha_monitor.mismatch.likelihood.tangent_pass`).
 """
 
 from collections.abc import Sequence
@@ -10,12 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.mismatch.experiment import Experiment, Stretch
-from eha_monitor.mismatch.fit import Fit, spread, start_of, step_of
-from eha_monitor.mismatch.gains import decay_of
-from eha_monitor.mismatch.innovations import CLOSED, N_FILTERED, innovate
-from eha_monitor.mismatch.tangent_lanes import BALANCE, DRIVE, TERM, Lanes
-from eha_monitor.mismatch.tangent_motion import (
+from eha_monitor.mismatch.data.experiment import Experiment, Stretch
+from eha_monitor.mismatch.likelihood.fit import Fit, spread, start_of, step_of
+from eha_monitor.mismatch.likelihood.gains import decay_of
+from eha_monitor.mismatch.data.inputs import CLOSED
+from eha_monitor.mismatch.likelihood.innovations import N_FILTERED, innovate
+from eha_monitor.mismatch.likelihood.tangent_lanes import BALANCE, DRIVE, TERM, Lanes
+from eha_monitor.mismatch.likelihood.tangent_motion import (
     EARLY,
     LATE,
     N_MOVED,
@@ -27,7 +28,7 @@ from eha_monitor.mismatch.tangent_motion import (
     lags,
     slopes_along,
 )
-from eha_monitor.mismatch.tangent_pass import carried_on, shafts, turns_over
+from eha_monitor.mismatch.likelihood.tangent_pass import carried_on, shafts, turns_over
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import (
     N_EFFECTS,
