@@ -1,4 +1,4 @@
-"""Models that differ a little from the one at hand: how much at the same state, compiled."""
+"""Models that differ a little from the one at hand: by how much at the same state, compiled."""
 
 import math
 from typing import NamedTuple
@@ -8,6 +8,7 @@ import numpy as np
 from eha_monitor.compiled import njit
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.mismatch.likelihood.tangent_motion import (
+    LATE,
     N_RATES,
     balanced,
     contribute,
@@ -18,13 +19,17 @@ from eha_monitor.mismatch.likelihood.tangent_motion import (
     wanted_speed,
     was,
 )
-from eha_monitor.physics.plant import N_OUTPUTS, Y_OMEGA, drive_rate
+from eha_monitor.mismatch.likelihood.tangent_points import STAGES
+from eha_monitor.physics.plant import N_OUTPUTS, Y_OMEGA, Y_P1, Y_P2, Y_V, Y_X, drive_rate
 from eha_monitor.physics.signals import (
     COMMAND_DELAY,
     DRIVE_LAG,
     FEEDBACK_DELAY,
     N_CONTRIBUTIONS,
+    N_SIGNALS,
     OMEGA,
+    P1,
+    P2,
     POSITION_DELAY,
     POSITION_SCALE,
     PRESSURE_DELAY,
@@ -35,8 +40,6 @@ from eha_monitor.physics.signals import (
     PRESSURE_SCALE_1,
     PRESSURE_SCALE_2,
     SLEW_LIMIT,
-    P1,
-    P2,
     T,
     V,
     X,
@@ -52,10 +55,10 @@ class Lanes(NamedTuple):
     thetas, circuits : (L, N_THETA), (L, N_CIRCUIT) of each.
     updates, places : (L,) bool, its effect remembers; it remembers a place.
     inverse : (L,) one over each lane's step.
-    own, same : (L, 2) memory of the lane's effect, and of the same effect as the model at hand
-        has it, both along the model's motion.
-    spinning, before : (L,) speed of a drive that lags where the model's does not, rad/s, and the
-        speed that it wanted last.
+    own, same : (L, N_EFFECTS, 2) memory with the lane's effect, and with the same effect as the
+        model at hand has it, both along the model's motion.
+    spinning : (L, 2) speed of a drive that lags where the model's does not, rad/s, and the speed
+        that it wanted last.
     """
 
     kinds: np.ndarray
@@ -68,7 +71,105 @@ class Lanes(NamedTuple):
     own: np.ndarray
     same: np.ndarray
     spinning: np.ndarray
-    before: np.ndarray
+
+
+@njit(nogil=True)
+def compare(model, motion, points, lanes, gains, e, begin, end, g, shown):
+    """Write the lanes' rates and sensors beyond the model's for samples ``begin`` to ``end``.
+
+    Parameters
+    ----------
+    g : (points there, N_RATES, L), shown : (samples, N_OUTPUTS, L) written, over the steps.
+    """
+    for lane in range(len(lanes.kinds)):
+        if lanes.kinds[lane] == BALANCE:
+            other_balance(model.mode, points, lanes.thetas[lane], lanes.inverse[lane], begin,
+                          end, lane, g)
+        elif lanes.kinds[lane] == TERM:
+            other_term(model, motion, points, lanes.thetas[lane], lanes.which[lane : lane + 1],
+                       lanes.updates[lane], lanes.places[lane], lanes.own[lane],
+                       lanes.same[lane], lanes.inverse[lane], begin, end, lane, g)
+        elif model.mode != FORCED:
+            other_drive(model, motion, points, lanes.thetas[lane], lanes.circuits[lane],
+                        lanes.spinning[lane], lanes.inverse[lane], gains, e, begin, end, lane, g,
+                        shown)
+
+
+@njit
+def other_balance(mode, points, theta, inverse, begin, end, lane, g):
+    """Compare balances with another base parameter."""
+    first, signals, inner, values, rates = (points.first, points.signals, points.inner,
+                                            points.value, points.rates)
+    added = points.added
+    several = added.shape[0] > 1
+    c, y, out = np.zeros(N_CONTRIBUTIONS), np.zeros(4), np.zeros(N_RATES)
+    start = first[begin]
+    stop = first[end] if end < len(first) else len(values)
+    for p in range(start, stop):
+        if several:
+            for i in range(N_CONTRIBUTIONS):
+                c[i] = added[p, i]
+        y[1], y[2], y[3] = signals[p, V], signals[p, P1], signals[p, P2]
+        balanced(mode, values[p], y, signals[p, OMEGA], inner[p, 0], inner[p, 1], theta, c, out)
+        for r in range(3):
+            g[p - start, r, lane] = (out[r] - rates[p, r]) * inverse
+        g[p - start, 3, lane] = 0.0
+
+
+@njit
+def other_term(model, motion, points, theta, one, remembers, by_place, own, same, inverse, begin,
+               end, lane, g):
+    """Compare with another value of an effect's parameter, or with an effect that enters."""
+    mode, dt, steps, here, _, _, _, _, terms, _, _ = model
+    states, ends = motion.states, motion.ends
+    first, signals, inner, values, rates, added = (
+        points.first, points.signals, points.inner, points.value, points.rates, points.added)
+    hard, reached = points.hard, points.reached
+    c, there, s = np.zeros(N_CONTRIBUTIONS), np.zeros(N_CONTRIBUTIONS), np.zeros(N_SIGNALS)
+    y, out = np.zeros(4), np.zeros(N_RATES)
+    which = one[0]
+    inside = False
+    for place in terms:
+        inside |= place == which
+    start = first[begin]
+    for k in range(begin, min(end, states.shape[0] - 1)):
+        stages = STAGES * steps if hard[k] >= 0 else 2
+        if by_place:
+            own[which, 1] += states[k, 0] - ends[k, 0]
+            same[which, 1] += states[k, 0] - ends[k, 0]
+        for point in range(stages):
+            p = first[k] + point
+            for i in range(N_SIGNALS):
+                s[i] = signals[p, i]
+            y[1], y[2], y[3] = s[V], s[P1], s[P2]
+            contribute(s, theta, one, own, c)
+            if inside:
+                contribute(s, here, one, same, there)
+                for i in range(N_CONTRIBUTIONS):
+                    c[i] += added[p, i] - there[i]
+            elif len(terms):
+                for i in range(N_CONTRIBUTIONS):
+                    c[i] += added[p, i]
+            balanced(mode, values[p], y, s[OMEGA], inner[p, 0], inner[p, 1], here, c, out)
+            for r in range(3):
+                g[p - start, r, lane] = (out[r] - rates[p, r]) * inverse
+            g[p - start, 3, lane] = 0.0
+            if not remembers:
+                continue
+            if hard[k] >= 0 and point % STAGES == STAGES - 1:
+                step = point // STAGES
+                s[X], s[V] = reached[hard[k], step, 0], reached[hard[k], step, 1]
+                s[P1], s[P2] = reached[hard[k], step, 2], reached[hard[k], step, 3]
+                remembered(s, theta, one, dt / steps, own)
+                remembered(s, here, one, dt / steps, same)
+            elif hard[k] < 0 and point == 1:
+                remembered(s, theta, one, LATE * dt, own)
+                remembered(s, here, one, LATE * dt, same)
+                s[T] = (k + 1) * dt
+                s[X], s[V], s[P1], s[P2] = (ends[k + 1, Y_X], ends[k + 1, Y_V],
+                                            ends[k + 1, Y_P1], ends[k + 1, Y_P2])
+                remembered(s, theta, one, (1.0 - LATE) * dt, own)
+                remembered(s, here, one, (1.0 - LATE) * dt, same)
 
 
 @njit(forceinline=True)
@@ -82,173 +183,91 @@ def shown_by(j, t, value, w):
 
 
 @njit
-def sensed(model, motion, lanes, k, gain, e, shown):
-    """Write what the lanes' sensors show beyond the model's before sample k, (N_OUTPUTS, L)."""
-    if model.mode == FORCED:
-        return
-    w, dt, t = model.w, model.dt, k * model.dt
-    for lane in range(len(lanes.kinds)):
-        if lanes.kinds[lane] != DRIVE:
-            continue
-        other, inverse = lanes.circuits[lane], lanes.inverse[lane]
-        for j in (0, 2, 3):
-            place = POSITION_DELAY if j == 0 else PRESSURE_DELAY
-            here = late_by(motion, j, k, w[place], dt, model.steps)
-            there = here
-            if other[place] != w[place]:
-                there = late_by(motion, j, k, other[place], dt, model.steps)
-            shown[j, lane] = (shown_by(j, t, there, other) - shown_by(j, t, here, w)) * inverse
-        if model.slow:
-            continue
-        value = told(motion.u, k, 0.0, w[COMMAND_DELAY], dt)
-        there = told(motion.u, k, 0.0, other[COMMAND_DELAY], dt)
-        if model.mode == CLOSED:
-            late = late_by(motion, 0, k, w[FEEDBACK_DELAY], dt, model.steps)
-            value = wanted_speed(value, late, model.theta, w)
-            late = late_by(motion, 0, k, other[FEEDBACK_DELAY], dt, model.steps)
-            there = wanted_speed(there, late, lanes.thetas[lane], other)
-            if lags(other):
-                if k == 0:
-                    lanes.spinning[lane] = lanes.before[lane] = there
-                there = lanes.spinning[lane]
-                for j in range(N_OUTPUTS):  # the gains correct its speed too
-                    if math.isfinite(e[j]):
-                        lanes.spinning[lane] += gain[Y_OMEGA, j] * e[j]
-        shown[4, lane] = (there - value) * inverse
-
-
-@njit
 def followed(omega, before, wanted, h, lag, slew):
     """Return a lagging drive's speed after ``h`` s of a wanted speed that is linear in time."""
+    if h <= 0.0:
+        return omega
     slope = (wanted - before) / h
     target = wanted - slope * lag + (omega - before + slope * lag) * math.exp(-h / lag)
     return omega + min(max(target - omega, -slew * h), slew * h)
 
 
 @njit
-def driven(model, motion, lanes, k, f, since, x, v, omega, out):
-    """Write by how much the lanes' drives turn faster, or gain speed where the model's lags, (L,).
-
-    f, since : places in sample k, of now and of the last call.
-    """
-    if model.mode == FORCED:
-        return
-    dt, w = model.dt, model.w
-    for lane in range(len(lanes.kinds)):
-        if lanes.kinds[lane] != DRIVE:
-            continue
-        other = lanes.circuits[lane]
-        value = told(motion.u, k, f, w[COMMAND_DELAY], dt)
-        there = value
-        if other[COMMAND_DELAY] != w[COMMAND_DELAY]:
-            there = told(motion.u, k, f, other[COMMAND_DELAY], dt)
-        if model.mode == CLOSED:
-            here = x
-            if w[FEEDBACK_DELAY] > 0.0:
-                here = was(motion, 0, dt, k + f - w[FEEDBACK_DELAY] / dt)
-            late = here
-            if other[FEEDBACK_DELAY] != w[FEEDBACK_DELAY]:
-                late = was(motion, 0, dt, k + f - other[FEEDBACK_DELAY] / dt)
-            value = wanted_speed(value, here, model.theta, w)
-            there = wanted_speed(there, late, lanes.thetas[lane], other)
-            if model.slow:
-                value = drive_rate(value, omega, model.lag, w[SLEW_LIMIT])
-                there = drive_rate(there, omega, max(other[DRIVE_LAG], model.shortest),
-                                   other[SLEW_LIMIT])
-            elif lags(other):
-                lanes.spinning[lane] = followed(
-                    lanes.spinning[lane], lanes.before[lane], there, (f - since) * dt,
-                    max(other[DRIVE_LAG], model.shortest), other[SLEW_LIMIT])
-                lanes.before[lane] = there
-                there = lanes.spinning[lane]
-        out[lane] = (there - value) * lanes.inverse[lane]
-
-
-@njit
-def per_turn(model, value, y, turning, unknown, memory, s, c, scratch, plus, minus, out):
-    """Write v', p1', p2' for a shaft that turns 1 rad/s faster; ``c`` is left."""
-    if model.mode == FORCED:
-        out[:] = 0.0
-        return
-    d = 1e-3 * (1.0 + abs(turning))
-    for side in range(2):
-        there = turning + (d if side == 0 else -d)
-        scratch[:] = c
-        if len(model.terms):
-            s[OMEGA] = there
-            contribute(s, model.theta, model.terms, memory, scratch)
-        balanced(model.mode, value, y, there, unknown, model.theta, scratch,
-                 plus if side == 0 else minus)
-    s[OMEGA] = turning
-    for r in range(3):
-        out[r] = (plus[r] - minus[r]) / (2.0 * d)
-
-
-@njit
-def apart(model, lanes, value, y, turning, unknown, turned, faster, memory, s, c, rates, room,
-          work, g):
-    """Write the lanes' rates at a state beyond the model's, (N_RATES, L), over their steps.
-
-    Parameters
-    ----------
-    turning, s, c, rates : the model's own there, of :func:`course`.
-    turned : (L,) of :func:`driven`; faster : (N_RATES,) of :func:`per_turn`.
-    memory : (N_EFFECTS, 2) scratch.
-    room, work : (2, N_CONTRIBUTIONS), (N_RATES,) scratch.
-    """
-    for lane in range(len(lanes.kinds)):
-        kind, inverse = lanes.kinds[lane], lanes.inverse[lane]
-        if kind == TERM:
-            which, one = lanes.which[lane], lanes.which[lane : lane + 1]
-            if lanes.updates[lane]:
-                memory[which] = lanes.own[lane]
-            contribute(s, lanes.thetas[lane], one, memory, room[0])
-            for i in range(N_CONTRIBUTIONS):
-                room[0, i] += c[i]
-            for place in model.terms:
-                if place == which:
-                    if lanes.updates[lane]:
-                        memory[which] = lanes.same[lane]
-                    contribute(s, model.theta, one, memory, room[1])
-                    for i in range(N_CONTRIBUTIONS):
-                        room[0, i] -= room[1, i]
-            balanced(model.mode, value, y, turning, unknown, model.theta, room[0], work)
-        elif kind == BALANCE:
-            balanced(model.mode, value, y, turning, unknown, lanes.thetas[lane], c, work)
-        elif model.slow:
-            g[3, lane] = turned[lane]
-            continue
-        else:
-            for r in range(3):
-                g[r, lane] = faster[r] * turned[lane]
-            continue
-        for r in range(3):
-            g[r, lane] = (work[r] - rates[r]) * inverse
+def other_drive(model, motion, points, theta, other, spinning, inverse, gains, e, begin, end,
+                lane, g, shown):
+    """Compare another drive and other sensors, along the motion."""
+    mode, dt, steps, here, w, slow, lag, shortest, _, _, _ = model
+    u, _, _, states, ends, slopes, slopes_end = motion
+    first, places, rates, faster, hard = (points.first, points.place, points.signals,
+                                          points.faster, points.hard)
+    own_lag, lagging = max(other[DRIVE_LAG], shortest), lags(other) and not slow
+    start = first[begin]
+    for k in range(begin, end):
+        t = k * dt
+        for j in (0, 2, 3):
+            place = POSITION_DELAY if j == 0 else PRESSURE_DELAY
+            now = late_by(states, ends, slopes, slopes_end, j, k, w[place], dt, steps)
+            then = now
+            if other[place] != w[place]:
+                then = late_by(states, ends, slopes, slopes_end, j, k, other[place], dt, steps)
+            shown[k - begin, j, lane] = (shown_by(j, t, then, other)
+                                         - shown_by(j, t, now, w)) * inverse
+        if not slow:
+            value = told(u, k, 0.0, w[COMMAND_DELAY], dt)
+            then = told(u, k, 0.0, other[COMMAND_DELAY], dt)
+            if mode == CLOSED:
+                late = late_by(states, ends, slopes, slopes_end, 0, k, w[FEEDBACK_DELAY], dt,
+                               steps)
+                value = wanted_speed(value, late, here, w)
+                late = late_by(states, ends, slopes, slopes_end, 0, k, other[FEEDBACK_DELAY], dt,
+                               steps)
+                then = wanted_speed(then, late, theta, other)
+                if lagging:
+                    if k == 0:
+                        spinning[0] = spinning[1] = then
+                    then = spinning[0]
+                    for j in range(N_OUTPUTS):  # the gains correct its speed too
+                        if math.isfinite(e[k, j]):
+                            spinning[0] += gains[min(k, gains.shape[0] - 1), Y_OMEGA, j] * e[k, j]
+            shown[k - begin, 4, lane] = (then - value) * inverse
+        if k == states.shape[0] - 1:
+            break
+        stages = STAGES * steps if hard[k] >= 0 else 2
+        since = 0.0
+        for point in range(stages + (1 if lagging else 0)):
+            p = first[k] + point
+            f = places[p] if point < stages else 1.0
+            x = rates[p, X] if point < stages else ends[k + 1, Y_X]
+            value = told(u, k, f, w[COMMAND_DELAY], dt)
+            then = told(u, k, f, other[COMMAND_DELAY], dt)
+            if mode == CLOSED:
+                now = late = x
+                if w[FEEDBACK_DELAY] > 0.0:
+                    now = was(states, ends, slopes, slopes_end, 0, dt,
+                              k + f - w[FEEDBACK_DELAY] / dt)
+                if other[FEEDBACK_DELAY] > 0.0:
+                    late = was(states, ends, slopes, slopes_end, 0, dt,
+                               k + f - other[FEEDBACK_DELAY] / dt)
+                value = wanted_speed(value, now, here, w)
+                then = wanted_speed(then, late, theta, other)
+                if slow:
+                    omega = rates[p, OMEGA] - states[k, 7]
+                    g[p - start, 3, lane] = (
+                        drive_rate(then, omega, own_lag, other[SLEW_LIMIT])
+                        - drive_rate(value, omega, lag, w[SLEW_LIMIT])) * inverse
+                elif lagging:
+                    spinning[0] = followed(spinning[0], spinning[1], then, (f - since) * dt,
+                                           own_lag, other[SLEW_LIMIT])
+                    spinning[1], then = then, spinning[0]
+                    since = f
+            if not slow and point < stages:
+                change = (then - value) * inverse
+                for r in range(3):
+                    g[p - start, r, lane] = faster[p, r] * change
+                g[p - start, 3, lane] = 0.0
+            elif slow:
+                for r in range(3):
+                    g[p - start, r, lane] = 0.0
 
 
-@njit
-def remember_all(model, lanes, t, y, h, memory, s):
-    """Carry the lanes' memories over ``h`` s that have ended at the state ``y``."""
-    s[T], s[X], s[V], s[P1], s[P2] = t, y[0], y[1], y[2], y[3]
-    for lane in range(len(lanes.kinds)):
-        if not lanes.updates[lane]:
-            continue
-        which, one = lanes.which[lane], lanes.which[lane : lane + 1]
-        memory[which] = lanes.own[lane]
-        remembered(s, lanes.thetas[lane], one, h, memory)
-        lanes.own[lane] = memory[which]
-        memory[which] = lanes.same[lane]
-        remembered(s, model.theta, one, h, memory)
-        lanes.same[lane] = memory[which]
-
-
-@njit
-def shift_all(lanes, by):
-    """Move the lanes' remembered places with a correction of the position by ``by`` m."""
-    for lane in range(len(lanes.kinds)):
-        if lanes.places[lane]:
-            lanes.own[lane, 1] += by
-            lanes.same[lane, 1] += by
-
-
-__all__ = ["BALANCE", "DRIVE", "N_RATES", "TERM"]
+__all__ = ["BALANCE", "DRIVE", "TERM"]

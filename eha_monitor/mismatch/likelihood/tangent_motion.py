@@ -1,7 +1,8 @@
 """A model's motion between its samples, its rates there and their Jacobian, compiled.
 
 The filter keeps the states after each correction; with the gains they give those before it, and
-with the rates at both ends of a sample the cubic between them.
+with the rates at both ends of a sample the cubic between them.  What is inlined takes plain
+arrays: numba counts references to the members of a tuple at each call.
 """
 
 import math
@@ -47,6 +48,9 @@ from eha_monitor.physics.signals import (
 
 N_RATES = 4  # v', p1', p2', omega'
 N_MOVED = 5  # x, v, p1, p2, omega: the states that the rates move
+TINY = 1e-6  # of a state's size: for its derivative
+SUDDEN = 0.05  # of a rate's size: what an effect may add to it in a sample by its own slope
+STIFF, SPRING = 0.1, 1e-3  # decay in a sample, and angle squared, that are an effect's alone
 EARLY, LATE = 0.5 - 0.5 / math.sqrt(3.0), 0.5 + 0.5 / math.sqrt(3.0)  # of a sample: Gauss
 
 
@@ -108,40 +112,39 @@ def between(a, b, da, db, dt, f):
 
 
 @njit(forceinline=True)
-def state_at(motion, dt, k, f, y):
+def state_at(states, ends, slopes, slopes_end, dt, k, f, y):
     """Write the moved states at ``f`` of sample k."""
     for i in range(N_MOVED):
-        y[i] = between(motion.states[k, i], motion.ends[k + 1, i], motion.slopes[k, i],
-                       motion.slopes_end[k + 1, i], dt, f)
+        y[i] = between(states[k, i], ends[k + 1, i], slopes[k, i], slopes_end[k + 1, i], dt, f)
 
 
-@njit
-def was(motion, i, dt, place):
+@njit(forceinline=True)
+def was(states, ends, slopes, slopes_end, i, dt, place):
     """Return state ``i`` at ``place`` samples after the first; before it all rests."""
-    j = min(max(math.floor(place), 0), motion.states.shape[0] - 2)
+    j = min(max(math.floor(place), 0), states.shape[0] - 2)
     f = min(max(place - j, 0.0), 1.0)
-    return between(motion.states[j, i], motion.ends[j + 1, i], motion.slopes[j, i],
-                   motion.slopes_end[j + 1, i], dt, f)
+    return between(states[j, i], ends[j + 1, i], slopes[j, i], slopes_end[j + 1, i], dt, f)
 
 
 @njit
-def late_by(motion, i, k, delay, dt, steps):
+def late_by(states, ends, slopes, slopes_end, i, k, delay, dt, steps):
     """Return state ``i`` as it was ``delay`` s before sample k, before its correction."""
     if delay == 0.0:
-        return motion.ends[k, i]
+        return ends[k, i]
     if delay < 0.0 or k == 0:
-        return motion.ends[k, i] - delay * motion.slopes_end[k, i]
+        return ends[k, i] - delay * slopes_end[k, i]
     if i == 0:
-        return was(motion, i, dt, k - delay / dt)
+        return was(states, ends, slopes, slopes_end, i, dt, k - delay / dt)
     # Of the pressures the filter knows the ends of its steps, and goes straight between them.
     step = dt / steps
     j = math.floor(delay / step)
     f = delay / step - j
-    new = motion.ends[k, i] if j == 0 else was(motion, i, dt, k - j / steps)
-    return (1.0 - f) * new + f * was(motion, i, dt, k - (j + 1) / steps)
+    new = ends[k, i] if j == 0 else was(states, ends, slopes, slopes_end, i, dt, k - j / steps)
+    return (1.0 - f) * new + f * was(states, ends, slopes, slopes_end, i, dt,
+                                     k - (j + 1) / steps)
 
 
-@njit
+@njit(forceinline=True)
 def told(u, k, f, delay, dt):
     """Return the input ``f`` into sample k as it reaches the drive."""
     if delay == 0.0:
@@ -161,80 +164,82 @@ def wanted_speed(value, late, theta, w):
     return shaft_speed(drive_speed(value, seen_by_drive(late, late, w), theta, w), w)
 
 
-@njit
-def inputs_at(model, motion, k, f, x, v):
-    """Return the input at ``f`` of sample k, and by how much the late x exceeds x - T v, m."""
-    value = told(motion.u, k, f, model.w[COMMAND_DELAY], model.dt)
-    delay, behind = model.w[FEEDBACK_DELAY], 0.0
-    if delay > 0.0 and k + f - delay / model.dt <= k:
-        behind = was(motion, 0, model.dt, k + f - delay / model.dt) - x + delay * v
-    return value, behind
+@njit(forceinline=True)
+def ahead_of(states, ends, slopes, slopes_end, delay, dt, k, f, x, v):
+    """Return by how much the position ``delay`` s ago exceeds x - T v, m; nil within a sample."""
+    if delay <= 0.0 or k + f - delay / dt > k:
+        return 0.0
+    return was(states, ends, slopes, slopes_end, 0, dt, k + f - delay / dt) - x + delay * v
 
 
 @njit(forceinline=True)
-def balanced(mode, value, y, turning, unknown, theta, c, out):
-    """Write v', p1', p2' at given contributions."""
-    c[FORCE] += unknown[0]
+def balanced(mode, value, y, turning, force, flow, theta, c, out):
+    """Write v', p1', p2' at given contributions and unknown force and flow."""
+    c[FORCE] += force
     if mode == FORCED:
         out[0], out[1], out[2] = acceleration(value, y[1], theta, c), 0.0, 0.0
     else:
-        out[0], out[1], out[2] = rates(y[1], y[2], y[3], turning, unknown[1], theta, c)
-    c[FORCE] -= unknown[0]
+        out[0], out[1], out[2] = rates(y[1], y[2], y[3], turning, flow, theta, c)
+    c[FORCE] -= force
 
 
-@njit
-def course(model, y, unknown, t, value, behind, memory, s, c, out):
+@njit(forceinline=True)
+def course(mode, slow, lag, theta, w, terms, y, unknown, t, value, behind, memory, s, c, out):
     """Write the rates at a state and leave the signals there in ``s``; return the shaft's speed.
 
     Parameters
     ----------
     y : (N_MOVED,) state; unknown : (3,) force, flow, speed.
-    value, behind : of :func:`inputs_at`.
+    value, behind : input as it reaches the drive; of :func:`ahead_of`.
     memory, s, c : the effects' memory and scratch.
     out : (N_RATES,) written.
     """
     turning = value
     out[3] = 0.0
-    if model.mode == CLOSED:
-        late = y[0] - model.w[FEEDBACK_DELAY] * y[1] + behind
-        turning = wanted_speed(value, late, model.theta, model.w)
-        if model.slow:
-            out[3] = drive_rate(turning, y[4], model.lag, model.w[SLEW_LIMIT])
+    if mode == CLOSED:
+        turning = wanted_speed(value, y[0] - w[FEEDBACK_DELAY] * y[1] + behind, theta, w)
+        if slow:
+            out[3] = drive_rate(turning, y[4], lag, w[SLEW_LIMIT])
             turning = y[4]
     turning += unknown[2]
-    s[T], s[X], s[V], s[P1], s[P2] = t, y[0], y[1], y[2], y[3]
-    s[OMEGA], s[X_D] = turning, value
-    if model.mode == FORCED:
-        s[OMEGA] = s[X_D] = 0.0
-    if len(model.terms):
-        contribute(s, model.theta, model.terms, memory, c)
-    balanced(model.mode, value, y, turning, unknown, model.theta, c, out)
+    if mode == FORCED:
+        turning = 0.0
+    if len(terms):
+        s[T], s[X], s[V], s[P1], s[P2] = t, y[0], y[1], y[2], y[3]
+        s[OMEGA], s[X_D] = turning, (0.0 if mode == FORCED else value)
+        contribute(s, theta, terms, memory, c)
+    balanced(mode, value, y, turning, unknown[0], unknown[1], theta, c, out)
     return turning
 
 
 @njit
-def jacobian(model, y, unknown, span, t, value, behind, memory, s, c, up, down, jac):
-    """Write the rates' derivatives by all filtered states, (N_RATES, N_FILTERED).
+def jacobian(mode, slow, lag, theta, w, terms, y, unknown, span, t, value, behind, memory, s, c,
+             rates, jac):
+    """Write the rates at a state and their derivatives by all filtered states; return the speed.
 
-    span : (N_FILTERED,) half of each difference.
+    span : (N_FILTERED,) the differences, with their sign.
+    rates : (N_RATES,), jac : (N_RATES, N_FILTERED) written.
     """
+    out = np.empty(N_RATES)
+    turning = course(mode, slow, lag, theta, w, terms, y, unknown, t, value, behind, memory, s, c,
+                     rates)
+    kept = c.copy()
     for i in range(N_FILTERED):
-        d = span[i]
-        for side in range(2):
-            move = d if side == 0 else -d
-            to = up if side == 0 else down
-            if i < N_MOVED:
-                kept = y[i]
-                y[i] = kept + move
-                course(model, y, unknown, t, value, behind, memory, s, c, to)
-                y[i] = kept
-            else:
-                kept = unknown[i - N_MOVED]
-                unknown[i - N_MOVED] = kept + move
-                course(model, y, unknown, t, value, behind, memory, s, c, to)
-                unknown[i - N_MOVED] = kept
+        if i < N_MOVED:
+            was_here = y[i]
+            y[i] += span[i]
+        else:
+            was_here = unknown[i - N_MOVED]
+            unknown[i - N_MOVED] += span[i]
+        course(mode, slow, lag, theta, w, terms, y, unknown, t, value, behind, memory, s, c, out)
+        if i < N_MOVED:
+            y[i] = was_here
+        else:
+            unknown[i - N_MOVED] = was_here
         for r in range(N_RATES):
-            jac[r, i] = (up[r] - down[r]) / (2.0 * d)
+            jac[r, i] = (out[r] - rates[r]) / span[i]
+    c[:] = kept
+    return turning
 
 
 @njit(nogil=True)
@@ -244,7 +249,7 @@ def before_corrections(states, e, gains, role, dt, theta, ends, shifts):
     shifts : (n,) written: half the pressure difference that a role took from the sensors, Pa.
     """
     for k in range(states.shape[0]):
-        gain = gains[min(k, gains.shape[0] - 1)]
+        at = min(k, gains.shape[0] - 1)
         for i in range(N_FILTERED):
             ends[k, i] = states[k, i]
         if role[k] == FREE:
@@ -253,9 +258,9 @@ def before_corrections(states, e, gains, role, dt, theta, ends, shifts):
         for j in range(N_OUTPUTS):
             if math.isfinite(e[k, j]):
                 for i in range(N_FILTERED):
-                    ends[k, i] -= gain[i, j] * e[k, j]
-                by_1 += gain[Y_P1, j] * e[k, j]
-                by_2 += gain[Y_P2, j] * e[k, j]
+                    ends[k, i] -= gains[at, i, j] * e[k, j]
+                by_1 += gains[at, Y_P1, j] * e[k, j]
+                by_2 += gains[at, Y_P2, j] * e[k, j]
         if role[k] > 0.0 and math.isfinite(e[k, 2]) and math.isfinite(e[k, 3]):
             half = 0.5 * role[k] * (e[k, 2] - by_1 - e[k, 3] + by_2)
             shifts[k] = half
@@ -265,17 +270,19 @@ def before_corrections(states, e, gains, role, dt, theta, ends, shifts):
 
 
 @njit(forceinline=True)
-def recall(model, motion, k, memory):
+def recall(states, updates, k, memory):
     """Write the effects' memory after the correction of sample k."""
-    for i in range(len(model.updates)):
-        memory[model.updates[i], 0] = motion.states[k, N_FILTERED + 2 * i]
-        memory[model.updates[i], 1] = motion.states[k, N_FILTERED + 2 * i + 1]
+    for i in range(len(updates)):
+        memory[updates[i], 0] = states[k, N_FILTERED + 2 * i]
+        memory[updates[i], 1] = states[k, N_FILTERED + 2 * i + 1]
 
 
 @njit(nogil=True)
 def slopes_along(model, motion, memory):
     """Write the rates (x', v', p1', p2', omega') after and before each correction."""
-    n = motion.states.shape[0]
+    mode, dt, _, theta, w, slow, lag, _, terms, updates, places = model
+    u, p1, p2, states, ends, slopes, slopes_end = motion
+    n = states.shape[0]
     s, c, out = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS), np.zeros(N_RATES)
     y, unknown = np.zeros(N_MOVED), np.zeros(3)
     for k in range(n):
@@ -284,47 +291,71 @@ def slopes_along(model, motion, memory):
             if here == n:
                 break
             for i in range(N_MOVED):
-                y[i] = motion.states[k, i] if side == 0 else motion.ends[here, i]
+                y[i] = states[k, i] if side == 0 else ends[here, i]
             for i in range(3):
-                unknown[i] = motion.states[k, N_MOVED + i]
-            if model.mode == FORCED:
-                y[2], y[3] = motion.p1[here], motion.p2[here]
-            recall(model, motion, here, memory)
+                unknown[i] = states[k, N_MOVED + i]
+            if mode == FORCED:
+                y[2], y[3] = p1[here], p2[here]
+            recall(states, updates, here, memory)
             if side == 1:  # its place was corrected with the position
-                for which in model.places:
-                    memory[which, 1] -= motion.states[here, 0] - motion.ends[here, 0]
-            value, behind = inputs_at(model, motion, k, float(side), y[0], y[1])
-            course(model, y, unknown, here * model.dt, value, behind, memory, s, c, out)
-            written = motion.slopes if side == 0 else motion.slopes_end
+                for which in places:
+                    memory[which, 1] -= states[here, 0] - ends[here, 0]
+            value = told(u, k, float(side), w[COMMAND_DELAY], dt)
+            behind = ahead_of(states, ends, slopes, slopes_end, w[FEEDBACK_DELAY], dt, k,
+                              float(side), y[0], y[1])
+            course(mode, slow, lag, theta, w, terms, y, unknown, here * dt, value, behind, memory,
+                   s, c, out)
+            written = slopes if side == 0 else slopes_end
             written[here, 0] = y[1]
             for i in range(N_RATES):
                 written[here, 1 + i] = out[i]
-    motion.slopes_end[0] = motion.slopes[0]
+    slopes_end[0] = slopes[0]
 
 
 @njit(nogil=True)
-def jacobians(model, motion, size, tiny, memory, every, jacs):
-    """Write the rates' Jacobians in the middle of each ``every``-th sample.
+def jacobians(model, motion, size, memory, jacs):
+    """Write the rates' Jacobians of each sample, (m, N_RATES, N_FILTERED).
 
-    Differences span what the state moves in a sample, at least ``tiny`` of its ``size``: what
-    turns over faster counts by its mean.
+    Differences span what the state moves in the sample: what turns over counts by its mean.
     """
-    n = motion.states.shape[0]
-    s, c = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS)
-    up, down = np.zeros(N_RATES), np.zeros(N_RATES)
+    mode, dt, _, theta, w, slow, lag, _, terms, updates, _ = model
+    u, p1, p2, states, ends, slopes, slopes_end = motion
+    s, c, out = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS), np.zeros(N_RATES)
     y, unknown, span = np.zeros(N_MOVED), np.zeros(3), np.zeros(N_FILTERED)
-    for at in range(jacs.shape[0]):
-        k = min(at * every, n - 2)
-        state_at(motion, model.dt, k, 0.5, y)
+    for k in range(min(jacs.shape[0], states.shape[0] - 1)):
         for i in range(N_MOVED):
-            span[i] = max(tiny * size[i], 0.5 * abs(motion.ends[k + 1, i] - motion.states[k, i]))
+            y[i] = states[k, i]
+            span[i] = ends[k + 1, i] - states[k, i]
+            if abs(span[i]) < TINY * size[i]:
+                span[i] = TINY * size[i]
         for i in range(3):
-            unknown[i] = motion.states[k, N_MOVED + i]
+            unknown[i] = states[k, N_MOVED + i]
             span[N_MOVED + i] = 1e-3 * size[N_MOVED + i]
-        if model.mode == FORCED:
-            y[2], y[3] = (0.5 * (motion.p1[k] + motion.p1[k + 1]),
-                          0.5 * (motion.p2[k] + motion.p2[k + 1]))
-        recall(model, motion, k, memory)
-        value, behind = inputs_at(model, motion, k, 0.5, y[0], y[1])
-        jacobian(model, y, unknown, span, (k + 0.5) * model.dt, value, behind, memory, s, c, up,
-                 down, jacs[at])
+        if mode == FORCED:
+            y[2], y[3] = p1[k], p2[k]
+        recall(states, updates, k, memory)
+        value = told(u, k, 0.5, w[COMMAND_DELAY], dt)
+        behind = ahead_of(states, ends, slopes, slopes_end, w[FEEDBACK_DELAY], dt, k, 0.0, y[0],
+                          y[1])
+        jacobian(mode, slow, lag, theta, w, terms, y, unknown, span, (k + 0.5) * dt, value, behind,
+                 memory, s, c, out, jacs[k])
+
+
+@njit(nogil=True)
+def turns_over(model, motion, jacs, constant, typical, hard):
+    """Mark the samples in which an effect turns over, (n,) bool.
+
+    typical : (N_RATES,) size of each rate.
+    """
+    dt = model.dt
+    states, ends = motion.states, motion.ends
+    for k in range(len(hard) - 1):
+        for r in range(N_RATES):
+            for i in range(N_MOVED):
+                more = abs(jacs[k, r, i] - constant[r, i])
+                if more * abs(ends[k + 1, i] - states[k, i]) > SUDDEN * typical[r]:
+                    hard[k] = True
+            if dt * abs(jacs[k, r, 1 + r] - constant[r, 1 + r]) > STIFF:
+                hard[k] = True
+        if dt * dt * abs(jacs[k, 0, 0] - constant[0, 0]) > SPRING:
+            hard[k] = True

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment, Stretch
+from eha_monitor.mismatch.data.inputs import CLOSED
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, start_of, step_of
 from eha_monitor.mismatch.likelihood.gains import decay_of
-from eha_monitor.mismatch.data.inputs import CLOSED
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED, innovate
 from eha_monitor.mismatch.likelihood.tangent_lanes import BALANCE, DRIVE, TERM, Lanes
 from eha_monitor.mismatch.likelihood.tangent_motion import (
@@ -27,8 +27,10 @@ from eha_monitor.mismatch.likelihood.tangent_motion import (
     jacobians,
     lags,
     slopes_along,
+    turns_over,
 )
-from eha_monitor.mismatch.likelihood.tangent_pass import carried_on, shafts, turns_over
+from eha_monitor.mismatch.likelihood.tangent_pass import Linear, carried_on, shafts
+from eha_monitor.mismatch.likelihood.tangent_points import points_of
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import (
     N_EFFECTS,
@@ -141,23 +143,22 @@ class Track:
         size[5] = max(size[5], 1e-3 * rate[0] * model.theta[s.M])
         size[6] = max(size[6], 1e-3 * size[1] * (model.theta[s.AREA_1] or 1.0))
         size[7] = max(size[7], 1e-3 * size[4])
-        self.size = size + 1e-12
+        size += 1e-12
         varying = len(model.terms) > 0 or np.isfinite(model.w[[s.SPEED_LIMIT, s.SLEW_LIMIT]]).any()
-        self.jacs = np.empty((n if varying else 0, N_RATES, N_FILTERED))
-        self.hard = np.zeros(len(self.jacs), dtype=np.bool_)
+        jacs = np.zeros((n if varying else 1, N_RATES, N_FILTERED))
+        hard = np.zeros(n, dtype=np.bool_)
+        jacobians(model, motion, size, new_memory(), jacs)
+        constant = jacs[0]
         if varying:
-            jacobians(model, motion, self.size, 1e-6, new_memory(), 1, self.jacs)
-            self.constant = np.median(self.jacs[:: max(n // POINTS, 1)], axis=0)
-            turns_over(self.jacs, self.constant, motion, dt, rate, self.hard)
-        else:
-            one = np.empty((1, N_RATES, N_FILTERED))
-            jacobians(model, motion, self.size, 1e-6, new_memory(), 1, one)
-            self.constant = one[0]
-        self.phi, self.gamma = maps_of(self.constant, dt, dt, steps)
-        self.half, self.half_gamma = maps_of(self.constant, dt, 0.5 * dt, -(-steps // 2))
-        self.shaft = np.zeros((n, N_FILTERED))
+            constant = np.median(jacs[:: max(n // POINTS, 1)], axis=0)
+            turns_over(model, motion, jacs, constant, rate, hard)
+        self.points = points_of(model, motion, hard, size, new_memory())
+        shaft = np.zeros((n, N_FILTERED))
         if self.experiment.used[4]:
-            shafts(model, motion, self.shaft)
+            shafts(model, motion, shaft)
+        self.linear = Linear(*maps_of(constant, dt, dt, steps),
+                             *maps_of(constant, dt, 0.5 * dt, -(-steps // 2)), constant,
+                             jacs if varying else jacs[:0], shaft, self.shifts)
 
     def carry(self, lanes: Sequence[Lane]) -> np.ndarray:
         """Return the tangents of some lanes, (n, c, len(lanes))."""
@@ -170,10 +171,8 @@ class Track:
         areas = made.inverse * (
             (made.thetas[:, s.AREA_1] + made.thetas[:, s.AREA_2]) / made.thetas[:, s.M]
             - (theta[s.AREA_1] + theta[s.AREA_2]) / theta[s.M])
-        carried_on(self.model, self.motion, made, self.e, self.fit.gains, self.role,
-                   decay_of(self.experiment), areas, self.shifts, self.shaft, self.phi, self.gamma,
-                   self.half, self.half_gamma, self.jacs, self.constant, self.hard, self.size,
-                   new_memory(), new_memory(), used, out)
+        carried_on(self.model, self.motion, self.points, self.linear, made, areas, self.e,
+                   self.fit.gains, self.role, decay_of(self.experiment), used, out)
         return out
 
 
@@ -194,8 +193,9 @@ def lanes_of(fit: Fit, lanes: Sequence[Lane]) -> Lanes:
     count = len(lanes)
     return Lanes(kinds, which, np.array([lane.theta for lane in lanes]),
                  np.array([circuit_of(lane.theta, lane.active) for lane in lanes]), *flags,
-                 1.0 / np.array([lane.step for lane in lanes]), np.zeros((count, 2)),
-                 np.zeros((count, 2)), np.zeros(count), np.zeros(count))
+                 1.0 / np.array([lane.step for lane in lanes]),
+                 np.zeros((count, N_EFFECTS, s.MAX_MEMORY)),
+                 np.zeros((count, N_EFFECTS, s.MAX_MEMORY)), np.zeros((count, 2)))
 
 
 def maps_of(jacobian: np.ndarray, dt: float, length: float, steps: int
