@@ -49,8 +49,6 @@ from eha_monitor.physics.signals import (
 N_RATES = 4  # v', p1', p2', omega'
 N_MOVED = 5  # x, v, p1, p2, omega: the states that the rates move
 TINY = 1e-6  # of a state's size: for its derivative
-SUDDEN = 0.05  # of a rate's size: what an effect may add to it in a sample by its own slope
-STIFF, SPRING = 0.1, 1e-3  # decay in a sample, and angle squared, that are an effect's alone
 EARLY, LATE = 0.5 - 0.5 / math.sqrt(3.0), 0.5 + 0.5 / math.sqrt(3.0)  # of a sample: Gauss
 
 
@@ -313,7 +311,7 @@ def slopes_along(model, motion, memory):
 
 
 @njit(nogil=True)
-def jacobians(model, motion, size, memory, jacs):
+def jacobians(model, motion, size, both, memory, jacs):
     """Write the rates' Jacobians of each sample, (m, N_RATES, N_FILTERED).
 
     Differences span what the state moves in the sample: what turns over counts by its mean.
@@ -322,40 +320,50 @@ def jacobians(model, motion, size, memory, jacs):
     u, p1, p2, states, ends, slopes, slopes_end = motion
     s, c, out = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS), np.zeros(N_RATES)
     y, unknown, span = np.zeros(N_MOVED), np.zeros(3), np.zeros(N_FILTERED)
+    back = np.zeros((N_RATES, N_FILTERED))
     for k in range(min(jacs.shape[0], states.shape[0] - 1)):
+        state_at(states, ends, slopes, slopes_end, dt, k, 0.5, y)
         for i in range(N_MOVED):
-            y[i] = states[k, i]
-            span[i] = ends[k + 1, i] - states[k, i]
+            span[i] = 0.5 * (ends[k + 1, i] - states[k, i])
             if abs(span[i]) < TINY * size[i]:
                 span[i] = TINY * size[i]
         for i in range(3):
             unknown[i] = states[k, N_MOVED + i]
             span[N_MOVED + i] = 1e-3 * size[N_MOVED + i]
         if mode == FORCED:
-            y[2], y[3] = p1[k], p2[k]
+            y[2], y[3] = 0.5 * (p1[k] + p1[k + 1]), 0.5 * (p2[k] + p2[k + 1])
         recall(states, updates, k, memory)
         value = told(u, k, 0.5, w[COMMAND_DELAY], dt)
-        behind = ahead_of(states, ends, slopes, slopes_end, w[FEEDBACK_DELAY], dt, k, 0.0, y[0],
+        behind = ahead_of(states, ends, slopes, slopes_end, w[FEEDBACK_DELAY], dt, k, 0.5, y[0],
                           y[1])
         jacobian(mode, slow, lag, theta, w, terms, y, unknown, span, (k + 0.5) * dt, value, behind,
                  memory, s, c, out, jacs[k])
+        if both:
+            for i in range(N_FILTERED):
+                span[i] = -span[i]
+            jacobian(mode, slow, lag, theta, w, terms, y, unknown, span, (k + 0.5) * dt, value,
+                     behind, memory, s, c, out, back)
+            jacs[k] = 0.5 * (jacs[k] + back)
 
 
 @njit(nogil=True)
-def turns_over(model, motion, jacs, constant, typical, hard):
+def turns_over(model, motion, jacs, constant, typical, limits, hard):
     """Mark the samples in which an effect turns over, (n,) bool.
 
     typical : (N_RATES,) size of each rate.
+    limits : of what an effect adds to a rate in a sample by its own slope, over the rate's size;
+        of decay in a sample, and of angle squared, that are an effect's alone.
     """
     dt = model.dt
+    sudden, stiff, spring = limits
     states, ends = motion.states, motion.ends
     for k in range(len(hard) - 1):
         for r in range(N_RATES):
             for i in range(N_MOVED):
                 more = abs(jacs[k, r, i] - constant[r, i])
-                if more * abs(ends[k + 1, i] - states[k, i]) > SUDDEN * typical[r]:
+                if more * abs(ends[k + 1, i] - states[k, i]) > sudden * typical[r]:
                     hard[k] = True
-            if dt * abs(jacs[k, r, 1 + r] - constant[r, 1 + r]) > STIFF:
+            if dt * abs(jacs[k, r, 1 + r] - constant[r, 1 + r]) > stiff:
                 hard[k] = True
-        if dt * dt * abs(jacs[k, 0, 0] - constant[0, 0]) > SPRING:
+        if dt * dt * abs(jacs[k, 0, 0] - constant[0, 0]) > spring:
             hard[k] = True

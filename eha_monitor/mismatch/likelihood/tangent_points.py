@@ -46,6 +46,7 @@ from eha_monitor.physics.signals import (
 SOFT = 2  # points of a sample
 STAGES = 4  # of a Runge-Kutta step
 FINE = 1e-7  # of a size: for the derivatives at a stage
+FINER = 1e-9  # of the travel: a seal turns over within micrometres
 
 
 class Points(NamedTuple):
@@ -175,6 +176,8 @@ def by_stages(model, motion, points, size, k, memory):
                               at[1])
             t = (k + f) * dt
             jac = points.jacs[number, STAGES * step + stage]
+            # A seal knows how far it has slid, not which way: its slopes hold along the motion.
+            span[0] = FINER * size[0] if at[1] >= 0.0 else -FINER * size[0]
             turning = jacobian(mode, slow, lag, theta, w, terms, at, unknown, span, t, value,
                                behind, memory, s, c, rates, jac)
             points.place[p], points.value[p] = f, value
@@ -192,7 +195,7 @@ def by_stages(model, motion, points, size, k, memory):
             for e in range(len(updates)):
                 for m in range(2):
                     kept = memory[updates[e], m]
-                    d = FINE * (abs(kept) + 1e-6) if m == 0 else span[0]
+                    d = FINE * (abs(kept) + 1e-6) if m == 0 else -span[0]
                     memory[updates[e], m] += d
                     course(mode, slow, lag, theta, w, terms, at, unknown, t, value, behind,
                            memory, s, c, up)
@@ -211,6 +214,7 @@ def by_stages(model, motion, points, size, k, memory):
             f = (step + 1.0) / steps
             y[2], y[3] = (1.0 - f) * p1[k] + f * p1[k + 1], (1.0 - f) * p2[k] + f * p2[k + 1]
         points.reached[number, step] = y
+        span[0] = FINER * size[0] if y[1] >= 0.0 else -FINER * size[0]
         for e in range(len(updates)):
             renew(theta, updates[e : e + 1], (k * dt) + (step + 1) * h, y, h, span, memory, s,
                   points.renewed[number, step, e])
@@ -237,7 +241,7 @@ def renew(theta, one, t, y, h, span, memory, s, derivative):
             d = FINE * (abs(first) + 1e-6)
             memory[which, 0] += d
         else:
-            d = span[0]
+            d = -span[0]
             memory[which, 1] += d
         remembered(s, theta, one, h, memory)
         derivative[0, i] = (memory[which, 0] - after_1) / d

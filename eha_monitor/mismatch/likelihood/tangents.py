@@ -43,6 +43,8 @@ from eha_monitor.physics.contributions import (
 from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.plant import N_OUTPUTS, SHORTEST_LAG, new_past
 
+LIMITS = (0.02, 0.1, 1e-3)
+BOTH = True
 LANES = 32  # that one pass carries
 POINTS = 64  # of a stretch, at which the constant Jacobian is looked for
 # Their memory is a motion of its own (a line that rings) or a place that is not the piston's.
@@ -147,11 +149,11 @@ class Track:
         varying = len(model.terms) > 0 or np.isfinite(model.w[[s.SPEED_LIMIT, s.SLEW_LIMIT]]).any()
         jacs = np.zeros((n if varying else 1, N_RATES, N_FILTERED))
         hard = np.zeros(n, dtype=np.bool_)
-        jacobians(model, motion, size, new_memory(), jacs)
+        jacobians(model, motion, size, BOTH, new_memory(), jacs)
         constant = jacs[0]
         if varying:
             constant = np.median(jacs[:: max(n // POINTS, 1)], axis=0)
-            turns_over(model, motion, jacs, constant, rate, hard)
+            turns_over(model, motion, jacs, constant, rate, LIMITS, hard)
         self.points = points_of(model, motion, hard, size, new_memory())
         shaft = np.zeros((n, N_FILTERED))
         if self.experiment.used[4]:
