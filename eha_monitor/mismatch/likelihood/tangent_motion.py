@@ -311,7 +311,7 @@ def slopes_along(model, motion, memory):
 
 
 @njit(nogil=True)
-def jacobians(model, motion, size, both, memory, jacs):
+def jacobians(model, motion, size, memory, jacs):
     """Write the rates' Jacobians of each sample, (m, N_RATES, N_FILTERED).
 
     Differences span what the state moves in the sample: what turns over counts by its mean.
@@ -320,7 +320,6 @@ def jacobians(model, motion, size, both, memory, jacs):
     u, p1, p2, states, ends, slopes, slopes_end = motion
     s, c, out = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS), np.zeros(N_RATES)
     y, unknown, span = np.zeros(N_MOVED), np.zeros(3), np.zeros(N_FILTERED)
-    back = np.zeros((N_RATES, N_FILTERED))
     for k in range(min(jacs.shape[0], states.shape[0] - 1)):
         state_at(states, ends, slopes, slopes_end, dt, k, 0.5, y)
         for i in range(N_MOVED):
@@ -338,12 +337,6 @@ def jacobians(model, motion, size, both, memory, jacs):
                           y[1])
         jacobian(mode, slow, lag, theta, w, terms, y, unknown, span, (k + 0.5) * dt, value, behind,
                  memory, s, c, out, jacs[k])
-        if both:
-            for i in range(N_FILTERED):
-                span[i] = -span[i]
-            jacobian(mode, slow, lag, theta, w, terms, y, unknown, span, (k + 0.5) * dt, value,
-                     behind, memory, s, c, out, back)
-            jacs[k] = 0.5 * (jacs[k] + back)
 
 
 @njit(nogil=True)

@@ -106,10 +106,12 @@ def look(model, motion, points, size, memory):
     first, place, signals, inner, values, all_rates, faster, added, hard = points[:9]
     s, c, rates = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS), np.zeros(N_RATES)
     work, moved = np.zeros(N_CONTRIBUTIONS), np.zeros(N_RATES)
-    y, unknown = np.zeros(N_MOVED), np.zeros(3)
+    y, unknown, span = np.zeros(N_MOVED), np.zeros(3), FINE * size
+    at, slope, total = np.zeros(N_MOVED), np.zeros(N_MOVED), np.zeros(N_MOVED)
     for k in range(states.shape[0] - 1):
         if hard[k] >= 0:
-            by_stages(model, motion, points, size, k, memory)
+            by_stages(model, motion, points, size, k, memory, s, c, rates, moved, y, at, unknown,
+                      slope, total, span)
             continue
         for i in range(3):
             unknown[i] = states[k, N_MOVED + i]
@@ -147,15 +149,12 @@ def look(model, motion, points, size, memory):
 
 
 @njit
-def by_stages(model, motion, points, size, k, memory):
-    """Fill the points of sample k: the stages of its Runge-Kutta steps."""
+def by_stages(model, motion, points, size, k, memory, s, c, rates, up, y, at, unknown, slope,
+              total, span):
+    """Fill the points of sample k: the stages of its Runge-Kutta steps; the rest is scratch."""
     mode, dt, steps, theta, w, slow, lag, _, terms, updates, _ = model
     u, p1, p2, states, ends, slopes, slopes_end = motion
     h, number = dt / steps, points.hard[k]
-    s, c, rates = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS), np.zeros(N_RATES)
-    y, at, unknown = np.zeros(N_MOVED), np.zeros(N_MOVED), np.zeros(3)
-    slope, total, up = np.zeros(N_MOVED), np.zeros(N_MOVED), np.zeros(N_RATES)
-    span = FINE * size
     for i in range(N_MOVED):
         y[i] = states[k, i]
     for i in range(3):

@@ -43,8 +43,10 @@ from eha_monitor.physics.contributions import (
 from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.plant import N_OUTPUTS, SHORTEST_LAG, new_past
 
-LIMITS = (0.02, 0.1, 1e-3)
-BOTH = True
+# From where a sample is gone through by its Runge-Kutta stages: what an effect adds to a rate in
+# it by its own slope, of the rate's size (where it remembers, and where not); decay in the sample,
+# and angle squared, that are the effect's alone.
+SUDDEN, SUDDEN_ALONE, STIFF, SPRING = 0.02, 0.2, 0.1, 1e-3
 LANES = 32  # that one pass carries
 POINTS = 64  # of a stretch, at which the constant Jacobian is looked for
 # Their memory is a motion of its own (a line that rings) or a place that is not the piston's.
@@ -149,11 +151,12 @@ class Track:
         varying = len(model.terms) > 0 or np.isfinite(model.w[[s.SPEED_LIMIT, s.SLEW_LIMIT]]).any()
         jacs = np.zeros((n if varying else 1, N_RATES, N_FILTERED))
         hard = np.zeros(n, dtype=np.bool_)
-        jacobians(model, motion, size, BOTH, new_memory(), jacs)
+        jacobians(model, motion, size, new_memory(), jacs)
         constant = jacs[0]
         if varying:
             constant = np.median(jacs[:: max(n // POINTS, 1)], axis=0)
-            turns_over(model, motion, jacs, constant, rate, LIMITS, hard)
+            sudden = SUDDEN if len(model.updates) else SUDDEN_ALONE
+            turns_over(model, motion, jacs, constant, rate, (sudden, STIFF, SPRING), hard)
         self.points = points_of(model, motion, hard, size, new_memory())
         shaft = np.zeros((n, N_FILTERED))
         if self.experiment.used[4]:
