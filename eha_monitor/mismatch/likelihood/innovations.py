@@ -68,6 +68,7 @@ def innovate(z, u, p1, p2, mode, dt, steps, theta, active, gains, decay, y, memo
     terms, updates, places = with_term(active), with_update(active), with_place(active)
     c, s = np.zeros(N_CONTRIBUTIONS), np.zeros(N_SIGNALS)
     shown = np.zeros(N_OUTPUTS)
+    by_output = gains.transpose(0, 2, 1).copy()  # a sensor's gains side by side
     last = 0
     h = dt / steps
     for k in range(n):
@@ -78,14 +79,14 @@ def innovate(z, u, p1, p2, mode, dt, steps, theta, active, gains, decay, y, memo
         else:
             sense(y, t, h, past, last, w, shown)
             shown[4] = speed_now(y, u, 1, k, dt, steps, mode == CLOSED, theta, w, past, last)[1]
-        gain = gains[min(k, gains.shape[0] - 1)]
+        at = min(k, gains.shape[0] - 1)
         predicted, before_1, before_2 = y[Y_X], y[Y_P1], y[Y_P2]
         for j in range(N_OUTPUTS):
             difference = z[k, j] - shown[j]
             e[k, j] = difference
             if math.isfinite(difference) and role[k] != FREE:
                 for i in range(N_FILTERED):
-                    y[i] += gain[i, j] * difference
+                    y[i] += by_output[at, j, i] * difference
         if role[k] > 0.0 and math.isfinite(z[k, 2]) and math.isfinite(z[k, 3]):
             # Less what the gains have corrected; the innovations know the sensors' own errors.
             half = 0.5 * role[k] * (e[k, 2] - y[Y_P1] + before_1 - e[k, 3] + y[Y_P2] - before_2)
