@@ -247,7 +247,7 @@ def advance(y, t, dt, steps, u, pieces, first, closed, theta, terms, updates, w,
     return last
 
 
-@njit
+@njit(forceinline=True)
 def speed_now(y, u, pieces, first, dt, steps, closed, theta, w, past, last):
     """Return the input and the shaft speed (rad/s) at the start of sample ``first``."""
     if w[COMMAND_DELAY] == 0.0:
@@ -264,7 +264,7 @@ def speed_now(y, u, pieces, first, dt, steps, closed, theta, w, past, last):
     return value, shaft_speed(wanted, w) + y[Y_SPEED]
 
 
-@njit
+@njit(forceinline=True)
 def sense(y, t, step, past, last, w, out):
     """Write what the sensors show at time ``t`` s: x, v, p1, p2 (SI) into ``out``.
 
