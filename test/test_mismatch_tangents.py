@@ -1,4 +1,4 @@
-"""Exact sensitivities against differences of the filter, on recordings of the independent plant."""
+"""Exact sensitivities against differences of the filter, on recordings of another plant."""
 
 from dataclasses import replace
 

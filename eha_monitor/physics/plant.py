@@ -152,7 +152,7 @@ def drive_rate(wanted, omega, lag, slew):
     return min(max((wanted - omega) / lag, -slew), slew)
 
 
-@njit
+@njit(forceinline=True)
 def advance(y, t, dt, steps, u, pieces, first, closed, theta, terms, updates, w, memory, past,
             last, c, s):
     """Carry the actuator over one sample in place; returns the past's newest entry.

@@ -8,7 +8,6 @@ import numpy as np
 from eha_monitor.compiled import njit
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.mismatch.likelihood.tangent_motion import (
-    LATE,
     N_RATES,
     balanced,
     contribute,
@@ -20,11 +19,16 @@ from eha_monitor.mismatch.likelihood.tangent_motion import (
     was,
 )
 from eha_monitor.mismatch.likelihood.tangent_points import STAGES
+from eha_monitor.physics.balances import acceleration
+from eha_monitor.physics.balances import rates as balance_rates
 from eha_monitor.physics.plant import N_OUTPUTS, Y_OMEGA, Y_P1, Y_P2, Y_V, Y_X, drive_rate
 from eha_monitor.physics.signals import (
     COMMAND_DELAY,
+    DRIVE_GAIN,
     DRIVE_LAG,
     FEEDBACK_DELAY,
+    IN_LOOP,
+    K_POS,
     N_CONTRIBUTIONS,
     N_SIGNALS,
     OMEGA,
@@ -40,6 +44,7 @@ from eha_monitor.physics.signals import (
     PRESSURE_SCALE_1,
     PRESSURE_SCALE_2,
     SLEW_LIMIT,
+    SPEED_LIMIT,
     T,
     V,
     X,
@@ -103,17 +108,32 @@ def other_balance(mode, points, theta, inverse, begin, end, lane, g):
     added = points.added
     several = added.shape[0] > 1
     c, y, out = np.zeros(N_CONTRIBUTIONS), np.zeros(4), np.zeros(N_RATES)
+    base = (theta[0], theta[1], theta[2], theta[3], theta[4], theta[5], theta[6], theta[7],
+            theta[8], theta[9], theta[10], theta[11])
     start = first[begin]
     stop = first[end] if end < len(first) else len(values)
     for p in range(start, stop):
         if several:
             for i in range(N_CONTRIBUTIONS):
                 c[i] = added[p, i]
-        y[1], y[2], y[3] = signals[p, V], signals[p, P1], signals[p, P2]
-        balanced(mode, values[p], y, signals[p, OMEGA], inner[p, 0], inner[p, 1], theta, c, out)
-        for r in range(3):
-            g[p - start, r, lane] = (out[r] - rates[p, r]) * inverse
-        g[p - start, 3, lane] = 0.0
+            y[1], y[2], y[3] = signals[p, V], signals[p, P1], signals[p, P2]
+            balanced(mode, values[p], y, signals[p, OMEGA], inner[p, 0], inner[p, 1], theta, c,
+                     out)
+            for r in range(3):
+                g[p - start, r, lane] = (out[r] - rates[p, r]) * inverse
+            g[p - start, 3, lane] = 0.0
+            continue
+        # Numbers, not places in memory that might change: their quotients are taken once.
+        alone = (inner[p, 0], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        g[p - start, 1, lane] = g[p - start, 2, lane] = g[p - start, 3, lane] = 0.0
+        if mode == FORCED:
+            dv = acceleration(values[p], signals[p, V], base, alone)
+        else:
+            dv, d1, d2 = balance_rates(signals[p, V], signals[p, P1], signals[p, P2],
+                                       signals[p, OMEGA], inner[p, 1], base, alone)
+            g[p - start, 1, lane] = (d1 - rates[p, 1]) * inverse
+            g[p - start, 2, lane] = (d2 - rates[p, 2]) * inverse
+        g[p - start, 0, lane] = (dv - rates[p, 0]) * inverse
 
 
 @njit
@@ -161,15 +181,15 @@ def other_term(model, motion, points, theta, one, remembers, by_place, own, same
                 s[X], s[V] = reached[hard[k], step, 0], reached[hard[k], step, 1]
                 s[P1], s[P2] = reached[hard[k], step, 2], reached[hard[k], step, 3]
                 remembered(s, theta, one, dt / steps, own)
-                remembered(s, here, one, dt / steps, same)
+                if inside:
+                    remembered(s, here, one, dt / steps, same)
             elif hard[k] < 0 and point == 1:
-                remembered(s, theta, one, LATE * dt, own)
-                remembered(s, here, one, LATE * dt, same)
                 s[T] = (k + 1) * dt
                 s[X], s[V], s[P1], s[P2] = (ends[k + 1, Y_X], ends[k + 1, Y_V],
                                             ends[k + 1, Y_P1], ends[k + 1, Y_P2])
-                remembered(s, theta, one, (1.0 - LATE) * dt, own)
-                remembered(s, here, one, (1.0 - LATE) * dt, same)
+                remembered(s, theta, one, dt, own)
+                if inside:
+                    remembered(s, here, one, dt, same)
 
 
 @njit(forceinline=True)
@@ -192,6 +212,15 @@ def followed(omega, before, wanted, h, lag, slew):
     return omega + min(max(target - omega, -slew * h), slew * h)
 
 
+@njit(forceinline=True)
+def differ(other, w, places):
+    """Tell whether two circuits differ at any of some places."""
+    found = False
+    for i in places:
+        found |= other[i] != w[i]
+    return found
+
+
 @njit
 def other_drive(model, motion, points, theta, other, spinning, inverse, gains, e, begin, end,
                 lane, g, shown):
@@ -201,10 +230,22 @@ def other_drive(model, motion, points, theta, other, spinning, inverse, gains, e
     first, places, rates, faster, hard = (points.first, points.place, points.signals,
                                           points.faster, points.hard)
     own_lag, lagging = max(other[DRIVE_LAG], shortest), lags(other) and not slow
+    sensors_only = theta[K_POS] == here[K_POS] and not differ(other, w, (
+        DRIVE_GAIN, DRIVE_LAG, SPEED_LIMIT, SLEW_LIMIT, COMMAND_DELAY, FEEDBACK_DELAY, IN_LOOP))
+    if other[IN_LOOP] != 0.0:
+        sensors_only = sensors_only and other[POSITION_SCALE] == w[POSITION_SCALE]
     start = first[begin]
+    showing = (differ(other, w, (POSITION_DELAY, POSITION_SCALE)),
+               False,
+               differ(other, w, (PRESSURE_DELAY, PRESSURE_SCALE_1, PRESSURE_OFFSET_1,
+                                        PRESSURE_DRIFT_1)),
+               differ(other, w, (PRESSURE_DELAY, PRESSURE_SCALE_2, PRESSURE_OFFSET_2,
+                                 PRESSURE_DRIFT_2)))
     for k in range(begin, end):
         t = k * dt
         for j in (0, 2, 3):
+            if not showing[j]:
+                continue
             place = POSITION_DELAY if j == 0 else PRESSURE_DELAY
             now = late_by(states, ends, slopes, slopes_end, j, k, w[place], dt, steps)
             then = now
@@ -212,7 +253,7 @@ def other_drive(model, motion, points, theta, other, spinning, inverse, gains, e
                 then = late_by(states, ends, slopes, slopes_end, j, k, other[place], dt, steps)
             shown[k - begin, j, lane] = (shown_by(j, t, then, other)
                                          - shown_by(j, t, now, w)) * inverse
-        if not slow:
+        if not slow and not sensors_only:
             value = told(u, k, 0.0, w[COMMAND_DELAY], dt)
             then = told(u, k, 0.0, other[COMMAND_DELAY], dt)
             if mode == CLOSED:
@@ -233,6 +274,11 @@ def other_drive(model, motion, points, theta, other, spinning, inverse, gains, e
         if k == states.shape[0] - 1:
             break
         stages = STAGES * steps if hard[k] >= 0 else 2
+        if sensors_only:
+            for point in range(stages):
+                for r in range(N_RATES):
+                    g[first[k] - start + point, r, lane] = 0.0
+            continue
         since = 0.0
         for point in range(stages + (1 if lagging else 0)):
             p = first[k] + point

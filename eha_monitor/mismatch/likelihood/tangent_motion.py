@@ -17,8 +17,12 @@ from eha_monitor.physics.balances import acceleration, drive_speed, rates
 from eha_monitor.physics.contributions import add_contributions, update_memory
 from eha_monitor.physics.plant import (
     N_OUTPUTS,
+    Y_FLOW,
+    Y_FORCE,
+    Y_OMEGA,
     Y_P1,
     Y_P2,
+    Y_SPEED,
     Y_V,
     drive_rate,
     input_at,
@@ -223,17 +227,28 @@ def jacobian(mode, slow, lag, theta, w, terms, y, unknown, span, t, value, behin
                      rates)
     kept = c.copy()
     for i in range(N_FILTERED):
-        if i < N_MOVED:
+        if i in (Y_FORCE, Y_FLOW):  # no effect looks at them
+            force, flow = unknown[0], unknown[1]
+            if i == Y_FORCE:
+                force += span[i]
+            else:
+                flow += span[i]
+            balanced(mode, value, y, turning, force, flow, theta, kept, out)
+            out[3] = rates[3]
+        elif i == Y_SPEED:
+            was_here = unknown[2]
+            unknown[2] += span[i]
+            course(mode, slow, lag, theta, w, terms, y, unknown, t, value, behind, memory, s, c,
+                   out)
+            unknown[2] = was_here
+        elif i == Y_OMEGA and not slow:
+            out[:] = rates
+        else:
             was_here = y[i]
             y[i] += span[i]
-        else:
-            was_here = unknown[i - N_MOVED]
-            unknown[i - N_MOVED] += span[i]
-        course(mode, slow, lag, theta, w, terms, y, unknown, t, value, behind, memory, s, c, out)
-        if i < N_MOVED:
+            course(mode, slow, lag, theta, w, terms, y, unknown, t, value, behind, memory, s, c,
+                   out)
             y[i] = was_here
-        else:
-            unknown[i - N_MOVED] = was_here
         for r in range(N_RATES):
             jac[r, i] = (out[r] - rates[r]) / span[i]
     c[:] = kept

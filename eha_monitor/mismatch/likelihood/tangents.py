@@ -44,9 +44,9 @@ from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.plant import N_OUTPUTS, SHORTEST_LAG, new_past
 
 # From where a sample is gone through by its Runge-Kutta stages: what an effect adds to a rate in
-# it by its own slope, of the rate's size (where it remembers, and where not); decay in the sample,
-# and angle squared, that are the effect's alone.
-SUDDEN, SUDDEN_ALONE, STIFF, SPRING = 0.02, 0.2, 0.1, 1e-3
+# it by its own slope, of the rate's size; decay in the sample, and angle squared, that are the
+# effect's alone.  What forgets is left to the kick, unless Runge-Kutta itself is pressed by it.
+REMEMBERING, FORGETTING = (0.02, 0.02, 1e-4), (np.inf, 1.0, 1.0)
 LANES = 32  # that one pass carries
 POINTS = 64  # of a stretch, at which the constant Jacobian is looked for
 # Their memory is a motion of its own (a line that rings) or a place that is not the piston's.
@@ -155,8 +155,8 @@ class Track:
         constant = jacs[0]
         if varying:
             constant = np.median(jacs[:: max(n // POINTS, 1)], axis=0)
-            sudden = SUDDEN if len(model.updates) else SUDDEN_ALONE
-            turns_over(model, motion, jacs, constant, rate, (sudden, STIFF, SPRING), hard)
+            limits = REMEMBERING if len(model.updates) else FORGETTING
+            turns_over(model, motion, jacs, constant, rate, limits, hard)
         self.points = points_of(model, motion, hard, size, new_memory())
         shaft = np.zeros((n, N_FILTERED))
         if self.experiment.used[4]:
