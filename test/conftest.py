@@ -1,6 +1,6 @@
 """ROS for the tests: loopback only, a domain of their own, strict field checks, logs aside.
 
-The environment is set before anything imports rclpy, and child processes inherit it.
+The environment is set before anything imports rclpy or numpy, and child processes inherit it.
 """
 
 import os
@@ -15,6 +15,8 @@ os.environ.update({
     "ROS_DOMAIN_ID": str(1 + os.getpid() % 100),
     "ROS_PYTHON_CHECK_FIELDS": "1",  # a wrong Python type is an error, not garbage bytes
     "ROS_LOG_DIR": _LOGS.name,
+    # As eha_monitor sets it; a test imports numpy before, and then BLAS spins on every core.
+    "OPENBLAS_NUM_THREADS": "1",
 })
 
 
@@ -68,3 +70,11 @@ def graph():
     made = Graph()
     yield made
     made.close()
+
+
+@pytest.fixture(scope="session")
+def rubbing():
+    """The diagnosis of a recording with 40 N of dry friction in it; seconds of work, shared."""
+    from mismatch_tools import diagnosed
+
+    return diagnosed("coulomb_friction")

@@ -6,10 +6,13 @@ from functools import lru_cache
 from eha_monitor.concealed.cases import Case
 from eha_monitor.concealed.generate import nominal_config, recording_of
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
+from eha_monitor.mismatch.diagnose import diagnose
+from eha_monitor.mismatch.diagnosis import Diagnosis
 from eha_monitor.mismatch.likelihood.fit import Fit
-from eha_monitor.mismatch.name.base import first_fit, settle, with_effect
-from eha_monitor.mismatch.name.starts import screen, starts_of
+from eha_monitor.mismatch.name.nominal import nominal
+from eha_monitor.prove.oracle import best_of
 from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings import Settings
 from eha_monitor.settings.load import settings_from_tree
 
 
@@ -28,20 +31,37 @@ class Fitted:
         return dict.fromkeys(self.after.named, gain / max(len(self.after.named), 1))
 
 
-def experiment_with(recording: Recording, settings) -> Experiment:
-    return experiment_of([recording], settings)
+def recorded(case: Case) -> tuple[Recording, Settings]:
+    """Return the recording of a concealed case, and the config that knows nothing of it."""
+    channels, time = recording_of(case)
+    return (Recording(time[1] - time[0], channels, 0, "case"),
+            settings_from_tree(nominal_config(case), "nominal"))
+
+
+def nominal_fit(experiment: Experiment) -> Fit:
+    """Return the nominal model, fitted to the end."""
+    return nominal(experiment)[1]
+
+
+def case_of(*effects: str, **options) -> Case:
+    """Return a case of 6 s with effects at full strength."""
+    return Case("test", tuple((name, 1.0) for name in effects), motion="short", seed=3, **options)
+
+
+def diagnosed(*effects: str, **options) -> Diagnosis:
+    """Diagnose a case of 6 s with effects at full strength."""
+    recording, settings = recorded(case_of(*effects, **options))
+    return diagnose([recording], settings)
 
 
 @lru_cache(maxsize=16)
 def fitted(*effects: str, motion: str = "short", told: bool = True, seed: int = 3,
            strength: float = 1.0) -> Fitted:
     """Fit a concealed case, without its effects and told them."""
-    case = Case("test", tuple((name, strength) for name in effects), motion=motion, seed=seed)
-    channels, time = recording_of(case)
-    recording = Recording(time[1] - time[0], channels, 0, "case")
-    experiment = experiment_with(recording, settings_from_tree(nominal_config(case), "nominal"))
-    before = after = first_fit(experiment)
+    recording, settings = recorded(Case("test", tuple((name, strength) for name in effects),
+                                        motion=motion, seed=seed))
+    experiment, before = nominal(experiment_of([recording], settings))
+    after = before
     for name in effects if told else ():
-        best = screen(experiment, after, starts_of(name, experiment))[0]
-        after = settle(experiment, with_effect(after, best.start, best.amplitudes))
+        after = best_of(experiment, after, name, {})
     return Fitted(recording, experiment, before, after)

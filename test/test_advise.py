@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from eha_monitor.mismatch.choice import Naming
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
+from mismatch_tools import nominal_fit
 
 from eha_monitor.cli import main
 from eha_monitor.commands.advise import written_excitation
@@ -21,8 +21,11 @@ from eha_monitor.mismatch.advise.motions import candidates, excitation_tree, lim
 from eha_monitor.mismatch.advise.tells import Reading, directions_for, largest_cosine
 from eha_monitor.mismatch.advise.words import amount, motion_sentence, rounded
 from eha_monitor.mismatch.data.experiment import experiment_of
+from eha_monitor.mismatch.likelihood.fit import with_unknowns
 from eha_monitor.mismatch.likelihood.information import Traces, free_slopes
-from eha_monitor.mismatch.name.base import first_fit, settle, with_effect
+from eha_monitor.mismatch.name.base import with_effect
+from eha_monitor.mismatch.name.naming import Naming
+from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.mismatch.name.starts import starts_of
 from eha_monitor.physics.excitation import demanded_position
 from eha_monitor.physics.simulator import Simulator
@@ -49,14 +52,14 @@ def experiment_with(*effects, demand=None, noise=1.0):
 def plain():
     """A triangle on the rig as it is, and its fit."""
     experiment = experiment_with()
-    return experiment, first_fit(experiment)
+    return experiment, nominal_fit(experiment)
 
 
 @pytest.fixture(scope="module")
 def hiding():
     """A triangle that hides Coulomb friction, without and with it in the fit."""
     experiment = experiment_with(("coulomb_friction", 1.0))
-    first = first_fit(experiment)
+    first = nominal_fit(experiment)
 
     theta = first.theta.copy()
     for f in first.free:
@@ -64,8 +67,9 @@ def hiding():
             theta[f.place] = f.outward(f.prior)
     start = starts_of("coulomb_friction", experiment)[0]
     start = replace(start, values=tuple({**dict(start.values), "F_c": 30.0}.items()))
-    return experiment, first, settle(experiment, with_effect(
-        replace(first, theta=theta), start, ()), 1)
+    entered = with_effect(replace(first, theta=theta), start, ())
+    return experiment, first, settled(experiment, with_unknowns(
+        experiment, entered, entered.unknowns))
 
 
 @pytest.fixture(scope="module")
@@ -120,8 +124,8 @@ def test_words_say_what_how_much_and_what_next(advised):
 
 def test_quick_advice_says_the_same_first(hiding, advised):
     experiment, first, fit = hiding
-    naming = Naming(first, fit, (), {"coulomb_friction": 1e3},
-                    {"coulomb_friction": ()})
+    naming = Naming(first, fit, evidence={"coulomb_friction": 1e3},
+                    rivals={"coulomb_friction": ()})
     quick = advise.advice_for(experiment, naming)
     assert quick[0].split(":")[0] == advise.sentences(advised)[0].split(":")[0]
     assert not any("checked" in text for text in quick)
@@ -157,7 +161,7 @@ def test_information_adds_up_and_a_second_speed_brings_the_inflation_down():
     for slow in (1.0, 0.25):
         x_d = np.where(time < 3.0, triangle(time, 3.0, 0.03), slow * triangle(time, 3.0, 0.03))
         experiment = experiment_with(demand=x_d)
-        fit = first_fit(experiment)
+        fit = nominal_fit(experiment)
         base = free_slopes(fit)
         directions, slopes = directions_for(experiment, fit, ["coulomb_friction"])
         traces = Traces(experiment, fit, [*base, *slopes])
@@ -252,7 +256,7 @@ def test_rig_with_a_measured_force_gets_a_motion_too():
            "pump_displacement": None, "position_gain": None}
     experiment = experiment_of([Recording(1e-3, {"x": channels["x"], "force": force})],
                                settings_from_tree({"rig": rig}, "case"), hold_out=False)
-    found = advise.advice(experiment, first_fit(experiment), {})
+    found = advise.advice(experiment, nominal_fit(experiment), {})
     doubt = next(d for d in found.doubts if d.effect == "coulomb_friction")
     assert doubt.now < advise.DECISIVE
     assert found.motion is not None and doubt.then > advise.DECISIVE

@@ -24,15 +24,8 @@ from eha_monitor.filters.hold_choice import resolved
 from eha_monitor.filters.live import LiveEstimator
 from eha_monitor.filters.pipeline import estimate
 from eha_monitor.mismatch.data.experiment import experiment_of
-from eha_monitor.mismatch.diagnose import high_threshold
-from eha_monitor.mismatch.likelihood.simulated import (
-    Calibration,
-    fingerprint,
-    gain_of_chance,
-    simulated,
-)
-from eha_monitor.mismatch.name.base import nominal
-from eha_monitor.mismatch.name.starts import starts_of
+from eha_monitor.mismatch.likelihood.simulated import simulated
+from eha_monitor.mismatch.name.nominal import nominal
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import settings_from_tree
 
@@ -209,7 +202,7 @@ def test_after_write_config_the_promise_holds(tmp_path):
     from eha_monitor.settings import load_settings
 
     recording, settings = run(ISSUE, 1000.0, True), config(ISSUE, 1000.0)
-    found = diagnose([recording], settings, calibrate=False)
+    found = diagnose([recording], settings)
     assert found.verdict == "mismatch" and found.command_hold == "sampled"
     assert [one.kind for one in found.channels] == ["hold"]
     assert [effect.name for effect in found.effects] == ["coulomb_friction"]
@@ -226,71 +219,15 @@ def test_after_write_config_the_promise_holds(tmp_path):
     assert abs(b.value - ISSUE.damping) < 3 * np.hypot(b.stddev, found.after["B"].stddev)
 
 
-# ---- threshold --------------------------------------------------------------------------------
+# ---- simulated recordings ------------------------------------------------------------------------
 
 
-@lru_cache(maxsize=2)
-def fitted(hold: str):
-    return nominal(experiment_of([run(ISSUE, 500.0, True)],
-                                 config(ISSUE, 500.0, command_hold=hold)))
-
-
-def test_a_held_input_stays_held_in_clean_draws():
-    experiment, fit = fitted("sampled")
+def test_a_held_input_stays_held_in_a_simulated_recording():
+    experiment, fit = nominal(experiment_of(
+        [run(ISSUE, 500.0, True)], config(ISSUE, 500.0, command_hold="sampled")))
     assert experiment.held
     for stretch in simulated(experiment, fit, 0).stretches:
         assert not stretch.u[:, 1:].any()
-
-
-def test_neither_hold_makes_chance_large():
-    """On one recording it was 10 log units with one hold and 2877 with the other."""
-    for hold in ("sampled", "continuous"):
-        experiment, fit = fitted(hold)
-        starts = [start for name in ("pump_dead_zone", "drive_gain", "added_mass")
-                  for start in starts_of(name, experiment)]
-        gains = [gain_of_chance(simulated(experiment, fit, seed), fit, starts)[0]
-                 for seed in range(3)]
-        assert max(gains) < 10.0, (hold, gains)
-
-
-def test_a_stray_draw_is_fitted_again(monkeypatch):
-    """A fit that stops far from its draw: what the catalogue gains beside it is not chance."""
-    from eha_monitor.mismatch import calibrate
-
-    experiment, fit = fitted("sampled")
-    drawn_one = simulated(experiment, fit, 1)
-    theta = fit.theta.copy()
-    place = next(f.place for f in fit.free if f.name == "beta_e")
-    theta[place] *= 1.3
-    real = calibrate.settle
-
-    def astray(given, begun, *rest):
-        return real(given, begun, *rest) if rest else calibrate.stiffened(
-            given, replace(begun, theta=theta))
-
-    starts = starts_of("cross_port_leakage", experiment) + starts_of("drive_gain", experiment)
-    monkeypatch.setattr(calibrate, "settle", astray)
-    assert gain_of_chance(drawn_one, fit, starts)[0] < 10.0
-
-
-def test_the_key_holds_hold_noise_and_source(monkeypatch):
-    from eha_monitor.mismatch import calibrate
-
-    experiment, fit = fitted("sampled")
-    key = fingerprint(experiment, fit, 8)
-    assert key == fingerprint(experiment, fit, 8)
-    for other in ({"command_hold": "continuous"}, {"discretisation": "euler"}):
-        changed = replace(experiment, settings=experiment.settings.model_copy(update=other))
-        assert fingerprint(changed, fit, 8) != key
-    assert fingerprint(replace(experiment, held=False), fit, 8) != key
-    monkeypatch.setattr(calibrate, "source", lambda: "another")
-    assert fingerprint(experiment, fit, 8) != key
-
-
-def test_a_high_threshold_is_told():
-    assert not high_threshold(Calibration(14.0, (), 0.0).threshold)
-    assert not high_threshold(float("nan"))
-    assert "45 log units" in high_threshold(45.0)[0]
 
 
 # ---- what a user sees ------------------------------------------------------------------------

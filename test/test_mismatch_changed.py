@@ -4,23 +4,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mismatch_tools import nominal_fit
 from rig_tools import BETA, SINE, B, settings, simulated
 
 from eha_monitor.commands.diagnosis_answer import answer, mismatched
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnose import diagnose
-from eha_monitor.mismatch.name.base import first_fit
+from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.show.changed import change_words, changed_between, cut
 from eha_monitor.recordings.recording import Recording
 
-THRESHOLD = 12.0
 AIR = {"fault": {"parameter": "bulk_modulus", "start": 5.0, "value": 3e8}}
 
 
 def asked(*recordings):
     """Ask of the nominal model alone, as after a search that found no name."""
     experiment = experiment_of(list(recordings), settings(), True)
-    return changed_between(experiment, list(recordings), first_fit(experiment), THRESHOLD)
+    fit = nominal_fit(experiment)
+    return changed_between(experiment, list(recordings), Naming(fit, fit))
 
 
 @pytest.mark.parametrize("parameter, value", [("viscous_damping", 900.0), ("bulk_modulus", 3e8)])
@@ -75,7 +76,7 @@ def test_a_piece_is_the_same_data_and_is_fitted_where_the_whole_was():
 
 def test_the_whole_answer_on_air_that_enters():
     recording = simulated(SINE, 10.0, faults=AIR).recording(0)
-    found = diagnose([recording], settings(), calibrate=False)
+    found = diagnose([recording], settings())
     assert (found.verdict, found.effects) == ("consistent", ()) and not mismatched(found)
     assert found.after["beta_e"].value == pytest.approx(3e8, rel=0.01)
     (begin, end), = found.location.intervals_s

@@ -8,6 +8,7 @@ from filterpy.kalman import KalmanFilter
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
+from mismatch_tools import nominal_fit
 from rig_tools import (
     BETA,
     C_T,
@@ -32,15 +33,20 @@ from eha_monitor.mismatch.likelihood.fit import (
     innovations,
     log_likelihood_of,
     prior_exponent,
-    refine,
     start_of,
     whitener,
     with_unknowns,
 )
-from eha_monitor.mismatch.likelihood.gains import CORRELATION, Unknowns, gains_of, linear_of
+from eha_monitor.mismatch.likelihood.gains import (
+    CORRELATION,
+    Unknowns,
+    expected_covariance,
+    gains_of,
+    linear_of,
+    smallest_unknowns,
+)
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED, riccati
-from eha_monitor.mismatch.name.base import first_fit, with_effect
-from eha_monitor.mismatch.name.starts import screen, starts_of
+from eha_monitor.mismatch.name.base import expected_likelihood
 from eha_monitor.mismatch.show.model import robust
 from eha_monitor.physics.plant import N_OUTPUTS, Y_OMEGA
 
@@ -221,7 +227,7 @@ def test_likelihood_counts_a_slow_channel_as_often_as_it_was_measured():
 
 
 def test_fit_is_unbiased_and_its_deviation_is_the_scatter_over_seeds(run):
-    fits = [first_fit(experiment_of([run.recording(seed)], settings(
+    fits = [nominal_fit(experiment_of([run.recording(seed)], settings(
         stage_one={"prior": 900.0}, stage_two={"prior": 9e8}))) for seed in range(14)]
     for name, truth in (("B", B), ("beta_e", BETA)):
         values = np.array([fit.value(name) for fit in fits])
@@ -233,25 +239,8 @@ def test_fit_is_unbiased_and_its_deviation_is_the_scatter_over_seeds(run):
     assert all(fit.converged for fit in fits)
 
 
-@pytest.mark.parametrize("effect, values, tolerance", [
-    ("constant_load", {"F_0": 4.0}, 0.05), ("spring_load", {"k": 300.0, "x_0": 0.0}, 0.1)])
-def test_what_the_score_test_promises_is_what_the_fit_gains(effect, values, tolerance):
-    """Small and linear in its size: one Gauss-Newton step from the clean model is all."""
-    run = simulated(MULTISINE, 4.0, effects={effect: values})
-    experiment = experiment_of([run.recording(3)], settings())
-    first = first_fit(experiment)
-    score = screen(experiment, first, starts_of(effect, experiment))[0]
-    refined = refine(experiment, with_effect(first, score.start, score.amplitudes))
-    gained = refined.log_likelihood - first.log_likelihood
-    assert 10.0 < score.gain < 2e4
-    assert gained == pytest.approx(score.gain, rel=tolerance, abs=1.0)
-    size = next(iter(values))
-    assert refined.value(f"{effect}.{size}") == pytest.approx(
-        values[size], abs=4 * refined.stddev(f"{effect}.{size}"))
-
-
 def test_refined_likelihood_is_a_maximum(experiment):
-    fit = first_fit(experiment)
+    fit = nominal_fit(experiment)
     for f in fit.free:
         for sign in (-1, 1):
             theta = fit.theta.copy()
@@ -264,16 +253,40 @@ def test_refined_likelihood_is_a_maximum(experiment):
 
 def test_unknowns_never_spoil_a_clean_record(experiment):
     """With none the model is right already: with large ones the likelihood is lower."""
-    fit = first_fit(experiment)
+    fit = nominal_fit(experiment)
     large = with_unknowns(experiment, fit, Unknowns(50.0, 1e-5, 5.0))
     assert large.log_likelihood < fit.log_likelihood
+
+
+@pytest.mark.parametrize("factor", [1.0, 300.0])
+def test_a_filter_expects_the_innovations_that_it_has(experiment, factor):
+    fit = nominal_fit(experiment)
+    small = smallest_unknowns(experiment)
+    unknowns = replace(small, force=factor * small.force)
+    fit = with_unknowns(experiment, fit, unknowns)
+    expected = np.diag(expected_covariance(experiment, fit.theta, fit.active, unknowns,
+                                           fit.gains))
+    had = np.diag(fit.s) / expected
+    if factor == 1.0:
+        assert had == pytest.approx(1.0, abs=0.1)
+    else:  # it is prepared for an unknown force that is not there
+        assert had.max() < 1.02 and had.min() < 0.9
+
+
+def test_expected_likelihood_is_that_of_the_sensors_noise(experiment):
+    """A draw of pure sensor noise has it on average."""
+    fit = nominal_fit(experiment)
+    rng = np.random.default_rng(0)
+    e = rng.standard_normal(fit.e.shape) * experiment.noise[experiment.columns]
+    assert expected_likelihood(experiment, fit) == pytest.approx(
+        log_likelihood_of(e), abs=5 * np.sqrt(e.size))
 
 
 # ---- how sure ---------------------------------------------------------------------------------
 
 
 def test_robust_deviation_is_never_the_smaller_one(experiment):
-    fit = first_fit(experiment)
+    fit = nominal_fit(experiment)
     safe = robust(experiment, fit)
     ratio = np.sqrt(np.diag(safe.covariance) / np.diag(fit.covariance))
     assert (ratio > 0.97).all() and ratio[0] < 2.0 and ratio[1] < 2.0
@@ -282,7 +295,7 @@ def test_robust_deviation_is_never_the_smaller_one(experiment):
 def test_robust_deviation_grows_where_the_model_is_wrong():
     rubbing = simulated(MULTISINE, 4.0, effects={"coulomb_friction": {"F_c": 20.0}})
     experiment = experiment_of([rubbing.recording(0)], settings())
-    fit = first_fit(experiment)
+    fit = nominal_fit(experiment)
     safe = robust(experiment, fit)
     assert safe.stddev("B") > 1.5 * fit.stddev("B")
     assert np.array_equal(safe.theta, fit.theta)

@@ -1,16 +1,16 @@
-"""The proof on unseen data."""
+"""The proof on unseen data, and the model as a config."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from mismatch_tools import fitted
+from mismatch_tools import fitted, nominal_fit
 
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnosis import Agreement, Value
 from eha_monitor.mismatch.likelihood.fit import refine
-from eha_monitor.mismatch.name.base import first_fit
 from eha_monitor.mismatch.show.held_out import (
     agreement,
     force_residual,
@@ -19,7 +19,9 @@ from eha_monitor.mismatch.show.held_out import (
     shown,
     windows_of,
 )
-from eha_monitor.mismatch.show.model import in_doubt, stated_stddev
+from eha_monitor.mismatch.show.model import config_effects, in_doubt, stated_stddev
+from eha_monitor.physics.effects import CATALOGUE, NAMES
+from eha_monitor.physics.parameters import place_of, theta_of
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.load import settings_from_tree
 
@@ -133,11 +135,11 @@ def forced(friction: float, seconds: float = 12.0):
 
 def test_force_residual_of_a_mass_on_a_damper():
     clean = forced(0.0)
-    residual, force = force_residual(clean, first_fit(clean))
+    residual, force = force_residual(clean, nominal_fit(clean))
     assert force == pytest.approx(np.hypot(120.0, 40.0) / np.sqrt(2.0), rel=0.1)
     assert residual < 0.01 * force
     dry = forced(10.0)
-    found = shown(dry, first_fit(dry), None)
+    found = shown(dry, nominal_fit(dry), None)
     assert found["force"].unit == "N"
     assert 2.0 < found["force"].before_rms < 8.0  # 10 N, of which the damping takes a part
 
@@ -155,7 +157,7 @@ def test_force_residual_of_emps_is_below_the_published_one(tmp_path):
                              "v_d": 5e-3},
         "constant_load": {"F_0": -3.16}}})
     experiment = experiment_of([read_recording(tmp_path / "emps", settings)], settings)
-    residual, force = force_residual(experiment, first_fit(experiment))
+    residual, force = force_residual(experiment, nominal_fit(experiment))
     assert residual < 0.045 * force
 
 
@@ -177,3 +179,27 @@ def test_a_named_delay_is_known_no_better_than_a_sensors_own_lag():
     assert stated_stddev(case.experiment, case.after, "command_delay.T") == pytest.approx(
         np.hypot(own, floor))
     assert stated_stddev(case.experiment, case.after, "B") == case.after.stddev("B")
+
+
+# ---- the model as a config ---------------------------------------------------------------------
+
+
+def test_named_physics_goes_through_a_config_and_explains_the_record():
+    """As a config it is known: B and the likelihood are those of the fit that found it."""
+    case = fitted("coulomb_friction")
+    found = config_effects(case.experiment, case.after, ("coulomb_friction",))
+    assert set(found) == {"coulomb_friction"}
+    assert config_effects(case.experiment, case.after, ()) == {}
+    tree = json.loads(json.dumps({**case.experiment.settings.model_dump(mode="json"),
+                                  "effects": found}))
+    again = settings_from_tree(tree, "written")
+    theta, active = theta_of(again.rig, again.effects)
+    for p in CATALOGUE["coulomb_friction"].parameters:
+        place = place_of(f"coulomb_friction.{p.name}")
+        assert theta[place] == pytest.approx(case.after.theta[place], rel=1e-9, abs=1e-15)
+    assert active[NAMES.index("coulomb_friction")]
+    explained = nominal_fit(replace(case.experiment, settings=again, theta=theta, active=active))
+    assert explained.named == ()
+    assert explained.log_likelihood > case.before.log_likelihood + 0.98 * (
+        case.after.log_likelihood - case.before.log_likelihood)
+    assert explained.value("B") == pytest.approx(600.0, rel=0.02)

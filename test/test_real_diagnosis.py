@@ -50,7 +50,7 @@ def test_both_directions_name_dry_friction():
 @pytest.mark.timeout(600)
 def test_screw_drive_agrees_with_the_published_friction():
     recordings, settings = read("emps", "emps/DATA_EMPS.mat")
-    found = diagnose(recordings, settings, calibrate=False)
+    found = diagnose(recordings, settings)
     effect = found.effects[0]
     assert effect.name == "asymmetric_friction"
     assert found.after["B"].value == pytest.approx(203.5, rel=0.03)

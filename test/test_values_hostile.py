@@ -192,7 +192,7 @@ def test_a_breakdown_of_the_numbers_is_one_line_that_names_the_recording(recordi
     channels = copies(recording)
     channels["x"] *= 1e7
     with pytest.raises(InputError, match=r"wild_bag: the calculation broke down .*singular"):
-        diagnose([Recording(1e-3, channels, source="wild_bag")], settings(), calibrate=False)
+        diagnose([Recording(1e-3, channels, source="wild_bag")], settings())
 
 
 def test_a_defect_is_no_breakdown():

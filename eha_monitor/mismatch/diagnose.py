@@ -100,13 +100,14 @@ def diagnose_held(recordings: list[Recording], settings: Settings, held_out: Rec
                             f"only, with {quantity(experiment.noise[0], 'm', 2)} of noise: "
                             "nothing can be told")
     naming = name_effects(experiment, lambda text, share: say(text, 0.85 * share))
+    experiment = naming.experiment
     pieces: tuple[Piece, ...] = ()
     if not experiment.inverse and verdict_of(experiment, naming) != "consistent":
         say("asking whether a parameter changed", 0.86)
         changed = changed_between(experiment, recordings, naming)
         if changed is not None:
             pieces, experiment = changed.pieces, changed.experiment
-            naming = Naming(changed.whole, changed.fit, consistent=naming.unexplained,
+            naming = Naming(experiment, changed.whole, changed.fit, consistent=naming.unexplained,
                             unexplained=0.0)
     say("showing the fit on unseen data", 0.88)
     shown = experiment if held_out is None else replace(

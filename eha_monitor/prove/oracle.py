@@ -14,14 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
-from eha_monitor.mismatch.likelihood.fit import Fit, spread
-from eha_monitor.mismatch.name.base import (
-    first_fit,
-    nominal,
-    settle,
-    with_effect,
-    without_effect,
-)
+from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
+from eha_monitor.mismatch.name.base import with_effect, without_effect
+from eha_monitor.mismatch.name.nominal import nominal
+from eha_monitor.mismatch.name.refit import Slopes, polished, settled
 from eha_monitor.mismatch.name.starts import Start, possible, starts_of
 from eha_monitor.mismatch.show import held_out
 from eha_monitor.output import write_text
@@ -32,6 +28,7 @@ from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
 RESOLUTION = "position_quantisation"  # has no parameter that is fitted
+FIRST_STEPS = 5  # of a fit from each start, before the best is fitted to the end
 
 
 def oracle(recordings: list[Recording], settings: Settings, truth: dict) -> dict:
@@ -61,8 +58,8 @@ def oracle(recordings: list[Recording], settings: Settings, truth: dict) -> dict
                  {"B": truth["B"], "beta_e": truth["beta_e"]})
     evidence, simpler = {}, {}
     for name in names:
-        without = first if names == (name,) else settle(
-            experiment, without_effect(experiment, after, name), 1)
+        without = first if names == (name,) else refitted(
+            experiment, without_effect(experiment, after, name))
         evidence[name] = after.log_likelihood - without.log_likelihood
         beaten = [best_of(experiment, without, other, {}) for other in CATALOGUE[name].contains]
         if beaten:
@@ -93,14 +90,14 @@ def without_number(experiment: Experiment, after: Fit, mistaken: Experiment) -> 
     """Return the best fit with the same effects where the config has a number wrong."""
     mistaken = replace(mistaken, steps=experiment.steps, noise=experiment.noise)
     if not after.named:
-        return first_fit(mistaken)
+        return nominal(mistaken)[1]
     theta = after.theta.copy()
     for i in range(s.N_BASE):
         if mistaken.theta[i] != experiment.theta[i]:
             theta[i] = mistaken.theta[i]
             if i == s.VOL_1:  # what the oil column yields is its volume over its bulk modulus
                 theta[s.BETA_E] *= mistaken.theta[i] / experiment.theta[i]
-    return settle(mistaken, replace(after, theta=theta))
+    return refitted(mistaken, replace(after, theta=theta))
 
 
 def told(experiment: Experiment, first: Fit, known: dict[str, dict], base: dict[str, float]
@@ -113,7 +110,7 @@ def told(experiment: Experiment, first: Fit, known: dict[str, dict], base: dict[
     at_key = replace(first, theta=theta)
     for name, parameters in known.items():
         at_key = entered_at(at_key, true_start(experiment, name, parameters))
-    found = [settle(experiment, at_key)]
+    found = [refitted(experiment, at_key)]
     fit, remaining = first, dict(known)
     while remaining:
         tried = [best_of(experiment, fit, name, parameters)
@@ -129,9 +126,14 @@ def best_of(experiment: Experiment, fit: Fit, name: str, parameters: dict) -> Fi
     starts = starts_of(name, experiment)
     if parameters:
         starts.append(true_start(experiment, name, parameters))
-    quick = spread(lambda start: settle(experiment, entered_at(fit, start), 1, 2, False, 1.0),
-                   starts)
-    return settle(experiment, max(quick, key=lambda one: one.log_likelihood))
+    quick = spread(lambda start: polished(experiment, entered_at(fit, start), Slopes(experiment),
+                                          FIRST_STEPS), starts)
+    return refitted(experiment, max(quick, key=lambda one: one.log_likelihood))
+
+
+def refitted(experiment: Experiment, fit: Fit) -> Fit:
+    """Return a fit carried to its optimum, from gains that suit where it begins."""
+    return settled(experiment, with_unknowns(experiment, fit, fit.unknowns))
 
 
 def entered_at(fit: Fit, start: Start) -> Fit:

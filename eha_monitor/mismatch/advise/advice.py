@@ -33,11 +33,12 @@ from eha_monitor.mismatch.advise.tells import (
 )
 from eha_monitor.mismatch.advise.words import sentences
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
-from eha_monitor.mismatch.likelihood.fit import Fit
+from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.likelihood.information import Slope, Traces, free_slopes
-from eha_monitor.mismatch.name.base import YIELDING, limits_of, settle, with_effect
+from eha_monitor.mismatch.name.base import limits_of, with_effect
 from eha_monitor.mismatch.name.naming import Naming, name_effects
+from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
 from eha_monitor.quantity import quantity
@@ -47,6 +48,7 @@ from eha_monitor.settings.monitor import Settings
 COMMON = ("coulomb_friction", "quadratic_friction", "spring_load", "added_mass",
           "cross_port_leakage")  # what B and beta_e are most often mistaken for
 LEAST_MOTION = 20.0  # times the position's noise: less motion says nothing
+YIELDING = 300.0  # times the smallest unknowns, with which a filter follows a wrong model
 ATTEMPTS = 3  # motions that are put to a simulation
 MOST_QUESTIONS = 4
 Report = Callable[[str, float], None]
@@ -56,7 +58,7 @@ def predicting(experiment: Experiment, fit: Fit) -> tuple[Experiment, Fit]:
     """Return both as the filter takes them: a motion is judged by what its prediction shows."""
     plain = replace(experiment, inverse=False)
     unknowns = Unknowns(*(YIELDING * limits_of(plain)[0].as_array()))
-    return plain, settle(plain, replace(fit, unknowns=unknowns))
+    return plain, settled(plain, with_unknowns(plain, fit, unknowns))
 
 
 def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
@@ -67,7 +69,8 @@ def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
     Parameters
     ----------
     experiment : the recordings; ``fit`` their model, with what was named.
-    doubts : named effect -> effects that may be there instead.
+    doubts : named effect -> effects and numbers of the rig that may be there instead; of them a
+        motion is looked for that tells the effects.
     rivals : effect -> a fit that has it instead; without it the rival enters at its start.
     check : put the proposed motion to a simulation with noise.
     thorough : look at the whole catalogue and at all motions; otherwise at the usual ones.
@@ -88,7 +91,8 @@ def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
     traces = Traces(experiment, fit, [*base, *slopes, *found_slopes])
     pairs = [pair(experiment, fit, effect, rival,
                   (rivals or {}).get(rival) or entered_at(experiment, traces, effect, rival, base))
-             for effect, others in doubts.items() if effect in fit.named for rival in others]
+             for effect, others in doubts.items() if effect in fit.named
+             for rival in others if rival in CATALOGUE]  # a number of the rig is looked up
     here = traces.gram([s.label for s in [*base, *slopes, *found_slopes]])
     reading = Reading(fit, here, base, directions, found)
     named = [c for d in found for parameter in ("B", "beta_e") if parameter in reading.labels

@@ -17,7 +17,8 @@ from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.likelihood.information import Gram, Slope, Traces, free_slopes, gain_of
 from eha_monitor.mismatch.likelihood.simulated import simulated
-from eha_monitor.mismatch.name.base import settle, with_effect, without_effect
+from eha_monitor.mismatch.name.base import with_effect, without_effect
+from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.mismatch.name.starts import directions_of, starts_of
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import effect_values, place_of
@@ -286,8 +287,8 @@ def checked(experiment: Experiment, fit: Fit, question: Question, motion: Motion
     both = there.only((*experiment.stretches, *there.stretches)
                       if experiment.mode == there.mode else there.stretches)
     data = simulated(both, truth, seed)
-    right = settle(data, with_unknowns(data, truth, truth.unknowns), 1)
-    wrong = settle(data, with_unknowns(data, question.other, right.unknowns), 1)
+    right = settled(data, with_unknowns(data, truth, truth.unknowns))
+    wrong = settled(data, with_unknowns(data, question.other, right.unknowns))
     # What the recording itself lacks is not in the simulation: predicted for its conditions.
     like = replace(fit, gains=right.gains, s=right.s)
     base = free_slopes(like)

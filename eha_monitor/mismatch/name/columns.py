@@ -1,7 +1,7 @@
-"""The columns of the joint selection: what each suspect does to the innovations, per unit of prior.
+"""The columns of the joint selection: what each suspect does to the innovations.
 
-A column is the innovations' sensitivity to one number, times the prior deviation of that number,
-so that amplitudes of all columns have the prior N(centre, 1).  Suspects are
+A column is the sensitivity to one number times the prior deviation of that number, so that
+amplitudes of all columns have the prior N(centre, 1).  Suspects are
 
     base        B, beta_e and the small timing errors that every record has: always there
     rig         numbers of the config within their tolerance: always there
@@ -37,6 +37,7 @@ WITHIN = 3.0  # of these deviations: what is further off is wrong, and must be n
 BEYOND = 20.0  # of these deviations: how far a number of the rig that is wrong may be off
 TANGENT = 0.05  # of a start's size: where the innovations answer in proportion
 RIG_STEP = 1e-3  # of a tolerance's logarithm: for its sensitivity
+ASTRAY, ASTRAY_OWNER = 1e30, "astray"  # a run that went astray says nothing
 REPLACING = 100  # variants from here on grow out of an effect that the model has
 COARSER = 3.0  # times the integration step, for differences
 
@@ -70,11 +71,20 @@ class Column:
 
 @dataclass(frozen=True)
 class Columns:
-    """All columns at a fit: ``what`` (m - 1,) and for each stretch (n, c, m), innovations first."""
+    """All columns at a fit.
+
+    Attributes
+    ----------
+    what : (m - 1 + k,) whose they are.
+    values : for each stretch (n, c, m), innovations first.
+    runs : of the filter that they cost.
+    copies : (k,) (place, factor) of columns that are others times a factor.
+    """
 
     what: tuple[Column, ...]
     values: list[np.ndarray]
     runs: int
+    copies: tuple[tuple[int, float], ...] = ()
 
 
 def rig_free(experiment: Experiment) -> tuple[Free, ...]:
@@ -166,32 +176,37 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True) -> Column
         if possible(start.effect, experiment):
             entering(fit, start, REPLACING + place, what, moves)
 
+    terms = unnamed_of(experiment, fit) if unnamed and not experiment.inverse else []
+    sizes = [term.basis[0].shape[1] for term in terms]
+    values = [np.empty((*part.shape, 1 + len(moves) + sum(sizes))) for part in present]
     rough = coarse(experiment)
     plain = runs_of(rough, fit.theta, fit.active, fit.gains)
 
-    def one(move):
-        theta, active, units = move
-        return [(run - before) / units for run, before in zip(
-            runs_of(rough, theta, active, fit.gains), plain, strict=True)]
+    def one(place: int) -> bool:
+        theta, active, units = moves[place]
+        good = True
+        for into, run, before in zip(values, runs_of(rough, theta, active, fit.gains), plain,
+                                     strict=True):
+            np.subtract(run, before, out=run)
+            run /= units
+            good &= bool(np.nanmax(np.abs(run), initial=0.0) < ASTRAY)
+            into[:, :, 1 + place] = run if good else 0.0
+        return good
 
-    made = spread(one, moves)
-    keep = [all(np.nanmax(np.abs(part), initial=0.0) < 1e30 for part in parts) for parts in made]
-    values = [np.stack([present[i], *(parts[i] for parts, good in zip(made, keep, strict=True)
-                                      if good)], axis=2) for i in range(len(present))]
-    what = [column for column, good in zip(what, keep, strict=True) if good]
-    wrong = [c for c in what if c.owner == ALWAYS and c.name.startswith("rig.")]
-    places = [1 + what.index(column) for column in wrong]
-    values = [np.concatenate([part, BEYOND * part[:, :, places]], axis=2) for part in values]
-    what += [Column(c.name, -1 if c.name in fit.named else 0, c.name, free=c.free, size=True)
-             for c in wrong]
-    if unnamed and not experiment.inverse:
-        terms = unnamed_of(experiment, fit)
-        more, sizes = columns_of(experiment, fit, terms)
-        values = [np.concatenate([one, two], axis=2)
-                  for one, two in zip(values, more, strict=True)]
-        what += [Column(term.name, 0, term.name, size=True)
-                 for term, size in zip(terms, sizes, strict=True) for _ in range(size)]
-    return Columns(tuple(what), [np.ascontiguousarray(part) for part in values], len(moves) + 1)
+    keep = spread(one, range(len(moves)))
+    for into, part in zip(values, present, strict=True):
+        into[:, :, 0] = part
+    if terms:
+        columns_of(experiment, fit, terms, [part[:, :, 1 + len(moves):] for part in values])
+    what = [column if good else replace(column, owner=ASTRAY_OWNER)
+            for column, good in zip(what, keep, strict=True)]
+    what += [Column(term.name, 0, term.name, size=True)
+             for term, size in zip(terms, sizes, strict=True) for _ in range(size)]
+    wrong = [i for i, c in enumerate(what) if c.owner == ALWAYS and c.name.startswith("rig.")]
+    copies = tuple((1 + i, BEYOND) for i in wrong)
+    what += [Column(what[i].name, -1 if what[i].name in fit.named else 0, what[i].name,
+                    free=what[i].free, size=True) for i in wrong]
+    return Columns(tuple(what), values, len(moves) + 1, copies)
 
 
 def effects_of(fit: Fit) -> tuple[str, ...]:
@@ -263,6 +278,3 @@ def placed(column: Column, amplitude: float) -> float:
     """Return the value of a size that enters with an amplitude, SI."""
     return column.free.outward(column.free.prior + amplitude * column.free.spread)
 
-
-__all__ = ["ALWAYS", "Column", "Columns", "always_free", "columns_at", "placed", "replace",
-           "rig_free", "runs_of"]

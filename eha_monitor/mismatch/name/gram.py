@@ -9,7 +9,8 @@ filter's state differs by delta, which the linearised plant carries on,
 the columns, no run of the plant, and only products are kept.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -226,19 +227,19 @@ def under(experiment: Experiment, fit: Fit, columns: list[np.ndarray], gains: np
 
 
 def grams_of(experiment: Experiment, fit: Fit, columns: list[np.ndarray],
-             levels: list[Unknowns]) -> list[Gram]:
+             levels: list[Unknowns], copies: Sequence[tuple[int, float]] = ()) -> list[Gram]:
     """Return the Gram matrices of columns at some levels of the unknowns.
 
     Parameters
     ----------
     fit : where the columns were taken, under its gains.
     columns : for each stretch (n, c, m) in SI; NaN where nothing was measured.
+    copies : (place, factor) of further columns that are others times a factor.
     """
     if experiment.inverse:
-        return [balances_gram(fit, columns[0])]
+        return [extended(balances_gram(fit, columns[0]), copies)]
     used = experiment.columns
     missing = [~np.isfinite(part[:, :, 0]) for part in columns]
-    whole = [np.nan_to_num(part) for part in columns]
     m = columns[0].shape[2]
 
     def one(level: Unknowns) -> Gram | None:
@@ -254,28 +255,38 @@ def grams_of(experiment: Experiment, fit: Fit, columns: list[np.ndarray],
         old = np.ascontiguousarray(fit.gains[:, :, used])
         new = np.ascontiguousarray(gains[:, :, used])
         block = np.zeros((len(used), BLOCK, m))
-        for stretch, part, gone in zip(experiment.stretches, whole, missing, strict=True):
+        for stretch, part, gone in zip(experiment.stretches, columns, missing, strict=True):
             remap(part, gone, stretch.counted, linear.a, np.ascontiguousarray(linear.h[used]),
                   old, new, w, block, products, counts)
         logdet = -float(counts @ np.log(np.diag(w)))
         return Gram(level, products, counts, logdet)
 
-    return [gram for gram in spread(one, levels) if gram is not None]
+    return [extended(gram, copies) for gram in spread(one, levels) if gram is not None]
+
+
+def extended(gram: Gram, copies: Sequence[tuple[int, float]]) -> Gram:
+    """Return the Gram matrix with columns that are others times a factor."""
+    if not copies:
+        return gram
+    m = gram.products.shape[1]
+    places = np.array([*range(m), *(place for place, _ in copies)])
+    factors = np.array([*np.ones(m), *(factor for _, factor in copies)])
+    products = gram.products[:, places][:, :, places] * np.outer(factors, factors)
+    return replace(gram, products=products)
 
 
 def balances_gram(fit: Fit, columns: np.ndarray) -> Gram:
     """Return the Gram matrix where the balances' own errors are compared, (n, c, m).
 
-    They are weighed by what is left of each, and count by how long it lasts (:func:`lasting`).
+    They are weighed by what is left of each.
     """
-    n, channels, m = columns.shape
+    _, channels, m = columns.shape
     products, counts, logdet = np.zeros((channels, m, m)), np.zeros(channels), 0.0
     for j in range(channels):
         rows = columns[np.isfinite(columns[:, j, 0]), j]
         scale = max(float(np.sqrt(np.mean(rows[:, 0] ** 2))), 1e-300)
-        weight = 1.0 / lasting(rows[:, 0])
-        products[j] = weight * (rows.T @ rows) / scale**2
-        counts[j] = weight * len(rows)
+        products[j] = (rows.T @ rows) / scale**2
+        counts[j] = len(rows)
         logdet += counts[j] * np.log(scale)
     return Gram(fit.unknowns, products, counts, float(logdet))
 
@@ -304,7 +315,7 @@ def injected(forcing, missing, a, h, gains, into, out):
     forcing : (n, m) each input over the sample that begins there.
     into : (N, m) what a unit of it adds to the state over a sample.
     a, h, gains : as in :func:`remap`, gains (., N, c).
-    out : (n, c, m) written.
+    out : (n, c, m) written; NaN where nothing was measured.
     """
     n, m = forcing.shape
     states, channels = a.shape[0], h.shape[0]

@@ -7,11 +7,16 @@ import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit
-from eha_monitor.mismatch.name.acceptance import EXPLAINED, LACKING, RIVAL, TEMPER
+from eha_monitor.mismatch.name.acceptance import (
+    BEYOND_FORM,
+    FORM_LEAST,
+    FORM_SHARE,
+    LACKING,
+    RIVAL,
+)
 from eha_monitor.mismatch.name.base import limits_of
-from eha_monitor.mismatch.name.refit import discrepancy, prior_of, settled
+from eha_monitor.mismatch.name.refit import discrepancy, settled
 from eha_monitor.mismatch.name.select import Selection, selected
-from eha_monitor.mismatch.name.unnamed import INTERMITTENT
 from eha_monitor.physics.effects import CATALOGUE
 
 Report = Callable[[str, float], None]
@@ -24,6 +29,7 @@ class Naming:
 
     Attributes
     ----------
+    experiment : with integration steps that resolve the damping that was found.
     before, after : nominal model with B and beta_e fitted; the model with what is named.
     wrong : numbers of the rig that ``after`` calls wrong, ``mass`` and so on.
     probability : effect, ``rig.<key>`` -> probability that it, or what cannot be told from it,
@@ -35,6 +41,7 @@ class Naming:
     explained : share of what speaks against the nominal model that the names take away.
     """
 
+    experiment: Experiment
     before: Fit
     after: Fit
     wrong: tuple[str, ...] = ()
@@ -58,15 +65,15 @@ def posterior(found: Selection) -> dict[Names, float]:
     Sets by the linear guess are those of the last linearisation, measured from the model there.
     """
     seen, best = found.seen, found.seen.best()
-    scores = {names: TEMPER * seen.score(value, 0.0) + prior_of(names)
-              for names, value in seen.evidence.items()}
+    scores = seen.scores()
     own = next((one for one in found.ranking if one.names == best), None)
     if own is not None:
         start = seen.evidence[best] - (own.evidence - own.prior)
         for one in found.ranking:
-            if one.names not in scores:
-                scores[one.names] = TEMPER * seen.score(
-                    start + one.evidence - one.prior, 0.0) + one.prior
+            # What has names and seemed better was refitted, or is beyond what the guess can say.
+            unnamed = not all(is_named(name) for name in one.names)
+            if one.names not in scores and (unnamed or one.evidence <= own.evidence):
+                scores[one.names] = seen.score(start + one.evidence - one.prior, one.prior)
     weights = np.array(list(scores.values()))
     weights = np.exp(weights - weights.max())
     return dict(zip(scores, (weights / weights.sum()).tolist(), strict=True))
@@ -80,6 +87,22 @@ def in_place_of(name: str, best: Names, weights: dict[Names, float]) -> dict[str
             for other in names - best:
                 others[other] = others.get(other, 0.0) + weight
     return others
+
+
+def beyond_form(experiment: Experiment, before: Fit, after: Fit) -> float:
+    """Return the probability that a model's unknowns are more than its form error.
+
+    Named physics is right to a share of its size only, and a filter needs unknowns for the rest:
+    some ``FORM_SHARE`` of those that the nominal model needs.  What needs many times more lacks
+    something else.
+    """
+    if experiment.inverse:
+        return 0.0
+    small = limits_of(experiment)[0].as_array()
+    needed, still = (fit.unknowns.as_array() / small for fit in (before, after))
+    ratio = float((still / np.maximum(FORM_LEAST, FORM_SHARE * needed)).max())
+    odds = (ratio / BEYOND_FORM) ** 4
+    return odds / (1.0 + odds)
 
 
 def lacking(experiment: Experiment, fit: Fit) -> bool:
@@ -100,8 +123,8 @@ def name_effects(experiment: Experiment, report: Report | None = None) -> Naming
     say = report or (lambda text, share: None)
     found = selected(experiment, say)
     say("fitting the nominal model to the end", 0.9)
-    before = settled(experiment, replace(found.nominal, converged=False))
-    return naming_of(experiment, found, before)
+    before = settled(found.experiment, replace(found.nominal, converged=False))
+    return naming_of(found.experiment, found, before)
 
 
 def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
@@ -113,10 +136,8 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
     rivals, probability, evidence = {}, {}, {}
     for name in best:
         stands = in_place_of(name, best, weights)
-        mine = sum(weight for names, weight in weights.items() if name in names)
-        share = {other: weight / max(mine + weight, 1e-300) for other, weight in stands.items()}
-        near = [other for other in sorted(share, key=lambda other: -share[other])
-                if share[other] >= RIVAL and is_named(other)]
+        near = [other for other in sorted(stands, key=lambda other: -stands[other])
+                if stands[other] >= RIVAL and is_named(other)]
         twin = CATALOGUE[name].rig_twin if name in CATALOGUE else next(
             (f"{other}" for other, entry in CATALOGUE.items()
              if f"rig.{entry.rig_twin}" == name), "")
@@ -126,25 +147,22 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
         held = {name, *near, *(f"rig.{other}" for other in near)}
         probability[name] = float(sum(
             weight for names, weight in weights.items() if held & names))
-        without = [scores[names] - prior_of(names) for names in scores if not held & names]
-        evidence[name] = float(scores[best] - prior_of(best) - max(without, default=-np.inf))
+        without = [value for names, value in seen.evidence.items() if not held & names]
+        evidence[name] = float(seen.evidence[best] - max(without, default=-np.inf))
     unnamed = float(sum(weight for names, weight in weights.items()
                         if any(not is_named(name) for name in names)))
     against = discrepancy(experiment, before) if not experiment.inverse else 0.0
     left = seen.left[best]
     explained = 1.0 - left / against if against > left else (0.0 if against > 0.0 else 1.0)
-    if lacking(experiment, after) and explained < EXPLAINED:
-        unnamed = max(unnamed, 1.0 - explained)
-        unnamed = max(unnamed, 0.5 + 0.5 * (1.0 - explained / EXPLAINED))
-        probability = {name: value * (1.0 - unnamed) for name, value in probability.items()}
-    empty = weights.get(frozenset(), 0.0) * (1.0 - unnamed if lacking(experiment, after) else 1.0)
+    beyond = beyond_form(experiment, before, after)
+    probability = {name: value * (1.0 - beyond) for name, value in probability.items()}
+    empty = weights.get(frozenset(), 0.0) * (1.0 - beyond)
+    unnamed = 1.0 - (1.0 - unnamed) * (1.0 - beyond)
     order = sorted(scores, key=lambda names: -scores[names])
     return Naming(
-        before, replace(after, named=tuple(n for n in after.named if n in CATALOGUE)),
+        experiment, before, replace(after, named=tuple(n for n in after.named if n in CATALOGUE)),
         tuple(name.removeprefix("rig.") for name in after.named if name.startswith("rig.")),
         probability, float(empty), unnamed, evidence, rivals,
         tuple((names, seen.fits[names], scores[best] - scores[names]) for names in order),
         explained)
 
-
-__all__ = ["INTERMITTENT", "Naming", "lacking", "name_effects"]

@@ -15,6 +15,7 @@ from itertools import combinations
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from eha_monitor.mismatch.likelihood.fit import spread
 from eha_monitor.mismatch.name.acceptance import (
     BEAM,
     EFFECT,
@@ -23,7 +24,7 @@ from eha_monitor.mismatch.name.acceptance import (
     UNNAMED,
     WRONG_RIG,
 )
-from eha_monitor.mismatch.name.columns import ALWAYS, WITHIN, Column
+from eha_monitor.mismatch.name.columns import ALWAYS, ASTRAY_OWNER, Column
 from eha_monitor.mismatch.name.gram import Gram
 from eha_monitor.physics.effects import CATALOGUE
 
@@ -75,7 +76,7 @@ class Ranking:
         self.always = np.array([i for i, c in enumerate(what) if c.owner == ALWAYS], dtype=int)
         groups: dict[Member, list[int]] = {}
         for i, column in enumerate(what):
-            if column.owner != ALWAYS:
+            if column.owner not in (ALWAYS, ASTRAY_OWNER):
                 replaces = column.start.replaces if column.start else ""
                 groups.setdefault(Member(column.owner, column.variant, replaces), []).append(i)
         self.groups = {member: np.array(places) for member, places in groups.items()}
@@ -98,9 +99,15 @@ class Ranking:
         return EFFECT + RARE * CATALOGUE[member.owner].rarity - several
 
     def roots(self) -> list[tuple[Member, ...]]:
-        """Return the subsets of what the model has, each a set to begin with."""
+        """Return the subsets of what the model has, each a set to begin with.
+
+        A limit cannot be taken away by a linear guess: it has no size that goes to nil.
+        """
         have = [Member(name, -1) for name in self.named]
-        return [subset for k in range(len(have) + 1) for subset in combinations(have, k)]
+        kept = tuple(member for member in have if limited(member.owner))
+        free = [member for member in have if member not in kept]
+        return [(*kept, *subset) for k in range(len(free) + 1)
+                for subset in combinations(free, k)]
 
     def fits(self, members: tuple[Member, ...], other: Member) -> bool:
         """Tell whether a suspect can join: one of a kind, and none that another contains."""
@@ -216,15 +223,17 @@ class Level:
             if found is None:
                 return None
             here, _, a, evidence = found
-            # A number of the rig goes no further than its tolerance allows, unless it is wrong.
-            off = a - r.centre[here]
-            out = [(int(i), float(np.sign(z)) * WITHIN + r.centre[i])
-                   for i, z in zip(here, off, strict=True) if abs(z) > WITHIN
-                   and r.what[i].owner == ALWAYS and r.what[i].name.startswith("rig.")
-                   and r.what[i].name not in wrong]
+            # What every model has stays within its bounds: a damping is positive, a number of the
+            # rig no further off than its tolerance allows unless it is wrong.
+            out = [(int(i), float(min(max(value, r.lower[i]), r.upper[i])))
+                   for i, value in zip(here, a, strict=True) if r.what[i].owner == ALWAYS
+                   and r.what[i].name not in wrong
+                   and not r.lower[i] <= value <= r.upper[i]]
             if not out:
                 break
             fixed.update(out)
+        if members and any("." not in r.what[i].name for i in fixed):
+            return None  # what can only be with no damping, or no stiffness, cannot be
         own = np.array([r.what[i].owner != ALWAYS and r.what[i].size for i in here], dtype=bool)
         slack = 1e-9
         if (own & ((a < r.lower[here] - slack) | (a > r.upper[here] + slack))).any():
@@ -273,18 +282,30 @@ class Level:
         return gains
 
 
+def limited(name: str) -> bool:
+    """Tell whether an effect is a limit, or is fitted as a logarithm: it has no linear size."""
+    return name in CATALOGUE and any(p.log or not np.isfinite(p.neutral)
+                                     for p in CATALOGUE[name].sizes)
+
+
 def twins(one: str, other: str) -> bool:
     """Tell whether an effect and a number of the rig are one equation."""
     return any(name in CATALOGUE and f"rig.{CATALOGUE[name].rig_twin}" == key
                for name, key in ((one, other), (other, one)))
 
 
-def ranked(what: tuple[Column, ...], named: tuple[str, ...], grams: list[Gram]) -> list[Ranked]:
-    """Return the best sets over all levels, best first; each set at the level that suits it."""
+def ranked_at(what: tuple[Column, ...], named: tuple[str, ...], grams: list[Gram]
+              ) -> list[list[Ranked]]:
+    """Return for each level the best sets there, best first."""
     ranking = Ranking(what, named)
+    return spread(ranking.at_level, grams)
+
+
+def best_over(levels: list[list[Ranked]]) -> list[Ranked]:
+    """Return the sets of all levels, best first; each set at the level that suits it best."""
     best: dict[tuple[Member, ...], Ranked] = {}
-    for gram in grams:
-        for one in ranking.at_level(gram):
+    for found in levels:
+        for one in found:
             if one.members not in best or one.evidence > best[one.members].evidence:
                 best[one.members] = one
     return sorted(best.values(), key=lambda one: -one.evidence)

@@ -8,31 +8,22 @@ from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import (
     Fit,
     Free,
-    covariance_of,
-    innovations,
-    log_likelihood_of,
     prior_exponent,
-    sensitivities,
     spread,
-    step_of,
-    step_within,
-    whitener,
     with_unknowns,
 )
 from eha_monitor.mismatch.likelihood.gains import Unknowns, expected_covariance, gains_of
 from eha_monitor.mismatch.name.acceptance import EFFECT, RARE, WRONG_RIG
-from eha_monitor.mismatch.name.base import base_free, completed, limits_of, timing_free
+from eha_monitor.mismatch.name.base import base_free, limits_of, timing_free
 from eha_monitor.mismatch.name.columns import (
-    ALWAYS,
     BEYOND,
     Column,
-    Columns,
-    coarse,
     placed,
     rig_free,
     runs_of,
 )
-from eha_monitor.mismatch.name.gram import evidence_at, lasting, under
+from eha_monitor.mismatch.name.gram import evidence_at
+from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.starts import entered, free_of, own_sizes
 from eha_monitor.physics.effects import CATALOGUE, NAMES
@@ -40,8 +31,10 @@ from eha_monitor.physics.parameters import BASE_KEYS, effect_values, place_of
 
 LEAST = 0.05  # of its start: where a size enters at least
 INFORMED = 0.5  # of its prior deviation, all else known: a number that the recording answers to
-ROUGH_STEPS, ROUGHLY = 8, 5.0  # steps and log units of a fit whose unknowns will change
+ROUGH_STEPS = 8  # of a fit whose unknowns will change
 HALVINGS = 3  # of the way to other unknowns
+# Shapes that act over micrometres and milliseconds, outside the band of the balances.
+OUT_OF_BAND = (".v_e", ".z_0", ".t_1", ".v_d", ".dB")
 FACTORS = (10.0, 3.0)  # of the unknowns' grid
 
 
@@ -103,122 +96,6 @@ def at_level(experiment: Experiment, fit: Fit) -> Fit:
     return fit
 
 
-class Slopes:
-    """Slopes of the innovations that are at hand from a linearisation, under any gains."""
-
-    def __init__(self, experiment: Experiment, fit: Fit | None = None,
-                 columns: Columns | None = None):
-        self.experiment, self.fit, self.columns = experiment, fit, columns
-        self.places = {c.name: i for i, c in enumerate(columns.what)
-                       if c.free is not None and (c.owner == ALWAYS or c.variant < 0)
-                       } if columns else {}
-
-    def of(self, fit: Fit) -> dict[str, np.ndarray]:
-        """Return name -> (N, c) slope in the fitted coordinate, of what is known."""
-        wanted = [f for f in fit.free if f.name in self.places]
-        if not wanted:
-            return {}
-        places = [1 + self.places[f.name] for f in wanted]
-        if self.experiment.inverse:
-            whole = np.nan_to_num(self.columns.values[0][:, :, places])
-            return self._in_units(wanted, whole)
-        parts = under(self.experiment, self.fit, [
-            np.ascontiguousarray(part[:, :, places]) for part in self.columns.values], fit.gains)
-        whole = np.concatenate([part[stretch.counted] for part, stretch in zip(
-            parts, self.experiment.stretches, strict=True)])
-        return self._in_units(wanted, whole)
-
-    def _in_units(self, wanted: list[Free], whole: np.ndarray) -> dict[str, np.ndarray]:
-        units = [self.columns.what[self.places[f.name]].free.spread for f in wanted]
-        return {f.name: whole[:, :, i] / unit
-                for i, (f, unit) in enumerate(zip(wanted, units, strict=True))}
-
-
-def polished(experiment: Experiment, fit: Fit, slopes: Slopes, steps: int = 12,
-             tolerance: float = 0.3) -> Fit:
-    """Carry a fit to its optimum with held gains: Gauss-Newton, slopes brought up to date.
-
-    Slopes come from the linearisation where it has them, else from differences; each step then
-    corrects them by what it has seen (Broyden 1965), in the metric of the information.  They are
-    taken afresh where a step fails.
-    """
-    theta, free = fit.theta.copy(), fit.free
-    e = innovations(experiment, theta, fit.active, fit.gains)
-    best = log_likelihood_of(e) + prior_exponent(free, theta)
-    if not np.isfinite(best):
-        return replace(fit, e=e, log_likelihood=-np.inf)
-    bounds = np.array([[f.inward(f.lower), f.inward(f.upper)] for f in free]).reshape(-1, 2)
-    prior, weight = np.array([f.prior for f in free]), np.array([f.spread for f in free]) ** -2.0
-    known = slopes.of(fit)
-
-    rough = coarse(experiment)
-
-    def taken(which: list[int]) -> None:
-        plain = innovations(rough, theta, fit.active, fit.gains)
-        fresh = sensitivities(rough, theta, fit.active, fit.gains, plain,
-                              [step_of(free[i], theta) for i in which])
-        for i, slope in zip(which, fresh, strict=True):
-            d[i] = np.nan_to_num(slope)
-
-    d = np.stack([known.get(f.name, np.zeros(e.shape)) for f in free])
-    taken([i for i, f in enumerate(free) if f.name not in known])
-    matters = [i for i, f in enumerate(free) if not f.name.startswith("rig.")]
-    fresh, damping, converged = not known, 1e-9, False
-    white = information = None
-    for _ in range(steps):
-        w = whitener(covariance_of(e))
-        white = (np.nan_to_num(e) @ w.T).ravel()
-        flat = (d @ w.T).reshape(len(free), -1)
-        information = flat @ flat.T
-        now = np.array([f.inward(theta[f.place]) for f in free])
-        gradient = -(flat @ white) - weight * (now - prior)
-        scale = np.sqrt(np.diag(information) + weight)
-        matrix = (information + np.diag(weight)) / np.outer(scale, scale)
-        if not np.isfinite(matrix).all():
-            return replace(fit, log_likelihood=-np.inf)
-        improved = False
-        for attempt in range(4):
-            step = step_within(matrix + damping * np.eye(len(free)), gradient / scale,
-                               scale[:, None] * (bounds - now[:, None])) / scale
-            step *= 0.3 if attempt == 1 else 1.0
-            other = theta.copy()
-            for f, value in zip(free, now + step, strict=True):
-                other[f.place] = f.outward(value)
-            moved = innovations(experiment, other, fit.active, fit.gains)
-            reached = log_likelihood_of(moved) + prior_exponent(free, other)
-            if reached > best:
-                improved = True
-                break
-            if attempt:
-                damping = max(10.0 * damping, 1e-3)
-        if not improved:
-            if fresh:
-                converged = True
-                break
-            taken(matters)
-            fresh = True
-            damping = 1e-9
-            continue
-        step = np.array([f.inward(other[f.place]) for f in free]) - now
-        missed = np.nan_to_num(moved - e) - np.tensordot(step, d, axes=1)
-        along = scale**2 * step
-        d += (along / max(float(along @ step), 1e-300))[:, None, None] * missed[None]
-        gained, theta, e, best = reached - best, other, moved, reached
-        damping = max(damping / 10.0, 1e-9)
-        if gained < tolerance:
-            if fresh or tolerance >= ROUGHLY:
-                converged = True
-                break
-            taken(matters)
-            fresh = True
-        else:
-            fresh = False
-    covariance = np.linalg.inv(information + np.diag(weight)) if information is not None else (
-        fit.covariance)
-    return replace(fit, theta=theta, e=e, s=covariance_of(e), log_likelihood=best,
-                   covariance=covariance, converged=converged)
-
-
 def settled(experiment: Experiment, fit: Fit, slopes: Slopes | None = None, rounds: int = 4,
             tolerance: float = 0.3) -> Fit:
     """Fit parameters and unknowns in turn until neither gains."""
@@ -251,7 +128,7 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
         if column.free is None:
             continue
         f = column.free
-        if column.variant < 0 and not (column.owner.startswith("rig.")):  # it is there: moved from where it is
+        if column.variant < 0 and not column.owner.startswith("rig."):  # it is there, and moves
             now = f.inward(theta[f.place]) + amplitude * f.spread
             theta[f.place] = f.outward(now)
         elif column.owner.startswith("rig."):
@@ -282,7 +159,9 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
             if name.startswith(member.owner + "."):
                 theta[place_of(name)] = value
         timing = {f.name for f in free if f.name.startswith(member.owner + ".")}
-        free = [f for f in free if f.name not in timing] + list(free_of(start))
+        own = [f for f in free_of(start) if not (
+            experiment.inverse and f.name.endswith(OUT_OF_BAND))]
+        free = [f for f in free if f.name not in timing] + own
         named = (*named, member.owner)
     for f in timing_free(experiment):  # what is named no more may err a little again
         name = f.name.partition(".")[0]
@@ -316,9 +195,9 @@ def informed(experiment: Experiment, what: tuple[Column, ...], ranked: Ranked) -
         column = what[place]
         if column.owner.startswith("rig."):
             found[column.name] = wide(own[column.name])
-        elif column.name.startswith("rig.") and column.name not in found:
-            if sigma < INFORMED or abs(ranked.amplitudes[int(place)]) > 1.0:
-                found[column.name] = own[column.name]
+        elif column.name.startswith("rig.") and column.name not in found and (
+                sigma < INFORMED or abs(ranked.amplitudes[int(place)]) > 1.0):
+            found[column.name] = own[column.name]
     return list(found.values())
 
 
@@ -355,7 +234,7 @@ def evidence_of(experiment: Experiment, fit: Fit) -> float:
         likelihood = prior
         for column in fit.e.T:
             rows = column[np.isfinite(column)]
-            likelihood -= len(rows) / lasting(rows) * (0.5 + np.log(np.sqrt(np.mean(rows**2))))
+            likelihood -= len(rows) * (0.5 + np.log(np.sqrt(np.mean(rows**2))))
     spreads = np.array([f.spread for f in fit.free])
     sign, logdet = np.linalg.slogdet(fit.covariance / np.outer(spreads, spreads))
     occam = 0.5 * logdet if sign > 0 else -np.inf
@@ -387,18 +266,3 @@ def discrepancy(experiment: Experiment, fit: Fit) -> float:
 def impossible(fit: Fit) -> bool:
     """Tell whether a fit stands on something that cannot be: B or a stiffness at its bound."""
     return any("." not in f.name and f.at_bound(fit.theta[f.place]) for f in fit.free)
-
-
-def in_full(experiment: Experiment, fit: Fit) -> Fit:
-    """Return a fit in which the late shapes of its effects are fitted too."""
-    effects = tuple(name for name in fit.named if name in CATALOGUE)
-    if not effects:
-        return fit
-    whole = completed(replace(fit, named=effects))
-    k = len(whole.free)
-    if k == len(fit.free):
-        return fit
-    return settled(experiment, replace(whole, named=fit.named, covariance=np.zeros((k, k))))
-
-
-__all__ = ["at_level", "begun", "effect_values", "evidence_of", "in_full", "joined", "settled"]

@@ -4,26 +4,27 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.data.experiment import Experiment, resolving
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns
-from eha_monitor.mismatch.name.acceptance import FORM
+from eha_monitor.mismatch.name.acceptance import FORM, TEMPER
 from eha_monitor.mismatch.name.base import limits_of
-from eha_monitor.mismatch.name.columns import columns_at
-from eha_monitor.mismatch.name.gram import grams_of
-from eha_monitor.mismatch.name.rank import Ranked, ranked
+from eha_monitor.mismatch.name.columns import Column, columns_at
+from eha_monitor.mismatch.name.gram import grams_of, lasting
+from eha_monitor.mismatch.name.polish import Slopes, polished
+from eha_monitor.mismatch.name.rank import Ranked, best_over, ranked_at
 from eha_monitor.mismatch.name.refit import (
-    Slopes,
     at_level,
     begun,
     discrepancy,
     evidence_of,
+    impossible,
     joined,
-    polished,
     prior_of,
     settled,
 )
 from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.signals import B
 
 FIRST = 100.0  # times the smallest unknowns: where the nominal model is linearised
 LEANING = 30.0  # times the smallest unknowns: below, the nominal model needs next to nothing
@@ -31,10 +32,10 @@ HANDFUL = 4  # sets that are refitted at a linearisation
 MOST_OF = 0.9  # of the best set's gain: the smallest sets that reach it are refitted first
 CATCHING_UP = 0.7  # of the best refitted set's gain, after a few steps, to be fitted to the end
 WITHIN_REACH, FINALISTS = 20.0, 3  # log units; sets that are fitted to the end
+FEW = 2  # sets more from where fewer unknowns are allowed
 CLOSE = 1000.0  # log units: the nominal model is a rival too
 QUICK = 5  # steps of the first look
-ROUNDS = 5
-TRACE = False
+ROUNDS = 7
 
 
 @dataclass
@@ -43,8 +44,11 @@ class Seen:
 
     Attributes
     ----------
+    inverse : the balances' own errors are compared, not predictions.
     fits, evidence, left : names -> model, Laplace evidence, cost of its unknowns, log units.
     """
+
+    inverse: bool = False
 
     fits: dict[frozenset[str], Fit] = field(default_factory=dict)
     evidence: dict[frozenset[str], float] = field(default_factory=dict)
@@ -53,7 +57,8 @@ class Seen:
     def add(self, experiment: Experiment, names: frozenset[str], fit: Fit,
             anyway: bool = False) -> None:
         """Keep a fit of a set, if it is one and better than what is there, or ``anyway``."""
-        value = evidence_of(experiment, fit) if np.isfinite(fit.log_likelihood) else -np.inf
+        possible = np.isfinite(fit.log_likelihood) and not (names and impossible(fit))
+        value = evidence_of(experiment, fit) if possible else -np.inf
         if np.isfinite(value) and (anyway or value > self.evidence.get(names, -np.inf)):
             self.fits[names], self.evidence[names] = fit, value
             self.left[names] = discrepancy(experiment, fit)
@@ -65,12 +70,28 @@ class Seen:
 
     def score(self, evidence: float, prior: float) -> float:
         """Return what an evidence counts, log units: see :func:`counted`."""
-        return counted(self.floor() - evidence) + prior
+        return self.power() * counted(self.floor() - evidence) + prior
+
+    def power(self) -> float:
+        """Return the power of the likelihood.
+
+        Where the balances' own errors are compared, what is left of them lasts: so many samples
+        count as one.
+        """
+        if not self.inverse:
+            return TEMPER
+        best = self.fits[max(self.evidence, key=self.evidence.get)]
+        return 1.0 / float(np.mean([lasting(column[np.isfinite(column)])
+                                    for column in best.e.T]))
 
     def scores(self) -> dict[frozenset[str], float]:
         """Return the score of every refitted set."""
         return {names: self.score(value, prior_of(names))
                 for names, value in self.evidence.items()}
+
+    def ahead(self) -> frozenset[str]:
+        """Return the set with the highest evidence: where the search goes on."""
+        return max(self.evidence, key=lambda names: self.evidence[names] + prior_of(names))
 
     def best(self) -> frozenset[str]:
         """Return the set with the highest score."""
@@ -84,11 +105,13 @@ class Selection:
 
     Attributes
     ----------
+    experiment : with integration steps that resolve the damping that was found.
     nominal : the model without effects; ``best`` the model of the set with most evidence.
     seen : every refitted set.
     ranking : sets at the last linearisation, by the linear guess.
     """
 
+    experiment: Experiment
     nominal: Fit
     best: Fit
     seen: Seen
@@ -149,9 +172,9 @@ def proposals_of(found: list[Ranked], own: float, seen: Seen) -> list[Ranked]:
     own = max(own, better[-1].evidence)
     enough = own + MOST_OF * (better[0].evidence - own)
     able = [one for one in better if one.evidence >= enough]
-    size = min(len(one.members) for one in able)
+    size = min(len(one.names) for one in able)
     chosen: list[Ranked] = []
-    for one in sorted((one for one in able if len(one.members) == size), key=simplicity):
+    for one in sorted((one for one in able if len(one.names) == size), key=simplicity):
         if not any(contained(other, one) for other in chosen):
             chosen.append(one)
     chosen.sort(key=lambda one: -one.evidence)
@@ -172,63 +195,130 @@ def contained(simple: Ranked, other: Ranked) -> bool:
         and next(iter(less)) in CATALOGUE[name].contains
 
 
+@dataclass
+class Linearised:
+    """The innovations linearised at one model, with every set ranked there.
+
+    Attributes
+    ----------
+    here : names of the model; ``fit`` the model itself.
+    what : whose the columns are; ``slopes`` of what the model has, under any gains.
+    levels : ranked sets at each level of the unknowns; ``ranking`` at the best of all levels.
+    """
+
+    here: frozenset[str]
+    fit: Fit
+    what: tuple[Column, ...]
+    slopes: Slopes
+    levels: list[list[Ranked]]
+    ranking: list[Ranked]
+
+    @property
+    def own(self) -> Ranked | None:
+        """The model itself in the ranking."""
+        return own_in(self.ranking, self.here)
+
+
+def own_in(ranking: list[Ranked], names: frozenset[str]) -> Ranked | None:
+    """Return a set's place in a ranking."""
+    return next((one for one in ranking if one.names == names), None)
+
+
+def linearised(experiment: Experiment, here: frozenset[str], fit: Fit) -> Linearised:
+    """Take the columns at a model and rank every set of suspects there."""
+    columns = columns_at(experiment, fit)
+    grams = grams_of(experiment, fit, columns.values, levels_of(experiment, fit), columns.copies)
+    levels = ranked_at(columns.what, fit.named, grams)
+    return Linearised(here, fit, columns.what, Slopes(experiment, fit, columns), levels,
+                      best_over(levels))
+
+
+def chosen_at(view: Linearised, seen: Seen) -> list[Ranked]:
+    """Return the sets that are worth a refit at a linearisation."""
+    own = view.own
+    chosen = proposals_of(view.ranking, own.evidence if own else -np.inf, seen)
+    # Large unknowns hide what they take the place of; where fewer are allowed it shows.
+    for level in view.levels:
+        if level and tight(level[0], view.fit):
+            there = own_in(level, view.here)
+            known = {one.names for one in chosen}
+            chosen += [one for one in proposals_of(
+                level, there.evidence if there else -np.inf, seen)[:FEW]
+                if one.names not in known]
+    return chosen
+
+
+def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], seen: Seen) -> None:
+    """Refit sets from their linear guess: a first look at all, to the end what keeps up."""
+    def entered(one: Ranked) -> Fit:
+        return joined(experiment, view.fit, view.what, one)
+
+    def quick(one: Ranked) -> Fit:
+        return polished(experiment, entered(one), view.slopes, QUICK)
+
+    own = view.own
+    if own is not None and not view.here and chosen[0].evidence < own.evidence + CLOSE:
+        # With the same numbers of the rig free as in its rivals: else their evidence differs.
+        seen.add(experiment, view.here, settled(experiment, entered(own), view.slopes), True)
+    looks = [made for made in spread(quick, chosen) if np.isfinite(made.log_likelihood)]
+    if not looks:
+        return
+    reach = max(made.log_likelihood for made in looks)
+    base = min(*(made.log_likelihood for made in looks), view.fit.log_likelihood)
+    going = [made for made in looks
+             if made.log_likelihood >= base + CATCHING_UP * (reach - base)]
+    for made in spread(lambda made: settled(experiment, made, view.slopes), going):
+        seen.add(experiment, frozenset(made.named), made)
+
+
+def held(experiment: Experiment, view: Linearised, seen: Seen) -> bool:
+    """Fit a model again under the unknowns that suit it best; tell whether it has changed."""
+    own = view.own
+    if own is None or experiment.inverse or own.gram.unknowns == view.fit.unknowns:
+        return False
+    before = seen.evidence[view.here]
+    seen.add(experiment, view.here, settled(
+        experiment, joined(experiment, view.fit, view.what, own), view.slopes))
+    return seen.evidence[view.here] > before + 1.0
+
+
 def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
     """Find the set of effects and wrong numbers of the rig that a recording supports."""
     say("fitting the nominal model", 0.05)
-    first = nominal_model(experiment)
-    seen = Seen()
+    experiment, first = resolved_nominal(experiment)
+    seen = Seen(experiment.inverse)
     seen.add(experiment, frozenset(), first)
-    at: Fit | None = None  # where the innovations were linearised last
-    ranking: list[Ranked] = []
+    view: Linearised | None = None
     for turn in range(ROUNDS):
-        say(f"weighing all sets, round {turn + 1}", 0.1 + 0.15 * turn)
-        here = seen.best()
-        if seen.fits[here] is at:
-            break
-        at = fit = seen.fits[here]
-        columns = columns_at(experiment, fit)
-        grams = grams_of(experiment, fit, columns.values, levels_of(experiment, fit))
-        ranking = ranked(columns.what, fit.named, grams)
-        own = next((one.evidence for one in ranking if one.names == here), -np.inf)
-        chosen = proposals_of(ranking, own, seen)
-        if TRACE:
-            print("   turn", turn, sorted(here), "own %.1f" % own, fit.unknowns)
-            for one in ranking[:3] + chosen:
-                print("      %.1f" % one.evidence, [f"{m.owner}:{m.variant}" for m in one.members])
-        slopes = Slopes(experiment, fit, columns)
-        mine = next((one for one in ranking if one.names == here), None)
-        if not chosen:
-            # Nothing is better: then it must hold at the unknowns that suit it best.
-            if mine is None or experiment.inverse or mine.gram.unknowns == fit.unknowns:
-                break
-            again = settled(experiment, joined(experiment, fit, columns.what, mine), slopes)
-            before = seen.evidence[here]
-            seen.add(experiment, here, again)
-            if seen.evidence[here] < before + 1.0:
-                break
-            continue
+        say(f"weighing all sets, round {turn + 1}", 0.1 + 0.12 * turn)
+        here = seen.ahead()
+        if view is not None and seen.fits[here] is view.fit:
+            here = seen.best()
+        if view is not None and seen.fits[here] is view.fit:
+            break  # nothing is better, and it is where it should be
+        view = linearised(experiment, here, seen.fits[here])
+        chosen = chosen_at(view, seen)
+        if chosen:
+            refit(experiment, view, chosen, seen)
+        elif not held(experiment, view, seen):
+            finish(experiment, seen)
+    return Selection(experiment, first, seen.fits[seen.best()], seen, view.ranking)
 
-        def quick(one: Ranked) -> Fit:
-            return polished(experiment, joined(experiment, fit, columns.what, one), slopes, QUICK)
 
-        def whole(made: Fit) -> Fit:
-            return settled(experiment, made, slopes)
+def resolved_nominal(experiment: Experiment) -> tuple[Experiment, Fit]:
+    """Fit the nominal model with integration steps that resolve the damping it finds."""
+    while True:
+        first = nominal_model(experiment)
+        finer = experiment if experiment.inverse else resolving(experiment, first.theta[B])
+        if finer.steps == experiment.steps:
+            return experiment, first
+        experiment = finer
 
-        if mine is not None and not here and chosen[0].evidence < own + CLOSE:
-            # With the same numbers of the rig free as in its rivals: else their evidence differs.
-            seen.add(experiment, here, whole(joined(experiment, fit, columns.what, mine)), True)
-        looks = spread(quick, chosen)
-        reach = max(made.log_likelihood for made in looks)
-        base = min(made.log_likelihood for made in [*looks, first] if np.isfinite(
-            made.log_likelihood))
-        going = [made for made in looks
-                 if made.log_likelihood >= base + CATCHING_UP * (reach - base)]
-        for made in spread(whole, going):
-            seen.add(experiment, frozenset(made.named), made)
-            if TRACE:
-                print("      refit %.1f" % evidence_of(experiment, made), made.named, made.unknowns)
-    finish(experiment, seen)
-    return Selection(first, seen.fits[seen.best()], seen, ranking)
+
+def tight(one: Ranked, fit: Fit) -> bool:
+    """Tell whether a level leaves a tenth of a fit's unknowns."""
+    ratio = one.gram.unknowns.as_array() / fit.unknowns.as_array()
+    return bool(0.09 < ratio.min() < 0.5)
 
 
 def finish(experiment: Experiment, seen: Seen) -> None:
@@ -249,7 +339,5 @@ def finish(experiment: Experiment, seen: Seen) -> None:
         return settled(experiment, replace(fit, converged=False))
 
     for names, fit in zip(near, spread(ended, near), strict=True):
-        seen.add(experiment, names, fit)
-
-
-__all__ = ["Seen", "Selection", "replace", "selected"]
+        if evidence_of(experiment, fit) > seen.evidence[names] + 1.0:
+            seen.add(experiment, names, fit)

@@ -12,14 +12,14 @@ import numpy as np
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.mismatch.likelihood.along import signals_along
-from eha_monitor.mismatch.likelihood.fit import Fit, filtered
+from eha_monitor.mismatch.likelihood.fit import Fit, filtered, spread
 from eha_monitor.mismatch.likelihood.gains import linear_of, smallest_unknowns
 from eha_monitor.mismatch.name.gram import carried, injected
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.plant import Y_FLOW, Y_FORCE, Y_SPEED
 
-HATS = 13  # of a signal
-BLOCK, MOST_BLOCKS = 0.5, 60  # s of a time in which an unknown load is constant; how many
+HATS = 9  # of a signal
+BLOCK, MOST_BLOCKS = 1.0, 30  # s of a time in which an unknown load is constant; how many
 INTERMITTENT = "intermittent_load"
 PLACES = {"force": Y_FORCE, "flow": Y_FLOW, "drive": Y_SPEED}
 PRIOR = 100.0  # times the smallest unknown, 1 % of what the record covers
@@ -99,28 +99,26 @@ def unnamed_of(experiment: Experiment, fit: Fit) -> list[Unnamed]:
     return [one for one in found if one.basis[0].shape[1]]
 
 
-def columns_of(experiment: Experiment, fit: Fit, unnamed: list[Unnamed]
-               ) -> tuple[list[np.ndarray], list[int]]:
-    """Return the innovations' sensitivities to unnamed terms, (n, c, m) for each stretch.
+def columns_of(experiment: Experiment, fit: Fit, unnamed: list[Unnamed],
+               into: list[np.ndarray]) -> None:
+    """Write the innovations' sensitivities to unnamed terms, (n, c, m) for each stretch.
 
-    A unit is the prior deviation.  The second list tells how many columns each term has.
+    A unit is the prior deviation.
     """
     linear = linear_of(experiment, fit.theta, fit.active, fit.unknowns)
     small = dict(zip(PLACES, smallest_unknowns(experiment).as_array(), strict=True))
     used = experiment.columns
-    sizes = [one.basis[0].shape[1] for one in unnamed]
-    into = np.concatenate([np.repeat(
-        PRIOR * small[one.balance] * carried(linear.a, PLACES[one.balance])[:, None], size, axis=1)
-        for one, size in zip(unnamed, sizes, strict=True)], axis=1)
+    enters = np.concatenate([np.repeat(
+        PRIOR * small[one.balance] * carried(linear.a, PLACES[one.balance])[:, None],
+        one.basis[0].shape[1], axis=1) for one in unnamed], axis=1)
     gains = np.ascontiguousarray(fit.gains[:, :, used])
-    found = []
-    for i, stretch in enumerate(experiment.stretches):
+
+    def write(i: int) -> None:
+        stretch = experiment.stretches[i]
         forcing = np.concatenate([one.basis[i] for one in unnamed], axis=1)
         forcing[:-1] = 0.5 * (forcing[:-1] + forcing[1:])
         missing = ~np.isfinite(stretch.z[:, used])
-        out = np.zeros((len(stretch), len(used), forcing.shape[1]))
         injected(np.ascontiguousarray(forcing), missing, linear.a,
-                 np.ascontiguousarray(linear.h[used]), gains, into, out)
-        out[missing] = np.nan
-        found.append(out)
-    return found, sizes
+                 np.ascontiguousarray(linear.h[used]), gains, enters, into[i])
+
+    spread(write, range(len(into)))

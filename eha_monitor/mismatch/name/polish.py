@@ -1,0 +1,140 @@
+"""A fit carried to its optimum with few runs of the filter."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.likelihood.fit import (
+    Fit,
+    Free,
+    covariance_of,
+    innovations,
+    log_likelihood_of,
+    prior_exponent,
+    sensitivities,
+    step_of,
+    step_within,
+    whitener,
+)
+from eha_monitor.mismatch.name.columns import ALWAYS, Columns, coarse
+from eha_monitor.mismatch.name.gram import under
+
+ROUGHLY = 5.0  # log units: a tolerance at which slopes are not taken afresh
+
+
+class Slopes:
+    """Slopes of the innovations that are at hand from a linearisation, under any gains."""
+
+    def __init__(self, experiment: Experiment, fit: Fit | None = None,
+                 columns: Columns | None = None):
+        self.experiment, self.fit, self.columns = experiment, fit, columns
+        self.places: dict[str, int] = {}
+        for i, column in enumerate(columns.what if columns else ()):
+            if column.free is not None and (column.owner == ALWAYS or column.variant < 0):
+                self.places.setdefault(column.name, i)  # a number that is wrong stands there twice
+
+    def of(self, fit: Fit) -> dict[str, np.ndarray]:
+        """Return name -> (N, c) slope in the fitted coordinate, of what is known."""
+        wanted = [f for f in fit.free if f.name in self.places]
+        if not wanted:
+            return {}
+        places = [1 + self.places[f.name] for f in wanted]
+        if self.experiment.inverse:
+            whole = np.nan_to_num(self.columns.values[0][:, :, places])
+            return self._in_units(wanted, whole)
+        parts = under(self.experiment, self.fit, [
+            np.ascontiguousarray(part[:, :, places]) for part in self.columns.values], fit.gains)
+        whole = np.concatenate([part[stretch.counted] for part, stretch in zip(
+            parts, self.experiment.stretches, strict=True)])
+        return self._in_units(wanted, whole)
+
+    def _in_units(self, wanted: list[Free], whole: np.ndarray) -> dict[str, np.ndarray]:
+        units = [self.columns.what[self.places[f.name]].free.spread for f in wanted]
+        return {f.name: whole[:, :, i] / unit
+                for i, (f, unit) in enumerate(zip(wanted, units, strict=True))}
+
+
+def polished(experiment: Experiment, fit: Fit, slopes: Slopes, steps: int = 12,
+             tolerance: float = 0.3) -> Fit:
+    """Carry a fit to its optimum with held gains: Gauss-Newton, slopes brought up to date.
+
+    Slopes come from the linearisation where it has them, else from differences; each step then
+    corrects them by what it has seen (Broyden 1965), in the metric of the information.  They are
+    taken afresh where a step fails.
+    """
+    theta, free = fit.theta.copy(), fit.free
+    e = innovations(experiment, theta, fit.active, fit.gains)
+    best = log_likelihood_of(e) + prior_exponent(free, theta)
+    if not np.isfinite(best):
+        return replace(fit, e=e, log_likelihood=-np.inf)
+    bounds = np.array([[f.inward(f.lower), f.inward(f.upper)] for f in free]).reshape(-1, 2)
+    prior, weight = np.array([f.prior for f in free]), np.array([f.spread for f in free]) ** -2.0
+    known = slopes.of(fit)
+
+    rough = coarse(experiment)
+
+    def taken(which: list[int]) -> None:
+        plain = innovations(rough, theta, fit.active, fit.gains)
+        fresh = sensitivities(rough, theta, fit.active, fit.gains, plain,
+                              [step_of(free[i], theta) for i in which])
+        for i, slope in zip(which, fresh, strict=True):
+            d[i] = np.nan_to_num(slope)
+
+    d = np.stack([known.get(f.name, np.zeros(e.shape)) for f in free])
+    taken([i for i, f in enumerate(free) if f.name not in known])
+    matters = [i for i, f in enumerate(free) if not f.name.startswith("rig.")]
+    fresh, damping, converged = not known, 1e-9, False
+    white = information = None
+    for _ in range(steps):
+        w = whitener(covariance_of(e))
+        white = (np.nan_to_num(e) @ w.T).ravel()
+        flat = (d @ w.T).reshape(len(free), -1)
+        information = flat @ flat.T
+        now = np.array([f.inward(theta[f.place]) for f in free])
+        gradient = -(flat @ white) - weight * (now - prior)
+        scale = np.sqrt(np.diag(information) + weight)
+        matrix = (information + np.diag(weight)) / np.outer(scale, scale)
+        if not np.isfinite(matrix).all():
+            return replace(fit, log_likelihood=-np.inf)
+        improved = False
+        for attempt in range(4):
+            step = step_within(matrix + damping * np.eye(len(free)), gradient / scale,
+                               scale[:, None] * (bounds - now[:, None])) / scale
+            step *= 0.3 if attempt == 1 else 1.0
+            other = theta.copy()
+            for f, value in zip(free, now + step, strict=True):
+                other[f.place] = f.outward(value)
+            moved = innovations(experiment, other, fit.active, fit.gains)
+            reached = log_likelihood_of(moved) + prior_exponent(free, other)
+            if reached > best:
+                improved = True
+                break
+            if attempt:
+                damping = max(10.0 * damping, 1e-3)
+        if not improved:
+            if fresh:
+                converged = True
+                break
+            taken(matters)
+            fresh = True
+            damping = 1e-9
+            continue
+        step = np.array([f.inward(other[f.place]) for f in free]) - now
+        missed = np.nan_to_num(moved - e) - np.tensordot(step, d, axes=1)
+        along = scale**2 * step
+        d += (along / max(float(along @ step), 1e-300))[:, None, None] * missed[None]
+        gained, theta, e, best = reached - best, other, moved, reached
+        damping = max(damping / 10.0, 1e-9)
+        if gained < tolerance:
+            if fresh or tolerance >= ROUGHLY:
+                converged = True
+                break
+            taken(matters)
+            fresh = True
+        else:
+            fresh = False
+    covariance = np.linalg.inv(information + np.diag(weight)) if information is not None else (
+        fit.covariance)
+    return replace(fit, theta=theta, e=e, s=covariance_of(e), log_likelihood=best,
+                   covariance=covariance, converged=converged)
