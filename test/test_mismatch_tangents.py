@@ -109,7 +109,8 @@ def test_tangents_where_the_pump_speed_or_the_force_is_the_input(tmp_path, mode)
     experiment, fit = model_of(tmp_path, ("coulomb_friction",), RUBBED, channels)
     assert experiment.mode == mode
     for name, error in all_off(experiment, fit).items():
-        assert error < 0.03, name
+        # v_e acts in the few samples that creep, on 1 % of what F_c does.
+        assert error < (0.04 if name == "coulomb_friction.v_e" else 0.02), name
 
 
 @pytest.mark.parametrize("name, tolerance", [
