@@ -124,7 +124,7 @@ def test_words_say_what_how_much_and_what_next(advised):
 
 def test_quick_advice_says_the_same_first(hiding, advised):
     experiment, first, fit = hiding
-    naming = Naming(first, fit, evidence={"coulomb_friction": 1e3},
+    naming = Naming(experiment, first, fit, evidence={"coulomb_friction": 1e3},
                     rivals={"coulomb_friction": ()})
     quick = advise.advice_for(experiment, naming)
     assert quick[0].split(":")[0] == advise.sentences(advised)[0].split(":")[0]

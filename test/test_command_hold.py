@@ -219,7 +219,7 @@ def test_after_write_config_the_promise_holds(tmp_path):
     assert abs(b.value - ISSUE.damping) < 3 * np.hypot(b.stddev, found.after["B"].stddev)
 
 
-# ---- simulated recordings ------------------------------------------------------------------------
+# ---- simulated recordings ----------------------------------------------------------------------
 
 
 def test_a_held_input_stays_held_in_a_simulated_recording():

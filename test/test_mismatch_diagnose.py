@@ -136,7 +136,7 @@ def test_the_verdict_is_what_is_more_likely_than_not():
     named = replace(clean.before, named=("coulomb_friction",))
 
     def verdict(after=clean.before, wrong=(), unexplained=0.1):
-        return verdict_of(clean.experiment, Naming(clean.before, after, wrong,
+        return verdict_of(clean.experiment, Naming(clean.experiment, clean.before, after, wrong,
                                                    unexplained=unexplained))
 
     assert verdict() == "consistent"
@@ -165,7 +165,7 @@ def test_a_wrong_number_is_told_with_both_values_the_most_certain_first():
     after = replace(fit, free=free, covariance=fit.covariance[:2, :2],
                     named=("rig.mass", "rig.charge_pressure"))
     found = rig_findings(clean.experiment, Naming(
-        fit, after, ("mass", "charge_pressure"),
+        clean.experiment, fit, after, ("mass", "charge_pressure"),
         {"rig.mass": 0.7, "rig.charge_pressure": 0.99}, rivals={"rig.mass": ("added_mass",)}))
     assert [one.key for one in found] == ["charge_pressure", "mass"]
     assert [one.configured for one in found] == [2e6, 20.0]

@@ -23,7 +23,9 @@ from eha_monitor.mismatch.diagnosis import (
 )
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
+from eha_monitor.mismatch.name.acceptance import LIKELY
 from eha_monitor.mismatch.name.naming import Naming, name_effects
+from eha_monitor.mismatch.name.unnamed import INTERMITTENT
 from eha_monitor.mismatch.show import balances as balance_show
 from eha_monitor.mismatch.show import held_out as show
 from eha_monitor.mismatch.show.changed import change_words, changed_between
@@ -44,7 +46,6 @@ from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
 LEAST_MOTION = 20.0  # times the position's noise: less motion says nothing
-LIKELY = 0.5  # probability from which ``unexplained`` is the answer
 LARGE_PART = 0.5  # of the evidence: what an effect must take away to be named beside an unknown
 # Effect of the force balance -> errors of pressure sensors that make the same force: an offset,
 # and a scale by the mean pressure.
@@ -127,7 +128,7 @@ def verdict_of(experiment: Experiment, naming: Naming) -> str:
     """Return the verdict: what is more likely than not."""
     if naming.unexplained > LIKELY:
         return "unexplained"
-    if naming.after.named or naming.wrong:
+    if naming.after.named or naming.wrong or naming.loads:
         return "mismatch"
     if experiment.inverse and balance_show.balances_of(
             experiment, naming.before, naming.after).open.any():
@@ -159,10 +160,12 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         signals = show.shown(shown, before, after)
         tracks = filtered_tracks(experiment, after) if after.named else []
     # A fit that fails on unseen data has named nothing.
-    if after.named and worse(signals):
+    if after.named and not naming.loads and worse(signals):  # no model runs with such a load
         verdict, explained = "unexplained", 0.0
     effects = tuple(named_effect(experiment, naming, name, tracks) for name in sorted(
         after.named, key=lambda name: -naming.evidence[name]))
+    if naming.loads:
+        effects = (*effects, intermittent(naming))
     wrong = rig_findings(experiment, naming)
     if verdict == "unexplained":  # what takes away a small part only is a confident wrong name
         effects = effects if explained >= LARGE_PART else ()
@@ -239,6 +242,24 @@ def named_effect(experiment: Experiment, naming: Naming, name: str, tracks: list
                        naming.evidence[name], rivals_of(experiment, naming, name), entry.equation,
                        entry.rig_check, size_of(experiment, fit, name, tracks),
                        naming.probability.get(name, np.nan))
+
+
+def intermittent(naming: Naming) -> NamedEffect:
+    """Return a load that comes and goes: somebody pushes, a process load is there at times."""
+    largest = max(naming.loads, key=lambda load: abs(load[2]))[2]
+    when = listed([f"{start:.1f}–{stop:.1f} s ({quantity(force, 'N', 2)})"
+                   for start, stop, force in naming.loads])
+    return NamedEffect(
+        INTERMITTENT, "force", f"a load that comes and goes pushes against positive motion at "
+        f"{when}", {"F": Value(largest, np.nan, "N")}, naming.evidence[INTERMITTENT], (),
+        "F(t), constant over stretches of time", "Look at what touches the rod at these times.",
+        quantity(abs(largest), "N", 2), naming.probability[INTERMITTENT],
+        tuple((start, stop) for start, stop, _ in naming.loads))
+
+
+def listed(words: list[str]) -> str:
+    """Return words as one writes them in a row."""
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
 def rivals_of(experiment: Experiment, naming: Naming, name: str) -> tuple[str, ...]:

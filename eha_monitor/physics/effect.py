@@ -40,7 +40,6 @@ class Parameter:
         with a default is a *shape* inside the non-linearity; it is fitted too.
     neutral : value of a size at which the effect is absent.
     fitted : False keeps a shape at its default when the effect is fitted.
-    late : a shape that is fitted once its effect has been chosen.
     log : a size that is fitted as its logarithm: what it does is not proportional to it.
     """
 
@@ -53,7 +52,6 @@ class Parameter:
     default: float | None = None
     neutral: float = 0.0
     fitted: bool = True
-    late: bool = False
     log: bool = False
 
 

@@ -17,7 +17,8 @@ from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.name.base import with_effect, without_effect
 from eha_monitor.mismatch.name.nominal import nominal
-from eha_monitor.mismatch.name.refit import Slopes, polished, settled
+from eha_monitor.mismatch.name.polish import Slopes, polished
+from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.mismatch.name.starts import Start, possible, starts_of
 from eha_monitor.mismatch.show import held_out
 from eha_monitor.output import write_text

@@ -21,6 +21,7 @@ from eha_monitor.mismatch.locate.terms import (
     tracks_of,
 )
 from eha_monitor.mismatch.name.base import limits_of
+from eha_monitor.mismatch.name.unnamed import INTERMITTENT
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import CATALOGUE
 
@@ -167,7 +168,7 @@ def balance_of(name: str) -> str:
     if name in CATALOGUE:
         return CATALOGUE[name].balance
     key = name.removeprefix("rig.")
-    return ("force" if key in ("mass", "area_1", "area_2")
+    return ("force" if key in ("mass", "area_1", "area_2", INTERMITTENT)
             else "drive" if key == "position_gain" else "flow")
 
 

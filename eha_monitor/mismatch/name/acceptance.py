@@ -2,6 +2,7 @@
 
 EFFECT = -5.0  # log prior odds of an effect
 RARE = -0.5  # for each degree of an effect's rarity
+KIN = -10.0  # more for a second effect of a family: they explain one another's form errors
 UNNAMED = -7.0  # of an unknown function: each of its columns pays for itself besides
 WRONG_RIG = -5.0  # of a number of the rig beyond its tolerance
 LARGEST_SET = 4  # suspects in a set
@@ -10,7 +11,8 @@ FORM = 100.0  # log units: what is left above the noise counts in full up to her
 TEMPER = 0.3  # power of the evidence between sets: makes the probabilities honest
 RIVAL = 0.05  # probability in an effect's place from which another cannot be told from it
 FORM_LEAST = 5.0  # times the smallest unknowns: what every right model may need
-FORM_SHARE = 0.1  # of the nominal model's unknowns: the form error that names may leave
+FORM_SHARE = 0.2  # of the nominal model's unknowns: the form error that names may leave
 BEYOND_FORM = 3.0  # times that: as likely something without a name as form error
 EXPLAINED = 0.75  # share of what speaks against the nominal model that pieces must take away
 LACKING = 100.0  # times the smallest unknowns, 1 % of what a balance does: it matters
+LIKELY = 0.5  # probability from which something is the answer

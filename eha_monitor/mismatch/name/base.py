@@ -11,7 +11,7 @@ from eha_monitor.mismatch.likelihood.gains import Unknowns, smallest_unknowns
 from eha_monitor.mismatch.name.starts import Start, entered, free_of, own_sizes, possible
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import CATALOGUE, NAMES
-from eha_monitor.physics.parameters import effect_values, place_of
+from eha_monitor.physics.parameters import place_of
 
 LEAST_SHARE, LEAST_OF_MANY = 0.05, 0.3  # of its start: where a size enters at least
 LEAST_B = 1e-3  # of its prior: below, there is no viscous damping
@@ -96,13 +96,3 @@ def expected_likelihood(experiment: Experiment, fit: Fit) -> float:
     """Return the likelihood of a right model, whose innovations are the sensors' noise."""
     return float(-np.sum(np.log(experiment.noise[experiment.columns])
                          * np.isfinite(fit.e).sum(axis=0)))
-
-
-def completed(fit: Fit) -> Fit:
-    """Return a fit in which the late shapes of the named effects are free too."""
-    have = {f.name for f in fit.free}
-    found = []
-    for name in fit.named:
-        start = Start(name, tuple(effect_values(fit.theta, name).items()))
-        found += [f for f in free_of(start) if f.name not in have]
-    return replace(fit, free=fit.free + tuple(found))

@@ -7,16 +7,22 @@ import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit
+from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.name.acceptance import (
     BEYOND_FORM,
     FORM_LEAST,
     FORM_SHARE,
     LACKING,
+    LIKELY,
     RIVAL,
+    TEMPER,
 )
 from eha_monitor.mismatch.name.base import limits_of
+from eha_monitor.mismatch.name.columns import runs_of
+from eha_monitor.mismatch.name.gram import evidence_at
 from eha_monitor.mismatch.name.refit import discrepancy, settled
 from eha_monitor.mismatch.name.select import Selection, selected
+from eha_monitor.mismatch.name.unnamed import INTERMITTENT, loads_of
 from eha_monitor.physics.effects import CATALOGUE
 
 Report = Callable[[str, float], None]
@@ -38,6 +44,7 @@ class Naming:
     evidence : effect, ``rig.<key>`` -> log units that the model loses without it.
     rivals : effect, ``rig.<key>`` -> names that this record cannot tell from it.
     tried : set -> its model and the log units by which it is behind, best first.
+    loads : when a load without a name of its own acts, (from s, to s, N); ``intermittent_load``.
     explained : share of what speaks against the nominal model that the names take away.
     """
 
@@ -51,6 +58,7 @@ class Naming:
     evidence: dict[str, float] = field(default_factory=dict)
     rivals: dict[str, tuple[str, ...]] = field(default_factory=dict)
     tried: tuple[tuple[Names, Fit, float], ...] = ()
+    loads: tuple[tuple[float, float, float], ...] = ()
     explained: float = np.nan
 
 
@@ -64,11 +72,11 @@ def posterior(found: Selection) -> dict[Names, float]:
 
     Sets by the linear guess are those of the last linearisation, measured from the model there.
     """
-    seen, best = found.seen, found.seen.best()
+    seen = found.seen
     scores = seen.scores()
-    own = next((one for one in found.ranking if one.names == best), None)
+    own = next((one for one in found.ranking if one.names == found.here), None)
     if own is not None:
-        start = seen.evidence[best] - (own.evidence - own.prior)
+        start = seen.evidence[found.here] - (own.evidence - own.prior)
         for one in found.ranking:
             # What has names and seemed better was refitted, or is beyond what the guess can say.
             unnamed = not all(is_named(name) for name in one.names)
@@ -89,7 +97,12 @@ def in_place_of(name: str, best: Names, weights: dict[Names, float]) -> dict[str
     return others
 
 
-def beyond_form(experiment: Experiment, before: Fit, after: Fit) -> float:
+def own_evidence(found: Selection) -> float:
+    """Return the evidence of the best model in the last ranking."""
+    return next((one.evidence for one in found.ranking if one.names == found.seen.best()), -np.inf)
+
+
+def beyond_form(experiment: Experiment, before: Fit, after: Fit, needs: Unknowns) -> float:
     """Return the probability that a model's unknowns are more than its form error.
 
     Named physics is right to a share of its size only, and a filter needs unknowns for the rest:
@@ -99,10 +112,15 @@ def beyond_form(experiment: Experiment, before: Fit, after: Fit) -> float:
     if experiment.inverse:
         return 0.0
     small = limits_of(experiment)[0].as_array()
-    needed, still = (fit.unknowns.as_array() / small for fit in (before, after))
+    needed, still = (level.as_array() / small for level in (before.unknowns, needs))
     ratio = float((still / np.maximum(FORM_LEAST, FORM_SHARE * needed)).max())
     odds = (ratio / BEYOND_FORM) ** 4
-    return odds / (1.0 + odds)
+    # Only what the recording asks for counts: where unknowns gain nothing their size says nothing.
+    present = runs_of(experiment, after.theta, after.active, after.gains)
+    few = Unknowns(*np.minimum(FORM_LEAST * small, needs.as_array()))
+    gained = evidence_at(experiment, after, present, needs) - evidence_at(
+        experiment, after, present, few)
+    return odds / (1.0 + odds) * float(-np.expm1(-TEMPER * max(gained, 0.0)))
 
 
 def lacking(experiment: Experiment, fit: Fit) -> bool:
@@ -154,7 +172,18 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
     against = discrepancy(experiment, before) if not experiment.inverse else 0.0
     left = seen.left[best]
     explained = 1.0 - left / against if against > left else (0.0 if against > 0.0 else 1.0)
-    beyond = beyond_form(experiment, before, after)
+    loads: tuple[tuple[float, float, float], ...] = ()
+    acting = float(sum(weight for names, weight in weights.items() if INTERMITTENT in names))
+    needs = after.unknowns
+    if acting > LIKELY:  # a load that comes and goes has a name, and intervals
+        one = next(one for one in found.ranking if INTERMITTENT in one.names)
+        loads = loads_of(experiment, np.array([
+            value for place, value in sorted(one.amplitudes.items())
+            if found.what[place].owner == INTERMITTENT]))
+        probability[INTERMITTENT], rivals[INTERMITTENT] = acting, ()
+        evidence[INTERMITTENT] = max(one.evidence - own_evidence(found), 0.0)
+        unnamed, needs = unnamed - acting, one.gram.unknowns
+    beyond = beyond_form(experiment, before, after, needs)
     probability = {name: value * (1.0 - beyond) for name, value in probability.items()}
     empty = weights.get(frozenset(), 0.0) * (1.0 - beyond)
     unnamed = 1.0 - (1.0 - unnamed) * (1.0 - beyond)
@@ -164,5 +193,5 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
         tuple(name.removeprefix("rig.") for name in after.named if name.startswith("rig.")),
         probability, float(empty), unnamed, evidence, rivals,
         tuple((names, seen.fits[names], scores[best] - scores[names]) for names in order),
-        explained)
+        loads, explained)
 

@@ -63,6 +63,12 @@ def polished(experiment: Experiment, fit: Fit, slopes: Slopes, steps: int = 12,
     corrects them by what it has seen (Broyden 1965), in the metric of the information.  They are
     taken afresh where a step fails.
     """
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a run may go astray
+        return _polished(experiment, fit, slopes, steps, tolerance)
+
+
+def _polished(experiment: Experiment, fit: Fit, slopes: Slopes, steps: int, tolerance: float
+              ) -> Fit:
     theta, free = fit.theta.copy(), fit.free
     e = innovations(experiment, theta, fit.active, fit.gains)
     best = log_likelihood_of(e) + prior_exponent(free, theta)

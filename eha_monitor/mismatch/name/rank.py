@@ -9,6 +9,7 @@ G = D'D, q = m - D'r: Laplace's approximation, exact where the model is linear. 
 has is taken out once (a Schur complement); a set is then a small linear solve.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import combinations
 
@@ -19,6 +20,7 @@ from eha_monitor.mismatch.likelihood.fit import spread
 from eha_monitor.mismatch.name.acceptance import (
     BEAM,
     EFFECT,
+    KIN,
     LARGEST_SET,
     RARE,
     UNNAMED,
@@ -241,7 +243,8 @@ class Level:
         here, a = np.concatenate([here, list(fixed)]).astype(int), np.concatenate(
             [a, list(fixed.values())])
         gone = {member.replaces for member in members}
-        prior = float(sum(r.log_prior(member) for member in members if member.owner not in gone))
+        prior = log_kin({member.owner for member in members} - gone) + float(sum(
+            r.log_prior(member) for member in members if member.owner not in gone))
         return Ranked(members, float(evidence) + prior, prior, self.gram,
                       {int(i): float(v) for i, v in zip(here, a, strict=True)})
 
@@ -280,6 +283,13 @@ class Level:
                 r.log_prior(Member(member.replaces, -1)) if member.replaces else 0.0)
             gains.append((member, float(gain) + prior))
         return gains
+
+
+def log_kin(names: Iterable[str]) -> float:
+    """Return the prior of what a set has of one family: each beyond the first costs more."""
+    families = [CATALOGUE[name].family for name in names
+                if name in CATALOGUE and CATALOGUE[name].family]
+    return KIN * (len(families) - len(set(families)))
 
 
 def limited(name: str) -> bool:

@@ -108,7 +108,8 @@ class Selection:
     experiment : with integration steps that resolve the damping that was found.
     nominal : the model without effects; ``best`` the model of the set with most evidence.
     seen : every refitted set.
-    ranking : sets at the last linearisation, by the linear guess.
+    ranking : sets at the last linearisation, by the linear guess; ``what`` its columns,
+        ``here`` the model at which they were taken.
     """
 
     experiment: Experiment
@@ -116,6 +117,8 @@ class Selection:
     best: Fit
     seen: Seen
     ranking: list[Ranked]
+    what: tuple[Column, ...] = ()
+    here: frozenset[str] = frozenset()
 
 
 def counted(left: float) -> float:
@@ -302,7 +305,8 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
             refit(experiment, view, chosen, seen)
         elif not held(experiment, view, seen):
             finish(experiment, seen)
-    return Selection(experiment, first, seen.fits[seen.best()], seen, view.ranking)
+    return Selection(experiment, first, seen.fits[seen.best()], seen, view.ranking,
+                     view.what, view.here)
 
 
 def resolved_nominal(experiment: Experiment) -> tuple[Experiment, Fit]:

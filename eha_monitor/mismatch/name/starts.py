@@ -42,6 +42,10 @@ def possible(name: str, experiment: Experiment) -> bool:
     effect = CATALOGUE[name]
     if experiment.inverse and (effect.balance == "sensor" or name in UNSEEN):
         return False
+    if name == "pressure_friction" and not any(
+            np.ptp(stretch.p1) + np.ptp(stretch.p2) > 0.0 for stretch in experiment.stretches) \
+            and experiment.mode == FORCED:
+        return False  # at a pressure that nobody knows it is Coulomb friction
     if effect.balance == "force":
         return name != "backlash" or experiment.mode == CLOSED
     if experiment.mode == FORCED:
@@ -100,11 +104,11 @@ def free_parameter(effect: Effect, p: Parameter, value: float) -> Free:
     return Free(name, place, p.lower, p.upper, value, 2.0 * p.scale)
 
 
-def free_of(start: Start, whole: bool = True) -> tuple[Free, ...]:
-    """Return the fitted parameters of an effect at its start, the late ones only if ``whole``."""
+def free_of(start: Start) -> tuple[Free, ...]:
+    """Return the fitted parameters of an effect at its start."""
     effect, values = CATALOGUE[start.effect], dict(start.values)
     return tuple(free_parameter(effect, p, values[p.name]) for p in effect.parameters
-                 if p.fitted and np.isfinite(values[p.name]) and (whole or not p.late))
+                 if p.fitted and np.isfinite(values[p.name]))
 
 
 def own_sizes(start: Start) -> list[Parameter]:

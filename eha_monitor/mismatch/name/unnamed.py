@@ -22,6 +22,7 @@ HATS = 9  # of a signal
 BLOCK, MOST_BLOCKS = 1.0, 30  # s of a time in which an unknown load is constant; how many
 INTERMITTENT = "intermittent_load"
 PLACES = {"force": Y_FORCE, "flow": Y_FLOW, "drive": Y_SPEED}
+ACTING = 0.4  # of its largest: a load that comes and goes is there
 PRIOR = 100.0  # times the smallest unknown, 1 % of what the record covers
 
 
@@ -53,6 +54,51 @@ def hats(values: list[np.ndarray], count: int) -> list[np.ndarray]:
             for v in values]
 
 
+def blocks_of(experiment: Experiment) -> tuple[list[np.ndarray], int]:
+    """Return for each stretch (n,) the block of time of each sample, and how many there are."""
+    duration = sum(len(stretch) for stretch in experiment.stretches) * experiment.dt
+    length = max(BLOCK, duration / MOST_BLOCKS)
+    found, total = [], 0
+    for stretch in experiment.stretches:
+        which = (np.arange(len(stretch)) * experiment.dt / length).astype(int) + total
+        found.append(which)
+        total = int(which.max()) + 1
+    return found, total
+
+
+def loads_of(experiment: Experiment, amplitudes: np.ndarray
+             ) -> tuple[tuple[float, float, float], ...]:
+    """Return when an unknown load acts, (from s, to s, N against positive motion).
+
+    Parameters
+    ----------
+    amplitudes : (k,) of the blocks of time, in units of the prior.
+    """
+    newtons = PRIOR * smallest_unknowns(experiment).force * amplitudes
+    counted = np.bincount(np.concatenate(blocks_of(experiment)[0]), np.concatenate(
+        [stretch.counted for stretch in experiment.stretches]), len(newtons))
+    for block in np.flatnonzero(counted == 0):  # held out: as on both sides of it
+        beside = newtons[[b for b in (block - 1, block + 1) if 0 <= b < len(newtons)]]
+        newtons[block] = beside[np.abs(beside).argmin()]
+    acting = np.abs(newtons) > ACTING * np.abs(newtons).max()
+    found: list[list[float]] = []
+    for stretch, which in zip(experiment.stretches, blocks_of(experiment)[0], strict=True):
+        open_ = False
+        for block in np.unique(which):
+            here = np.flatnonzero(which == block)
+            start, stop = (stretch.start + experiment.dt * k for k in (here[0], here[-1] + 1))
+            same = open_ and np.sign(found[-1][2]) == np.sign(newtons[block])
+            if acting[block] and same:
+                width = found[-1][1] - found[-1][0]
+                found[-1][2] = (found[-1][2] * width + newtons[block] * (stop - start)) / (
+                    width + stop - start)
+                found[-1][1] = stop
+            elif acting[block]:
+                found.append([start, stop, float(newtons[block])])
+            open_ = bool(acting[block])
+    return tuple((float(a), float(b), float(c)) for a, b, c in found)
+
+
 def unnamed_of(experiment: Experiment, fit: Fit) -> list[Unnamed]:
     """Return the unknown functions that compete, along the filtered motion of a fit."""
     tracks = []
@@ -63,15 +109,8 @@ def unnamed_of(experiment: Experiment, fit: Fit) -> list[Unnamed]:
     v = [track[:, s.V] for track in tracks]
     sense = [np.tanh(one / max(0.01 * experiment.ranges.speed, 1e-9)) for one in v]
     of_x, of_v = hats(x, HATS), hats(v, HATS)
-    blocks = []
-    duration = sum(len(stretch) for stretch in experiment.stretches) * experiment.dt
-    length = max(BLOCK, duration / MOST_BLOCKS)
-    total = 0
-    for stretch in experiment.stretches:
-        which = (np.arange(len(stretch)) * experiment.dt / length).astype(int)
-        blocks.append((which + total, which.max() + 1))
-        total += which.max() + 1
-    of_time = [(which[:, None] == np.arange(total)).astype(float) for which, _ in blocks]
+    blocks, total = blocks_of(experiment)
+    of_time = [(which[:, None] == np.arange(total)).astype(float) for which in blocks]
 
     def times(basis, signal):
         return tuple(one * other[:, None] for one, other in zip(basis, signal, strict=True))

@@ -1,0 +1,198 @@
+"""How sets become proposals, scores and probabilities."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+from mismatch_tools import fitted
+
+from eha_monitor.mismatch.name.naming import in_place_of, posterior
+from eha_monitor.mismatch.name.rank import Member, Ranked
+from eha_monitor.mismatch.name.refit import discrepancy, evidence_of, prior_of
+from eha_monitor.mismatch.name.select import (
+    HANDFUL,
+    Seen,
+    Selection,
+    counted,
+    levels_of,
+    proposals_of,
+    resolved_nominal,
+)
+
+
+def ranked(evidence: float, *names: str, prior: float = 0.0) -> Ranked:
+    return Ranked(tuple(Member(name, 0) for name in sorted(names)), evidence, prior, None, {})
+
+
+HARDLY = ranked(0.1, "pump_dead_zone")  # there are always some that gain next to nothing
+
+
+def names_of(found: list[Ranked]) -> list[set[str]]:
+    return [set(one.names) for one in found]
+
+
+# ---- evidence that counts -----------------------------------------------------------------------
+
+
+@given(st.floats(0.0, 1e7), st.floats(0.0, 1e5))
+@hypothesis_settings(max_examples=60, deadline=None)
+def test_what_is_left_counts_in_full_near_the_noise_and_less_above_it(left, more):
+    assert counted(0.0) == 0.0 == counted(-5.0)
+    assert -left * (1 + 1e-9) <= counted(left) <= 0.0  # never more than it is
+    assert counted(left + more) <= counted(left)  # a worse model never counts for better
+    # The same gain counts for more, the nearer to the noise.
+    assert counted(left) - counted(left + more) <= -counted(more) + 1e-9
+
+
+def test_a_few_log_units_near_the_noise_are_what_they_are():
+    assert counted(3.0) == pytest.approx(-3.0, rel=0.02)
+    taken_of_much = counted(1e4) - counted(1e5)
+    assert taken_of_much < 0.01 * (1e5 - 1e4)
+
+
+# ---- proposals ----------------------------------------------------------------------------------
+
+
+def test_the_smallest_sets_that_reach_most_of_the_best_gain_are_refitted():
+    found = [ranked(1000.0, "constant_load", "spring_load", "relief_valve"),
+             ranked(995.0, "constant_load", "spring_load"),
+             ranked(980.0, "constant_load", "drive_lag"),
+             ranked(700.0, "constant_load"), ranked(0.0)]
+    assert names_of(proposals_of(found, 0.0, Seen())) == [
+        {"constant_load", "spring_load"}, {"constant_load", "drive_lag"}]
+
+
+def test_nothing_is_proposed_where_nothing_is_better():
+    found = [ranked(10.0, "constant_load"), ranked(5.0, "spring_load")]
+    assert proposals_of(found, 10.0, Seen()) == []
+
+
+def test_what_contains_a_proposal_waits_for_it():
+    found = [ranked(100.0, "stribeck_friction"), ranked(99.0, "coulomb_friction"),
+             ranked(98.0, "constant_load"), HARDLY, ranked(0.0)]
+    assert names_of(proposals_of(found, 0.0, Seen())) == [{"coulomb_friction"}, {"constant_load"}]
+
+
+def test_what_was_refitted_is_not_proposed_again():
+    seen = Seen()
+    seen.fits[frozenset({"constant_load"})] = None
+    found = [ranked(100.0, "constant_load"), ranked(99.0, "spring_load"),
+             ranked(98.5, "constant_load", "drive_lag"), HARDLY, ranked(0.0)]
+    assert names_of(proposals_of(found, 0.0, seen)) == [{"spring_load"}]
+    seen.fits[frozenset({"spring_load"})] = None
+    assert names_of(proposals_of(found, 0.0, seen)) == [{"constant_load", "drive_lag"}]
+
+
+def test_sets_without_a_name_are_not_refitted_and_a_handful_is_enough():
+    every = ("constant_load", "spring_load", "drive_lag", "drive_gain", "added_mass",
+             "relief_valve", "backlash")
+    found = [ranked(101.0, "force of x"), *(ranked(100.0 - 0.1 * i, name)
+                                            for i, name in enumerate(every)), HARDLY, ranked(0.0)]
+    chosen = proposals_of(found, 0.0, Seen())
+    assert len(chosen) == HANDFUL and names_of(chosen)[0] == {"constant_load"}
+    assert names_of(proposals_of([ranked(9.0, "rig.mass"), ranked(0.0)], 0.0, Seen())) == [
+        {"rig.mass"}]
+
+
+# ---- fits ---------------------------------------------------------------------------------------
+
+
+def test_a_clean_model_lacks_nothing_and_one_without_its_friction_much():
+    clean, rubbing = fitted(), fitted("coulomb_friction")
+    for case, fit in ((clean, clean.before), (rubbing, rubbing.after)):
+        assert discrepancy(case.experiment, fit) < 100.0
+    assert discrepancy(rubbing.experiment, rubbing.before) > 1000.0
+    gained = evidence_of(rubbing.experiment, rubbing.after) - evidence_of(
+        rubbing.experiment, rubbing.before)
+    assert gained == pytest.approx(
+        rubbing.after.log_likelihood - rubbing.before.log_likelihood, rel=0.05)
+
+
+def test_the_evidence_of_a_useless_effect_is_lower():
+    """A freedom costs what it could have told: Occam's factor."""
+    from eha_monitor.mismatch.name.base import with_effect
+    from eha_monitor.mismatch.name.refit import settled
+    from eha_monitor.mismatch.name.starts import starts_of
+
+    clean = fitted()
+    with_it = settled(clean.experiment, with_effect(
+        clean.before, starts_of("constant_load", clean.experiment)[0], (0.01,)))
+    assert with_it.log_likelihood > clean.before.log_likelihood - 1.0
+    assert evidence_of(clean.experiment, with_it) < evidence_of(clean.experiment, clean.before)
+
+
+def test_the_best_set_s_score_is_its_odds_where_nothing_is_left():
+    rubbing = fitted("coulomb_friction")
+    seen = Seen()
+    seen.add(rubbing.experiment, frozenset(), rubbing.before)
+    seen.add(rubbing.experiment, frozenset({"coulomb_friction"}), rubbing.after)
+    assert seen.best() == seen.ahead() == frozenset({"coulomb_friction"})
+    scores = seen.scores()
+    assert scores[frozenset({"coulomb_friction"})] <= prior_of({"coulomb_friction"}) + 1e-9
+    assert scores[frozenset()] < scores[frozenset({"coulomb_friction"})] - 20.0
+    worse = rubbing.before
+    seen.add(rubbing.experiment, frozenset({"coulomb_friction"}), worse)
+    assert seen.fits[frozenset({"coulomb_friction"})] is rubbing.after  # the better one is kept
+
+
+def test_levels_go_from_the_present_unknowns_down_to_nothing():
+    case = fitted("coulomb_friction")
+    levels = [level.as_array() for level in levels_of(case.experiment, case.before)]
+    now = case.before.unknowns.as_array()
+    assert any(np.array_equal(level, now) for level in levels)
+    assert all((level <= now * (1 + 1e-12)).all() for level in levels)
+    assert len({tuple(level) for level in levels}) == len(levels)
+
+
+def test_steps_resolve_the_damping_that_is_found():
+    """Runge-Kutta runs away where B/M is large against a step; a fit would stop at that wall."""
+    from rig_tools import MULTISINE, settings, simulated
+
+    from eha_monitor.mismatch.data.experiment import experiment_of
+
+    run = simulated(MULTISINE, 3.0, rig={"viscous_damping": 12000.0})
+    given = settings(stage_one={"prior": 600.0})
+    experiment = experiment_of([run.recording(0)], given)
+    finer, fit = resolved_nominal(experiment)
+    assert finer.steps >= experiment.steps
+    assert fit.value("B") == pytest.approx(12000.0, rel=0.1)
+
+
+# ---- probabilities ------------------------------------------------------------------------------
+
+
+def selection_of(evidence: dict[tuple[str, ...], float], ranking=()) -> Selection:
+    """Refitted sets with so much evidence, and nothing left by the best."""
+    seen = Seen()
+    for names, value in evidence.items():
+        key = frozenset(names)
+        seen.fits[key], seen.evidence[key], seen.left[key] = fitted().before, value, 0.0
+    return Selection(None, None, None, seen, list(ranking))
+
+
+def test_probabilities_add_up_to_one_and_follow_the_evidence():
+    weights = posterior(selection_of({("constant_load",): 100.0, ("spring_load",): 90.0,
+                                      (): 0.0}))
+    assert sum(weights.values()) == pytest.approx(1.0)
+    load, spring, none = (weights[frozenset(key)] for key in (
+        ("constant_load",), ("spring_load",), ()))
+    assert load > spring > none > 0.0
+
+
+def test_sets_that_were_only_ranked_are_measured_from_the_best_model():
+    best = ranked(50.0, "constant_load", prior=-5.0)
+    other = ranked(49.0, "spring_load", prior=-5.0)
+    found = selection_of({("constant_load",): 100.0, (): 0.0}, [best, other])
+    weights = posterior(found)
+    assert weights[frozenset({"constant_load"})] == pytest.approx(
+        weights[frozenset({"spring_load"})], rel=0.5)
+    assert weights[frozenset({"constant_load"})] > weights[frozenset({"spring_load"})]
+
+
+def test_what_stands_in_a_name_s_place_is_counted_beside_all_the_others():
+    best = frozenset({"constant_load", "drive_lag"})
+    weights = {best: 0.6, frozenset({"spring_load", "drive_lag"}): 0.3,
+               frozenset({"spring_load"}): 0.05, frozenset({"drive_lag"}): 0.05}
+    assert in_place_of("constant_load", best, weights) == {"spring_load": 0.3}
+    assert in_place_of("drive_lag", best, weights) == {}
