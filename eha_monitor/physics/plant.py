@@ -152,7 +152,7 @@ def drive_rate(wanted, omega, lag, slew):
     return min(max((wanted - omega) / lag, -slew), slew)
 
 
-@njit
+@njit(forceinline=True)
 def advance(y, t, dt, steps, u, pieces, first, closed, theta, terms, updates, w, memory, past,
             last, c, s):
     """Carry the actuator over one sample in place; returns the past's newest entry.
@@ -179,6 +179,10 @@ def advance(y, t, dt, steps, u, pieces, first, closed, theta, terms, updates, w,
     unknown_force, unknown_flow, unknown_speed = y[Y_FORCE], y[Y_FLOW], y[Y_SPEED]
     x, v, p1, p2, omega = y[Y_X], y[Y_V], y[Y_P1], y[Y_P2], y[Y_OMEGA]
     played, before = y[Y_PLAYED], y[Y_ACCELERATION]
+    # Numbers, not places in memory that might change: their quotients are taken once.
+    base = (theta[0], theta[1], theta[2], theta[3], theta[4], theta[5], theta[6], theta[7],
+            theta[8], theta[9], theta[10], theta[11])
+    alone = (unknown_force, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for i in range(steps):
         sum_v = sum_a = sum_1 = sum_2 = sum_o = 0.0
         xs, vs, p1s, p2s, os = x, v, p1, p2, omega
@@ -203,7 +207,7 @@ def advance(y, t, dt, steps, u, pieces, first, closed, theta, terms, updates, w,
                 if feedback_delay > 0.0:
                     late = delayed_position(past, last, h, feedback_delay, offset, xs, vs, before)
                 wanted = shaft_speed(
-                    drive_speed(value, seen_by_drive(late, played, w), theta, w), w)
+                    drive_speed(value, seen_by_drive(late, played, w), base, w), w)
                 turning = wanted
                 if slow:
                     do = drive_rate(wanted, os, lag, slew)
@@ -213,9 +217,10 @@ def advance(y, t, dt, steps, u, pieces, first, closed, theta, terms, updates, w,
                 s[T], s[X], s[V], s[P1], s[P2] = t + (i + offset) * h, xs, vs, p1s, p2s
                 s[OMEGA], s[X_D] = turning, value
                 add_contributions(s, theta, terms, memory, c)
-            c[FORCE] += unknown_force
-            a, d1, d2 = rates(vs, p1s, p2s, turning, unknown_flow, theta, c)
-            c[FORCE] -= unknown_force
+                c[FORCE] += unknown_force
+                a, d1, d2 = rates(vs, p1s, p2s, turning, unknown_flow, base, c)
+            else:
+                a, d1, d2 = rates(vs, p1s, p2s, turning, unknown_flow, base, alone)
             weight = 1.0 if stage == 0 or stage == 3 else 2.0
             sum_v += weight * vs
             sum_a += weight * a
@@ -242,7 +247,7 @@ def advance(y, t, dt, steps, u, pieces, first, closed, theta, terms, updates, w,
     return last
 
 
-@njit
+@njit(forceinline=True)
 def speed_now(y, u, pieces, first, dt, steps, closed, theta, w, past, last):
     """Return the input and the shaft speed (rad/s) at the start of sample ``first``."""
     if w[COMMAND_DELAY] == 0.0:
@@ -259,7 +264,7 @@ def speed_now(y, u, pieces, first, dt, steps, closed, theta, w, past, last):
     return value, shaft_speed(wanted, w) + y[Y_SPEED]
 
 
-@njit
+@njit(forceinline=True)
 def sense(y, t, step, past, last, w, out):
     """Write what the sensors show at time ``t`` s: x, v, p1, p2 (SI) into ``out``.
 

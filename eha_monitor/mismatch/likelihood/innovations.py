@@ -60,13 +60,15 @@ def innovate(z, u, p1, p2, mode, dt, steps, theta, active, gains, decay, y, memo
         pressure difference that is taken from the sensors because the volume that entered since
         the last sample is not known.
     e : (n, N_OUTPUTS) written: innovations, NaN where nothing was measured.
-    states : (n, N_FILTERED) written after the correction, or (0, N_FILTERED) where not wanted.
+    states : (n, N_FILTERED) written after the correction, or (0, N_FILTERED) where not wanted;
+        with two more columns for each active effect that remembers, its memory.
     """
     n = z.shape[0]
     w = circuit_of(theta, active)
     terms, updates, places = with_term(active), with_update(active), with_place(active)
     c, s = np.zeros(N_CONTRIBUTIONS), np.zeros(N_SIGNALS)
     shown = np.zeros(N_OUTPUTS)
+    by_output = gains.transpose(0, 2, 1).copy()  # a sensor's gains side by side
     last = 0
     h = dt / steps
     for k in range(n):
@@ -77,14 +79,14 @@ def innovate(z, u, p1, p2, mode, dt, steps, theta, active, gains, decay, y, memo
         else:
             sense(y, t, h, past, last, w, shown)
             shown[4] = speed_now(y, u, 1, k, dt, steps, mode == CLOSED, theta, w, past, last)[1]
-        gain = gains[min(k, gains.shape[0] - 1)]
+        at = min(k, gains.shape[0] - 1)
         predicted, before_1, before_2 = y[Y_X], y[Y_P1], y[Y_P2]
         for j in range(N_OUTPUTS):
             difference = z[k, j] - shown[j]
             e[k, j] = difference
             if math.isfinite(difference) and role[k] != FREE:
                 for i in range(N_FILTERED):
-                    y[i] += gain[i, j] * difference
+                    y[i] += by_output[at, j, i] * difference
         if role[k] > 0.0 and math.isfinite(z[k, 2]) and math.isfinite(z[k, 3]):
             # Less what the gains have corrected; the innovations know the sensors' own errors.
             half = 0.5 * role[k] * (e[k, 2] - y[Y_P1] + before_1 - e[k, 3] + y[Y_P2] - before_2)
@@ -99,7 +101,11 @@ def innovate(z, u, p1, p2, mode, dt, steps, theta, active, gains, decay, y, memo
         for j in range(4):
             past[last, j] = y[j]
         if states.shape[0]:
-            states[k] = y[:N_FILTERED]
+            for i in range(N_FILTERED):
+                states[k, i] = y[i]
+            for i in range((states.shape[1] - N_FILTERED) // 2):
+                states[k, N_FILTERED + 2 * i] = memory[updates[i], 0]
+                states[k, N_FILTERED + 2 * i + 1] = memory[updates[i], 1]
         if mode == FORCED:
             advance_forced(y, t, dt, steps, u, k, p1, p2, theta, terms, updates, memory, c, s)
         else:

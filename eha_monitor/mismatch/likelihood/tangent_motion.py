@@ -1,0 +1,377 @@
+"""A model's motion between its samples, its rates there and their Jacobian, compiled.
+
+The filter keeps the states after each correction; with the gains they give those before it, and
+with the rates at both ends of a sample the cubic between them.  What is inlined takes plain
+arrays: numba counts references to the members of a tuple at each call.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from eha_monitor.compiled import njit
+from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
+from eha_monitor.mismatch.likelihood.innovations import FREE, N_FILTERED
+from eha_monitor.physics.balances import acceleration, drive_speed, rates
+from eha_monitor.physics.contributions import add_contributions, update_memory
+from eha_monitor.physics.plant import (
+    N_OUTPUTS,
+    Y_FLOW,
+    Y_FORCE,
+    Y_OMEGA,
+    Y_P1,
+    Y_P2,
+    Y_SPEED,
+    Y_V,
+    drive_rate,
+    input_at,
+    piece_at,
+    seen_by_drive,
+    shaft_speed,
+)
+from eha_monitor.physics.signals import (
+    AREA_1,
+    AREA_2,
+    COMMAND_DELAY,
+    DRIVE_LAG,
+    FEEDBACK_DELAY,
+    FORCE,
+    N_CONTRIBUTIONS,
+    N_SIGNALS,
+    OMEGA,
+    P1,
+    P2,
+    SLEW_LIMIT,
+    X_D,
+    M,
+    T,
+    V,
+    X,
+)
+
+N_RATES = 4  # v', p1', p2', omega'
+N_MOVED = 5  # x, v, p1, p2, omega: the states that the rates move
+TINY = 1e-6  # of a state's size: for its derivative
+EARLY, LATE = 0.5 - 0.5 / math.sqrt(3.0), 0.5 + 0.5 / math.sqrt(3.0)  # of a sample: Gauss
+
+
+class Model(NamedTuple):
+    """Parameters of the model at hand.
+
+    ``w`` its circuit, ``slow`` whether its drive lags, by ``lag`` s but no less than ``shortest``;
+    ``terms``, ``updates`` and ``places`` of the effects that add, remember, and remember a place.
+    """
+
+    mode: int
+    dt: float
+    steps: int
+    theta: np.ndarray
+    w: np.ndarray
+    slow: bool
+    lag: float
+    shortest: float
+    terms: np.ndarray
+    updates: np.ndarray
+    places: np.ndarray
+
+
+class Motion(NamedTuple):
+    """What the model did along a stretch.
+
+    u, p1, p2 : inputs as :func:`innovate` takes them.
+    states, ends : (n, N_FILTERED + 2 E) after, and before each correction (n, N_FILTERED); the
+        former with the memories of the E ``updates``.
+    slopes, slopes_end : (n, N_MOVED) the moved states' rates there.
+    """
+
+    u: np.ndarray
+    p1: np.ndarray
+    p2: np.ndarray
+    states: np.ndarray
+    ends: np.ndarray
+    slopes: np.ndarray
+    slopes_end: np.ndarray
+
+
+@njit
+def contribute(s, theta, terms, memory, c):
+    """:func:`add_contributions`, compiled once."""
+    add_contributions(s, theta, terms, memory, c)
+
+
+@njit
+def remembered(s, theta, updates, h, memory):
+    """:func:`update_memory`, compiled once."""
+    update_memory(s, theta, updates, h, memory)
+
+
+@njit(forceinline=True)
+def between(a, b, da, db, dt, f):
+    """Return the cubic from a to b with slopes da, db at ``f`` of the sample."""
+    return a + f * (da * dt + f * (3.0 * (b - a) - (2.0 * da + db) * dt
+                                   + f * (2.0 * (a - b) + (da + db) * dt)))
+
+
+@njit(forceinline=True)
+def state_at(states, ends, slopes, slopes_end, dt, k, f, y):
+    """Write the moved states at ``f`` of sample k."""
+    for i in range(N_MOVED):
+        y[i] = between(states[k, i], ends[k + 1, i], slopes[k, i], slopes_end[k + 1, i], dt, f)
+
+
+@njit(forceinline=True)
+def was(states, ends, slopes, slopes_end, i, dt, place):
+    """Return state ``i`` at ``place`` samples after the first; before it all rests."""
+    j = min(max(math.floor(place), 0), states.shape[0] - 2)
+    f = min(max(place - j, 0.0), 1.0)
+    return between(states[j, i], ends[j + 1, i], slopes[j, i], slopes_end[j + 1, i], dt, f)
+
+
+@njit
+def late_by(states, ends, slopes, slopes_end, i, k, delay, dt, steps):
+    """Return state ``i`` as it was ``delay`` s before sample k, before its correction."""
+    if delay == 0.0:
+        return ends[k, i]
+    if delay < 0.0 or k == 0:
+        return ends[k, i] - delay * slopes_end[k, i]
+    if i == 0:
+        return was(states, ends, slopes, slopes_end, i, dt, k - delay / dt)
+    # Of the pressures the filter knows the ends of its steps, and goes straight between them.
+    step = dt / steps
+    j = math.floor(delay / step)
+    f = delay / step - j
+    new = ends[k, i] if j == 0 else was(states, ends, slopes, slopes_end, i, dt, k - j / steps)
+    return (1.0 - f) * new + f * was(states, ends, slopes, slopes_end, i, dt,
+                                     k - (j + 1) / steps)
+
+
+@njit(forceinline=True)
+def told(u, k, f, delay, dt):
+    """Return the input ``f`` into sample k as it reaches the drive."""
+    if delay == 0.0:
+        return piece_at(u, k, f)
+    return input_at(u, 1, k + f - delay / dt)
+
+
+@njit(forceinline=True)
+def lags(w):
+    """Tell whether a drive is slow."""
+    return w[DRIVE_LAG] > 0.0 or w[SLEW_LIMIT] < np.inf
+
+
+@njit(forceinline=True)
+def wanted_speed(value, late, theta, w):
+    """Return the shaft speed that the drive wants, within its limit, rad/s."""
+    return shaft_speed(drive_speed(value, seen_by_drive(late, late, w), theta, w), w)
+
+
+@njit(forceinline=True)
+def ahead_of(states, ends, slopes, slopes_end, delay, dt, k, f, x, v):
+    """Return by how much the position ``delay`` s ago exceeds x - T v, m; nil within a sample."""
+    if delay <= 0.0 or k + f - delay / dt > k:
+        return 0.0
+    return was(states, ends, slopes, slopes_end, 0, dt, k + f - delay / dt) - x + delay * v
+
+
+@njit(forceinline=True)
+def balanced(mode, value, y, turning, force, flow, theta, c, out):
+    """Write v', p1', p2' at given contributions and unknown force and flow."""
+    c[FORCE] += force
+    if mode == FORCED:
+        out[0], out[1], out[2] = acceleration(value, y[1], theta, c), 0.0, 0.0
+    else:
+        out[0], out[1], out[2] = rates(y[1], y[2], y[3], turning, flow, theta, c)
+    c[FORCE] -= force
+
+
+@njit(forceinline=True)
+def course(mode, slow, lag, theta, w, terms, y, unknown, t, value, behind, memory, s, c, out):
+    """Write the rates at a state and leave the signals there in ``s``; return the shaft's speed.
+
+    Parameters
+    ----------
+    y : (N_MOVED,) state; unknown : (3,) force, flow, speed.
+    value, behind : input as it reaches the drive; of :func:`ahead_of`.
+    memory, s, c : the effects' memory and scratch.
+    out : (N_RATES,) written.
+    """
+    turning = value
+    out[3] = 0.0
+    if mode == CLOSED:
+        turning = wanted_speed(value, y[0] - w[FEEDBACK_DELAY] * y[1] + behind, theta, w)
+        if slow:
+            out[3] = drive_rate(turning, y[4], lag, w[SLEW_LIMIT])
+            turning = y[4]
+    turning += unknown[2]
+    if mode == FORCED:
+        turning = 0.0
+    if len(terms):
+        s[T], s[X], s[V], s[P1], s[P2] = t, y[0], y[1], y[2], y[3]
+        s[OMEGA], s[X_D] = turning, (0.0 if mode == FORCED else value)
+        contribute(s, theta, terms, memory, c)
+    balanced(mode, value, y, turning, unknown[0], unknown[1], theta, c, out)
+    return turning
+
+
+@njit
+def jacobian(mode, slow, lag, theta, w, terms, y, unknown, span, t, value, behind, memory, s, c,
+             rates, jac):
+    """Write the rates at a state and their derivatives by all filtered states; return the speed.
+
+    span : (N_FILTERED,) the differences, with their sign.
+    rates : (N_RATES,), jac : (N_RATES, N_FILTERED) written.
+    """
+    out = np.empty(N_RATES)
+    turning = course(mode, slow, lag, theta, w, terms, y, unknown, t, value, behind, memory, s, c,
+                     rates)
+    kept = c.copy()
+    for i in range(N_FILTERED):
+        if i in (Y_FORCE, Y_FLOW):  # no effect looks at them
+            force, flow = unknown[0], unknown[1]
+            if i == Y_FORCE:
+                force += span[i]
+            else:
+                flow += span[i]
+            balanced(mode, value, y, turning, force, flow, theta, kept, out)
+            out[3] = rates[3]
+        elif i == Y_SPEED:
+            was_here = unknown[2]
+            unknown[2] += span[i]
+            course(mode, slow, lag, theta, w, terms, y, unknown, t, value, behind, memory, s, c,
+                   out)
+            unknown[2] = was_here
+        elif i == Y_OMEGA and not slow:
+            out[:] = rates
+        else:
+            was_here = y[i]
+            y[i] += span[i]
+            course(mode, slow, lag, theta, w, terms, y, unknown, t, value, behind, memory, s, c,
+                   out)
+            y[i] = was_here
+        for r in range(N_RATES):
+            jac[r, i] = (out[r] - rates[r]) / span[i]
+    c[:] = kept
+    return turning
+
+
+@njit(nogil=True)
+def before_corrections(states, e, gains, role, dt, theta, ends, shifts):
+    """Write the states before their correction, (n, N_FILTERED).
+
+    shifts : (n,) written: half the pressure difference that a role took from the sensors, Pa.
+    """
+    for k in range(states.shape[0]):
+        at = min(k, gains.shape[0] - 1)
+        for i in range(N_FILTERED):
+            ends[k, i] = states[k, i]
+        if role[k] == FREE:
+            continue
+        by_1 = by_2 = 0.0
+        for j in range(N_OUTPUTS):
+            if math.isfinite(e[k, j]):
+                for i in range(N_FILTERED):
+                    ends[k, i] -= gains[at, i, j] * e[k, j]
+                by_1 += gains[at, Y_P1, j] * e[k, j]
+                by_2 += gains[at, Y_P2, j] * e[k, j]
+        if role[k] > 0.0 and math.isfinite(e[k, 2]) and math.isfinite(e[k, 3]):
+            half = 0.5 * role[k] * (e[k, 2] - by_1 - e[k, 3] + by_2)
+            shifts[k] = half
+            ends[k, Y_P1] -= half
+            ends[k, Y_P2] += half
+            ends[k, Y_V] -= 0.5 * dt * half * (theta[AREA_1] + theta[AREA_2]) / theta[M]
+
+
+@njit(forceinline=True)
+def recall(states, updates, k, memory):
+    """Write the effects' memory after the correction of sample k."""
+    for i in range(len(updates)):
+        memory[updates[i], 0] = states[k, N_FILTERED + 2 * i]
+        memory[updates[i], 1] = states[k, N_FILTERED + 2 * i + 1]
+
+
+@njit(nogil=True)
+def slopes_along(model, motion, memory):
+    """Write the rates (x', v', p1', p2', omega') after and before each correction."""
+    mode, dt, _, theta, w, slow, lag, _, terms, updates, places = model
+    u, p1, p2, states, ends, slopes, slopes_end = motion
+    n = states.shape[0]
+    s, c, out = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS), np.zeros(N_RATES)
+    y, unknown = np.zeros(N_MOVED), np.zeros(3)
+    for k in range(n):
+        for side in range(2):
+            here = k + side
+            if here == n:
+                break
+            for i in range(N_MOVED):
+                y[i] = states[k, i] if side == 0 else ends[here, i]
+            for i in range(3):
+                unknown[i] = states[k, N_MOVED + i]
+            if mode == FORCED:
+                y[2], y[3] = p1[here], p2[here]
+            recall(states, updates, here, memory)
+            if side == 1:  # its place was corrected with the position
+                for which in places:
+                    memory[which, 1] -= states[here, 0] - ends[here, 0]
+            value = told(u, k, float(side), w[COMMAND_DELAY], dt)
+            behind = ahead_of(states, ends, slopes, slopes_end, w[FEEDBACK_DELAY], dt, k,
+                              float(side), y[0], y[1])
+            course(mode, slow, lag, theta, w, terms, y, unknown, here * dt, value, behind, memory,
+                   s, c, out)
+            written = slopes if side == 0 else slopes_end
+            written[here, 0] = y[1]
+            for i in range(N_RATES):
+                written[here, 1 + i] = out[i]
+    slopes_end[0] = slopes[0]
+
+
+@njit(nogil=True)
+def jacobians(model, motion, size, memory, jacs):
+    """Write the rates' Jacobians of each sample, (m, N_RATES, N_FILTERED).
+
+    Differences span what the state moves in the sample: what turns over counts by its mean.
+    """
+    mode, dt, _, theta, w, slow, lag, _, terms, updates, _ = model
+    u, p1, p2, states, ends, slopes, slopes_end = motion
+    s, c, out = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS), np.zeros(N_RATES)
+    y, unknown, span = np.zeros(N_MOVED), np.zeros(3), np.zeros(N_FILTERED)
+    for k in range(min(jacs.shape[0], states.shape[0] - 1)):
+        state_at(states, ends, slopes, slopes_end, dt, k, 0.5, y)
+        for i in range(N_MOVED):
+            span[i] = 0.5 * (ends[k + 1, i] - states[k, i])
+            if abs(span[i]) < TINY * size[i]:
+                span[i] = TINY * size[i]
+        for i in range(3):
+            unknown[i] = states[k, N_MOVED + i]
+            span[N_MOVED + i] = 1e-3 * size[N_MOVED + i]
+        if mode == FORCED:
+            y[2], y[3] = 0.5 * (p1[k] + p1[k + 1]), 0.5 * (p2[k] + p2[k + 1])
+        recall(states, updates, k, memory)
+        value = told(u, k, 0.5, w[COMMAND_DELAY], dt)
+        behind = ahead_of(states, ends, slopes, slopes_end, w[FEEDBACK_DELAY], dt, k, 0.5, y[0],
+                          y[1])
+        jacobian(mode, slow, lag, theta, w, terms, y, unknown, span, (k + 0.5) * dt, value, behind,
+                 memory, s, c, out, jacs[k])
+
+
+@njit(nogil=True)
+def turns_over(model, motion, jacs, constant, typical, limits, hard):
+    """Mark the samples in which an effect turns over, (n,) bool.
+
+    typical : (N_RATES,) size of each rate.
+    limits : of what an effect adds to a rate in a sample by its own slope, over the rate's size;
+        of decay in a sample, and of angle squared, that are an effect's alone.
+    """
+    dt = model.dt
+    sudden, stiff, spring = limits
+    states, ends = motion.states, motion.ends
+    for k in range(len(hard) - 1):
+        for r in range(N_RATES):
+            for i in range(N_MOVED):
+                more = abs(jacs[k, r, i] - constant[r, i])
+                if more * abs(ends[k + 1, i] - states[k, i]) > sudden * typical[r]:
+                    hard[k] = True
+            if dt * abs(jacs[k, r, 1 + r] - constant[r, 1 + r]) > stiff:
+                hard[k] = True
+        if dt * dt * abs(jacs[k, 0, 0] - constant[0, 0]) > spring:
+            hard[k] = True
