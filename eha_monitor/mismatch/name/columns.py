@@ -17,6 +17,7 @@ import numpy as np
 from eha_monitor.mismatch.data.experiment import Experiment, damping_steps
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, filtered, innovations, spread, step_of
+from eha_monitor.mismatch.likelihood.tangents import Lane, along, can
 from eha_monitor.mismatch.name.base import base_free, timing_free
 from eha_monitor.mismatch.name.starts import (
     Start,
@@ -182,6 +183,17 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True) -> Column
     rough = coarse(experiment)
     plain = runs_of(rough, fit.theta, fit.active, fit.gains)
 
+    lanes = [Lane(*move) for move in moves]
+    able = [i for i, lane in enumerate(lanes) if can(experiment, fit, lane)]
+    if able:
+        for into, found in zip(values, along(experiment, fit, [lanes[i] for i in able]),
+                               strict=True):
+            into[:, :, [1 + i for i in able]] = found
+    keep = [True] * len(moves)
+    for place in able:
+        keep[place] = all(bool(np.nanmax(np.abs(into[:, :, 1 + place]), initial=0.0) < ASTRAY)
+                          for into in values)
+
     def one(place: int) -> bool:
         theta, active, units = moves[place]
         good = True
@@ -193,7 +205,9 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True) -> Column
             into[:, :, 1 + place] = run if good else 0.0
         return good
 
-    keep = spread(one, range(len(moves)))
+    others = [i for i in range(len(moves)) if i not in set(able)]
+    for place, good in zip(others, spread(one, others), strict=True):
+        keep[place] = good
     for into, part in zip(values, present, strict=True):
         into[:, :, 0] = part
     if terms:
@@ -206,7 +220,7 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True) -> Column
     copies = tuple((1 + i, BEYOND) for i in wrong)
     what += [Column(what[i].name, -1 if what[i].name in fit.named else 0, what[i].name,
                     free=what[i].free, size=True) for i in wrong]
-    return Columns(tuple(what), values, len(moves) + 1, copies)
+    return Columns(tuple(what), values, len(others) + 2, copies)
 
 
 def effects_of(fit: Fit) -> tuple[str, ...]:
