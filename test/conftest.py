@@ -78,3 +78,11 @@ def rubbing():
     from mismatch_tools import diagnosed
 
     return diagnosed("coulomb_friction")
+
+
+@pytest.fixture(scope="session")
+def gapped():
+    """The diagnosis of a recording with a load between two stops that no entry describes."""
+    from mismatch_tools import diagnosed
+
+    return diagnosed("gapped_load")

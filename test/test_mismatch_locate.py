@@ -155,8 +155,7 @@ def test_named_effects_share_by_their_evidence_and_sensors_have_a_curve():
     ("drive_lag", "rad/s", "pump_speed", None), ("turbulent_leakage", "m³/s",
                                                 "pressure_difference", None),
     ("external_leakage", "m³/s", "position", None),
-    pytest.param("position_scale", "m", "position", 0.03, marks=pytest.mark.xfail(
-        reason="the curve of a sensor's scale bends beside that of the model")),
+    ("position_scale", "m", "position", 0.03),
 ])
 def test_measured_follows_modelled_where_the_name_is_right(effect, unit, against, size):
     case = fitted(effect, motion="rich" if effect == "external_leakage" else "short")
