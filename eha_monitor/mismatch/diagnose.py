@@ -167,6 +167,10 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
     if naming.loads:
         effects = (*effects, intermittent(naming))
     wrong = rig_findings(experiment, naming)
+    if verdict == "mismatch":  # what is less likely than not is no answer
+        effects = tuple(effect for effect in effects if not effect.probability < LIKELY)
+        wrong = tuple(finding for finding in wrong if not finding.probability < LIKELY)
+        verdict = verdict if effects or wrong else "consistent"
     if verdict == "unexplained":  # what takes away a small part only is a confident wrong name
         effects = effects if explained >= LARGE_PART else ()
         wrong = wrong if explained >= LARGE_PART else ()
@@ -185,7 +189,7 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         where = balance_show.location_of(experiment, effects, terms, closed)
         curves = tuple(curve for term in terms for curve in locate.curves_of(experiment, term))
     else:
-        terms = missing_terms(experiment, before, after)
+        terms = missing_terms(experiment, before, after if effects else None)
         where = locate.location_of(experiment, before, after, evidence,
                                    terms if verdict == "mismatch" else None)
         curves = locate.latent_curves(experiment, before, after, terms)

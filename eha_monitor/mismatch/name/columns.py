@@ -18,7 +18,6 @@ from eha_monitor.mismatch.data.experiment import Experiment, damping_steps
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, filtered, innovations, spread, step_of
 from eha_monitor.mismatch.likelihood.tangents import Lane, along, can
-from eha_monitor.mismatch.name.base import base_free, timing_free
 from eha_monitor.mismatch.name.starts import (
     Start,
     directions_of,
@@ -113,11 +112,6 @@ def rig_free(experiment: Experiment) -> tuple[Free, ...]:
     return tuple(found)
 
 
-def always_free(experiment: Experiment) -> tuple[Free, ...]:
-    """Return what every model fits: base parameters, small timing errors, the rig's numbers."""
-    return base_free(experiment) + timing_free(experiment) + rig_free(experiment)
-
-
 def runs_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray, gains: np.ndarray
             ) -> list[np.ndarray]:
     """Return the innovations of the used channels at all samples, (n, c) for each stretch."""
@@ -191,17 +185,19 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True) -> Column
             into[:, :, [1 + i for i in able]] = found
     keep = [True] * len(moves)
     for place in able:
-        keep[place] = all(bool(np.nanmax(np.abs(into[:, :, 1 + place]), initial=0.0) < ASTRAY)
-                          for into in values)
+        keep[place] = all(tame(into[:, :, 1 + place], part)
+                          for into, part in zip(values, present, strict=True))
+        for into in values if not keep[place] else ():
+            into[:, :, 1 + place] = 0.0
 
     def one(place: int) -> bool:
         theta, active, units = moves[place]
         good = True
-        for into, run, before in zip(values, runs_of(rough, theta, active, fit.gains), plain,
-                                     strict=True):
+        for into, run, before, part in zip(values, runs_of(rough, theta, active, fit.gains),
+                                           plain, present, strict=True):
             np.subtract(run, before, out=run)
             run /= units
-            good &= bool(np.nanmax(np.abs(run), initial=0.0) < ASTRAY)
+            good &= tame(run, part)
             into[:, :, 1 + place] = run if good else 0.0
         return good
 
@@ -221,6 +217,11 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True) -> Column
     what += [Column(what[i].name, -1 if what[i].name in fit.named else 0, what[i].name,
                     free=what[i].free, size=True) for i in wrong]
     return Columns(tuple(what), values, len(others) + 2, copies)
+
+
+def tame(column: np.ndarray, present: np.ndarray) -> bool:
+    """Tell whether a column (n, c) is a number wherever something was measured."""
+    return bool((np.abs(column[np.isfinite(present)]) < ASTRAY).all())
 
 
 def effects_of(fit: Fit) -> tuple[str, ...]:

@@ -270,6 +270,8 @@ class Level:
             k = len(r.groups[member])
             part, side = block[at : at + k, at : at + k], q[at : at + k]
             at += k
+            if not (np.isfinite(part).all() and (np.diag(part) > 0.0).all()):
+                continue
             if k == 1:
                 gain = 0.5 * side[0] ** 2 / part[0, 0] - 0.5 * np.log(part[0, 0])
             else:

@@ -173,7 +173,7 @@ def proposals_of(found: list[Ranked], own: float, seen: Seen) -> list[Ranked]:
     better = [one for one in named if one.evidence > own]
     if not better:
         return []
-    own = max(own, better[-1].evidence)
+    own = own if np.isfinite(own) else better[-1].evidence
     enough = own + MOST_OF * (better[0].evidence - own)
     able = [one for one in better if one.evidence >= enough]
     size = min(len(one.names) for one in able)
@@ -351,7 +351,9 @@ def finish(experiment: Experiment, seen: Seen) -> None:
     scores = seen.scores()
     best = seen.best()
     near = [names for names in sorted(scores, key=lambda names: -scores[names])
-            if names and scores[names] > scores[best] - WITHIN_REACH][:FINALISTS]
+            if scores[names] > scores[best] - WITHIN_REACH][:FINALISTS]
+    if frozenset() not in near and scores[frozenset()] > scores[best] - WITHIN_REACH:
+        near.append(frozenset())  # that nothing is missing is never judged by half a fit
     level = seen.fits[best].unknowns
 
     def ended(names: frozenset[str]) -> Fit:
