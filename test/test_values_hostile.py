@@ -187,8 +187,6 @@ def test_any_values_through_the_command_line(recording, tmp_path, capfd):
             assert capfd.readouterr().err.count("\n") <= 1
 
 
-@pytest.mark.xfail(strict=False, reason="rank.Level.gains takes the logarithm of a Schur "
-                   "complement that rounding has made negative")
 def test_a_breakdown_of_the_numbers_is_one_line_that_names_the_recording(recording):
     """Within the limits, and still nothing that a filter's gains can be computed from."""
     channels = copies(recording)

@@ -307,6 +307,8 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
     experiment, first = resolved_nominal(experiment)
     seen = Seen(experiment.inverse)
     seen.add(experiment, frozenset(), first)
+    if not seen.evidence:
+        raise np.linalg.LinAlgError("the nominal model's likelihood is singular")
     view: Linearised | None = None
     for turn in range(ROUNDS):
         say(f"weighing all sets, round {turn + 1}", 0.1 + 0.12 * turn)
