@@ -17,10 +17,14 @@ class Tolerance(Section):
     data sheet gives, a factor.
     """
 
-    area_1: float = Field(0.005, **_RELATIVE, description="of area_1, relative")
-    area_2: float = Field(0.005, **_RELATIVE, description="of area_2, relative")
-    volume_1: float = Field(0.1, **_RELATIVE, description="of volume_1, relative")
-    volume_2: float = Field(0.1, **_RELATIVE, description="of volume_2, relative")
+    area_1: float = Field(0.005, **_RELATIVE,
+                          description="of the piston area of chamber 1, relative")
+    area_2: float = Field(0.005, **_RELATIVE,
+                          description="of the piston area of chamber 2, relative")
+    volume_1: float = Field(0.1, **_RELATIVE,
+                          description="of the oil volume of chamber 1, relative")
+    volume_2: float = Field(0.1, **_RELATIVE,
+                          description="of the oil volume of chamber 2, relative")
     mass: float = Field(0.05, **_RELATIVE, description="of the mass, relative")
     leakage: float = Field(3.0, **_FACTOR, description="of the leakage, a factor")
     pump_displacement: float = Field(0.03, **_RELATIVE,

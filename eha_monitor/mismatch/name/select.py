@@ -149,6 +149,8 @@ def levels_of(experiment: Experiment, fit: Fit) -> list[Unknowns]:
 def nominal_model(experiment: Experiment) -> Fit:
     """Fit the nominal model, first with unknowns so large that it cannot run away."""
     held = polished(experiment, begun(experiment, FIRST), Slopes(experiment), 8, 0.5)
+    if not held.gains.size or not np.isfinite(held.log_likelihood):
+        raise np.linalg.LinAlgError("the nominal model's likelihood is singular")
     small = limits_of(experiment)[0].as_array()
     if experiment.inverse or (at_level(experiment, held).unknowns.as_array()
                               > LEANING * small).any():
@@ -308,7 +310,7 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
     seen = Seen(experiment.inverse)
     seen.add(experiment, frozenset(), first)
     if not seen.evidence:
-        raise np.linalg.LinAlgError("the nominal model's likelihood is singular")
+        raise np.linalg.LinAlgError("the nominal model's evidence is singular")
     view: Linearised | None = None
     for turn in range(ROUNDS):
         say(f"weighing all sets, round {turn + 1}", 0.1 + 0.12 * turn)
@@ -345,6 +347,29 @@ def tight(one: Ranked, fit: Fit) -> bool:
     return bool(0.09 < ratio.min() < 0.5)
 
 
+def crossed(fit: Fit, best: Fit) -> Fit | None:
+    """Return a model that starts where the best one stands, with its own effect of one kind.
+
+    Rivals of one family share their shapes; each is judged from the same place.  None where the
+    two do not differ by one effect of a family.
+    """
+    mine, other = set(fit.named) - set(best.named), set(best.named) - set(fit.named)
+    if len(mine) != 1 or len(other) != 1:
+        return None
+    one, two = (CATALOGUE.get(next(iter(names))) for names in (mine, other))
+    if one is None or two is None or not one.family or one.family != two.family:
+        return None
+    theta = fit.theta.copy()
+    there = {f.name: f for f in best.free}
+    for f in fit.free:
+        effect, _, symbol = f.name.partition(".")
+        same = there.get(f"{two.name}.{symbol}" if effect == one.name else f.name)
+        size = effect == one.name and symbol in {p.name for p in one.sizes}
+        if same is not None and not size:
+            theta[f.place] = f.outward(f.inward(best.theta[same.place]))
+    return replace(fit, theta=theta, converged=False)
+
+
 def finish(experiment: Experiment, seen: Seen) -> None:
     """Fit the sets that are within reach of the best to the end, under the same unknowns.
 
@@ -362,7 +387,12 @@ def finish(experiment: Experiment, seen: Seen) -> None:
         fit = seen.fits[names]
         if not experiment.inverse and fit.unknowns != level:
             fit = with_unknowns(experiment, fit, level)
-        return settled(experiment, replace(fit, converged=False))
+        whole = settled(experiment, replace(fit, converged=False))
+        other = crossed(fit, seen.fits[best])
+        if other is None:
+            return whole
+        other = settled(experiment, with_unknowns(experiment, other, level))
+        return max(whole, other, key=lambda one: one.log_likelihood)
 
     for names, fit in zip(near, spread(ended, near), strict=True):
         if evidence_of(experiment, fit) > seen.evidence[names] + 1.0:
