@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.data.inputs import FORCED, OPEN
 from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.name.acceptance import (
@@ -142,7 +143,13 @@ def beyond_form(experiment: Experiment, before: Fit, after: Fit, needs: Unknowns
         return 0.0
     small = limits_of(experiment)[0].as_array()
     needed, still = (level.as_array() / small for level in (before.unknowns, needs))
-    ratio = float((still / np.maximum(FORM_LEAST, FORM_SHARE * needed)).max())
+    least = np.maximum(FORM_LEAST, FORM_SHARE * needed)
+    if experiment.mode == FORCED:  # the noise of what measures the force acts like a force
+        least[0] = max(least[0], experiment.input_noise / small[0])
+    elif experiment.mode == OPEN:  # and that of a measured pump speed like a flow
+        flow = experiment.input_noise * (experiment.settings.rig.pump_displacement or 0.0)
+        least[1] = max(least[1], flow / small[1])
+    ratio = float((still / least).max())
     odds = (ratio / BEYOND_FORM) ** 4
     # Only what the recording asks for counts: where unknowns gain nothing their size says nothing.
     present = runs_of(experiment, after.theta, after.active, after.gains)
