@@ -44,6 +44,7 @@ from eha_monitor.physics.parameters import place_of
 from eha_monitor.quantity import number, quantity, side_by_side
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
+from eha_monitor.words import listed
 
 LEAST_MOTION = 20.0  # times the position's noise: less motion says nothing
 LARGE_PART = 0.5  # of the evidence: what an effect must take away to be named beside an unknown
@@ -259,11 +260,6 @@ def intermittent(naming: Naming) -> NamedEffect:
         "F(t), constant over stretches of time", "Look at what touches the rod at these times.",
         quantity(abs(largest), "N", 2), naming.probability[INTERMITTENT],
         tuple((start, stop) for start, stop, _ in naming.loads))
-
-
-def listed(words: list[str]) -> str:
-    """Return words as one writes them in a row."""
-    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
 def rivals_of(experiment: Experiment, naming: Naming, name: str) -> tuple[str, ...]:

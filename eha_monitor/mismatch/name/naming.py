@@ -24,8 +24,9 @@ from eha_monitor.mismatch.name.base import limits_of
 from eha_monitor.mismatch.name.columns import runs_of
 from eha_monitor.mismatch.name.gram import evidence_at
 from eha_monitor.mismatch.name.polish import Slopes, polished
+from eha_monitor.mismatch.name.rank import is_named
 from eha_monitor.mismatch.name.refit import discrepancy, settled
-from eha_monitor.mismatch.name.select import Selection, selected
+from eha_monitor.mismatch.name.select import Selection, own_in, selected
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT, loads_of
 from eha_monitor.physics.effects import CATALOGUE
 
@@ -66,11 +67,6 @@ class Naming:
     explained: float = np.nan
 
 
-def is_named(name: str) -> bool:
-    """Tell whether a suspect is an entry of the catalogue or a number of the rig."""
-    return name in CATALOGUE or name.startswith("rig.")
-
-
 def posterior(found: Selection) -> dict[Names, float]:
     """Return the probability of every set that was seen, refitted or by the linear guess.
 
@@ -78,7 +74,7 @@ def posterior(found: Selection) -> dict[Names, float]:
     """
     seen = found.seen
     scores = seen.scores()
-    own = next((one for one in found.ranking if one.names == found.here), None)
+    own = own_in(found.ranking, found.here)
     if own is not None:
         start = seen.evidence[found.here] - (own.evidence - own.prior)
         for one in found.ranking:
@@ -127,11 +123,6 @@ def at_config(experiment: Experiment, fit: Fit) -> Fit:
     return replace(plain, free=fit.free, covariance=fit.covariance)
 
 
-def own_evidence(found: Selection) -> float:
-    """Return the evidence of the best model in the last ranking."""
-    return next((one.evidence for one in found.ranking if one.names == found.seen.best()), -np.inf)
-
-
 def beyond_form(experiment: Experiment, before: Fit, after: Fit, needs: Unknowns) -> float:
     """Return the probability that a model's unknowns are more than its form error.
 
@@ -177,7 +168,7 @@ def name_effects(experiment: Experiment, report: Report | None = None) -> Naming
     say = report or (lambda text, share: None)
     found = selected(experiment, say)
     say("fitting the nominal model to the end", 0.9)
-    before = settled(found.experiment, replace(found.nominal, converged=False))
+    before = settled(found.experiment, found.nominal)
     return naming_of(found.experiment, found, before)
 
 
@@ -193,7 +184,7 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
         near = [other for other in sorted(stands, key=lambda other: -stands[other])
                 if stands[other] >= RIVAL and is_named(other)]
         twin = CATALOGUE[name].rig_twin if name in CATALOGUE else next(
-            (f"{other}" for other, entry in CATALOGUE.items()
+            (other for other, entry in CATALOGUE.items()
              if f"rig.{entry.rig_twin}" == name), "")
         if twin and twin not in near and f"rig.{twin}" not in near:
             near.append(twin)
@@ -216,7 +207,8 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
             value for place, value in sorted(one.amplitudes.items())
             if found.what[place].owner == INTERMITTENT]))
         probability[INTERMITTENT], rivals[INTERMITTENT] = acting, ()
-        evidence[INTERMITTENT] = max(one.evidence - own_evidence(found), 0.0)
+        own = own_in(found.ranking, best)
+        evidence[INTERMITTENT] = max(one.evidence - own.evidence, 0.0) if own else np.inf
         unnamed, needs = unnamed - acting, one.gram.unknowns
     beyond = beyond_form(experiment, before, after, needs)
     probability = {name: value * (1.0 - beyond) for name, value in probability.items()}

@@ -1,7 +1,5 @@
 """The nominal model, fitted to the end: what a recording is compared with."""
 
-from dataclasses import replace
-
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.name.refit import settled
@@ -11,4 +9,4 @@ from eha_monitor.mismatch.name.select import resolved_nominal
 def nominal(experiment: Experiment) -> tuple[Experiment, Fit]:
     """Fit the nominal model; returns the experiment with steps that resolve the B it finds."""
     experiment, first = resolved_nominal(experiment)
-    return experiment, settled(experiment, replace(first, converged=False))
+    return experiment, settled(experiment, first)

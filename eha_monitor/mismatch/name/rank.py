@@ -300,6 +300,11 @@ def limited(name: str) -> bool:
                                      for p in CATALOGUE[name].sizes)
 
 
+def is_named(name: str) -> bool:
+    """Tell whether a suspect is an entry of the catalogue or a number of the rig."""
+    return name in CATALOGUE or name.startswith("rig.")
+
+
 def twins(one: str, other: str) -> bool:
     """Tell whether an effect and a number of the rig are one equation."""
     return any(name in CATALOGUE and f"rig.{CATALOGUE[name].rig_twin}" == key

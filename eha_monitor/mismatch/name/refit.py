@@ -133,9 +133,8 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
             theta[f.place] = f.outward(now)
         elif column.owner.startswith("rig."):
             theta[f.place] = f.outward(f.inward(theta[f.place]) + BEYOND * amplitude * f.spread)
-        else:
-            if own_sizes(column.start):
-                values[column.name] = guess(column, amplitude)
+        elif own_sizes(column.start):
+            values[column.name] = guess(column, amplitude)
     free = [f for f in free if not f.name.startswith("rig.")] + informed(
         experiment, what, ranked)
     for member in ranked.members:
@@ -230,8 +229,7 @@ def evidence_of(experiment: Experiment, fit: Fit) -> float:
     """
     likelihood = fit.log_likelihood - 0.5 * fit.e.size
     if experiment.inverse:
-        prior = prior_exponent(fit.free, fit.theta)
-        likelihood = prior
+        likelihood = prior_exponent(fit.free, fit.theta)
         for column in fit.e.T:
             rows = column[np.isfinite(column)]
             likelihood -= len(rows) * (0.5 + np.log(np.sqrt(np.mean(rows**2))))

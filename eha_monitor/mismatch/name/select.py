@@ -12,7 +12,7 @@ from eha_monitor.mismatch.name.base import limits_of
 from eha_monitor.mismatch.name.columns import Column, columns_at
 from eha_monitor.mismatch.name.gram import grams_of, lasting
 from eha_monitor.mismatch.name.polish import Slopes, polished
-from eha_monitor.mismatch.name.rank import Ranked, best_over, ranked_at
+from eha_monitor.mismatch.name.rank import Ranked, best_over, is_named, ranked_at
 from eha_monitor.mismatch.name.refit import (
     at_level,
     begun,
@@ -162,8 +162,7 @@ def with_names(found: list[Ranked]) -> list[Ranked]:
     """Return the best set of each set of names that the catalogue or the rig has."""
     seen, chosen = set(), []
     for one in found:
-        if all(name in CATALOGUE or name.startswith("rig.") for name in one.names) \
-                and one.names not in seen:
+        if all(map(is_named, one.names)) and one.names not in seen:
             seen.add(one.names)
             chosen.append(one)
     return chosen
@@ -367,7 +366,7 @@ def crossed(fit: Fit, best: Fit) -> Fit | None:
         size = effect == one.name and symbol in {p.name for p in one.sizes}
         if same is not None and not size:
             theta[f.place] = f.outward(f.inward(best.theta[same.place]))
-    return replace(fit, theta=theta, converged=False)
+    return replace(fit, theta=theta)
 
 
 def finish(experiment: Experiment, seen: Seen) -> None:
@@ -387,7 +386,7 @@ def finish(experiment: Experiment, seen: Seen) -> None:
         fit = seen.fits[names]
         if not experiment.inverse and fit.unknowns != level:
             fit = with_unknowns(experiment, fit, level)
-        whole = settled(experiment, replace(fit, converged=False))
+        whole = settled(experiment, fit)
         other = crossed(fit, seen.fits[best])
         if other is None:
             return whole

@@ -11,6 +11,7 @@ from eha_monitor.mismatch.name.base import TIMING
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import effect_values
 from eha_monitor.quantity import quantity
+from eha_monitor.words import effect_words
 
 # Parameters in seconds that the sensors' own lags cannot be told from.
 TIMED = ("command_delay.T", "position_delay.T", "pressure_delay.T", "feedback_delay.T",
@@ -123,11 +124,6 @@ def quantised(experiment: Experiment) -> NamedEffect | None:
                        entry.rig_check, quantity(step, "m", 3))
 
 
-def spoken(name: str) -> str:
-    """Return the name of an effect as it stands in a sentence."""
-    return name.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
-
-
 def health_sentences(experiment: Experiment, before: dict[str, Value], after: dict[str, Value],
                      effects: tuple[NamedEffect, ...]) -> tuple[str, ...]:
     """Return in plain words what the mismatch did to the health estimates."""
@@ -140,7 +136,7 @@ def health_sentences(experiment: Experiment, before: dict[str, Value], after: di
         change = first.value - then
         if abs(change) < NOTABLE * abs(then) or abs(change) < 3.0 * after[name].stddev:
             continue
-        cause = " and ".join(f"{effect.size} of {spoken(effect.name)}".strip()
+        cause = " and ".join(f"{effect.size} of {effect_words(effect.name)}".strip()
                              for effect in plant[:3])
         read = f"{HEALTH_WORDS[name]} read {quantity(first.value, first.unit, 3)}"
         sense = "not wear" if name == "B" else "not the fluid"
