@@ -20,7 +20,6 @@ from eha_monitor.mismatch.name.gram import (
     lasting,
     mapped,
     power_at,
-    remap,
     under,
 )
 
@@ -62,17 +61,19 @@ def test_of_a_linear_plant_the_map_is_exact(seed):
     old, new = plant.filtered(plant.old), plant.filtered(plant.new)
     given = np.where(plant.missing[:, :, None], 0.0, old)
     out = np.empty_like(given)
-    mapped(given, plant.missing, plant.a, plant.h, plant.old, plant.new, out)
+    mapped(given, plant.missing, plant.a, plant.h, plant.old, plant.new, np.eye(2), 0,
+           np.zeros((4, 3)), out)
     assert out == pytest.approx(new, abs=1e-9)
 
     white = np.einsum("ij,kjl->kil", plant.w, new)[plant.counted]
-    products, counts = np.zeros((2, 3, 3)), np.zeros(2)
-    for length in (7, 1024):  # in blocks that do and do not hold all of it
-        products[:], counts[:] = 0.0, 0.0
-        remap(given, plant.missing, plant.counted, plant.a, plant.h, plant.old, plant.new, plant.w,
-              np.zeros((2, length, 3)), products, counts)
-        assert products == pytest.approx(np.einsum("kil,kim->ilm", white, white), rel=1e-9)
-        assert list(counts) == list((~plant.missing[plant.counted]).sum(axis=0))
+    delta, first = np.zeros((4, 3)), 0
+    for length in (7, len(given) - 7):  # in pieces that carry the filters' difference on
+        piece = np.empty((length, 2, 3))
+        mapped(given, plant.missing, plant.a, plant.h, plant.old, plant.new, plant.w, first,
+               delta, piece)
+        wanted = np.einsum("ij,kjl->kil", plant.w, new[first : first + length])
+        assert piece == pytest.approx(wanted, abs=1e-9)
+        first += length
     power = power_at(np.ascontiguousarray(given[:, :, 0]), plant.missing, plant.counted, plant.a,
                      plant.h, plant.old, plant.new, plant.w)
     assert power == pytest.approx(float(np.sum(white[:, :, 0] ** 2)), rel=1e-9)
@@ -160,14 +161,14 @@ def test_gram_matrices_hold_the_products_of_the_columns_taken_there(clear):
     experiment, fit = clear
     columns = columns_at(experiment, fit)
     gram, = grams_of(experiment, fit, columns.values, [fit.unknowns], columns.copies)
-    assert gram.products.shape == (len(experiment.columns), *[1 + len(columns.what)] * 2)
+    assert gram.products.shape == (1 + len(columns.what),) * 2
     s = expected_covariance(experiment, fit.theta, fit.active, fit.unknowns, fit.gains)
     here = experiment.stretches[0].counted
     parts = white(experiment, fit, columns.values[0])
     taken = parts.shape[2]
     wanted = np.einsum("kil,kim->lm", parts, parts)
     scale = np.sqrt(np.diag(wanted)) + 1e-12
-    found = gram.products.sum(axis=0)
+    found = gram.products
     assert found[:taken, :taken] / np.outer(scale, scale) == pytest.approx(
         wanted / np.outer(scale, scale), abs=1e-6)
     for extra, (place, factor) in enumerate(columns.copies):
@@ -213,6 +214,5 @@ def test_balances_are_weighed_by_what_is_left_of_them():
     rows[:1000, 1] = np.nan
     gram = balances_gram(fit, rows)
     assert gram.counts == pytest.approx([4000.0, 3000.0], rel=0.02)
-    for j in range(2):
-        assert gram.products[j, 0, 0] == pytest.approx(gram.counts[j], rel=1e-9)
+    assert gram.products[0, 0] == pytest.approx(gram.counts.sum(), rel=1e-9)
     assert gram.logdet == pytest.approx(4000 * np.log(3.0) + 3000 * np.log(1e-6), rel=0.02)

@@ -35,7 +35,7 @@ class Gram:
     Attributes
     ----------
     unknowns : the level.
-    products : (c, m, m), one for each whitened channel; their sum is the Gram matrix.
+    products : (m, m) Gram matrix of the whitened columns, innovations first.
     counts : (c,) samples in each channel.
     logdet : sum over the samples of log det S / 2 that the filter expects.
     """
@@ -47,26 +47,22 @@ class Gram:
 
 
 @njit(nogil=True)
-def remap(columns, missing, counted, a, h, old, new, w, block, products, counts):
-    """Add the products of a stretch's columns under new gains, whitened, to ``products``.
+def mapped(columns, missing, a, h, old, new, w, first, delta, out):
+    """Write columns under new gains, weighed by ``w``, from sample ``first`` on.
 
     Parameters
     ----------
     columns : (n, c, m) under the old gains; NaN nowhere.
-    missing : (n, c) bool, what was not measured; counted : (n,) bool.
+    missing : (n, c) bool, what was not measured.
     a : (N, N), h : (c, N) of the linearised plant; old, new : (., N, c) gains.
-    w : (c, c) whitener.
-    block : (c, BLOCK, m) scratch.
-    products : (c, m, m), counts : (c,) added to.
+    w : (c, c).
+    delta : (N, m) by how much the filters' states differ at ``first``; left as at the end.
+    out : (samples, c, m) written; 0 where nothing was measured, before it is weighed.
     """
-    n, channels, m = columns.shape
+    _, channels, m = columns.shape
     states = a.shape[0]
-    delta = np.zeros((states, m))
-    other = np.zeros((states, m))
-    fresh = np.zeros((channels, m))
-    filled = 0
-    length = block.shape[1]
-    for k in range(n):
+    other, fresh = np.zeros((states, m)), np.zeros((channels, m))
+    for k in range(first, first + len(out)):
         k_old, k_new = old[min(k, old.shape[0] - 1)], new[min(k, new.shape[0] - 1)]
         for j in range(channels):
             if missing[k, j]:
@@ -94,29 +90,20 @@ def remap(columns, missing, counted, a, h, old, new, w, block, products, counts)
                 if value != 0.0:
                     for lane in range(m):
                         other[i, lane] += value * delta[j, lane]
-        delta, other = other, delta
-        if counted[k]:
-            for i in range(channels):
-                row = block[i, filled]
-                row[:] = 0.0
-                for j in range(channels):
-                    value = w[i, j]
-                    if value != 0.0:
-                        for lane in range(m):
-                            row[lane] += value * fresh[j, lane]
-                if not missing[k, i]:
-                    counts[i] += 1.0
-            filled += 1
-        if filled == length or (k == n - 1 and filled > 0):
-            for i in range(channels):
-                part = block[i, :filled]
-                products[i] += np.dot(part.T, part)
-            filled = 0
+        delta[:] = other
+        for i in range(channels):
+            row = out[k - first, i]
+            row[:] = 0.0
+            for j in range(channels):
+                value = w[i, j]
+                if value != 0.0:
+                    for lane in range(m):
+                        row[lane] += value * fresh[j, lane]
 
 
 @njit(nogil=True)
 def power_at(e, missing, counted, a, h, old, new, w):
-    """Return the squared whitened innovations under new gains, summed; see :func:`remap`.
+    """Return the squared whitened innovations under new gains, summed; see :func:`mapped`.
 
     e : (n, c) under the old gains, NaN nowhere.
     """
@@ -155,40 +142,6 @@ def power_at(e, missing, counted, a, h, old, new, w):
     return total
 
 
-@njit(nogil=True)
-def mapped(columns, missing, a, h, old, new, out):
-    """Write columns under new gains, (n, c, m) SI; see :func:`remap`."""
-    n, channels, m = columns.shape
-    states = a.shape[0]
-    delta, other = np.zeros((states, m)), np.zeros((states, m))
-    for k in range(n):
-        k_old, k_new = old[min(k, old.shape[0] - 1)], new[min(k, new.shape[0] - 1)]
-        for j in range(channels):
-            for lane in range(m):
-                out[k, j, lane] = 0.0 if missing[k, j] else columns[k, j, lane]
-            if missing[k, j]:
-                continue
-            for i in range(states):
-                value = h[j, i]
-                if value != 0.0:
-                    for lane in range(m):
-                        out[k, j, lane] -= value * delta[i, lane]
-        for i in range(states):
-            for j in range(channels):
-                if not missing[k, j]:
-                    up, down = k_new[i, j], k_old[i, j]
-                    for lane in range(m):
-                        delta[i, lane] += up * out[k, j, lane] - down * columns[k, j, lane]
-        for i in range(states):
-            other[i] = 0.0
-            for j in range(states):
-                value = a[i, j]
-                if value != 0.0:
-                    for lane in range(m):
-                        other[i, lane] += value * delta[j, lane]
-        delta, other = other, delta
-
-
 def evidence_at(experiment: Experiment, fit: Fit, present: list[np.ndarray], level: Unknowns
                 ) -> float:
     """Return the likelihood of innovations (n, c) at another level, with the expected S."""
@@ -221,7 +174,8 @@ def under(experiment: Experiment, fit: Fit, columns: list[np.ndarray], gains: np
         out = np.empty_like(part)
         mapped(np.nan_to_num(part), ~np.isfinite(part[:, :, 0]), linear.a,
                np.ascontiguousarray(linear.h[used]), np.ascontiguousarray(fit.gains[:, :, used]),
-               np.ascontiguousarray(gains[:, :, used]), out)
+               np.ascontiguousarray(gains[:, :, used]), np.eye(len(used)), 0,
+               np.zeros((len(linear.a), part.shape[2])), out)
         found.append(out)
     return found
 
@@ -250,14 +204,19 @@ def grams_of(experiment: Experiment, fit: Fit, columns: list[np.ndarray],
             w = np.linalg.inv(np.linalg.cholesky(0.5 * (s + s.T)))
         except np.linalg.LinAlgError:
             return None
-        products = np.zeros((len(used), m, m))
-        counts = np.zeros(len(used))
-        old = np.ascontiguousarray(fit.gains[:, :, used])
-        new = np.ascontiguousarray(gains[:, :, used])
-        block = np.zeros((len(used), BLOCK, m))
+        products, counts = np.zeros((m, m)), np.zeros(len(used))
+        old, new, h = (np.ascontiguousarray(part) for part in (
+            fit.gains[:, :, used], gains[:, :, used], linear.h[used]))
+        block = np.empty((BLOCK, len(used), m))
         for stretch, part, gone in zip(experiment.stretches, columns, missing, strict=True):
-            remap(part, gone, stretch.counted, linear.a, np.ascontiguousarray(linear.h[used]),
-                  old, new, w, block, products, counts)
+            counts += (~gone[stretch.counted]).sum(axis=0)
+            delta = np.zeros((len(linear.a), m))
+            for first in range(0, len(part), BLOCK):
+                out = block[: min(BLOCK, len(part) - first)]
+                mapped(part, gone, linear.a, h, old, new, w, first, delta, out)
+                counted = stretch.counted[first : first + len(out)]
+                rows = (out if counted.all() else out[counted]).reshape(-1, m)
+                products += rows.T @ rows
         logdet = -float(counts @ np.log(np.diag(w)))
         return Gram(level, products, counts, logdet)
 
@@ -268,10 +227,10 @@ def extended(gram: Gram, copies: Sequence[tuple[int, float]]) -> Gram:
     """Return the Gram matrix with columns that are others times a factor."""
     if not copies:
         return gram
-    m = gram.products.shape[1]
+    m = len(gram.products)
     places = np.array([*range(m), *(place for place, _ in copies)])
     factors = np.array([*np.ones(m), *(factor for _, factor in copies)])
-    products = gram.products[:, places][:, :, places] * np.outer(factors, factors)
+    products = gram.products[np.ix_(places, places)] * np.outer(factors, factors)
     return replace(gram, products=products)
 
 
@@ -281,11 +240,11 @@ def balances_gram(fit: Fit, columns: np.ndarray) -> Gram:
     They are weighed by what is left of each.
     """
     _, channels, m = columns.shape
-    products, counts, logdet = np.zeros((channels, m, m)), np.zeros(channels), 0.0
+    products, counts, logdet = np.zeros((m, m)), np.zeros(channels), 0.0
     for j in range(channels):
         rows = columns[np.isfinite(columns[:, j, 0]), j]
         scale = max(float(np.sqrt(np.mean(rows[:, 0] ** 2))), 1e-300)
-        products[j] = (rows.T @ rows) / scale**2
+        products += (rows.T @ rows) / scale**2
         counts[j] = len(rows)
         logdet += counts[j] * np.log(scale)
     return Gram(fit.unknowns, products, counts, float(logdet))
@@ -314,7 +273,7 @@ def injected(forcing, missing, a, h, gains, into, out):
     ----------
     forcing : (n, m) each input over the sample that begins there.
     into : (N, m) what a unit of it adds to the state over a sample.
-    a, h, gains : as in :func:`remap`, gains (., N, c).
+    a, h, gains : as in :func:`mapped`, gains (., N, c).
     out : (n, c, m) written; NaN where nothing was measured.
     """
     n, m = forcing.shape

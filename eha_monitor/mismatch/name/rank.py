@@ -97,6 +97,10 @@ class Ranking:
         self.upper = np.array([c.upper for c in what])
         self.size = np.array([c.size for c in what], dtype=bool)
         self.members = list(groups)
+        # Odds that a suspect brings; those of what it replaces are in the set already.
+        self.odds = np.array([self.log_prior(member) - (
+            self.log_prior(Member(member.replaces, -1)) if member.replaces else 0.0)
+            for member in groups])
         # Columns of all suspects, one after the other, and which of them is whose by number.
         self.owned = np.concatenate([np.zeros(0, dtype=int), *self.groups.values()]).astype(int)
         counts = np.array([len(places) for places in groups.values()], dtype=int)
@@ -204,7 +208,7 @@ class Level:
 
     def __init__(self, ranking: Ranking, gram: Gram):
         self.ranking, self.gram = ranking, gram
-        self.whole = gram.products.sum(axis=0)
+        self.whole = gram.products
         self._reduced: dict[tuple[tuple[int, float], ...], Reduced | None] = {}
 
     def reduced(self, fixed: tuple[tuple[int, float], ...] = ()) -> Reduced | None:
@@ -320,36 +324,39 @@ class Level:
              - products[np.ix_(1 + r.owned, 1 + here)] @ a)
         able, gains = r.joining(one.members), []
         for columns, places in r.blocks:  # suspects with as many columns, all at once
-            wanted = able[places]
-            if not wanted.any():
+            which = places[able[places]]
+            if not len(which):
                 continue
-            at = columns[wanted]
+            at = columns[able[places]]
             own = 1 + r.owned[at]
-            part = products[own[:, :, None], own[:, None, :]] + np.eye(at.shape[1])
             w = white[:, at]  # (k, suspects, columns)
-            part = part - np.einsum("kij,kil->ijl", w, w)
-            good = np.isfinite(part).all(axis=(1, 2)) & (
-                np.diagonal(part, axis1=1, axis2=2) > 0.0).all(axis=1)
-            for member, block, side in zip(
-                    (r.members[i] for i in places[wanted][good]), part[good], q[at][good],
-                    strict=True):
-                gain = gained(block, side)
-                if gain is not None:
-                    gains.append((member, gain + r.log_prior(member) - (
-                        r.log_prior(Member(member.replaces, -1)) if member.replaces else 0.0)))
+            part = (products[own[:, :, None], own[:, None, :]] + np.eye(at.shape[1])
+                    - np.einsum("kij,kil->ijl", w, w))
+            gains += [(r.members[i], gain + r.odds[i]) for i, gain in zip(
+                which, gained(part, q[at]).tolist(), strict=True) if np.isfinite(gain)]
         return gains
 
 
-def gained(block: np.ndarray, side: np.ndarray) -> float | None:
-    """Return the evidence that columns add, from their products and those with r; None if none."""
-    if len(side) == 1:
-        return float(0.5 * side[0] ** 2 / block[0, 0] - 0.5 * np.log(block[0, 0]))
-    try:
-        factor = np.linalg.cholesky(block)
-    except np.linalg.LinAlgError:
-        return None
-    y = np.linalg.solve(factor, side)
-    return float(0.5 * y @ y - np.log(np.diag(factor)).sum())
+def gained(blocks: np.ndarray, sides: np.ndarray) -> np.ndarray:
+    """Return the evidence that groups of columns add, (s,); NaN where they are singular.
+
+    blocks : (s, k, k) products of each group, sides : (s, k) those with r.
+    """
+    found = np.full(len(blocks), np.nan)
+    good = np.isfinite(blocks).all(axis=(1, 2)) & (
+        np.diagonal(blocks, axis1=1, axis2=2) > 0.0).all(axis=1)
+    if blocks.shape[1] == 1:
+        one = blocks[good, 0, 0]
+        found[good] = 0.5 * sides[good, 0] ** 2 / one - 0.5 * np.log(one)
+        return found
+    for i in np.flatnonzero(good):
+        try:
+            factor = np.linalg.cholesky(blocks[i])
+        except np.linalg.LinAlgError:
+            continue
+        y = np.linalg.solve(factor, sides[i])
+        found[i] = 0.5 * y @ y - np.log(np.diag(factor)).sum()
+    return found
 
 
 def log_kin(names: Iterable[str]) -> float:

@@ -186,7 +186,7 @@ def informed(experiment: Experiment, what: tuple[Column, ...], ranked: Ranked) -
     The others stay where the config has them: a number that nothing is known of is its prior's.
     """
     here = np.array(sorted(ranked.amplitudes))
-    whole = ranked.gram.products.sum(axis=0)[np.ix_(1 + here, 1 + here)] + np.eye(len(here))
+    whole = ranked.gram.products[np.ix_(1 + here, 1 + here)] + np.eye(len(here))
     deviation = 1.0 / np.sqrt(np.diag(whole))
     own = {f.name: f for f in rig_free(experiment)}
     found = {}
