@@ -204,9 +204,10 @@ def told(rig: RigNumbers, first: Fit, known: dict[str, dict], truth: dict) -> Fi
 
 
 def leaves(experiment: Experiment, fit: Fit) -> bool:
-    """Tell whether a model needs more unknowns than every right one may."""
+    """Tell whether a model needs more unknowns than every right one may, or cannot be followed."""
     small = limits_of(experiment)[0].as_array()
-    return experiment.inverse or bool((fit.unknowns.as_array() > FORM_LEAST * small).any())
+    return (experiment.inverse or not np.isfinite(fit.log_likelihood)
+            or bool((fit.unknowns.as_array() > FORM_LEAST * small).any()))
 
 
 def instead(rig: RigNumbers, after: Fit, name: str, other: str, without: Fit) -> Fit:
