@@ -6,7 +6,7 @@ With innovations r, columns D in units of their priors, prior means m and amplit
     log evidence   = -1/2 (r'r + m'm - q'(G + 1)^-1 q) - 1/2 log det(G + 1) - sum log det S / 2,
 
 G = D'D, q = m - D'r: Laplace's approximation, exact where the model is linear.  What every model
-has is taken out once (a Schur complement); a set is then a small linear solve.
+has is taken out once a level (a Schur complement); a set is then a solve of its few columns.
 """
 
 from collections.abc import Iterable
@@ -86,9 +86,25 @@ class Ranking:
         for member in groups:
             if not member.replaces:
                 self.starts[member.owner] = self.starts.get(member.owner, 0) + 1
+        self.order = {member: i for i, member in enumerate(self.groups)}
+        self.same = np.array([[one.owner == two.owner or twins(one.owner, two.owner)
+                               for two in groups] for one in groups]).reshape((len(groups),) * 2)
+        self.excluded = self.same | np.array(
+            [[two.replaces != one.owner and exclude(one.owner, two.owner) for two in groups]
+             for one in groups], dtype=bool).reshape((len(groups),) * 2)
         self.centre = np.array([c.centre for c in what])
         self.lower = np.array([c.lower for c in what])
         self.upper = np.array([c.upper for c in what])
+        self.size = np.array([c.size for c in what], dtype=bool)
+        self.members = list(groups)
+        # Columns of all suspects, one after the other, and which of them is whose by number.
+        self.owned = np.concatenate([np.zeros(0, dtype=int), *self.groups.values()]).astype(int)
+        counts = np.array([len(places) for places in groups.values()], dtype=int)
+        first = np.cumsum(counts) - counts
+        self.blocks = []
+        for k in sorted(set(counts.tolist())):
+            suspects = np.flatnonzero(counts == k)
+            self.blocks.append((first[suspects][:, None] + np.arange(k), suspects))
 
     def log_prior(self, member: Member) -> float:
         """Return the logarithm of a suspect's prior odds."""
@@ -113,24 +129,21 @@ class Ranking:
 
     def fits(self, members: tuple[Member, ...], other: Member) -> bool:
         """Tell whether a suspect can join: one of a kind, and none that another contains."""
-        if other.replaces and Member(other.replaces, -1) not in members:
-            return False
-        gone = {member.replaces for member in members} | {other.replaces}
+        return bool(self.joining(members)[self.order[other]])
+
+    def joining(self, members: tuple[Member, ...]) -> np.ndarray:
+        """Return which suspects can join a set, bool, in the order of ``groups``.
+
+        What grows out of an effect of the model needs it in the set, and stands in its place.
+        """
+        gone = {member.replaces for member in members if member.replaces}
+        able = np.array([not one.replaces or (
+            one.replaces not in gone and Member(one.replaces, -1) in members)
+            for one in self.groups])
         for member in members:
-            if member.owner == other.owner or twins(member.owner, other.owner):
-                return False
-            if member.owner in gone:
-                if other.replaces and any(one.replaces == other.replaces for one in members):
-                    return False
-                continue
-            one, two = CATALOGUE.get(member.owner), CATALOGUE.get(other.owner)
-            if one and two:
-                if {one.name, *one.contains} & {two.name, *two.contains}:
-                    return False
-            elif not one and not two and not member.owner.startswith("rig.") \
-                    and not other.owner.startswith("rig."):
-                return False  # one unknown function at a time
-        return True
+            row = self.order[member]
+            able &= ~(self.same if member.owner in gone else self.excluded)[row]
+        return able
 
     def at_level(self, gram: Gram) -> list[Ranked]:
         """Return the best sets at one level, best first."""
@@ -167,53 +180,98 @@ class Ranking:
         return sorted(found.values(), key=lambda one: -one.evidence)
 
 
+@dataclass(frozen=True)
+class Reduced:
+    """Products with what every model has taken out; its rows and columns are r, then ``what``.
+
+    Attributes
+    ----------
+    products : (1 + m, 1 + m) of what is left.
+    back : (a, 1 + m) amplitudes of what every model has, per unit of each.
+    free : (a,) places of these; ``fixed`` place -> amplitude of those that are held.
+    logdet : sum of the logarithms of the factor's diagonal.
+    """
+
+    products: np.ndarray
+    back: np.ndarray
+    free: np.ndarray
+    fixed: tuple[tuple[int, float], ...]
+    logdet: float
+
+
 class Level:
     """Evidence of sets at one level of the unknowns."""
 
     def __init__(self, ranking: Ranking, gram: Gram):
         self.ranking, self.gram = ranking, gram
         self.whole = gram.products.sum(axis=0)
+        self._reduced: dict[tuple[tuple[int, float], ...], Reduced | None] = {}
 
-    def shifted(self, members: tuple[Member, ...]) -> tuple[np.ndarray, float]:
-        """Return D'r and r'r where what the model has and the set has not is taken out."""
-        gone = [i for name in self.ranking.named if Member(name, -1) not in members
-                for i in self.ranking.groups.get(Member(name, -1), ())
-                if self.ranking.what[i].size]
-        b, power = self.whole[1:, 0].copy(), float(self.whole[0, 0])
-        for i in gone:
-            t = self.ranking.centre[i]  # back to the prior's mean, which is absence
-            power += 2.0 * t * b[i] + t * t * self.whole[1 + i, 1 + i]
-            b += t * self.whole[1:, 1 + i]
-        return b, power
+    def reduced(self, fixed: tuple[tuple[int, float], ...] = ()) -> Reduced | None:
+        """Return the products without what every model has; None where they are singular.
 
-    def places(self, members: tuple[Member, ...]) -> np.ndarray:
-        """Return the places of a set's columns, what every model has first."""
-        return np.concatenate([self.ranking.always, *(
-            self.ranking.groups[member] for member in members)]).astype(int)
-
-    def solved(self, members: tuple[Member, ...], fixed: dict[int, float] | None = None):
-        """Return places, factor, amplitudes and evidence without its prior, or None.
-
-        ``fixed`` : place of a column -> amplitude at which it is held.
+        ``fixed`` : (place, amplitude) of what is held there.
         """
-        b, power = self.shifted(members)
-        here = self.places(members)
-        for i, value in (fixed or {}).items():
-            power += 2.0 * value * b[i] + value**2 * self.whole[1 + i, 1 + i]
-            power += (value - self.ranking.centre[i]) ** 2
-            b = b + value * self.whole[1:, 1 + i]
-            here = here[here != i]
-        matrix = self.whole[np.ix_(1 + here, 1 + here)] + np.eye(len(here))
-        m = self.ranking.centre[here]
+        if fixed not in self._reduced:
+            self._reduced[fixed] = self._reduce(fixed)
+        return self._reduced[fixed]
+
+    def _reduce(self, fixed: tuple[tuple[int, float], ...]) -> Reduced | None:
+        whole, centre = self.whole.copy(), self.ranking.centre
+        for place, value in fixed:  # r becomes r + d value
+            whole[0] += value * whole[1 + place]
+            whole[:, 0] += value * whole[:, 1 + place]
+            whole[0, 0] += (value - centre[place]) ** 2
+        held = {place for place, _ in fixed}
+        free = np.array([i for i in self.ranking.always if i not in held], dtype=int)
+        m = centre[free]
+        whole[1 + free, 1 + free] += 1.0
+        whole[0, 1 + free] -= m
+        whole[1 + free, 0] -= m
+        whole[0, 0] += m @ m
         try:
-            factor = cho_factor(matrix, lower=True)
+            factor = cho_factor(whole[np.ix_(1 + free, 1 + free)], lower=True)
         except (np.linalg.LinAlgError, ValueError):
             return None
-        q = m - b[here]
-        a = cho_solve(factor, q)
-        evidence = (-0.5 * (power + m @ m - q @ a) - np.log(np.diag(factor[0])).sum()
-                    - self.gram.logdet)
-        return here, factor, a, evidence
+        back = -cho_solve(factor, whole[1 + free])
+        return Reduced(whole + whole[:, 1 + free] @ back, back, free, fixed,
+                       float(np.log(np.diag(factor[0])).sum()))
+
+    def shift(self, members: tuple[Member, ...]) -> np.ndarray:
+        """Return the (1 + m,) mixture of columns that is r without what the set has not.
+
+        What the model has goes back to the prior's mean, which is absence.
+        """
+        mixture = np.zeros(len(self.whole))
+        mixture[0] = 1.0
+        for name in self.ranking.named:
+            if Member(name, -1) not in members:
+                for i in self.ranking.groups.get(Member(name, -1), ()):
+                    if self.ranking.what[i].size:
+                        mixture[1 + i] = self.ranking.centre[i]
+        return mixture
+
+    def solved(self, members: tuple[Member, ...], reduced: Reduced):
+        """Return places, factor, amplitudes, what is left of r and the evidence without its prior.
+
+        None where the set's columns are singular.
+        """
+        mixture = self.shift(members)
+        left = reduced.products @ mixture
+        here = np.concatenate([np.zeros(0, dtype=int), *(
+            self.ranking.groups[member] for member in members)]).astype(int)
+        matrix = reduced.products[np.ix_(1 + here, 1 + here)] + np.eye(len(here))
+        m = self.ranking.centre[here]
+        try:
+            factor = np.linalg.cholesky(matrix)
+        except np.linalg.LinAlgError:
+            return None
+        q = m - left[1 + here]
+        a = cho_solve((factor, True), q, check_finite=False) if len(here) else q
+        power = float(mixture @ left) + float(m @ m)
+        evidence = (-0.5 * (power - float(q @ a)) - float(np.log(np.diag(factor)).sum())
+                    - reduced.logdet - self.gram.logdet)
+        return here, factor, a, mixture, left, evidence
 
     def evaluated(self, members: tuple[Member, ...]) -> Ranked | None:
         """Return a set with its evidence; None where an amplitude is impossible."""
@@ -221,70 +279,77 @@ class Level:
         r = self.ranking
         wrong = {member.owner for member in members}
         for _ in range(PASSES):
-            found = self.solved(members, fixed)
+            reduced = self.reduced(tuple(sorted(fixed.items())))
+            found = self.solved(members, reduced) if reduced is not None else None
             if found is None:
                 return None
-            here, _, a, evidence = found
+            here, _, a, mixture, _, evidence = found
+            mixture[1 + here] = a
+            always = reduced.back @ mixture
             # What every model has stays within its bounds: a damping is positive, a number of the
             # rig no further off than its tolerance allows unless it is wrong.
             out = [(int(i), float(min(max(value, r.lower[i]), r.upper[i])))
-                   for i, value in zip(here, a, strict=True) if r.what[i].owner == ALWAYS
-                   and r.what[i].name not in wrong
-                   and not r.lower[i] <= value <= r.upper[i]]
+                   for i, value in zip(reduced.free, always, strict=True)
+                   if r.what[i].name not in wrong and not r.lower[i] <= value <= r.upper[i]]
             if not out:
                 break
             fixed.update(out)
         if members and any("." not in r.what[i].name for i in fixed):
             return None  # what can only be with no damping, or no stiffness, cannot be
-        own = np.array([r.what[i].owner != ALWAYS and r.what[i].size for i in here], dtype=bool)
         slack = 1e-9
-        if (own & ((a < r.lower[here] - slack) | (a > r.upper[here] + slack))).any():
+        if (r.size[here] & ((a < r.lower[here] - slack) | (a > r.upper[here] + slack))).any():
             return None
-        here, a = np.concatenate([here, list(fixed)]).astype(int), np.concatenate(
-            [a, list(fixed.values())])
+        amplitudes = dict(zip(here.tolist(), a.tolist(), strict=True))
+        amplitudes |= dict(zip(reduced.free.tolist(), always.tolist(), strict=True)) | fixed
         gone = {member.replaces for member in members}
         prior = log_kin({member.owner for member in members} - gone) + float(sum(
             r.log_prior(member) for member in members if member.owner not in gone))
-        return Ranked(members, float(evidence) + prior, prior, self.gram,
-                      {int(i): float(v) for i, v in zip(here, a, strict=True)})
+        return Ranked(members, float(evidence) + prior, prior, self.gram, amplitudes)
 
     def gains(self, one: Ranked) -> list[tuple[Member, float]]:
         """Return what each suspect that can join would gain, prior included."""
-        found = self.solved(one.members)
+        reduced = self.reduced()
+        found = self.solved(one.members, reduced) if reduced is not None else None
         if found is None:
             return []
-        here, factor, a, _ = found
+        here, factor, a, _, left, _ = found
         r = self.ranking
-        b, _ = self.shifted(one.members)
-        joining = [member for member in r.groups
-                   if member.variant >= 0 and r.fits(one.members, member)]
-        if not joining:
-            return []
-        others = np.concatenate([r.groups[member] for member in joining])
-        cross = self.whole[np.ix_(1 + here, 1 + others)]
-        solved = cho_solve(factor, cross)
-        block = self.whole[np.ix_(1 + others, 1 + others)] - cross.T @ solved + np.eye(len(others))
-        q = r.centre[others] - b[others] - cross.T @ a
-        gains, at = [], 0
-        for member in joining:
-            k = len(r.groups[member])
-            part, side = block[at : at + k, at : at + k], q[at : at + k]
-            at += k
-            if not (np.isfinite(part).all() and (np.diag(part) > 0.0).all()):
+        products = reduced.products
+        white = np.linalg.solve(factor, products[np.ix_(1 + here, 1 + r.owned)])
+        q = (r.centre[r.owned] - left[1 + r.owned]
+             - products[np.ix_(1 + r.owned, 1 + here)] @ a)
+        able, gains = r.joining(one.members), []
+        for columns, places in r.blocks:  # suspects with as many columns, all at once
+            wanted = able[places]
+            if not wanted.any():
                 continue
-            if k == 1:
-                gain = 0.5 * side[0] ** 2 / part[0, 0] - 0.5 * np.log(part[0, 0])
-            else:
-                try:
-                    c = np.linalg.cholesky(part)
-                except np.linalg.LinAlgError:
-                    continue
-                y = np.linalg.solve(c, side)
-                gain = 0.5 * y @ y - np.log(np.diag(c)).sum()
-            prior = r.log_prior(member) - (
-                r.log_prior(Member(member.replaces, -1)) if member.replaces else 0.0)
-            gains.append((member, float(gain) + prior))
+            at = columns[wanted]
+            own = 1 + r.owned[at]
+            part = products[own[:, :, None], own[:, None, :]] + np.eye(at.shape[1])
+            w = white[:, at]  # (k, suspects, columns)
+            part = part - np.einsum("kij,kil->ijl", w, w)
+            good = np.isfinite(part).all(axis=(1, 2)) & (
+                np.diagonal(part, axis1=1, axis2=2) > 0.0).all(axis=1)
+            for member, block, side in zip(
+                    (r.members[i] for i in places[wanted][good]), part[good], q[at][good],
+                    strict=True):
+                gain = gained(block, side)
+                if gain is not None:
+                    gains.append((member, gain + r.log_prior(member) - (
+                        r.log_prior(Member(member.replaces, -1)) if member.replaces else 0.0)))
         return gains
+
+
+def gained(block: np.ndarray, side: np.ndarray) -> float | None:
+    """Return the evidence that columns add, from their products and those with r; None if none."""
+    if len(side) == 1:
+        return float(0.5 * side[0] ** 2 / block[0, 0] - 0.5 * np.log(block[0, 0]))
+    try:
+        factor = np.linalg.cholesky(block)
+    except np.linalg.LinAlgError:
+        return None
+    y = np.linalg.solve(factor, side)
+    return float(0.5 * y @ y - np.log(np.diag(factor)).sum())
 
 
 def log_kin(names: Iterable[str]) -> float:
@@ -292,6 +357,14 @@ def log_kin(names: Iterable[str]) -> float:
     families = [CATALOGUE[name].family for name in names
                 if name in CATALOGUE and CATALOGUE[name].family]
     return KIN * (len(families) - len(set(families)))
+
+
+def exclude(one: str, other: str) -> bool:
+    """Tell whether of two suspects one contains the other, or both are unknown functions."""
+    first, second = CATALOGUE.get(one), CATALOGUE.get(other)
+    if first and second:
+        return bool({first.name, *first.contains} & {second.name, *second.contains})
+    return not (first or second or one.startswith("rig.") or other.startswith("rig."))
 
 
 def limited(name: str) -> bool:
