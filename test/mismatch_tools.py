@@ -63,5 +63,5 @@ def fitted(*effects: str, motion: str = "short", told: bool = True, seed: int = 
     experiment, before = nominal(experiment_of([recording], settings))
     after = before
     for name in effects if told else ():
-        after = best_of(experiment, after, name, {})
+        after = best_of(experiment, after, name)
     return Fitted(recording, experiment, before, after)

@@ -1,4 +1,10 @@
-"""The oracle of a trial: a fit that is told effects and true rig, for what can be reached.
+"""The oracle of a trial: a fit that is told the effects, for what can be reached.
+
+It is told which effects there are, with their values, and which numbers of the rig are beyond
+their tolerance.  Within it nobody knows a number, and no more does the oracle: as in the diagnosis
+it is fitted with the prior of its tolerance, beside the effects and without them.  So an effect
+that the tolerances hide (a drive gain of 0.5 % beside a position gain known to 3 %) is none that
+can be found.
 
 It runs as ``python -m eha_monitor.prove.oracle KEY CASE BAG CONFIG ANSWER``, once the
 key is open.
@@ -8,32 +14,120 @@ import json
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
-from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
-from eha_monitor.mismatch.name.base import with_effect, without_effect
+from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread, with_unknowns
+from eha_monitor.mismatch.name.acceptance import FORM_LEAST
+from eha_monitor.mismatch.name.base import limits_of, with_effect, without_effect
+from eha_monitor.mismatch.name.columns import columns_at, effects_of, rig_free
 from eha_monitor.mismatch.name.nominal import nominal
-from eha_monitor.mismatch.name.polish import Slopes, polished
-from eha_monitor.mismatch.name.refit import settled
+from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished
+from eha_monitor.mismatch.name.refit import ROUGH_STEPS, at_level, settled, wide
 from eha_monitor.mismatch.name.starts import Start, possible, starts_of
 from eha_monitor.mismatch.show import held_out
 from eha_monitor.output import write_text
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import CATALOGUE
-from eha_monitor.prove.numbers import keys_off, number_of
+from eha_monitor.physics.parameters import effect_values
+from eha_monitor.prove.numbers import NEAR, errors_of, keys_off, number_of
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
 RESOLUTION = "position_quantisation"  # has no parameter that is fitted
 FIRST_STEPS = 5  # of a fit from each start, before the best is fitted to the end
+ROUNDS, GAINED = 10, 0.5  # slopes are taken afresh until they gain less than so many log units
+EXACT = 0.02  # of an evidence: what a fit that is far behind may still lack
+
+
+@dataclass(frozen=True)
+class RigNumbers:
+    """The rig's numbers as nuisance parameters beside a model.
+
+    Attributes
+    ----------
+    experiment : made with the config, not with the true rig.
+    wrong : numbers that are off by more than their tolerance allows, ``area`` for both of a pair:
+        their prior is wide.
+    """
+
+    experiment: Experiment
+    wrong: frozenset[str] = frozenset()
+
+    def free(self, named: Sequence[str]) -> tuple[Free, ...]:
+        """Return the numbers that are fitted beside some effects: none that is one's twin."""
+        twins = {f"rig.{CATALOGUE[name].rig_twin}" for name in named}
+        return tuple(wide(f) if number_of(f.name.removeprefix("rig.")) in self.wrong else f
+                     for f in rig_free(self.experiment) if f.name not in twins)
+
+    def beside(self, fit: Fit) -> Fit:
+        """Return a model with its numbers free, each within its bounds; not refitted."""
+        numbers = self.free(effects_of(fit))
+        inside = {f.place: f.outward(f.inward(fit.theta[f.place])) for f in numbers}
+        theta = fit.theta.copy()
+        for f in rig_free(self.experiment):  # the twin of an effect stays at the config's
+            theta[f.place] = inside.get(f.place, self.experiment.theta[f.place])
+        if s.VOL_1 in inside:  # what the oil column yields is its volume over its bulk modulus
+            theta[s.BETA_E] *= theta[s.VOL_1] / fit.theta[s.VOL_1]
+        free = without_numbers(fit).free + numbers
+        made = replace(fit, theta=theta, free=free, covariance=np.zeros((len(free),) * 2))
+        return with_unknowns(self.experiment, made, made.unknowns)
+
+    def fitted(self, *starts: Fit, aim: float = -np.inf) -> Fit:
+        """Return the best optimum over some starts; those that fall behind are not carried on.
+
+        Parameters
+        ----------
+        aim : likelihood of the complete model, log units: what is far below it need not be exact.
+        """
+        fits = list(starts)
+        while len(fits) > 1:
+            fits = sorted(spread(self.closer, fits), key=lambda one: -one.log_likelihood)
+            fits = fits[:(len(fits) + 1) // 2]
+        fit = fits[0]
+        for _ in range(ROUNDS):
+            before, fit = fit.log_likelihood, self.closer(fit)
+            least = max(GAINED, EXACT * (aim - fit.log_likelihood)) if np.isfinite(before) else 0.0
+            if not fit.log_likelihood > before + least:
+                break
+        return fit
+
+    def lacking(self, fit: Fit, aim: float) -> Fit:
+        """Return the best optimum of a model that lacks something, from where it was complete.
+
+        Under the small unknowns of a complete model it may run away, under those that it asks for
+        it may stay where it is, and what the other numbers have to make up for may lie across a
+        hill: it also begins with all of them at the config's.
+        """
+        theta = fit.theta.copy()
+        for f in rig_free(self.experiment):
+            theta[f.place] = self.experiment.theta[f.place]
+        start = self.beside(fit)
+        return self.fitted(start, at_level(self.experiment, start),
+                           self.beside(replace(fit, theta=theta)), aim=aim)
+
+    def closer(self, fit: Fit) -> Fit:
+        """Return a model nearer to its optimum: gains and slopes from here, then other unknowns.
+
+        Along a ridge of numbers slopes from elsewhere would end too early.
+        """
+        fit = max(fit, with_unknowns(self.experiment, fit, fit.unknowns),
+                  key=lambda one: one.log_likelihood)
+        if np.isfinite(fit.log_likelihood):
+            fit = polished(self.experiment, fit, self.slopes(fit), ROUGH_STEPS, ROUGHLY)
+        return at_level(self.experiment, fit) if np.isfinite(fit.log_likelihood) else fit
+
+    def slopes(self, fit: Fit) -> Slopes:
+        """Return the slopes of all that a model fits, in one pass."""
+        return Slopes(self.experiment, fit, columns_at(self.experiment, fit, unnamed=False,
+                                                       suspects=False))
 
 
 def oracle(recordings: list[Recording], settings: Settings, truth: dict) -> dict:
-    """Return what a fit reaches that knows which effects there are, and the rig's true numbers.
+    """Return what a fit reaches that knows which effects and wrong rig numbers there are.
 
     Parameters
     ----------
@@ -44,92 +138,116 @@ def oracle(recordings: list[Recording], settings: Settings, truth: dict) -> dict
     Returns
     -------
     dict
-        ``log_evidence`` effect -> log units lost without it; ``over_simpler`` effect -> log units
-        over the best effect that it contains; ``rig_evidence`` number of the rig that is off by
-        three tolerances -> log units lost with the config's; ``signals`` as in the answer of
-        ``diagnose``.  Effects outside the catalogue are left out.
+        ``log_evidence`` effect -> log units lost without it, the rig's numbers within their
+        tolerances; ``over_simpler`` effect -> log units over the best effect that it contains;
+        ``rig_evidence`` number of the rig that is off by three tolerances -> log units lost where
+        it has to stay within its own; ``signals`` as in the answer of ``diagnose``.  Effects
+        outside the catalogue are left out.
     """
-    off = truth.get("rig_off", ())
-    experiment = experiment_of(recordings, corrected(settings, off))
+    experiment, first = nominal(experiment_of(recordings, settings))
+    rig = RigNumbers(experiment, frozenset(
+        number for number, error in errors_of(truth).items() if error >= NEAR))
     known = {one["name"]: one["parameters"] for one in truth["effects"]
              if one["name"] in CATALOGUE}
     names = tuple(name for name in known if name != RESOLUTION and possible(name, experiment))
-    experiment, first = nominal(experiment)
-    after = told(experiment, first, {name: known[name] for name in names},
-                 {"B": truth["B"], "beta_e": truth["beta_e"]})
-    evidence, simpler = {}, {}
+    after = first
+    if names or rig.wrong:
+        after = told(rig, first, {name: known[name] for name in names}, truth)
+    aim = after.log_likelihood
+    without = {name: rig.lacking(without_effect(experiment, after, name), aim) for name in names}
+    within = {number: replace(rig, wrong=rig.wrong - {number}).lacking(after, aim)
+              for number in dict.fromkeys(map(number_of, keys_off(truth)))}
+    # The model with all holds each of these, so it is no worse than any.
+    best = max(fit.log_likelihood for fit in (after, *without.values(), *within.values()))
+    evidence = {name: rounding(experiment, known[name]["q"]) if name == RESOLUTION else 0.0
+                for name in known if name not in names}
+    evidence |= {name: best - fit.log_likelihood for name, fit in without.items()}
+    simpler = {}
     for name in names:
-        without = first if names == (name,) else refitted(
-            experiment, without_effect(experiment, after, name))
-        evidence[name] = after.log_likelihood - without.log_likelihood
-        beaten = [best_of(experiment, without, other, {}) for other in CATALOGUE[name].contains]
+        beaten = [instead(rig, after, name, other, without[name]).log_likelihood
+                  for other in CATALOGUE[name].contains]
         if beaten:
-            simpler[name] = after.log_likelihood - max(fit.log_likelihood for fit in beaten)
-    for name in known:
-        if name not in names:
-            evidence[name] = (rounding(experiment, known[name]["q"]) if name == RESOLUTION
-                              else 0.0)
-    wrong = {number: without_number(experiment, after, experiment_of(recordings, corrected(
-        settings, [one for one in off if number_of(one["key"]) != number])))
-        for number in dict.fromkeys(map(number_of, keys_off(truth)))}
+            simpler[name] = best - max(without[name].log_likelihood, *beaten)
     signals = {name: asdict(fit) for name, fit in held_out.shown(experiment, first, after).items()}
     values = {name: after.value(name) for name in ("B", "beta_e")
               if any(f.name == name for f in after.free)}
     return {"log_evidence": evidence, "over_simpler": simpler, "signals": signals,
             "values": values, "rig_evidence": {
-                number: after.log_likelihood - fit.log_likelihood
-                for number, fit in wrong.items()}}
+                number: best - fit.log_likelihood for number, fit in within.items()}}
 
 
-def corrected(settings: Settings, off: Sequence[dict]) -> Settings:
-    """Return a config with the true values of some rig numbers."""
-    values = {one["key"]: one["true"] for one in off}
-    return settings.model_copy(update={"rig": settings.rig.model_copy(update=values)})
+def told(rig: RigNumbers, first: Fit, known: dict[str, dict], truth: dict) -> Fit:
+    """Return the best fit with all effects, from the key's values.
 
-
-def without_number(experiment: Experiment, after: Fit, mistaken: Experiment) -> Fit:
-    """Return the best fit with the same effects where the config has a number wrong."""
-    mistaken = replace(mistaken, steps=experiment.steps, noise=experiment.noise)
-    if not after.named:
-        return nominal(mistaken)[1]
-    theta = after.theta.copy()
-    for i in range(s.N_BASE):
-        if mistaken.theta[i] != experiment.theta[i]:
-            theta[i] = mistaken.theta[i]
-            if i == s.VOL_1:  # what the oil column yields is its volume over its bulk modulus
-                theta[s.BETA_E] *= mistaken.theta[i] / experiment.theta[i]
-    return refitted(mistaken, replace(after, theta=theta))
-
-
-def told(experiment: Experiment, first: Fit, known: dict[str, dict], base: dict[str, float]
-         ) -> Fit:
-    """Return the best fit with these effects: from the key's values, and from the catalogue's."""
-    if not known:
-        return first
+    The true numbers of the rig are a start, no more.  Where that leaves something, since key and
+    catalogue have other symbols or laws, also from the best of the catalogue's starts.
+    """
+    experiment = rig.experiment
     theta = first.theta.copy()
-    theta[s.B], theta[s.BETA_E] = base["B"], base["beta_e"]
-    at_key = replace(first, theta=theta)
-    for name, parameters in known.items():
-        at_key = entered_at(at_key, true_start(experiment, name, parameters))
-    found = [refitted(experiment, at_key)]
-    fit, remaining = first, dict(known)
-    while remaining:
-        tried = [best_of(experiment, fit, name, parameters)
-                 for name, parameters in remaining.items()]
-        fit = max(tried, key=lambda one: one.log_likelihood)
-        del remaining[fit.named[-1]]
-    found.append(fit)
-    return max(found, key=lambda one: one.log_likelihood)
+    theta[s.B], theta[s.BETA_E] = truth["B"], truth["beta_e"]
+    true = {f"rig.{one['key']}": one["true"] for one in truth.get("rig_off", ())}
+    for f in rig.free(tuple(known)):
+        theta[f.place] = true.get(f.name, theta[f.place])
+    begun = replace(first, theta=theta)
+    starts = {name: true_start(experiment, name, parameters)
+              for name, parameters in known.items()}
+    for start in starts.values():
+        begun = entered_at(begun, start)
+    fit = rig.fitted(at_level(experiment, rig.beside(begun)))
+    if not known or not leaves(experiment, fit):
+        return fit
+    for name, start in starts.items():
+        begun = looked(rig, without_effect(experiment, begun, name),
+                       [start, *starts_of(name, experiment)])
+    other = rig.fitted(at_level(experiment, rig.beside(begun)), aim=fit.log_likelihood)
+    return max(fit, other, key=lambda one: one.log_likelihood)
 
 
-def best_of(experiment: Experiment, fit: Fit, name: str, parameters: dict) -> Fit:
+def leaves(experiment: Experiment, fit: Fit) -> bool:
+    """Tell whether a model needs more unknowns than every right one may, or cannot be followed."""
+    small = limits_of(experiment)[0].as_array()
+    return (experiment.inverse or not np.isfinite(fit.log_likelihood)
+            or bool((fit.unknowns.as_array() > FORM_LEAST * small).any()))
+
+
+def instead(rig: RigNumbers, after: Fit, name: str, other: str, without: Fit) -> Fit:
+    """Return the best fit with a simpler effect in the place of one.
+
+    ``without`` : the fit with neither; its unknowns suit what is wrong.
+    """
+    bounds = {p.name: p for p in CATALOGUE[other].parameters}
+    shared = {symbol: value for symbol, value in effect_values(after.theta, name).items()
+              if symbol in bounds and bounds[symbol].lower <= value <= bounds[symbol].upper}
+    starts = starts_of(other, rig.experiment)
+    starts.append(replace(starts[0], values=tuple(
+        (symbol, shared.get(symbol, value)) for symbol, value in starts[0].values)))
+    begun = replace(without_effect(rig.experiment, after, name), unknowns=without.unknowns)
+    return rig.fitted(rig.beside(looked(rig, begun, starts)), aim=after.log_likelihood)
+
+
+def best_of(experiment: Experiment, fit: Fit, name: str) -> Fit:
     """Return a fit with one more effect, the best over its starts."""
-    starts = starts_of(name, experiment)
-    if parameters:
-        starts.append(true_start(experiment, name, parameters))
-    quick = spread(lambda start: polished(experiment, entered_at(fit, start), Slopes(experiment),
-                                          FIRST_STEPS), starts)
-    return refitted(experiment, max(quick, key=lambda one: one.log_likelihood))
+    return refitted(experiment, looked(RigNumbers(experiment), fit, starts_of(name, experiment)))
+
+
+def looked(rig: RigNumbers, fit: Fit, starts: Sequence[Start]) -> Fit:
+    """Return a fit with an effect at the best of its starts, after a few steps from each.
+
+    The rig's numbers stay where they are.
+    """
+    fit = without_numbers(fit)
+
+    def quick(start: Start) -> Fit:
+        one = with_unknowns(rig.experiment, entered_at(fit, start), fit.unknowns)
+        return polished(rig.experiment, one, rig.slopes(one), FIRST_STEPS, ROUGHLY)
+
+    return max(spread(quick, starts), key=lambda one: one.log_likelihood)
+
+
+def without_numbers(fit: Fit) -> Fit:
+    """Return a fit with the rig's numbers held where they are."""
+    free = tuple(f for f in fit.free if not f.name.startswith("rig."))
+    return replace(fit, free=free, covariance=np.zeros((len(free),) * 2))
 
 
 def refitted(experiment: Experiment, fit: Fit) -> Fit:

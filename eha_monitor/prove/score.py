@@ -8,7 +8,7 @@ from eha_monitor.prove import numbers
 from eha_monitor.prove.reliability import calibration_error, reliability_of, statements_of
 
 LARGEST_CLASS = 3  # members of a declared class: the name and at most two rivals
-DETECTABLE = 20.0  # log units that an oracle gains: less need not be found
+DETECTABLE = 20.0  # log units that an oracle gains within the tolerances: less need not be found
 JUST = 10.0  # log units: what an oracle can just detect
 CLOSE, BASE_CLOSE, SIGMAS = 0.05, 0.02, 2.0
 NOTABLE = 0.05  # of the error before: an oracle that takes away less says nothing of a removal
@@ -61,7 +61,7 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
     ----------
     truth : its entry in the key.
     answer : JSON of ``diagnose``; None where it failed.
-    oracle : what a fit reached that was told the effects.
+    oracle : what a fit reached that was told the effects, and of the rig what the config says.
     run : how the diagnosis ran: ``seconds``, ``error``.
     """
     answer = answer or {"verdict": FAILED, "effects": [], "location": {"balance": {}},

@@ -11,7 +11,7 @@ A trial's folder::
     key/key.json          all of these: the sealed key
     recordings/c001       bag; c001.yaml its nominal config
     answers/c001.json     what diagnose said; c001.run.json how it ran
-    oracles/c001.json     what a fit reaches that is told the effects
+    oracles/c001.json     what a fit reaches that is told the effects, not the true rig
     proof.json            the result
 """
 
@@ -72,7 +72,7 @@ class Trial:
     cases : what is concealed.
     seed : of the draws.
     work : folder of the trial.
-    oracle : also fit each case with a model that was told the effects.
+    oracle : also fit each case with a model that was told the effects, not the true rig.
     jobs : processes at a time; each gets its share of the cores.
     keep : which answers of an earlier run stay: of the ``same`` source, ``all``, ``none``.
     groups : case -> name of a group that is marked by itself.

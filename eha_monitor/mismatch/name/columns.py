@@ -134,8 +134,12 @@ def coarse(experiment: Experiment) -> Experiment:
     return replace(experiment, steps=min(steps, experiment.steps))
 
 
-def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True) -> Columns:
-    """Return innovations and columns at a fit, under its gains."""
+def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects: bool = True
+               ) -> Columns:
+    """Return innovations and columns at a fit, under its gains.
+
+    ``suspects`` : also the effects that the model does not have.
+    """
     present = runs_of(experiment, fit.theta, fit.active, fit.gains)
     what: list[Column] = []
     moves: list[tuple[np.ndarray, np.ndarray, float]] = []  # theta, active, over how many units
@@ -161,13 +165,13 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True) -> Column
             effect, _, symbol = f.name.partition(".")
             if effect == name:
                 moved(f, name, -1, symbol in sizes)
-    for name in NAMES:
+    for name in NAMES if suspects else ():
         if name in fit.named or experiment.active[NAMES.index(name)] or not possible(
                 name, experiment):
             continue
         for variant, start in enumerate(starts_of(name, experiment)):
             entering(fit, start, variant, what, moves)
-    for place, start in enumerate(grown_from(experiment, fit)):
+    for place, start in enumerate(grown_from(experiment, fit) if suspects else ()):
         if possible(start.effect, experiment):
             entering(fit, start, REPLACING + place, what, moves)
 
