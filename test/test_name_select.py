@@ -7,14 +7,12 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from mismatch_tools import fitted
 
-from eha_monitor.mismatch.name.naming import in_place_of, posterior
+from eha_monitor.mismatch.name.naming import in_place_of
 from eha_monitor.mismatch.name.rank import Member, Ranked
 from eha_monitor.mismatch.name.refit import discrepancy, evidence_of, prior_of
+from eha_monitor.mismatch.name.seen import Seen, counted, posterior
 from eha_monitor.mismatch.name.select import (
     HANDFUL,
-    Seen,
-    Selection,
-    counted,
     levels_of,
     proposals_of,
     resolved_nominal,
@@ -76,11 +74,11 @@ def test_what_contains_a_proposal_waits_for_it():
 
 def test_what_was_refitted_is_not_proposed_again():
     seen = Seen()
-    seen.fits[frozenset({"constant_load"})] = None
+    seen.tried.add(frozenset({"constant_load"}))
     found = [ranked(100.0, "constant_load"), ranked(99.0, "spring_load"),
              ranked(98.5, "constant_load", "drive_lag"), HARDLY, ranked(0.0)]
     assert names_of(proposals_of(found, 0.0, seen)) == [{"spring_load"}]
-    seen.fits[frozenset({"spring_load"})] = None
+    seen.tried.add(frozenset({"spring_load"}))
     assert names_of(proposals_of(found, 0.0, seen)) == [{"constant_load", "drive_lag"}]
 
 
@@ -127,7 +125,7 @@ def test_the_best_set_s_score_is_its_odds_where_nothing_is_left():
     seen = Seen()
     seen.add(rubbing.experiment, frozenset(), rubbing.before)
     seen.add(rubbing.experiment, frozenset({"coulomb_friction"}), rubbing.after)
-    assert seen.best() == seen.ahead() == frozenset({"coulomb_friction"})
+    assert seen.best() == seen.ahead({}, 0.0)[0] == frozenset({"coulomb_friction"})
     scores = seen.scores()
     assert scores[frozenset({"coulomb_friction"})] <= prior_of({"coulomb_friction"}) + 1e-9
     assert scores[frozenset()] < scores[frozenset({"coulomb_friction"})] - 20.0
@@ -162,18 +160,19 @@ def test_steps_resolve_the_damping_that_is_found():
 # ---- probabilities ------------------------------------------------------------------------------
 
 
-def selection_of(evidence: dict[tuple[str, ...], float], ranking=()) -> Selection:
+def seen_of(evidence: dict[tuple[str, ...], float]) -> Seen:
     """Refitted sets with so much evidence, and nothing left by the best."""
     seen = Seen()
     for names, value in evidence.items():
         key = frozenset(names)
         seen.fits[key], seen.evidence[key], seen.left[key] = fitted().before, value, 0.0
-    return Selection(None, None, None, seen, list(ranking), here=seen.best())
+        seen.tried.add(key)
+    return seen
 
 
 def test_probabilities_add_up_to_one_and_follow_the_evidence():
-    weights = posterior(selection_of({("constant_load",): 100.0, ("spring_load",): 90.0,
-                                      (): 0.0}))
+    seen = seen_of({("constant_load",): 100.0, ("spring_load",): 90.0, (): 0.0})
+    weights = posterior(seen, seen.best(), [])
     assert sum(weights.values()) == pytest.approx(1.0)
     load, spring, none = (weights[frozenset(key)] for key in (
         ("constant_load",), ("spring_load",), ()))
@@ -185,13 +184,15 @@ def test_sets_that_were_only_ranked_are_measured_from_the_best_model():
     other = ranked(49.0, "spring_load", prior=-5.0)
     promising = ranked(60.0, "drive_lag", prior=-5.0)  # better by the guess, and never refitted
     nameless = ranked(51.0, "force of x", prior=-7.0)
-    found = selection_of({("constant_load",): 100.0, (): 0.0},
-                         [promising, nameless, best, other])
-    weights = posterior(found)
+    seen = seen_of({("constant_load",): 100.0, (): 0.0})
+    ranking = [promising, nameless, best, other]
+    weights = posterior(seen, best.names, ranking)
     load, spring, none = (weights[frozenset({name})] for name in (
         "constant_load", "spring_load", "force of x"))
     assert load > spring > 0.5 * load and none > 0.0
     assert frozenset({"drive_lag"}) not in weights
+    weights = posterior(seen, best.names, ranking, promising=True)
+    assert weights[frozenset({"drive_lag"})] > weights[frozenset({"constant_load"})]
 
 
 def test_what_stands_in_a_name_s_place_is_counted_beside_all_the_others():

@@ -26,7 +26,8 @@ from eha_monitor.mismatch.name.gram import evidence_at
 from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.rank import is_named
 from eha_monitor.mismatch.name.refit import discrepancy, settled
-from eha_monitor.mismatch.name.select import Selection, own_in, selected
+from eha_monitor.mismatch.name.seen import own_in, posterior
+from eha_monitor.mismatch.name.select import Selection, selected
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT, loads_of
 from eha_monitor.physics.effects import CATALOGUE
 
@@ -65,26 +66,6 @@ class Naming:
     tried: tuple[tuple[Names, Fit, float], ...] = ()
     loads: tuple[tuple[float, float, float], ...] = ()
     explained: float = np.nan
-
-
-def posterior(found: Selection) -> dict[Names, float]:
-    """Return the probability of every set that was seen, refitted or by the linear guess.
-
-    Sets by the linear guess are those of the last linearisation, measured from the model there.
-    """
-    seen = found.seen
-    scores = seen.scores()
-    own = own_in(found.ranking, found.here)
-    if own is not None:
-        start = seen.evidence[found.here] - (own.evidence - own.prior)
-        for one in found.ranking:
-            # What has names and seemed better was refitted, or is beyond what the guess can say.
-            unnamed = not all(is_named(name) for name in one.names)
-            if one.names not in scores and (unnamed or one.evidence <= own.evidence):
-                scores[one.names] = seen.score(start + one.evidence - one.prior, one.prior)
-    weights = np.array(list(scores.values()))
-    weights = np.exp(weights - weights.max())
-    return dict(zip(scores, (weights / weights.sum()).tolist(), strict=True))
 
 
 def in_place_of(name: str, best: Names, weights: dict[Names, float]) -> dict[str, float]:
@@ -175,7 +156,7 @@ def name_effects(experiment: Experiment, report: Report | None = None) -> Naming
 def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
     """Return names and probabilities of a selection."""
     seen, best = found.seen, found.seen.best()
-    weights = posterior(found)
+    weights = posterior(seen, found.here, found.ranking)
     scores = seen.scores()
     after = at_config(experiment, seen.fits[best])
     rivals, probability, evidence = {}, {}, {}

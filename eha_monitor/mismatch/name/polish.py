@@ -17,9 +17,11 @@ from eha_monitor.mismatch.likelihood.fit import (
     step_within,
     whitener,
 )
+from eha_monitor.mismatch.likelihood.tangents import along, can, lane_of
 from eha_monitor.mismatch.name.columns import ALWAYS, Columns, coarse
 from eha_monitor.mismatch.name.gram import under
 
+ENOUGH = 6  # slopes from which one pass of tangents costs less than as many differences
 ROUGHLY = 5.0  # log units: a tolerance at which slopes are not taken afresh
 
 
@@ -63,24 +65,40 @@ def polished(experiment: Experiment, fit: Fit, slopes: Slopes, steps: int = 12,
     corrects them by what it has seen (Broyden 1965), in the metric of the information.  They are
     taken afresh where a step fails.
     """
+    return polished_on(experiment, fit, slopes.of(fit), steps, tolerance)[0]
+
+
+def polished_on(experiment: Experiment, fit: Fit, known: dict[str, np.ndarray], steps: int,
+                tolerance: float) -> tuple[Fit, dict[str, np.ndarray]]:
+    """Return :func:`polished` from slopes that are known, name -> (N, c), and those at its end."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a run may go astray
-        return _polished(experiment, fit, slopes, steps, tolerance)
+        return _polished(experiment, fit, known, steps, tolerance)
 
 
-def _polished(experiment: Experiment, fit: Fit, slopes: Slopes, steps: int, tolerance: float
-              ) -> Fit:
+def _polished(experiment: Experiment, fit: Fit, known: dict[str, np.ndarray], steps: int,
+              tolerance: float) -> tuple[Fit, dict[str, np.ndarray]]:
     theta, free = fit.theta.copy(), fit.free
     e = innovations(experiment, theta, fit.active, fit.gains)
     best = log_likelihood_of(e) + prior_exponent(free, theta)
     if not np.isfinite(best):
-        return replace(fit, e=e, log_likelihood=-np.inf)
+        return replace(fit, e=e, log_likelihood=-np.inf), {}
     bounds = np.array([[f.inward(f.lower), f.inward(f.upper)] for f in free]).reshape(-1, 2)
     prior, weight = np.array([f.prior for f in free]), np.array([f.spread for f in free]) ** -2.0
-    known = slopes.of(fit)
-
     rough = coarse(experiment)
 
     def taken(which: list[int]) -> None:
+        here = replace(fit, theta=theta)
+        lanes = {i: lane_of(here, free[i].name) for i in which}
+        exact = [i for i in which if can(experiment, here, lanes[i])]
+        if len(exact) >= ENOUGH:
+            parts = along(experiment, here, [lanes[i] for i in exact])
+            whole = np.concatenate([part[stretch.counted] for part, stretch in zip(
+                parts, experiment.stretches, strict=True)])
+            for place, i in enumerate(exact):
+                d[i] = np.nan_to_num(whole[:, :, place])
+            which = [i for i in which if i not in exact]
+        if not which:
+            return
         plain = innovations(rough, theta, fit.active, fit.gains)
         fresh = sensitivities(rough, theta, fit.active, fit.gains, plain,
                               [step_of(free[i], theta) for i in which])
@@ -89,7 +107,7 @@ def _polished(experiment: Experiment, fit: Fit, slopes: Slopes, steps: int, tole
 
     d = np.stack([known.get(f.name, np.zeros(e.shape)) for f in free])
     taken([i for i, f in enumerate(free) if f.name not in known])
-    matters = [i for i, f in enumerate(free) if not f.name.startswith("rig.")]
+    every = list(range(len(free)))
     fresh, damping, converged = not known, 1e-9, False
     white = information = None
     for _ in range(steps):
@@ -102,7 +120,7 @@ def _polished(experiment: Experiment, fit: Fit, slopes: Slopes, steps: int, tole
         scale = np.sqrt(np.diag(information) + weight)
         matrix = (information + np.diag(weight)) / np.outer(scale, scale)
         if not np.isfinite(matrix).all():
-            return replace(fit, log_likelihood=-np.inf)
+            return replace(fit, log_likelihood=-np.inf), {}
         improved = False
         for attempt in range(4):
             step = step_within(matrix + damping * np.eye(len(free)), gradient / scale,
@@ -122,25 +140,26 @@ def _polished(experiment: Experiment, fit: Fit, slopes: Slopes, steps: int, tole
             if fresh:
                 converged = True
                 break
-            taken(matters)
+            taken(every)
             fresh = True
             damping = 1e-9
             continue
         step = np.array([f.inward(other[f.place]) for f in free]) - now
         missed = np.nan_to_num(moved - e) - np.tensordot(step, d, axes=1)
-        along = scale**2 * step
-        d += (along / max(float(along @ step), 1e-300))[:, None, None] * missed[None]
+        metric = scale**2 * step
+        d += (metric / max(float(metric @ step), 1e-300))[:, None, None] * missed[None]
         gained, theta, e, best = reached - best, other, moved, reached
         damping = max(damping / 10.0, 1e-9)
         if gained < tolerance:
             if fresh or tolerance >= ROUGHLY:
                 converged = True
                 break
-            taken(matters)
+            taken(every)
             fresh = True
         else:
             fresh = False
     covariance = np.linalg.inv(information + np.diag(weight)) if information is not None else (
         fit.covariance)
-    return replace(fit, theta=theta, e=e, s=covariance_of(e), log_likelihood=best,
+    made = replace(fit, theta=theta, e=e, s=covariance_of(e), log_likelihood=best,
                    covariance=covariance, converged=converged)
+    return made, {f.name: slope for f, slope in zip(free, d, strict=True)}

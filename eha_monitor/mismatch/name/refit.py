@@ -23,7 +23,7 @@ from eha_monitor.mismatch.name.columns import (
     runs_of,
 )
 from eha_monitor.mismatch.name.gram import evidence_at
-from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished
+from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished_on
 from eha_monitor.mismatch.name.rank import Ranked, log_kin
 from eha_monitor.mismatch.name.starts import entered, free_of, own_sizes
 from eha_monitor.physics.effects import CATALOGUE, NAMES
@@ -99,18 +99,18 @@ def at_level(experiment: Experiment, fit: Fit) -> Fit:
 def settled(experiment: Experiment, fit: Fit, slopes: Slopes | None = None, rounds: int = 4,
             tolerance: float = 0.3) -> Fit:
     """Fit parameters and unknowns in turn until neither gains."""
-    slopes = slopes or Slopes(experiment)
-    best = fit
+    slopes, known = slopes or Slopes(experiment), None
     for _ in range(rounds):
-        fit = polished(experiment, fit, slopes, ROUGH_STEPS, ROUGHLY)
-        if not np.isfinite(fit.log_likelihood):
-            return fit
-        best = max(best, fit, key=lambda one: one.log_likelihood)
-        fit = at_level(experiment, best)
-        if fit is best:
+        made, known = polished_on(experiment, fit, slopes.of(fit) if known is None else known,
+                                  ROUGH_STEPS, ROUGHLY)
+        if not np.isfinite(made.log_likelihood):
+            return made
+        fit = at_level(experiment, made)
+        if fit is made:
             break
-    return polished(experiment, max(best, fit, key=lambda one: one.log_likelihood), slopes, 12,
-                    tolerance)
+        known = None  # under other gains the slopes are others
+    return polished_on(experiment, fit, slopes.of(fit) if known is None else known, 12,
+                       tolerance)[0]
 
 
 def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: Ranked) -> Fit:

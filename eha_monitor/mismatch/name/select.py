@@ -1,27 +1,30 @@
 """Joint selection: linearise, rank every set, refit the best, linearise there again."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment, resolving
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns
-from eha_monitor.mismatch.name.acceptance import FORM, TEMPER
+from eha_monitor.mismatch.name.acceptance import RIVAL
 from eha_monitor.mismatch.name.base import limits_of
 from eha_monitor.mismatch.name.columns import Column, columns_at
-from eha_monitor.mismatch.name.gram import grams_of, lasting
+from eha_monitor.mismatch.name.gram import grams_of
 from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.rank import Ranked, best_over, is_named, ranked_at
 from eha_monitor.mismatch.name.refit import (
     at_level,
     begun,
-    discrepancy,
-    evidence_of,
-    impossible,
     joined,
-    prior_of,
     settled,
+)
+from eha_monitor.mismatch.name.seen import (
+    Names,
+    Seen,
+    evidence_at_start,
+    own_in,
+    posterior,
 )
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.signals import B
@@ -30,74 +33,15 @@ FIRST = 100.0  # times the smallest unknowns: where the nominal model is lineari
 LEANING = 30.0  # times the smallest unknowns: below, the nominal model needs next to nothing
 HANDFUL = 4  # sets that are refitted at a linearisation
 MOST_OF = 0.9  # of the best set's gain: the smallest sets that reach it are refitted first
-CATCHING_UP = 0.7  # of the best refitted set's gain, after a few steps, to be fitted to the end
+CATCHING_UP = 0.9  # of the best refitted set's gain, after a few steps, to be fitted to the end
+MOST_GOING = 2  # of these
+LOOKS = 3  # handfuls that are refitted from one linearisation
 WITHIN_REACH, FINALISTS = 20.0, 3  # log units; sets that are fitted to the end
 FEW = 2  # sets more from where fewer unknowns are allowed
 STRAYED = 5.0  # log units: a fit that is that far from its optimum is made again
 CLOSE = 1000.0  # log units: the nominal model is a rival too
 QUICK = 5  # steps of the first look
-ROUNDS = 7
-
-
-@dataclass
-class Seen:
-    """Every set that was refitted.
-
-    Attributes
-    ----------
-    inverse : the balances' own errors are compared, not predictions.
-    fits, evidence, left : names -> model, Laplace evidence, cost of its unknowns, log units.
-    """
-
-    inverse: bool = False
-
-    fits: dict[frozenset[str], Fit] = field(default_factory=dict)
-    evidence: dict[frozenset[str], float] = field(default_factory=dict)
-    left: dict[frozenset[str], float] = field(default_factory=dict)
-
-    def add(self, experiment: Experiment, names: frozenset[str], fit: Fit,
-            anyway: bool = False) -> None:
-        """Keep a fit of a set, if it is one and better than what is there, or ``anyway``."""
-        possible = np.isfinite(fit.log_likelihood) and not (names and impossible(fit))
-        value = evidence_of(experiment, fit) if possible else -np.inf
-        if np.isfinite(value) and (anyway or value > self.evidence.get(names, -np.inf)):
-            self.fits[names], self.evidence[names] = fit, value
-            self.left[names] = discrepancy(experiment, fit)
-
-    def floor(self) -> float:
-        """Return the evidence of a model that needs no unknowns, as far as it is known."""
-        best = max(self.evidence, key=self.evidence.get)
-        return self.evidence[best] + self.left[best]
-
-    def score(self, evidence: float, prior: float) -> float:
-        """Return what an evidence counts, log units: see :func:`counted`."""
-        return self.power() * counted(self.floor() - evidence) + prior
-
-    def power(self) -> float:
-        """Return the power of the likelihood.
-
-        Where the balances' own errors are compared, what is left of them lasts: so many samples
-        count as one.
-        """
-        if not self.inverse:
-            return TEMPER
-        best = self.fits[max(self.evidence, key=self.evidence.get)]
-        return 1.0 / float(np.mean([lasting(column[np.isfinite(column)])
-                                    for column in best.e.T]))
-
-    def scores(self) -> dict[frozenset[str], float]:
-        """Return the score of every refitted set."""
-        return {names: self.score(value, prior_of(names))
-                for names, value in self.evidence.items()}
-
-    def ahead(self) -> frozenset[str]:
-        """Return the set with the highest evidence: where the search goes on."""
-        return max(self.evidence, key=lambda names: self.evidence[names] + prior_of(names))
-
-    def best(self) -> frozenset[str]:
-        """Return the set with the highest score."""
-        scores = self.scores()
-        return max(scores, key=scores.get)
+ROUNDS = 8
 
 
 @dataclass(frozen=True)
@@ -119,17 +63,7 @@ class Selection:
     seen: Seen
     ranking: list[Ranked]
     what: tuple[Column, ...] = ()
-    here: frozenset[str] = frozenset()
-
-
-def counted(left: float) -> float:
-    """Return what evidence that is lacking counts: in full near the noise, less far above it.
-
-    No model is exact to the last newton.  A likelihood (1 + left / FORM)^-FORM is that of a model
-    whose form error is unknown in size: what takes a tenth of much that is left has gained little,
-    what takes the last bit has gained all of it.
-    """
-    return -FORM * float(np.log1p(max(left, 0.0) / FORM))
+    here: Names = frozenset()
 
 
 def levels_of(experiment: Experiment, fit: Fit) -> list[Unknowns]:
@@ -183,8 +117,8 @@ def proposals_of(found: list[Ranked], own: float, seen: Seen) -> list[Ranked]:
         if not any(contained(other, one) for other in chosen):
             chosen.append(one)
     chosen.sort(key=lambda one: -one.evidence)
-    return [one for one in chosen if one.names not in seen.fits][:HANDFUL] or [
-        one for one in able if one.names not in seen.fits][:HANDFUL]
+    return [one for one in chosen if one.names not in seen.tried][:HANDFUL] or [
+        one for one in able if one.names not in seen.tried][:HANDFUL]
 
 
 def simplicity(one: Ranked) -> tuple[int, float]:
@@ -224,11 +158,6 @@ class Linearised:
         return own_in(self.ranking, self.here)
 
 
-def own_in(ranking: list[Ranked], names: frozenset[str]) -> Ranked | None:
-    """Return a set's place in a ranking."""
-    return next((one for one in ranking if one.names == names), None)
-
-
 def linearised(experiment: Experiment, here: frozenset[str], fit: Fit) -> Linearised:
     """Take the columns at a model and rank every set of suspects there."""
     columns = columns_at(experiment, fit)
@@ -243,7 +172,7 @@ def chosen_at(view: Linearised, seen: Seen) -> list[Ranked]:
     own = view.own
     if own is not None:
         # What was fitted from elsewhere and would be better by a guess from here is fitted again.
-        start = seen.evidence[view.here] - (own.evidence - own.prior)
+        start = evidence_at_start(seen, view.here) - (own.evidence - own.prior)
         again = [one for one in with_names(view.ranking) if one.names < view.here
                  and one.names in seen.fits
                  and start + one.evidence - one.prior > seen.evidence[one.names] + STRAYED
@@ -262,6 +191,17 @@ def chosen_at(view: Linearised, seen: Seen) -> list[Ranked]:
     return chosen
 
 
+def rivals_at(view: Linearised, seen: Seen) -> list[Ranked]:
+    """Return sets that are as likely as the best, by the guess, and were never refitted.
+
+    Among them are the best set without one of its members, and with another in its place.
+    """
+    weights = posterior(seen, view.here, view.ranking, promising=True)
+    found = [one for one in with_names(view.ranking)
+             if one.names not in seen.tried and weights.get(one.names, 0.0) >= RIVAL]
+    return sorted(found, key=lambda one: -weights[one.names])[:HANDFUL]
+
+
 def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], seen: Seen) -> None:
     """Refit sets from their linear guess: a first look at all, to the end what keeps up."""
     def entered(one: Ranked) -> Fit:
@@ -274,32 +214,31 @@ def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], seen: 
     if own is not None and not view.here and chosen[0].evidence < own.evidence + CLOSE:
         # With the same numbers of the rig free as in its rivals: else their evidence differs.
         seen.add(experiment, view.here, settled(experiment, entered(own), view.slopes), True)
+    seen.tried.update(one.names for one in chosen)
     looks = [made for made in spread(quick, chosen) if np.isfinite(made.log_likelihood)]
     if not looks:
         return
-    reach = max(made.log_likelihood for made in looks)
-    base = min(*(made.log_likelihood for made in looks), view.fit.log_likelihood)
+    looks.sort(key=lambda made: -made.log_likelihood)
+    reach = looks[0].log_likelihood
+    base = min(looks[-1].log_likelihood, view.fit.log_likelihood)
     going = [made for made in looks
-             if made.log_likelihood >= base + CATCHING_UP * (reach - base)]
+             if made.log_likelihood >= base + CATCHING_UP * (reach - base)][:MOST_GOING]
     for made in spread(lambda made: settled(experiment, made, view.slopes), going):
         seen.add(experiment, frozenset(made.named), made)
 
 
-def held(experiment: Experiment, view: Linearised, seen: Seen) -> bool:
-    """Fit a model again under the unknowns that suit it best; tell whether it has changed."""
-    own = view.own
-    if own is None or experiment.inverse:
-        return False
-    before = seen.evidence[view.here]
-    seen.add(experiment, view.here, settled(
-        experiment, joined(experiment, view.fit, view.what, own), view.slopes))
-    return seen.evidence[view.here] > before + 1.0
+def held(experiment: Experiment, view: Linearised, seen: Seen) -> None:
+    """Fit a model again under the unknowns that suit it best, from its own linear guess."""
+    if view.own is not None and not experiment.inverse:
+        seen.add(experiment, view.here, settled(
+            experiment, joined(experiment, view.fit, view.what, view.own), view.slopes))
 
 
 def strayed(view: Linearised, seen: Seen) -> bool:
     """Tell whether a model is far from the optimum that a guess from itself promises."""
     own = view.own
-    return own is not None and own.evidence - own.prior > seen.evidence[view.here] + STRAYED
+    return own is not None and (
+        own.evidence - own.prior > evidence_at_start(seen, view.here) + STRAYED)
 
 
 def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
@@ -310,24 +249,35 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
     seen.add(experiment, frozenset(), first)
     if not seen.evidence:
         raise np.linalg.LinAlgError("the nominal model's evidence is singular")
-    view: Linearised | None = None
+    views: dict[Names, Linearised] = {}
+    done: dict[Names, float] = {}
+    ended = False
     for turn in range(ROUNDS):
-        say(f"weighing all sets, round {turn + 1}", 0.1 + 0.12 * turn)
-        here = seen.ahead()
-        if view is not None and seen.fits[here] is view.fit:
-            here = seen.best()
-        if view is not None and seen.fits[here] is view.fit:
-            break  # nothing is better, and it is where it should be
-        view = linearised(experiment, here, seen.fits[here])
-        if here and strayed(view, seen) and held(experiment, view, seen):
-            continue
-        chosen = chosen_at(view, seen)
-        if chosen:
+        say(f"weighing all sets, round {turn + 1}", 0.1 + 0.1 * turn)
+        at = seen.ahead(done, STRAYED)
+        if at is None:
+            break
+        here, fit = at
+        view = linearised(experiment, here, fit)
+        done[here] = evidence_at_start(seen, here)
+        views[here] = replace(view, slopes=None)
+        if here and strayed(view, seen):
+            held(experiment, view, seen)
+            if evidence_at_start(seen, here) > done[here] + STRAYED:
+                continue
+        for _ in range(LOOKS):
+            chosen = chosen_at(view, seen) or rivals_at(view, seen)
+            if not chosen:
+                break
             refit(experiment, view, chosen, seen)
-        elif not held(experiment, view, seen):
+            if seen.ahead(done, STRAYED) is not None:
+                break
+        if seen.ahead(done, STRAYED) is None and not ended:
             finish(experiment, seen)
-    return Selection(experiment, first, seen.fits[seen.best()], seen, view.ranking,
-                     view.what, view.here)
+            ended = True
+    best = seen.best()
+    view = views.get(best, view)
+    return Selection(experiment, first, seen.fits[best], seen, view.ranking, view.what, view.here)
 
 
 def resolved_nominal(experiment: Experiment) -> tuple[Experiment, Fit]:
@@ -386,7 +336,7 @@ def finish(experiment: Experiment, seen: Seen) -> None:
         fit = seen.fits[names]
         if not experiment.inverse and fit.unknowns != level:
             fit = with_unknowns(experiment, fit, level)
-        whole = settled(experiment, fit)
+        whole = fit if fit.converged and fit is seen.fits[names] else settled(experiment, fit)
         other = crossed(fit, seen.fits[best])
         if other is None:
             return whole
@@ -394,5 +344,4 @@ def finish(experiment: Experiment, seen: Seen) -> None:
         return max(whole, other, key=lambda one: one.log_likelihood)
 
     for names, fit in zip(near, spread(ended, near), strict=True):
-        if evidence_of(experiment, fit) > seen.evidence[names] + 1.0:
-            seen.add(experiment, names, fit)
+        seen.add(experiment, names, fit)

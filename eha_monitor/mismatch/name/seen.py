@@ -1,0 +1,147 @@
+"""Every set that was refitted, what its evidence counts, and the probability of each."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.likelihood.fit import Fit
+from eha_monitor.mismatch.name.acceptance import FORM, TEMPER
+from eha_monitor.mismatch.name.gram import lasting
+from eha_monitor.mismatch.name.rank import Ranked, is_named
+from eha_monitor.mismatch.name.refit import discrepancy, evidence_of, impossible, prior_of
+
+Names = frozenset[str]
+NO_MORE = 0.5  # log units: a fit that is better by less is the same fit
+
+
+@dataclass
+class Seen:
+    """Every set that was refitted.
+
+    Attributes
+    ----------
+    inverse : the balances' own errors are compared, not predictions.
+    fits, evidence, left : names -> model, Laplace evidence, cost of its unknowns, log units.
+    stations : names -> model and evidence of what cannot be (no damping, no stiffness).  It is no
+        answer, but what it lacks may be what makes it possible: the search goes on from there.
+    tried : all sets that were refitted, whatever came of it.
+    """
+
+    inverse: bool = False
+
+    fits: dict[Names, Fit] = field(default_factory=dict)
+    evidence: dict[Names, float] = field(default_factory=dict)
+    left: dict[Names, float] = field(default_factory=dict)
+    stations: dict[Names, tuple[Fit, float]] = field(default_factory=dict)
+    tried: set[Names] = field(default_factory=set)
+
+    def add(self, experiment: Experiment, names: Names, fit: Fit, anyway: bool = False) -> None:
+        """Keep a fit of a set, if it is one and better than what is there, or ``anyway``."""
+        self.tried.add(names)
+        value = evidence_of(experiment, fit) if np.isfinite(fit.log_likelihood) else -np.inf
+        if not np.isfinite(value):
+            return
+        if names and impossible(fit):
+            if value > self.stations.get(names, (None, -np.inf))[1] + NO_MORE:
+                self.stations[names] = fit, value
+        elif anyway or value > self.evidence.get(names, -np.inf) + NO_MORE:
+            self.fits[names], self.evidence[names] = fit, value
+            self.left[names] = discrepancy(experiment, fit)
+
+    def floor(self) -> float:
+        """Return the evidence of a model that needs no unknowns, as far as it is known."""
+        best = max(self.evidence, key=self.evidence.get)
+        return self.evidence[best] + self.left[best]
+
+    def score(self, evidence: float, prior: float) -> float:
+        """Return what an evidence counts, log units: see :func:`counted`."""
+        return self.power() * counted(self.floor() - evidence) + prior
+
+    def power(self) -> float:
+        """Return the power of the likelihood.
+
+        Where the balances' own errors are compared, what is left of them lasts: so many samples
+        count as one.
+        """
+        if not self.inverse:
+            return TEMPER
+        best = self.fits[max(self.evidence, key=self.evidence.get)]
+        return 1.0 / float(np.mean([lasting(column[np.isfinite(column)])
+                                    for column in best.e.T]))
+
+    def scores(self) -> dict[Names, float]:
+        """Return the score of every refitted set."""
+        return {names: self.score(value, prior_of(names))
+                for names, value in self.evidence.items()}
+
+    def best(self) -> Names:
+        """Return the set with the highest score."""
+        scores = self.scores()
+        return max(scores, key=scores.get)
+
+    def ahead(self, done: dict[Names, float], enough: float) -> tuple[Names, Fit] | None:
+        """Return the model where the search goes on; None where it has been everywhere.
+
+        That is the set with the highest evidence, and at last the one with the highest score.
+
+        Parameters
+        ----------
+        done : names -> evidence with which a model was linearised before; one that has gained
+            ``enough`` since is linearised again.
+        """
+        known = {names: (self.fits[names], value) for names, value in self.evidence.items()}
+        every = {**known, **{names: item for names, item in self.stations.items()
+                             if item[1] > self.evidence.get(names, -np.inf)}}
+        highest = max(every, key=lambda names: every[names][1] + prior_of(names))
+        for names, (fit, value) in ((highest, every[highest]), (self.best(), known[self.best()])):
+            if value > done.get(names, -np.inf) + enough:
+                return names, fit
+        return None
+
+
+def counted(left: float) -> float:
+    """Return what evidence that is lacking counts: in full near the noise, less far above it.
+
+    No model is exact to the last newton.  A likelihood (1 + left / FORM)^-FORM is that of a model
+    whose form error is unknown in size: what takes a tenth of much that is left has gained little,
+    what takes the last bit has gained all of it.
+    """
+    return -FORM * float(np.log1p(max(left, 0.0) / FORM))
+
+
+def posterior(seen: Seen, here: Names, ranking: Sequence[Ranked], promising: bool = False
+              ) -> dict[Names, float]:
+    """Return the probability of every set that was seen, refitted or by the linear guess.
+
+    Sets by the linear guess are those of a linearisation, measured from the model there.  What
+    has names and seems better than that model was refitted, or is beyond what the guess can say.
+
+    Parameters
+    ----------
+    here : the model that was linearised; ``ranking`` the sets as they are ranked there.
+    promising : also of what seems better and was never refitted.
+    """
+    scores = seen.scores()
+    own = own_in(ranking, here)
+    if own is not None:
+        start = evidence_at_start(seen, here) - (own.evidence - own.prior)
+        for one in ranking:
+            unnamed = not all(map(is_named, one.names))
+            if one.names not in scores and (unnamed or one.evidence <= own.evidence or (
+                    promising and one.names not in seen.tried)):
+                scores[one.names] = seen.score(start + one.evidence - one.prior, one.prior)
+    weights = np.array(list(scores.values()))
+    weights = np.exp(weights - weights.max())
+    return dict(zip(scores, (weights / weights.sum()).tolist(), strict=True))
+
+
+def evidence_at_start(seen: Seen, here: Names) -> float:
+    """Return the evidence of a model that was linearised."""
+    return seen.evidence[here] if here in seen.evidence else seen.stations[here][1]
+
+
+def own_in(ranking: Sequence[Ranked], names: Names) -> Ranked | None:
+    """Return a set's place in a ranking."""
+    return next((one for one in ranking if one.names == names), None)
