@@ -13,8 +13,9 @@ from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.name.acceptance import EFFECT, RARE, UNNAMED, WRONG_RIG
 from eha_monitor.mismatch.name.columns import ALWAYS, Column
 from eha_monitor.mismatch.name.gram import Gram, extended
-from eha_monitor.mismatch.name.rank import Level, Member, Ranking, best_over, ranked_at, twins
+from eha_monitor.mismatch.name.rank import Level, Member, Ranking, best_over, ranked_at
 from eha_monitor.mismatch.name.starts import Start
+from eha_monitor.mismatch.name.suspects import twins
 from eha_monitor.physics.effects import CATALOGUE
 
 N, LOGDET = 40, 3.7

@@ -38,6 +38,8 @@ BEYOND = 20.0  # of these deviations: how far a number of the rig that is wrong 
 TANGENT = 0.05  # of a start's size: where the innovations answer in proportion
 RIG_STEP = 1e-3  # of a tolerance's logarithm: for its sensitivity
 ASTRAY, ASTRAY_OWNER = 1e30, "astray"  # a run that went astray says nothing
+LOOSE = 0.1  # of a logarithm: a number that may be off by so much does not act in proportion
+FAR_OFF = 5.0  # of its deviations: where such a number is tried, either way
 REPLACING = 100  # variants from here on grow out of an effect that the model has
 COARSER = 3.0  # times the integration step, for differences
 
@@ -56,6 +58,7 @@ class Column:
     free : how it is fitted; None for unnamed terms.
     start : of the effect that it brings in.
     size : it is a size: without it its effect is absent.
+    step : how far a wrong number of the rig moves with an amplitude of 1, of its logarithm.
     """
 
     owner: str
@@ -67,6 +70,7 @@ class Column:
     free: Free | None = None
     start: Start | None = None
     size: bool = False
+    step: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -159,6 +163,14 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
               *(f for f in fit.free if timing_only(fit, f)),
               *(f for f in rig_free(experiment) if f.name not in twins)):
         moved(f, ALWAYS, -1)
+    for f in rig_free(experiment) if suspects else ():
+        if f.name not in twins and f.name not in fit.named and f.spread > LOOSE:
+            for variant, sign in enumerate((-1.0, 1.0), 1):
+                theta, step = fit.theta.copy(), sign * FAR_OFF * f.spread
+                theta[f.place] *= np.exp(step)
+                what.append(Column(f.name, variant, f.name, 0.0, 0.0, 1.5, f, size=True,
+                                   step=step))
+                moves.append((theta, fit.active, 1.0))
     for name in effects_of(fit):
         sizes = {p.name for p in CATALOGUE[name].sizes}
         for f in fit.free:
@@ -219,7 +231,8 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
     wrong = [i for i, c in enumerate(what) if c.owner == ALWAYS and c.name.startswith("rig.")]
     copies = tuple((1 + i, BEYOND) for i in wrong)
     what += [Column(what[i].name, -1 if what[i].name in fit.named else 0, what[i].name,
-                    free=what[i].free, size=True) for i in wrong]
+                    free=what[i].free, size=True, step=BEYOND * what[i].free.spread)
+             for i in wrong]
     return Columns(tuple(what), values, len(others) + 2, copies)
 
 

@@ -24,10 +24,10 @@ from eha_monitor.mismatch.name.base import limits_of
 from eha_monitor.mismatch.name.columns import runs_of
 from eha_monitor.mismatch.name.gram import evidence_at
 from eha_monitor.mismatch.name.polish import Slopes, polished
-from eha_monitor.mismatch.name.rank import is_named
 from eha_monitor.mismatch.name.refit import discrepancy, settled
 from eha_monitor.mismatch.name.seen import own_in, posterior
 from eha_monitor.mismatch.name.select import Selection, selected
+from eha_monitor.mismatch.name.suspects import is_named
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT, loads_of
 from eha_monitor.physics.effects import CATALOGUE
 

@@ -108,7 +108,7 @@ def _polished(experiment: Experiment, fit: Fit, known: dict[str, np.ndarray], st
     d = np.stack([known.get(f.name, np.zeros(e.shape)) for f in free])
     taken([i for i, f in enumerate(free) if f.name not in known])
     every = list(range(len(free)))
-    fresh, damping, converged = not known, 1e-9, False
+    fresh, damping, converged, left = not known, 1e-9, False, 1 if tolerance >= ROUGHLY else steps
     white = information = None
     for _ in range(steps):
         w = whitener(covariance_of(e))
@@ -137,11 +137,11 @@ def _polished(experiment: Experiment, fit: Fit, known: dict[str, np.ndarray], st
             if attempt:
                 damping = max(10.0 * damping, 1e-3)
         if not improved:
-            if fresh:
+            if fresh or not left:
                 converged = True
                 break
             taken(every)
-            fresh = True
+            fresh, left = True, left - 1
             damping = 1e-9
             continue
         step = np.array([f.inward(other[f.place]) for f in free]) - now

@@ -9,7 +9,6 @@ G = D'D, q = m - D'r: Laplace's approximation, exact where the model is linear. 
 has is taken out once a level (a Schur complement); a set is then a solve of its few columns.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import combinations
 
@@ -20,7 +19,6 @@ from eha_monitor.mismatch.likelihood.fit import spread
 from eha_monitor.mismatch.name.acceptance import (
     BEAM,
     EFFECT,
-    KIN,
     LARGEST_SET,
     RARE,
     UNNAMED,
@@ -28,6 +26,7 @@ from eha_monitor.mismatch.name.acceptance import (
 )
 from eha_monitor.mismatch.name.columns import ALWAYS, ASTRAY_OWNER, Column
 from eha_monitor.mismatch.name.gram import Gram
+from eha_monitor.mismatch.name.suspects import exclude, limited, log_kin, twins
 from eha_monitor.physics.effects import CATALOGUE
 
 PASSES = 4  # of a solution within bounds
@@ -357,38 +356,6 @@ def gained(blocks: np.ndarray, sides: np.ndarray) -> np.ndarray:
         y = np.linalg.solve(factor, sides[i])
         found[i] = 0.5 * y @ y - np.log(np.diag(factor)).sum()
     return found
-
-
-def log_kin(names: Iterable[str]) -> float:
-    """Return the prior of what a set has of one family: each beyond the first costs more."""
-    families = [CATALOGUE[name].family for name in names
-                if name in CATALOGUE and CATALOGUE[name].family]
-    return KIN * (len(families) - len(set(families)))
-
-
-def exclude(one: str, other: str) -> bool:
-    """Tell whether of two suspects one contains the other, or both are unknown functions."""
-    first, second = CATALOGUE.get(one), CATALOGUE.get(other)
-    if first and second:
-        return bool({first.name, *first.contains} & {second.name, *second.contains})
-    return not (first or second or one.startswith("rig.") or other.startswith("rig."))
-
-
-def limited(name: str) -> bool:
-    """Tell whether an effect is a limit, or is fitted as a logarithm: it has no linear size."""
-    return name in CATALOGUE and any(p.log or not np.isfinite(p.neutral)
-                                     for p in CATALOGUE[name].sizes)
-
-
-def is_named(name: str) -> bool:
-    """Tell whether a suspect is an entry of the catalogue or a number of the rig."""
-    return name in CATALOGUE or name.startswith("rig.")
-
-
-def twins(one: str, other: str) -> bool:
-    """Tell whether an effect and a number of the rig are one equation."""
-    return any(name in CATALOGUE and f"rig.{CATALOGUE[name].rig_twin}" == key
-               for name, key in ((one, other), (other, one)))
 
 
 def ranked_at(what: tuple[Column, ...], named: tuple[str, ...], grams: list[Gram]

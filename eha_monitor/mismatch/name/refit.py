@@ -24,12 +24,15 @@ from eha_monitor.mismatch.name.columns import (
 )
 from eha_monitor.mismatch.name.gram import evidence_at
 from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished_on
-from eha_monitor.mismatch.name.rank import Ranked, log_kin
+from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.starts import entered, free_of, own_sizes
+from eha_monitor.mismatch.name.suspects import log_kin
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import BASE_KEYS, effect_values, place_of
 
 LEAST = 0.05  # of its start: where a size enters at least
+SHARES = (1.0, 0.3)  # of the way to a linear guess
+FARTHEST = 8.0  # of a logarithm: how far a number of the rig is moved by a linear guess
 INFORMED = 0.5  # of its prior deviation, all else known: a number that the recording answers to
 ROUGH_STEPS = 8  # of a fit whose unknowns will change
 HALVINGS = 3  # of the way to other unknowns
@@ -113,8 +116,19 @@ def settled(experiment: Experiment, fit: Fit, slopes: Slopes | None = None, roun
                        tolerance)[0]
 
 
-def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: Ranked) -> Fit:
-    """Return the model of a ranked set at its linear guess, under the gains of its level."""
+def entered_at_best(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: Ranked
+                    ) -> Fit:
+    """Return the model of a ranked set at its linear guess, or a shorter way along it.
+
+    What is far off does not act in proportion, and a guess may lie beyond it.
+    """
+    return max((joined(experiment, fit, what, ranked, share) for share in SHARES),
+               key=lambda one: one.log_likelihood)
+
+
+def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: Ranked,
+           share: float = 1.0) -> Fit:
+    """Return the model of a ranked set under its level's gains, ``share`` of the way there."""
     theta, active = fit.theta.copy(), fit.active.copy()
     keep = {member.owner for member in ranked.members if member.variant < 0}
     gone = [name for name in fit.named if name not in keep]
@@ -124,7 +138,7 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
     named = tuple(name for name in fit.named if name in keep)
     values: dict[str, float] = {}
     for place, amplitude in ranked.amplitudes.items():
-        column = what[place]
+        column, amplitude = what[place], share * amplitude
         if column.free is None:
             continue
         f = column.free
@@ -132,7 +146,7 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
             now = f.inward(theta[f.place]) + amplitude * f.spread
             theta[f.place] = f.outward(now)
         elif column.owner.startswith("rig."):
-            theta[f.place] = f.outward(f.inward(theta[f.place]) + BEYOND * amplitude * f.spread)
+            theta[f.place] *= np.exp(np.clip(amplitude * column.step, -FARTHEST, FARTHEST))
         elif own_sizes(column.start):
             values[column.name] = guess(column, amplitude)
     free = [f for f in free if not f.name.startswith("rig.")] + informed(

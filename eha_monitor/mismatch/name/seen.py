@@ -7,10 +7,11 @@ import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit
-from eha_monitor.mismatch.name.acceptance import FORM, TEMPER
+from eha_monitor.mismatch.name.acceptance import FORM, KIN_FORM, TEMPER
 from eha_monitor.mismatch.name.gram import lasting
-from eha_monitor.mismatch.name.rank import Ranked, is_named
+from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.refit import discrepancy, evidence_of, impossible, prior_of
+from eha_monitor.mismatch.name.suspects import is_named, plainer
 
 Names = frozenset[str]
 NO_MORE = 0.5  # log units: a fit that is better by less is the same fit
@@ -26,7 +27,7 @@ class Seen:
     fits, evidence, left : names -> model, Laplace evidence, cost of its unknowns, log units.
     stations : names -> model and evidence of what cannot be (no damping, no stiffness).  It is no
         answer, but what it lacks may be what makes it possible: the search goes on from there.
-    tried : all sets that were refitted, whatever came of it.
+    tried : (model, set) that was refitted from a linearisation at that model, whatever came of it.
     """
 
     inverse: bool = False
@@ -35,11 +36,10 @@ class Seen:
     evidence: dict[Names, float] = field(default_factory=dict)
     left: dict[Names, float] = field(default_factory=dict)
     stations: dict[Names, tuple[Fit, float]] = field(default_factory=dict)
-    tried: set[Names] = field(default_factory=set)
+    tried: set[tuple[Names, Names]] = field(default_factory=set)
 
     def add(self, experiment: Experiment, names: Names, fit: Fit, anyway: bool = False) -> None:
         """Keep a fit of a set, if it is one and better than what is there, or ``anyway``."""
-        self.tried.add(names)
         value = evidence_of(experiment, fit) if np.isfinite(fit.log_likelihood) else -np.inf
         if not np.isfinite(value):
             return
@@ -49,6 +49,10 @@ class Seen:
         elif anyway or value > self.evidence.get(names, -np.inf) + NO_MORE:
             self.fits[names], self.evidence[names] = fit, value
             self.left[names] = discrepancy(experiment, fit)
+
+    def known(self, names: Names, here: Names) -> bool:
+        """Tell whether a set was refitted to the end, or looked at from the model at hand."""
+        return names in self.fits or names in self.stations or (here, names) in self.tried
 
     def floor(self) -> float:
         """Return the evidence of a model that needs no unknowns, as far as it is known."""
@@ -73,8 +77,26 @@ class Seen:
 
     def scores(self) -> dict[Names, float]:
         """Return the score of every refitted set."""
-        return {names: self.score(value, prior_of(names))
-                for names, value in self.evidence.items()}
+        return {names: self.score(self.beyond_form(names), prior_of(names))
+                for names in self.evidence}
+
+    def beyond_form(self, names: Names) -> float:
+        """Return a set's evidence without what the form error of a simpler law may account for.
+
+        No law of friction is right to the last newton, and one with more sizes picks up what the
+        simpler law of its family has wrong.
+        """
+        value = self.evidence[names]
+        for law, other in ((one, other) for one in names for other in plainer(one)):
+            rest = names - {law}
+            if rest | {other} in self.evidence:
+                least = self.evidence[rest | {other}]
+                without = max((known for some, known in self.evidence.items() if some <= rest),
+                              default=least)
+                form = KIN_FORM * max(least - without, 0.0)
+                if self.evidence[names] > least:
+                    value = min(value, max(least, self.evidence[names] - form))
+        return value
 
     def best(self) -> Names:
         """Return the set with the highest score."""
@@ -91,7 +113,7 @@ class Seen:
         done : names -> evidence with which a model was linearised before; one that has gained
             ``enough`` since is linearised again.
         """
-        known = {names: (self.fits[names], value) for names, value in self.evidence.items()}
+        known = {names: (self.fits[names], self.beyond_form(names)) for names in self.evidence}
         every = {**known, **{names: item for names, item in self.stations.items()
                              if item[1] > self.evidence.get(names, -np.inf)}}
         highest = max(every, key=lambda names: every[names][1] + prior_of(names))
@@ -130,7 +152,7 @@ def posterior(seen: Seen, here: Names, ranking: Sequence[Ranked], promising: boo
         for one in ranking:
             unnamed = not all(map(is_named, one.names))
             if one.names not in scores and (unnamed or one.evidence <= own.evidence or (
-                    promising and one.names not in seen.tried)):
+                    promising and not seen.known(one.names, here))):
                 scores[one.names] = seen.score(start + one.evidence - one.prior, one.prior)
     weights = np.array(list(scores.values()))
     weights = np.exp(weights - weights.max())

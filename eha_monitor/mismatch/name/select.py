@@ -8,15 +8,15 @@ from eha_monitor.mismatch.data.experiment import Experiment, resolving
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.name.acceptance import RIVAL
-from eha_monitor.mismatch.name.base import limits_of
+from eha_monitor.mismatch.name.base import limits_of, with_effect, without_effect
 from eha_monitor.mismatch.name.columns import Column, columns_at
 from eha_monitor.mismatch.name.gram import grams_of
-from eha_monitor.mismatch.name.polish import Slopes, polished
-from eha_monitor.mismatch.name.rank import Ranked, best_over, is_named, ranked_at
+from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished
+from eha_monitor.mismatch.name.rank import Ranked, best_over, ranked_at
 from eha_monitor.mismatch.name.refit import (
     at_level,
     begun,
-    joined,
+    entered_at_best,
     settled,
 )
 from eha_monitor.mismatch.name.seen import (
@@ -26,7 +26,10 @@ from eha_monitor.mismatch.name.seen import (
     own_in,
     posterior,
 )
+from eha_monitor.mismatch.name.starts import starts_of
+from eha_monitor.mismatch.name.suspects import is_effect, is_named
 from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.parameters import effect_values
 from eha_monitor.physics.signals import B
 
 FIRST = 100.0  # times the smallest unknowns: where the nominal model is linearised
@@ -40,7 +43,7 @@ WITHIN_REACH, FINALISTS = 20.0, 3  # log units; sets that are fitted to the end
 FEW = 2  # sets more from where fewer unknowns are allowed
 STRAYED = 5.0  # log units: a fit that is that far from its optimum is made again
 CLOSE = 1000.0  # log units: the nominal model is a rival too
-QUICK = 5  # steps of the first look
+QUICK = 10  # steps of the first look
 ROUNDS = 8
 
 
@@ -102,7 +105,8 @@ def with_names(found: list[Ranked]) -> list[Ranked]:
     return chosen
 
 
-def proposals_of(found: list[Ranked], own: float, seen: Seen) -> list[Ranked]:
+def proposals_of(found: list[Ranked], own: float, seen: Seen, here: Names = frozenset()
+                 ) -> list[Ranked]:
     """Return the sets that are worth a refit: the smallest that reach most of the best gain."""
     named = with_names(found)
     better = [one for one in named if one.evidence > own]
@@ -117,8 +121,8 @@ def proposals_of(found: list[Ranked], own: float, seen: Seen) -> list[Ranked]:
         if not any(contained(other, one) for other in chosen):
             chosen.append(one)
     chosen.sort(key=lambda one: -one.evidence)
-    return [one for one in chosen if one.names not in seen.tried][:HANDFUL] or [
-        one for one in able if one.names not in seen.tried][:HANDFUL]
+    return [one for one in chosen if not seen.known(one.names, here)][:HANDFUL] or [
+        one for one in able if not seen.known(one.names, here)][:HANDFUL]
 
 
 def simplicity(one: Ranked) -> tuple[int, float]:
@@ -174,19 +178,19 @@ def chosen_at(view: Linearised, seen: Seen) -> list[Ranked]:
         # What was fitted from elsewhere and would be better by a guess from here is fitted again.
         start = evidence_at_start(seen, view.here) - (own.evidence - own.prior)
         again = [one for one in with_names(view.ranking) if one.names < view.here
-                 and one.names in seen.fits
+                 and one.names in seen.fits and (view.here, one.names) not in seen.tried
                  and start + one.evidence - one.prior > seen.evidence[one.names] + STRAYED
                  and one.evidence > own.evidence]
         if again:
             return again[:HANDFUL]
-    chosen = proposals_of(view.ranking, own.evidence if own else -np.inf, seen)
+    chosen = proposals_of(view.ranking, own.evidence if own else -np.inf, seen, view.here)
     # Large unknowns hide what they take the place of; where fewer are allowed it shows.
     for level in view.levels:
         if level and tight(level[0], view.fit):
             there = own_in(level, view.here)
             known = {one.names for one in chosen}
             chosen += [one for one in proposals_of(
-                level, there.evidence if there else -np.inf, seen)[:FEW]
+                level, there.evidence if there else -np.inf, seen, view.here)[:FEW]
                 if one.names not in known]
     return chosen
 
@@ -198,23 +202,23 @@ def rivals_at(view: Linearised, seen: Seen) -> list[Ranked]:
     """
     weights = posterior(seen, view.here, view.ranking, promising=True)
     found = [one for one in with_names(view.ranking)
-             if one.names not in seen.tried and weights.get(one.names, 0.0) >= RIVAL]
+             if not seen.known(one.names, view.here) and weights.get(one.names, 0.0) >= RIVAL]
     return sorted(found, key=lambda one: -weights[one.names])[:HANDFUL]
 
 
 def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], seen: Seen) -> None:
     """Refit sets from their linear guess: a first look at all, to the end what keeps up."""
     def entered(one: Ranked) -> Fit:
-        return joined(experiment, view.fit, view.what, one)
+        return entered_at_best(experiment, view.fit, view.what, one)
 
     def quick(one: Ranked) -> Fit:
-        return polished(experiment, entered(one), view.slopes, QUICK)
+        return polished(experiment, entered(one), view.slopes, QUICK, ROUGHLY)
 
     own = view.own
     if own is not None and not view.here and chosen[0].evidence < own.evidence + CLOSE:
         # With the same numbers of the rig free as in its rivals: else their evidence differs.
         seen.add(experiment, view.here, settled(experiment, entered(own), view.slopes), True)
-    seen.tried.update(one.names for one in chosen)
+    seen.tried.update((view.here, one.names) for one in chosen)
     looks = [made for made in spread(quick, chosen) if np.isfinite(made.log_likelihood)]
     if not looks:
         return
@@ -231,7 +235,7 @@ def held(experiment: Experiment, view: Linearised, seen: Seen) -> None:
     """Fit a model again under the unknowns that suit it best, from its own linear guess."""
     if view.own is not None and not experiment.inverse:
         seen.add(experiment, view.here, settled(
-            experiment, joined(experiment, view.fit, view.what, view.own), view.slopes))
+            experiment, entered_at_best(experiment, view.fit, view.what, view.own), view.slopes))
 
 
 def strayed(view: Linearised, seen: Seen) -> bool:
@@ -319,6 +323,17 @@ def crossed(fit: Fit, best: Fit) -> Fit | None:
     return replace(fit, theta=theta)
 
 
+def simplified(experiment: Experiment, fit: Fit, name: str, other: str) -> Fit:
+    """Return a fit with an effect that another contains in its place, where that one stands."""
+    start = starts_of(other, experiment)[0]
+    shared = effect_values(fit.theta, name)
+    start = replace(start, values=tuple((key, shared.get(key, value))
+                                        for key, value in start.values))
+    return with_unknowns(experiment, with_effect(
+        without_effect(experiment, fit, name), start, (1.0,) * len(CATALOGUE[other].sizes)),
+        fit.unknowns)
+
+
 def finish(experiment: Experiment, seen: Seen) -> None:
     """Fit the sets that are within reach of the best to the end, under the same unknowns.
 
@@ -331,6 +346,11 @@ def finish(experiment: Experiment, seen: Seen) -> None:
     if frozenset() not in near and scores[frozenset()] > scores[best] - WITHIN_REACH:
         near.append(frozenset())  # that nothing is missing is never judged by half a fit
     level = seen.fits[best].unknowns
+    for name in filter(is_effect, best):  # a simpler law of the family, from the same place
+        for other in CATALOGUE[name].contains:
+            if best - {name} | {other} not in seen.fits:
+                seen.add(experiment, best - {name} | {other}, settled(
+                    experiment, simplified(experiment, seen.fits[best], name, other)))
 
     def ended(names: frozenset[str]) -> Fit:
         fit = seen.fits[names]

@@ -1,0 +1,54 @@
+"""What a suspect is, which of them exclude each other, and what several of a family cost."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from eha_monitor.mismatch.name.acceptance import KIN
+from eha_monitor.physics.effects import CATALOGUE
+
+
+def log_kin(names: Iterable[str]) -> float:
+    """Return the prior of what a set has of one family: each beyond the first costs more."""
+    families = [CATALOGUE[name].family for name in names
+                if name in CATALOGUE and CATALOGUE[name].family]
+    return KIN * (len(families) - len(set(families)))
+
+
+def exclude(one: str, other: str) -> bool:
+    """Tell whether of two suspects one contains the other, or both are unknown functions."""
+    first, second = CATALOGUE.get(one), CATALOGUE.get(other)
+    if first and second:
+        return bool({first.name, *first.contains} & {second.name, *second.contains})
+    return not (first or second or one.startswith("rig.") or other.startswith("rig."))
+
+
+def plainer(name: str) -> list[str]:
+    """Return the effects of an effect's family that have one size where it has several."""
+    effect = CATALOGUE.get(name)
+    if effect is None or not effect.family or len(effect.sizes) == 1:
+        return []
+    return [other for other, entry in CATALOGUE.items()
+            if entry.family == effect.family and len(entry.sizes) == 1]
+
+
+def limited(name: str) -> bool:
+    """Tell whether an effect is a limit, or is fitted as a logarithm: it has no linear size."""
+    return name in CATALOGUE and any(p.log or not np.isfinite(p.neutral)
+                                     for p in CATALOGUE[name].sizes)
+
+
+def is_effect(name: str) -> bool:
+    """Tell whether a suspect is an entry of the catalogue."""
+    return name in CATALOGUE
+
+
+def is_named(name: str) -> bool:
+    """Tell whether a suspect is an entry of the catalogue or a number of the rig."""
+    return name in CATALOGUE or name.startswith("rig.")
+
+
+def twins(one: str, other: str) -> bool:
+    """Tell whether an effect and a number of the rig are one equation."""
+    return any(name in CATALOGUE and f"rig.{CATALOGUE[name].rig_twin}" == key
+               for name, key in ((one, other), (other, one)))
