@@ -25,6 +25,7 @@ from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
 from eha_monitor.mismatch.name.acceptance import LIKELY
 from eha_monitor.mismatch.name.naming import Naming, name_effects
+from eha_monitor.mismatch.name.telling import on_all_of, telling
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT
 from eha_monitor.mismatch.show import balances as balance_show
 from eha_monitor.mismatch.show import held_out as show
@@ -101,7 +102,8 @@ def diagnose_held(recordings: list[Recording], settings: Settings, held_out: Rec
                             f"the piston moves by {quantity(experiment.ranges.position, 'm', 2)} "
                             f"only, with {quantity(experiment.noise[0], 'm', 2)} of noise: "
                             "nothing can be told")
-    naming = name_effects(experiment, lambda text, share: say(text, 0.85 * share))
+    naming = on_all_of(experiment, name_effects(
+        telling(experiment), lambda text, share: say(text, 0.85 * share)))
     experiment = naming.experiment
     pieces: tuple[Piece, ...] = ()
     if not experiment.inverse and verdict_of(experiment, naming) != "consistent":

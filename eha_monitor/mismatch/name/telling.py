@@ -1,0 +1,92 @@
+"""The stretches of a long recording that tell most: effects are named on these.
+
+Names need a minute of rich motion, not an hour of it.  What each window says of what every model
+fits is a Gram matrix of whitened slopes, the innovations themselves among them, so that a window
+in which the model fails says something too; the windows are taken one by one whose log det
+together is the largest (D-optimal, greedy).
+"""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from eha_monitor.mismatch.data.experiment import BURN_IN, SHORTEST, Experiment, Stretch
+from eha_monitor.mismatch.likelihood.fit import spread, with_unknowns
+from eha_monitor.mismatch.name.columns import columns_at
+from eha_monitor.mismatch.name.gram import grams_of
+from eha_monitor.mismatch.name.naming import Naming
+from eha_monitor.mismatch.name.refit import begun
+
+WINDOW = 8_000  # samples
+MOST = 40_000  # samples that effects are named on
+LEVEL = 100.0  # times the smallest unknowns: under which windows are compared
+
+
+def telling(experiment: Experiment) -> Experiment:
+    """Return an experiment with the windows that tell most; itself where it is short.
+
+    Where the balances' own errors are compared nothing is filtered, and all of it is used.
+    """
+    if experiment.inverse or experiment.n <= MOST:
+        return experiment
+    windows = [part for stretch in experiment.stretches for part in cut(stretch, experiment.dt)]
+    if not windows:
+        return experiment
+    grams = spread(lambda one: told_by(experiment.only((one,))), windows)
+    size = max(len(gram) for gram in grams)
+    whole, chosen, samples = np.eye(size), [], 0
+    left = [i for i, gram in enumerate(grams) if len(gram)]
+    while left and samples + WINDOW <= MOST + WINDOW // 2:
+        best = max(left, key=lambda i: np.linalg.slogdet(whole + grams[i])[1])
+        left.remove(best)
+        chosen.append(best)
+        whole = whole + grams[best]
+        samples += len(windows[best])
+    if not chosen:
+        return experiment
+    return experiment.only(tuple(windows[i] for i in sorted(chosen)))
+
+
+def cut(stretch: Stretch, dt: float) -> list[Stretch]:
+    """Return a stretch in windows of equal length; each finds its state anew."""
+    count = max(round(len(stretch) / WINDOW), 1)
+    bounds = np.linspace(0, len(stretch), count + 1).astype(int)
+    found = []
+    for start, stop in pairwise(bounds):
+        if (stop - start) * dt < SHORTEST:
+            continue
+        here = slice(start, stop)
+        counted = stretch.counted[here].copy()
+        counted[: int(np.ceil(BURN_IN / dt))] = False
+        found.append(replace(
+            stretch, start=stretch.start + start * dt, z=stretch.z[here], u=stretch.u[here],
+            p1=stretch.p1[here], p2=stretch.p2[here], counted=counted,
+            held_out=stretch.held_out[here],
+            loose=None if stretch.loose is None else stretch.loose[here]))
+    return found
+
+
+def told_by(window: Experiment) -> np.ndarray:
+    """Return the Gram matrix of a window at the config's model; empty where no filter runs."""
+    try:
+        fit = begun(window, LEVEL)
+        if not np.isfinite(fit.log_likelihood):
+            return np.zeros((0, 0))
+        columns = columns_at(window, fit, unnamed=False, suspects=False)
+        (gram,) = grams_of(window, fit, columns.values, [fit.unknowns])
+    except (np.linalg.LinAlgError, ValueError):
+        return np.zeros((0, 0))
+    return gram.products if np.isfinite(gram.products).all() else np.zeros((0, 0))
+
+
+def on_all_of(experiment: Experiment, naming: Naming) -> Naming:
+    """Return what was named on some windows with its models run over the whole recording."""
+    whole = replace(naming.experiment, stretches=experiment.stretches)
+    if naming.experiment.stretches is experiment.stretches:
+        return naming
+
+    def over(fit):
+        return replace(with_unknowns(whole, fit, fit.unknowns), covariance=fit.covariance)
+
+    return replace(naming, experiment=whole, before=over(naming.before), after=over(naming.after))
