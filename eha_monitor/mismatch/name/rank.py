@@ -297,8 +297,6 @@ class Level:
             if not out:
                 break
             fixed.update(out)
-        if members and any("." not in r.what[i].name for i in fixed):
-            return None  # what can only be with no damping, or no stiffness, cannot be
         slack = 1e-9
         if (r.size[here] & ((a < r.lower[here] - slack) | (a > r.upper[here] + slack))).any():
             return None

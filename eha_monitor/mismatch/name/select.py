@@ -30,7 +30,7 @@ from eha_monitor.mismatch.name.starts import starts_of
 from eha_monitor.mismatch.name.suspects import is_effect, is_named
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import effect_values
-from eha_monitor.physics.signals import B
+from eha_monitor.physics.signals import BETA_E, B
 
 FIRST = 100.0  # times the smallest unknowns: where the nominal model is linearised
 LEANING = 30.0  # times the smallest unknowns: below, the nominal model needs next to nothing
@@ -41,6 +41,7 @@ MOST_GOING = 2  # of these
 LOOKS = 3  # handfuls that are refitted from one linearisation
 WITHIN_REACH, FINALISTS = 20.0, 3  # log units; sets that are fitted to the end
 FEW = 2  # sets more from where fewer unknowns are allowed
+BENT = 0.2  # of the logarithm of B or beta_e
 STRAYED = 5.0  # log units: a fit that is that far from its optimum is made again
 CLOSE = 1000.0  # log units: the nominal model is a rival too
 QUICK = 10  # steps of the first look
@@ -256,6 +257,12 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
     views: dict[Names, Linearised] = {}
     done: dict[Names, float] = {}
     ended = False
+    start = begun(experiment, FIRST)
+    if bent(start, first):
+        view = linearised(experiment, frozenset(), start)
+        chosen = chosen_at(view, seen)
+        if chosen:
+            refit(experiment, view, chosen, seen)
     for turn in range(ROUNDS):
         say(f"weighing all sets, round {turn + 1}", 0.1 + 0.1 * turn)
         at = seen.ahead(done, STRAYED)
@@ -282,6 +289,15 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
     best = seen.best()
     view = views.get(best, view)
     return Selection(experiment, first, seen.fits[best], seen, view.ranking, view.what, view.here)
+
+
+def bent(start: Fit, fit: Fit) -> bool:
+    """Tell whether a fit of the nominal model has gone far from the config.
+
+    What is left out bends B and beta_e, and what is linear at the config is not so there.
+    """
+    return any(abs(np.log(fit.theta[place] / start.theta[place])) > BENT for place in (B, BETA_E)
+               if fit.theta[place] != start.theta[place])
 
 
 def resolved_nominal(experiment: Experiment) -> tuple[Experiment, Fit]:
