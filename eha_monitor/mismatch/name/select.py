@@ -272,7 +272,7 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
         view = linearised(experiment, here, fit)
         done[here] = evidence_at_start(seen, here)
         views[here] = replace(view, slopes=None)
-        if here and strayed(view, seen):
+        if strayed(view, seen) and (here or not chosen_at(view, seen)):
             held(experiment, view, seen)
             if evidence_at_start(seen, here) > done[here] + STRAYED:
                 continue
