@@ -7,7 +7,7 @@ import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit
-from eha_monitor.mismatch.name.acceptance import FORM, KIN_FORM, TEMPER
+from eha_monitor.mismatch.name.acceptance import FORM, FORM_OF_LAW, TEMPER
 from eha_monitor.mismatch.name.gram import lasting
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.refit import discrepancy, evidence_of, impossible, prior_of
@@ -93,7 +93,7 @@ class Seen:
                 least = self.evidence[rest | {other}]
                 without = max((known for some, known in self.evidence.items() if some <= rest),
                               default=least)
-                form = KIN_FORM * max(least - without, 0.0)
+                form = FORM_OF_LAW * max(least - without, 0.0)
                 if self.evidence[names] > least:
                     value = min(value, max(least, self.evidence[names] - form))
         return value
@@ -148,12 +148,17 @@ def posterior(seen: Seen, here: Names, ranking: Sequence[Ranked], promising: boo
     scores = seen.scores()
     own = own_in(ranking, here)
     if own is not None:
-        start = evidence_at_start(seen, here) - (own.evidence - own.prior)
+        least = evidence_at_start(seen, here)
+        start = least - (own.evidence - own.prior)
+        form = FORM_OF_LAW * max(least - seen.evidence.get(frozenset(), least), 0.0)
         for one in ranking:
             unnamed = not all(map(is_named, one.names))
+            value = start + one.evidence - one.prior
+            if unnamed and value > least:  # what the laws have wrong is a function of something
+                value = max(least, value - form)
             if one.names not in scores and (unnamed or one.evidence <= own.evidence or (
                     promising and not seen.known(one.names, here))):
-                scores[one.names] = seen.score(start + one.evidence - one.prior, one.prior)
+                scores[one.names] = seen.score(value, one.prior)
     weights = np.array(list(scores.values()))
     weights = np.exp(weights - weights.max())
     return dict(zip(scores, (weights / weights.sum()).tolist(), strict=True))

@@ -257,19 +257,13 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
     views: dict[Names, Linearised] = {}
     done: dict[Names, float] = {}
     ended = False
-    start = begun(experiment, FIRST)
-    if bent(start, first):
-        view = linearised(experiment, frozenset(), start)
-        chosen = chosen_at(view, seen)
-        if chosen:
-            refit(experiment, view, chosen, seen)
     for turn in range(ROUNDS):
         say(f"weighing all sets, round {turn + 1}", 0.1 + 0.1 * turn)
         at = seen.ahead(done, STRAYED)
         if at is None:
             break
         here, fit = at
-        view = linearised(experiment, here, fit)
+        view = linearised(experiment, here, fit) if turn else first_view(experiment, first)
         done[here] = evidence_at_start(seen, here)
         views[here] = replace(view, slopes=None)
         if strayed(view, seen) and (here or not chosen_at(view, seen)):
@@ -289,6 +283,17 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
     best = seen.best()
     view = views.get(best, view)
     return Selection(experiment, first, seen.fits[best], seen, view.ranking, view.what, view.here)
+
+
+def first_view(experiment: Experiment, first: Fit) -> Linearised:
+    """Return the linearisation of the nominal model at which the sets are told best.
+
+    That is at its fit, or at the config's own B and beta_e where the fit has gone far from them.
+    """
+    start = begun(experiment, FIRST)
+    views = [linearised(experiment, frozenset(), fit)
+             for fit in ([first, start] if bent(start, first) else [first])]
+    return max(views, key=lambda view: view.ranking[0].evidence if view.ranking else -np.inf)
 
 
 def bent(start: Fit, fit: Fit) -> bool:
