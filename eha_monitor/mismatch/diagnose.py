@@ -23,7 +23,7 @@ from eha_monitor.mismatch.diagnosis import (
 )
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
-from eha_monitor.mismatch.name.acceptance import LIKELY
+from eha_monitor.mismatch.name.acceptance import LIKELY, RIVAL
 from eha_monitor.mismatch.name.naming import Naming, name_effects
 from eha_monitor.mismatch.name.telling import on_all_of, telling
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT
@@ -106,7 +106,8 @@ def diagnose_held(recordings: list[Recording], settings: Settings, held_out: Rec
         telling(experiment), lambda text, share: say(text, 0.85 * share)))
     experiment = naming.experiment
     pieces: tuple[Piece, ...] = ()
-    if not experiment.inverse and verdict_of(experiment, naming) != "consistent":
+    if not experiment.inverse and (verdict_of(experiment, naming) != "consistent"
+                                   or naming.unexplained > RIVAL):
         say("asking whether a parameter changed", 0.86)
         changed = changed_between(experiment, recordings, naming)
         if changed is not None:
