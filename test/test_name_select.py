@@ -58,6 +58,9 @@ def test_the_smallest_sets_that_reach_most_of_the_best_gain_are_refitted():
              ranked(980.0, "constant_load", "drive_lag"),
              ranked(700.0, "constant_load"), ranked(0.0)]
     assert names_of(proposals_of(found, 0.0, Seen())) == [
+        {"constant_load"}, {"constant_load", "spring_load"}, {"constant_load", "drive_lag"}]
+    found[3] = ranked(400.0, "constant_load")  # promises less than half
+    assert names_of(proposals_of(found, 0.0, Seen())) == [
         {"constant_load", "spring_load"}, {"constant_load", "drive_lag"}]
 
 

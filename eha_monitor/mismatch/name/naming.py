@@ -45,7 +45,7 @@ class Naming:
     before, after : nominal model with B and beta_e fitted; the model with what is named.
     wrong : numbers of the rig that ``after`` calls wrong, ``mass`` and so on.
     probability : effect, ``rig.<key>`` -> probability that it, or what cannot be told from it,
-        is there.
+        is there, and that nothing without a name is missing beside it.
     consistent, unexplained : probabilities of these answers.
     evidence : effect, ``rig.<key>`` -> log units that the model loses without it.
     rivals : effect, ``rig.<key>`` -> names that this record cannot tell from it.
@@ -172,7 +172,8 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
         rivals[name] = tuple(dict.fromkeys(other.removeprefix("rig.") for other in near))
         held = {name, *near, *(f"rig.{other}" for other in near)}
         probability[name] = float(sum(
-            weight for names, weight in weights.items() if held & names))
+            weight for names, weight in weights.items() if held & names and all(
+                is_named(other) or other == INTERMITTENT for other in names)))
         without = [value for names, value in seen.evidence.items() if not held & names]
         evidence[name] = float(seen.evidence[best] - max(without, default=-np.inf))
     unnamed = float(sum(weight for names, weight in weights.items()

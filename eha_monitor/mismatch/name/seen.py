@@ -7,7 +7,7 @@ import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit
-from eha_monitor.mismatch.name.acceptance import FORM, FORM_OF_LAW, TEMPER
+from eha_monitor.mismatch.name.acceptance import FORM, FORM_OF_LAW, RIVAL, TEMPER
 from eha_monitor.mismatch.name.gram import lasting
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.refit import discrepancy, evidence_of, impossible, prior_of
@@ -102,6 +102,20 @@ class Seen:
         """Return the set with the highest score."""
         scores = self.scores()
         return max(scores, key=scores.get)
+
+    def swaps(self) -> set[Names]:
+        """Return the best set with one member in place of another that was once as likely.
+
+        Two that hardly differed beside fewer others may differ beside all of them.
+        """
+        best, scores = self.best(), self.scores()
+        found = set()
+        for one, value in scores.items():
+            for other, second in scores.items():
+                if len(one - other) == len(other - one) == 1 and one - other <= best \
+                        and not other & (best - one) and abs(value - second) < -np.log(RIVAL):
+                    found.add(best - (one - other) | (other - one))
+        return found
 
     def ahead(self, done: dict[Names, float], enough: float) -> tuple[Names, Fit] | None:
         """Return the model where the search goes on; None where it has been everywhere.

@@ -33,9 +33,11 @@ from eha_monitor.physics.parameters import effect_values
 from eha_monitor.physics.signals import BETA_E, B
 
 FIRST = 100.0  # times the smallest unknowns: where the nominal model is linearised
+LARGER = (FIRST, 10.0 * FIRST, 100.0 * FIRST)  # where a model far off runs away under less
 LEANING = 30.0  # times the smallest unknowns: below, the nominal model needs next to nothing
 HANDFUL = 4  # sets that are refitted at a linearisation
 MOST_OF = 0.9  # of the best set's gain: the smallest sets that reach it are refitted first
+PROMISING = 0.5  # of it: the best few of each smaller size are looked at
 CATCHING_UP = 0.9  # of the best refitted set's gain, after a few steps, to be fitted to the end
 MOST_GOING = 2  # of these
 LOOKS = 3  # handfuls that are refitted from one linearisation
@@ -86,8 +88,11 @@ def levels_of(experiment: Experiment, fit: Fit) -> list[Unknowns]:
 
 def nominal_model(experiment: Experiment) -> Fit:
     """Fit the nominal model, first with unknowns so large that it cannot run away."""
-    held = polished(experiment, begun(experiment, FIRST), Slopes(experiment), 8, 0.5)
-    if not held.gains.size or not np.isfinite(held.log_likelihood):
+    for factor in LARGER:
+        held = polished(experiment, begun(experiment, factor), Slopes(experiment), 8, 0.5)
+        if held.gains.size and np.isfinite(held.log_likelihood):
+            break
+    else:
         raise np.linalg.LinAlgError("the nominal model's likelihood is singular")
     small = limits_of(experiment)[0].as_array()
     if experiment.inverse or (at_level(experiment, held).unknowns.as_array()
@@ -122,6 +127,10 @@ def proposals_of(found: list[Ranked], own: float, seen: Seen, here: Names = froz
         if not any(contained(other, one) for other in chosen):
             chosen.append(one)
     chosen.sort(key=lambda one: -one.evidence)
+    # What is far off is not linear: a smaller set that promises most of it may reach all of it.
+    enough = own + PROMISING * (better[0].evidence - own)
+    chosen = [one for k in range(1, size) for one in [
+        one for one in better if len(one.names) == k and one.evidence >= enough][:FEW]] + chosen
     return [one for one in chosen if not seen.known(one.names, here)][:HANDFUL] or [
         one for one in able if not seen.known(one.names, here)][:HANDFUL]
 
@@ -202,9 +211,10 @@ def rivals_at(view: Linearised, seen: Seen) -> list[Ranked]:
     Among them are the best set without one of its members, and with another in its place.
     """
     weights = posterior(seen, view.here, view.ranking, promising=True)
-    found = [one for one in with_names(view.ranking)
-             if not seen.known(one.names, view.here) and weights.get(one.names, 0.0) >= RIVAL]
-    return sorted(found, key=lambda one: -weights[one.names])[:HANDFUL]
+    swaps = seen.swaps() if view.here == seen.best() else set()
+    found = [one for one in with_names(view.ranking) if not seen.known(one.names, view.here)
+             and (weights.get(one.names, 0.0) >= RIVAL or one.names in swaps)]
+    return sorted(found, key=lambda one: -weights.get(one.names, 0.0))[:HANDFUL]
 
 
 def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], seen: Seen) -> None:
