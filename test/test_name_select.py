@@ -203,3 +203,35 @@ def test_what_stands_in_a_name_s_place_is_counted_beside_all_the_others():
                frozenset({"spring_load"}): 0.05, frozenset({"drive_lag"}): 0.05}
     assert in_place_of("constant_load", best, weights) == {"spring_load": 0.3}
     assert in_place_of("drive_lag", best, weights) == {}
+
+
+# ---- where the search goes on -------------------------------------------------------------------
+
+
+def test_a_second_law_must_beat_the_plain_one_by_more_than_its_form_error():
+    """Stribeck over Coulomb friction: 5 % of the 1000 log units that Coulomb explains are form."""
+    for gained, counts in ((30.0, 0.0), (80.0, 30.0)):
+        seen = seen_of({(): 0.0, ("coulomb_friction",): 1000.0,
+                        ("stribeck_friction",): 1000.0 + gained})
+        assert seen.beyond_form(frozenset({"coulomb_friction"})) == 1000.0
+        assert seen.beyond_form(frozenset({"stribeck_friction"})) == pytest.approx(1000.0 + counts)
+    other = seen_of({(): 0.0, ("constant_load",): 1000.0, ("spring_load",): 1030.0})
+    assert other.beyond_form(frozenset({"spring_load"})) == 1030.0  # no law of one family
+
+
+def test_the_search_goes_where_it_has_not_been_and_stops():
+    load, none = frozenset({"constant_load"}), frozenset()
+    seen = seen_of({(): 0.0, ("constant_load",): 100.0})
+    assert seen.ahead({}, 5.0)[0] == load
+    assert seen.ahead({load: 100.0}, 5.0) is None
+    assert seen.ahead({load: 90.0}, 5.0)[0] == load  # it was fitted better since
+    station = fitted().before
+    seen.stations[frozenset({"spring_load"})] = station, 500.0
+    assert seen.ahead({load: 100.0, none: 0.0}, 5.0) == (frozenset({"spring_load"}), station)
+    assert seen.best() == load  # what cannot be is no answer
+
+
+def test_the_best_set_is_tried_with_what_was_once_as_likely():
+    seen = seen_of({(): 0.0, ("pressure_scale",): 100.0, ("pressure_offset",): 98.0,
+                    ("constant_load",): 50.0, ("pressure_offset", "backlash"): 200.0})
+    assert seen.swaps() == {frozenset({"pressure_scale", "backlash"})}

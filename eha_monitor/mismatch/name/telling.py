@@ -23,21 +23,26 @@ MOST = 40_000  # samples that effects are named on
 LEVEL = 100.0  # times the smallest unknowns: under which windows are compared
 
 
-def telling(experiment: Experiment) -> Experiment:
+def telling(experiment: Experiment, most: int = MOST, window: int = WINDOW) -> Experiment:
     """Return an experiment with the windows that tell most; itself where it is short.
 
     Where the balances' own errors are compared nothing is filtered, and all of it is used.
+
+    Parameters
+    ----------
+    most : samples that are kept; ``window`` samples in each window.
     """
-    if experiment.inverse or experiment.n <= MOST:
+    if experiment.inverse or experiment.n <= most:
         return experiment
-    windows = [part for stretch in experiment.stretches for part in cut(stretch, experiment.dt)]
+    windows = [part for stretch in experiment.stretches
+               for part in cut(stretch, experiment.dt, window)]
     if not windows:
         return experiment
     grams = spread(lambda one: told_by(experiment.only((one,))), windows)
     size = max(len(gram) for gram in grams)
     whole, chosen, samples = np.eye(size), [], 0
     left = [i for i, gram in enumerate(grams) if len(gram)]
-    while left and samples + WINDOW <= MOST + WINDOW // 2:
+    while left and samples + window // 2 <= most:
         best = max(left, key=lambda i: np.linalg.slogdet(whole + grams[i])[1])
         left.remove(best)
         chosen.append(best)
@@ -48,9 +53,9 @@ def telling(experiment: Experiment) -> Experiment:
     return experiment.only(tuple(windows[i] for i in sorted(chosen)))
 
 
-def cut(stretch: Stretch, dt: float) -> list[Stretch]:
-    """Return a stretch in windows of equal length; each finds its state anew."""
-    count = max(round(len(stretch) / WINDOW), 1)
+def cut(stretch: Stretch, dt: float, window: int) -> list[Stretch]:
+    """Return a stretch in windows of about ``window`` samples; each finds its state anew."""
+    count = max(round(len(stretch) / window), 1)
     bounds = np.linspace(0, len(stretch), count + 1).astype(int)
     found = []
     for start, stop in pairwise(bounds):
