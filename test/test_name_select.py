@@ -8,15 +8,17 @@ from hypothesis import strategies as st
 from mismatch_tools import fitted
 
 from eha_monitor.mismatch.name.naming import in_place_of
+from eha_monitor.mismatch.name.proposals import (
+    HANDFUL,
+    Linearised,
+    contested,
+    levels_of,
+    proposals_of,
+)
 from eha_monitor.mismatch.name.rank import Member, Ranked
 from eha_monitor.mismatch.name.refit import discrepancy, evidence_of, prior_of
 from eha_monitor.mismatch.name.seen import Seen, counted, posterior
-from eha_monitor.mismatch.name.select import (
-    HANDFUL,
-    levels_of,
-    proposals_of,
-    resolved_nominal,
-)
+from eha_monitor.mismatch.name.select import resolved_nominal
 
 
 def ranked(evidence: float, *names: str, prior: float = 0.0) -> Ranked:
@@ -210,7 +212,7 @@ def test_what_stands_in_a_name_s_place_is_counted_beside_all_the_others():
 
 def test_a_second_law_must_beat_the_plain_one_by_more_than_its_form_error():
     """Stribeck over Coulomb friction: 5 % of the 1000 log units that Coulomb explains are form."""
-    for gained, counts in ((30.0, 0.0), (80.0, 30.0)):
+    for gained, counts in ((30.0, 0.0), (50.0, 0.0), (100.0, 75.0), (400.0, 393.75)):
         seen = seen_of({(): 0.0, ("coulomb_friction",): 1000.0,
                         ("stribeck_friction",): 1000.0 + gained})
         assert seen.beyond_form(frozenset({"coulomb_friction"})) == 1000.0
@@ -231,7 +233,10 @@ def test_the_search_goes_where_it_has_not_been_and_stops():
     assert seen.best() == load  # what cannot be is no answer
 
 
-def test_the_best_set_is_tried_with_what_was_once_as_likely():
-    seen = seen_of({(): 0.0, ("pressure_scale",): 100.0, ("pressure_offset",): 98.0,
-                    ("constant_load",): 50.0, ("pressure_offset", "backlash"): 200.0})
-    assert seen.swaps() == {frozenset({"pressure_scale", "backlash"})}
+def test_each_member_is_contested_by_what_comes_next_in_its_place():
+    pair = ranked(200.0, "pressure_offset", "backlash")
+    ranking = [pair, ranked(150.0, "pressure_scale", "backlash"),
+               ranked(140.0, "constant_load", "backlash"), ranked(50.0, "backlash"),
+               ranked(60.0, "pressure_offset"), ranked(90.0, "pressure_offset", "drive_lag")]
+    view = Linearised(pair.names, None, (), None, [], ranking)
+    assert names_of(contested(view)) == [{"pressure_scale", "backlash"}]  # a lag takes too little

@@ -22,6 +22,8 @@ from eha_monitor.mismatch.name.columns import ALWAYS, Columns, coarse
 from eha_monitor.mismatch.name.gram import under
 
 ENOUGH = 6  # slopes from which one pass of tangents costs less than as many differences
+# Of a step: shorter first, because inside a threshold the direction is right and the length not.
+SHARES = (1.0, 0.3, 0.1, 0.03)
 ROUGHLY = 5.0  # log units: a tolerance at which slopes are not taken afresh
 
 
@@ -122,10 +124,10 @@ def _polished(experiment: Experiment, fit: Fit, known: dict[str, np.ndarray], st
         if not np.isfinite(matrix).all():
             return replace(fit, log_likelihood=-np.inf), {}
         improved = False
-        for attempt in range(4):
+        for share in SHARES:
             step = step_within(matrix + damping * np.eye(len(free)), gradient / scale,
                                scale[:, None] * (bounds - now[:, None])) / scale
-            step *= 0.3 if attempt == 1 else 1.0
+            step *= share
             other = theta.copy()
             for f, value in zip(free, now + step, strict=True):
                 other[f.place] = f.outward(value)
@@ -134,8 +136,8 @@ def _polished(experiment: Experiment, fit: Fit, known: dict[str, np.ndarray], st
             if reached > best:
                 improved = True
                 break
-            if attempt:
-                damping = max(10.0 * damping, 1e-3)
+            if share == SHARES[-1]:  # the direction is not to be trusted either
+                damping = max(10.0 * damping, 1e-2)
         if not improved:
             if fresh or not left:
                 converged = True

@@ -29,6 +29,7 @@ from eha_monitor.mismatch.name.gram import Gram
 from eha_monitor.mismatch.name.suspects import exclude, limited, log_kin, twins
 from eha_monitor.physics.effects import CATALOGUE
 
+NEXT = 3  # sets that grow out of each part of the model, however far behind
 PASSES = 4  # of a solution within bounds
 
 
@@ -152,25 +153,30 @@ class Ranking:
         """Return the best sets at one level, best first."""
         level = Level(self, gram)
         found: dict[tuple[Member, ...], Ranked] = {}
-        beam = []
-        for root in self.roots():
+        beam, roots = [], self.roots()
+        for root in roots:
             one = level.evaluated(root)
             if one is not None:
                 found[one.members] = one
                 beam.append(one)
         for _ in range(LARGEST_SET):
             grown: dict[tuple[Member, ...], float] = {}
+            kept: list[tuple[Member, ...]] = []
             for one in sorted(beam, key=lambda r: -r.evidence)[:BEAM]:
                 if len(one.members) >= LARGEST_SET:
                     continue
+                own = {}
                 for member, gain in level.gains(one):
                     key = tuple(sorted((*one.members, member),
                                        key=lambda m: (m.owner, m.variant, m.replaces)))
-                    grown[key] = max(grown.get(key, -np.inf), one.evidence + gain)
-            best = sorted(grown, key=lambda key: -grown[key])
+                    own[key] = one.evidence + gain
+                    grown[key] = max(grown.get(key, -np.inf), own[key])
+                if one.members in roots:  # what comes next in the place of what the model has
+                    kept += sorted(own, key=lambda key: -own[key])[:NEXT]
+            best = kept + sorted(grown, key=lambda key: -grown[key])
             beam = []
             for key in best:
-                if len(beam) >= BEAM:
+                if len(beam) >= BEAM + len(kept):
                     break
                 if key in found:
                     continue

@@ -7,7 +7,7 @@ import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit
-from eha_monitor.mismatch.name.acceptance import FORM, FORM_OF_LAW, RIVAL, TEMPER
+from eha_monitor.mismatch.name.acceptance import FORM, FORM_OF_LAW, TEMPER
 from eha_monitor.mismatch.name.gram import lasting
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.refit import discrepancy, evidence_of, impossible, prior_of
@@ -93,29 +93,13 @@ class Seen:
                 least = self.evidence[rest | {other}]
                 without = max((known for some, known in self.evidence.items() if some <= rest),
                               default=least)
-                form = FORM_OF_LAW * max(least - without, 0.0)
-                if self.evidence[names] > least:
-                    value = min(value, max(least, self.evidence[names] - form))
+                value = min(value, beyond(self.evidence[names], least, least - without))
         return value
 
     def best(self) -> Names:
         """Return the set with the highest score."""
         scores = self.scores()
         return max(scores, key=scores.get)
-
-    def swaps(self) -> set[Names]:
-        """Return the best set with one member in place of another that was once as likely.
-
-        Two that hardly differed beside fewer others may differ beside all of them.
-        """
-        best, scores = self.best(), self.scores()
-        found = set()
-        for one, value in scores.items():
-            for other, second in scores.items():
-                if len(one - other) == len(other - one) == 1 and one - other <= best \
-                        and not other & (best - one) and abs(value - second) < -np.log(RIVAL):
-                    found.add(best - (one - other) | (other - one))
-        return found
 
     def ahead(self, done: dict[Names, float], enough: float) -> tuple[Names, Fit] | None:
         """Return the model where the search goes on; None where it has been everywhere.
@@ -147,6 +131,18 @@ def counted(left: float) -> float:
     return -FORM * float(np.log1p(max(left, 0.0) / FORM))
 
 
+def beyond(evidence: float, least: float, explained: float) -> float:
+    """Return an evidence of which the gain over ``least`` counts as far as it is beyond form.
+
+    Of a plainer law that explains so many log units ``FORM_OF_LAW`` may be wrong: a gain of that
+    size counts nothing, one of four times that nearly in full.
+    """
+    gained, form = evidence - least, FORM_OF_LAW * max(explained, 0.0)
+    if gained <= 0.0:
+        return evidence
+    return least + gained * max(1.0 - (form / gained) ** 2, 0.0)
+
+
 def posterior(seen: Seen, here: Names, ranking: Sequence[Ranked], promising: bool = False
               ) -> dict[Names, float]:
     """Return the probability of every set that was seen, refitted or by the linear guess.
@@ -164,12 +160,12 @@ def posterior(seen: Seen, here: Names, ranking: Sequence[Ranked], promising: boo
     if own is not None:
         least = evidence_at_start(seen, here)
         start = least - (own.evidence - own.prior)
-        form = FORM_OF_LAW * max(least - seen.evidence.get(frozenset(), least), 0.0)
+        explained = least - seen.evidence.get(frozenset(), least)
         for one in ranking:
             unnamed = not all(map(is_named, one.names))
             value = start + one.evidence - one.prior
-            if unnamed and value > least:  # what the laws have wrong is a function of something
-                value = max(least, value - form)
+            if unnamed:  # what the laws have wrong is a function of something
+                value = beyond(value, least, explained)
             if one.names not in scores and (unnamed or one.evidence <= own.evidence or (
                     promising and not seen.known(one.names, here))):
                 scores[one.names] = seen.score(value, one.prior)

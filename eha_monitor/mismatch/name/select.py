@@ -6,13 +6,17 @@ import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment, resolving
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
-from eha_monitor.mismatch.likelihood.gains import Unknowns
-from eha_monitor.mismatch.name.acceptance import RIVAL
 from eha_monitor.mismatch.name.base import limits_of, with_effect, without_effect
-from eha_monitor.mismatch.name.columns import Column, columns_at
-from eha_monitor.mismatch.name.gram import grams_of
+from eha_monitor.mismatch.name.columns import Column
 from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished
-from eha_monitor.mismatch.name.rank import Ranked, best_over, ranked_at
+from eha_monitor.mismatch.name.proposals import (
+    STRAYED,
+    Linearised,
+    chosen_at,
+    linearised,
+    rivals_at,
+)
+from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.refit import (
     at_level,
     begun,
@@ -23,11 +27,9 @@ from eha_monitor.mismatch.name.seen import (
     Names,
     Seen,
     evidence_at_start,
-    own_in,
-    posterior,
 )
 from eha_monitor.mismatch.name.starts import starts_of
-from eha_monitor.mismatch.name.suspects import is_effect, is_named
+from eha_monitor.mismatch.name.suspects import is_effect
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import effect_values
 from eha_monitor.physics.signals import BETA_E, B
@@ -35,16 +37,11 @@ from eha_monitor.physics.signals import BETA_E, B
 FIRST = 100.0  # times the smallest unknowns: where the nominal model is linearised
 LARGER = (FIRST, 10.0 * FIRST, 100.0 * FIRST)  # where a model far off runs away under less
 LEANING = 30.0  # times the smallest unknowns: below, the nominal model needs next to nothing
-HANDFUL = 4  # sets that are refitted at a linearisation
-MOST_OF = 0.9  # of the best set's gain: the smallest sets that reach it are refitted first
-PROMISING = 0.5  # of it: the best few of each smaller size are looked at
 CATCHING_UP = 0.9  # of the best refitted set's gain, after a few steps, to be fitted to the end
 MOST_GOING = 2  # of these
 LOOKS = 3  # handfuls that are refitted from one linearisation
 WITHIN_REACH, FINALISTS = 20.0, 3  # log units; sets that are fitted to the end
-FEW = 2  # sets more from where fewer unknowns are allowed
 BENT = 0.2  # of the logarithm of B or beta_e
-STRAYED = 5.0  # log units: a fit that is that far from its optimum is made again
 CLOSE = 1000.0  # log units: the nominal model is a rival too
 QUICK = 10  # steps of the first look
 ROUNDS = 8
@@ -72,20 +69,6 @@ class Selection:
     here: Names = frozenset()
 
 
-def levels_of(experiment: Experiment, fit: Fit) -> list[Unknowns]:
-    """Return the levels of the unknowns at which sets are ranked: from here down to nothing."""
-    small = limits_of(experiment)[0].as_array()
-    now = fit.unknowns.as_array()
-    found = {tuple(small), tuple(now)}
-    for factor in (0.1, 0.01):
-        found.add(tuple(np.maximum(factor * now, small)))
-    for i in range(3):
-        only = small.copy()
-        only[i] = now[i]
-        found.add(tuple(only))
-    return [Unknowns(*level) for level in sorted(found)]
-
-
 def nominal_model(experiment: Experiment) -> Fit:
     """Fit the nominal model, first with unknowns so large that it cannot run away."""
     for factor in LARGER:
@@ -99,122 +82,6 @@ def nominal_model(experiment: Experiment) -> Fit:
                               > LEANING * small).any():
         return held
     return settled(experiment, held)
-
-
-def with_names(found: list[Ranked]) -> list[Ranked]:
-    """Return the best set of each set of names that the catalogue or the rig has."""
-    seen, chosen = set(), []
-    for one in found:
-        if all(map(is_named, one.names)) and one.names not in seen:
-            seen.add(one.names)
-            chosen.append(one)
-    return chosen
-
-
-def proposals_of(found: list[Ranked], own: float, seen: Seen, here: Names = frozenset()
-                 ) -> list[Ranked]:
-    """Return the sets that are worth a refit: the smallest that reach most of the best gain."""
-    named = with_names(found)
-    better = [one for one in named if one.evidence > own]
-    if not better:
-        return []
-    own = own if np.isfinite(own) else better[-1].evidence
-    enough = own + MOST_OF * (better[0].evidence - own)
-    able = [one for one in better if one.evidence >= enough]
-    size = min(len(one.names) for one in able)
-    chosen: list[Ranked] = []
-    for one in sorted((one for one in able if len(one.names) == size), key=simplicity):
-        if not any(contained(other, one) for other in chosen):
-            chosen.append(one)
-    chosen.sort(key=lambda one: -one.evidence)
-    # What is far off is not linear: a smaller set that promises most of it may reach all of it.
-    enough = own + PROMISING * (better[0].evidence - own)
-    chosen = [one for k in range(1, size) for one in [
-        one for one in better if len(one.names) == k and one.evidence >= enough][:FEW]] + chosen
-    return [one for one in chosen if not seen.known(one.names, here)][:HANDFUL] or [
-        one for one in able if not seen.known(one.names, here)][:HANDFUL]
-
-
-def simplicity(one: Ranked) -> tuple[int, float]:
-    """Return the key that puts what is contained before what contains it."""
-    return (sum(len(CATALOGUE[name].contains) for name in one.names if name in CATALOGUE),
-            -one.evidence)
-
-
-def contained(simple: Ranked, other: Ranked) -> bool:
-    """Tell whether a set is another one with an effect in place of one that contains it."""
-    less, more = simple.names - other.names, other.names - simple.names
-    return len(less) == len(more) == 1 and (name := next(iter(more))) in CATALOGUE \
-        and next(iter(less)) in CATALOGUE[name].contains
-
-
-@dataclass
-class Linearised:
-    """The innovations linearised at one model, with every set ranked there.
-
-    Attributes
-    ----------
-    here : names of the model; ``fit`` the model itself.
-    what : whose the columns are; ``slopes`` of what the model has, under any gains.
-    levels : ranked sets at each level of the unknowns; ``ranking`` at the best of all levels.
-    """
-
-    here: frozenset[str]
-    fit: Fit
-    what: tuple[Column, ...]
-    slopes: Slopes
-    levels: list[list[Ranked]]
-    ranking: list[Ranked]
-
-    @property
-    def own(self) -> Ranked | None:
-        """The model itself in the ranking."""
-        return own_in(self.ranking, self.here)
-
-
-def linearised(experiment: Experiment, here: frozenset[str], fit: Fit) -> Linearised:
-    """Take the columns at a model and rank every set of suspects there."""
-    columns = columns_at(experiment, fit)
-    grams = grams_of(experiment, fit, columns.values, levels_of(experiment, fit), columns.copies)
-    levels = ranked_at(columns.what, fit.named, grams)
-    return Linearised(here, fit, columns.what, Slopes(experiment, fit, columns), levels,
-                      best_over(levels))
-
-
-def chosen_at(view: Linearised, seen: Seen) -> list[Ranked]:
-    """Return the sets that are worth a refit at a linearisation."""
-    own = view.own
-    if own is not None:
-        # What was fitted from elsewhere and would be better by a guess from here is fitted again.
-        start = evidence_at_start(seen, view.here) - (own.evidence - own.prior)
-        again = [one for one in with_names(view.ranking) if one.names < view.here
-                 and one.names in seen.fits and (view.here, one.names) not in seen.tried
-                 and start + one.evidence - one.prior > seen.evidence[one.names] + STRAYED
-                 and one.evidence > own.evidence]
-        if again:
-            return again[:HANDFUL]
-    chosen = proposals_of(view.ranking, own.evidence if own else -np.inf, seen, view.here)
-    # Large unknowns hide what they take the place of; where fewer are allowed it shows.
-    for level in view.levels:
-        if level and tight(level[0], view.fit):
-            there = own_in(level, view.here)
-            known = {one.names for one in chosen}
-            chosen += [one for one in proposals_of(
-                level, there.evidence if there else -np.inf, seen, view.here)[:FEW]
-                if one.names not in known]
-    return chosen
-
-
-def rivals_at(view: Linearised, seen: Seen) -> list[Ranked]:
-    """Return sets that are as likely as the best, by the guess, and were never refitted.
-
-    Among them are the best set without one of its members, and with another in its place.
-    """
-    weights = posterior(seen, view.here, view.ranking, promising=True)
-    swaps = seen.swaps() if view.here == seen.best() else set()
-    found = [one for one in with_names(view.ranking) if not seen.known(one.names, view.here)
-             and (weights.get(one.names, 0.0) >= RIVAL or one.names in swaps)]
-    return sorted(found, key=lambda one: -weights.get(one.names, 0.0))[:HANDFUL]
 
 
 def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], seen: Seen) -> None:
@@ -323,12 +190,6 @@ def resolved_nominal(experiment: Experiment) -> tuple[Experiment, Fit]:
         if finer.steps == experiment.steps:
             return experiment, first
         experiment = finer
-
-
-def tight(one: Ranked, fit: Fit) -> bool:
-    """Tell whether a level leaves a tenth of a fit's unknowns."""
-    ratio = one.gram.unknowns.as_array() / fit.unknowns.as_array()
-    return bool(0.09 < ratio.min() < 0.5)
 
 
 def crossed(fit: Fit, best: Fit) -> Fit | None:

@@ -1,0 +1,178 @@
+"""A linearisation with every set ranked there, and which of the sets are worth a refit."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.likelihood.fit import Fit
+from eha_monitor.mismatch.likelihood.gains import Unknowns
+from eha_monitor.mismatch.name.acceptance import RIVAL
+from eha_monitor.mismatch.name.base import limits_of
+from eha_monitor.mismatch.name.columns import Column, columns_at
+from eha_monitor.mismatch.name.gram import grams_of
+from eha_monitor.mismatch.name.polish import Slopes
+from eha_monitor.mismatch.name.rank import Ranked, best_over, ranked_at
+from eha_monitor.mismatch.name.seen import Names, Seen, evidence_at_start, own_in, posterior
+from eha_monitor.mismatch.name.suspects import is_named
+from eha_monitor.physics.effects import CATALOGUE
+
+HANDFUL = 4  # sets that are refitted at a linearisation
+MOST_OF = 0.9  # of the best set's gain: the smallest sets that reach it are refitted first
+PROMISING = 0.5  # of it: the best few of each smaller size are looked at
+FEW = 2  # sets more from where fewer unknowns are allowed
+STRAYED = 5.0  # log units: a fit that is that far from its optimum is made again
+
+
+def levels_of(experiment: Experiment, fit: Fit) -> list[Unknowns]:
+    """Return the levels of the unknowns at which sets are ranked: from here down to nothing."""
+    small = limits_of(experiment)[0].as_array()
+    now = fit.unknowns.as_array()
+    found = {tuple(small), tuple(now)}
+    for factor in (0.1, 0.01):
+        found.add(tuple(np.maximum(factor * now, small)))
+    for i in range(3):
+        only = small.copy()
+        only[i] = now[i]
+        found.add(tuple(only))
+    return [Unknowns(*level) for level in sorted(found)]
+
+
+@dataclass
+class Linearised:
+    """The innovations linearised at one model, with every set ranked there.
+
+    Attributes
+    ----------
+    here : names of the model; ``fit`` the model itself.
+    what : whose the columns are; ``slopes`` of what the model has, under any gains.
+    levels : ranked sets at each level of the unknowns; ``ranking`` at the best of all levels.
+    """
+
+    here: frozenset[str]
+    fit: Fit
+    what: tuple[Column, ...]
+    slopes: Slopes
+    levels: list[list[Ranked]]
+    ranking: list[Ranked]
+
+    @property
+    def own(self) -> Ranked | None:
+        """The model itself in the ranking."""
+        return own_in(self.ranking, self.here)
+
+
+def linearised(experiment: Experiment, here: frozenset[str], fit: Fit) -> Linearised:
+    """Take the columns at a model and rank every set of suspects there."""
+    columns = columns_at(experiment, fit)
+    grams = grams_of(experiment, fit, columns.values, levels_of(experiment, fit), columns.copies)
+    levels = ranked_at(columns.what, fit.named, grams)
+    return Linearised(here, fit, columns.what, Slopes(experiment, fit, columns), levels,
+                      best_over(levels))
+
+
+def chosen_at(view: Linearised, seen: Seen) -> list[Ranked]:
+    """Return the sets that are worth a refit at a linearisation."""
+    own = view.own
+    if own is not None:
+        # What was fitted from elsewhere and would be better by a guess from here is fitted again.
+        start = evidence_at_start(seen, view.here) - (own.evidence - own.prior)
+        again = [one for one in with_names(view.ranking) if one.names < view.here
+                 and one.names in seen.fits and (view.here, one.names) not in seen.tried
+                 and start + one.evidence - one.prior > seen.evidence[one.names] + STRAYED
+                 and one.evidence > own.evidence]
+        if again:
+            return again[:HANDFUL]
+    chosen = proposals_of(view.ranking, own.evidence if own else -np.inf, seen, view.here)
+    # Large unknowns hide what they take the place of; where fewer are allowed it shows.
+    for level in view.levels:
+        if level and tight(level[0], view.fit):
+            there = own_in(level, view.here)
+            known = {one.names for one in chosen}
+            chosen += [one for one in proposals_of(
+                level, there.evidence if there else -np.inf, seen, view.here)[:FEW]
+                if one.names not in known]
+    return chosen
+
+
+def rivals_at(view: Linearised, seen: Seen) -> list[Ranked]:
+    """Return sets that are as likely as the best, by the guess, and were never refitted.
+
+    Among them are the best set without one of its members, and with another in its place.
+    """
+    weights = posterior(seen, view.here, view.ranking, promising=True)
+    wanted = {one.names for one in contested(view)} if view.here == seen.best() else set()
+    found = [one for one in with_names(view.ranking) if not seen.known(one.names, view.here)
+             and (weights.get(one.names, 0.0) >= RIVAL or one.names in wanted)]
+    return sorted(found, key=lambda one: -weights.get(one.names, 0.0))[:HANDFUL]
+
+
+def contested(view: Linearised) -> list[Ranked]:
+    """Return for each member of a model the best set with another suspect in its place.
+
+    What a member explains is far from linear, so the guess says which other comes next and not
+    how far behind it is; one that takes less than half of it is none.
+    """
+    named, own, found = with_names(view.ranking), view.own, []
+    for member in view.here if own is not None else ():
+        rest = view.here - {member}
+        without = own_in(view.ranking, rest)
+        others = [one for one in named if rest < one.names and member not in one.names
+                  and len(one.names) == len(view.here)]
+        if without and others and others[0].evidence > without.evidence + PROMISING * (
+                own.evidence - without.evidence):
+            found.append(others[0])
+    return found
+
+
+def with_names(found: list[Ranked]) -> list[Ranked]:
+    """Return the best set of each set of names that the catalogue or the rig has."""
+    seen, chosen = set(), []
+    for one in found:
+        if all(map(is_named, one.names)) and one.names not in seen:
+            seen.add(one.names)
+            chosen.append(one)
+    return chosen
+
+
+def proposals_of(found: list[Ranked], own: float, seen: Seen, here: Names = frozenset()
+                 ) -> list[Ranked]:
+    """Return the sets that are worth a refit: the smallest that reach most of the best gain."""
+    named = with_names(found)
+    better = [one for one in named if one.evidence > own]
+    if not better:
+        return []
+    own = own if np.isfinite(own) else better[-1].evidence
+    enough = own + MOST_OF * (better[0].evidence - own)
+    able = [one for one in better if one.evidence >= enough]
+    size = min(len(one.names) for one in able)
+    chosen: list[Ranked] = []
+    for one in sorted((one for one in able if len(one.names) == size), key=simplicity):
+        if not any(contained(other, one) for other in chosen):
+            chosen.append(one)
+    chosen.sort(key=lambda one: -one.evidence)
+    # What is far off is not linear: a smaller set that promises most of it may reach all of it.
+    enough = own + PROMISING * (better[0].evidence - own)
+    chosen = [one for k in range(1, size) for one in [
+        one for one in better if len(one.names) == k and one.evidence >= enough][:FEW]] + chosen
+    return [one for one in chosen if not seen.known(one.names, here)][:HANDFUL] or [
+        one for one in able if not seen.known(one.names, here)][:HANDFUL]
+
+
+def simplicity(one: Ranked) -> tuple[int, float]:
+    """Return the key that puts what is contained before what contains it."""
+    return (sum(len(CATALOGUE[name].contains) for name in one.names if name in CATALOGUE),
+            -one.evidence)
+
+
+def contained(simple: Ranked, other: Ranked) -> bool:
+    """Tell whether a set is another one with an effect in place of one that contains it."""
+    less, more = simple.names - other.names, other.names - simple.names
+    return len(less) == len(more) == 1 and (name := next(iter(more))) in CATALOGUE \
+        and next(iter(less)) in CATALOGUE[name].contains
+
+
+def tight(one: Ranked, fit: Fit) -> bool:
+    """Tell whether a level leaves a tenth of a fit's unknowns."""
+    ratio = one.gram.unknowns.as_array() / fit.unknowns.as_array()
+    return bool(0.09 < ratio.min() < 0.5)
