@@ -9,13 +9,13 @@ in units of both standard deviations together.  EMPS has one record here, which 
 The recordings state no licence, so they stay where they are; without them this says so and ends.
 """
 
-import argparse
 import math
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+from real_diagnosis import EHA, HSM, ROOT, SEALS, options_of
 from rich.console import Console
 from rich.table import Table
 
@@ -26,15 +26,8 @@ from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import Settings, load_settings
 
-ROOT = Path(__file__).resolve().parent.parent
-RECORDS = {
-    "emps": ("emps/DATA_EMPS.mat",),
-    "hsm150": tuple(f"hsm150/idf_{name}.mat" for name in (
-        "pos_0.06_1", "pos_0.065_2", "neg_0.04_1", "neg_0.045_3")),
-    "pneumatic_seals": tuple(f"pneumatic_seals/1_O-ring257_{bar}bar.csv" for bar in (1, 3, 5, 7)),
-    "ivliev_eha": (*(f"ivliev_eha/exp_data_{name}.csv" for name in (
-        "1_2", "1_4", "2_3", "3_4", "4_2", "5_4")), "ivliev_eha/extra_2024_10_14_5.csv"),
-}
+RECORDS = {"emps": ("emps/DATA_EMPS.mat",), "hsm150": HSM, "pneumatic_seals": SEALS,
+           "ivliev_eha": (*EHA, "ivliev_eha/extra_2024_10_14_5.csv")}
 
 
 def records_of(rig: str, data: Path, settings: Settings) -> list[Recording]:
@@ -83,12 +76,8 @@ def named(found: Diagnosis) -> str:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
-    parser.add_argument("--only", default="", help="config whose records are run")
-    options = parser.parse_args()
-    if not options.data.is_dir():
-        print(f"{options.data}: not here; the real recordings are not part of this repository")
+    options = options_of(__doc__.splitlines()[0])
+    if options is None:
         return
     table = Table(title="named on the others, shown on the record that was left out",
                   show_lines=True)

@@ -101,14 +101,22 @@ def row_of(config: str, files: tuple[str, ...], data: Path, folder: Path) -> tup
     return found["verdict"], names, reached(config, found), left, share, seconds
 
 
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def options_of(description: str) -> argparse.Namespace | None:
+    """Return the folder of recordings and the config that is run; None where there are none."""
+    parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
     parser.add_argument("--only", default="", help="config whose recordings are run")
     options = parser.parse_args()
-    if not options.data.is_dir():
-        print(f"{options.data}: not here; the real recordings are not part of this repository")
+    if options.data.is_dir():
+        return options
+    print(f"{options.data}: not here; the real recordings are not part of this repository")
+    return None
+
+
+def main() -> None:
+    """Print the table."""
+    options = options_of(__doc__.splitlines()[0])
+    if options is None:
         return
     table = Table(title="diagnose on recordings that this project did not make", show_lines=True)
     for head in ("recording", "has to be", "verdict", "named", "reached", "force left, N",

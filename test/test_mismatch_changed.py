@@ -9,9 +9,10 @@ from rig_tools import BETA, SINE, B, settings, simulated
 
 from eha_monitor.commands.diagnosis_answer import answer, mismatched
 from eha_monitor.mismatch.data.experiment import experiment_of
+from eha_monitor.mismatch.data.pieces import cut
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.mismatch.name.naming import Naming
-from eha_monitor.mismatch.show.changed import change_words, changed_between, cut
+from eha_monitor.mismatch.show.changed import change_words, changed_between
 from eha_monitor.recordings.recording import Recording
 
 AIR = {"fault": {"parameter": "bulk_modulus", "start": 5.0, "value": 3e8}}

@@ -9,7 +9,7 @@ from rig_tools import MULTISINE, REST, settings, simulated
 from eha_monitor.mismatch.data.experiment import BURN_IN, experiment_of
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.select import nominal_model
-from eha_monitor.mismatch.name.telling import cut, on_all_of, telling
+from eha_monitor.mismatch.name.telling import on_all_of, telling, windows_of
 
 RESTING, MOVING = 9.0, 3.0
 
@@ -38,11 +38,11 @@ def test_a_short_recording_is_used_whole(experiment):
 
 def test_windows_are_the_stretch_in_pieces(experiment):
     whole = experiment.stretches[0]
-    parts = cut(whole, experiment.dt, 2000)
+    parts = windows_of(whole, experiment.dt, 2000)
     assert sum(map(len, parts)) == len(whole)
     assert np.array_equal(np.concatenate([part.z for part in parts]), whole.z, equal_nan=True)
+    burn = round(BURN_IN / experiment.dt)
     for part in parts:
-        burn = int(np.ceil(BURN_IN / experiment.dt))
         assert not part.counted[:burn].any()
         first = round((part.start - whole.start) / experiment.dt)
         assert np.array_equal(part.counted[burn:], whole.counted[first + burn : first + len(part)])

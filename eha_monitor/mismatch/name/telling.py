@@ -11,7 +11,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from eha_monitor.mismatch.data.experiment import BURN_IN, SHORTEST, Experiment, Stretch
+from eha_monitor.mismatch.data.experiment import SHORTEST, Experiment, Stretch
+from eha_monitor.mismatch.data.pieces import cut
 from eha_monitor.mismatch.likelihood.fit import spread, with_unknowns
 from eha_monitor.mismatch.name.columns import columns_at
 from eha_monitor.mismatch.name.gram import grams_of
@@ -35,7 +36,7 @@ def telling(experiment: Experiment, most: int = MOST, window: int = WINDOW) -> E
     if experiment.inverse or experiment.n <= most:
         return experiment
     windows = [part for stretch in experiment.stretches
-               for part in cut(stretch, experiment.dt, window)]
+               for part in windows_of(stretch, experiment.dt, window)]
     if not windows:
         return experiment
     grams = spread(lambda one: told_by(experiment.only((one,))), windows)
@@ -53,23 +54,12 @@ def telling(experiment: Experiment, most: int = MOST, window: int = WINDOW) -> E
     return experiment.only(tuple(windows[i] for i in sorted(chosen)))
 
 
-def cut(stretch: Stretch, dt: float, window: int) -> list[Stretch]:
-    """Return a stretch in windows of about ``window`` samples; each finds its state anew."""
+def windows_of(stretch: Stretch, dt: float, window: int) -> list[Stretch]:
+    """Return a stretch in windows of about ``window`` samples, equally long."""
     count = max(round(len(stretch) / window), 1)
     bounds = np.linspace(0, len(stretch), count + 1).astype(int)
-    found = []
-    for start, stop in pairwise(bounds):
-        if (stop - start) * dt < SHORTEST:
-            continue
-        here = slice(start, stop)
-        counted = stretch.counted[here].copy()
-        counted[: int(np.ceil(BURN_IN / dt))] = False
-        found.append(replace(
-            stretch, start=stretch.start + start * dt, z=stretch.z[here], u=stretch.u[here],
-            p1=stretch.p1[here], p2=stretch.p2[here], counted=counted,
-            held_out=stretch.held_out[here],
-            loose=None if stretch.loose is None else stretch.loose[here]))
-    return found
+    return [cut(stretch, first, last, dt) for first, last in pairwise(bounds)
+            if (last - first) * dt >= SHORTEST]
 
 
 def told_by(window: Experiment) -> np.ndarray:
@@ -87,9 +77,9 @@ def told_by(window: Experiment) -> np.ndarray:
 
 def on_all_of(experiment: Experiment, naming: Naming) -> Naming:
     """Return what was named on some windows with its models run over the whole recording."""
-    whole = replace(naming.experiment, stretches=experiment.stretches)
     if naming.experiment.stretches is experiment.stretches:
         return naming
+    whole = naming.experiment.only(experiment.stretches)
 
     def over(fit):
         return replace(with_unknowns(whole, fit, fit.unknowns), covariance=fit.covariance)

@@ -5,13 +5,14 @@ of B and beta_e.  Where something changed is told by the two stages, which follo
 that nothing else is missing, by the nominal model fitted to each piece for itself.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from eha_monitor.filters.pipeline import estimate
-from eha_monitor.mismatch.data.experiment import BURN_IN, Experiment, Stretch
+from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.data.pieces import cut
 from eha_monitor.mismatch.diagnosis import Piece, Value
 from eha_monitor.mismatch.likelihood.fit import (
     Fit,
@@ -111,17 +112,6 @@ def part_of(experiment: Experiment, source: str, start: float, stop: float) -> E
             stretches.append(cut(stretch, here[0], here[-1] + 1, experiment.dt))
     fitted = sum(int(stretch.counted.sum()) for stretch in stretches) * experiment.dt
     return experiment.only(tuple(stretches)) if fitted >= SHORTEST_S else None
-
-
-def cut(stretch: Stretch, first: int, last: int, dt: float) -> Stretch:
-    """Return samples ``first`` to ``last`` of a stretch; the filter finds its state anew."""
-    here = slice(first, last)
-    counted = stretch.counted[here].copy()
-    counted[: round(BURN_IN / dt) if first else 0] = False
-    return replace(stretch, start=stretch.start + first * dt, z=stretch.z[here],
-                   u=stretch.u[here], p1=stretch.p1[here], p2=stretch.p2[here], counted=counted,
-                   held_out=stretch.held_out[here],
-                   loose=None if stretch.loose is None else stretch.loose[here])
 
 
 def end_of(part: Experiment) -> float:
