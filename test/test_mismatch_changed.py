@@ -9,7 +9,7 @@ from rig_tools import BETA, SINE, B, settings, simulated
 
 from eha_monitor.commands.diagnosis_answer import answer, mismatched
 from eha_monitor.mismatch.data.experiment import experiment_of
-from eha_monitor.mismatch.data.pieces import cut
+from eha_monitor.mismatch.data.stretch import cut
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.show.changed import change_words, changed_between

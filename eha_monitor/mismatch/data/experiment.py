@@ -16,6 +16,7 @@ from eha_monitor.mismatch.data.inputs import (
     noise_governs,
     present,
 )
+from eha_monitor.mismatch.data.stretch import BURN_IN, Stretch
 from eha_monitor.physics.effect import Ranges
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.physics.plant import N_OUTPUTS
@@ -25,7 +26,6 @@ from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
 OUTPUTS = ("x", "v", "p1", "p2", "omega")
-BURN_IN = 0.15  # s at the start of each stretch in which the filter finds the state
 LONGEST_GAP = 0.02  # s of missing input that is bridged
 SHORTEST = 0.5  # s of a stretch worth fitting
 PERIOD, SHARE = 5.0, 0.2  # of every 5 s the last fifth is held out
@@ -36,36 +36,6 @@ MOST_STEPS = 40
 ABOVE = 1.3  # times a fitted B: quadratic friction adds to it at the highest speed
 PULL = 1.0  # rad/s for a metre: what stands for K_pos where the wanted speed is recorded
 LOOSE = 0.01  # of the pressure noise squared: what an unknown course of the demand may do
-
-
-@dataclass(frozen=True)
-class Stretch:
-    """One gapless stretch of a recording.
-
-    Attributes
-    ----------
-    start : time of its first sample in its recording, s; ``source`` names the recording.
-    z : (n, N_OUTPUTS) measured x, v, p1, p2, omega (SI), NaN where missing.
-    u : (n, 4) input as cubics: x_d (m), pump speed (rad/s) or force (N).
-    p1, p2 : (n,) pressures for a forced model, Pa.
-    counted : (n,) bool, samples whose innovations are fitted.
-    held_out : (n,) bool, samples kept aside for the proof.
-    loose : (n,) share of the pressure difference that is taken from the sensors because the
-        input's course before the sample is not known, or None.
-    """
-
-    source: str
-    start: float
-    z: np.ndarray
-    u: np.ndarray
-    p1: np.ndarray
-    p2: np.ndarray
-    counted: np.ndarray
-    held_out: np.ndarray
-    loose: np.ndarray | None = None
-
-    def __len__(self) -> int:
-        return len(self.z)
 
 
 @dataclass(frozen=True)

@@ -62,14 +62,14 @@ def smallest_unknowns(experiment: Experiment) -> Unknowns:
 
 def operating_point(experiment: Experiment) -> np.ndarray:
     """Return a state in typical motion, (N_STATE,)."""
-    z = experiment.stretches[0].z
+    middle = experiment.stretches[0].middle
     rig = experiment.settings.rig
     y = np.zeros(N_STATE)
-    y[Y_X] = y[Y_PLAYED] = np.nanmedian(z[:, 0])
+    y[Y_X] = y[Y_PLAYED] = middle[0]
     y[Y_V] = 0.5 * experiment.ranges.speed
     for place, column in ((Y_P1, 2), (Y_P2, 3)):
-        known = np.isfinite(z[:, column]).any()
-        y[place] = np.nanmedian(z[:, column]) if known else rig.charge_pressure
+        known = np.isfinite(middle[column])
+        y[place] = middle[column] if known else rig.charge_pressure
     if rig.area_1 and rig.pump_displacement:
         y[Y_OMEGA] = rig.area_1 * y[Y_V] / rig.pump_displacement
     return y

@@ -9,8 +9,10 @@ G = D'D, q = m - D'r: Laplace's approximation, exact where the model is linear. 
 has is taken out once a level (a Schur complement); a set is then a solve of its few columns.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -33,8 +35,7 @@ NEXT = 3  # sets that grow out of each part of the model, however far behind
 PASSES = 4  # of a solution within bounds
 
 
-@dataclass(frozen=True)
-class Member:
+class Member(NamedTuple):
     """A suspect in a set: an owner at one of its starts, or as the model has it (-1).
 
     ``replaces`` : effect of the model that it contains and grows out of; both are in the set.
@@ -87,6 +88,8 @@ class Ranking:
             if not member.replaces:
                 self.starts[member.owner] = self.starts.get(member.owner, 0) + 1
         self.order = {member: i for i, member in enumerate(self.groups)}
+        self.growing = [(i, one) for i, one in enumerate(groups) if one.replaces]
+        self.standing = np.array([not one.replaces for one in groups], dtype=bool)
         self.same = np.array([[one.owner == two.owner or twins(one.owner, two.owner)
                                for two in groups] for one in groups]).reshape((len(groups),) * 2)
         self.excluded = self.same | np.array(
@@ -128,7 +131,7 @@ class Ranking:
         have = [Member(name, -1) for name in self.named]
         kept = tuple(member for member in have if limited(member.owner))
         free = [member for member in have if member not in kept]
-        return [(*kept, *subset) for k in range(len(free) + 1)
+        return [tuple(sorted((*kept, *subset))) for k in range(len(free) + 1)
                 for subset in combinations(free, k)]
 
     def fits(self, members: tuple[Member, ...], other: Member) -> bool:
@@ -141,9 +144,9 @@ class Ranking:
         What grows out of an effect of the model needs it in the set, and stands in its place.
         """
         gone = {member.replaces for member in members if member.replaces}
-        able = np.array([not one.replaces or (
-            one.replaces not in gone and Member(one.replaces, -1) in members)
-            for one in self.groups])
+        able = self.standing.copy()
+        for i, one in self.growing:
+            able[i] = one.replaces not in gone and Member(one.replaces, -1) in members
         for member in members:
             row = self.order[member]
             able &= ~(self.same if member.owner in gone else self.excluded)[row]
@@ -167,8 +170,7 @@ class Ranking:
                     continue
                 own = {}
                 for member, gain in level.gains(one):
-                    key = tuple(sorted((*one.members, member),
-                                       key=lambda m: (m.owner, m.variant, m.replaces)))
+                    key = tuple(sorted((*one.members, member)))
                     own[key] = one.evidence + gain
                     grown[key] = max(grown.get(key, -np.inf), own[key])
                 if one.members in roots:  # what comes next in the place of what the model has
@@ -352,14 +354,21 @@ def gained(blocks: np.ndarray, sides: np.ndarray) -> np.ndarray:
         one = blocks[good, 0, 0]
         found[good] = 0.5 * sides[good, 0] ** 2 / one - 0.5 * np.log(one)
         return found
-    for i in np.flatnonzero(good):
-        try:
-            factor = np.linalg.cholesky(blocks[i])
-        except np.linalg.LinAlgError:
-            continue
-        y = np.linalg.solve(factor, sides[i])
-        found[i] = 0.5 * y @ y - np.log(np.diag(factor)).sum()
+    try:
+        found[good] = gained_by(blocks[good], sides[good])
+    except np.linalg.LinAlgError:  # one of them is singular
+        for i in np.flatnonzero(good):
+            with suppress(np.linalg.LinAlgError):
+                found[i] = gained_by(blocks[i : i + 1], sides[i : i + 1])[0]
     return found
+
+
+def gained_by(blocks: np.ndarray, sides: np.ndarray) -> np.ndarray:
+    """Return :func:`gained` where no group is singular."""
+    factor = np.linalg.cholesky(blocks)
+    y = np.linalg.solve(factor, sides[:, :, None])[:, :, 0]
+    return 0.5 * (y * y).sum(axis=1) - np.log(
+        np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
 
 
 def ranked_at(what: tuple[Column, ...], named: tuple[str, ...], grams: list[Gram]

@@ -12,7 +12,7 @@ import numpy as np
 
 from eha_monitor.filters.pipeline import estimate
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.data.pieces import cut
+from eha_monitor.mismatch.data.stretch import cut
 from eha_monitor.mismatch.diagnosis import Piece, Value
 from eha_monitor.mismatch.likelihood.fit import (
     Fit,
