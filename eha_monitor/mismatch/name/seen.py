@@ -11,7 +11,7 @@ from eha_monitor.mismatch.name.acceptance import FORM, FORM_OF_LAW, TEMPER
 from eha_monitor.mismatch.name.gram import lasting
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.refit import discrepancy, evidence_of, impossible, prior_of
-from eha_monitor.mismatch.name.suspects import is_named, plainer
+from eha_monitor.mismatch.name.suspects import is_named, kin, plainer
 
 Names = frozenset[str]
 NO_MORE = 0.5  # log units: a fit that is better by less is the same fit
@@ -83,15 +83,16 @@ class Seen:
     def beyond_form(self, names: Names) -> float:
         """Return a set's evidence without what the form error of a simpler law may account for.
 
-        No law of friction is right to the last newton, and one with more sizes picks up what the
-        simpler law of its family has wrong.
+        No law of friction is right to the last newton; one with more sizes, or a second one beside
+        it, picks up what the simpler law of its family has wrong.
         """
         value = self.evidence[names]
-        for law, other in ((one, other) for one in names for other in plainer(one)):
+        for law in names:
             rest = names - {law}
-            if rest | {other} in self.evidence:
-                least = self.evidence[rest | {other}]
-                without = max((known for some, known in self.evidence.items() if some <= rest),
+            others = rest - set(kin(law))
+            simpler = [rest | {other} for other in plainer(law)] + [rest] * (others != rest)
+            for least in (self.evidence[one] for one in simpler if one in self.evidence):
+                without = max((known for some, known in self.evidence.items() if some <= others),
                               default=least)
                 value = min(value, beyond(self.evidence[names], least, least - without))
         return value

@@ -7,7 +7,7 @@ import numpy as np
 from eha_monitor.mismatch.data.experiment import Experiment, resolving
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.name.base import limits_of, with_effect, without_effect
-from eha_monitor.mismatch.name.columns import Column
+from eha_monitor.mismatch.name.columns import Column, rig_free
 from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished
 from eha_monitor.mismatch.name.proposals import (
     STRAYED,
@@ -165,11 +165,14 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
 def first_view(experiment: Experiment, first: Fit) -> Linearised:
     """Return the linearisation of the nominal model at which the sets are told best.
 
-    That is at its fit, or at the config's own B and beta_e where the fit has gone far from them.
+    That is at its fit, or at the config's own B and beta_e where the fit has gone far from them
+    and still lacks something.
     """
     start = begun(experiment, FIRST)
+    small = limits_of(experiment)[0].as_array()
+    lacking = (first.unknowns.as_array() > LEANING * small).any()
     views = [linearised(experiment, frozenset(), fit)
-             for fit in ([first, start] if bent(start, first) else [first])]
+             for fit in ([first, start] if lacking and bent(start, first) else [first])]
     return max(views, key=lambda view: view.ranking[0].evidence if view.ranking else -np.inf)
 
 
@@ -226,11 +229,41 @@ def simplified(experiment: Experiment, fit: Fit, name: str, other: str) -> Fit:
         fit.unknowns)
 
 
+def lesser(experiment: Experiment, fit: Fit, name: str) -> Fit:
+    """Return a fit without one of its members, where it stands."""
+    if is_effect(name):
+        bare = without_effect(experiment, fit, name)
+    else:
+        own = next(f for f in rig_free(experiment) if f.name == name)
+        theta = fit.theta.copy()
+        theta[own.place] = min(max(theta[own.place], own.lower), own.upper)
+        bare = replace(fit, theta=theta, named=tuple(n for n in fit.named if n != name),
+                       free=tuple(own if f.name == name else f for f in fit.free))
+    k = len(bare.free)
+    return at_level(experiment, with_unknowns(experiment, replace(
+        bare, covariance=np.zeros((k, k)), converged=False), fit.unknowns))
+
+
+def without_each(experiment: Experiment, seen: Seen) -> None:
+    """Fit the best set without each of its members from where it stands itself.
+
+    A member is named only if the others cannot do without it, and they may have been fitted from
+    a worse place.
+    """
+    told = None
+    while told != (best := seen.best()):
+        told, fit = best, seen.fits[best]
+        for name in best if len(best) > 1 else ():
+            seen.add(experiment, best - {name}, settled(
+                experiment, lesser(experiment, fit, name)))
+
+
 def finish(experiment: Experiment, seen: Seen) -> None:
     """Fit the sets that are within reach of the best to the end, under the same unknowns.
 
     A refit that is cut short ranks the wrong set first where effects trade.
     """
+    without_each(experiment, seen)
     scores = seen.scores()
     best = seen.best()
     near = [names for names in sorted(scores, key=lambda names: -scores[names])

@@ -23,13 +23,18 @@ def exclude(one: str, other: str) -> bool:
     return not (first or second or one.startswith("rig.") or other.startswith("rig."))
 
 
+def kin(name: str) -> list[str]:
+    """Return the other effects of an effect's family."""
+    family = CATALOGUE[name].family if name in CATALOGUE else ""
+    return [other for other, entry in CATALOGUE.items()
+            if family and entry.family == family and other != name]
+
+
 def plainer(name: str) -> list[str]:
     """Return the effects of an effect's family that have one size where it has several."""
-    effect = CATALOGUE.get(name)
-    if effect is None or not effect.family or len(effect.sizes) == 1:
+    if name not in CATALOGUE or len(CATALOGUE[name].sizes) == 1:
         return []
-    return [other for other, entry in CATALOGUE.items()
-            if entry.family == effect.family and len(entry.sizes) == 1]
+    return [other for other in kin(name) if len(CATALOGUE[other].sizes) == 1]
 
 
 def limited(name: str) -> bool:
