@@ -142,11 +142,12 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
         if column.free is None:
             continue
         f = column.free
-        if column.variant < 0 and not column.owner.startswith("rig."):  # it is there, and moves
+        if column.name.startswith("rig."):  # twice, where it is wrong: both ways together
+            step = column.step if column.owner.startswith("rig.") else f.spread
+            theta[f.place] *= np.exp(np.clip(amplitude * step, -FARTHEST, FARTHEST))
+        elif column.variant < 0:  # it is there, and moves
             now = f.inward(theta[f.place]) + amplitude * f.spread
             theta[f.place] = f.outward(now)
-        elif column.owner.startswith("rig."):
-            theta[f.place] *= np.exp(np.clip(amplitude * column.step, -FARTHEST, FARTHEST))
         elif own_sizes(column.start):
             values[column.name] = guess(column, amplitude)
     free = [f for f in free if not f.name.startswith("rig.")] + informed(

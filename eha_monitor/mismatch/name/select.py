@@ -7,7 +7,7 @@ import numpy as np
 from eha_monitor.mismatch.data.experiment import Experiment, resolving
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.name.base import limits_of, with_effect, without_effect
-from eha_monitor.mismatch.name.columns import Column, rig_free
+from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, Column, rig_free
 from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished
 from eha_monitor.mismatch.name.proposals import (
     STRAYED,
@@ -165,15 +165,33 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
 def first_view(experiment: Experiment, first: Fit) -> Linearised:
     """Return the linearisation of the nominal model at which the sets are told best.
 
-    That is at its fit, or at the config's own B and beta_e where the fit has gone far from them
-    and still lacks something.
+    That is at its fit; where that lacks something, perhaps at the config's own B and beta_e, from
+    which it has gone far, or where a number that is known to a factor only is far from the
+    config's and the model does better than the fit.
     """
-    start = begun(experiment, FIRST)
     small = limits_of(experiment)[0].as_array()
-    lacking = (first.unknowns.as_array() > LEANING * small).any()
-    views = [linearised(experiment, frozenset(), fit)
-             for fit in ([first, start] if lacking and bent(start, first) else [first])]
+    places = [first]
+    if (first.unknowns.as_array() > LEANING * small).any():
+        start = begun(experiment, FIRST)
+        places += [start] if bent(start, first) else []
+        places += [fit for fit in far_off(experiment, replace(start, unknowns=first.unknowns))
+                   if fit.log_likelihood > first.log_likelihood]
+    views = [linearised(experiment, frozenset(), fit) for fit in places]
     return max(views, key=lambda view: view.ranking[0].evidence if view.ranking else -np.inf)
+
+
+def far_off(experiment: Experiment, start: Fit) -> list[Fit]:
+    """Return the nominal model with each number that is known to a factor far from the config's.
+
+    A leakage that is a hundred times too large leaves nothing that is linear where it stands.
+    """
+    found = []
+    for f in rig_free(experiment):
+        for step in (-FAR_OFF * f.spread, FAR_OFF * f.spread) if f.spread > LOOSE else ():
+            theta = start.theta.copy()
+            theta[f.place] *= np.exp(step)
+            found.append(with_unknowns(experiment, replace(start, theta=theta), start.unknowns))
+    return found
 
 
 def bent(start: Fit, fit: Fit) -> bool:
