@@ -45,6 +45,8 @@ MARKS = {
                           False),
     "named_parameters_within_5_percent": ("parameters of named effects within 5 %, where the "
                                           "config's numbers are right", "", None, True),
+    "told_parameters_within_5_percent": ("of these, where two standard deviations are 5 % or less",
+                                         "at least 95 %", 0.95, True),
     "base_parameters_within_2_percent": ("B and the bulk modulus within 2 %, where the config's "
                                          "numbers are right", "", None, True),
     "parameters_inside_2_sigma": ("parameters inside their ± two standard deviations",
@@ -71,6 +73,8 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
     evidence = (oracle or {}).get("log_evidence", {})
     catalogued = [one["name"] for one in truth["effects"] if one["in_catalogue"]]
     outside = len(catalogued) < len(names)
+    shown = outside and any(shows(truth.get("channels"), one["balance"])
+                            for one in truth["effects"] if not one["in_catalogue"])
     known = [name for name in catalogued if not oracle or (evidence.get(name) or 0) >= DETECTABLE]
     errors_off, findings = numbers.errors_of(truth), numbers.findings_of(answer)
     off = [name for name, error in errors_off.items() if error >= numbers.OFF]
@@ -96,7 +100,7 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
     if null:
         exact = within = (all_paired if said else verdict == "consistent")
     elif outside:
-        right = verdict == UNEXPLAINED and place_right
+        right = verdict == UNEXPLAINED and place_right if shown else not said
         exact, within = right and not set(said) - wanted - set(loose), right
     else:
         exact = verdict == "mismatch" and wanted <= set(said) <= wanted | set(loose)
@@ -104,7 +108,7 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
         within = nothing or (all_paired and {*known, *rig_known} <= set(pairs))
     # Without an oracle nobody knows whether this recording shows a wrong number of the rig; and
     # where something is there that cannot be seen, nobody knows what "consistent" is worth.
-    seen = bool(outside or known or (oracle and rig_known))
+    seen = bool(shown or known or (oracle and rig_known))
     consistent = False if seen else True if null and not loose else None
     lost = [one for one in truth["effects"] if one["name"] not in pairs
             and (one["balance"] == "sensor" or one["name"] in TIMING)]
@@ -121,7 +125,7 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
         "classes": {name: list(rivals) for name, rivals in classes.items()},
         "pairs": pairs, "strength": {one["name"]: one["strength"] for one in truth["effects"]},
         "log_evidence": evidence, "expected": known,
-        "detectable": None if off and not oracle else not null and (
+        "detectable": shown if outside else None if off and not oracle else not null and (
             len(known) == len(catalogued) and len(rig_known) == len(off)),
         "exact": exact, "within_class": within, "located_right": place_right,
         "sensor_or_timing": any(one["balance"] == "sensor" or one["name"] in TIMING
@@ -138,11 +142,19 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
                                          list(pairs.values()), errors_off),
         "rig_errors": truth.get("rig_off", []),
         "probabilities": statements_of(answer, findings, list(pairs.values()), consistent,
-                                       outside),
+                                       shown),
         "motion": truth.get("motion"), "noise": truth.get("noise"),
         "channels": truth.get("channels"), "group": truth.get("group"),
         "wall_s": answer.get("wall_s"), "seconds": (run or {}).get("seconds"),
     }
+
+
+def shows(channels: Sequence[str] | None, balance: str) -> bool:
+    """Tell whether a balance can show in these channels: what moves the pump, or the force only.
+
+    Position and pressures alone leave the force balance: what flows is measured at both ends.
+    """
+    return channels is None or bool({"x_d", "omega"} & set(channels)) or balance == "force"
 
 
 def accepted_for(name: str, names: Sequence[str], oracle: dict | None) -> set[str]:
@@ -248,8 +260,8 @@ def share(flags: Iterable[bool]) -> float | None:
 def score_of(rows: Sequence[dict]) -> dict:
     """Return the marks of all cases together; None where no case tells."""
     hidden = [row for row in rows if row["kind"] != "null"]
-    told = [row for row in hidden if row["kind"] == "outside" or row["expected"]
-            or row["rig_expected"]]
+    told = [row for row in hidden if row["expected"] or row["rig_expected"] or (
+        row["kind"] == "outside" and row["detectable"])]
     able = [row for row in hidden if row["detectable"] and row["kind"] != "outside"]
     outside = [row for row in rows if row["kind"] == "outside"]
     gone = [row["removed"] for row in hidden
@@ -264,7 +276,7 @@ def score_of(rows: Sequence[dict]) -> dict:
         "held_out_error_removed": sum(gone) / len(gone) if gone else None,
         "detectable_exact": share(row["exact"] for row in able),
         "detectable_within_class": share(row["within_class"] for row in able),
-        "outside_unexplained": share(row["within_class"] for row in outside),
+        "outside_unexplained": share(row["within_class"] for row in outside if row["detectable"]),
         "outside_confident_wrong": share(row["confident_wrong"] for row in outside),
         "rig_found": share(name in row["pairs"] for row in rows for name in row["rig_expected"]),
         "rig_false_name": share(bool(row["rig_false"]) for row in rows),
@@ -291,6 +303,9 @@ def parameter_score(rows: Sequence[dict]) -> dict:
     return {
         "named_parameters_within_5_percent": share(
             one["relative"] <= CLOSE for one in own if one["relative"] is not None),
+        "told_parameters_within_5_percent": share(
+            one["relative"] <= CLOSE for one in own if one["relative"] is not None
+            and SIGMAS * one["stddev"] <= CLOSE * abs(one["said"])),
         "base_parameters_within_2_percent": share(
             one["relative"] <= BASE_CLOSE for one in base if one["relative"] is not None),
         "parameters_inside_2_sigma": share(
