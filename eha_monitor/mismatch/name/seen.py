@@ -86,16 +86,29 @@ class Seen:
         No law of friction is right to the last newton; one with more sizes, or a second one beside
         it, picks up what the simpler law of its family has wrong.
         """
-        value = self.evidence[names]
-        for law in names:
-            rest = names - {law}
-            others = rest - set(kin(law))
-            simpler = [rest | {other} for other in plainer(law)] + [rest] * (others != rest)
-            for least in (self.evidence[one] for one in simpler if one in self.evidence):
+        return self.evidence[names] - max((self.doubt(law, names) for law in names),
+                                          default=0.0)
+
+    def doubt(self, law: str, names: Names) -> float:
+        """Return how much of what a law gains in a set is form error of its family, log units.
+
+        Judged where the set without it is known, or the set with a plainer law in its place; if
+        not beside all the others of ``names``, then beside most of them.
+        """
+        most = 0.0
+        for other in (*plainer(law), ""):
+            for whole in sorted((one for one in self.evidence if law in one and one <= names),
+                                key=len, reverse=True):
+                rest = whole - {law}
+                others, simpler = rest - set(kin(law)), rest | {other} if other else rest
+                if simpler not in self.evidence or (not other and others == rest):
+                    continue
+                value, least = self.evidence[whole], self.evidence[simpler]
                 without = max((known for some, known in self.evidence.items() if some <= others),
                               default=least)
-                value = min(value, beyond(self.evidence[names], least, least - without))
-        return value
+                most = max(most, value - beyond(value, least, least - without))
+                break
+        return most
 
     def best(self) -> Names:
         """Return the set with the highest score."""
