@@ -77,9 +77,7 @@ def nominal_model(experiment: Experiment) -> Fit:
             break
     else:
         raise np.linalg.LinAlgError("the nominal model's likelihood is singular")
-    small = limits_of(experiment)[0].as_array()
-    if experiment.inverse or (at_level(experiment, held).unknowns.as_array()
-                              > LEANING * small).any():
+    if experiment.inverse or lacks(experiment, at_level(experiment, held)):
         return held
     return settled(experiment, held)
 
@@ -133,16 +131,20 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
         raise np.linalg.LinAlgError("the nominal model's evidence is singular")
     views: dict[Names, Linearised] = {}
     done: dict[Names, float] = {}
-    ended = False
+    ended = everywhere = False
     for turn in range(ROUNDS):
         say(f"weighing all sets, round {turn + 1}", 0.1 + 0.1 * turn)
         at = seen.ahead(done, STRAYED)
-        if at is None:
+        if at is not None:
+            here, fit = at
+            view = linearised(experiment, here, fit) if turn else first_view(experiment, first)
+            views[here] = replace(view, slopes=None)
+        elif not everywhere and (far := far_off(experiment, first, seen)):
+            everywhere, ended, here = True, False, frozenset()
+            view = linearised(experiment, here, far)
+        else:
             break
-        here, fit = at
-        view = linearised(experiment, here, fit) if turn else first_view(experiment, first)
         done[here] = evidence_at_start(seen, here)
-        views[here] = replace(view, slopes=None)
         if strayed(view, seen) and (here or not chosen_at(view, seen)):
             held(experiment, view, seen)
             if evidence_at_start(seen, here) > done[here] + STRAYED:
@@ -165,33 +167,37 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
 def first_view(experiment: Experiment, first: Fit) -> Linearised:
     """Return the linearisation of the nominal model at which the sets are told best.
 
-    That is at its fit; where that lacks something, perhaps at the config's own B and beta_e, from
-    which it has gone far, or where a number that is known to a factor only is far from the
-    config's and the model does better than the fit.
+    That is at its fit, or at the config's own B and beta_e where the fit has gone far from them
+    and still lacks something.
     """
-    small = limits_of(experiment)[0].as_array()
-    places = [first]
-    if (first.unknowns.as_array() > LEANING * small).any():
-        start = begun(experiment, FIRST)
-        places += [start] if bent(start, first) else []
-        places += [fit for fit in far_off(experiment, replace(start, unknowns=first.unknowns))
-                   if fit.log_likelihood > first.log_likelihood]
-    views = [linearised(experiment, frozenset(), fit) for fit in places]
+    start = begun(experiment, FIRST)
+    views = [linearised(experiment, frozenset(), fit) for fit in (
+        [first, start] if lacks(experiment, first) and bent(start, first) else [first])]
     return max(views, key=lambda view: view.ranking[0].evidence if view.ranking else -np.inf)
 
 
-def far_off(experiment: Experiment, start: Fit) -> list[Fit]:
-    """Return the nominal model with each number that is known to a factor far from the config's.
+def lacks(experiment: Experiment, fit: Fit) -> bool:
+    """Tell whether a model needs unknowns that show."""
+    small = limits_of(experiment)[0].as_array()
+    return bool((fit.unknowns.as_array() > LEANING * small).any())
+
+
+def far_off(experiment: Experiment, first: Fit, seen: Seen) -> Fit | None:
+    """Return a nominal model with a number that is known to a factor far from the config's.
 
     A leakage that is a hundred times too large leaves nothing that is linear where it stands.
+    None where nothing is lacking, or where no such number does better than the nominal fit.
     """
+    if experiment.inverse or not lacks(experiment, seen.fits[seen.best()]):
+        return None
     found = []
     for f in rig_free(experiment):
         for step in (-FAR_OFF * f.spread, FAR_OFF * f.spread) if f.spread > LOOSE else ():
-            theta = start.theta.copy()
+            theta = begun(experiment, FIRST).theta
             theta[f.place] *= np.exp(step)
-            found.append(with_unknowns(experiment, replace(start, theta=theta), start.unknowns))
-    return found
+            found.append(with_unknowns(experiment, replace(first, theta=theta), first.unknowns))
+    best = max(found, key=lambda fit: fit.log_likelihood, default=first)
+    return best if best.log_likelihood > first.log_likelihood else None
 
 
 def bent(start: Fit, fit: Fit) -> bool:
