@@ -3,7 +3,6 @@
 EFFECT = -5.0  # log prior odds of an effect
 RARE = -0.5  # for each degree of an effect's rarity
 FORM_OF_LAW = 0.05  # of what named laws explain: their form error, and nothing that is missing
-KIN = -10.0  # more for a second effect of a family: they explain one another's form errors
 UNNAMED = -7.0  # of an unknown function: each of its columns pays for itself besides
 WRONG_RIG = -5.0  # of a number of the rig beyond its tolerance
 LARGEST_SET = 4  # suspects in a set

@@ -28,7 +28,7 @@ from eha_monitor.mismatch.name.acceptance import (
 )
 from eha_monitor.mismatch.name.columns import ALWAYS, ASTRAY_OWNER, Column
 from eha_monitor.mismatch.name.gram import Gram
-from eha_monitor.mismatch.name.suspects import exclude, limited, log_kin, twins
+from eha_monitor.mismatch.name.suspects import exclude, limited, twins
 from eha_monitor.physics.effects import CATALOGUE
 
 NEXT = 3  # sets that grow out of each part of the model, however far behind
@@ -311,7 +311,7 @@ class Level:
         amplitudes = dict(zip(here.tolist(), a.tolist(), strict=True))
         amplitudes |= dict(zip(reduced.free.tolist(), always.tolist(), strict=True)) | fixed
         gone = {member.replaces for member in members}
-        prior = log_kin({member.owner for member in members} - gone) + float(sum(
+        prior = float(sum(
             r.log_prior(member) for member in members if member.owner not in gone))
         return Ranked(members, float(evidence) + prior, prior, self.gram, amplitudes)
 

@@ -26,7 +26,6 @@ from eha_monitor.mismatch.name.gram import evidence_at
 from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished_on
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.starts import entered, free_of, own_sizes
-from eha_monitor.mismatch.name.suspects import log_kin
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import BASE_KEYS, effect_values, place_of
 
@@ -256,8 +255,8 @@ def evidence_of(experiment: Experiment, fit: Fit) -> float:
 
 def prior_of(names: frozenset[str]) -> float:
     """Return the logarithm of a set's prior odds."""
-    return log_kin(names) + sum(WRONG_RIG if name.startswith("rig.") else
-               EFFECT + RARE * CATALOGUE[name].rarity for name in names)
+    return float(sum(WRONG_RIG if name.startswith("rig.") else
+                     EFFECT + RARE * CATALOGUE[name].rarity for name in names))
 
 
 def discrepancy(experiment: Experiment, fit: Fit) -> float:

@@ -1,18 +1,8 @@
-"""What a suspect is, which of them exclude each other, and what several of a family cost."""
-
-from collections.abc import Iterable
+"""What a suspect is, which of them exclude each other, and which are of one family."""
 
 import numpy as np
 
-from eha_monitor.mismatch.name.acceptance import KIN
 from eha_monitor.physics.effects import CATALOGUE
-
-
-def log_kin(names: Iterable[str]) -> float:
-    """Return the prior of what a set has of one family: each beyond the first costs more."""
-    families = [CATALOGUE[name].family for name in names
-                if name in CATALOGUE and CATALOGUE[name].family]
-    return KIN * (len(families) - len(set(families)))
 
 
 def exclude(one: str, other: str) -> bool:
