@@ -210,15 +210,27 @@ def test_what_stands_in_a_name_s_place_is_counted_beside_all_the_others():
 # ---- where the search goes on -------------------------------------------------------------------
 
 
-def test_a_second_law_must_beat_the_plain_one_by_more_than_its_form_error():
-    """Stribeck over Coulomb friction: 5 % of the 1000 log units that Coulomb explains are form."""
-    for gained, counts in ((30.0, 0.0), (50.0, 0.0), (100.0, 75.0), (400.0, 393.75)):
+def test_laws_of_a_family_differ_by_more_than_its_form_error_or_are_rivals():
+    """Of 1000 log units that Coulomb friction explains 50 are form: they leave a rival 5 %."""
+    law, plain = frozenset({"stribeck_friction"}), frozenset({"coulomb_friction"})
+    for gained in (-30.0, 10.0, 50.0, 200.0):
+        best = 1000.0 + max(gained, 0.0)
         seen = seen_of({(): 0.0, ("coulomb_friction",): 1000.0,
                         ("stribeck_friction",): 1000.0 + gained})
-        assert seen.beyond_form(frozenset({"coulomb_friction"})) == 1000.0
-        assert seen.beyond_form(frozenset({"stribeck_friction"})) == pytest.approx(1000.0 + counts)
+        scores = seen.scores()
+        apart = scores[law] - prior_of(law) - scores[plain] + prior_of(plain)
+        assert apart == pytest.approx(gained * np.log(20.0) / (0.05 * best), rel=1e-9)
     other = seen_of({(): 0.0, ("constant_load",): 1000.0, ("spring_load",): 1030.0})
-    assert other.beyond_form(frozenset({"spring_load"})) == 1030.0  # no law of one family
+    scores = other.scores()
+    assert scores[frozenset({"spring_load"})] - scores[frozenset({"constant_load"})] > 5.0
+
+
+def test_a_second_law_of_a_family_beside_the_first_is_mostly_form_error():
+    both, one = ("coulomb_friction", "pressure_friction"), ("coulomb_friction",)
+    seen = seen_of({(): 0.0, one: 10000.0, both: 10100.0})
+    assert seen.best() == frozenset(one)
+    seen = seen_of({(): 0.0, one: 10000.0, both: 13000.0})
+    assert seen.best() == frozenset(both)
 
 
 def test_the_search_goes_where_it_has_not_been_and_stops():

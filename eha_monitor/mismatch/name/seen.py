@@ -7,11 +7,11 @@ import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit
-from eha_monitor.mismatch.name.acceptance import FORM, FORM_OF_LAW, TEMPER
+from eha_monitor.mismatch.name.acceptance import FORM, FORM_OF_LAW, RIVAL, TEMPER
 from eha_monitor.mismatch.name.gram import lasting
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.refit import discrepancy, evidence_of, impossible, prior_of
-from eha_monitor.mismatch.name.suspects import is_named, kin, plainer
+from eha_monitor.mismatch.name.suspects import is_named, kin
 
 Names = frozenset[str]
 NO_MORE = 0.5  # log units: a fit that is better by less is the same fit
@@ -76,39 +76,38 @@ class Seen:
                                     for column in best.e.T]))
 
     def scores(self) -> dict[Names, float]:
-        """Return the score of every refitted set."""
-        return {names: self.score(self.beyond_form(names), prior_of(names))
-                for names in self.evidence}
+        """Return the score of every refitted set.
 
-    def beyond_form(self, names: Names) -> float:
-        """Return a set's evidence without what the form error of a simpler law may account for.
-
-        No law of friction is right to the last newton; one with more sizes, or a second one beside
-        it, picks up what the simpler law of its family has wrong.
+        No law of friction is right to the last newton: each picks up what another has wrong, and
+        a second one beside it does.  So between sets that differ in the laws of one family only,
+        evidence counts so much less that ``FORM_OF_LAW`` of what the family explains leaves the
+        other set just a rival.
         """
-        return self.evidence[names] - max((self.doubt(law, names) for law in names),
-                                          default=0.0)
+        plain = {names: self.score(value, 0.0) for names, value in self.evidence.items()}
+        found = {}
+        for names, value in self.evidence.items():
+            best, form = self.family_of(names)
+            most = abs(value - self.evidence[best]) * -np.log(RIVAL) / max(form, 1e-9)
+            gained = plain[names] - plain[best]
+            found[names] = plain[best] + min(max(gained, -most), most) + prior_of(names)
+        return found
 
-    def doubt(self, law: str, names: Names) -> float:
-        """Return how much of what a law gains in a set is form error of its family, log units.
+    def family_of(self, names: Names) -> tuple[Names, float]:
+        """Return the best set with one law in the place of a set's laws of one family.
 
-        Judged where the set without it is known, or the set with a plainer law in its place; if
-        not beside all the others of ``names``, then beside most of them.
+        With it comes how many log units may be form error of that law.
         """
-        most = 0.0
-        for other in (*plainer(law), ""):
-            for whole in sorted((one for one in self.evidence if law in one and one <= names),
-                                key=len, reverse=True):
-                rest = whole - {law}
-                others, simpler = rest - set(kin(law)), rest | {other} if other else rest
-                if simpler not in self.evidence or (not other and others == rest):
-                    continue
-                value, least = self.evidence[whole], self.evidence[simpler]
-                without = max((known for some, known in self.evidence.items() if some <= others),
-                              default=least)
-                most = max(most, value - beyond(value, least, least - without))
-                break
-        return most
+        law = next(filter(kin, names), None)
+        if law is None:
+            return names, 0.0
+        family = {law, *kin(law)}
+        rest = names - family
+        with_one = [some for some in self.evidence
+                    if some - family == rest and len(some & family) == 1]
+        best = max(with_one, key=self.evidence.get, default=names)
+        without = max((known for some, known in self.evidence.items() if some <= rest),
+                      default=self.evidence[best])
+        return best, FORM_OF_LAW * (self.evidence[best] - without)
 
     def best(self) -> Names:
         """Return the set with the highest score."""
@@ -125,7 +124,8 @@ class Seen:
         done : names -> evidence with which a model was linearised before; one that has gained
             ``enough`` since is linearised again.
         """
-        known = {names: (self.fits[names], self.beyond_form(names)) for names in self.evidence}
+        known = {names: (self.fits[names], value) for names, value in self.evidence.items()
+                 if self.family_of(names)[0] == names or names == self.best()}
         every = {**known, **{names: item for names, item in self.stations.items()
                              if item[1] > self.evidence.get(names, -np.inf)}}
         highest = max(every, key=lambda names: every[names][1] + prior_of(names))

@@ -29,7 +29,7 @@ from eha_monitor.mismatch.name.seen import (
     evidence_at_start,
 )
 from eha_monitor.mismatch.name.starts import starts_of
-from eha_monitor.mismatch.name.suspects import is_effect
+from eha_monitor.mismatch.name.suspects import is_effect, simple_kin
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import effect_values
 from eha_monitor.physics.signals import BETA_E, B
@@ -243,11 +243,13 @@ def crossed(fit: Fit, best: Fit) -> Fit | None:
 
 
 def simplified(experiment: Experiment, fit: Fit, name: str, other: str) -> Fit:
-    """Return a fit with an effect that another contains in its place, where that one stands."""
+    """Return a fit with a law as simple, or simpler, in an effect's place, where that stands."""
     start = starts_of(other, experiment)[0]
-    shared = effect_values(fit.theta, name)
-    start = replace(start, values=tuple((key, shared.get(key, value))
-                                        for key, value in start.values))
+    shared, bounds = effect_values(fit.theta, name), {
+        p.name: p for p in CATALOGUE[other].parameters}
+    start = replace(start, values=tuple(
+        (key, min(max(shared[key], bounds[key].lower), bounds[key].upper) if key in shared
+         else value) for key, value in start.values))
     return with_unknowns(experiment, with_effect(
         without_effect(experiment, fit, name), start, (1.0,) * len(CATALOGUE[other].sizes)),
         fit.unknowns)
@@ -288,25 +290,26 @@ def finish(experiment: Experiment, seen: Seen) -> None:
     A refit that is cut short ranks the wrong set first where effects trade.
     """
     without_each(experiment, seen)
-    scores = seen.scores()
     best = seen.best()
+    for name in filter(is_effect, best):  # a law of the family as simple, from the same place
+        for other in {*CATALOGUE[name].contains, *simple_kin(name)}:
+            if best - {name} | {other} not in seen.fits:
+                seen.add(experiment, best - {name} | {other}, settled(
+                    experiment, simplified(experiment, seen.fits[best], name, other)))
+    scores, best = seen.scores(), seen.best()
     near = [names for names in sorted(scores, key=lambda names: -scores[names])
             if scores[names] > scores[best] - WITHIN_REACH][:FINALISTS]
     if frozenset() not in near and scores[frozenset()] > scores[best] - WITHIN_REACH:
         near.append(frozenset())  # that nothing is missing is never judged by half a fit
     level = seen.fits[best].unknowns
-    for name in filter(is_effect, best):  # a simpler law of the family, from the same place
-        for other in CATALOGUE[name].contains:
-            if best - {name} | {other} not in seen.fits:
-                seen.add(experiment, best - {name} | {other}, settled(
-                    experiment, simplified(experiment, seen.fits[best], name, other)))
+    lead = seen.fits[max(near, key=seen.evidence.get)]
 
     def ended(names: frozenset[str]) -> Fit:
         fit = seen.fits[names]
         if not experiment.inverse and fit.unknowns != level:
             fit = with_unknowns(experiment, fit, level)
         whole = fit if fit.converged and fit is seen.fits[names] else settled(experiment, fit)
-        other = crossed(fit, seen.fits[best])
+        other = crossed(fit, lead)
         if other is None:
             return whole
         other = settled(experiment, with_unknowns(experiment, other, level))

@@ -20,10 +20,8 @@ def kin(name: str) -> list[str]:
             if family and entry.family == family and other != name]
 
 
-def plainer(name: str) -> list[str]:
-    """Return the effects of an effect's family that have one size where it has several."""
-    if name not in CATALOGUE or len(CATALOGUE[name].sizes) == 1:
-        return []
+def simple_kin(name: str) -> list[str]:
+    """Return the other effects of an effect's family that have one size."""
     return [other for other in kin(name) if len(CATALOGUE[other].sizes) == 1]
 
 
