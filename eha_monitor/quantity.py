@@ -5,7 +5,8 @@ digits of the Particle Data Group's rule (two where they begin with 100 to 354, 
 never below ``FLOOR`` of the value: rig numbers come with three digits, and a number that was
 rounded to three digits is off by at least 1/(1000 √12) = 0.03 % of itself (one standard
 deviation), which B and beta_e carry in full (``benchmarks/rig_numbers.py``).  Larger errors of the
-rig numbers are not in the ± at all; ``NOTE`` says so.
+rig numbers are not in the ± of an estimate, and ``NOTE`` says so; a diagnosis has their tolerances
+in it (``DIAGNOSED``).
 """
 
 import math
@@ -16,6 +17,9 @@ FLOOR = 3e-4  # of the value; no ± is written smaller
 NOTE = (f"± is one standard deviation of what the noise leaves uncertain, written as "
         f"{100 * FLOOR:g} % of the value where it is less. An error of the configured rig numbers "
         "comes on top: areas that are 10 % off put B 10 % off, volumes or a mass 10 % off βe.")
+DIAGNOSED = ("± is one standard deviation of what the noise and the tolerances of the configured "
+             "rig numbers (rig.tolerance) leave uncertain, written as "
+             f"{100 * FLOOR:g} % of the value where it is less.")
 SYMBOLS = {"B": "B", "beta_e": "βe", "L": "C_T"}  # of the estimated parameters
 
 # Prefix and the size from which it is written.  Large ones come late: 9000 N·s/m, 12 kN·s/m.

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from eha_monitor.commands.table import PIPE_WIDTH, PipeConsole
 from eha_monitor.mismatch.diagnosis import Diagnosis
-from eha_monitor.quantity import NOTE, SYMBOLS, number
+from eha_monitor.quantity import DIAGNOSED, SYMBOLS, number
 from eha_monitor.reports.diagnosis_words import (
     DATA,
     certainty,
@@ -66,7 +66,7 @@ def show(found: Diagnosis, written: list[Path], notes: list[str] = ()) -> None:
     if text := certainty(found):
         console.print(escape(text), style="dim")
     if found.before or found.after:
-        console.print(NOTE, style="dim")
+        console.print(DIAGNOSED, style="dim")
     for path in written:
         console.print(f"written: {escape(str(path))}", soft_wrap=True)
 

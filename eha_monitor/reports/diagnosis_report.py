@@ -18,7 +18,7 @@ from eha_monitor.mismatch.diagnosis import (
 )
 from eha_monitor.output import write_text
 from eha_monitor.physics.effects import CATALOGUE
-from eha_monitor.quantity import SYMBOLS, number, quantity
+from eha_monitor.quantity import DIAGNOSED, SYMBOLS, number, quantity
 from eha_monitor.reports import diagnosis_words as words
 from eha_monitor.reports.alarm_timeline import time_ticks
 from eha_monitor.reports.diagnosis_figures import (
@@ -70,6 +70,7 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
     curves = telling(found)
     return render(
         "diagnosis.html.j2",
+        plus_minus=DIAGNOSED,
         title=f"EHA diagnosis: {name}",
         name=name,
         heading=_heading(found, settings),

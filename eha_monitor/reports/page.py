@@ -19,4 +19,4 @@ def _environment() -> jinja2.Environment:
 def render(template: str, **context: Any) -> str:
     """Return a page of ``templates/``; every value is HTML-escaped."""
     return _environment().get_template(template).render(
-        version=__version__, plus_minus=NOTE, **context)
+        **{"version": __version__, "plus_minus": NOTE, **context})
