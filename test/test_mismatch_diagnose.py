@@ -118,6 +118,14 @@ def test_a_wrong_charge_pressure_is_a_number_of_the_rig_and_no_effect():
     assert finding.statement in found.message
 
 
+def test_a_leakage_two_hundred_times_too_large_is_named():
+    """Nothing is linear where the config stands; the search begins again far from there."""
+    found = sound(diagnosed(rig={"C_T": 5e-13}, nominal={"C_T": 1e-10}))
+    (finding,) = found.rig_data
+    assert finding.key == "leakage" and found.effects == ()
+    assert finding.found.value == pytest.approx(5e-13, abs=3.0 * finding.found.stddev)
+
+
 def test_what_is_within_a_number_s_tolerance_is_no_mismatch():
     """A mass 5 % off: as well as an engineer knows it."""
     found = sound(diagnosed(nominal={"M": 21.0}))

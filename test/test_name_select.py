@@ -1,5 +1,7 @@
 """How sets become proposals, scores and probabilities."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,6 +9,8 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from mismatch_tools import fitted
 
+from eha_monitor.mismatch.name.base import with_effect
+from eha_monitor.mismatch.name.columns import rig_free
 from eha_monitor.mismatch.name.naming import in_place_of
 from eha_monitor.mismatch.name.proposals import (
     HANDFUL,
@@ -16,9 +20,22 @@ from eha_monitor.mismatch.name.proposals import (
     proposals_of,
 )
 from eha_monitor.mismatch.name.rank import Member, Ranked
-from eha_monitor.mismatch.name.refit import discrepancy, evidence_of, prior_of
+from eha_monitor.mismatch.name.refit import (
+    discrepancy,
+    evidence_of,
+    prior_of,
+    settled,
+    wide,
+)
 from eha_monitor.mismatch.name.seen import Seen, counted, posterior
-from eha_monitor.mismatch.name.select import resolved_nominal
+from eha_monitor.mismatch.name.select import (
+    far_off,
+    lacks,
+    lesser,
+    resolved_nominal,
+    without_each,
+)
+from eha_monitor.mismatch.name.starts import starts_of
 
 
 def ranked(evidence: float, *names: str, prior: float = 0.0) -> Ranked:
@@ -114,10 +131,6 @@ def test_a_clean_model_lacks_nothing_and_one_without_its_friction_much():
 
 def test_the_evidence_of_a_useless_effect_is_lower():
     """A freedom costs what it could have told: Occam's factor."""
-    from eha_monitor.mismatch.name.base import with_effect
-    from eha_monitor.mismatch.name.refit import settled
-    from eha_monitor.mismatch.name.starts import starts_of
-
     clean = fitted()
     with_it = settled(clean.experiment, with_effect(
         clean.before, starts_of("constant_load", clean.experiment)[0], (0.01,)))
@@ -160,6 +173,45 @@ def test_steps_resolve_the_damping_that_is_found():
     finer, fit = resolved_nominal(experiment)
     assert finer.steps >= experiment.steps
     assert fit.value("B") == pytest.approx(12000.0, rel=0.1)
+
+
+def test_a_fit_without_a_member_stands_where_the_fit_with_it_stood():
+    rubbing = fitted("coulomb_friction")
+    bare = lesser(rubbing.experiment, rubbing.after, "coulomb_friction")
+    assert bare.named == () and not any(f.name.startswith("coulomb") for f in bare.free)
+    assert bare.value("B") == rubbing.after.value("B")
+    assert lacks(rubbing.experiment, bare) and not lacks(rubbing.experiment, rubbing.after)
+
+    clean = fitted()
+    own = next(f for f in rig_free(clean.experiment) if f.name == "rig.volume_1")
+    theta = clean.before.theta.copy()
+    theta[own.place] *= 2.0
+    wrong = replace(clean.before, theta=theta, free=(*clean.before.free, wide(own)),
+                    named=("rig.volume_1",))
+    bare = lesser(clean.experiment, wrong, "rig.volume_1")
+    assert bare.named == () and bare.free[-1] == own
+    assert bare.value("rig.volume_1") == own.upper  # no further than its tolerance allows
+
+
+def test_each_member_of_the_best_set_is_taken_away_once():
+    rubbing = fitted("coulomb_friction")
+    seen = Seen()
+    seen.add(rubbing.experiment, frozenset(), rubbing.before)
+    both = settled(rubbing.experiment, with_effect(
+        rubbing.after, starts_of("constant_load", rubbing.experiment)[0], (0.01,)))
+    seen.add(rubbing.experiment, frozenset(both.named), both)
+    assert seen.best() == {"coulomb_friction", "constant_load"}
+    without_each(rubbing.experiment, seen)
+    assert seen.best() == {"coulomb_friction"}  # a load of nothing is no member
+    assert seen.evidence[frozenset({"coulomb_friction"})] == pytest.approx(
+        evidence_of(rubbing.experiment, rubbing.after), abs=1.0)
+
+
+def test_a_number_known_to_a_factor_is_tried_far_off_only_where_something_is_lacking():
+    clean = fitted()
+    seen = Seen()
+    seen.add(clean.experiment, frozenset(), clean.before)
+    assert far_off(clean.experiment, clean.before, seen) is None
 
 
 # ---- probabilities ------------------------------------------------------------------------------

@@ -299,3 +299,17 @@ def test_reliability_and_rig_numbers_stand_in_report_and_text():
     assert 'data-mark="calibration_error">13.3 %' in page  # (0 + 0.3 + 0.1) / 3
     assert "| 0.3 to 0.4 | 1 | 30.0 % | 0.0 % |" in text
     assert "| beyond | 1 | 0.0 % |" in text
+
+
+def test_what_no_channel_shows_is_not_asked_for():
+    """Position and pressures leave the force balance: a leak cannot show in them."""
+    leak = ("position_dependent_leak", "flow", {})
+    truth = {**concealed(leak, outside=("position_dependent_leak",)),
+             "channels": ["x", "p1", "p2"]}
+    quiet = {"verdict": "consistent", "effects": [], "location": {"balance": {}},
+             "fit": {"signals": {}}, "parameters": {"after": {}}}
+    row = score.row_of(truth, quiet)
+    assert row["detectable"] is False and row["within_class"]
+    assert score.score_of([row])["outside_unexplained"] is None
+    row = score.row_of({**truth, "channels": ["x", "x_d", "p1", "p2"]}, quiet)
+    assert row["detectable"] and not row["within_class"]
