@@ -51,7 +51,7 @@ demo: setup
 
 test: export ROS_PYTHON_CHECK_FIELDS := 1
 test: setup
-	@$(PYTHON) -m pytest
+	@$(PYTHON) -m pytest -n 2 --dist loadfile --durations=10
 
 lint: setup
 	@$(PYTHON) -m ruff check .

@@ -68,7 +68,7 @@ setup(
         "archive": ["pyarrow"],
         # Its option --scheduler.
         "dask": ["distributed"],
-        "test": ["hypothesis", "playwright", "pytest", "pytest-timeout", "ruff",
+        "test": ["hypothesis", "playwright", "pytest", "pytest-timeout", "pytest-xdist", "ruff",
                  "websockets"],
         "colcon": ["colcon-bash", "colcon-core", "colcon-output", "colcon-package-selection",
                    "colcon-python-setup-py", "colcon-recursive-crawl", "colcon-ros"],

@@ -22,7 +22,7 @@ from eha_monitor.mismatch.diagnosis import (
     SignalFit,
     Value,
 )
-from eha_monitor.quantity import NOTE
+from eha_monitor.quantity import DIAGNOSED
 from eha_monitor.reports.diagnosis_figures import telling
 from eha_monitor.reports.diagnosis_report import diagnosis_page, write_diagnosis_report
 from eha_monitor.reports.diagnosis_words import head_words, message_words, probability, removed
@@ -216,7 +216,7 @@ def test_table_for_a_person(capsys, tmp_path):
                   "coulomb_friction >99 %", "pump_dead_zone 91 %",
                   "F_c = 40.03 ± 0.08 N", "presliding friction", "1412 ± 9 N·s/m",
                   "where the motion turns round", "41 µm", "99.7 %", "B read 1412 N·s/m",
-                  "βe", NOTE):
+                  "βe", DIAGNOSED):
         assert words in out, words
     assert "report.html" in out
 

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -110,7 +110,9 @@ class Fit:
 @lru_cache(maxsize=1)
 def workers() -> ThreadPoolExecutor:
     """Return the threads on which filters run; the compiled code leaves the lock."""
-    return ThreadPoolExecutor(len(os.sched_getaffinity(0)), thread_name_prefix="mismatch")
+    return ThreadPoolExecutor(  # a run may go astray: what is no number is told by its likelihood
+        len(os.sched_getaffinity(0)), "mismatch",
+        partial(np.seterr, over="ignore", invalid="ignore", divide="ignore"))
 
 
 def spread(function: Callable, items: Iterable) -> list:
