@@ -1,12 +1,16 @@
-"""Wall time of ``diagnose``, start included, beside one scipy simulation fit per candidate.
+"""What ``diagnose`` costs, start included, beside one scipy simulation fit per candidate.
 
-    python benchmarks/diagnosis_speed.py [--runs N] [--candidates K] [--quick]
+    python benchmarks/diagnosis_speed.py [--runs N] [--candidates K] [--quick] [--lengths S ...]
 
-The recording is made of 6 s stretches of rich motion at 1 kHz (triangles, multisine, steps) with
-40 N of dry friction in it.  The rival search lets the same compiled simulation run free over the
-whole recording and fits B, beta_e and the candidate's parameters to all channels by
-``scipy.optimize.least_squares``, once for each entry of the catalogue; it is run on K entries and
-the rest is extrapolated, which the table says.
+Wall time, processor time and memory of a process, and how often the filter ran: plain runs, and
+passes that carry tangents of many parameters side by side.  The recordings are made of 6 s
+stretches of rich motion at 1 kHz (triangles, multisine, steps) with nothing, 40 N of dry friction,
+or three effects in them; the longer ones have the dry friction.
+
+The rival search lets the same compiled simulation run free over the whole recording and fits B,
+beta_e and the candidate's parameters to all channels by ``scipy.optimize.least_squares``, once for
+each entry of the catalogue; it is run on K entries and the rest is extrapolated, which the table
+says.
 """
 
 import argparse
@@ -21,14 +25,21 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-AIM = 5.0  # s, of 24 s through the whole catalogue on two cores
 LENGTHS = (12, 24, 48)  # s
+# What is concealed -> effects, and what 24 s of it may take on two cores: s, filter runs.
+SETS = {
+    "nothing": ((), 5.0, 150),
+    "dry friction": ((("coulomb_friction", 1.0),), 5.0, 150),
+    "three effects": ((("coulomb_friction", 1.0), ("pump_volumetric_loss", 1.0),
+                       ("position_delay", 1.0)), 10.0, 400),
+}
+ONE = "dry friction"
 MOST_RUNS = 60  # simulations with all slopes that a rival fit may take
 FIRST = ("coulomb_friction", "quadratic_friction", "added_mass", "cross_port_leakage",
          "pump_dead_zone", "drive_lag", "position_delay", "pressure_offset")
 
 
-def bag_of(seconds: int, folder: Path) -> tuple[Path, Path]:
+def bag_of(seconds: int, folder: Path, concealed: str = ONE) -> tuple[Path, Path]:
     """Make a recording of some 6 s stretches; returns bag and nominal config."""
     from eha_monitor.concealed.cases import SAMPLE_TIME, Case
     from eha_monitor.concealed.generate import write_case
@@ -39,35 +50,80 @@ def bag_of(seconds: int, folder: Path) -> tuple[Path, Path]:
     t = np.arange(round(each / SAMPLE_TIME)) * SAMPLE_TIME
     demand = np.concatenate([demanded_position("short", t, seed)
                              for seed in range(round(seconds / each))])
-    return write_case(Case(f"speed_{seconds}", (("coulomb_friction", 1.0),), demand=demand,
-                           seed=1), folder)
+    name = f"speed_{seconds}_{concealed.replace(' ', '_')}"
+    return write_case(Case(name, SETS[concealed][0], demand=demand, seed=1), folder)
 
 
-def timed(bag: Path, config: Path) -> float:
-    """Return the wall time of one ``diagnose`` in a process of its own, s."""
+def spent(bag: Path, config: Path) -> tuple[float, float, float]:
+    """Return what one ``diagnose`` in a process of its own takes.
+
+    Wall and processor time in s, peak memory in MB.
+    """
     started = time.perf_counter()
-    subprocess.run([sys.executable, "-m", "eha_monitor", "diagnose", str(bag), "--config",
-                    str(config)], check=True, capture_output=True,
-                   cwd=Path(__file__).resolve().parent.parent)
-    return time.perf_counter() - started
+    process = subprocess.Popen(
+        [sys.executable, "-m", "eha_monitor", "diagnose", str(bag), "--config", str(config)],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        cwd=Path(__file__).resolve().parent.parent)
+    _, status, usage = os.wait4(process.pid, 0)
+    if status:
+        raise SystemExit(f"{bag}: diagnose ended with status {status}")
+    return (time.perf_counter() - started, usage.ru_utime + usage.ru_stime,
+            usage.ru_maxrss / 1024.0)
+
+
+def filter_runs(bag: Path, config: Path) -> tuple[int, int]:
+    """Return how often the filter ran, and how many passes carried tangents."""
+    from eha_monitor.mismatch.diagnose import diagnose
+    from eha_monitor.mismatch.likelihood import fit, tangents
+    from eha_monitor.mismatch.name import columns, polish
+    from eha_monitor.recordings.read import read_recording
+    from eha_monitor.settings import load_settings
+
+    counts = {"filtered": 0, "along": 0}
+
+    def counting(name, function):
+        def counted(*arguments, **options):
+            counts[name] += 1
+            return function(*arguments, **options)
+        return counted
+
+    places = (("filtered", fit.filtered, (fit, columns)),
+              ("along", tangents.along, (tangents, columns, polish)))
+    for name, function, modules in places:
+        for module in modules:
+            setattr(module, name, counting(name, function))
+    settings = load_settings(config)
+    diagnose([read_recording(bag, settings)], settings)
+    for name, function, modules in places:
+        for module in modules:
+            setattr(module, name, function)
+    return counts["filtered"], counts["along"]
 
 
 def measure(runs: int, lengths: tuple[int, ...], folder: Path, table: Table) -> None:
-    """Add the rows of the wall time of ``diagnose``."""
+    """Add the rows of what ``diagnose`` costs."""
+    for concealed, (_, aim, most) in SETS.items():
+        bag, config = bag_of(24, folder, concealed)
+        spent(bag, config)  # compiles whatever is not compiled yet
+        wall, processor, memory = np.median([spent(bag, config) for _ in range(runs)], axis=0)
+        plain, passes = filter_runs(bag, config)
+        table.add_row(f"24 s, {concealed} (median of {runs})", f"{wall:.1f}", f"{processor:.1f}",
+                      f"{memory:.0f}", f"{plain} + {passes}", f"≤ {aim:g} s, {most} runs")
+    table.add_section()
     found: dict[int, float] = {}
     for seconds in lengths:
         bag, config = bag_of(seconds, folder)
-        if seconds == lengths[0]:
-            timed(bag, config)  # compiles whatever is not compiled yet
-        found[seconds] = float(np.median([timed(bag, config) for _ in range(runs)]))
-        table.add_row(f"diagnose, {seconds} s (median of {runs})", f"{found[seconds]:.1f}",
-                      f"≤ {AIM:g}" if seconds == 24 else "")
+        wall, processor, memory = np.median([spent(bag, config) for _ in range(runs)], axis=0)
+        found[seconds] = processor
+        table.add_row(f"{seconds} s, {ONE} (median of {runs})", f"{wall:.1f}", f"{processor:.1f}",
+                      f"{memory:.0f}", "", "")
     if len(found) > 1:
         slope, start = np.polyfit(list(found), list(found.values()), 1)
         bend = max(abs(value - start - slope * seconds) / value
                    for seconds, value in found.items())
-        table.add_row(f"start and what does not grow {start:.1f} s, then {slope:.3f} s for each "
-                      f"s; off that line by at most {bend:.0%}", "", "linear")
+        table.add_row(f"start and what does not grow {start:.1f} s of processor, then {slope:.3f} "
+                      f"s for each s; off that line by at most {bend:.0%}", "", "", "", "",
+                      "linear")
 
 
 def rival(count: int, folder: Path) -> tuple[list[tuple[str, float, float]], int]:
@@ -137,23 +193,26 @@ def main() -> None:
     parser.add_argument("--candidates", type=int, default=len(FIRST),
                         help="simulation fits that are run")
     parser.add_argument("--quick", action="store_true", help="24 s only, one run")
+    parser.add_argument("--lengths", type=int, nargs="+", default=LENGTHS,
+                        help="of the recordings, s; 60 240 960 takes minutes")
     options = parser.parse_args()
     table = Table(title=f"diagnose on {len(os.sched_getaffinity(0))} cores, start included")
-    for column in ("", "wall time, s", "has to be, s"):
+    for column in ("", "wall time, s", "processor, s", "memory, MB", "runs + tangent passes",
+                   "has to be"):
         table.add_column(column)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        measure(1 if options.quick else options.runs, (24,) if options.quick else LENGTHS,
-                folder, table)
+        measure(1 if options.quick else options.runs,
+                () if options.quick else tuple(options.lengths), folder, table)
         fits, every = rival(options.candidates, folder)
-    spent = sum(seconds for _, seconds, _ in fits)
+    together = sum(seconds for _, seconds, _ in fits)
     best = min(fits, key=lambda one: one[2])
     table.add_section()
     for name, seconds, cost in fits:
-        table.add_row(f"simulation fit of {name}: {cost:.2f} noises left", f"{seconds:.1f}", "")
+        table.add_row(f"simulation fit of {name}: {cost:.2f} noises left", f"{seconds:.1f}")
     table.add_row(f"simulation fits of the catalogue, one round, {every} of them, on one core; "
                   + ("all run" if len(fits) == every else f"extrapolated from {len(fits)}"),
-                  f"{spent / len(fits) * every:.0f}", "")
+                  f"{together / len(fits) * every:.0f}")
     Console(width=120).print(table)
     print(f"the simulation fits prefer {best[0]}; concealed is coulomb_friction")
 
