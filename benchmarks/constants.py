@@ -5,8 +5,8 @@
 Concealed draws are searched once; the sets that were refitted are then weighed anew with each
 constant of ``name/acceptance.py`` at half and at twice its value.  Counted are the answers that
 change, and how many of them become right or wrong: an answer is right if every name in it, or one
-of its rivals, was concealed, and if what is outside the catalogue is ``unexplained``.  The search
-itself, and so ``BEAM`` and ``LARGEST_SET``, stays as it is.
+of its rivals, was concealed, and if what is outside the catalogue is ``unexplained``.  What is
+searched stays as it is.
 """
 
 import argparse
@@ -20,7 +20,6 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-SEARCH = ("BEAM", "LARGEST_SET")
 FACTORS = {"halved": 0.5, "doubled": 2.0}
 AS_IT_IS = ("", 1.0)
 
@@ -29,8 +28,7 @@ def constants() -> dict[str, float]:
     """Return the constants that weigh what was searched."""
     from eha_monitor.mismatch.name import acceptance
 
-    return {name: value for name, value in vars(acceptance).items()
-            if name.isupper() and name not in SEARCH}
+    return {name: value for name, value in vars(acceptance).items() if name.isupper()}
 
 
 def set_everywhere(name: str, value: float) -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
 from eha_monitor.mismatch.likelihood.gains import Unknowns
-from eha_monitor.mismatch.name.acceptance import EFFECT, RARE, UNNAMED, WRONG_RIG
+from eha_monitor.mismatch.name.acceptance import EFFECT, RARE, UNNAMED
 from eha_monitor.mismatch.name.columns import ALWAYS, Column
 from eha_monitor.mismatch.name.gram import Gram, extended
 from eha_monitor.mismatch.name.rank import Level, Member, Ranking, best_over, ranked_at
@@ -142,7 +142,7 @@ def test_of_several_starts_each_has_its_share_of_the_odds():
     own = model.ranking.log_prior(Member("coulomb_friction", 2))
     rarity = CATALOGUE["coulomb_friction"].rarity
     assert own == pytest.approx(EFFECT + RARE * rarity - np.log(3.0))
-    assert model.ranking.log_prior(Member("rig.mass", 0)) == WRONG_RIG
+    assert model.ranking.log_prior(Member("rig.mass", 0)) == EFFECT
 
 
 def test_a_size_with_the_wrong_sign_rules_a_set_out():

@@ -1,12 +1,9 @@
 """Every constant that decides what is named, with its reason."""
 
-EFFECT = -5.0  # log prior odds of an effect
+EFFECT = -5.0  # log prior odds of an effect, and of a number of the rig beyond its tolerance
 RARE = -0.5  # for each degree of an effect's rarity
 FORM_OF_LAW = 0.05  # of what named laws explain: their form error, and nothing that is missing
 UNNAMED = -7.0  # of an unknown function: each of its columns pays for itself besides
-WRONG_RIG = -5.0  # of a number of the rig beyond its tolerance
-LARGEST_SET = 4  # suspects in a set
-BEAM = 30  # sets that are carried on
 FORM = 100.0  # log units: what is left above the noise counts in full up to here
 TEMPER = 0.3  # power of the evidence between sets: makes the probabilities honest
 RIVAL = 0.05  # probability in an effect's place from which another cannot be told from it

@@ -18,19 +18,14 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from eha_monitor.mismatch.likelihood.fit import spread
-from eha_monitor.mismatch.name.acceptance import (
-    BEAM,
-    EFFECT,
-    LARGEST_SET,
-    RARE,
-    UNNAMED,
-    WRONG_RIG,
-)
+from eha_monitor.mismatch.name.acceptance import EFFECT, RARE, UNNAMED
 from eha_monitor.mismatch.name.columns import ALWAYS, ASTRAY_OWNER, Column
 from eha_monitor.mismatch.name.gram import Gram
 from eha_monitor.mismatch.name.suspects import exclude, limited, twins
 from eha_monitor.physics.effects import CATALOGUE
 
+LARGEST_SET = 4  # suspects in a set
+BEAM = 30  # sets that are carried on
 NEXT = 3  # sets that grow out of each part of the model, however far behind
 PASSES = 4  # of a solution within bounds
 
@@ -116,7 +111,7 @@ class Ranking:
     def log_prior(self, member: Member) -> float:
         """Return the logarithm of a suspect's prior odds."""
         if member.owner.startswith("rig."):
-            return WRONG_RIG
+            return EFFECT
         if member.owner not in CATALOGUE:
             return UNNAMED
         several = (np.log(self.starts[member.owner])

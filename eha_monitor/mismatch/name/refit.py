@@ -13,7 +13,7 @@ from eha_monitor.mismatch.likelihood.fit import (
     with_unknowns,
 )
 from eha_monitor.mismatch.likelihood.gains import Unknowns, expected_covariance, gains_of
-from eha_monitor.mismatch.name.acceptance import EFFECT, RARE, WRONG_RIG
+from eha_monitor.mismatch.name.acceptance import EFFECT, RARE
 from eha_monitor.mismatch.name.base import base_free, limits_of, timing_free
 from eha_monitor.mismatch.name.columns import (
     BEYOND,
@@ -255,8 +255,8 @@ def evidence_of(experiment: Experiment, fit: Fit) -> float:
 
 def prior_of(names: frozenset[str]) -> float:
     """Return the logarithm of a set's prior odds."""
-    return float(sum(WRONG_RIG if name.startswith("rig.") else
-                     EFFECT + RARE * CATALOGUE[name].rarity for name in names))
+    return float(sum(EFFECT + (RARE * CATALOGUE[name].rarity if name in CATALOGUE else 0.0)
+                     for name in names))
 
 
 def discrepancy(experiment: Experiment, fit: Fit) -> float:
