@@ -1,5 +1,6 @@
 """The evidence of sets against the density of a linear model, computed outright."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -94,6 +95,19 @@ def test_evidence_is_the_density_of_the_innovations_and_the_odds(members):
     assert found.prior == pytest.approx(odds)
     assert found.evidence == pytest.approx(model.density(members) + odds, abs=1e-9)
     assert found.names == {m.owner for m in members}
+
+
+def test_a_column_that_runs_away_under_a_level_says_nothing_and_stops_nothing():
+    model = usual()
+    gram = model.gram
+    products = gram.products.copy()
+    place = 1 + model.ranking.groups[LOAD][0]
+    products[place], products[:, place] = np.inf, np.inf
+    level = Level(model.ranking, replace(gram, products=products))
+    assert level.evaluated((SPRING,)).evidence == pytest.approx(
+        model.level.evaluated((SPRING,)).evidence)
+    assert level.evaluated((LOAD,)).evidence == pytest.approx(
+        level.evaluated(()).evidence + EFFECT + RARE * CATALOGUE["constant_load"].rarity)
 
 
 def test_amplitudes_are_the_most_likely_ones():

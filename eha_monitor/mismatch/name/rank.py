@@ -210,7 +210,9 @@ class Level:
 
     def __init__(self, ranking: Ranking, gram: Gram):
         self.ranking, self.gram = ranking, gram
-        self.whole = gram.products
+        # A column that runs away under this level's gains says nothing.
+        good = np.isfinite(np.diag(gram.products))
+        self.whole = np.where(good[:, None] & good, gram.products, 0.0)
         self._reduced: dict[tuple[tuple[int, float], ...], Reduced | None] = {}
 
     def reduced(self, fixed: tuple[tuple[int, float], ...] = ()) -> Reduced | None:
