@@ -12,6 +12,7 @@ from mismatch_tools import fitted
 from eha_monitor.mismatch.name.base import with_effect
 from eha_monitor.mismatch.name.columns import rig_free
 from eha_monitor.mismatch.name.naming import in_place_of
+from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.proposals import (
     HANDFUL,
     Linearised,
@@ -191,6 +192,15 @@ def test_a_fit_without_a_member_stands_where_the_fit_with_it_stood():
     bare = lesser(clean.experiment, wrong, "rig.volume_1")
     assert bare.named == () and bare.free[-1] == own
     assert bare.value("rig.volume_1") == own.upper  # no further than its tolerance allows
+
+
+def test_a_model_in_which_two_parameters_are_one_is_no_model_and_no_breakdown():
+    clean = fitted()
+    loose = replace(clean.before.free[0], prior=clean.before.value("B"), spread=1e30)
+    twice = replace(clean.before, free=(loose, replace(loose, name="again")),
+                    covariance=np.zeros((2, 2)))
+    made = polished(clean.experiment, twice, Slopes(clean.experiment), steps=1)
+    assert made.log_likelihood == -np.inf or np.isfinite(made.covariance).all()
 
 
 def test_each_member_of_the_best_set_is_taken_away_once():

@@ -160,8 +160,13 @@ def _polished(experiment: Experiment, fit: Fit, known: dict[str, np.ndarray], st
             fresh = True
         else:
             fresh = False
-    covariance = np.linalg.inv(information + np.diag(weight)) if information is not None else (
-        fit.covariance)
+    covariance = fit.covariance
+    if information is not None:
+        try:  # in units of each parameter's own deviation: a leakage is 1e-12, a modulus 1e9
+            covariance = np.linalg.inv((information + np.diag(weight)) / np.outer(
+                scale, scale)) / np.outer(scale, scale)
+        except np.linalg.LinAlgError:  # two parameters are one there: no model to be judged
+            return replace(fit, e=e, log_likelihood=-np.inf), {}
     made = replace(fit, theta=theta, e=e, s=covariance_of(e), log_likelihood=best,
                    covariance=covariance, converged=converged)
     return made, {f.name: slope for f, slope in zip(free, d, strict=True)}
