@@ -25,7 +25,7 @@ from eha_monitor.mismatch.name.columns import (
 from eha_monitor.mismatch.name.gram import evidence_at
 from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished_on
 from eha_monitor.mismatch.name.rank import Ranked
-from eha_monitor.mismatch.name.starts import entered, free_of, own_sizes
+from eha_monitor.mismatch.name.starts import entered, free_of, own_sizes, sharing
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import BASE_KEYS, effect_values, place_of
 
@@ -160,11 +160,8 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
         column = next(c for c in what if (c.owner, c.variant) == (member.owner, member.variant))
         start = column.start
         if start.replaces:
-            shared = effect_values(theta, start.replaces)  # moved by the linear guess
-            bounds = {p.name: p for p in CATALOGUE[start.effect].parameters}
-            start = replace(start, values=tuple(
-                (key, min(max(shared[key], bounds[key].lower), bounds[key].upper)
-                 if key in shared else value) for key, value in start.values))
+            # Its numbers were moved by the linear guess.
+            start = sharing(start, effect_values(theta, start.replaces))
             free = [f for f in free if not f.name.startswith(start.replaces + ".")]
             named = tuple(name for name in named if name != start.replaces)
         theta, active = entered(theta, active, start)

@@ -124,12 +124,13 @@ class Seen:
         done : names -> evidence with which a model was linearised before; one that has gained
             ``enough`` since is linearised again.
         """
+        best = self.best()
         known = {names: (self.fits[names], value) for names, value in self.evidence.items()
-                 if self.family_of(names)[0] == names or names == self.best()}
+                 if names == best or self.family_of(names)[0] == names}
         every = {**known, **{names: item for names, item in self.stations.items()
                              if item[1] > self.evidence.get(names, -np.inf)}}
         highest = max(every, key=lambda names: every[names][1] + prior_of(names))
-        for names, (fit, value) in ((highest, every[highest]), (self.best(), known[self.best()])):
+        for names, (fit, value) in ((highest, every[highest]), (best, known[best])):
             if value > done.get(names, -np.inf) + enough:
                 return names, fit
         return None

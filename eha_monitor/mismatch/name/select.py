@@ -28,7 +28,7 @@ from eha_monitor.mismatch.name.seen import (
     Seen,
     evidence_at_start,
 )
-from eha_monitor.mismatch.name.starts import starts_of
+from eha_monitor.mismatch.name.starts import sharing, starts_of
 from eha_monitor.mismatch.name.suspects import is_effect, simple_kin
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import effect_values
@@ -170,9 +170,10 @@ def first_view(experiment: Experiment, first: Fit) -> Linearised:
     That is at its fit, or at the config's own B and beta_e where the fit has gone far from them
     and still lacks something.
     """
-    start = begun(experiment, FIRST)
-    views = [linearised(experiment, frozenset(), fit) for fit in (
-        [first, start] if lacks(experiment, first) and bent(start, first) else [first])]
+    places = [first]
+    if lacks(experiment, first) and bent(start := begun(experiment, FIRST), first):
+        places.append(start)
+    views = [linearised(experiment, frozenset(), fit) for fit in places]
     return max(views, key=lambda view: view.ranking[0].evidence if view.ranking else -np.inf)
 
 
@@ -193,7 +194,7 @@ def far_off(experiment: Experiment, first: Fit, seen: Seen) -> Fit | None:
     found = []
     for f in rig_free(experiment):
         for step in (-FAR_OFF * f.spread, FAR_OFF * f.spread) if f.spread > LOOSE else ():
-            theta = begun(experiment, FIRST).theta
+            theta = experiment.theta.copy()
             theta[f.place] *= np.exp(step)
             found.append(with_unknowns(experiment, replace(first, theta=theta), first.unknowns))
     best = max(found, key=lambda fit: fit.log_likelihood, default=first)
@@ -244,12 +245,7 @@ def crossed(fit: Fit, best: Fit) -> Fit | None:
 
 def simplified(experiment: Experiment, fit: Fit, name: str, other: str) -> Fit:
     """Return a fit with a law as simple, or simpler, in an effect's place, where that stands."""
-    start = starts_of(other, experiment)[0]
-    shared, bounds = effect_values(fit.theta, name), {
-        p.name: p for p in CATALOGUE[other].parameters}
-    start = replace(start, values=tuple(
-        (key, min(max(shared[key], bounds[key].lower), bounds[key].upper) if key in shared
-         else value) for key, value in start.values))
+    start = sharing(starts_of(other, experiment)[0], effect_values(fit.theta, name))
     return with_unknowns(experiment, with_effect(
         without_effect(experiment, fit, name), start, (1.0,) * len(CATALOGUE[other].sizes)),
         fit.unknowns)

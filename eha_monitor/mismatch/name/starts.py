@@ -1,6 +1,6 @@
 """Where effects of the catalogue enter a model, and how their numbers are fitted."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -109,6 +109,14 @@ def free_of(start: Start) -> tuple[Free, ...]:
     effect, values = CATALOGUE[start.effect], dict(start.values)
     return tuple(free_parameter(effect, p, values[p.name]) for p in effect.parameters
                  if p.fitted and np.isfinite(values[p.name]))
+
+
+def sharing(start: Start, shared: dict[str, float]) -> Start:
+    """Return a start with the numbers that another effect has in common, within its own bounds."""
+    bounds = {p.name: p for p in CATALOGUE[start.effect].parameters}
+    return replace(start, values=tuple(
+        (key, min(max(shared[key], bounds[key].lower), bounds[key].upper) if key in shared
+         else value) for key, value in start.values))
 
 
 def own_sizes(start: Start) -> list[Parameter]:
