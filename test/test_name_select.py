@@ -238,7 +238,7 @@ def seen_of(evidence: dict[tuple[str, ...], float]) -> Seen:
 
 def test_probabilities_add_up_to_one_and_follow_the_evidence():
     seen = seen_of({("constant_load",): 100.0, ("spring_load",): 90.0, (): 0.0})
-    weights = posterior(seen, seen.best(), [])
+    weights = posterior(seen, [])
     assert sum(weights.values()) == pytest.approx(1.0)
     load, spring, none = (weights[frozenset(key)] for key in (
         ("constant_load",), ("spring_load",), ()))
@@ -252,12 +252,12 @@ def test_sets_that_were_only_ranked_are_measured_from_the_best_model():
     nameless = ranked(51.0, "force of x", prior=-7.0)
     seen = seen_of({("constant_load",): 100.0, (): 0.0})
     ranking = [promising, nameless, best, other]
-    weights = posterior(seen, best.names, ranking)
+    weights = posterior(seen, [(best.names, ranking)])
     load, spring, none = (weights[frozenset({name})] for name in (
         "constant_load", "spring_load", "force of x"))
     assert load > spring > 0.5 * load and none > 0.0
     assert frozenset({"drive_lag"}) not in weights
-    weights = posterior(seen, best.names, ranking, promising=True)
+    weights = posterior(seen, [(best.names, ranking)], promising=True)
     assert weights[frozenset({"drive_lag"})] > 0.9 * weights[frozenset({"constant_load"})]
 
 

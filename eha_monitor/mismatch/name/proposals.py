@@ -63,10 +63,23 @@ class Linearised:
 
 
 def linearised(experiment: Experiment, here: frozenset[str], fit: Fit) -> Linearised:
-    """Take the columns at a model and rank every set of suspects there."""
-    columns = columns_at(experiment, fit)
+    """Take the columns at a model and rank every set of suspects with a name there."""
+    columns = columns_at(experiment, fit, unnamed=False)
     grams = grams_of(experiment, fit, columns.values, levels_of(experiment, fit), columns.copies)
     levels = ranked_at(columns.what, fit.named, grams)
+    return Linearised(here, fit, columns.what, Slopes(experiment, fit, columns), levels,
+                      best_over(levels))
+
+
+def beside(experiment: Experiment, here: frozenset[str], fit: Fit) -> Linearised:
+    """Rank what has no name beside each part of a model.
+
+    Unknown functions have more columns than all that has a name, and decide nothing before the
+    names have been found.
+    """
+    columns = columns_at(experiment, fit, suspects=False)
+    grams = grams_of(experiment, fit, columns.values, levels_of(experiment, fit), columns.copies)
+    levels = ranked_at(columns.what, fit.named, grams, more=1)
     return Linearised(here, fit, columns.what, Slopes(experiment, fit, columns), levels,
                       best_over(levels))
 
@@ -100,7 +113,7 @@ def rivals_at(view: Linearised, seen: Seen) -> list[Ranked]:
 
     Among them are the best set without one of its members, and with another in its place.
     """
-    weights = posterior(seen, view.here, view.ranking, promising=True)
+    weights = posterior(seen, [(view.here, view.ranking)], promising=True)
     wanted = {one.names for one in contested(view)} if view.here == seen.best() else set()
     found = [one for one in with_names(view.ranking) if not seen.known(one.names, view.here)
              and (weights.get(one.names, 0.0) >= RIVAL or one.names in wanted)]

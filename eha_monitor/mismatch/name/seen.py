@@ -158,8 +158,8 @@ def beyond(evidence: float, least: float, explained: float) -> float:
     return least + gained * max(1.0 - (form / gained) ** 2, 0.0)
 
 
-def posterior(seen: Seen, here: Names, ranking: Sequence[Ranked], promising: bool = False
-              ) -> dict[Names, float]:
+def posterior(seen: Seen, views: Sequence[tuple[Names, Sequence[Ranked]]],
+              promising: bool = False) -> dict[Names, float]:
     """Return the probability of every set that was seen, refitted or by the linear guess.
 
     Sets by the linear guess are those of a linearisation, measured from the model there.  What
@@ -167,12 +167,14 @@ def posterior(seen: Seen, here: Names, ranking: Sequence[Ranked], promising: boo
 
     Parameters
     ----------
-    here : the model that was linearised; ``ranking`` the sets as they are ranked there.
+    views : models that were linearised, each with the sets as they are ranked there.
     promising : also of what seems better and was never refitted.
     """
     scores = seen.scores()
-    own = own_in(ranking, here)
-    if own is not None:
+    for here, ranking in views:
+        own = own_in(ranking, here)
+        if own is None:
+            continue
         least = evidence_at_start(seen, here)
         start = least - (own.evidence - own.prior)
         explained = least - seen.evidence.get(frozenset(), least)

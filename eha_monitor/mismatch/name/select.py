@@ -7,11 +7,12 @@ import numpy as np
 from eha_monitor.mismatch.data.experiment import Experiment, resolving
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.name.base import limits_of, with_effect, without_effect
-from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, Column, rig_free
+from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, rig_free
 from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished
 from eha_monitor.mismatch.name.proposals import (
     STRAYED,
     Linearised,
+    beside,
     chosen_at,
     linearised,
     rivals_at,
@@ -56,17 +57,16 @@ class Selection:
     experiment : with integration steps that resolve the damping that was found.
     nominal : the model without effects; ``best`` the model of the set with most evidence.
     seen : every refitted set.
-    ranking : sets at the last linearisation, by the linear guess; ``what`` its columns,
-        ``here`` the model at which they were taken.
+    view : sets with names by the linear guess from the best model, or from the last one that was
+        linearised; ``beside`` what has no name, beside parts of the best.
     """
 
     experiment: Experiment
     nominal: Fit
     best: Fit
     seen: Seen
-    ranking: list[Ranked]
-    what: tuple[Column, ...] = ()
-    here: Names = frozenset()
+    view: Linearised
+    beside: Linearised
 
 
 def nominal_model(experiment: Experiment) -> Fit:
@@ -160,8 +160,9 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
             finish(experiment, seen)
             ended = True
     best = seen.best()
-    view = views.get(best, view)
-    return Selection(experiment, first, seen.fits[best], seen, view.ranking, view.what, view.here)
+    say("weighing what has no name", 0.85)
+    return Selection(experiment, first, seen.fits[best], seen, views.get(best, view),
+                     beside(experiment, best, seen.fits[best]))
 
 
 def first_view(experiment: Experiment, first: Fit) -> Linearised:
