@@ -156,7 +156,8 @@ def name_effects(experiment: Experiment, report: Report | None = None) -> Naming
 def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
     """Return names and probabilities of a selection."""
     seen, best = found.seen, found.seen.best()
-    weights = posterior(seen, [(view.here, view.ranking) for view in (found.view, found.beside)])
+    weights = posterior(seen, [
+        (view.here, view.ranking) for view in (found.view, found.beside) if view is not None])
     scores = seen.scores()
     after = at_config(experiment, seen.fits[best])
     rivals, probability, evidence = {}, {}, {}
