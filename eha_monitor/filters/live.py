@@ -1,8 +1,8 @@
 """Both stages on a stream of rows: the offline pipeline's decisions, sample by sample.
 
-filterpy runs the filters.  Hand-over and re-run go over the buffered seconds with the compiled
-kernels, whose final state filterpy then carries on from.  Rows are taken in batches with a lag
-of a few samples, because the hold of an input looks at its neighbours on both sides.
+The compiled stages take the rows in batches, from the state in which the batch before left them.
+Hand-over and re-run go over the buffered seconds.  A batch lags by a few samples, because the hold
+of an input looks at its neighbours on both sides.
 """
 
 import math
@@ -11,7 +11,7 @@ import numpy as np
 
 from eha_monitor.breakdown import begins_anew
 from eha_monitor.filters import run_two
-from eha_monitor.filters.filterpy_stages import FilterpyStageOne, FilterpyStageTwo
+from eha_monitor.filters.engine import engine_of
 from eha_monitor.filters.handover import Handover
 from eha_monitor.filters.inputs import (
     Known,
@@ -27,6 +27,7 @@ from eha_monitor.filters.live_buffer import LiveBuffer
 from eha_monitor.filters.live_hold import LiveHold
 from eha_monitor.filters.live_model import JUDGE_EVERY_S, JUDGED_S, KEPT, Fit, LiveModel
 from eha_monitor.filters.live_plausible import LivePlausibility
+from eha_monitor.filters.live_stages import Change, LiveStageOne, LiveStageTwo
 from eha_monitor.filters.noise import noise_levels
 from eha_monitor.filters.results import Event, LiveSnapshot, ParameterEstimate
 from eha_monitor.filters.rewind import Checkpoints
@@ -66,8 +67,8 @@ class LiveEstimator(RunAgain):
         self.dt = self.settings.rig.sample_time
         self._early: list[tuple[float, dict[str, float]]] = []
         self._buffer: LiveBuffer | None = None
-        self._one: FilterpyStageOne | None = None
-        self._two: FilterpyStageTwo | None = None
+        self._one: LiveStageOne | None = None
+        self._two: LiveStageTwo | None = None
         self._model: RigModel | None = None
         self._taken = 0
         self._origin = self._began = 0.0
@@ -143,7 +144,7 @@ class LiveEstimator(RunAgain):
         self._checkpoints.clear()
         self._changes = {"one": [], "two": []}
         for stage in filter(None, (self._one, self._two)):
-            stage.lost = True
+            stage.lose()
 
     def _start(self) -> None:
         """Measure the sample time and the noise on the first rows, then take them."""
@@ -174,9 +175,9 @@ class LiveEstimator(RunAgain):
             max(circuit[s.COMMAND_DELAY], circuit[s.FEEDBACK_DELAY]) / self.dt)
         self._measure_noise()
         if self._no_force is None:
-            self._one = FilterpyStageOne(
-                self._model, moved_mass(self._model, self.dt), self.dt, self._r,
-                settings.stage_one.prior, settings.stage_one.prior_stddev,
+            self._one = LiveStageOne.new(
+                engine_of(settings)[0], self._model, moved_mass(self._model, self.dt), self.dt,
+                self._r, settings.stage_one.prior, settings.stage_one.prior_stddev,
                 settings.discretisation == "euler")
 
     def _measure_noise(self) -> None:
@@ -186,7 +187,7 @@ class LiveEstimator(RunAgain):
         self._r = (position_variance(self._noise, self._quantum)
                    / (1.0 + self._model.circuit[s.POSITION_SCALE]) ** 2)
         for stage in filter(None, (self._one, self._two)):
-            stage.ekf.R[0, 0] = self._r
+            stage.r = self._r
 
     def _known(self, start: int) -> Known:
         """Return what is known about the rows from ``start`` on."""
@@ -204,22 +205,14 @@ class LiveEstimator(RunAgain):
             buffer.recording(context, buffer.end), self.settings,
             self._known(context), self._time_of(context) - self._began)
         self._damping = self._follow()
-        force, drive = inputs.force, inputs.drive
-        for number in range(self._taken, stop):
-            i = number - context
-            at = i if len(inputs.p1) > 1 else 0
-            if self._one is not None:
-                u0 = force.start[i - 1] if i else math.nan
-                change = self._one.step(inputs.x[i], u0, force.end[i], force.variance[i],
-                                        inputs.p1[at], inputs.p2[at])
-                self._note(number, "one", self._one, change)
-            if self._two is not None:
-                u0, i0 = (drive.start[i - 1], drive.instrument[i - 1, 0]) if i else (math.nan,) * 2
-                change = self._two.step(
-                    inputs.x[i], u0, drive.end[i], i0, drive.instrument[i, 1], drive.variance[i],
-                    *self._damping, inputs.leak_flow[i], inputs.mean[at])
-                self._note(number, "two", self._two, change)
-        buffer.keep(self._taken, inputs.kept[self._taken - context : stop - context])
+        first, end = self._taken - context, stop - context
+        if self._one is not None:
+            out, changes = self._one.take(inputs, first, end)
+            self._note(context, "one", out[4:, first:], changes)
+        if self._two is not None:
+            out, changes = self._two.take(inputs, first, end, *self._damping)
+            self._note(context, "two", out[6:, first:], changes)
+        buffer.keep(self._taken, inputs.kept[first:end])
         if self._two is not None:
             buffer.column("b", self._taken, stop)[:] = self._damping[0]
             buffer.column("b_variance", self._taken, stop)[:] = self._damping[1]
@@ -247,20 +240,24 @@ class LiveEstimator(RunAgain):
         changes = self._changes["one"]
         return bool(changes) and (self._taken - changes[-1][0]) * self.dt < SETTLED_S
 
-    def _note(self, number: int, which: str, stage, change) -> None:
-        self._buffer.column(f"nu_{which}", number, number + 1)[:] = stage.innovation
-        self._buffer.column(f"sd_{which}", number, number + 1)[:] = stage.innovation_stddev
-        if change is not None:
-            name = "B" if which == "one" else "beta_e"
-            unit = units_of(self.settings.rig.motion)[name]
-            self._changes[which].append((number, *change))
+    def _note(self, context: int, which: str, innovations: np.ndarray,
+              changes: list[Change]) -> None:
+        """Keep a batch's innovations and their sigmas, (2, n), and tell its changes."""
+        stop = self._taken + innovations.shape[1]
+        for column, values in zip(("nu", "sd"), innovations, strict=True):
+            self._buffer.column(f"{column}_{which}", self._taken, stop)[:] = values
+        name = "B" if which == "one" else "beta_e"
+        unit = units_of(self.settings.rig.motion)[name]
+        for sample, before, after, window in changes:
+            number = context + sample
+            self._changes[which].append((number, before, after, window))
             del self._changes[which][:-200]
-            self._tell(which, f"{SYMBOLS[name]} changed from {quantity(change[0], unit)} to "
-                       f"{quantity(change[1], unit)}", number)
-            if which == "two" and abs(change[1] / change[0] - 1.0) > run_two.LARGE:
+            self._tell(which, f"{SYMBOLS[name]} changed from {quantity(before, unit)} to "
+                       f"{quantity(after, unit)}", number)
+            if which == "two" and abs(after / before - 1.0) > run_two.LARGE:
                 self._stale_piece = True  # run again from the bank once some seconds show it
             if which == "one":
-                self._piece = max(number - change[2], self._buffer.first)
+                self._piece = max(number - window, self._buffer.first)
                 self._stale_piece = True
 
     def _tell(self, stage: str, text: str, number: int | None = None) -> None:
@@ -363,10 +360,10 @@ class LiveEstimator(RunAgain):
 
     def snapshot(self) -> LiveSnapshot:
         """Return the present estimates; the events are handed out once."""
-        events, self._events = tuple(self._events), []
+        events, self._events = tuple(sorted(self._events, key=lambda e: e.time_s)), []
         model = self._tester.status(self._now, self._parameters(), self._two)
         state = self._one or self._two
-        position, velocity = map(float, state.ekf.x[:2]) if state else (math.nan, math.nan)
+        position, velocity = map(float, state.m[:2]) if state else (math.nan, math.nan)
         return self._plausible.told(LiveSnapshot(
             self._now, self._parameters(), position, velocity, model, events, self._temperature,
             dict(self._tester.verdicts),

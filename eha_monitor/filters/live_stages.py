@@ -1,0 +1,263 @@
+"""Both stages on live rows, batch by batch, with the very step that runs over recordings.
+
+A stage's state is a few arrays, which a copy takes whole: so a rewind puts a stage back to where
+it was.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from eha_monitor.filters.inputs import RigModel, StageInputs
+from eha_monitor.filters.kernel_one import NEGATIVE
+from eha_monitor.filters.known import new_known_memory
+from eha_monitor.filters.run_two import KernelTwoResult
+from eha_monitor.filters.stage_two import BETA_0, C_PLACE
+from eha_monitor.filters.supervision import (
+    BLOCK,
+    BLOCKS,
+    CHANGES,
+    FROZEN,
+    HELD,
+    INFORMATION,
+    NET,
+    SAMPLES,
+    SCORE,
+    TRAVEL,
+    gave_up,
+    honest_factor,
+    new_supervision,
+)
+
+Change = tuple[int, float, float, int]  # sample, before, after, samples that showed it
+B_PLACE = 2
+BB_PLACE = 5  # of B's variance in the packed covariance
+
+
+@dataclass(kw_only=True)
+class LiveStage:
+    """What both stages share.
+
+    Attributes
+    ----------
+    run : runs the stage over rows (:func:`engine.engine_of`).
+    model : the rig and its modelled effects.
+    dt, r : s, m^2.
+    prior_variance : of the parameter.
+    m : (n,) state, NaN first where it must be found anew.
+    watch, memory : supervision, and what the effects remember.
+    """
+
+    run: Callable[..., int]
+    model: RigModel
+    dt: float
+    r: float
+    prior_variance: float
+    m: np.ndarray
+    watch: np.ndarray
+    memory: np.ndarray
+
+    def take(self, inputs: StageInputs, first: int, stop: int, *others
+             ) -> tuple[np.ndarray, list[Change]]:
+        """Take samples ``first`` to ``stop`` of some inputs.
+
+        Returns
+        -------
+        out, changes
+            (rows, stop) as the stage writes it, from ``first`` on; and the changes seen.
+        """
+        out, changes = np.empty((self.rows, stop)), []
+        while first < stop:  # block by block, as a change may end in another beginning
+            end = min(stop, first + BLOCK - int(self.watch[SAMPLES]))
+            events = np.empty((1, 4))
+            if self._run(inputs, first, end, out, events, *others):
+                self._changed()
+                sample, before, _, window = events[0]
+                changes.append((int(sample), float(before), self.value, int(window)))
+            first = end
+        return out, changes
+
+    def _changed(self) -> None:
+        """Do what a change asks for."""
+
+    @property
+    def variance(self) -> float:
+        """Variance of the parameter as the filter has it."""
+        raise NotImplementedError
+
+    def lose(self) -> None:
+        """Find position and velocity anew at the next sample; the parameter stays."""
+        self.m[0] = math.nan
+
+    def forget_scores(self) -> None:
+        """Look for changes only in what comes from now on."""
+        self.watch[[SCORE, INFORMATION, BLOCKS]] = 0.0
+
+    def forget(self, changes: float, memory: float) -> None:
+        """Let old changes count less, and what a parameter that is held rests on.
+
+        What is hours ago is no hopping to and fro; and an average over hours would hide wear.
+
+        Parameters
+        ----------
+        changes, memory : shares that are kept.
+        """
+        if self.watch[FROZEN] == 0.0:
+            self.watch[[CHANGES, NET, TRAVEL]] *= changes
+        elif not self.held:
+            self.variance = min(self.variance / memory, max(self.variance, self.prior_variance))
+
+    @property
+    def held(self) -> bool:
+        """Whether the parameter stays at its prior, because nothing has told it yet."""
+        return bool(self.watch[FROZEN] == HELD)
+
+    @property
+    def factor(self) -> float:
+        """Factor on sigma that the scores ask for."""
+        return honest_factor(self.watch)
+
+
+@dataclass(kw_only=True)
+class LiveStageOne(LiveStage):
+    """Stage one.
+
+    Attributes
+    ----------
+    mass : kg.
+    prior : of B, N·s/m.
+    euler : run Eq. 4 as printed.
+    p : (6,) covariance.
+    """
+
+    mass: float
+    prior: float
+    euler: bool
+    p: np.ndarray
+    rows: int = field(default=6, init=False)
+
+    @classmethod
+    def new(cls, run: Callable[..., int], model: RigModel, mass: float, dt: float, r: float,
+            prior: float, prior_stddev: float, euler: bool = False) -> "LiveStageOne":
+        """Return a stage that knows the prior."""
+        p = np.zeros(6)
+        p[BB_PLACE] = prior_stddev**2
+        return cls(run=run, model=model, dt=dt, r=r, prior_variance=prior_stddev**2,
+                   m=np.array([math.nan, 0.0, prior]), watch=new_supervision(),
+                   memory=new_known_memory(), mass=mass, prior=prior, euler=euler, p=p)
+
+    def _run(self, inputs, first, stop, out, events) -> int:
+        force, model, n = inputs.force, self.model, len(inputs.p1)
+        return self.run(
+            inputs.x[:stop], force.start[:stop], force.end[:stop], force.variance[:stop],
+            inputs.p1[: min(stop, n)], inputs.p2[: min(stop, n)], self.dt, self.mass, self.r,
+            self.prior_variance, self.euler, model.theta, model.plain, model.remembering,
+            self.memory, self.m, self.p, self.watch, first, out, events)
+
+    def _changed(self) -> None:
+        if gave_up(self.watch):  # estimate B anew: its changes were the model's misfit
+            self._set(self.prior, self.prior_variance)
+            self.watch = new_supervision(frozen=True)
+
+    def use(self, model: RigModel, mass: float) -> None:
+        """Go on with another model of the same effects, by which the force is read otherwise."""
+        self.model, self.mass = model, mass
+
+    def carry_on(self, value: float, stddev: float) -> None:
+        """Go on from a B that the last seconds gave, and look for changes again."""
+        self._set(value, stddev**2)
+        self.watch = new_supervision()
+
+    def _set(self, value: float, variance: float) -> None:
+        self.m[B_PLACE] = max(value, -NEGATIVE * self.mass / self.dt)
+        self.p[[2, 4, BB_PLACE]] = 0.0, 0.0, variance
+
+    @property
+    def value(self) -> float:
+        """B, N·s/m."""
+        return float(self.m[B_PLACE])
+
+    @property
+    def stddev(self) -> float:
+        """Its standard deviation, N·s/m."""
+        return self.factor * math.sqrt(self.variance)
+
+    @property
+    def variance(self) -> float:
+        """Variance of B as the filter has it."""
+        return float(self.p[BB_PLACE])
+
+    @variance.setter
+    def variance(self, value: float) -> None:
+        self.p[BB_PLACE] = value
+
+
+@dataclass(kw_only=True)
+class LiveStageTwo(LiveStage):
+    """Stage two, from a state that a run over some rows left.
+
+    Attributes
+    ----------
+    q_f : variance of an unmodelled force on a sample, N^2.
+    p, sens : (n, n) covariance, (n,) sensitivity to B.
+    matrices, at : :func:`kernel_two.new_step`.
+    b_variance : of the damping taken last.
+    """
+
+    q_f: float
+    p: np.ndarray
+    sens: np.ndarray
+    matrices: np.ndarray
+    at: np.ndarray
+    b_variance: float = 0.0
+    rows: int = field(default=8, init=False)
+
+    @classmethod
+    def after(cls, found: KernelTwoResult, run: Callable[..., int], model: RigModel, dt: float,
+              r: float, q_f: float, prior_variance: float) -> "LiveStageTwo":
+        """Return a stage that goes on where a run ended."""
+        return cls(run=run, model=model, dt=dt, r=r, prior_variance=prior_variance, m=found.state,
+                   watch=found.watch, memory=found.memory, q_f=q_f, p=found.covariance,
+                   sens=found.sensitivity, matrices=found.matrices, at=found.at)
+
+    def _run(self, inputs, first, stop, out, events, b, b_variance) -> int:
+        drive, model, n = inputs.drive, self.model, len(inputs.mean)
+        self.b_variance = b_variance
+        return self.run(
+            inputs.x[:stop], drive.start[:stop], drive.end[:stop], drive.variance[:stop],
+            drive.instrument[:stop], np.full(stop, b), np.full(stop, b_variance),
+            model.hydraulics, model.leak, inputs.leak_flow[:stop], self.dt, self.r, self.q_f,
+            self.prior_variance, inputs.mean[: min(stop, n)], model.theta, model.plain,
+            model.remembering, model.flows, self.memory, self.m, self.p, self.sens, self.watch,
+            self.matrices, self.at, first, out, events)
+
+    @property
+    def value(self) -> float:
+        """Effective bulk modulus, Pa."""
+        return float(self.model.hydraulics[BETA_0]) / self._compliance
+
+    @property
+    def stddev(self) -> float:
+        """Its standard deviation with the uncertainty of B, Pa."""
+        return self.value / self._compliance * math.sqrt(
+            self.factor**2 * self.variance + float(self.sens[C_PLACE]) ** 2 * self.b_variance)
+
+    @property
+    def sensitivity(self) -> float:
+        """Relative change of the effective bulk modulus with B, per N·s/m."""
+        return -float(self.sens[C_PLACE]) / self._compliance
+
+    @property
+    def variance(self) -> float:
+        """Variance of the compliance as the filter has it."""
+        return float(self.p[C_PLACE, C_PLACE])
+
+    @variance.setter
+    def variance(self, value: float) -> None:
+        self.p[C_PLACE, C_PLACE] = value
+
+    @property
+    def _compliance(self) -> float:
+        return max(float(self.m[C_PLACE]), 1e-9)
