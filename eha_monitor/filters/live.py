@@ -65,7 +65,8 @@ class LiveEstimator(RunAgain):
         self._hold = LiveHold(self._given)
         self.settings = self._hold.settings
         self.dt = self.settings.rig.sample_time
-        self._early: list[tuple[float, dict[str, float]]] = []
+        self._waiting: list[tuple[float, dict[str, float]]] = []  # rows that came one by one
+        self._early: list[tuple[np.ndarray, dict[str, np.ndarray]]] = []
         self._buffer: LiveBuffer | None = None
         self._one: LiveStageOne | None = None
         self._two: LiveStageTwo | None = None
@@ -89,28 +90,63 @@ class LiveEstimator(RunAgain):
         if reason:
             self._events.append(Event(self._now, "monitor", f"estimates reset: {reason}"))
 
-    @begins_anew
     def push(self, time_s: float, row: dict[str, float]) -> None:
         """Take one aligned row at a rising time; missing channels are absent or NaN."""
         self._now = time_s
-        if abs(row.get("temperature", math.nan)) <= LARGEST["temperature"]:
-            self._temperature = row["temperature"]
-        if self._buffer is None:
-            if self._early and time_s - self._early[-1][0] > LONG_GAP_S:
-                self._early.clear()  # without a model nothing is carried over a long gap
-            self._early.append((time_s, row))
-            if len(self._early) >= WARM_UP:
-                self._start()
-            return
-        if not row.keys() <= self._channels and self._other_channels(row.keys()):
-            return
-        self._place(time_s, row)
-        if self._buffer.end - self._taken >= BATCH + self._lag:
-            self._take()
+        self._waiting.append((time_s, row))
+        if len(self._waiting) >= BATCH:
+            self._settle()
 
-    def _other_channels(self, names) -> bool:
-        """Begin anew where channels have come, to stay, that let a further stage run."""
-        self._news += 1
+    def _settle(self) -> None:
+        """Take the rows that came one by one."""
+        waiting, self._waiting = self._waiting, []
+        if waiting:
+            names = {name for _, row in waiting for name in row}
+            self.push_rows(np.array([time for time, _ in waiting]), {
+                name: np.array([row.get(name, math.nan) for _, row in waiting]) for name in names})
+
+    @begins_anew
+    def push_rows(self, times: np.ndarray, columns: dict[str, np.ndarray]) -> None:
+        """Take aligned rows at rising times, at most some tenths of a second of them.
+
+        Parameters
+        ----------
+        times : (n,) s.
+        columns : channel -> (n,) SI, NaN where it has no value.
+        """
+        self._settle()
+        if not len(times):
+            return
+        self._now = float(times[-1])
+        warm = columns.get("temperature", np.empty(0))
+        warm = warm[np.abs(warm) <= LARGEST["temperature"]]
+        if len(warm):
+            self._temperature = float(warm[-1])
+        if self._buffer is not None:
+            news = {name: given for name, values in columns.items()
+                    if name not in self._channels and (given := np.isfinite(values)).any()}
+            if news and self._other_channels(frozenset(news), np.any([*news.values()], axis=0)):
+                return
+            self._place(times, columns)
+            if self._buffer.end - self._taken >= BATCH + self._lag:
+                self._take()
+            return
+        gaps = np.flatnonzero(np.diff(times, prepend=self._early[-1][0][-1] if self._early
+                                      else times[0]) > LONG_GAP_S)
+        if len(gaps):  # without a model nothing is carried over a long gap
+            self._early.clear()
+            times = times[gaps[-1]:]
+            columns = {name: values[gaps[-1]:] for name, values in columns.items()}
+        self._early.append((times, columns))
+        if sum(len(part) for part, _ in self._early) >= WARM_UP:
+            self._start()
+
+    def _other_channels(self, names: frozenset[str], rows: np.ndarray) -> bool:
+        """Begin anew where channels have come, to stay, that let a further stage run.
+
+        ``rows`` (n,) tells which rows hold one.
+        """
+        self._news += int(np.count_nonzero(rows))
         if self._news < WARM_UP:
             return False
         before, self._channels, self._news = self._channels, self._channels | names, 0
@@ -119,18 +155,29 @@ class LiveEstimator(RunAgain):
             self.reset(f"{' and '.join(sorted(names - before))} came after the start")
         return begin
 
-    def _place(self, time_s: float, row: dict[str, float]) -> None:
-        place = (time_s - self._origin) / self.dt
-        number, off = round(place), abs(place - round(place))
-        # The same grid place again: the nearer one stands, else the first, if not yet filtered.
-        if number < self._buffer.end and not (
-                number == self._buffer.end - 1 >= self._taken and off < self._off - NEARER):
-            return
-        self._off = off
-        if number - self._buffer.end > LONG_GAP_S / self.dt:
-            self._after_gap(time_s)
-            number = self._buffer.end
-        self._buffer.append(number, row)
+    def _place(self, times: np.ndarray, columns: dict[str, np.ndarray]) -> None:
+        """Put rows to their places on the grid."""
+        long = LONG_GAP_S / self.dt
+        while len(times):
+            places = (times - self._origin) / self.dt
+            numbers = np.rint(places).astype(np.int64)
+            off = np.abs(places - numbers)
+            end = self._buffer.end
+            count = 1
+            if numbers[0] - end > long:
+                self._after_gap(float(times[0]))
+                continue
+            # The same place again: the nearer one stands, else the first, if not yet filtered.
+            if numbers[0] >= end or (numbers[0] == end - 1 >= self._taken
+                                     and off[0] < self._off - NEARER):
+                steps = np.diff(numbers[: self._buffer.at_once])
+                breaks = np.flatnonzero((steps <= 0) | (steps > long))
+                count = int(breaks[0]) + 1 if len(breaks) else len(steps) + 1
+                self._buffer.write(numbers[:count], {
+                    name: values[:count] for name, values in columns.items()})
+                self._off = float(off[count - 1])
+            times = times[count:]
+            columns = {name: values[count:] for name, values in columns.items()}
 
     def _after_gap(self, time_s: float) -> None:
         """Go on after a long gap: parameters stay, states and buffered rows do not."""
@@ -148,7 +195,7 @@ class LiveEstimator(RunAgain):
 
     def _start(self) -> None:
         """Measure the sample time and the noise on the first rows, then take them."""
-        times = np.array([t for t, _ in self._early])
+        times = np.concatenate([part for part, _ in self._early])
         spacing = float(np.median(np.diff(times)))
         if not abs(spacing / self.dt - 1.0) < 0.05 and spacing > 0:
             self._events.append(Event(self._now, "monitor", f"rows come every {spacing * 1e3:.3g} "
@@ -192,7 +239,7 @@ class LiveEstimator(RunAgain):
     def _known(self, start: int) -> Known:
         """Return what is known about the rows from ``start`` on."""
         return Known(self._model, self._noise, self._quantum, self._no_force, self._no_drive,
-                     self._buffer.kept(start))
+                     self._buffer.column("kept", start, start + 1))
 
     def _take(self, everything: bool = False) -> None:
         """Filter the rows whose neighbours have come."""
@@ -212,7 +259,8 @@ class LiveEstimator(RunAgain):
         if self._two is not None:
             out, changes = self._two.take(inputs, first, end, *self._damping)
             self._note(context, "two", out[6:, first:], changes)
-        buffer.keep(self._taken, inputs.kept[first:end])
+        if inputs.kept.shape[1]:
+            buffer.column("kept", self._taken, stop)[:] = inputs.kept[first:end, 0]
         if self._two is not None:
             buffer.column("b", self._taken, stop)[:] = self._damping[0]
             buffer.column("b_variance", self._taken, stop)[:] = self._damping[1]
@@ -269,6 +317,7 @@ class LiveEstimator(RunAgain):
 
     def withdraw(self, channel: str, since_s: float) -> None:
         """Take back what a channel gave from ``since_s`` on: it was no measurement."""
+        self._settle()
         if self._buffer is None:
             self._early.clear()
             return
@@ -360,6 +409,7 @@ class LiveEstimator(RunAgain):
 
     def snapshot(self) -> LiveSnapshot:
         """Return the present estimates; the events are handed out once."""
+        self._settle()
         events, self._events = tuple(sorted(self._events, key=lambda e: e.time_s)), []
         model = self._tester.status(self._now, self._parameters(), self._two)
         state = self._one or self._two

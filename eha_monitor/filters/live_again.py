@@ -5,7 +5,7 @@ import numpy as np
 from eha_monitor.filters import run_two
 from eha_monitor.filters.engine import engine_of
 from eha_monitor.filters.inputs import StageInputs, model_for, moved_mass
-from eha_monitor.filters.live_stages import LiveStageTwo
+from eha_monitor.filters.live_stages import LiveStageTwo, check
 from eha_monitor.filters.status import units_of
 from eha_monitor.quantity import with_uncertainty
 
@@ -53,6 +53,7 @@ class RunAgain:
         b[edge:], variance[edge:] = value, stddev**2
         b[np.isnan(b)], variance[np.isnan(variance)] = value, stddev**2
         found = run_two.run_stage_two_kernel(self._inputs(start, stop), self.settings, b, variance)
+        check(found.out, LiveStageTwo.sigma)
         self._hold.compare(found, buffer.recording(start, stop), b, variance)
         before, status = self._two, self._parameters()["beta_e"].status
         self._two = LiveStageTwo.after(

@@ -6,7 +6,7 @@ it was.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,9 +31,29 @@ from eha_monitor.filters.supervision import (
     new_supervision,
 )
 
+BROKEN = "the filter's covariance is no longer positive"
 Change = tuple[int, float, float, int]  # sample, before, after, samples that showed it
 B_PLACE = 2
-BB_PLACE = 5  # of B's variance in the packed covariance
+VV_PLACE, BB_PLACE = 3, 5  # of the variances of velocity and B in the packed covariance
+ROUNDING = 1e-3  # of a sample's variance, by which rounding may make one negative
+
+
+def check(out: np.ndarray, sigma: int) -> None:
+    """Refuse what a stage wrote over some rows where its covariance broke down.
+
+    Parameters
+    ----------
+    out : with the innovations and their standard deviations as the last two rows.
+    sigma : row of the parameter's standard deviation.
+
+    Raises
+    ------
+    FloatingPointError
+        If a variance is no longer positive: numbers that no rig has came.
+    """
+    measured = np.isfinite(out[-2])
+    if not (np.isfinite(out[sigma]).all() and np.isfinite(out[-1][measured]).all()):
+        raise FloatingPointError(BROKEN)
 
 
 @dataclass(kw_only=True)
@@ -67,17 +87,36 @@ class LiveStage:
         -------
         out, changes
             (rows, stop) as the stage writes it, from ``first`` on; and the changes seen.
+
+        Raises
+        ------
+        FloatingPointError
+            If numbers that no rig has broke the filter.
         """
         out, changes = np.empty((self.rows, stop)), []
         while first < stop:  # block by block, as a change may end in another beginning
             end = min(stop, first + BLOCK - int(self.watch[SAMPLES]))
             events = np.empty((1, 4))
-            if self._run(inputs, first, end, out, events, *others):
+            found = self._run(inputs, first, end, out, events, *others)
+            check(out[:, first:end], self.sigma)
+            self._check()
+            if found:
                 self._changed()
                 sample, before, _, window = events[0]
                 changes.append((int(sample), float(before), self.value, int(window)))
             first = end
         return out, changes
+
+    def _check(self) -> None:
+        """Refuse variances of position and velocity that are, beyond rounding, negative."""
+        of_x, of_v = self.motion
+        if not (of_x > -ROUNDING * self.r and of_v > -ROUNDING * self.r / self.dt**2):
+            raise FloatingPointError(BROKEN)
+
+    @property
+    def motion(self) -> tuple[float, float]:
+        """Variances of position and velocity."""
+        raise NotImplementedError
 
     def _changed(self) -> None:
         """Do what a change asks for."""
@@ -136,7 +175,7 @@ class LiveStageOne(LiveStage):
     prior: float
     euler: bool
     p: np.ndarray
-    rows: int = field(default=6, init=False)
+    rows, sigma = 6, 3  # of what the stage writes; the place of the parameter's sigma
 
     @classmethod
     def new(cls, run: Callable[..., int], model: RigModel, mass: float, dt: float, r: float,
@@ -189,6 +228,11 @@ class LiveStageOne(LiveStage):
         """Variance of B as the filter has it."""
         return float(self.p[BB_PLACE])
 
+    @property
+    def motion(self) -> tuple[float, float]:
+        """Variances of position and velocity."""
+        return float(self.p[0]), float(self.p[VV_PLACE])
+
     @variance.setter
     def variance(self, value: float) -> None:
         self.p[BB_PLACE] = value
@@ -212,7 +256,7 @@ class LiveStageTwo(LiveStage):
     matrices: np.ndarray
     at: np.ndarray
     b_variance: float = 0.0
-    rows: int = field(default=8, init=False)
+    rows, sigma = 8, 4
 
     @classmethod
     def after(cls, found: KernelTwoResult, run: Callable[..., int], model: RigModel, dt: float,
@@ -253,6 +297,11 @@ class LiveStageTwo(LiveStage):
     def variance(self) -> float:
         """Variance of the compliance as the filter has it."""
         return float(self.p[C_PLACE, C_PLACE])
+
+    @property
+    def motion(self) -> tuple[float, float]:
+        """Variances of position and velocity."""
+        return float(self.p[0, 0]), float(self.p[1, 1])
 
     @variance.setter
     def variance(self, value: float) -> None:
