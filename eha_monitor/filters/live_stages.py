@@ -6,7 +6,7 @@ it was.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -78,6 +78,11 @@ class LiveStage:
     m: np.ndarray
     watch: np.ndarray
     memory: np.ndarray
+
+    def __deepcopy__(self, memo: dict) -> "LiveStage":
+        """Copy the state; what runs it, and the model, are never changed in place."""
+        return replace(self, **{one.name: value.copy() for one in fields(self)
+                                if isinstance(value := getattr(self, one.name), np.ndarray)})
 
     def take(self, inputs: StageInputs, first: int, stop: int, *others
              ) -> tuple[np.ndarray, list[Change]]:

@@ -155,6 +155,8 @@ class Monitor:
             self.process(time.monotonic())
             now = time.monotonic()
             self._tick(now)
+        if self.active:
+            self._publish_health(only_changes=True)
 
     def _tick(self, now: float) -> None:
         self._note_away(now)
@@ -225,7 +227,7 @@ class Monitor:
         return response
 
     def _judge(self) -> None:
-        """Bring snapshot and alarms up to the last row; publish health if a level changed."""
+        """Bring snapshot and alarms up to the last row; an alarm that changed is published."""
         if self._origin_ns is None:
             return
         self._judged_ns = self._row_ns
@@ -244,9 +246,11 @@ class Monitor:
             reason = unfed(symbol, self._seen, self._row_ns, self.inputs, self.settings)
             parameters[symbol] = estimate if reason is None else replace(
                 estimate, status="no_data", message=reason)
-        self._announce(self.board.update(self._seconds(), parameters, snapshot.temperature,
-                                         self._model.tainted))
-        self._publish_health(only_changes=True)
+        changes = self.board.update(self._seconds(), parameters, snapshot.temperature,
+                                    self._model.tainted)
+        self._announce(changes)
+        if changes:  # what else there is to tell is told at the end of the turn
+            self._publish_health(only_changes=True)
 
     def _note_diverged(self, parameters: dict[str, ParameterEstimate]) -> None:
         """Note since when a parameter has been diverged on data without a fault."""
@@ -291,7 +295,6 @@ class Monitor:
             self.watch.note(problem, now, problem)
         without = CONSEQUENCES if overload else ()
         self.data.problems = [*self._clashes, *self.watch.sentences(now, without)]
-        self._publish_health(only_changes=True)
 
     def _note_stop(self, now: float) -> None:
         """Make the health STALE when rows have stopped; wall time, as /clock may stop too."""
@@ -306,7 +309,6 @@ class Monitor:
         self.data.stopped = reason
         silence = 0.0 if self._row_came is None else now - self._row_came
         self._announce(self.board.stale(self._seconds() + silence, reason))
-        self._publish_health(only_changes=True)
 
     def _publish_estimates(self) -> None:
         if not self._fresh:
