@@ -36,6 +36,7 @@ WATCH_PERIOD = 0.1
 DIVERGED_S = 2.0
 LOOK_S = 0.19  # between two looks for faults of the data
 DIAGNOSTICS_PERIOD = 1.0
+CLASHES_PERIOD = 3.0  # to ask the graph for all ends of all topics costs 10 ms
 
 
 class Monitor:
@@ -105,6 +106,7 @@ class Monitor:
         wall = Clock(clock_type=ClockType.STEADY_TIME)  # health must not stop with /clock
         self.load = Load(((1.0 / self.settings.monitor.publish_rate, self._publish_estimates),
                           (WATCH_PERIOD, self._watch),
+                          (CLASHES_PERIOD, self._note_clashes),
                           (DIAGNOSTICS_PERIOD, self._every_second)),
                          self.settings.monitor.stale_after)
         self._timers = [self.node.create_timer(self.load.period, self._work, clock=wall)]
@@ -332,11 +334,13 @@ class Monitor:
             return self._row_ns
         return (self._origin_ns or 0) + round(state_time_s * 1e9)
 
+    def _note_clashes(self) -> None:
+        self._clashes = [clash for each in (*self.inputs, self._outputs)
+                         for clash in each.clashes()]
+
     def _every_second(self) -> None:
         for topic_input in self.inputs:
             topic_input.follow_graph()
-        self._clashes = [clash for each in (*self.inputs, self._outputs)
-                         for clash in each.clashes()]
         self._look(time.monotonic())
         self._update_data()
         self._publish_health()
