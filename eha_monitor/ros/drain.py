@@ -37,29 +37,27 @@ class Drain:
     def take(self) -> bool:
         """Take what waits, or much of it; tell whether more may wait."""
         batches, kept = [], []
+        wall_ns, now = time.time_ns(), time.monotonic()
+        clock_ns = self._node.get_clock().now().nanoseconds
         for each in self._inputs:
-            messages, told = each.take()
+            messages, received, sent_ns = each.take()
             if not messages:
                 continue
-            received = np.array([one["received_timestamp"] for one in told])
-            sent_ns = told[0]["source_timestamp"]
-            waited = np.clip((time.time_ns() - received) * 1e-9, 0.0, LONGEST_S)
-            if not received.all():  # a middleware that does not tell
-                waited[:] = 0.0
-            came = time.monotonic() - waited
-            clock_ns = self._node.get_clock().now().nanoseconds
-            batches += each.read(messages, came, clock_ns - np.round(waited * 1e9).astype(int))
-            transport = (int(received[0]) - sent_ns) * 1e-9
+            # A middleware that does not tell when: now.
+            waited = np.zeros(len(received)) if not received[0] else np.minimum(np.maximum(
+                (wall_ns - np.array(received)) * 1e-9, 0.0), LONGEST_S)
+            batches += each.read(messages, now - waited,
+                                 clock_ns - np.rint(waited * 1e9).astype(np.int64))
+            transport = (received[0] - sent_ns) * 1e-9
             self._transport = min(self._transport, transport)
             self.oldest = max(self.oldest, float(waited[0]) + transport - self._transport)
             if self._keeper.ring is not None:
-                stream = self._stream(each)
-                kept += [(stamp, stream, data)
-                         for stamp, data in zip(received.tolist(), messages, strict=True)]
+                kept += zip(received, (self._stream(each),) * len(messages), messages,
+                            strict=True)
         if batches:
             self._aligner.take(batches)
         if kept:
-            kept.sort(key=lambda one: one[0])
+            kept.sort()
             self._keeper.ring.extend(kept)
         return any(each.waits for each in self._inputs)
 

@@ -191,6 +191,8 @@ class Monitor:
             since = rows.stamps - self._judged_ns
             due = (since < 0) | (since >= JUDGE_EVERY_NS)
             stop = int(np.argmax(due)) + 1 if due.any() else len(rows)
+            if rows.stamps[-1] - rows.stamps[stop - 1] < JUDGE_EVERY_NS // 2:
+                stop = len(rows)  # a few rows more are not worth a turn of their own
             self._give(rows.part(0, stop))
             if due.any():
                 self._judge()

@@ -83,19 +83,31 @@ class TopicInput:
         self._kind, self._stamped = kind, has_stamp(kind)
         self._read = RawReader(self.topic, wanted)
 
-    def take(self) -> tuple[list[bytes], list[dict]]:
-        """Take what waits: messages as they came, and when each was sent and received, ns."""
-        messages, told = [], []
-        subscription, kind = self._subscription, self._kind if self._subscription else None
+    def take(self) -> tuple[list[bytes], list[int], int]:
+        """Take what waits.
+
+        Returns
+        -------
+        messages, received_ns, sent_ns
+            Messages as they came, when each was received, and when the first was sent.
+        """
+        messages, received, sent_ns = [], [], 0
+        subscription = self._subscription
         if subscription is not None:
+            kind = self._kind
             with subscription:
                 take = subscription.take_message
-                while len(messages) < AT_ONCE and (found := take(kind, True)) is not None:
-                    messages.append(found[0])
-                    told.append(found[1])
+                for _ in range(AT_ONCE):
+                    found = take(kind, True)
+                    if found is None:
+                        break
+                    data, told = found
+                    messages.append(data)
+                    received.append(told["received_timestamp"])
+                    sent_ns = sent_ns or told["source_timestamp"]
         self.waits = len(messages) == AT_ONCE
         self.messages += len(messages)
-        return messages, told
+        return messages, received, sent_ns
 
     def read(self, messages: Sequence[bytes], came: np.ndarray, now_ns: np.ndarray
              ) -> list[Batch]:
