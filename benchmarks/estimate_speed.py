@@ -20,8 +20,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from eha_monitor.filters import kernel_one, kernel_two
-from eha_monitor.filters.filterpy_stages import FilterpyStageOne, FilterpyStageTwo
+from eha_monitor.filters import filterpy_stages, kernel_one, kernel_two
 from eha_monitor.filters.inputs import StageInputs
 from eha_monitor.filters.known import new_known_memory
 from eha_monitor.filters.pipeline import estimate
@@ -67,45 +66,38 @@ class Stages:
 
     def compiled_one(self) -> None:
         """Run stage one over all samples."""
+        self._one(kernel_one.run_one, len(self.inputs.x))
+
+    def compiled_two(self) -> None:
+        """Run stage two over all samples."""
+        self._two(kernel_two.run_two, len(self.inputs.x))
+
+    def filterpy(self) -> None:
+        """Run both stages on filterpy over the first samples."""
+        self._one(filterpy_stages.run_one, FILTERPY_SAMPLES)
+        self._two(filterpy_stages.run_two, FILTERPY_SAMPLES)
+
+    def _one(self, run, n: int) -> None:
         i, s = self.inputs, self.settings
         model, force = i.model, i.force
         p = np.zeros(6)
         p[5] = s.stage_one.prior_stddev**2
-        kernel_one.run_one(
-            i.x, force.start, force.end, force.variance, i.p1, i.p2, i.dt, s.rig.mass,
-            i.position_variance, p[5], False, model.theta, model.plain, model.remembering,
-            new_known_memory(), np.array([np.nan, 0.0, s.stage_one.prior]), p, new_supervision(),
-            self.out_one, self.events)
+        run(i.x[:n], force.start[:n], force.end[:n], force.variance[:n], i.p1[:n], i.p2[:n], i.dt,
+            s.rig.mass, i.position_variance, p[5], False, model.theta, model.plain,
+            model.remembering, new_known_memory(), np.array([np.nan, 0.0, s.stage_one.prior]), p,
+            new_supervision(), 0, self.out_one, self.events)
 
-    def compiled_two(self) -> None:
-        """Run stage two over all samples."""
+    def _two(self, run, n: int) -> None:
         i = self.inputs
         model, drive = i.model, i.drive
         q = np.zeros((4, 4))
         q[3, 3] = self.start[1]
-        kernel_two.run_two(
-            i.x, drive.start, drive.end, drive.variance, drive.instrument, self.b,
-            self.b_variance, model.hydraulics, model.leak, i.leak_flow, i.dt, i.position_variance,
-            0.0, 4.0, i.mean, model.theta, model.plain, model.remembering, model.flows,
-            new_known_memory(), np.array([np.nan, 0.0, 0.0, self.start[0]]), q, np.zeros(4),
-            new_supervision(), self.out_two, self.events)
-
-    def filterpy(self) -> None:
-        """Run both stages on filterpy over the first samples."""
-        i, s = self.inputs, self.settings
-        model, force, drive = i.model, i.force, i.drive
-        one = FilterpyStageOne(model, s.rig.mass, i.dt, i.position_variance, s.stage_one.prior,
-                               s.stage_one.prior_stddev)
-        q = np.zeros((4, 4))
-        q[3, 3] = self.start[1]
-        two = FilterpyStageTwo(
-            model, i.dt, i.position_variance, 0.0, 4.0,
+        run(i.x[:n], drive.start[:n], drive.end[:n], drive.variance[:n], drive.instrument[:n],
+            self.b[:n], self.b_variance[:n], model.hydraulics, model.leak, i.leak_flow[:n], i.dt,
+            i.position_variance, 0.0, 4.0, i.mean[:n], model.theta, model.plain,
+            model.remembering, model.flows, new_known_memory(),
             np.array([np.nan, 0.0, 0.0, self.start[0]]), q, np.zeros(4), new_supervision(),
-            new_known_memory())
-        for k in range(1, FILTERPY_SAMPLES):
-            one.step(i.x[k], force.start[k - 1], force.end[k], force.variance[k], 0.0, 0.0)
-            two.step(i.x[k], drive.start[k - 1], drive.end[k], drive.instrument[k - 1, 0],
-                     drive.instrument[k, 1], drive.variance[k], 600.0, 0.01, 0.0, 2e6)
+            *kernel_two.new_step(model.hydraulics), 0, self.out_two, self.events)
 
 
 def main() -> None:

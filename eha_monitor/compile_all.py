@@ -32,6 +32,7 @@ from eha_monitor.recordings.write import write_recording
 from eha_monitor.settings import Settings, settings_from_tree
 
 SECONDS = 4.0  # of motion: enough for the estimators to converge
+BATCH, SHORT = 100, 600  # samples
 # Each runs code that the others do not: the printed equations, a drive whose effects open the
 # loop, friction in the model.
 CONFIGS = ({}, {"discretisation": "euler"}, {"command_hold": "sampled"},
@@ -51,15 +52,18 @@ def simulated(settings: Settings) -> Recording:
 
 def compile_estimators(recording: Recording) -> None:
     """Run the offline pipeline and the live estimator under each kind of config."""
-    rows = list(zip(*(values.tolist() for values in recording.channels.values()), strict=True))
     for tree in CONFIGS:
         settings = settings_from_tree(tree, "compile_all")
         estimate(recording, settings)
         live = LiveEstimator(settings)
-        for k, row in enumerate(rows):
-            live.push(k * recording.sample_time, dict(zip(recording.channels, row, strict=True)))
+        for start in range(0, len(recording), BATCH):
+            part = recording.part(start, start + BATCH)
+            live.push_rows(recording.time[start : start + BATCH], part.channels)
         live.snapshot()
         live.rehearse()
+        # Called from Python, the functions of a step are compiled by themselves.
+        reference = settings_from_tree({**tree, "engine": "filterpy"}, "compile_all")
+        estimate(recording.part(0, SHORT), reference)
 
 
 def compile_diagnosis(recording: Recording) -> None:

@@ -3,6 +3,7 @@
 The environment is set before anything imports rclpy or numpy, and child processes inherit it.
 """
 
+import gc
 import os
 import tempfile
 import time
@@ -60,6 +61,7 @@ class Graph:
         for made in self.nodes:
             self.executor.remove_node(made)
             made.destroy_node()
+        gc.collect()  # a monitor's subscriptions go with it, and a test does not close it
         self.executor.shutdown()
         self._rclpy.try_shutdown()
 

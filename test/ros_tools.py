@@ -64,6 +64,11 @@ class Recorder:
     def __init__(self, settings):
         self.rows, self.resets, self.damping = [], [], 600.0
 
+    def push_rows(self, times, columns):
+        for k, time_s in enumerate(times):
+            self.push(float(time_s), {name: float(values[k]) for name, values in columns.items()
+                                      if math.isfinite(values[k])})
+
     def push(self, time_s, row):
         self.rows.append((time_s, row))
 

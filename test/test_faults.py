@@ -32,6 +32,10 @@ class Rig:
         x = 0.01 * math.sin(9.0 * t)
         return {"x": (x, math.nan), "p1": (2e6 + 1e5 * math.cos(9.0 * t),), "x_d": (1.1 * x,)}
 
+    def take(self):
+        rows = self.watch.take(self.aligner.pop(self.now))
+        self.rows += [(stamp, row) for stamp, row, _ in rows]
+
     def send(self, count, spoil=lambda k, name, values: [(0, values)], rate=1.0):
         """Send samples; ``spoil`` returns for each (stamp's offset in ms, values) to be sent."""
         for _ in range(count):
@@ -44,10 +48,10 @@ class Rig:
                         self.aligner.push(source, stamp, values, self.now)
             self.k += 1
             self.now += 1e-3
-            for stamp, row, _ in self.aligner.pop(self.now):
-                self.rows.append((stamp, self.watch.take(stamp, row)))
+            self.take()
             if self.aligner.reset_reason:
                 self.watch.restart(self.aligner.take_reset(), self.now)
+                self.take()
             if self.k % LOOK == 0:
                 self.frozen |= self.watch.look(self.now)
                 self.told |= set(self.watch.sentences(self.now))

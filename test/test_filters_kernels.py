@@ -1,4 +1,6 @@
-"""Compiled stages against filterpy: the same live filters, and independent linear ones."""
+"""Compiled stages against filterpy and themselves in batches, and against linear filters."""
+
+import copy
 
 import numpy as np
 import pytest
@@ -21,13 +23,17 @@ from rig_tools import (
 )
 from scipy.linalg import expm
 
-from eha_monitor.filters import kernel_one, kernel_two
-from eha_monitor.filters.filterpy_stages import FilterpyStageOne, FilterpyStageTwo
+from eha_monitor.filters import filterpy_stages, kernel_one, kernel_two
 from eha_monitor.filters.inputs import StageInputs, moved_mass
 from eha_monitor.filters.known import new_known_memory
 from eha_monitor.filters.stage_two import states_beside_c
 from eha_monitor.filters.supervision import FROZEN, HELD, new_supervision
 
+SAME = 1e-9
+# Stage two's covariance falls by twelve orders of magnitude: what rounding makes of that at first,
+# and of the rest over 4000 samples.
+GROWN = {"one": SAME, "two": 1e-6}
+BATCH = 5
 GAPS = (slice(700, 701), slice(1500, 1700), slice(2500, 2503))
 CASES = {
     "plain": ({}, {}),
@@ -79,85 +85,137 @@ def relative(mine, theirs, floor=1e-12):
     return np.nanmax(np.abs(mine - theirs)) / max(np.nanmax(np.abs(theirs)), floor)
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_filterpy_runs_stage_one_to_the_same_numbers(name):
-    inputs, config = inputs_of(**CASES[name][0], **CASES[name][1])
-    n, one, model = len(inputs.x), config.stage_one, inputs.model
-    mass = moved_mass(model, inputs.dt)
-    m, p = np.array([np.nan, 0.0, one.prior]), np.array([0, 0, 0, 0, 0, one.prior_stddev**2])
-    out, events = np.empty((6, n)), np.empty((50, 4))
-    found = kernel_one.run_one(
-        inputs.x, inputs.force.start, inputs.force.end, inputs.force.variance, inputs.p1,
-        inputs.p2, inputs.dt, mass, inputs.position_variance, one.prior_stddev**2,
-        config.discretisation == "euler", model.theta, model.plain, model.remembering,
-        new_known_memory(), m, p, new_supervision(), out, events)
-    live = FilterpyStageOne(model, mass, inputs.dt, inputs.position_variance, one.prior,
-                            one.prior_stddev, config.discretisation == "euler")
-    rows, changes = np.empty((6, n)), []
-    for k in range(n):
-        before = inputs.force.start[k - 1] if k else np.nan
-        change = live.step(inputs.x[k], before, inputs.force.end[k], inputs.force.variance[k],
-                           inputs.p1[k], inputs.p2[k])
-        if change is not None:
-            changes.append((k, *change))
-        # The compiled filter calls a state that is lost NaN; filterpy keeps the old one.
-        lost = live.lost
-        rows[:, k] = [np.nan if lost else live.ekf.x[0], live.ekf.x[1], live.value, live.stddev,
-                      live.innovation, live.innovation_stddev]
-    assert found == len(changes) and (name != "change" or found > 0)
-    assert np.array(changes).reshape(-1, 4) == pytest.approx(events[:found], rel=1e-6)
-    for i in range(6):
-        assert relative(rows[i], out[i]) < 1e-6, i
-    final = np.array([*live.ekf.P[0], live.ekf.P[1, 1], live.ekf.P[1, 2], live.ekf.P[2, 2]])
-    assert final == pytest.approx(p, rel=1e-4)
+class One:
+    """Stage one with all that it takes and leaves; ``run`` is an engine's."""
+
+    def __init__(self, inputs, config):
+        one, self.inputs = config.stage_one, inputs
+        self.m = np.array([np.nan, 0.0, one.prior])
+        self.p = np.array([0, 0, 0, 0, 0, one.prior_stddev**2])
+        self.memory, self.watch = new_known_memory(), new_supervision()
+        self.prior_variance, self.euler = one.prior_stddev**2, config.discretisation == "euler"
+        self.out, self.events = np.empty((6, len(inputs.x))), np.empty((50, 4))
+        self.found = 0
+
+    @property
+    def state(self):
+        return {"m": self.m, "p": self.p, "memory": self.memory, "watch": self.watch}
+
+    def take(self, run, first, stop):
+        inputs, model, force, cut = self.inputs, self.inputs.model, self.inputs.force, slice(stop)
+        events = np.empty((50, 4))
+        found = run(
+            inputs.x[cut], force.start[cut], force.end[cut], force.variance[cut], inputs.p1[cut],
+            inputs.p2[cut], inputs.dt, moved_mass(model, inputs.dt), inputs.position_variance,
+            self.prior_variance, self.euler, model.theta, model.plain, model.remembering,
+            self.memory, self.m, self.p, self.watch, first, self.out, events)
+        self.events[self.found : self.found + found] = events[:found]
+        self.found += found
 
 
-@pytest.mark.parametrize("name", [name for name in CASES if name != "euler"])
-def test_filterpy_runs_stage_two_to_the_same_numbers(name):
+class Two:
+    """Stage two likewise; B doubles half way where ``change``."""
+
+    def __init__(self, inputs, config, held, change):
+        model, two, n = inputs.model, config.stage_two, len(inputs.x)
+        self.inputs = inputs
+        self.b, self.b_variance = np.full(n, 600.0), np.full(n, 4.0)
+        self.b[n // 2 :] = 900.0 if change else 600.0
+        self.prior_variance = (two.prior_stddev / two.prior) ** 2
+        self.q_f = (config.rig.mass * two.acceleration_noise) ** 2
+        size = states_beside_c(model.hydraulics) + 1
+        self.m, self.p, self.sens = np.zeros(size), np.zeros((size, size)), np.zeros(size)
+        self.m[0], self.m[3], self.p[3, 3] = np.nan, 0.8, 0.05**2
+        self.memory, self.watch = new_known_memory(), new_supervision()
+        if held:
+            self.watch[FROZEN] = HELD
+        self.matrices, self.at = kernel_two.new_step(model.hydraulics)
+        self.out, self.events, self.found = np.empty((8, n)), np.empty((50, 4)), 0
+
+    @property
+    def state(self):
+        return {"m": self.m, "p": self.p, "sens": self.sens, "memory": self.memory,
+                "watch": self.watch, "matrices": self.matrices, "at": self.at}
+
+    def take(self, run, first, stop):
+        inputs, model, drive, cut = self.inputs, self.inputs.model, self.inputs.drive, slice(stop)
+        events = np.empty((50, 4))
+        found = run(
+            inputs.x[cut], drive.start[cut], drive.end[cut], drive.variance[cut],
+            drive.instrument[cut], self.b[cut], self.b_variance[cut], model.hydraulics, model.leak,
+            inputs.leak_flow[cut], inputs.dt, inputs.position_variance, self.q_f,
+            self.prior_variance, inputs.mean[cut], model.theta, model.plain, model.remembering,
+            model.flows, self.memory, self.m, self.p, self.sens, self.watch, self.matrices,
+            self.at, first, self.out, events)
+        self.events[self.found : self.found + found] = events[:found]
+        self.found += found
+
+
+def of_case(name, stage):
     inputs, config = inputs_of(**CASES[name][0], **CASES[name][1])
-    n, model, two = len(inputs.x), inputs.model, config.stage_two
-    b, b_variance = np.full(n, 600.0), np.full(n, 4.0)
-    b[n // 2 :] = 900.0 if name == "change" else 600.0
-    broad = (two.prior_stddev / two.prior) ** 2
-    q_f = (config.rig.mass * two.acceleration_noise) ** 2
-    size = states_beside_c(model.hydraulics) + 1
-    assert size == (6 if name == "memory" else 4)  # a line has two states
-    m, p = np.zeros(size), np.zeros((size, size))
-    m[0], m[3], p[3, 3] = np.nan, 0.8, 0.05**2
-    sens, watch = np.zeros(size), new_supervision()
-    if name == "held":
-        watch[FROZEN] = HELD
-    memory = new_known_memory()
-    live = FilterpyStageTwo(model, inputs.dt, inputs.position_variance, q_f, broad, m, p, sens,
-                            watch, memory)
-    out, events = np.empty((8, n)), np.empty((50, 4))
-    drive = inputs.drive
-    found = kernel_two.run_two(
-        inputs.x, drive.start, drive.end, drive.variance, drive.instrument, b, b_variance,
-        model.hydraulics, model.leak, inputs.leak_flow, inputs.dt, inputs.position_variance, q_f,
-        broad, inputs.mean, model.theta, model.plain, model.remembering, model.flows, memory, m,
-        p, sens, watch, out, events)
-    rows, changes = np.empty((8, n)), []
-    for k in range(n):
-        u0, i0 = (drive.start[k - 1], drive.instrument[k - 1, 0]) if k else (np.nan, np.nan)
-        change = live.step(inputs.x[k], u0, drive.end[k], i0, drive.instrument[k, 1],
-                           drive.variance[k], b[k], b_variance[k], inputs.leak_flow[k],
-                           inputs.mean[k])
-        if change is not None:
-            changes.append((k, *change))
-        beta = model.beta_0 / live.ekf.x[3]
-        rows[:, k] = [np.nan if live.lost else live.ekf.x[0], live.ekf.x[1], live.acceleration,
-                      live.value, beta / live.ekf.x[3] * live.factor * live.ekf.P[3, 3] ** 0.5,
-                      live.stddev, live.innovation, live.innovation_stddev]
-    if name == "held":  # considered: neither value nor sigma moves, and the states know of both
-        assert (m[3], p[3, 3]) == (0.8, 0.05**2) and p[2, 3] != 0.0
-    assert found == len(changes) and (name != "change" or found > 0)
-    assert np.array(changes).reshape(-1, 4) == pytest.approx(events[:found], rel=1e-5)
-    for i in range(8):
-        assert relative(rows[i], out[i]) < (1e-5 if i == 2 else 1e-6), i
-    assert live.sens == pytest.approx(sens, rel=1e-5, abs=1e-9 * np.abs(sens).max())
-    scale = np.sqrt(np.outer(np.diag(p), np.diag(p)))
-    assert np.abs((live.ekf.P - p) / scale).max() < 1e-4
+    if stage == "one":
+        return lambda: One(inputs, config)
+    return lambda: Two(inputs, config, name == "held", name == "change")
+
+
+BOTH = [("one", name) for name in CASES] + [("two", name) for name in CASES if name != "euler"]
+COMPILED = {"one": kernel_one.run_one, "two": kernel_two.run_two}
+FILTERPY = {"one": filterpy_stages.run_one, "two": filterpy_stages.run_two}
+
+
+def check_same(stage, reference, compiled, rows, tolerance):
+    assert compiled.found == reference.found
+    assert reference.events[: reference.found] == pytest.approx(
+        compiled.events[: compiled.found], rel=tolerance)
+    for i, (theirs, mine) in enumerate(zip(reference.out, compiled.out, strict=True)):
+        assert relative(theirs[rows], mine[rows]) < tolerance, i
+    for key, value in compiled.state.items():
+        if key == "p" and value.ndim == 2:
+            scale = np.sqrt(np.outer(np.diag(value), np.diag(value)))
+            assert np.abs((reference.p - value) / scale).max() < GROWN[stage]
+        else:
+            assert relative(reference.state[key], value) < tolerance, key
+
+
+@pytest.mark.parametrize(("stage", "name"), BOTH)
+def test_filterpy_runs_the_stages_to_the_same_numbers(stage, name):
+    make = of_case(name, stage)
+    compiled, reference = make(), make()
+    n = len(compiled.inputs.x)
+    reference.take(FILTERPY[stage], 0, n)
+    for first in range(0, n, BATCH):
+        stop, rows = min(n, first + BATCH), slice(first, first + BATCH)
+        again = copy.deepcopy(compiled) if first % (20 * BATCH) == 0 else None
+        compiled.take(COMPILED[stage], first, stop)
+        if again is not None:
+            again.take(FILTERPY[stage], first, stop)
+            check_same(stage, again, compiled, rows, SAME)
+    assert name != "change" or compiled.found > 0
+    check_same(stage, reference, compiled, slice(None), GROWN[stage])
+    if name == "held" and stage == "two":  # considered: neither value nor sigma moves
+        assert (compiled.m[3], compiled.p[3, 3]) == (0.8, 0.05**2) and compiled.p[2, 3] != 0.0
+    if name == "memory" and stage == "two":
+        assert len(compiled.m) == 6  # a line has two states
+
+
+@pytest.mark.parametrize(("stage", "name"), BOTH)
+def test_batch_by_batch_a_stage_gives_the_very_same_numbers(stage, name):
+    """Live rows come in batches of any length; what is kept of a stage is its whole state."""
+    make = of_case(name, stage)
+    at_once, batches = make(), make()
+    n, first = len(at_once.inputs.x), 0
+    at_once.take(COMPILED[stage], 0, n)
+    draw = np.random.default_rng(0)
+    while first < n:
+        stop = min(n, first + int(draw.integers(1, 150)))
+        if draw.random() < 0.1:  # as a rewind does
+            batches = copy.deepcopy(batches)
+        batches.take(COMPILED[stage], first, stop)
+        first = stop
+    assert np.array_equal(batches.out, at_once.out, equal_nan=True)
+    assert np.array_equal(batches.events[: batches.found], at_once.events[: at_once.found])
+    for key, value in at_once.state.items():
+        assert np.array_equal(batches.state[key], value, equal_nan=True), key
 
 
 # ---- independent linear filters: the parameter is known -----------------------------------------
@@ -201,7 +259,7 @@ def test_with_b_known_stage_one_is_a_linear_kalman_filter():
     model = inputs.model
     kernel_one.run_one(inputs.x, hold.start, hold.end, hold.variance, inputs.p1, inputs.p2, T_S,
                        M, r, 1e-12, False, model.theta, model.plain, model.remembering,
-                       new_known_memory(), m, p, new_supervision(), out, np.empty((5, 4)))
+                       new_known_memory(), m, p, new_supervision(), 0, out, np.empty((5, 4)))
     assert np.all(out[2] == pytest.approx(B, abs=1e-6))
     sd = np.nanmax(expected[3])
     assert np.nanmax(np.abs(out[0, 1:] - expected[0, 1:])) < 1e-6 * sd
@@ -245,7 +303,8 @@ def test_with_both_known_stage_two_is_a_linear_kalman_filter():
     out = np.empty((8, len(x)))
     kernel_two.run_two(x, drive.start, drive.end, flat, drive.instrument, np.full(len(x), B),
                        flat, model.hydraulics, model.leak, flat, T_S, r, 0.0, 1.0, inputs.mean,
-                       *known, m, p, np.zeros(4), new_supervision(), out, np.empty((5, 4)))
+                       *known, m, p, np.zeros(4), new_supervision(),
+                       *kernel_two.new_step(model.hydraulics), 0, out, np.empty((5, 4)))
     late = slice(50, None)
     assert np.abs(out[0] - expected[0])[late].max() < 1e-4 * expected[3][late].max()
     assert np.abs(out[6] - expected[2])[late].max() < 1e-4 * expected[3][late].max()
@@ -265,7 +324,8 @@ def test_sensitivity_to_b_is_the_derivative_of_the_estimate():
                            np.full(n, b), np.zeros(n), model.hydraulics, model.leak, np.zeros(n),
                            T_S, inputs.position_variance, 0.0, 1.0, inputs.mean, model.theta,
                            model.plain, model.remembering, model.flows, new_known_memory(), m, p,
-                           sens, new_supervision(True), out, np.empty((5, 4)))
+                           sens, new_supervision(True), *kernel_two.new_step(model.hydraulics),
+                           0, out, np.empty((5, 4)))
         return m[3], sens[3]
 
     low, here, high = run(599.0), run(600.0), run(601.0)

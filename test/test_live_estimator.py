@@ -69,6 +69,50 @@ def test_live_and_offline_agree(run, stream):
     assert stream.history[-1].model.status == "consistent"
 
 
+def test_filterpy_runs_live_to_the_same_numbers(run):
+    """``engine: filterpy`` is the readable reference, live as over recordings."""
+    recording = run.recording(0).part(0, 2500)
+    rows, made = list(rows_of(recording)), {}
+    for engine in ("compiled", "filterpy"):
+        made[engine] = Stream(engine=engine, **FIXED)
+        made[engine].push(rows)
+    for mine, theirs in zip(*(stream.history for stream in made.values()), strict=True):
+        for name in ("B", "beta_e"):
+            for value in ("value", "stddev"):
+                assert getattr(mine.parameters[name], value) == pytest.approx(
+                    getattr(theirs.parameters[name], value), rel=1e-6, nan_ok=True)
+        assert mine.position == pytest.approx(theirs.position, rel=1e-9, nan_ok=True)
+    for name, value in estimate(recording, settings(**FIXED)).parameters.items():
+        other = estimate(recording, settings(engine="filterpy", **FIXED)).parameters[name]
+        assert (value.value, value.stddev) == pytest.approx((other.value, other.stddev), rel=1e-6)
+
+
+def test_rows_in_batches_of_any_length_give_what_one_by_one_give(run):
+    """Batches with holes, repeats and a gap: the same grid, the same estimates."""
+    recording = run.recording(0).part(0, 4000)
+    times = recording.time.copy()
+    times[3000:] += 2.0  # a long gap
+    keep = np.ones(4000, dtype=bool)
+    keep[1500:1503] = keep[2000] = False
+    order = np.flatnonzero(keep)
+    order = np.insert(order, 800, order[799])  # one twice
+    columns = {name: values[order] for name, values in recording.channels.items()}
+    singly, batches = LiveEstimator(settings(**FIXED)), LiveEstimator(settings(**FIXED))
+    for k, time in enumerate(times[order]):
+        singly.push(time, {name: values[k] for name, values in columns.items()})
+    for start in range(0, len(order), 10):  # as many as the other gathers
+        batches.push_rows(times[order][start : start + 10], {
+            name: values[start : start + 10] for name, values in columns.items()})
+    assert singly.snapshot() == batches.snapshot()
+    longer = LiveEstimator(settings(**FIXED))
+    for start in range(0, len(order), 97):
+        longer.push_rows(times[order][start : start + 97], {
+            name: values[start : start + 97] for name, values in columns.items()})
+    for name, found in longer.snapshot().parameters.items():
+        expected = batches.snapshot().parameters[name]
+        assert found.value == pytest.approx(expected.value, abs=0.2 * expected.stddev)
+
+
 def test_estimates_come_within_a_second_and_their_story_is_told(stream):
     at_one = next(s for s in stream.history if s.time_s >= 1.0)
     assert at_one.parameters["B"].status == at_one.parameters["beta_e"].status == "converged"

@@ -146,8 +146,9 @@ def test_the_type_is_taken_from_the_graph(graph):
     gauge = next(i for i in monitor.inputs if i.topic.name == "gauge")
     publisher.publish(Float32(data=20.0))
     graph.until(lambda: gauge.messages)
-    source = next(s for s in gauge._aligner.sources if s.channels == ("p1",))
-    assert source.buffer[-1][1] == (2e6,)
+    source = next(s for s in monitor.aligner.sources if s.channels == ("p1",))
+    source.settle()
+    assert source.values.tolist() == [[2e6]]
 
 
 def test_scale_offset_and_delay(graph):

@@ -72,6 +72,25 @@ def test_the_contract_is_read_without_the_decoders():
         assert piston[:2] == (0.1 * k, 0.5) and math.isnan(piston[2])
 
 
+@hypothesis_settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 2**31 - 1), numbers, numbers, st.sampled_from(
+    ["piston", "valve"])), min_size=1, max_size=8), st.booleans())
+def test_many_at_once_are_read_as_one_by_one(messages, one_layout):
+    reader = RawReader(contract(), JOINT)
+    data = [joint(seconds * 1_000_000_000 + 7, (("piston" if one_layout else name), "pump"),
+                  (position, math.nan), (0.5, speed))
+            for seconds, position, speed, name in messages]
+    singly = [reader(one) for one in data]
+    found = RawReader(contract(), JOINT).read_all(data)
+    if None in singly:
+        assert found is None
+    else:
+        stamps, streams = found
+        assert stamps.tolist() == [stamp for stamp, _ in singly]
+        for k, (_, values) in enumerate(singly):
+            assert same([tuple(stream[k]) for stream in streams], values)
+
+
 @pytest.mark.parametrize("data", [
     joint(START, ("valve",), (1.0,)), joint(START, ("piston", "pump"), (1.0, 2.0)),
     joint(START, ("piston", "pump"), (1.0, 2.0), (3.0, 4.0), little_endian=False), b"",

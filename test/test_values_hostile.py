@@ -16,7 +16,7 @@ from eha_monitor.errors import InputError
 from eha_monitor.filters.faults import FaultWatch
 from eha_monitor.filters.live import LiveEstimator
 from eha_monitor.filters.pipeline import estimate
-from eha_monitor.filters.rows import Source
+from eha_monitor.filters.rows import Rows, Source
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.recordings.limits import LARGEST, LIMITS
 from eha_monitor.recordings.read import read_recording
@@ -220,7 +220,9 @@ def test_a_live_estimator_that_broke_down_begins_anew_and_tells(recording):
 def test_live_a_value_that_no_sensor_shows_is_left_out_and_named():
     source = Source("joint_states (piston)", ("x",))
     watch = FaultWatch([source], 1e-3, 0.05)
-    assert watch.take(0, {"x": 1e30, "p1": 2e6}) == {"p1": 2e6}
-    assert watch.take(1, {"x": math.inf}) == {}
+    rows = Rows(np.arange(3), {"x": np.array([1e-3, 1e30, np.inf]), "p1": np.full(3, 2e6)},
+                np.zeros(3))
+    assert [row for _, row, _ in watch.take(rows)] == [
+        {"x": 1e-3, "p1": 2e6}, {"p1": 2e6}, {"p1": 2e6}]
     watch.look(1.0)
     assert watch.sentences(1.0) == ["x: inf m is no measurement (beyond ±1e+09 m), left out"]

@@ -7,11 +7,11 @@ there is evidence and a few seconds longer, so that a fault that comes in bursts
 import math
 from collections import deque
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from eha_monitor.filters.rows import Counts, Source
+from eha_monitor.filters.rows import Counts, Rows, Source
 from eha_monitor.filters.stillness import Stillness
 from eha_monitor.recordings.limits import LARGEST, LIMITS
 
@@ -93,19 +93,21 @@ class FaultWatch:
         self._looked = False
         self._wild: dict[str, float] = {}  # channel -> its last value beyond every sensor
 
-    def take(self, stamp_ns: int, row: dict[str, float]) -> dict[str, float]:
-        """Take one row; return it without the channels that are frozen or no measurement."""
-        for name, value in row.items():
-            if abs(value) > LARGEST[name]:
-                row = self._without_wild(row)
-                break
-        frozen = self.stillness.take(stamp_ns, row)
-        return {name: row[name] for name in row if name not in frozen} if frozen else row
-
-    def _without_wild(self, row: dict[str, float]) -> dict[str, float]:
-        """Return a row without the values that no sensor can show; the next look names them."""
-        self._wild |= {name: value for name, value in row.items() if abs(value) > LARGEST[name]}
-        return {name: value for name, value in row.items() if not abs(value) > LARGEST[name]}
+    def take(self, rows: Rows) -> Rows:
+        """Take rows; return them without what is frozen or no measurement."""
+        columns = {}
+        for name, values in rows.columns.items():
+            wild = np.abs(values) > LARGEST[name]  # no sensor can show it; the next look names it
+            if wild.any():
+                self._wild[name] = float(values[wild][-1])
+                values = np.where(wild, np.nan, values)
+            columns[name] = values
+        rows = replace(rows, columns=columns)
+        frozen = self.stillness.take(rows)
+        for name, until in frozen.items():
+            columns[name] = columns[name].copy()
+            columns[name][:until] = np.nan
+        return rows
 
     def restart(self, reason: str, now: float) -> None:
         """Stamps have jumped back: name it, and learn anew what is usual."""

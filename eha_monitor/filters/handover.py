@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from eha_monitor.filters.filterpy_stages import FilterpyStageTwo
+from eha_monitor.filters.live_stages import LiveStageTwo
 from eha_monitor.filters.results import ParameterEstimate
 from eha_monitor.filters.status import CONVERGED
 from eha_monitor.settings.monitor import Settings
@@ -55,7 +55,7 @@ class Handover:
         """Take a damping at ``now`` (s)."""
         self.damping, self._given_at = damping, now
 
-    def decide(self, now: float, b: ParameterEstimate, two: FilterpyStageTwo | None, *,
+    def decide(self, now: float, b: ParameterEstimate, two: LiveStageTwo | None, *,
                waited: float, stale: bool, fits: bool) -> str | None:
         """Take the damping with which stage two is to be run now; return why, or None for no run.
 

@@ -9,6 +9,7 @@ KINK = 4.0  # times the neighbouring bends: a corner, which linear interpolation
 REMAINDER = 1.0 / 20.0  # of the fourth difference: interpolation error at corners (1/24) and
 # on waves (11/720), so that the filters know where their input is uncertain
 VISIBLE = 6.0  # standard deviations by which a fourth difference must rise above the noise
+ROOT_70 = np.sqrt(70.0)
 AROUND = np.array([-5, -4, -3, 3, 4, 5])  # neighbours, and their weights in a parabola's middle
 WEIGHTS = np.linalg.pinv(np.vander(AROUND, 3, increasing=True).astype(float))[0]
 
@@ -49,12 +50,15 @@ def both_ends(start: np.ndarray, end: np.ndarray) -> np.ndarray:
 
 
 def largest_neighbour(values: np.ndarray, reach: int) -> np.ndarray:
-    """Return the largest absolute value within ``reach`` samples, itself left out; (n,)."""
-    size = np.abs(np.nan_to_num(values))
-    padded = np.pad(size, reach)
-    n = len(size)
-    shifted = [padded[reach + d : reach + d + n] for d in range(-reach, reach + 1) if d]
-    return np.max(shifted, axis=0)
+    """Return the largest value within ``reach`` samples, itself left out; (n,), none negative."""
+    n = len(values)
+    padded = np.zeros(n + 2 * reach)
+    padded[reach : reach + n] = values
+    largest = padded[:n]
+    for d in range(1 - reach, reach + 1):
+        if d:
+            largest = np.maximum(largest, padded[reach + d : reach + d + n])
+    return largest
 
 
 def hold_of(u: np.ndarray, sigma: float, sampled: bool = False, kinked: bool = False) -> Hold:
@@ -80,23 +84,28 @@ def hold_of(u: np.ndarray, sigma: float, sampled: bool = False, kinked: bool = F
         end = np.concatenate([u[:1], u[:-1]])
         told = u if sigma == 0 else instrument_of(u)
         return Hold(u, end, np.zeros(n), both_ends(told, np.concatenate([told[:1], told[:-1]])))
-    step = np.diff(u, prepend=u[:1])
-    jump = np.abs(step) > JUMP * largest_neighbour(step, 2) + VISIBLE * 2.0 * sigma
+    step = np.zeros(n)
+    step[1:] = u[1:] - u[:-1]
+    size = np.abs(step)
+    jump = size > JUMP * largest_neighbour(np.nan_to_num(size), 2) + VISIBLE * 2.0 * sigma
     bend = np.zeros(n)
     bend[1:-1] = u[2:] - 2 * u[1:-1] + u[:-2]
     fourth = np.zeros(n)
     fourth[2:-2] = u[4:] - 4 * u[3:-1] + 6 * u[2:-2] - 4 * u[1:-3] + u[:-4]
-    rough = np.abs(np.nan_to_num(fourth)) > VISIBLE * np.sqrt(70.0) * sigma
-    corner = (np.abs(bend) > KINK * largest_neighbour(bend, 2)) & rough
-    beside = jump | np.roll(jump, -1) | np.roll(jump, 1)
+    fourth, bent = np.abs(np.nan_to_num(fourth)), np.abs(np.nan_to_num(bend))
+    rough = fourth > VISIBLE * ROOT_70 * sigma
+    corner = (bent > KINK * largest_neighbour(bent, 2)) & rough
+    beside = jump.copy()
+    if jump.any():
+        beside |= np.roll(jump, -1) | np.roll(jump, 1)
     correction = np.where(corner | beside | ~np.isfinite(bend), 0.0, bend / 12.0)
     start = u - correction
     end = np.where(jump, np.concatenate([start[:1], start[:-1]]), start)
-    unsure = np.where(rough, REMAINDER * np.abs(np.nan_to_num(fourth)), 0.0)
+    unsure = np.where(rough, REMAINDER * fourth, 0.0)
     if kinked:
         start, end = u, np.where(jump, np.concatenate([u[:1], u[:-1]]), u)
-        visible = np.abs(np.nan_to_num(bend)) > VISIBLE * np.sqrt(6.0) * sigma
-        unsure = np.maximum(unsure, np.where(visible, np.abs(np.nan_to_num(bend)) / 12.0, 0.0))
+        visible = bent > VISIBLE * np.sqrt(6.0) * sigma
+        unsure = np.maximum(unsure, np.where(visible, bent / 12.0, 0.0))
     unsure[1:] = np.maximum(unsure[1:], unsure[:-1])
     unsure[beside] = 0.0
     unsure[jump] = 0.3 * np.abs(step[jump])

@@ -357,12 +357,14 @@ def without_spikes(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstima
         cleaned[name] = values
         if name not in noise or name == "temperature" or len(values) < 5:
             continue
-        around = np.stack([np.roll(values, d) for d in (-2, -1, 1, 2)])
-        span = around.max(axis=0) - around.min(axis=0)
-        middle = 0.5 * (around.max(axis=0) + around.min(axis=0))
+        before, inner = (values[:-4], values[1:-3]), values[2:-2]
+        after = values[3:-1], values[4:]
+        high = np.maximum(np.maximum(*before), np.maximum(*after))
+        low = np.minimum(np.minimum(*before), np.minimum(*after))
+        wild = np.zeros(len(values), dtype=bool)
         with np.errstate(invalid="ignore"):
-            wild = np.abs(values - middle) > SPIKE_SPAN * span + SPIKE_SIGMAS * noise[name].value
-        wild[:2] = wild[-2:] = False
+            wild[2:-2] = np.abs(inner - 0.5 * (high + low)) > (
+                SPIKE_SPAN * (high - low) + SPIKE_SIGMAS * noise[name].value)
         if wild.any():
             cleaned[name] = np.where(wild, np.nan, values)
             counts[name] = int(wild.sum())

@@ -1,4 +1,4 @@
-"""Stage one over a whole recording, compiled."""
+"""Stage one over rows, of a recording or live, compiled."""
 
 import math
 
@@ -7,7 +7,16 @@ import numpy as np
 from eha_monitor.compiled import njit
 from eha_monitor.filters.known import modelled_force, steps_in_sample
 from eha_monitor.filters.stage_one import MEMORY, predict_one, predict_one_euler, slopes_one
-from eha_monitor.filters.supervision import BLOCK, INFORMATION, SCORE, SLOW, honest_factor, look
+from eha_monitor.filters.supervision import (
+    BLOCK,
+    INFORMATION,
+    SAMPLES,
+    SCORE,
+    SLOW,
+    SPIKED,
+    honest_factor,
+    look,
+)
 from eha_monitor.physics.signals import N_CONTRIBUTIONS, N_SIGNALS
 
 GATE = 1e4  # squared standard deviations: a spike, not a mismatch
@@ -32,8 +41,11 @@ def start_one(m, p, x, r, dt, keep):
 
 @njit
 def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta, plain,
-            remembering, memory, m, p, w, out, events):
-    """Run the stage over all samples.
+            remembering, memory, m, p, w, first, out, events):
+    """Run the stage over the samples from ``first`` on.
+
+    Its state is ``memory``, ``m``, ``p`` and ``w``: rows taken in two runs, the second with the
+    last sample of the first before its own, give the same numbers as in one.
 
     Parameters
     ----------
@@ -61,11 +73,12 @@ def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta,
     trial = memory.copy()
     any_force = len(plain) + len(remembering) > 0
     steps = steps_in_sample(dt, theta, plain, remembering, memory, s_scratch, c_scratch)
-    spikes = 0
+    spikes = int(w[SPIKED])
+    samples = int(w[SAMPLES])
     found = 0
     nan = math.nan
     factor = honest_factor(w)
-    for k in range(n):
+    for k in range(first, n):
         lost = math.isnan(m[0])
         if not lost and k > 0:
             u0, u1 = start[k - 1], end[k]
@@ -137,7 +150,9 @@ def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta,
                     p[0] -= kx * p[0]
         elif lost:
             m[0] = nan
-        if k % BLOCK == BLOCK - 1:
+        samples += 1
+        if samples == BLOCK:
+            samples = 0
             delta, information, window = look(w, m[2], p[5], prior_variance)
             if information > 0.0:
                 if found < events.shape[0]:
@@ -150,6 +165,7 @@ def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta,
         out[0, k], out[1, k], out[2, k] = m[0], m[1], m[2]
         out[3, k] = factor * math.sqrt(p[5])
         out[4, k], out[5, k] = nu, sd
+    w[SPIKED], w[SAMPLES] = spikes, samples
     return found
 
 

@@ -1,4 +1,4 @@
-"""Stage two over a whole recording, compiled."""
+"""Stage two over rows, of a recording or live, compiled."""
 
 import math
 
@@ -24,7 +24,14 @@ from eha_monitor.filters.steps_two import (
     predict_line,
     restart_two,
 )
-from eha_monitor.filters.supervision import BLOCK, N_SUPERVISION, honest_factor, look
+from eha_monitor.filters.supervision import (
+    BLOCK,
+    N_SUPERVISION,
+    SAMPLES,
+    SPIKED,
+    honest_factor,
+    look,
+)
 from eha_monitor.physics.signals import N_CONTRIBUTIONS, N_SIGNALS
 
 # Places in what advance_two finds: where the matrices were made, the c that they were last
@@ -36,8 +43,8 @@ REFRESH = 5e-3  # relative change of c that asks for a new exact step; between, 
 
 
 @njit
-def new_work(constants):
-    """Return the scratch of :func:`advance_two`: matrices, and what it found for the last sample.
+def new_step(constants):
+    """Return what :func:`advance_two` keeps from sample to sample: matrices, and what it found.
 
     The matrices (7, 3, 7), with a line (7, 5, 9): the exact step at ``at[AT_C]``, its first and
     second derivative to c, those to B and to the leakage, then the step and its slope to c as
@@ -46,8 +53,15 @@ def new_work(constants):
     at = np.zeros(N_AT)
     at[AT_C] = math.nan
     rows = states_beside_c(constants)
-    return np.zeros((7, rows, rows + 4)), at, np.empty((10, rows, rows)), np.empty(
-        (2, rows + 1, rows + 1)), np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS)
+    return np.zeros((7, rows, rows + 4)), at
+
+
+@njit
+def new_work(constants):
+    """Return the scratch of :func:`advance_two`."""
+    rows = states_beside_c(constants)
+    return np.empty((10, rows, rows)), np.empty((2, rows + 1, rows + 1)), np.zeros(
+        N_SIGNALS), np.zeros(N_CONTRIBUTIONS)
 
 
 @njit
@@ -64,7 +78,7 @@ def advance_two(m, p, sens, u0, u1, i0, i1, b, constants, leak, leak_flow, dt, q
         memory, and of those in the flow balance.
     memory, trial : their memory, updated, and a copy of it.
     slopes : whether the states' covariance is to follow the modelled force.
-    matrices, at, work, pair, s, c : :func:`new_work`.
+    matrices, at : :func:`new_step`.  work, pair, s, c : :func:`new_work`.
     """
     any_force, any_flow = len(plain) + len(remembering) > 0, len(flows) > 0
     if (any_force or any_flow) and math.isnan(mean):  # a pressure that an effect needs
@@ -142,9 +156,13 @@ def advance_two(m, p, sens, u0, u1, i0, i1, b, constants, leak, leak_flow, dt, q
 
 @njit
 def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak_flow, dt, r, q_f,
-            prior_variance, mean, theta, plain, remembering, flows, memory, m, p, sens, w, out,
-            events):
-    """Run the stage over all samples.
+            prior_variance, mean, theta, plain, remembering, flows, memory, m, p, sens, w,
+            matrices, at, first, out, events):
+    """Run the stage over the samples from ``first`` on.
+
+    Its state is ``memory``, ``m``, ``p``, ``sens``, ``w``, ``matrices`` and ``at``: rows taken in
+    two runs, the second with the last sample of the first before its own, give the same numbers
+    as in one.
 
     Parameters
     ----------
@@ -161,7 +179,7 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
         memory is updated.
     m, p, sens : (4,) x, v, F, c; (4, 4); (4,) sensitivity to B; updated.  With a line 6 of them:
         its n and dp_l.  m[0] NaN: fresh start.
-    w : supervision, updated.
+    w : supervision, updated.  matrices, at : :func:`new_step`, updated.
     out : (8, n) written: x, v, a, beta_e, sigma of the filter, sigma with the uncertainty of B,
         innovation, innovation sigma.
     events : (k, 4) written: sample, beta before, beta after, samples in the window.
@@ -172,14 +190,14 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
         Number of events.
     """
     n = x.shape[0]
-    matrices, at, work, pair, s_scratch, c_scratch = new_work(constants)
+    work, pair, s_scratch, c_scratch = new_work(constants)
     trial = memory.copy()
     at[STEPS] = steps_in_sample(dt, theta, plain, remembering, memory, s_scratch, c_scratch)
     mass = constants[MASS]
-    spikes, found = 0, 0
+    spikes, samples, found = int(w[SPIKED]), int(w[SAMPLES]), 0
     nan = math.nan
     factor = honest_factor(w)
-    for k in range(n):
+    for k in range(first, n):
         lost = math.isnan(m[0])
         if not lost and k > 0:
             u0, u1, i0, i1 = start[k - 1], end[k], instrument[k - 1, 0], instrument[k, 1]
@@ -208,7 +226,9 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
                     correct_two(m, p, sens, z, r, w)
         elif lost:
             m[0] = nan
-        if k % BLOCK == BLOCK - 1:
+        samples += 1
+        if samples == BLOCK:
+            samples = 0
             delta, information, window = look(w, m[3], p[3, 3], prior_variance)
             if information > 0.0:
                 before = constants[BETA_0] / m[3]
@@ -229,6 +249,7 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
         out[5, k] = per_c * math.sqrt(factor * factor * p[3, 3]
                                       + sens[3] * sens[3] * b_variance[k])
         out[6, k], out[7, k] = nu, sd
+    w[SPIKED], w[SAMPLES] = spikes, samples
     return found
 
 
@@ -242,7 +263,8 @@ def log_likelihood_two(x, start, end, q_u, instrument, b, c, constants, leak, le
     of these linear filters finds the right one.  Arguments as :func:`run_two`; ``b`` is one
     number.
     """
-    matrices, at, work, pair, s_scratch, c_scratch = new_work(constants)
+    matrices, at = new_step(constants)
+    work, pair, s_scratch, c_scratch = new_work(constants)
     memory, trial = memory.copy(), memory.copy()
     at[STEPS] = steps_in_sample(dt, theta, plain, remembering, memory, s_scratch, c_scratch)
     size = states_beside_c(constants) + 1

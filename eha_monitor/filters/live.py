@@ -1,23 +1,21 @@
 """Both stages on a stream of rows: the offline pipeline's decisions, sample by sample.
 
-filterpy runs the filters.  Hand-over and re-run go over the buffered seconds with the compiled
-kernels, whose final state filterpy then carries on from.  Rows are taken in batches with a lag
-of a few samples, because the hold of an input looks at its neighbours on both sides.
+The compiled stages take the rows in batches, from the state in which the batch before left them.
+Hand-over and re-run go over the buffered seconds.  A batch lags by a few samples, because the hold
+of an input looks at its neighbours on both sides.
 """
 
 import math
 
 import numpy as np
 
-from eha_monitor.breakdown import begins_anew
 from eha_monitor.filters import run_two
-from eha_monitor.filters.filterpy_stages import FilterpyStageOne, FilterpyStageTwo
+from eha_monitor.filters.engine import engine_of
 from eha_monitor.filters.handover import Handover
 from eha_monitor.filters.inputs import (
     Known,
     RigModel,
     StageInputs,
-    missing,
     moved_mass,
     position_variance,
     quantum_of,
@@ -25,32 +23,28 @@ from eha_monitor.filters.inputs import (
 from eha_monitor.filters.live_again import RunAgain
 from eha_monitor.filters.live_buffer import LiveBuffer
 from eha_monitor.filters.live_hold import LiveHold
+from eha_monitor.filters.live_intake import BUFFER_S, Intake
 from eha_monitor.filters.live_model import JUDGE_EVERY_S, JUDGED_S, KEPT, Fit, LiveModel
 from eha_monitor.filters.live_plausible import LivePlausibility
+from eha_monitor.filters.live_stages import Change, LiveStageOne, LiveStageTwo
 from eha_monitor.filters.noise import noise_levels
 from eha_monitor.filters.results import Event, LiveSnapshot, ParameterEstimate
 from eha_monitor.filters.rewind import Checkpoints
 from eha_monitor.filters.status import parameters_of, units_of
 from eha_monitor.physics import signals as s
 from eha_monitor.quantity import SYMBOLS, quantity
-from eha_monitor.recordings.limits import LARGEST
 from eha_monitor.settings.monitor import Settings
 
-WARM_UP = 256  # rows from which the sample time and the noise are first measured
-BATCH = 10  # rows taken at a time
 LAG = 8  # rows that the hold looks ahead
 CONTEXT = 16  # rows that it looks back
-BUFFER_S = 20.0
 NOISE_AGAIN_S = (1.0, 4.0, 10.0)  # after the start; then every 10 s
 # Of the position's variance (256 rows give it to 20 %): older innovations then say nothing.
 OTHER_NOISE = 0.05
 SETTLED_S = 0.5  # B counts as changing for so long after it was seen to change
 CHANGING_STDDEV = 0.05  # relative, while it does
-NEARER = 0.05  # sample times
-LONG_GAP_S = 0.5  # a longer gap starts the buffer anew
 
 
-class LiveEstimator(RunAgain):
+class LiveEstimator(Intake, RunAgain):
     """The monitor's pipeline on live rows; knows nothing of ROS."""
 
     def __init__(self, settings: Settings):
@@ -64,10 +58,11 @@ class LiveEstimator(RunAgain):
         self._hold = LiveHold(self._given)
         self.settings = self._hold.settings
         self.dt = self.settings.rig.sample_time
-        self._early: list[tuple[float, dict[str, float]]] = []
+        self._waiting: list[tuple[float, dict[str, float]]] = []  # rows that came one by one
+        self._early: list[tuple[np.ndarray, dict[str, np.ndarray]]] = []
         self._buffer: LiveBuffer | None = None
-        self._one: FilterpyStageOne | None = None
-        self._two: FilterpyStageTwo | None = None
+        self._one: LiveStageOne | None = None
+        self._two: LiveStageTwo | None = None
         self._model: RigModel | None = None
         self._taken = 0
         self._origin = self._began = 0.0
@@ -85,69 +80,13 @@ class LiveEstimator(RunAgain):
         self._checkpoints = Checkpoints()
         self._plausible = LivePlausibility(self.settings)
         self._announced: set[str] = set()
+        self._told: tuple = (None, {})  # the last parameters and what they were judged from
         if reason:
             self._events.append(Event(self._now, "monitor", f"estimates reset: {reason}"))
 
-    @begins_anew
-    def push(self, time_s: float, row: dict[str, float]) -> None:
-        """Take one aligned row at a rising time; missing channels are absent or NaN."""
-        self._now = time_s
-        if abs(row.get("temperature", math.nan)) <= LARGEST["temperature"]:
-            self._temperature = row["temperature"]
-        if self._buffer is None:
-            if self._early and time_s - self._early[-1][0] > LONG_GAP_S:
-                self._early.clear()  # without a model nothing is carried over a long gap
-            self._early.append((time_s, row))
-            if len(self._early) >= WARM_UP:
-                self._start()
-            return
-        if not row.keys() <= self._channels and self._other_channels(row.keys()):
-            return
-        self._place(time_s, row)
-        if self._buffer.end - self._taken >= BATCH + self._lag:
-            self._take()
-
-    def _other_channels(self, names) -> bool:
-        """Begin anew where channels have come, to stay, that let a further stage run."""
-        self._news += 1
-        if self._news < WARM_UP:
-            return False
-        before, self._channels, self._news = self._channels, self._channels | names, 0
-        begin = missing(self.settings, before) != missing(self.settings, self._channels)
-        if begin:
-            self.reset(f"{' and '.join(sorted(names - before))} came after the start")
-        return begin
-
-    def _place(self, time_s: float, row: dict[str, float]) -> None:
-        place = (time_s - self._origin) / self.dt
-        number, off = round(place), abs(place - round(place))
-        # The same grid place again: the nearer one stands, else the first, if not yet filtered.
-        if number < self._buffer.end and not (
-                number == self._buffer.end - 1 >= self._taken and off < self._off - NEARER):
-            return
-        self._off = off
-        if number - self._buffer.end > LONG_GAP_S / self.dt:
-            self._after_gap(time_s)
-            number = self._buffer.end
-        self._buffer.append(number, row)
-
-    def _after_gap(self, time_s: float) -> None:
-        """Go on after a long gap: parameters stay, states and buffered rows do not."""
-        gap = time_s - self._time_of(self._buffer.end)
-        self._events.append(Event(time_s, "monitor", f"no data for {gap:.2f} s"))
-        self._take(everything=True)
-        self._buffer = LiveBuffer(BUFFER_S, self.dt, frozenset(self._buffer.seen))
-        self._origin = time_s  # rows are counted anew
-        self._taken = self._piece = self._clean = 0
-        self._tester.restart_rows()
-        self._checkpoints.clear()
-        self._changes = {"one": [], "two": []}
-        for stage in filter(None, (self._one, self._two)):
-            stage.lost = True
-
     def _start(self) -> None:
         """Measure the sample time and the noise on the first rows, then take them."""
-        times = np.array([t for t, _ in self._early])
+        times = np.concatenate([part for part, _ in self._early])
         spacing = float(np.median(np.diff(times)))
         if not abs(spacing / self.dt - 1.0) < 0.05 and spacing > 0:
             self._events.append(Event(self._now, "monitor", f"rows come every {spacing * 1e3:.3g} "
@@ -174,9 +113,9 @@ class LiveEstimator(RunAgain):
             max(circuit[s.COMMAND_DELAY], circuit[s.FEEDBACK_DELAY]) / self.dt)
         self._measure_noise()
         if self._no_force is None:
-            self._one = FilterpyStageOne(
-                self._model, moved_mass(self._model, self.dt), self.dt, self._r,
-                settings.stage_one.prior, settings.stage_one.prior_stddev,
+            self._one = LiveStageOne.new(
+                engine_of(settings)[0], self._model, moved_mass(self._model, self.dt), self.dt,
+                self._r, settings.stage_one.prior, settings.stage_one.prior_stddev,
                 settings.discretisation == "euler")
 
     def _measure_noise(self) -> None:
@@ -186,12 +125,12 @@ class LiveEstimator(RunAgain):
         self._r = (position_variance(self._noise, self._quantum)
                    / (1.0 + self._model.circuit[s.POSITION_SCALE]) ** 2)
         for stage in filter(None, (self._one, self._two)):
-            stage.ekf.R[0, 0] = self._r
+            stage.r = self._r
 
     def _known(self, start: int) -> Known:
         """Return what is known about the rows from ``start`` on."""
         return Known(self._model, self._noise, self._quantum, self._no_force, self._no_drive,
-                     self._buffer.kept(start))
+                     self._buffer.column("kept", start, start + 1))
 
     def _take(self, everything: bool = False) -> None:
         """Filter the rows whose neighbours have come."""
@@ -204,22 +143,15 @@ class LiveEstimator(RunAgain):
             buffer.recording(context, buffer.end), self.settings,
             self._known(context), self._time_of(context) - self._began)
         self._damping = self._follow()
-        force, drive = inputs.force, inputs.drive
-        for number in range(self._taken, stop):
-            i = number - context
-            at = i if len(inputs.p1) > 1 else 0
-            if self._one is not None:
-                u0 = force.start[i - 1] if i else math.nan
-                change = self._one.step(inputs.x[i], u0, force.end[i], force.variance[i],
-                                        inputs.p1[at], inputs.p2[at])
-                self._note(number, "one", self._one, change)
-            if self._two is not None:
-                u0, i0 = (drive.start[i - 1], drive.instrument[i - 1, 0]) if i else (math.nan,) * 2
-                change = self._two.step(
-                    inputs.x[i], u0, drive.end[i], i0, drive.instrument[i, 1], drive.variance[i],
-                    *self._damping, inputs.leak_flow[i], inputs.mean[at])
-                self._note(number, "two", self._two, change)
-        buffer.keep(self._taken, inputs.kept[self._taken - context : stop - context])
+        first, end = self._taken - context, stop - context
+        if self._one is not None:
+            out, changes = self._one.take(inputs, first, end)
+            self._note(context, "one", out[4:, first:], changes)
+        if self._two is not None:
+            out, changes = self._two.take(inputs, first, end, *self._damping)
+            self._note(context, "two", out[6:, first:], changes)
+        if inputs.kept.shape[1]:
+            buffer.column("kept", self._taken, stop)[:] = inputs.kept[first:end, 0]
         if self._two is not None:
             buffer.column("b", self._taken, stop)[:] = self._damping[0]
             buffer.column("b_variance", self._taken, stop)[:] = self._damping[1]
@@ -247,20 +179,24 @@ class LiveEstimator(RunAgain):
         changes = self._changes["one"]
         return bool(changes) and (self._taken - changes[-1][0]) * self.dt < SETTLED_S
 
-    def _note(self, number: int, which: str, stage, change) -> None:
-        self._buffer.column(f"nu_{which}", number, number + 1)[:] = stage.innovation
-        self._buffer.column(f"sd_{which}", number, number + 1)[:] = stage.innovation_stddev
-        if change is not None:
-            name = "B" if which == "one" else "beta_e"
-            unit = units_of(self.settings.rig.motion)[name]
-            self._changes[which].append((number, *change))
+    def _note(self, context: int, which: str, innovations: np.ndarray,
+              changes: list[Change]) -> None:
+        """Keep a batch's innovations and their sigmas, (2, n), and tell its changes."""
+        stop = self._taken + innovations.shape[1]
+        for column, values in zip(("nu", "sd"), innovations, strict=True):
+            self._buffer.column(f"{column}_{which}", self._taken, stop)[:] = values
+        name = "B" if which == "one" else "beta_e"
+        unit = units_of(self.settings.rig.motion)[name]
+        for sample, before, after, window in changes:
+            number = context + sample
+            self._changes[which].append((number, before, after, window))
             del self._changes[which][:-200]
-            self._tell(which, f"{SYMBOLS[name]} changed from {quantity(change[0], unit)} to "
-                       f"{quantity(change[1], unit)}", number)
-            if which == "two" and abs(change[1] / change[0] - 1.0) > run_two.LARGE:
+            self._tell(which, f"{SYMBOLS[name]} changed from {quantity(before, unit)} to "
+                       f"{quantity(after, unit)}", number)
+            if which == "two" and abs(after / before - 1.0) > run_two.LARGE:
                 self._stale_piece = True  # run again from the bank once some seconds show it
             if which == "one":
-                self._piece = max(number - change[2], self._buffer.first)
+                self._piece = max(number - window, self._buffer.first)
                 self._stale_piece = True
 
     def _tell(self, stage: str, text: str, number: int | None = None) -> None:
@@ -272,6 +208,7 @@ class LiveEstimator(RunAgain):
 
     def withdraw(self, channel: str, since_s: float) -> None:
         """Take back what a channel gave from ``since_s`` on: it was no measurement."""
+        self._settle()
         if self._buffer is None:
             self._early.clear()
             return
@@ -359,14 +296,21 @@ class LiveEstimator(RunAgain):
     def _parameters(self) -> dict[str, ParameterEstimate]:
         lacking = ("no data yet",) * 2 if self._buffer is None else (
             self._no_force or "no data yet", self._no_drive or "waits for stage one")
-        return parameters_of(self.settings, self._one, self._two, lacking, self._hold.apart)
+        told = tuple((stage.value, stage.stddev) if stage else None
+                     for stage in (self._one, self._two))
+        key = told, lacking, self._hold.apart, id(self.settings)
+        if key != self._told[0]:
+            self._told = key, parameters_of(self.settings, self._one, self._two, lacking,
+                                            self._hold.apart)
+        return self._told[1]
 
     def snapshot(self) -> LiveSnapshot:
         """Return the present estimates; the events are handed out once."""
-        events, self._events = tuple(self._events), []
+        self._settle()
+        events, self._events = tuple(sorted(self._events, key=lambda e: e.time_s)), []
         model = self._tester.status(self._now, self._parameters(), self._two)
         state = self._one or self._two
-        position, velocity = map(float, state.ekf.x[:2]) if state else (math.nan, math.nan)
+        position, velocity = map(float, state.m[:2]) if state else (math.nan, math.nan)
         return self._plausible.told(LiveSnapshot(
             self._now, self._parameters(), position, velocity, model, events, self._temperature,
             dict(self._tester.verdicts),

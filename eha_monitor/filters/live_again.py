@@ -3,8 +3,9 @@
 import numpy as np
 
 from eha_monitor.filters import run_two
-from eha_monitor.filters.filterpy_stages import FilterpyStageTwo
+from eha_monitor.filters.engine import engine_of
 from eha_monitor.filters.inputs import StageInputs, model_for, moved_mass
+from eha_monitor.filters.live_stages import LiveStageTwo, check
 from eha_monitor.filters.status import units_of
 from eha_monitor.quantity import with_uncertainty
 
@@ -43,7 +44,7 @@ class RunAgain:
         return True
 
     def _run_two_again(self) -> None:
-        """Run stage two over the buffer with the present damping; filterpy goes on from there."""
+        """Run stage two over the buffer with the present damping, and go on from there."""
         buffer = self._buffer
         start, stop = max(buffer.first, self._clean), self._taken
         b, variance = buffer.column("b", start, stop), buffer.column("b_variance", start, stop)
@@ -52,12 +53,13 @@ class RunAgain:
         b[edge:], variance[edge:] = value, stddev**2
         b[np.isnan(b)], variance[np.isnan(variance)] = value, stddev**2
         found = run_two.run_stage_two_kernel(self._inputs(start, stop), self.settings, b, variance)
+        check(found.out, LiveStageTwo.sigma)
         self._hold.compare(found, buffer.recording(start, stop), b, variance)
         before, status = self._two, self._parameters()["beta_e"].status
-        self._two = FilterpyStageTwo(
-            self._model, self.dt, self._r, run_two.force_noise_variance(self.settings),
-            run_two.prior_variance(self.settings), found.state, found.covariance,
-            found.sensitivity, found.watch, found.memory)
+        self._two = LiveStageTwo.after(
+            found, engine_of(self.settings)[1], self._model, self.dt, self._r,
+            run_two.force_noise_variance(self.settings), run_two.prior_variance(self.settings))
+        self._two.b_variance = variance[-1]
         if status == "converged" and self._two.held:
             self._two = before  # the buffer, begun anew after a gap, tells less
             return

@@ -5,8 +5,9 @@ import numpy as np
 from eha_monitor.recordings.limits import LARGEST
 from eha_monitor.recordings.recording import CHANNELS, Recording
 
-# Columns beside the channels: damping in force and its variance, both stages' innovations.
-EXTRA = ("b", "b_variance", "nu_one", "sd_one", "nu_two", "sd_two")
+# Columns beside the channels: damping in force and its variance, both stages' innovations, and
+# what drive and pump remember after the row.
+EXTRA = ("b", "b_variance", "nu_one", "sd_one", "nu_two", "sd_two", "kept")
 
 
 class LiveBuffer:
@@ -26,18 +27,27 @@ class LiveBuffer:
         self.first = 0
         self.end = 0
         self.seen: set[str] = set(seen)
-        self._kept: dict[int, np.ndarray] = {}
 
-    def append(self, number: int, row: dict[str, float]) -> None:
-        """Write row ``number`` (not before ``end``); rows between stay NaN."""
-        if number - self.first >= 2 * self.length:
-            self._compact(number)
-        place = number - self.first
-        for name, value in row.items():
-            if abs(value) <= LARGEST[name]:  # a measurement: not NaN, and nothing beyond sensors
-                self._columns[name][place] = value
+    @property
+    def at_once(self) -> int:
+        """How many rows may be written at a time."""
+        return max(self.length // 4, 1)
+
+    def write(self, numbers: np.ndarray, columns: dict[str, np.ndarray]) -> None:
+        """Write rows of rising ``numbers``, the first no earlier than the last one.
+
+        Rows between stay NaN, and so does what is NaN or beyond all sensors.
+        """
+        last = int(numbers[-1])
+        if last - self.first >= 2 * self.length:
+            self._compact(last)
+        places = numbers - self.first
+        for name, values in columns.items():
+            good = np.abs(values) <= LARGEST[name]  # a measurement
+            if good.any():
+                self._columns[name][places[good]] = values[good]
                 self.seen.add(name)
-        self.end = number + 1
+        self.end = last + 1
 
     def _compact(self, number: int) -> None:
         new_first = max(number - self.length + 1, 0)
@@ -50,17 +60,6 @@ class LiveBuffer:
     def column(self, name: str, start: int, stop: int) -> np.ndarray:
         """Return a view of rows ``start`` to ``stop`` (absolute, clipped to what is held)."""
         return self._columns[name][max(start - self.first, 0) : stop - self.first]
-
-    def keep(self, start: int, rows: np.ndarray) -> None:
-        """Note what drive and pump remember after each row from ``start`` on, (n, k)."""
-        for i in range(len(rows)):
-            self._kept[start + i] = rows[i]
-        while len(self._kept) > 2 * self.length:
-            del self._kept[next(iter(self._kept))]
-
-    def kept(self, number: int) -> np.ndarray | None:
-        """Return what drive and pump remembered after a row, or None."""
-        return self._kept.get(number)
 
     def channels(self, start: int, stop: int) -> dict[str, np.ndarray]:
         """Return the recorded channels of a stretch."""

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from eha_monitor.filters.consistency import AROUND, judge
-from eha_monitor.filters.filterpy_stages import FilterpyStageTwo
 from eha_monitor.filters.handover import Backoff
 from eha_monitor.filters.inputs import StageInputs
 from eha_monitor.filters.live_buffer import LiveBuffer
+from eha_monitor.filters.live_stages import LiveStageTwo
 from eha_monitor.filters.model_watch import StageWatch, Trial, tainted_by
 from eha_monitor.filters.pipeline import (
     MISSING_ONE,
@@ -38,7 +38,7 @@ _PLACE = {"one": (4, 5), "two": (6, 7)}  # innovation and its stddev in the kern
 
 @dataclass(frozen=True)
 class Fit:
-    """The last window run anew by a compiled stage: ``fits`` None where it shows nothing."""
+    """The last window run anew by a stage: ``fits`` None where it shows nothing."""
 
     fits: bool | None
     value: float
@@ -148,7 +148,7 @@ class LiveModel:
 
     def measure(self, last: Callable[[float], StageInputs],
                 parameters: dict[str, ParameterEstimate], damping: float,
-                two: FilterpyStageTwo | None, time_s: float) -> None:
+                two: LiveStageTwo | None, time_s: float) -> None:
         """Begin, if that is due, to find how far what does not fit can have moved what.
 
         Parameters
@@ -200,7 +200,7 @@ class LiveModel:
         return Fit(fits, parameter.value, parameter.stddev, innovation, stddev)
 
     def status(self, time_s: float, parameters: dict[str, ParameterEstimate],
-               two: FilterpyStageTwo | None) -> ModelStatus:
+               two: LiveStageTwo | None) -> ModelStatus:
         """Return what is known about the model now, and which estimates are in doubt."""
         tainted = {}
         for name, trial in self._trials.items():
@@ -226,6 +226,6 @@ class LiveModel:
                                 else before)
 
 
-def _sensitivity(two: FilterpyStageTwo | None) -> float:
+def _sensitivity(two: LiveStageTwo | None) -> float:
     """Return the relative change of beta_e with B, per N·s/m."""
     return math.nan if two is None else two.sensitivity

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from eha_monitor.breakdown import computing
-from eha_monitor.filters import kernel_one
 from eha_monitor.filters.consistency import judge
+from eha_monitor.filters.engine import engine_of
 from eha_monitor.filters.hold_choice import SAMPLED, HoldDecision, resolved, with_hold
 from eha_monitor.filters.inputs import StageInputs, moved_mass
 from eha_monitor.filters.joint import fits, run_joint
@@ -175,18 +175,18 @@ def run_stage_one(inputs: StageInputs, recording: Recording, settings: Settings,
 
 def run_one_kernel(inputs: StageInputs, settings: Settings, watch: np.ndarray
                    ) -> tuple[np.ndarray, np.ndarray, int, np.ndarray]:
-    """Run the compiled stage one; (6, n) output, changes, their number, the watch."""
+    """Run stage one over a recording; (6, n) output, changes, their number, the watch."""
     spread = settings.stage_one.prior_stddev
     m = np.array([np.nan, 0.0, settings.stage_one.prior])
     p = np.zeros(6)
     p[5] = spread**2
     out, changes = np.empty((6, len(inputs.x))), np.empty((MOST_EVENTS, 4))
     model, force = inputs.model, inputs.force
-    found = kernel_one.run_one(
+    found = engine_of(settings)[0](
         inputs.x, force.start, force.end, force.variance, inputs.p1, inputs.p2, inputs.dt,
         moved_mass(model, inputs.dt), inputs.position_variance, spread**2,
         settings.discretisation == "euler", model.theta, model.plain,
-        model.remembering, new_known_memory(), m, p, watch, out, changes)
+        model.remembering, new_known_memory(), m, p, watch, 0, out, changes)
     return out, changes[: min(found, MOST_EVENTS)], found, watch
 
 

@@ -303,7 +303,8 @@ def reach_two(inputs: StageInputs, settings: Settings, present: float,
             np.zeros(n), constants, model.leak, inputs.leak_flow + flow, inputs.dt,
             inputs.position_variance, force_noise_variance(settings), prior_variance(settings),
             inputs.mean, model.theta, model.plain, model.remembering, model.flows,
-            new_known_memory(), m, p, np.zeros(len(m)), watch, out, np.empty((1, 4)))
+            new_known_memory(), m, p, np.zeros(len(m)), watch, *kernel_two.new_step(constants),
+            0, out, np.empty((1, 4)))
         return out
 
     plain = filtered(0.0, np.zeros(n), b)

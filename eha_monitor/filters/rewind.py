@@ -46,5 +46,7 @@ class Checkpoints:
 
 
 def _copy(estimator: Any, state: dict[str, Any]) -> dict[str, Any]:
-    shared = (estimator.settings, estimator._model)  # never changed in place
+    # Never changed in place.
+    shared = (estimator.settings, estimator._model, estimator._handover.settings,
+              estimator._tester.settings)
     return copy.deepcopy(state, {id(each): each for each in shared})

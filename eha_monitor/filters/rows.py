@@ -1,14 +1,20 @@
-"""Rows out of streams: several topics with stamps of their own become one aligned row.
+"""Rows out of streams: several topics with stamps of their own become aligned rows.
 
 Rows stand at the stamps of the position.  Another channel enters a row by equal stamp, else by
 linear interpolation between the neighbours of the row; a row waits for its last channel, but
 not longer than the latency.  Stamps that repeat or go back are dropped and counted; when the
 clock itself has jumped back, the reason is kept for the estimator's reset.
+
+Samples come in batches.  Where all stamps rise, as they do but for a fault, a batch is taken as a
+whole; else sample by sample in the order in which they came.
 """
 
 import math
 from collections import deque
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields
+
+import numpy as np
 
 # A stamp this much before the last one is no late message: another clock, or a loop of a bag.
 FAR_BACK_NS = 500_000_000
@@ -21,6 +27,7 @@ CONFIRM_NEAR = 20
 SILENT_S = 0.25
 # A held channel (temperature) counts as measured for this long.
 HOLD_NS = 60_000_000_000
+KEPT = 8192  # samples of a source that wait for a row, at most
 
 
 @dataclass(kw_only=True)
@@ -59,6 +66,7 @@ class Source(Counts):
     jumped : samples dropped as doubtful jumps.
     skipped : messages since the last sample that gave none.
     steps : ns between the stamps taken, shared among what was not read between them.
+    stamps, values, came : the samples that wait: ns, (n, k), s on the caller's clock.
     """
 
     name: str
@@ -68,11 +76,92 @@ class Source(Counts):
     heard_s: float = -math.inf
     jumped: int = 0
     skipped: int = 0
-    steps: deque = field(default_factory=lambda: deque(maxlen=8192))
+    steps: deque = field(default_factory=lambda: deque(maxlen=KEPT))
     epoch_ns: int | None = None
     doubted: int = 0
     candidate_ns: int = 0
-    buffer: deque = field(default_factory=lambda: deque(maxlen=8192))
+
+    def __post_init__(self):
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget the samples that wait."""
+        self.stamps, self.came = np.empty(0, dtype=np.int64), np.empty(0)
+        self.values = np.empty((0, len(self.channels)))
+        self._single: list[tuple[int, tuple[float, ...], float]] = []
+
+    def add(self, stamp_ns: int, values: tuple[float, ...], came: float) -> None:
+        """Let one sample wait."""
+        self._single.append((stamp_ns, values, came))
+
+    def add_all(self, stamps: np.ndarray, values: np.ndarray, came: np.ndarray) -> None:
+        """Let samples wait, those that were added singly before them."""
+        if self._single:
+            single, self._single = self._single, []
+            self.add_all(*(np.array(part) for part in zip(*single, strict=True)))
+        self.stamps = np.concatenate([self.stamps, stamps])[-KEPT:]
+        self.values = np.concatenate([self.values, values])[-KEPT:]
+        self.came = np.concatenate([self.came, came])[-KEPT:]
+
+    def settle(self) -> None:
+        """Put the samples that were added singly to the others."""
+        if self._single:
+            self.add_all(self.stamps[:0], self.values[:0], self.came[:0])
+
+    def drop(self, count: int) -> None:
+        """Let the oldest samples go."""
+        if count > 0:
+            self.stamps, self.values, self.came = (
+                self.stamps[count:], self.values[count:], self.came[count:])
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What a topic brought of one source, message by message.
+
+    Attributes
+    ----------
+    stamps, values, came : (n,) ns, (n, k), (n,) s.
+    lacking : of messages that gave no sample, whether for want of a number; None where all gave
+        one.
+    """
+
+    source: Source
+    stamps: np.ndarray
+    values: np.ndarray
+    came: np.ndarray
+    lacking: tuple[bool | None, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Aligned rows.
+
+    Attributes
+    ----------
+    stamps, came : (n,) ns; when each position came, s on the caller's clock.
+    columns : channel -> (n,), NaN where it has no value.
+    """
+
+    stamps: np.ndarray
+    columns: dict[str, np.ndarray]
+    came: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def __iter__(self) -> Iterator[tuple[int, dict[str, float], float]]:
+        """Yield row by row: stamp, the channels that have a value, when it came."""
+        for k in range(len(self)):
+            row = {name: float(values[k]) for name, values in self.columns.items()}
+            yield int(self.stamps[k]), {name: value for name, value in row.items()
+                                        if math.isfinite(value)}, float(self.came[k])
+
+    def part(self, start: int, stop: int) -> "Rows":
+        """Return rows ``start`` to ``stop``."""
+        return Rows(self.stamps[start:stop], {
+            name: values[start:stop] for name, values in self.columns.items()},
+            self.came[start:stop])
 
 
 class RowAligner:
@@ -98,14 +187,54 @@ class RowAligner:
         self._span_ns = round(latency * 1e9)
         self._leader = next(s for s in sources if "x" in s.channels)
         self._followers = [s for s in sources if s is not self._leader]
+        self._names = [name for s in (self._leader, *self._followers) for name in s.channels]
+        self._before: list[Rows] = []  # the clock jumped back
         self.reset_reason: str | None = None
+
+    def take(self, batches: Sequence[Batch]) -> None:
+        """Take what came since the last time, of each source at most one batch."""
+        if all(self._ordinary(batch) for batch in batches):
+            for batch in batches:
+                self._take_whole(batch)
+            return
+        singly = []
+        for batch in batches:
+            lacking = batch.lacking or (None,) * len(batch.stamps)
+            singly += zip(batch.came.tolist(), (batch.source,) * len(lacking),
+                          batch.stamps.tolist(), batch.values.tolist(), lacking, strict=True)
+        for came, source, stamp_ns, values, lacks in sorted(singly, key=lambda one: one[0]):
+            if lacks is None:
+                self.push(source, stamp_ns, tuple(values), came)
+            else:
+                self.unread(source, lacks)
+
+    @staticmethod
+    def _ordinary(batch: Batch) -> bool:
+        """Tell whether all messages gave samples whose stamps rise."""
+        last = batch.source.last_ns
+        if batch.lacking is not None or last is None:
+            return False
+        steps = np.diff(batch.stamps, prepend=last)
+        return bool(steps.min(initial=1) > 0 and steps.max(initial=1) <= FAR_AHEAD_NS)
+
+    def _take_whole(self, batch: Batch) -> None:
+        source = batch.source
+        if not len(batch.stamps):
+            return
+        steps = np.diff(batch.stamps, prepend=source.last_ns)
+        steps[0] //= 1 + source.skipped
+        source.steps.extend(steps.tolist())
+        source.doubted = source.skipped = 0
+        source.last_ns, source.heard_s = int(batch.stamps[-1]), float(batch.came[-1])
+        source.taken += len(batch.stamps)
+        source.add_all(batch.stamps, batch.values, batch.came)
 
     def push(self, source: Source, stamp_ns: int, values: tuple[float, ...],
              now: float) -> None:
         """Take one sample of a source; ``now`` in s on a clock that only rises."""
         last = source.last_ns
         ordinary = last is not None and 0 < stamp_ns - last <= FAR_AHEAD_NS
-        if not ordinary and not self._believe(source, stamp_ns):
+        if not ordinary and not self._believe(source, stamp_ns, now):
             return
         if source.last_ns is not None:
             source.steps.append((stamp_ns - source.last_ns) // (1 + source.skipped))
@@ -113,70 +242,84 @@ class RowAligner:
         source.last_ns = stamp_ns
         source.heard_s = now
         source.taken += 1
-        source.buffer.append((stamp_ns, values, now))
+        source.add(stamp_ns, values, now)
 
     def unread(self, source: Source, empty: bool) -> None:
         """Note a message that gave no sample, ``empty`` for want of a number."""
         source.skipped += 1
         source.empty += empty
 
-    def pop(self, now: float) -> list[tuple[int, dict[str, float], float]]:
-        """Return the rows that are complete or overdue: stamp in ns, values, when it came."""
-        out = []
-        waiting = self._leader.buffer
-        while waiting:
-            stamp, values, came = waiting[0]
-            if now - came <= self.latency and any(
-                    not s.held and (s.last_ns is None or s.last_ns < stamp)
-                    and now - s.heard_s < SILENT_S for s in self._followers):
-                break
-            waiting.popleft()
-            out.append((stamp, self._row(stamp, values, now), came))
-        self.rows += len(out)
-        return out
+    def pop(self, now: float) -> Rows:
+        """Return the rows that are complete or overdue.
+
+        While a reset waits for :meth:`take_reset`, those of the time before it.
+        """
+        if self.reset_reason is not None:
+            return self._before.pop(0) if self._before else self._rows(0, now)
+        leader = self._leader
+        leader.settle()
+        awaited = [s.last_ns for s in self._followers
+                   if not s.held and now - s.heard_s < SILENT_S]
+        count = len(leader.stamps)
+        if awaited:
+            limit = min(-2**63 if last is None else last for last in awaited)
+            waits = (leader.stamps > limit) & (now - leader.came <= self.latency)
+            if waits.any():
+                count = int(np.argmax(waits))
+        return self._rows(count, now)
 
     def take_reset(self) -> str | None:
         """Return why the rows start anew since the last call, or None."""
         reason, self.reset_reason = self.reset_reason, None
+        self._before.clear()
         return reason
 
-    def _row(self, stamp: int, values: tuple[float, ...], now: float) -> dict[str, float]:
-        row = dict(zip(self._leader.channels, values, strict=True))
-        complete = True
+    def _rows(self, count: int, now: float) -> Rows:
+        """Give out the oldest ``count`` rows."""
+        leader = self._leader
+        stamps, came = leader.stamps[:count], leader.came[:count]
+        complete = np.ones(count, dtype=bool)
+        columns = list(leader.values[:count].T)
         for source in self._followers:
-            found = self._at(source, stamp)
-            if found is not None:
-                row.update(zip(source.channels, found, strict=True))
-                continue
-            source.lacked += 1
+            values, found = self._at(source, stamps)
+            columns += list(values.T)
+            source.lacked += count - int(np.count_nonzero(found))
             if not source.held and now - source.heard_s < SILENT_S:
-                complete = False
-        self.incomplete += not complete
-        return {name: value for name, value in row.items() if math.isfinite(value)}
+                complete &= found
+        leader.drop(count)
+        self.rows += count
+        self.incomplete += count - int(np.count_nonzero(complete))
+        return Rows(stamps, {name: np.where(np.isfinite(values), values, np.nan)
+                             for name, values in zip(self._names, columns, strict=True)}, came)
 
-    def _at(self, source: Source, stamp: int) -> tuple[float, ...] | None:
-        """Return a follower's values at a stamp, or None where there are none."""
-        buffer = source.buffer
-        while len(buffer) > 1 and buffer[1][0] <= stamp:
-            buffer.popleft()
-        if not buffer:
-            return None
-        before, left, _ = buffer[0]
-        if before == stamp:
-            return left
-        if before > stamp:
-            return None
+    def _at(self, source: Source, stamps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return a follower's values at stamps, (n, k) with NaN, and where there are any, (n,)."""
+        source.settle()
+        out = np.full((len(stamps), len(source.channels)), np.nan)
+        given = source.stamps
+        if not len(given) or not len(stamps):
+            return out, np.zeros(len(stamps), dtype=bool)
+        before = np.searchsorted(given, stamps, side="right") - 1
+        after = np.minimum(before + 1, len(given) - 1)
+        at = np.maximum(before, 0)
+        since = stamps - given[at]
+        found = (before >= 0) & (since == 0)
         if source.held:
-            return left if stamp - before <= HOLD_NS else None
-        if len(buffer) == 1:
-            return None
-        after, right, _ = buffer[1]
-        if after - before > self._span_ns:
-            return None
-        part = (stamp - before) / (after - before)
-        return tuple(a + part * (b - a) for a, b in zip(left, right, strict=True))
+            found |= (before >= 0) & (since <= HOLD_NS)
+            part = np.zeros(len(stamps))
+        else:
+            span = given[after] - given[at]
+            between = (before >= 0) & ~found & (span > 0) & (span <= self._span_ns)
+            part = np.where(between, since / np.maximum(span, 1), 0.0)
+            found |= between
+        left, right = source.values[at], source.values[after]
+        part = part[:, None]
+        mixed = np.where(part > 0.0, left + part * (right - left), left)
+        out[found] = mixed[found]
+        source.drop(int(before[-1]))
+        return out, found
 
-    def _believe(self, source: Source, stamp: int) -> bool:
+    def _believe(self, source: Source, stamp: int, now: float) -> bool:
         """Judge a stamp that is no ordinary step: drop it, or take it as a new beginning."""
         if source.last_ns is None:
             # After a reset, samples of the time before it may still be under way.
@@ -198,13 +341,17 @@ class RowAligner:
                 source.jumped += 1
             return False
         if step <= 0 and source.last_ns is not None:
-            self._restart(stamp, f"stamps of {source.name} jumped back by {-step / 1e9:.3f} s")
+            self._restart(stamp, f"stamps of {source.name} jumped back by {-step / 1e9:.3f} s",
+                          now)
         return True
 
-    def _restart(self, stamp: int, reason: str) -> None:
-        self.reset_reason = reason
+    def _restart(self, stamp: int, reason: str, now: float) -> None:
+        """Begin anew at a stamp; the rows before it that are complete can still be had."""
+        if self.reset_reason is None:
+            self._before = [self.pop(now)]
+            self.reset_reason = reason
         for source in self.sources:
-            source.buffer.clear()
+            source.clear()
             source.last_ns = None
             source.epoch_ns = stamp
             source.doubted = 0

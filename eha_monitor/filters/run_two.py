@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eha_monitor.filters import kernel_two
+from eha_monitor.filters.engine import engine_of
 from eha_monitor.filters.inputs import StageInputs
 from eha_monitor.filters.known import new_known_memory
 from eha_monitor.filters.stage_two import C_PLACE, states_beside_c
@@ -113,7 +114,7 @@ def force_noise_variance(settings: Settings) -> float:
 
 @dataclass(frozen=True)
 class KernelTwoResult:
-    """What the compiled stage two leaves: (8, n) output, changes, and the state to go on from."""
+    """What stage two leaves: (8, n) output, changes, and the state to go on from."""
 
     out: np.ndarray
     changes: np.ndarray
@@ -122,11 +123,13 @@ class KernelTwoResult:
     sensitivity: np.ndarray
     watch: np.ndarray
     memory: np.ndarray
+    matrices: np.ndarray
+    at: np.ndarray
 
 
 def run_stage_two_kernel(inputs: StageInputs, settings: Settings, damping: np.ndarray,
                          damping_variance: np.ndarray) -> KernelTwoResult:
-    """Run the compiled stage two over the whole recording.
+    """Run stage two over the whole recording.
 
     It starts where the bank of filters says.  After a large change the linear step that the
     watch makes is only a hint: the filter starts anew from the bank, at the samples that showed
@@ -158,7 +161,7 @@ def run_stage_two_kernel(inputs: StageInputs, settings: Settings, damping: np.nd
 def run_from(begin: int, inputs: StageInputs, settings: Settings, damping: np.ndarray,
              damping_variance: np.ndarray, out: np.ndarray, *,
              frozen: bool = False) -> KernelTwoResult:
-    """Run the kernel from sample ``begin`` to the end, writing ``out`` from there on.
+    """Run the stage from sample ``begin`` to the end, writing ``out`` from there on.
 
     Where the recording's start does not tell the compliance it is held at the prior: while the
     motion is steady an extended filter gathers information that is not there (a piston at
@@ -168,7 +171,7 @@ def run_from(begin: int, inputs: StageInputs, settings: Settings, damping: np.nd
     b, b_variance = damping[begin:], damping_variance[begin:]
     start, variance = start_compliance(part, settings, b)
     model, drive = inputs.model, part.drive
-    broad = prior_variance(settings)
+    broad, run_two = prior_variance(settings), engine_of(settings)[1]
     written, changes = np.empty((8, len(part.x))), np.empty((MOST_EVENTS, 4))
     held = begin == 0 and variance == broad
     # Once more from where it led, if that is sharp: what the filter learns from a ringing oil
@@ -181,11 +184,13 @@ def run_from(begin: int, inputs: StageInputs, settings: Settings, damping: np.nd
         sens, watch, memory = np.zeros(len(m)), new_supervision(frozen), new_known_memory()
         if held:
             watch[FROZEN] = HELD
-        found = kernel_two.run_two(
+        matrices, at = kernel_two.new_step(model.hydraulics)
+        found = run_two(
             part.x, drive.start, drive.end, drive.variance, drive.instrument, b, b_variance,
             model.hydraulics, model.leak, part.leak_flow, inputs.dt, inputs.position_variance,
             force_noise_variance(settings), broad, part.mean, model.theta, model.plain,
-            model.remembering, model.flows, memory, m, p, sens, watch, written, changes)
+            model.remembering, model.flows, memory, m, p, sens, watch, matrices, at, 0, written,
+            changes)
         last = max(int(changes[0, 0] - 2 * changes[0, 3]), 0) if found else len(part.x) - 1
         sigma = written[4, last] / written[3, last]  # what it came to before any change
         if not sigma < SHARP:
@@ -195,4 +200,4 @@ def run_from(begin: int, inputs: StageInputs, settings: Settings, damping: np.nd
     out[:, begin:] = written
     changes = changes[: min(found, MOST_EVENTS)].copy()
     changes[:, 0] += begin
-    return KernelTwoResult(out, changes, m, p, sens, watch, memory)
+    return KernelTwoResult(out, changes, m, p, sens, watch, memory, matrices, at)

@@ -3,6 +3,10 @@
 import math
 from collections import deque
 
+import numpy as np
+
+from eha_monitor.filters.rows import Rows
+
 # What must move while a channel stands still: the demand, and for the demand itself the position.
 # The velocity is in no stage, and many drivers publish a zero there for ever.
 REFERENCES = {"x": "x_d", "omega": "x", "p1": "x", "p2": "x", "force": "x", "x_d": "x"}
@@ -41,38 +45,46 @@ class Stillness:
         self._longest: dict[str, float] = {}  # while the reference moved and nothing was wrong, s
         self._learnt: dict[str, float] = {}
         self._now_ns = self._looked_ns = 0
-        self._ranges: dict[str, list[float]] = {}
+        self._ranges: dict[str, tuple[float, float]] = {}
         self._past: dict[str, deque] = {}  # (stamp, lowest, highest) of each look
 
-    def take(self, stamp_ns: int, row: dict[str, float]) -> set[str]:
-        """Take one row at its stamp; return the channels that are frozen."""
-        self._now_ns = stamp_ns
-        self.rows += 1
-        last, seen, counts = self._last, self._seen, self.counts
-        for name, value in row.items():
-            if name not in last:
-                last[name], counts[name] = value, 0
-                self._changed[name] = stamp_ns
-            elif value != last[name]:
-                last[name] = value
-                pause = seen[name] - self._changed[name]
-                self._changed[name] = stamp_ns
-                if name in self.frozen:
-                    self.frozen.discard(name)
-                elif pause > self._pending.get(name, 0):
-                    self._pending[name] = pause
-            counts[name] += 1
-            seen[name] = stamp_ns
-        for name in ("x", "x_d", "omega"):
-            if name in row:
-                value, span = row[name], self._ranges.get(name)
-                if span is None:
-                    self._ranges[name] = [value, value]
-                elif value < span[0]:
-                    span[0] = value
-                elif value > span[1]:
-                    span[1] = value
-        return self.frozen
+    def take(self, rows: Rows) -> dict[str, int]:
+        """Take rows; return the channels that are frozen, and for how many rows they still are."""
+        if not len(rows):
+            return {}
+        self._now_ns = int(rows.stamps[-1])
+        self.rows += len(rows)
+        frozen = dict.fromkeys(self.frozen, len(rows))
+        for name, column in rows.columns.items():
+            places = np.flatnonzero(np.isfinite(column))
+            if len(places):
+                self._take(name, column[places], rows.stamps[places], places, frozen)
+        return frozen
+
+    def _take(self, name: str, values: np.ndarray, stamps: np.ndarray, places: np.ndarray,
+              frozen: dict[str, int]) -> None:
+        """Take the values of a channel, at least one, and the rows in which they stand."""
+        if name not in self._last:
+            self._last[name], self.counts[name] = float(values[0]), 0
+            self._changed[name] = self._seen[name] = int(stamps[0])
+        at = np.flatnonzero(np.diff(values, prepend=self._last[name]) != 0.0)
+        if len(at):
+            seen = np.concatenate([[self._seen[name]], stamps])[at]  # by the value before
+            pauses = seen - np.concatenate([[self._changed[name]], stamps[at[:-1]]])
+            if name in self.frozen:
+                self.frozen.discard(name)
+                frozen[name] = int(places[at[0]])
+                pauses = pauses[1:]
+            longest = int(pauses.max(initial=0))
+            if longest > self._pending.get(name, 0):
+                self._pending[name] = longest
+            self._changed[name] = int(stamps[at[-1]])
+        self._last[name], self._seen[name] = float(values[-1]), int(stamps[-1])
+        self.counts[name] += len(values)
+        if name in ("x", "x_d", "omega"):
+            low, high = float(values.min()), float(values.max())
+            span = self._ranges.get(name, (low, high))
+            self._ranges[name] = min(low, span[0]), max(high, span[1])
 
     def reference(self, channel: str) -> str:
         """Return the channel that must move."""

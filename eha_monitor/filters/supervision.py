@@ -25,8 +25,10 @@ TRUST = 1.5  # score variance ratio below which sigma stands as it is
 
 # Places in the supervision vector.
 (SCORE, INFORMATION, BLOCKS, RATIO_SUM, RATIO_COUNT, CHANGES, NET, TRAVEL, FROZEN,
- SLOW, CAPPED_SUM) = range(11)  # SLOW: running mean of the velocity, stage one's instrument
-HEAD = 11
+ SLOW, CAPPED_SUM, SAMPLES, SPIKED) = range(13)
+# SLOW: running mean of the velocity, stage one's instrument; SAMPLES: taken since the start of the
+# block; SPIKED: lone wild ones in a row.  So a stage that stops goes on as if it had not.
+HEAD = 13
 N_SUPERVISION = HEAD + 3 * HISTORY  # then scores, informations, normalised squares of past blocks
 
 

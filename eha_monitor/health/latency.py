@@ -1,30 +1,67 @@
 """How late and how costly the live monitor is."""
 
+import math
 import time
+from collections import deque
 
 import numpy as np
 
+# Stamps further than this from the wall clock are on another clock (a bag, a simulation).
+SAME_CLOCK_S = 5.0
+WAITING = 1000  # batches of rows that may wait for their estimates
+
 
 class LatencyMeter:
-    """Latencies of the last rows; two clocks are told apart, the stamps' and the receiver's.
+    """How long after a row's stamp the first estimates that know of it were published.
+
+    Where the stamps are on another clock than the wall's, it counts from the row's receipt.
 
     Parameters
     ----------
     keep : latencies kept; 60 000 are one minute at 1 kHz.
+
+    Attributes
+    ----------
+    counts_from : ``stamp`` or ``receipt``.
     """
 
     def __init__(self, keep: int = 60_000):
         self._values = np.empty(keep)
         self._count = 0
+        self._wall_clock: bool | None = None
+        self._waiting: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=WAITING)
 
-    def add(self, seconds: float) -> None:
-        """Take one latency, s."""
-        self._values[self._count % len(self._values)] = seconds
-        self._count += 1
+    def came(self, stamps: np.ndarray, came: np.ndarray) -> None:
+        """Take rows that wait for their estimates: (n,) stamps in ns, and receipt, s monotonic."""
+        self._waiting.append((stamps, came))
 
-    def clear(self) -> None:
-        """Forget all, e.g. when the stamps' clock changed."""
-        self._count = 0
+    def published(self, until_ns: float = math.inf) -> None:
+        """Note that estimates are out that know of all rows up to a stamp, ns."""
+        now_ns, now = time.time_ns(), time.monotonic()
+        while self._waiting and self._waiting[0][0][0] <= until_ns:
+            stamps, came = self._waiting.popleft()
+            count = int(np.searchsorted(stamps, until_ns, side="right"))
+            if count < len(stamps):
+                self._waiting.appendleft((stamps[count:], came[count:]))
+            late = (now_ns - stamps[:count]) * 1e-9
+            wall_clock = bool(abs(late[-1]) < SAME_CLOCK_S)
+            if wall_clock != self._wall_clock:
+                self._wall_clock, self._count = wall_clock, 0
+            self._add(late if wall_clock else now - came[:count])
+
+    def restart(self) -> None:
+        """The rows that wait will not be known of."""
+        self._waiting.clear()
+
+    @property
+    def counts_from(self) -> str:
+        """What the latencies count from."""
+        return "stamp" if self._wall_clock else "receipt"
+
+    def _add(self, seconds: np.ndarray) -> None:
+        places = (self._count + np.arange(len(seconds))) % len(self._values)
+        self._values[places] = seconds
+        self._count += len(seconds)
 
     def percentiles(self) -> dict[str, float]:
         """Return p50, p95, p99 and max in ms, or nothing before the first row."""

@@ -4,7 +4,7 @@ import struct
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import zstandard
@@ -85,11 +85,21 @@ class Ring:
 
     def append(self, stream: int, stamp_ns: int, data: bytes) -> None:
         """Take one message; ``stamp_ns`` is its log time."""
+        self.extend([(stamp_ns, stream, data)])
+
+    def extend(self, messages: Iterable[tuple[int, int, bytes]]) -> None:
+        """Take messages in the order of their log times: (log time in ns, stream, message)."""
+        parts, count, first = [], 0, None
+        for stamp_ns, stream, data in messages:
+            first = stamp_ns if first is None else first
+            parts += _RECORD.pack(stamp_ns, stream, len(data)), data
+            count += 1
+        if not count:
+            return
         if not self._open_count:
-            self._open_first_ns, self._open_since = stamp_ns, time.monotonic()
-        self._open += _RECORD.pack(stamp_ns, stream, len(data))
-        self._open += data
-        self._open_count += 1
+            self._open_first_ns, self._open_since = first, time.monotonic()
+        self._open += b"".join(parts)
+        self._open_count += count
         self._open_last_ns = stamp_ns
         if len(self._open) >= CHUNK_BYTES:
             self._close(time.monotonic())

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.timer import Timer
@@ -12,11 +13,12 @@ from std_srvs.srv import Trigger
 
 from eha_monitor.filters.faults import CONSEQUENCES, FaultWatch
 from eha_monitor.filters.results import Event, ModelStatus, ParameterEstimate
-from eha_monitor.filters.rows import RowAligner
+from eha_monitor.filters.rows import RowAligner, Rows
 from eha_monitor.health.alarms import Alarm, AlarmBoard
 from eha_monitor.health.latency import LatencyMeter, ProcessorMeter
 from eha_monitor.health.overload import BEHIND_S
 from eha_monitor.ros import messages
+from eha_monitor.ros.drain import Drain
 from eha_monitor.ros.feeding import unfed
 from eha_monitor.ros.findings import DataState, all_findings
 from eha_monitor.ros.inputs import topics_of
@@ -34,8 +36,7 @@ WATCH_PERIOD = 0.1
 DIVERGED_S = 2.0
 LOOK_S = 0.19  # between two looks for faults of the data
 DIAGNOSTICS_PERIOD = 1.0
-# Stamps further than this from the wall clock are on another clock (a bag, a simulation).
-SAME_CLOCK_S = 5.0
+CLASHES_PERIOD = 3.0  # to ask the graph for all ends of all topics costs 10 ms
 
 
 class Monitor:
@@ -89,7 +90,6 @@ class Monitor:
         self._row_ns = self._judged_ns = 0
         self._row_came: float | None = None
         self._seen: dict[str, int] = {}
-        self._wall_clock: bool | None = None
         self._levels: list | None = None
         self._fresh = False
 
@@ -101,15 +101,15 @@ class Monitor:
     def activate(self) -> None:
         """Take data and publish, with an estimator that knows nothing yet."""
         self._note_stop(time.monotonic())
-        self.inputs = [TopicInput(self.node, topic, self.aligner, self.process, self.keeper)
-                       for topic in self._topics]
+        self.inputs = [TopicInput(self.node, topic) for topic in self._topics]
+        self.drain = Drain(self.node, self.inputs, self.aligner, self.keeper)
         wall = Clock(clock_type=ClockType.STEADY_TIME)  # health must not stop with /clock
         self.load = Load(((1.0 / self.settings.monitor.publish_rate, self._publish_estimates),
                           (WATCH_PERIOD, self._watch),
+                          (CLASHES_PERIOD, self._note_clashes),
                           (DIAGNOSTICS_PERIOD, self._every_second)),
                          self.settings.monitor.stale_after)
-        self._timers = [self.node.create_timer(
-            self.load.period, lambda: self._tick(time.monotonic()), clock=wall)]
+        self._timers = [self.node.create_timer(self.load.period, self._work, clock=wall)]
         self._publish_health()
 
     def deactivate(self) -> None:
@@ -146,56 +146,82 @@ class Monitor:
         self.board.configure(settings)
         self._judge()
 
-    def process(self, now: float) -> None:
-        """Give the rows that are complete at ``now`` (s, monotonic) to the estimator."""
-        self._tick(now)
-        for stamp_ns, row, came in self.aligner.pop(now):
-            if self._origin_ns is None:
-                self._origin_ns = stamp_ns
-            else:
-                self._count_missing(stamp_ns)
-            self._row_ns, self._row_came = stamp_ns, came
-            row = self.watch.take(stamp_ns, row)
-            # Since the first row: seconds since 1970 leave a double 0.2 µs of resolution.
-            self._estimator.push((stamp_ns - self._origin_ns) * 1e-9, row)
-            for name in row:
-                self._seen[name] = stamp_ns
-            self._fresh = True
-            self._measure_latency(stamp_ns, came)
-            if not 0 <= stamp_ns - self._judged_ns < JUDGE_EVERY_NS:
-                self._judge()
-        if self.aligner.reset_reason is not None:
-            reason = self.aligner.take_reset()
-            self.watch.restart(reason, now)
-            self._reset(reason)
+    def _work(self) -> None:
+        """Take what waits, and do what is due; then others have their turn."""
+        now = time.monotonic()
+        until = now + self.load.period
+        self._note_away(now)
+        more = True
+        while more and now < until and self.active:
+            more = self.drain.take()
+            self.process(time.monotonic())
+            now = time.monotonic()
+            self._tick(now)
+        if self.active:
+            self._publish_health(only_changes=True)
 
     def _tick(self, now: float) -> None:
-        """Do what is due; a silence while the monitor itself did not run is none of the data."""
-        away = self.load.tick(now)
+        self._note_away(now)
+        self.load.tick(now)
+
+    def _note_away(self, now: float) -> None:
+        """A silence while the monitor itself did not run is none of the data."""
+        away = self.load.run(now) - self.load.period
         if away > BEHIND_S:
             if self._row_came is not None:
                 self._row_came += away
             for source in self.aligner.sources:
                 source.heard_s += away
 
-    def _count_missing(self, stamp_ns: int) -> None:
-        steps = (stamp_ns - self._row_ns) * 1e-9 / self.settings.rig.sample_time
-        if steps > 1.5:
-            self.missing_samples += round(steps) - 1
+    def process(self, now: float) -> None:
+        """Give the rows that are complete at ``now`` (s, monotonic) to the estimator."""
+        while True:
+            self._take(self.watch.take(self.aligner.pop(now)))
+            if self.aligner.reset_reason is None:
+                return
+            reason = self.aligner.take_reset()
+            self.watch.restart(reason, now)
+            self._reset(reason)
 
-    def _measure_latency(self, stamp_ns: int, came: float) -> None:
-        late = (time.time_ns() - stamp_ns) * 1e-9
-        wall_clock = abs(late) < SAME_CLOCK_S
-        if wall_clock != self._wall_clock:
-            self._wall_clock = wall_clock
-            self.latency.clear()
-        self.latency.add(late if wall_clock else time.monotonic() - came)
+    def _take(self, rows: Rows) -> None:
+        """Give rows to the estimator, and judge now and then."""
+        while len(rows):
+            if self._origin_ns is None:
+                self._origin_ns = self._row_ns = int(rows.stamps[0])
+            since = rows.stamps - self._judged_ns
+            due = (since < 0) | (since >= JUDGE_EVERY_NS)
+            stop = int(np.argmax(due)) + 1 if due.any() else len(rows)
+            if rows.stamps[-1] - rows.stamps[stop - 1] < JUDGE_EVERY_NS // 2:
+                stop = len(rows)  # a few rows more are not worth a turn of their own
+            self._give(rows.part(0, stop))
+            if due.any():
+                self._judge()
+            rows = rows.part(stop, len(rows))
+            if len(rows):
+                self._tick(time.monotonic())  # much has come at once
+
+    def _give(self, rows: Rows) -> None:
+        steps = np.diff(rows.stamps, prepend=self._row_ns) * (
+            1e-9 / self.settings.rig.sample_time)
+        self.missing_samples += int((np.rint(steps[steps > 1.5]) - 1).sum())
+        self._row_ns = int(rows.stamps[-1])
+        # Since the first row: seconds since 1970 leave a double 0.2 µs of resolution.
+        self._estimator.push_rows((rows.stamps - self._origin_ns) * 1e-9, rows.columns)
+        for name, values in rows.columns.items():
+            there = np.isfinite(values)
+            if there.any():
+                self._seen[name] = int(rows.stamps[there][-1])
+        self._fresh = True
+        self._row_came = time.monotonic()
+        self.drain.worked_on(float(rows.came[-1]))
+        self.latency.came(rows.stamps, rows.came)
 
     def _reset(self, reason: str) -> None:
         self.node.get_logger().warning(f"estimator reset: {reason}")
         self._estimator.reset(reason)
         self._origin_ns = None
         self._seen.clear()
+        self.latency.restart()
 
     def _on_reset(self, request, response):
         self._reset("asked for by the service monitor/reset")
@@ -205,7 +231,7 @@ class Monitor:
         return response
 
     def _judge(self) -> None:
-        """Bring snapshot and alarms up to the last row; publish health if a level changed."""
+        """Bring snapshot and alarms up to the last row; an alarm that changed is published."""
         if self._origin_ns is None:
             return
         self._judged_ns = self._row_ns
@@ -224,9 +250,11 @@ class Monitor:
             reason = unfed(symbol, self._seen, self._row_ns, self.inputs, self.settings)
             parameters[symbol] = estimate if reason is None else replace(
                 estimate, status="no_data", message=reason)
-        self._announce(self.board.update(self._seconds(), parameters, snapshot.temperature,
-                                         self._model.tainted))
-        self._publish_health(only_changes=True)
+        changes = self.board.update(self._seconds(), parameters, snapshot.temperature,
+                                    self._model.tainted)
+        self._announce(changes)
+        if changes:  # what else there is to tell is told at the end of the turn
+            self._publish_health(only_changes=True)
 
     def _note_diverged(self, parameters: dict[str, ParameterEstimate]) -> None:
         """Note since when a parameter has been diverged on data without a fault."""
@@ -254,7 +282,6 @@ class Monitor:
 
     def _watch(self) -> None:
         now = time.monotonic()
-        self.process(now)
         self._note_stop(now)
         if now - self._looked >= LOOK_S:
             self._looked = now
@@ -262,7 +289,7 @@ class Monitor:
 
     def _look(self, now: float) -> None:
         """Look for faults of the data, and take back what a frozen channel gave."""
-        self.load.look(self.inputs, self.aligner.rows, self.missing_samples)
+        self.load.look(self.drain.look(), self.aligner.rows, self.missing_samples)
         self.data.overload = overload = self.load.found()
         for channel, since_ns in self.watch.look(now).items():
             if self._origin_ns is not None:
@@ -272,7 +299,6 @@ class Monitor:
             self.watch.note(problem, now, problem)
         without = CONSEQUENCES if overload else ()
         self.data.problems = [*self._clashes, *self.watch.sentences(now, without)]
-        self._publish_health(only_changes=True)
 
     def _note_stop(self, now: float) -> None:
         """Make the health STALE when rows have stopped; wall time, as /clock may stop too."""
@@ -287,14 +313,13 @@ class Monitor:
         self.data.stopped = reason
         silence = 0.0 if self._row_came is None else now - self._row_came
         self._announce(self.board.stale(self._seconds() + silence, reason))
-        self._publish_health(only_changes=True)
 
     def _publish_estimates(self) -> None:
-        self.process(time.monotonic())
         if not self._fresh:
             return  # nothing new: an old number is not published again
         self._fresh = False
-        self._judge()
+        if self._judged_ns != self._row_ns:
+            self._judge()
         snapshot = self._snapshot
         for symbol, estimate in snapshot.parameters.items():
             if estimate.status != "no_data":
@@ -303,6 +328,7 @@ class Monitor:
             name = self.settings.channels["x"].name or "piston"
             self._outputs.state(self._state_ns(snapshot.state_time_s), name, snapshot.position,
                                 snapshot.velocity)
+        self.latency.published(self._state_ns(snapshot.state_time_s))
 
     def _state_ns(self, state_time_s: float) -> int:
         """Return the stamp of the estimated state, which is some rows old; ns."""
@@ -310,11 +336,13 @@ class Monitor:
             return self._row_ns
         return (self._origin_ns or 0) + round(state_time_s * 1e9)
 
+    def _note_clashes(self) -> None:
+        self._clashes = [clash for each in (*self.inputs, self._outputs)
+                         for clash in each.clashes()]
+
     def _every_second(self) -> None:
         for topic_input in self.inputs:
             topic_input.follow_graph()
-        self._clashes = [clash for each in (*self.inputs, self._outputs)
-                         for clash in each.clashes()]
         self._look(time.monotonic())
         self._update_data()
         self._publish_health()
@@ -332,7 +360,7 @@ class Monitor:
                                    "behind_s": self.load.watch.behind}
         for key, value in self.latency.percentiles().items():
             values[f"latency_{key}_ms"] = value
-        values["latency_counts_from"] = "stamp" if self._wall_clock else "receipt"
+        values["latency_counts_from"] = self.latency.counts_from
         values["cpu_share_percent"] = 100.0 * self.processor.share()
         self.data.values = values | self.keeper.values()
 
@@ -363,7 +391,7 @@ class Monitor:
         counts = ", ".join(f"{key.replace('_', ' ')} {value}"
                            for key, value in self.counts().items())
         late = self.latency.percentiles()
-        since = "stamp" if self._wall_clock else "receipt"
         shown = ", ".join(f"{key} {value:.2f} ms" for key, value in late.items())
-        return (f"rows {self.aligner.rows}; {counts}; latency from {since} to processed "
-                f"{shown or 'not measured'}; CPU share {100 * self.processor.total():.1f} %")
+        return (f"rows {self.aligner.rows}; {counts}; latency from {self.latency.counts_from} to "
+                f"published {shown or 'not measured'}; "
+                f"CPU share {100 * self.processor.total():.1f} %")

@@ -1,13 +1,14 @@
 """Numbers straight out of serialised messages, where their layout is the one met before.
 
 Most messages of a topic differ in nothing but stamp and numbers.  Where those stand is found once
-(:mod:`eha_monitor.recordings.cdr`); a message whose lengths and names are the same is then read in
-two microseconds.  Any other is left to the decoders of whole messages.
+(:mod:`eha_monitor.recordings.cdr`); messages whose lengths and names are the same are then read
+all at once.  Any other is left to the decoders of whole messages.
 """
 
 import math
 import struct
 
+import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
 from eha_monitor.recordings.cdr import STAMP, Layout, Want, has_stamp, locate
@@ -37,6 +38,8 @@ class RawReader:
         self._stamp: struct.Struct | None = None
         self._stamp_at = 0
         self._numbers: list[list[tuple]] = []
+        self._wanted: list[tuple[slice, np.ndarray]] = []  # the same for many messages at once
+        self._columns: list[list[tuple]] = []
 
     def __call__(self, data: bytes) -> tuple[int, list[tuple[float, ...]]] | None:
         """Return the stamp in ns (0 without one) and the values of each stream, SI.
@@ -69,6 +72,33 @@ class RawReader:
             streams.append(values)
         return stamp_ns, streams
 
+    def read_all(self, messages: list[bytes]) -> tuple[np.ndarray, list[np.ndarray]] | None:
+        """Return (n,) stamps in ns and the (n, k) values of each stream, as one by one.
+
+        None unless all messages are of one layout and each stream has a number in each.
+        """
+        length = len(messages[0])
+        if self(messages[0]) is None or set(map(len, messages)) != {length}:
+            return None
+        raw, n = b"".join(messages), len(messages)
+        table = np.frombuffer(raw, dtype=np.uint8).reshape(n, length)
+        if any((table[:, place] != content).any() for place, content in self._wanted):
+            return None
+        stamps = np.zeros(n, dtype=np.int64)
+        if self._stamp is not None:
+            for dtype, at, unit in (("<i4", 0, 1_000_000_000), ("<u4", 4, 1)):
+                stamps += _column(raw, n, length, self._stamp_at + at, dtype) * np.int64(unit)
+        streams = []
+        for places in self._columns:
+            values = np.full((n, len(places)), np.nan)
+            for k, (at, dtype, scale, offset) in enumerate(places):
+                if dtype is not None:
+                    values[:, k] = scale * _column(raw, n, length, at, dtype) + offset
+            if not np.isfinite(values).any(axis=1).all():
+                return None
+            streams.append(values)
+        return stamps, streams
+
     def _learn(self, data: bytes) -> None:
         """Find where everything stands in messages like this one."""
         self._length, self._complete = -1, False
@@ -85,6 +115,10 @@ class RawReader:
                              for stream in self._wants)
         self._numbers = [[(*self._unpacker(layout, want), scale, offset)
                           for want, scale, offset in stream] for stream in self._wants]
+        self._wanted = [(place, np.frombuffer(content, dtype=np.uint8))
+                        for place, content in self._fixed]
+        self._columns = [[(*layout.places.get(want, (0, None)), scale, offset)
+                          for want, scale, offset in stream] for stream in self._wants]
         self._stamp = struct.Struct("<iI") if stamp else None
         self._stamp_at = layout.places[stamp[0]][0] if stamp else 0
 
@@ -95,6 +129,11 @@ class RawReader:
             return _nothing, 0
         offset, dtype = layout.places[want]
         return struct.Struct(f"<{_CODES[dtype.str[1:]]}").unpack_from, offset
+
+
+def _column(raw: bytes, n: int, length: int, at: int, dtype) -> np.ndarray:
+    """Return the numbers that stand at ``at`` in each of ``n`` messages of one length."""
+    return np.ndarray((n,), dtype, raw, at, (length,))
 
 
 def _nothing(data: bytes, offset: int) -> tuple[float]:

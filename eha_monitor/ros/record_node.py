@@ -5,6 +5,7 @@ import time
 from pathlib import Path
 
 from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
@@ -13,8 +14,11 @@ from eha_monitor.health.alarms import WATCHED
 from eha_monitor.recordings.write import BagWriter, TopicType
 from eha_monitor.ros import running
 from eha_monitor.ros.inputs import check_topic, message_class
-from eha_monitor.ros.subscriptions import NO_EVENTS
 from eha_monitor.settings import Settings, load_settings
+
+# Nothing but messages: rmw_fastrtps 8.4 waits for itself forever where an EventsExecutor takes the
+# event of a lost message while the next one is lost (its pull request 890), as on a busy machine.
+NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 
 # Looking for publishers; rosbag2 does the same.
 POLL_PERIOD = 0.1

@@ -1,28 +1,28 @@
-"""Subscriptions of the channel map: messages in, stamped samples into the row aligner."""
+"""Subscriptions of the channel map: messages in, stamped samples of the sources out.
+
+No callback runs: the messages are drained from the middleware's history, some tens of times a
+second, which costs a tenth of an executor's way to a callback for each.
+"""
 
 import time
-from collections.abc import Callable
+from collections.abc import Sequence
 
-from rclpy.event_handler import SubscriptionEventCallbacks
+import numpy as np
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
-from rclpy.subscription import Subscription
+from rclpy.type_support import check_is_valid_msg_type
 
 from eha_monitor.errors import InputError
-from eha_monitor.filters.rows import RowAligner
+from eha_monitor.filters.rows import Batch
 from eha_monitor.ros.inputs import Decoder, Topic, has_stamp, message_class
-from eha_monitor.ros.keeper import Keeper
 from eha_monitor.ros.quality import clashes
 from eha_monitor.ros.raw import RawReader
 
-# Nothing but messages: rmw_fastrtps 8.4 waits for itself forever where an EventsExecutor takes the
-# event of a lost message while the next one is lost (its pull request 890), as on a busy machine.
-NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
-
 # Best effort takes from every publisher; the depth holds some seconds of a stalled process.
 INPUT_QOS = QoSProfile(depth=4000, reliability=ReliabilityPolicy.BEST_EFFORT)
-
+AT_ONCE = 500  # messages of a topic that are taken before those of the next
 
 # Neither stage needs these; that a rig does not have them is no fault.
 OPTIONAL = frozenset({"temperature", "v", "omega", "force"})
@@ -35,24 +35,23 @@ class TopicInput:
     ----------
     node : node to subscribe with.
     topic : topic and the streams it carries.
-    aligner : takes the samples.
-    on_sample : called after each message with the time of receipt (s, monotonic).
-    keeper : keeps the messages as they came; None keeps nothing.
     qos : of the subscription.
+
+    Attributes
+    ----------
+    messages : how many came.
+    type : of the messages, such as ``sensor_msgs/msg/JointState``; None before it is known.
+    waits : whether more were waiting than could be taken the last time.
     """
 
-    def __init__(self, node: Node, topic: Topic, aligner: RowAligner,
-                 on_sample: Callable[[float], None], keeper: Keeper | None = None,
-                 qos: QoSProfile = INPUT_QOS):
+    def __init__(self, node: Node, topic: Topic, qos: QoSProfile = INPUT_QOS):
         self.topic = topic
-        self._keeper = keeper
         self.messages = 0
-        self._node, self._aligner, self._on_sample, self._qos = node, aligner, on_sample, qos
+        self.type: str | None = None
+        self.waits = False
+        self._node, self._qos = node, qos
         self._decoders = [Decoder(entry) for entry in topic.entries]
-        self._type: str | None = None
-        self._subscription: Subscription | None = None
-        self._take: Callable | None = None
-        self.waits = False  # whether a message was waiting at the last look
+        self._subscription = None
         self._type_problem: str | None = None
         self._zero_stamps = 0
         self._counted = (0, time.monotonic())
@@ -63,48 +62,112 @@ class TopicInput:
         full_name = self._node.resolve_topic_name(self.topic.name)
         published = {info.topic_type for info in
                      self._node.get_publishers_info_by_topic(full_name)}
-        if self._type in published:
+        if self.type in published:
             self._type_problem = None
             return
-        wanted = min(published) if published else self._type or self.topic.default_type
-        if wanted is None or wanted == self._type:
+        wanted = min(published) if published else self.type or self.topic.default_type
+        if wanted is None or wanted == self.type:
             return
         try:
             kind = message_class(wanted)
         except InputError as problem:
             self._type_problem = f"{self.topic.name}: {problem}"
             return
-        if self._subscription is not None:
-            self._node.destroy_subscription(self._subscription)
-        self._type, self._type_problem = wanted, None
-        on_message = self._callback(kind, wanted)
-        self._subscription = subscription = self._node.create_subscription(
-            kind, self.topic.name, on_message, self._qos, raw=True, event_callbacks=NO_EVENTS)
+        self.close()
+        check_is_valid_msg_type(kind)
+        # Beside the node's own: an executor would wake up for each message, and take it.
+        with self._node.handle:
+            self._subscription = rclpy_implementation.Subscription(
+                self._node.handle, kind, self.topic.name, self._qos.get_c_qos_profile())
+        self.type, self._type_problem = wanted, None
+        self._kind, self._stamped = kind, has_stamp(kind)
+        self._read = RawReader(self.topic, wanted)
 
-        def take():
-            with subscription.handle:
-                found = subscription.handle.take_message(kind, True)
-            if found is None:
-                return None
-            on_message(found[0])
-            return found[1]["source_timestamp"], found[1]["received_timestamp"]
-        self._take = take
+    def take(self) -> tuple[list[bytes], list[int], int]:
+        """Take what waits.
 
-    def take_waiting(self) -> tuple[int, int] | None:
-        """Take the oldest message that waits; return when it was sent and received, ns.
-
-        The executor, which comes to it later, finds the next one, or none.  None where none
-        waits.
+        Returns
+        -------
+        messages, received_ns, sent_ns
+            Messages as they came, when each was received, and when the first was sent.
         """
-        found = self._take() if self._take is not None else None
-        self.waits = found is not None
-        return found
+        messages, received, sent_ns = [], [], 0
+        subscription = self._subscription
+        if subscription is not None:
+            kind = self._kind
+            with subscription:
+                take = subscription.take_message
+                for _ in range(AT_ONCE):
+                    found = take(kind, True)
+                    if found is None:
+                        break
+                    data, told = found
+                    messages.append(data)
+                    received.append(told["received_timestamp"])
+                    sent_ns = sent_ns or told["source_timestamp"]
+        self.waits = len(messages) == AT_ONCE
+        self.messages += len(messages)
+        return messages, received, sent_ns
+
+    def read(self, messages: Sequence[bytes], came: np.ndarray, now_ns: np.ndarray
+             ) -> list[Batch]:
+        """Return the samples of each stream in some messages, of which there is one at least.
+
+        Parameters
+        ----------
+        came, now_ns : (n,) when each was received: s, monotonic, and ns on the node's clock.
+        """
+        found = self._read.read_all(messages)
+        if found is not None and (not self._stamped or found[0].all()):
+            for decoder in self._decoders:
+                decoder.problem = None
+            stamps = found[0] if self._stamped else now_ns
+            return [Batch(entry.source, stamps - entry.delay_ns, values, came)
+                    for entry, values in zip(self.topic.entries, found[1], strict=True)]
+        return self._read_singly(messages, came, now_ns)
+
+    def _read_singly(self, messages: Sequence[bytes], came: np.ndarray, now_ns: np.ndarray
+                     ) -> list[Batch]:
+        """Read messages of which some differ from the others, or lack a number."""
+        times, taken = [], []
+        streams: list[list[tuple[tuple[float, ...] | None, bool | None]]] = [
+            [] for _ in self._decoders]
+        for k, data in enumerate(messages):
+            found = self._read(data)
+            if found is not None:
+                time_ns, values_of = found
+                for decoder in self._decoders:
+                    decoder.problem = None
+            else:
+                message = deserialize_message(data, self._kind)
+                values_of = [decoder(message) for decoder in self._decoders]
+                stamp = message.header.stamp if self._stamped else None
+                time_ns = stamp.sec * 1_000_000_000 + stamp.nanosec if self._stamped else 0
+            if self._stamped and time_ns == 0:
+                # One zero may be the start of simulated time, two are no stamps at all.
+                self._zero_stamps += 1
+                if self._zero_stamps == 1:
+                    continue
+            times.append(time_ns or int(now_ns[k]))
+            taken.append(k)
+            for stream, decoder, values in zip(streams, self._decoders, values_of, strict=True):
+                stream.append((values, None if values is not None else decoder.found))
+        batches = []
+        for entry, stream in zip(self.topic.entries, streams, strict=True):
+            nothing = (np.nan,) * len(entry.channels)
+            lacking = tuple(lacks for _, lacks in stream)
+            batches.append(Batch(
+                entry.source, np.array(times, dtype=np.int64) - entry.delay_ns,
+                np.array([nothing if values is None else values for values, _ in stream],
+                         dtype=float).reshape(-1, len(nothing)), came[taken],
+                None if all(lacks is None for lacks in lacking) else lacking))
+        return batches
 
     def close(self) -> None:
         """End the subscription."""
         if self._subscription is not None:
-            self._node.destroy_subscription(self._subscription)
-            self._subscription = self._take = None
+            self._subscription.destroy_when_not_in_use()
+            self._subscription = None
 
     def problems(self, now: float, silent_after: float) -> list[str]:
         """Return what is wrong with the topic at ``now`` (s, monotonic), in sentences."""
@@ -132,46 +195,3 @@ class TopicInput:
         """Return the messages per second since the last call; ``now`` in s, monotonic."""
         (count, since), self._counted = self._counted, (self.messages, now)
         return (self.messages - count) / max(now - since, 1e-9)
-
-    def _callback(self, kind: type, type_name: str) -> Callable:
-        streams = [(entry.source, entry.delay_ns) for entry in self.topic.entries]
-        push, done, monotonic = self._aligner.push, self._on_sample, time.monotonic
-        unread = self._aligner.unread
-        read, stamped = RawReader(self.topic, type_name), has_stamp(kind)
-        ring = self._keeper.ring if self._keeper is not None else None
-        stream = self._keeper.stream(self.topic.name, type_name) if ring is not None else 0
-        now_ns = time.time_ns
-
-        def on_message(data):
-            now = monotonic()
-            self.messages += 1
-            if ring is not None:
-                ring.append(stream, now_ns(), data)
-            found = read(data)
-            if found is not None:
-                time_ns, values_of = found
-                for decoder in self._decoders:
-                    decoder.problem = None
-            else:
-                message = deserialize_message(data, kind)
-                values_of = [decoder(message) for decoder in self._decoders]
-                stamp = message.header.stamp if stamped else None
-                time_ns = stamp.sec * 1_000_000_000 + stamp.nanosec if stamped else 0
-            if stamped and time_ns == 0:
-                # One zero may be the start of simulated time, two are no stamps at all.
-                self._zero_stamps += 1
-                if self._zero_stamps == 1:
-                    return
-            if time_ns == 0:
-                time_ns = self._now_ns()
-            for place, ((source, delay_ns), values) in enumerate(
-                    zip(streams, values_of, strict=True)):
-                if values is not None:
-                    push(source, time_ns - delay_ns, values, now)
-                else:
-                    unread(source, self._decoders[place].found)
-            done(now)
-        return on_message
-
-    def _now_ns(self) -> int:
-        return self._node.get_clock().now().nanoseconds

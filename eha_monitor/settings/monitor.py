@@ -206,6 +206,9 @@ class Settings(Section):
     command_hold: Literal["auto", "continuous", "sampled"] = Field(
         "auto", description="sampled: a digital controller holds x_d and x over a sample; "
         "continuous: an analogue or much faster one; auto: the recording says which")
+    engine: Literal["compiled", "filterpy"] = Field(
+        "compiled", description="what runs the stages, live and offline; filterpy: the readable "
+        "reference, to the same numbers at a hundredth of the speed")
     implausible: Literal["refuse", "warn"] = Field(
         "refuse", description="what becomes of a recording whose channels contradict this config "
         "(signs, units, swapped channels): refuse it, or answer with a warning")
