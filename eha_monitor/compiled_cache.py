@@ -9,16 +9,18 @@ needs an index.
 
 import contextlib
 import hashlib
+import json
 import os
 import pickle
 import re
 import sys
 import tempfile
 import threading
+import time
 from pathlib import Path
 
 import numba
-from numba.core import caching, event
+from numba.core import caching, event, types
 
 PACKAGE = Path(__file__).parent
 DIGEST = 32  # bytes of the content's digest, ahead of it
@@ -180,6 +182,55 @@ class Announcer(event.Listener):
         """Say nothing: the answer follows."""
 
 
+class Listed(event.Listener):
+    """Adds a line of JSON to a file for each function that is compiled, when it is done.
+
+    A line is [depth, module, function, seconds of processor in this thread, types, the command];
+    depth 0 was called from Python, a deeper one by what was being compiled.
+    """
+
+    def __init__(self, file: Path):
+        self._file, self._begun = file, threading.local()
+
+    def on_start(self, event) -> None:
+        """Start the clock."""
+        self._begun.__dict__.setdefault("stack", []).append(time.thread_time())
+
+    def on_end(self, event) -> None:
+        """Write the line."""
+        seconds = time.thread_time() - self._begun.stack.pop()
+        function = event.data["dispatcher"].py_func
+        line = json.dumps([len(self._begun.stack), function.__module__, function.__qualname__,
+                           round(seconds, 3), written(event.data["args"]), sys.argv])
+        with open(self._file, "a", encoding="utf-8") as file:
+            file.write(line + "\n")
+
+
+def written(given: tuple | types.Type) -> str:
+    """Return types as :mod:`eha_monitor.signatures` has them."""
+    if isinstance(given, tuple):
+        return f"({', '.join(map(written, given))}{',' * (len(given) == 1)})"
+    if isinstance(given, types.NamedTuple):
+        made = given.instance_class
+        return f"named({made.__module__!r}, {made.__name__!r}, {', '.join(map(written, given))})"
+    if isinstance(given, types.Array) and given.ndim and given.mutable and given.aligned:
+        places = [":"] * given.ndim
+        if given.layout in "CF":
+            places[-1 if given.layout == "C" else 0] = "::1"
+        return f"{written(given.dtype)}[{', '.join(places)}]"
+    if isinstance(given, types.Array):
+        return (f"Array({written(given.dtype)}, {given.ndim}, {given.layout!r}, "
+                f"readonly={not given.mutable}, aligned={given.aligned})")
+    if isinstance(given, types.UniTuple):
+        return f"UniTuple({written(given.dtype)}, {given.count})"
+    return str(given)
+
+
 def announce(place: Path) -> None:
-    """Tell from now on when something is compiled into ``place``."""
+    """Tell from now on when something is compiled into ``place``.
+
+    ``EHA_MONITOR_COMPILED`` names a file that keeps a list (:class:`Listed`).
+    """
     event.register("numba:compile", Announcer(place))
+    if file := os.environ.get("EHA_MONITOR_COMPILED"):
+        event.register("numba:compile", Listed(Path(file)))

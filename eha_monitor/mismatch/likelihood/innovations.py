@@ -12,6 +12,13 @@ import math
 import numpy as np
 
 from eha_monitor.compiled import njit
+from eha_monitor.filters.small_matrices import (
+    solved,
+    symmetric,
+    times,
+    times_transposed,
+    transposed,
+)
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.physics.contributions import (
     circuit_of,
@@ -184,22 +191,28 @@ def riccati(a, h, q, r, p, used, gains):
     m, states = len(places), a.shape[0]
     hs = np.zeros((m, states))
     for i in range(m):
-        hs[i] = h[places[i]]
+        for j in range(states):
+            hs[i, j] = h[places[i], j]
     old = np.zeros((states, m))
     for k in range(gains.shape[0]):
-        ph = p @ hs.T
-        s = hs @ ph
+        ph = times_transposed(p, hs)
+        s = times(hs, ph)
         for i in range(m):
             s[i, i] += r[places[i]]
-        gain = np.linalg.solve(s, ph.T).T
+        gain = transposed(solved(s, transposed(ph)))
         gains[k] = 0.0
+        size = 1e-300
         for i in range(m):
-            gains[k, :, places[i]] = gain[:, i]
-        p = p - gain @ ph.T
-        p = a @ (0.5 * (p + p.T)) @ a.T
+            for j in range(states):
+                gains[k, j, places[i]] = gain[j, i]
+                size = max(size, abs(gain[j, i]))
+        taken = times_transposed(gain, ph)
+        for i in range(states):
+            for j in range(states):
+                taken[i, j] = p[i, j] - taken[i, j]
+        p = times_transposed(times(a, symmetric(taken)), a)
         for i in range(states):
             p[i, i] += q[i]
-        size = np.abs(gain).max() + 1e-300
         change = 0.0
         for i in range(states):
             for j in range(m):
