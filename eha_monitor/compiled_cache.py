@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numba
 from numba.core import caching, event, types
+from numba.core.runtime import rtsys
 
 PACKAGE = Path(__file__).parent
 DIGEST = 32  # bytes of the content's digest, ahead of it
@@ -108,6 +109,12 @@ class SharedCache(caching.FunctionCache):
         self._cache_path = self._impl.locator.get_cache_path()
         self._cache_file = _Files(places, Path(self._cache_path).name, self._impl.filename_base)
         self.enable()
+
+    def load_overload(self, sig, target_context):
+        """Load a function, and not all that numba can compile: half a second of imports."""
+        rtsys.initialize(target_context)  # the reference counts of arrays
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
 
     @contextlib.contextmanager
     def _guard_against_spurious_io_errors(self):

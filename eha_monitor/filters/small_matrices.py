@@ -31,6 +31,13 @@ def times_transposed(a, b):
     return out
 
 
+@njit(forceinline=True)
+def copied(to, row):
+    """Write a vector into another; ``to[:] = row`` compiles a message for each pair of shapes."""
+    for i in range(row.shape[0]):
+        to[i] = row[i]
+
+
 @njit
 def transposed(a):
     """Return A' as an array of its own."""

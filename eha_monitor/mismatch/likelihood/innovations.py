@@ -13,6 +13,7 @@ import numpy as np
 
 from eha_monitor.compiled import njit
 from eha_monitor.filters.small_matrices import (
+    copied,
     solved,
     symmetric,
     times,
@@ -148,7 +149,7 @@ def transition(mode, dt, steps, theta, active, memory, decay, y, u, shifts, a, h
             inner = memory.copy()
             for r in range(RING):  # the past of a steady motion to this point
                 past[r, 0] = moved[0] - ((RING - r) % RING) * dt / steps * moved[1]
-                past[r, 1:] = moved[1:4]
+                past[r, 1], past[r, 2], past[r, 3] = moved[1], moved[2], moved[3]
             if mode == FORCED:
                 shown[side, 0], shown[side, 1] = moved[0], moved[1]
                 advance_forced(moved, 0.0, dt, steps, u, 0, given[:1], given[1:], theta, terms,
@@ -162,7 +163,7 @@ def transition(mode, dt, steps, theta, active, memory, decay, y, u, shifts, a, h
             moved[Y_FORCE] *= decay
             moved[Y_FLOW] *= decay
             moved[Y_SPEED] *= decay
-            ends[side] = moved
+            copied(ends[side], moved)
         for j in range(N_FILTERED):
             a[j, i] = (ends[0, j] - ends[1, j]) / (2.0 * shifts[i])
         for j in range(N_OUTPUTS):
