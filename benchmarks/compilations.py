@@ -44,7 +44,7 @@ ESTIMATES = {"plain": {}, "euler": {"discretisation": "euler"},
              "sampled": {"command_hold": "sampled"},
              "delayed": {"effects": {"command_delay": {"T": 1e-3}}},
              "rubbing": {"effects": {"coulomb_friction": {"F_c": 10.0}}},
-             "lines": {"effects": {"line_dynamics": {}}}}
+             "lines": {"effects": {"line_dynamics": {"T_l": 1e-3, "zeta": 0.1, "Z": 1e5}}}}
 SECONDS = "4"  # of motion: enough for the estimators to converge
 # What a diagnosis asks for only where there is something to locate or to show.
 SELDOM = """
