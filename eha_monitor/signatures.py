@@ -35,9 +35,9 @@ SIGNATURES = (
         float64[:, :, ::1], float64[:, ::1]), float64[::1], float64[:, ::1], float64[:, :, ::1],
         float64[::1], float64, int64[::1], float64[:, :, ::1],
     )),
-    ("filters.kernel_two", "bank_two", (
+    ("filters.kernel_two", "log_likelihood_two", (
         float64[::1], float64[::1], float64[::1], float64[::1], float64[:, ::1], float64,
-        float64[::1], float64[::1], float64, float64[::1], float64, float64, float64, float64[::1],
+        float64, float64[::1], float64, float64[::1], float64, float64, float64, float64[::1],
         float64[::1], int64[::1], int64[::1], int64[::1], float64[:, ::1],
     )),
     ("physics.plant", "run", (
@@ -122,6 +122,10 @@ SIGNATURES = (
         float64[:, ::1], bool[::1, :], float64[:, ::1], float64[:, ::1], float64[:, :, ::1],
         float64[:, ::1], float64[:, :, :],
     )),
+    ("mismatch.name.gram", "injected", (
+        float64[:, ::1], bool[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1],
+        float64[:, ::1], float64[:, :, :],
+    )),
     ("mismatch.name.gram", "mapped", (
         float64[:, :, ::1], bool[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1],
         float64[:, :, ::1], float64[:, ::1], int64, float64[:, ::1], float64[:, :, ::1],
@@ -198,5 +202,11 @@ SIGNATURES = (
     )),
     ("filters.stage_one", "predict_one_euler", (
         float64, float64, float64, float64, float64, float64,
+    )),
+    ("concealed.plant", "run", (
+        float64[::1], float64[::1], float64, float64[:, ::1],
+    )),
+    ("concealed.plant", "bristle_stiffness", (
+        float64[::1],
     )),
 )

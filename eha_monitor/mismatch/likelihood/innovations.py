@@ -76,7 +76,11 @@ def innovate(z, u, p1, p2, mode, dt, steps, theta, active, gains, decay, y, memo
     terms, updates, places = with_term(active), with_update(active), with_place(active)
     c, s = np.zeros(N_CONTRIBUTIONS), np.zeros(N_SIGNALS)
     shown = np.zeros(N_OUTPUTS)
-    by_output = gains.transpose(0, 2, 1).copy()  # a sensor's gains side by side
+    by_output = np.empty((gains.shape[0], N_OUTPUTS, gains.shape[1]))
+    for at in range(gains.shape[0]):  # a sensor's gains side by side
+        for j in range(N_OUTPUTS):
+            for i in range(gains.shape[1]):
+                by_output[at, j, i] = gains[at, i, j]
     last = 0
     h = dt / steps
     for k in range(n):
