@@ -15,13 +15,14 @@ import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from eha_monitor.compiled import CACHE
+from eha_monitor.compiled import ANNOUNCER, CACHE
 from eha_monitor.compiled_cache import shipped
 from eha_monitor.signatures import SIGNATURES
 
 
 def compile_one(place: int) -> None:
     """Compile one line of the list, or find that it has been compiled."""
+    ANNOUNCER.quiet = True  # the set-up has said so
     module, name, types = SIGNATURES[place]
     getattr(importlib.import_module(f"eha_monitor.{module}"), name).compile(types)
 

@@ -46,7 +46,7 @@ def _source_hash() -> str:
 PLACES = compiled_cache.places(_source_hash())
 CACHE = PLACES[0]
 FIRST_RUN = not any(place.exists() for place in PLACES)
-compiled_cache.announce(CACHE)
+ANNOUNCER = compiled_cache.announce(CACHE)
 
 # The catalogue calls its terms through a tuple of functions: works, cached, "experimental".
 warnings.filterwarnings("ignore", category=numba.core.errors.NumbaExperimentalFeatureWarning)

@@ -162,10 +162,11 @@ def _writable() -> Path:
 class Announcer(event.Listener):
     """Says in one line that compilation begins, before the silence, whoever asked for it."""
 
-    SECONDS = 60  # of processor, for all that `estimate` needs: 33 alone, 50 on a busy machine
-    MORE = 30  # and for what only a diagnosis or its advice needs
+    SECONDS = 40  # of processor, for all that `estimate` needs, on a busy machine
+    MORE = 40  # and for what only a diagnosis or its advice needs
 
     def __init__(self, place: Path):
+        self.quiet = False
         self._place = place
         self._said: set[str] = set()
         self._lock = threading.Lock()
@@ -178,7 +179,7 @@ class Announcer(event.Listener):
         part = ("the diagnosis" if re.match(r"eha_monitor\.(mismatch|concealed)\.", module)
                 else "the model")
         with self._lock:
-            if part in self._said:
+            if self.quiet or part in self._said:
                 return
             self._said.add(part)
         seconds = self.MORE if part == "the diagnosis" else self.SECONDS
@@ -233,11 +234,13 @@ def written(given: tuple | types.Type) -> str:
     return str(given)
 
 
-def announce(place: Path) -> None:
+def announce(place: Path) -> Announcer:
     """Tell from now on when something is compiled into ``place``.
 
     ``EHA_MONITOR_COMPILED`` names a file that keeps a list (:class:`Listed`).
     """
-    event.register("numba:compile", Announcer(place))
+    announcer = Announcer(place)
+    event.register("numba:compile", announcer)
     if file := os.environ.get("EHA_MONITOR_COMPILED"):
         event.register("numba:compile", Listed(Path(file)))
+    return announcer
