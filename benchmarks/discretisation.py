@@ -1,6 +1,6 @@
 """What the printed forward Euler of Eq. 4 and 5 costs against an exact step.
 
-    python benchmarks/discretisation.py [--figure docs/images/discretisation.png]
+    python benchmarks/discretisation.py [--figure docs/images/discretisation.png] [--record]
 
 The paper's sine (4 Hz, 10 mm, 8 s) at several true bulk moduli and position noises, estimated
 with `discretisation: exact` and with `discretisation: euler`; also the largest pole of Eq. 5.
@@ -10,13 +10,14 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+import record
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
 from eha_monitor.filters.euler import printed_constants, printed_step
-from eha_monitor.filters.pipeline import estimate
+from eha_monitor.filters.pipeline import Estimate, estimate
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.recording import Recording
@@ -48,7 +49,9 @@ def main() -> None:
     """Print the table and draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--figure", type=Path)
-    target = parser.parse_args().figure
+    record.add_option(parser)
+    given = parser.parse_args()
+    figures = {}
     table = Table(title="βe found, in MPa, on the paper's sine; B true is 600 N·s/m")
     for head in ("true", "largest pole (Euler)", "noise µm", "exact", "Euler", "Euler error %",
                  "B exact", "B Euler"):
@@ -67,6 +70,8 @@ def main() -> None:
                 f"{values[0] / 1e6:.1f}", f"{values[1] / 1e6:.1f}",
                 f"{100 * (values[1] / beta - 1):+.0f}",
                 f"{exact.parameters['B'].value:.1f}", f"{euler.parameters['B'].value:.1f}")
+            figures |= recorded(f"{beta / 1e6:.0f}_{noise * 1e6:.0f}", exact, euler)
+            figures[f"pole_{beta / 1e6:.0f}"] = record.spread(largest_pole(beta))
             line = {"color": f"C{MODULI.index(beta)}"}
             axis.axhline(beta / 1e6, ls=":", lw=1, **line)
             for stage, style in ((exact.stage_two, "-"), (euler.stage_two, "--")):
@@ -80,9 +85,19 @@ def main() -> None:
     axes[1].plot([], [], "k:", label="true")
     axes[1].legend(loc="upper right", framealpha=1)
     Console(width=110).print(table)
-    if target is not None:
-        figure.savefig(target)
-        print(target)
+    if given.figure is not None:
+        figure.savefig(given.figure)
+        print(given.figure)
+    if given.record:
+        record.write("discretisation", figures, ("eha_monitor/filters", "eha_monitor/physics"))
+
+
+def recorded(case: str, exact: Estimate, euler: Estimate) -> dict[str, dict]:
+    """Return the figures of one recording: beta_e in MPa, B of the printed equations."""
+    mega = [found.parameters["beta_e"].value / 1e6 for found in (exact, euler)]
+    return {f"exact_{case}": record.spread(mega[0], "MPa"),
+            f"euler_{case}": record.spread(mega[1], "MPa"),
+            f"euler_B_{case}": record.spread(euler.parameters["B"].value, "N·s/m")}
 
 
 if __name__ == "__main__":

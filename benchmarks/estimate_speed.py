@@ -1,10 +1,12 @@
 """Speed of `estimate` on a 60 s, 1 kHz bag with four topics, and of the filters alone.
 
-    python benchmarks/estimate_speed.py [--rounds 7]
+    python benchmarks/estimate_speed.py [--rounds 7] [--record]
 
 Everything is measured in one run: the whole command as a process of its own (Python's start and
-imports included), reading plus estimating inside a warm process, the two compiled stages, and
-the plain filterpy loop over the same samples.  Medians with the smallest and the largest.
+imports included), reading and estimating inside a warm process, the two compiled stages, and what
+they are compared with: the same stages on filterpy over the same samples, and a plain reading of
+the same bag, in which rosbags hands over each message and numpy takes its last number.  Medians
+with the smallest and the largest.
 """
 
 import argparse
@@ -17,8 +19,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import record
 from rich.console import Console
 from rich.table import Table
+from rosbags.rosbag2 import Reader
 
 from eha_monitor.filters import filterpy_stages, kernel_one, kernel_two
 from eha_monitor.filters.inputs import StageInputs
@@ -100,43 +104,73 @@ class Stages:
             *kernel_two.new_step(model.hydraulics), 0, self.out_two, self.events)
 
 
+def read_plainly(bag: Path) -> float:
+    """Read each message of a bag raw and the last number in it; returns their sum."""
+    total = 0.0
+    with Reader(bag) as reader:
+        for _, _, data in reader.messages():
+            total += np.frombuffer(data[-8:], "<f8")[0]
+    return total
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=7)
-    rounds = parser.parse_args().rounds
+    record.add_option(parser)
+    given = parser.parse_args()
+    rounds = given.rounds
     settings = Settings()
     recording = Recording(1e-3, Simulator(settings).advance(round(SECONDS * 1e3)))
+    program = [sys.executable, "-m", "eha_monitor"]
     with tempfile.TemporaryDirectory() as folder:
         bag, answer = Path(folder) / "bag", Path(folder) / "answer.json"
         write_recording(bag, recording, settings)
-        command = [sys.executable, "-m", "eha_monitor", "estimate", str(bag)]
-        rows = [
-            ("estimate, whole process", SECONDS,
-             timed(lambda: subprocess.run(command, check=True, capture_output=True), rounds)),
-            ("read the bag + estimate, in a process", SECONDS,
-             timed(lambda: estimate(read_recording(bag, settings), settings), rounds)),
-        ]
+        command = [*program, "estimate", str(bag)]
+        stages = Stages(recording, settings)
+        rows = {
+            "help": ("--help, whole process", 0.0, timed(
+                lambda: subprocess.run([*program, "--help"], check=True, capture_output=True),
+                rounds)),
+            "process": ("estimate, whole process", SECONDS, timed(
+                lambda: subprocess.run(command, check=True, capture_output=True), rounds)),
+            "plain_reading": ("read the bag plainly", SECONDS, timed(
+                lambda: read_plainly(bag), rounds)),
+            "reading": ("read the bag", SECONDS, timed(
+                lambda: read_recording(bag, settings), rounds)),
+            "warm": ("read the bag + estimate, in a process", SECONDS, timed(
+                lambda: estimate(read_recording(bag, settings), settings), rounds)),
+            "one": ("stage one, compiled", SECONDS, timed(stages.compiled_one, 4 * rounds)),
+            "two": ("stage two, compiled", SECONDS, timed(stages.compiled_two, 4 * rounds)),
+            "both": ("both stages, compiled", SECONDS, timed(stages.compiled, 4 * rounds)),
+            "filterpy": ("both stages, filterpy", FILTERPY_SAMPLES * 1e-3,
+                         timed(stages.filterpy, 3)),
+        }
         subprocess.run([*command, "--json", str(answer)], check=True, capture_output=True)
         reported = json.loads(answer.read_text())["wall_s"]
-    stages = Stages(recording, settings)
-    rows.append(("stage one, compiled", SECONDS, timed(stages.compiled_one, 4 * rounds)))
-    rows.append(("stage two, compiled", SECONDS, timed(stages.compiled_two, 4 * rounds)))
-    rows.append(("both stages, compiled", SECONDS, timed(stages.compiled, 4 * rounds)))
-    rows.append(("both stages, filterpy", FILTERPY_SAMPLES * 1e-3, timed(stages.filterpy, 3)))
     table = Table(title="60 s, 1 kHz, joint_states + command + two pressures (240 000 messages)")
     for head in ("what", "median s", "min", "max", "times real time"):
         table.add_column(head, justify="left" if head == "what" else "right")
-    for what, seconds, times in rows:
+    for what, seconds, times in rows.values():
         middle = np.median(times)
         table.add_row(what, f"{middle:.4f}", f"{times.min():.4f}", f"{times.max():.4f}",
                       f"{seconds / middle:,.0f}")
     console = Console(width=110)
     console.print(table)
-    compiled = np.median(rows[4][2]) / SECONDS
-    plain = np.median(rows[5][2]) / (FILTERPY_SAMPLES * 1e-3)
-    console.print(f"compiled against filterpy: {plain / compiled:,.0f} times faster; "
+    plain = np.median(rows["filterpy"][2]) / rows["filterpy"][1]
+    faster = plain / (rows["both"][2] / SECONDS)
+    console.print(f"compiled against filterpy: {np.median(faster):,.0f} times faster; "
                   f"wall_s that the command reports of itself: {reported:.2f} s")
+    if given.record:
+        figures = {f"{key}_s": record.spread(times, "s") for key, (_, _, times) in rows.items()}
+        figures |= {key: record.spread(seconds / times, "times real time")
+                    for key, (_, seconds, times) in rows.items() if seconds}
+        figures["over_filterpy"] = record.spread(faster, "times as fast")
+        figures["over_plain_reading"] = record.spread(
+            np.median(rows["plain_reading"][2]) / rows["reading"][2], "times as fast")
+        figures["wall_s"] = record.spread(reported, "s")
+        record.write("speed", figures, (
+            "eha_monitor/filters", "eha_monitor/physics", "eha_monitor/recordings"))
 
 
 if __name__ == "__main__":

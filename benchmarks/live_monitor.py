@@ -1,6 +1,6 @@
 """The live monitor at 1 kHz on four topics for each actuator: losses, latency, share of a core.
 
-    python benchmarks/live_monitor.py --counts 1 10 --duration 20
+    python benchmarks/live_monitor.py --counts 1 10 --duration 20 [--record]
 
 Each count is one monitor process on one core, with a node for each actuator; a process on
 another core publishes the inputs as serialised messages with the stamp of the moment, over DDS on
@@ -24,10 +24,13 @@ from pathlib import Path
 
 import many_actuators as many
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
+import record
 
 TARGET = 0.15  # of the reference
 MARGIN_MS = 10.0  # beyond one publishing period, 99 % of the rows
+MEASURED = ("eha_monitor/filters", "eha_monitor/health", "eha_monitor/recordings",
+            "eha_monitor/ros")
+UNITS = {"p50": "ms", "p99": "ms", "most": "ms", "share": "% of a core"}
 
 
 def main() -> int:
@@ -37,6 +40,7 @@ def main() -> int:
     options.add_argument("--duration", type=float, default=20.0, metavar="SECONDS")
     options.add_argument("--rate", type=float, default=10.0, metavar="HZ",
                          help="monitor.publish_rate")
+    record.add_option(options)
     options.add_argument("--reference", action="store_true", help=argparse.SUPPRESS)
     given = options.parse_args()
     if given.reference:
@@ -47,7 +51,7 @@ def main() -> int:
         print("live_monitor: expected two cores, one for the monitor and one for the publishers",
               file=sys.stderr)
         return 2
-    lost = 0
+    lost, figures = 0, {}
     with tempfile.TemporaryDirectory() as folder:
         os.environ.update({
             "ROS_DOMAIN_ID": str(1 + os.getpid() % 100), **os.environ,
@@ -57,18 +61,28 @@ def main() -> int:
         config.write_text(f"monitor: {{publish_rate: {given.rate}}}\n")
         callbacks = measure_reference(given.duration, cores)
         os.sched_setaffinity(0, {cores[0]})
-        filters = 1000 * (plain_filterpy_cost(3) + plain_filterpy_cost(4))
+        costs = [record.plain_filterpy_cost(states) for states in (3, 4)]
+        filters = 1000 * sum(costs)
         os.sched_setaffinity(0, set(cores))
         reference = callbacks + filters
         print(f"reference, one actuator: {100 * reference:.1f} % of a core: empty callbacks "
               f"{100 * callbacks:.1f} %, two plain filterpy filters {100 * filters:.1f} % "
-              f"({1 / plain_filterpy_cost(3):.0f} steps of three states a second)", flush=True)
+              f"({1 / costs[0]:.0f} steps of three states a second)", flush=True)
         bound = 1e3 / given.rate + MARGIN_MS
         print(f"asked: a ratio of {TARGET} at most, p99 of {bound:.0f} ms at most, nothing lost")
         print(f"{'actuators':>9} {'rows':>8} {'lost':>6} {'missing':>8} {'p50 ms':>8} "
               f"{'p99 ms':>8} {'max ms':>8} {'CPU %':>7} {'% each':>7} {'ratio':>7}", flush=True)
         for count in given.counts:
-            lost += measure(count, given.duration, config, cores, reference)
+            row = measure(count, given.duration, config, cores, reference)
+            lost += row["lost"] + row["missing"]
+            figures |= {f"{key}_{count}": record.spread(one, UNITS.get(key, ""))
+                        for key, one in row.items()}
+    if given.record:
+        record.write("live", figures | {
+            "callbacks": record.spread(100 * callbacks, "% of a core"),
+            "filters": record.spread(100 * filters, "% of a core"),
+            "bound": record.spread(bound, "ms"), "asked": record.spread(TARGET)},
+            MEASURED, held_by="commit")
     return 1 if lost else 0
 
 
@@ -90,8 +104,8 @@ def fed(process, count: int, duration: float, core: int) -> tuple[float, float, 
 
 
 def measure(count: int, duration: float, config: Path, cores: list[int],
-            reference: float) -> float:
-    """Run one monitor with ``count`` actuators, print its row; return what was lost."""
+            reference: float) -> dict[str, float]:
+    """Run one monitor with ``count`` actuators; print its row of the table and return it."""
     actuators = [f"--actuator={name}={config}" for name in many.names_of(count)]
     monitor = many.start(cores[0], "-m", "eha_monitor", "monitor", *actuators)
     try:
@@ -114,7 +128,8 @@ def measure(count: int, duration: float, config: Path, cores: list[int],
         f"{share / count / reference:7.3f}", flush=True)
     if note:
         print(f"{'':>9} {note}")
-    return lost + missing
+    return {"rows": sum(rows), "lost": lost, "missing": missing, "p50": late[0], "p99": late[1],
+            "most": late[2], "share": 100 * share, "ratio": share / count / reference}
 
 
 def measure_reference(duration: float, cores: list[int]) -> float:
@@ -144,23 +159,6 @@ def reference_node() -> None:
     executor.add_node(node)
     while rclpy.ok():
         executor.spin_once(timeout_sec=1.0)
-
-
-def plain_filterpy_cost(size: int, samples: int = 5000) -> float:
-    """Return seconds a sample of a plain loop with so many states, median of five."""
-    ekf = ExtendedKalmanFilter(dim_x=size, dim_z=1)
-    ekf.F = np.eye(size) + np.diag(np.full(size - 1, 1e-3), 1)
-    ekf.Q, ekf.R = np.diag(np.full(size, 1e-8)), np.array([[1e-12]])
-    h = np.eye(1, size)
-    measured = np.array([1e-3])
-    costs = []
-    for _ in range(5):
-        begin = time.perf_counter()
-        for _ in range(samples // 5):
-            ekf.predict()
-            ekf.update(measured, lambda x: h, lambda x: h @ x)
-        costs.append((time.perf_counter() - begin) / (samples // 5))
-    return float(np.median(costs))
 
 
 if __name__ == "__main__":

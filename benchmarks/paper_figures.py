@@ -1,10 +1,10 @@
 """Fig. 7 and Fig. 16: ten values recovered, against the Cramer-Rao bound of each recording.
 
-    python benchmarks/paper_figures.py [--seeds 200]
+    python benchmarks/paper_figures.py [--seeds 200] [--record]
 
-For each value the truth is simulated once and 200 draws of sensor noise (1 um, 500 Pa,
-0.1 rad/s) are estimated.  The first draw goes through a bag on disk.  The bounds come from finite
-differences of the simulator, not from the filters:
+For each value 200 draws of sensor noise (1 um, 500 Pa, 0.1 rad/s) are estimated.  The first draw
+goes through a bag on disk.  The bounds come from finite differences of the simulator, not from the
+filters:
 
 * B: from x, p1, p2 of the recording, with beta_e unknown;
 * beta_e: from x given x_d, which is what Eq. 5 uses, with B as well known as x, p1, p2 tell;
@@ -16,6 +16,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+import record
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -71,22 +72,17 @@ def bounds(motion: dict, rig: dict[str, float]) -> dict[str, float]:
             "joint beta_e": everything[1]}
 
 
-def measured(simulator: Simulator, truth: np.ndarray) -> Recording:
-    """Return one draw of the sensors as a recording."""
-    return Recording(1e-3, simulator.measure(truth))
-
-
 def case(name: str, motion: dict, rig: dict[str, float], seeds: int, console: Console,
          folder: Path) -> list[tuple]:
     """Estimate one value ``seeds`` times; return rows of the table."""
-    truth = truth_of(motion, **rig)
     settings = settings_of(motion, **rig)
     values: dict[str, list] = {}
     for seed in track(range(seeds), f"{name}", console=console, transient=True,
                       disable=not console.is_terminal):
         # Each value has draws of its own, so that the rows of the table are independent.
         draw = np.random.SeedSequence([seed, int(sum(rig.values()))]).generate_state(1)[0]
-        recording = measured(Simulator(settings, seed=int(draw)), truth)
+        recording = Recording(1e-3, Simulator(settings, seed=int(draw)).advance(
+            round(motion["duration"] * 1e3)))
         if seed == 0:
             bag = folder / name.replace(" ", "_")
             write_recording(bag, recording, Settings())
@@ -116,22 +112,42 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=200)
-    seeds = parser.parse_args().seeds
+    record.add_option(parser)
+    given = parser.parse_args()
+    seeds = given.seeds
     console = Console(width=132)
     table = Table(title=f"Fig. 7 and Fig. 16, {seeds} draws of 1 µm and 500 Pa each")
     for head in ("case", "what", "truth", "first (bag)", "error %", "worst %", "bound %",
                  "RMS/bound", "in ±2σ %", "consistent %"):
         table.add_column(head, justify="left" if head in ("case", "what") else "right")
+    rows = []
     with tempfile.TemporaryDirectory() as folder:
         for b in DAMPINGS:
             rig = {"viscous_damping": b, "bulk_modulus": 6e8}
-            for row in case(f"Fig. 7 B={b:g}", TRIANGLE, rig, seeds, console, Path(folder)):
-                table.add_row(*_text(row))
+            rows += case(f"Fig. 7 B={b:g}", TRIANGLE, rig, seeds, console, Path(folder))
         for beta in MODULI:
             rig = {"viscous_damping": 600.0, "bulk_modulus": beta}
-            for row in case(f"Fig. 16 βe={beta:g}", SINE, rig, seeds, console, Path(folder)):
-                table.add_row(*_text(row))
+            rows += case(f"Fig. 16 βe={beta:g}", SINE, rig, seeds, console, Path(folder))
+    for row in rows:
+        table.add_row(*_text(row))
     console.print(table)
+    if given.record:
+        record.write("accuracy", {"draws": record.spread(seeds)} | recorded(rows),
+                     ("eha_monitor/filters", "eha_monitor/physics"), held_by="commit")
+
+
+def recorded(rows: list[tuple]) -> dict[str, dict]:
+    """Return the figures, each over the five values of one parameter."""
+    figures = {}
+    for key in ("B", "beta_e", "joint beta_e"):
+        worst, over_bound, inside, consistent = np.array(
+            [[row[5], *row[7:10]] for row in rows if row[1] == key]).T
+        name = key.replace(" ", "_")
+        figures |= {f"{name}_worst": record.spread(worst, "%"),
+                    f"{name}_over_bound": record.spread(over_bound),
+                    f"{name}_inside": record.spread(inside, "%"),
+                    f"{name}_consistent": record.spread(consistent, "%")}
+    return figures
 
 
 def _text(row: tuple) -> list[str]:

@@ -1,11 +1,15 @@
 """What an error of a configured rig number does to B and beta_e.
 
-    python benchmarks/rig_numbers.py
+    python benchmarks/rig_numbers.py [--record]
 
 One clean recording of the default rig (8 s of a multisine, then 8 s of the triangle, with its
 sensors' noise) is estimated with each rig number 1 % too large.  The table is the change of each
 estimate in per cent: 1.00 means that the error is handed on as it is.
 """
+
+import argparse
+
+import record
 
 from eha_monitor.filters.pipeline import estimate
 from eha_monitor.physics.simulator import Simulator
@@ -25,6 +29,10 @@ LOST = 100.0  # %
 
 def main() -> None:
     """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    record.add_option(parser)
+    given = parser.parse_args()
+    figures = {}
     settings = settings_from_tree({"simulation": {"excitation": MOTION}}, "rig_numbers")
     plant = Simulator(settings, seed=1)
     recording = Recording(plant.dt, plant.advance(16_000))
@@ -38,6 +46,12 @@ def main() -> None:
         changes = [100 * (wrong[name] / right[name] - 1) for name in names]
         print(f"{words:18}" + "".join(f"{told(change):>16}" for change in changes)
               + f"  {found.model.status}")
+        key = words.replace(" ", "_")
+        figures |= {f"{key}_{name.replace(', ', '_')}": record.spread(change, "%")
+                    for name, change in zip(names, changes, strict=True)}
+        figures[f"{key}_model"] = {"value": found.model.status}
+    if given.record:
+        record.write("rig_numbers", figures, ("eha_monitor/filters", "eha_monitor/physics"))
 
 
 def told(change: float) -> str:
