@@ -12,13 +12,16 @@ INSTALLED := setup.py setup.cfg pyproject.toml package.xml $(shell find eha_moni
 # Trials that take an hour, by people who have not seen this project: proofs, not benchmarks.
 TRIALS := benchmarks/wrong_inputs.py benchmarks/newcomer.py benchmarks/command_hold.py
 
+# What the benchmarks write their figures with.
+RECORDS := benchmarks/record.py benchmarks/tables.py
+
 # ROS traffic stays on this machine, in a domain of its own, and logs stay in out/.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export ROS_DOMAIN_ID := $(shell echo $$(( $$$$ % 90 + 10 )))
 export ROS_LOG_DIR ?= $(CURDIR)/out/ros_log
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint bench proof lock clean
+.PHONY: help setup demo test lint bench figures proof lock clean
 
 help:
 	@echo "make demo    simulator and monitor live, a replay, an HTML report (under 2 minutes)"
@@ -26,6 +29,7 @@ help:
 	@echo "make setup   .venv from requirements.lock (the other targets do it by themselves)"
 	@echo "make lint    ruff"
 	@echo "make bench   benchmarks, with their tables"
+	@echo "make figures the tables of README and docs, of what the benchmarks recorded"
 	@echo "make proof   the concealed-effect trial"
 	@echo "make lock    requirements.lock anew from setup.py (needs uv)"
 	@echo "make clean   remove .venv and everything built"
@@ -60,8 +64,11 @@ lint: setup
 	@$(PYTHON) -m ruff check .
 
 bench: setup
-	@for file in $(filter-out $(TRIALS),$(wildcard benchmarks/*.py)); do \
+	@for file in $(filter-out $(TRIALS) $(RECORDS),$(wildcard benchmarks/*.py)); do \
 		echo "== $$file"; $(PYTHON) $$file || exit 1; done
+
+figures: setup
+	@$(PYTHON) benchmarks/tables.py
 
 proof: setup
 	@$(PYTHON) -m eha_monitor prove

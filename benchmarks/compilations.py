@@ -1,9 +1,10 @@
 """What is compiled, how often and how long: by the set-up, and after it by each command.
 
 Run as ``python benchmarks/compilations.py``: compiles all into an empty cache, then runs the
-commands and prints what they still compile, which is nothing; some minutes.  ``--write`` runs the
-commands first, with a cache that is empty, and writes ``eha_monitor/signatures.py`` from what they
-called: after a change of what is compiled.
+commands and prints what they still compile, which is nothing; some minutes.  ``--record`` writes
+the time of the set-up to benchmarks/figures.  ``--write`` runs the commands first, with a cache
+that is empty, and writes ``eha_monitor/signatures.py`` from what they called: after a change of
+what is compiled.
 """
 
 import argparse
@@ -11,12 +12,14 @@ import collections
 import json
 import os
 import re
+import resource
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
 
+import record
 from rich.console import Console
 from rich.table import Table
 
@@ -211,6 +214,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--write", action="store_true", help="eha_monitor/signatures.py")
     parser.add_argument("--most", type=int, default=25, help="functions in the table")
+    record.add_option(parser)
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         folder, file = Path(scratch), Path(scratch) / "compiled.jsonl"
@@ -220,17 +224,23 @@ def main() -> None:
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
         if not asked.write:
             took = run("set-up", [[sys.executable, "-m", "eha_monitor.compile_all"]], environment)
+            spent = resource.getrusage(resource.RUSAGE_CHILDREN)
             show(f"the set-up, {took:.0f} s", lines_of(file), asked.most)
         before = at_set_up = len(lines_of(file))
         table = Table("command", "s", "compiled", title="after the set-up")
         for name, together in commands(folder):
-            took = run(name, together, environment)
+            ran = run(name, together, environment)
             lines = lines_of(file)
-            table.add_row(name, f"{took:.1f}", str(len(lines) - before))
+            table.add_row(name, f"{ran:.1f}", str(len(lines) - before))
             for line in lines[before:] if not asked.write else ():
                 print(name, line[:3], line[4])
             before = len(lines)
         Console().print(table)
+        if asked.record and not asked.write:
+            record.write("set_up", {
+                "wall": record.spread(took, "s"), "late": record.spread(before - at_set_up),
+                "processor": record.spread(spent.ru_utime + spent.ru_stime, "s")},
+                ("eha_monitor",), held_by="commit")
         if asked.write:
             write_signatures(lines_of(file))
             print(f"{SIGNATURES.relative_to(ROOT)} is written")

@@ -1,6 +1,6 @@
 """`import` and `estimate` on the real recordings in ../shared/data, with the configs of config/.
 
-    python benchmarks/real_recordings.py [--data ../shared/data]
+    python benchmarks/real_recordings.py [--data ../shared/data] [--record]
 
 The recordings state no licence, so they stay where they are; without them this says so and ends.
 """
@@ -12,6 +12,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+import record
 from rich.console import Console
 from rich.table import Table
 
@@ -37,6 +38,8 @@ RECORDINGS = (
     ("fluid_power_sim", "fluid_power_sim/h21_tri.csv.gz"),
 )
 
+PLAIN = str.maketrans(".-", "__")  # a file's name as the name of a figure
+
 
 def run(*arguments: str) -> None:
     """Run one command of the package; its own words on failure."""
@@ -46,19 +49,22 @@ def run(*arguments: str) -> None:
         sys.exit(done.stderr)
 
 
-def shown(parameter: dict) -> str:
-    """Return a parameter as a table shows it."""
-    if parameter["value"] is None:
-        return parameter["status"]
+def shown(parameter: dict, expected: str = "") -> str:
+    """Return a parameter as a table shows it, with its status where that is not the expected."""
+    status = parameter["status"]
+    if parameter["value"] is None or (expected and status == "not_excited"):
+        return status.replace("_", " ") if expected else status
     value = with_uncertainty(parameter["value"], parameter["stddev"], parameter["unit"])
-    return f"{value} {parameter['status']}"
+    return value if status == expected else f"{value} {status}"
 
 
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
-    data = parser.parse_args().data
+    record.add_option(parser)
+    given = parser.parse_args()
+    data, figures = given.data, {}
     if not data.is_dir():
         print(f"{data}: not here; the real recordings are not part of this repository")
         return
@@ -75,7 +81,14 @@ def main() -> None:
             parameters = found["parameters"]
             table.add_row(file, shown(parameters["B"]), shown(parameters["beta_e"]),
                           found["model"]["status"], f"{found['wall_s']:.2f}")
+            figures[Path(file).name.partition(".csv")[0].partition(".mat")[0].translate(PLAIN)] = {
+                "B": shown(parameters["B"], "converged"), "model": found["model"]["status"],
+                "beta_e": shown(parameters["beta_e"], "converged")}
     Console(width=150).print(table)
+    if given.record:
+        record.write("real_recordings", figures, (
+            "eha_monitor/filters", "eha_monitor/physics", "eha_monitor/recordings"),
+            held_by="commit")
 
 
 if __name__ == "__main__":

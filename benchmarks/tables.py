@@ -18,6 +18,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from record import FIGURES, ROOT, digest
 
 MARKED = re.compile(r"(<!-- figures: (\w+) -->\n).*?(<!-- /figures -->)", re.DOTALL)
+LOST = 100.0  # %
 
 
 def main() -> None:
@@ -51,7 +52,8 @@ def with_tables(text: str) -> str:
     """Return a page with its tables as the files have them now."""
     room = Environment(loader=FileSystemLoader(FIGURES), undefined=StrictUndefined,
                        trim_blocks=True, lstrip_blocks=True, autoescape=False)  # Markdown
-    room.filters |= {"number": number, "ranged": ranged, "told": told}
+    room.filters |= {"number": number, "ranged": ranged, "extremes": extremes, "change": change,
+                     "told": told}
     known = {file.stem: (made := read(file))["figures"] | {"made": made} for file in files()}
     return MARKED.sub(lambda found: found[1] + room.get_template(f"{found[2]}.md.j2").render(
         known).strip() + "\n" + found[3], text)
@@ -68,6 +70,16 @@ def ranged(figure: dict, digits: int | None = None) -> str:
     return middle if low == high else f"{middle} ({low} to {high})"
 
 
+def extremes(figure: dict, digits: int | None = None) -> str:
+    """Return the smallest and the largest: where several values are one figure."""
+    return f"{written(figure['min'], digits)} to {written(figure['max'], digits)}"
+
+
+def change(figure: dict) -> str:
+    """Return a change in per cent; one that is no longer a number of this rig is ``lost``."""
+    return f"{figure['value'] + 0.0:.2f} %" if abs(figure["value"]) < LOST else "lost"
+
+
 def written(value: float, digits: int | None) -> str:
     """Return a number as a table shows it."""
     if digits is None and value:
@@ -78,9 +90,11 @@ def written(value: float, digits: int | None) -> str:
 
 def told(made: dict) -> str:
     """Return where figures come from: the line below a table."""
-    machine = made["machine"]
+    machine = made["machine"]  # null where it was not written down
     words = [f"`{made['command']}`, {made['date']}, commit {made['commit']}"
              + (" with changes upon it" if made["dirty"] else "")]
+    if made.get("copied"):
+        words.append("copied from the page of that day")
     if machine is not None:
         steps = f"{machine['filterpy_steps_per_s']:,.0f}".replace(",", " ")
         words.append(f"{machine['cores']} cores ({machine['model']}, load {machine['load']:g}) of "
@@ -93,6 +107,8 @@ def too_old(file: Path) -> list[str]:
     made = read(file)
     again = f"run `{made['command']}`, then `make figures`"
     name = file.relative_to(ROOT)
+    if made.get("copied"):
+        return [f"{name} is copied from an older page: {again}"]
     return [f"{name} is older than {part}: {again}" for part, known in made["measures"].items()
             if known != digest(part)]
 

@@ -1,4 +1,4 @@
-"""The README's five steps, with the README's own config."""
+"""The README's five steps, with the README's own config, and what it shows of a bag."""
 
 import json
 import re
@@ -11,7 +11,9 @@ from eha_monitor.cli import cli, main
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.settings import Settings
 
-README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 
 def test_five_steps_from_csv_to_estimate(tmp_path, monkeypatch):
@@ -34,12 +36,40 @@ def test_five_steps_from_csv_to_estimate(tmp_path, monkeypatch):
     assert Path("my_report.html").stat().st_size > 10_000
 
 
+def test_what_the_readme_shows_of_a_bag_is_what_comes(capsys, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setenv("COLUMNS", "160")
+    shown = re.search(r"^    \$ eha-monitor (estimate .*)\n((?:    .*\n)+)", README, re.MULTILINE)
+    assert main(shown[1].split()) == 0
+    came = [line.split() for line in capsys.readouterr().out.splitlines()]
+    for line in shown[2].splitlines():
+        words = line.removesuffix("...").split()
+        assert any(one[:len(words)] == words for one in came), line
+
+
 def test_every_command_is_in_the_table():
+    text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
     for name in cli.commands:
-        assert re.search(rf"^\| `{name}[ `]", README, re.MULTILINE), name
+        assert re.search(rf"^\| `{name}[ `]", text, re.MULTILINE), name
 
 
-def test_links_lead_somewhere():
-    root = Path(__file__).parents[1]
-    for target in re.findall(r"\]\(([^)#:]+)\)", README):
-        assert (root / target).exists(), target
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    text = page.read_text(encoding="utf-8")
+    for target, anchor in re.findall(r"\]\(([^)#:]*)(#[^):]*)?\)", text):
+        there = page.parent / target if target else page
+        assert there.exists(), target
+        if anchor:
+            heads = re.findall(r"^#+ (.*)$", there.read_text(encoding="utf-8"), re.MULTILINE)
+            slugs = {re.sub(r"[^\w -]", "", head.lower()).replace(" ", "-") for head in heads}
+            assert anchor[1:] in slugs, target + anchor
+
+
+def test_every_page_can_be_reached_from_the_readme():
+    reached, ahead = set(), [ROOT / "README.md"]
+    while ahead:
+        page = ahead.pop()
+        reached.add(page)
+        links = re.findall(r"\]\(([^)#:]+\.md)", page.read_text(encoding="utf-8"))
+        ahead += {(page.parent / link).resolve() for link in links} - reached
+    assert set(PAGES) <= reached
