@@ -25,7 +25,7 @@ from eha_monitor.mismatch.name.columns import runs_of
 from eha_monitor.mismatch.name.gram import evidence_at
 from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.refit import discrepancy, settled
-from eha_monitor.mismatch.name.seen import own_in, posterior
+from eha_monitor.mismatch.name.seen import posterior
 from eha_monitor.mismatch.name.select import Selection, selected
 from eha_monitor.mismatch.name.suspects import is_named
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT, loads_of
@@ -156,7 +156,8 @@ def name_effects(experiment: Experiment, report: Report | None = None) -> Naming
 def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
     """Return names and probabilities of a selection."""
     seen, best = found.seen, found.seen.best()
-    weights = posterior(seen, found.here, found.ranking)
+    weights = posterior(seen, [
+        (view.here, view.ranking) for view in (found.view, found.beside) if view is not None])
     scores = seen.scores()
     after = at_config(experiment, seen.fits[best])
     rivals, probability, evidence = {}, {}, {}
@@ -184,12 +185,12 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
     acting = float(sum(weight for names, weight in weights.items() if INTERMITTENT in names))
     needs = after.unknowns
     if acting > LIKELY:  # a load that comes and goes has a name, and intervals
-        one = next(one for one in found.ranking if INTERMITTENT in one.names)
+        one = next(one for one in found.beside.ranking if INTERMITTENT in one.names)
         loads = loads_of(experiment, np.array([
             value for place, value in sorted(one.amplitudes.items())
-            if found.what[place].owner == INTERMITTENT]))
+            if found.beside.what[place].owner == INTERMITTENT]))
         probability[INTERMITTENT], rivals[INTERMITTENT] = acting, ()
-        own = own_in(found.ranking, best)
+        own = found.beside.own
         evidence[INTERMITTENT] = max(one.evidence - own.evidence, 0.0) if own else np.inf
         unnamed, needs = unnamed - acting, one.gram.unknowns
     beyond = beyond_form(experiment, before, after, needs)

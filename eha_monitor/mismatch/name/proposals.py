@@ -14,7 +14,7 @@ from eha_monitor.mismatch.name.gram import grams_of
 from eha_monitor.mismatch.name.polish import Slopes
 from eha_monitor.mismatch.name.rank import Ranked, best_over, ranked_at
 from eha_monitor.mismatch.name.seen import Names, Seen, evidence_at_start, own_in, posterior
-from eha_monitor.mismatch.name.suspects import is_named
+from eha_monitor.mismatch.name.suspects import equations, is_named
 from eha_monitor.physics.effects import CATALOGUE
 
 HANDFUL = 4  # sets that are refitted at a linearisation
@@ -63,10 +63,23 @@ class Linearised:
 
 
 def linearised(experiment: Experiment, here: frozenset[str], fit: Fit) -> Linearised:
-    """Take the columns at a model and rank every set of suspects there."""
-    columns = columns_at(experiment, fit)
+    """Take the columns at a model and rank every set of suspects with a name there."""
+    columns = columns_at(experiment, fit, unnamed=False)
     grams = grams_of(experiment, fit, columns.values, levels_of(experiment, fit), columns.copies)
     levels = ranked_at(columns.what, fit.named, grams)
+    return Linearised(here, fit, columns.what, Slopes(experiment, fit, columns), levels,
+                      best_over(levels))
+
+
+def beside(experiment: Experiment, here: frozenset[str], fit: Fit) -> Linearised:
+    """Rank what has no name beside each part of a model.
+
+    Unknown functions have more columns than all that has a name, and decide nothing before the
+    names have been found.
+    """
+    columns = columns_at(experiment, fit, suspects=False)
+    grams = grams_of(experiment, fit, columns.values, levels_of(experiment, fit), columns.copies)
+    levels = ranked_at(columns.what, fit.named, grams, more=1)
     return Linearised(here, fit, columns.what, Slopes(experiment, fit, columns), levels,
                       best_over(levels))
 
@@ -83,15 +96,14 @@ def chosen_at(view: Linearised, seen: Seen) -> list[Ranked]:
                  and one.evidence > own.evidence]
         if again:
             return again[:HANDFUL]
-    chosen = proposals_of(view.ranking, own.evidence if own else -np.inf, seen, view.here)
+    chosen = proposals_of(view.ranking, own, seen, view.here)
     # Large unknowns hide what they take the place of; where fewer are allowed it shows.
     for level in view.levels:
         if level and tight(level[0], view.fit):
             there = own_in(level, view.here)
             known = {one.names for one in chosen}
-            chosen += [one for one in proposals_of(
-                level, there.evidence if there else -np.inf, seen, view.here)[:FEW]
-                if one.names not in known]
+            chosen += [one for one in proposals_of(level, there, seen, view.here)[:FEW]
+                       if one.names not in known]
     return chosen
 
 
@@ -100,11 +112,11 @@ def rivals_at(view: Linearised, seen: Seen) -> list[Ranked]:
 
     Among them are the best set without one of its members, and with another in its place.
     """
-    weights = posterior(seen, view.here, view.ranking, promising=True)
+    weights = posterior(seen, [(view.here, view.ranking)], promising=True)
     wanted = {one.names for one in contested(view)} if view.here == seen.best() else set()
     found = [one for one in with_names(view.ranking) if not seen.known(one.names, view.here)
              and (weights.get(one.names, 0.0) >= RIVAL or one.names in wanted)]
-    return sorted(found, key=lambda one: -weights.get(one.names, 0.0))[:HANDFUL]
+    return unequal(sorted(found, key=lambda one: -weights.get(one.names, 0.0)))[:HANDFUL]
 
 
 def contested(view: Linearised) -> list[Ranked]:
@@ -127,22 +139,35 @@ def contested(view: Linearised) -> list[Ranked]:
 
 def with_names(found: list[Ranked]) -> list[Ranked]:
     """Return the best set of each set of names that the catalogue or the rig has."""
-    seen, chosen = set(), []
+    chosen: dict[Names, Ranked] = {}
     for one in found:
-        if all(map(is_named, one.names)) and one.names not in seen:
-            seen.add(one.names)
-            chosen.append(one)
-    return chosen
+        if all(map(is_named, one.names)):
+            chosen.setdefault(one.names, one)
+    return list(chosen.values())
 
 
-def proposals_of(found: list[Ranked], own: float, seen: Seen, here: Names = frozenset()
+def unequal(found: list[Ranked]) -> list[Ranked]:
+    """Return sets without those that are one before them with other names."""
+    chosen: dict[Names, Ranked] = {}
+    for one in found:
+        chosen.setdefault(equations(one.names), one)
+    return list(chosen.values())
+
+
+def proposals_of(found: list[Ranked], model: Ranked | None, seen: Seen, here: Names = frozenset()
                  ) -> list[Ranked]:
-    """Return the sets that are worth a refit: the smallest that reach most of the best gain."""
-    named = with_names(found)
-    better = [one for one in named if one.evidence > own]
+    """Return the sets that are worth a refit: the smallest that reach most of the best gain.
+
+    ``model`` : the model at hand in that ranking.
+    """
+    better = named = unequal(with_names(found))
+    if model is not None:
+        start = evidence_at_start(seen, here)
+        better = [one for one in named if one.evidence > model.evidence and seen.pursued(
+            start + one.evidence - one.prior - (model.evidence - model.prior), start)]
     if not better:
         return []
-    own = own if np.isfinite(own) else better[-1].evidence
+    own = better[-1].evidence if model is None else model.evidence
     enough = own + MOST_OF * (better[0].evidence - own)
     able = [one for one in better if one.evidence >= enough]
     size = min(len(one.names) for one in able)

@@ -147,8 +147,8 @@ class Ranking:
             able &= ~(self.same if member.owner in gone else self.excluded)[row]
         return able
 
-    def at_level(self, gram: Gram) -> list[Ranked]:
-        """Return the best sets at one level, best first."""
+    def at_level(self, gram: Gram, more: int = LARGEST_SET) -> list[Ranked]:
+        """Return the best sets at one level, best first; ``more`` suspects join at most."""
         level = Level(self, gram)
         found: dict[tuple[Member, ...], Ranked] = {}
         beam, roots = [], self.roots()
@@ -157,7 +157,7 @@ class Ranking:
             if one is not None:
                 found[one.members] = one
                 beam.append(one)
-        for _ in range(LARGEST_SET):
+        for _ in range(more):
             grown: dict[tuple[Member, ...], float] = {}
             kept: list[tuple[Member, ...]] = []
             for one in sorted(beam, key=lambda r: -r.evidence)[:BEAM]:
@@ -368,11 +368,11 @@ def gained_by(blocks: np.ndarray, sides: np.ndarray) -> np.ndarray:
         np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
 
 
-def ranked_at(what: tuple[Column, ...], named: tuple[str, ...], grams: list[Gram]
-              ) -> list[list[Ranked]]:
-    """Return for each level the best sets there, best first."""
+def ranked_at(what: tuple[Column, ...], named: tuple[str, ...], grams: list[Gram],
+              more: int = LARGEST_SET) -> list[list[Ranked]]:
+    """Return for each level the best sets there, best first; see :meth:`Ranking.at_level`."""
     ranking = Ranking(what, named)
-    return spread(ranking.at_level, grams)
+    return spread(lambda gram: ranking.at_level(gram, more), grams)
 
 
 def best_over(levels: list[list[Ranked]]) -> list[Ranked]:

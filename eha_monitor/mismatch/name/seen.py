@@ -11,9 +11,10 @@ from eha_monitor.mismatch.name.acceptance import FORM, FORM_OF_LAW, RIVAL, TEMPE
 from eha_monitor.mismatch.name.gram import lasting
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.refit import discrepancy, evidence_of, impossible, prior_of
-from eha_monitor.mismatch.name.suspects import is_named, kin
+from eha_monitor.mismatch.name.suspects import equations, is_named, kin
 
 Names = frozenset[str]
+PURSUED = 1.0  # log units of score: where less is gained the search does not go on
 NO_MORE = 0.5  # log units: a fit that is better by less is the same fit
 
 
@@ -51,8 +52,10 @@ class Seen:
             self.left[names] = discrepancy(experiment, fit)
 
     def known(self, names: Names, here: Names) -> bool:
-        """Tell whether a set was refitted to the end, or looked at from the model at hand."""
-        return names in self.fits or names in self.stations or (here, names) in self.tried
+        """Tell whether a set, or its equal, was refitted, or looked at from the model at hand."""
+        same = equations(names)
+        return any(same == equations(other) for other in (
+            *self.fits, *self.stations, *(names for at, names in self.tried if at == here)))
 
     def floor(self) -> float:
         """Return the evidence of a model that needs no unknowns, as far as it is known."""
@@ -62,6 +65,11 @@ class Seen:
     def score(self, evidence: float, prior: float) -> float:
         """Return what an evidence counts, log units: see :func:`counted`."""
         return self.power() * counted(self.floor() - evidence) + prior
+
+    def pursued(self, evidence: float, than: float) -> bool:
+        """Tell whether evidence counts for so much more than another that it is worth a look."""
+        floor = max(self.floor(), evidence)
+        return self.power() * (counted(floor - evidence) - counted(floor - than)) > PURSUED
 
     def power(self) -> float:
         """Return the power of the likelihood.
@@ -117,7 +125,8 @@ class Seen:
     def ahead(self, done: dict[Names, float], enough: float) -> tuple[Names, Fit] | None:
         """Return the model where the search goes on; None where it has been everywhere.
 
-        That is the set with the highest evidence, and at last the one with the highest score.
+        That is the set with the highest evidence, if it counts for something more than those that
+        were linearised before; and at last the one with the highest score.
 
         Parameters
         ----------
@@ -130,8 +139,10 @@ class Seen:
         every = {**known, **{names: item for names, item in self.stations.items()
                              if item[1] > self.evidence.get(names, -np.inf)}}
         highest = max(every, key=lambda names: every[names][1] + prior_of(names))
+        went = max(done.values(), default=-np.inf)
         for names, (fit, value) in ((highest, every[highest]), (best, known[best])):
-            if value > done.get(names, -np.inf) + enough:
+            if value > done.get(names, -np.inf) + enough and (
+                    names == best or self.pursued(value, went)):
                 return names, fit
         return None
 
@@ -158,8 +169,8 @@ def beyond(evidence: float, least: float, explained: float) -> float:
     return least + gained * max(1.0 - (form / gained) ** 2, 0.0)
 
 
-def posterior(seen: Seen, here: Names, ranking: Sequence[Ranked], promising: bool = False
-              ) -> dict[Names, float]:
+def posterior(seen: Seen, views: Sequence[tuple[Names, Sequence[Ranked]]],
+              promising: bool = False) -> dict[Names, float]:
     """Return the probability of every set that was seen, refitted or by the linear guess.
 
     Sets by the linear guess are those of a linearisation, measured from the model there.  What
@@ -167,12 +178,14 @@ def posterior(seen: Seen, here: Names, ranking: Sequence[Ranked], promising: boo
 
     Parameters
     ----------
-    here : the model that was linearised; ``ranking`` the sets as they are ranked there.
+    views : models that were linearised, each with the sets as they are ranked there.
     promising : also of what seems better and was never refitted.
     """
     scores = seen.scores()
-    own = own_in(ranking, here)
-    if own is not None:
+    for here, ranking in views:
+        own = own_in(ranking, here)
+        if own is None:
+            continue
         least = evidence_at_start(seen, here)
         start = least - (own.evidence - own.prior)
         explained = least - seen.evidence.get(frozenset(), least)

@@ -1,5 +1,6 @@
 """Joint selection: linearise, rank every set, refit the best, linearise there again."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -7,11 +8,12 @@ import numpy as np
 from eha_monitor.mismatch.data.experiment import Experiment, resolving
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.name.base import limits_of, with_effect, without_effect
-from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, Column, rig_free
+from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, rig_free
 from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished
 from eha_monitor.mismatch.name.proposals import (
     STRAYED,
     Linearised,
+    beside,
     chosen_at,
     linearised,
     rivals_at,
@@ -56,17 +58,16 @@ class Selection:
     experiment : with integration steps that resolve the damping that was found.
     nominal : the model without effects; ``best`` the model of the set with most evidence.
     seen : every refitted set.
-    ranking : sets at the last linearisation, by the linear guess; ``what`` its columns,
-        ``here`` the model at which they were taken.
+    view : sets with names by the linear guess from the best model, if the search came there;
+        ``beside`` what has no name, beside parts of the best.
     """
 
     experiment: Experiment
     nominal: Fit
     best: Fit
     seen: Seen
-    ranking: list[Ranked]
-    what: tuple[Column, ...] = ()
-    here: Names = frozenset()
+    view: Linearised | None
+    beside: Linearised
 
 
 def nominal_model(experiment: Experiment) -> Fit:
@@ -131,17 +132,18 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
         raise np.linalg.LinAlgError("the nominal model's evidence is singular")
     views: dict[Names, Linearised] = {}
     done: dict[Names, float] = {}
-    ended = everywhere = False
+    others = elsewhere(experiment, first, seen)
+    ended = False
     for turn in range(ROUNDS):
         say(f"weighing all sets, round {turn + 1}", 0.1 + 0.1 * turn)
         at = seen.ahead(done, STRAYED)
         if at is not None:
             here, fit = at
-            view = linearised(experiment, here, fit) if turn else first_view(experiment, first)
+            view = linearised(experiment, here, fit)
             views[here] = replace(view, slopes=None)
-        elif not everywhere and (far := far_off(experiment, first, seen)):
-            everywhere, ended, here = True, False, frozenset()
-            view = linearised(experiment, here, far)
+        elif (other := next(others, None)) is not None:
+            ended, here = False, frozenset()
+            view = linearised(experiment, here, other)
         else:
             break
         done[here] = evidence_at_start(seen, here)
@@ -160,21 +162,9 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
             finish(experiment, seen)
             ended = True
     best = seen.best()
-    view = views.get(best, view)
-    return Selection(experiment, first, seen.fits[best], seen, view.ranking, view.what, view.here)
-
-
-def first_view(experiment: Experiment, first: Fit) -> Linearised:
-    """Return the linearisation of the nominal model at which the sets are told best.
-
-    That is at its fit, or at the config's own B and beta_e where the fit has gone far from them
-    and still lacks something.
-    """
-    places = [first]
-    if lacks(experiment, first) and bent(start := begun(experiment, FIRST), first):
-        places.append(start)
-    views = [linearised(experiment, frozenset(), fit) for fit in places]
-    return max(views, key=lambda view: view.ranking[0].evidence if view.ranking else -np.inf)
+    say("weighing what has no name", 0.85)
+    return Selection(experiment, first, seen.fits[best], seen, views.get(best),
+                     beside(experiment, best, seen.fits[best]))
 
 
 def lacks(experiment: Experiment, fit: Fit) -> bool:
@@ -183,14 +173,20 @@ def lacks(experiment: Experiment, fit: Fit) -> bool:
     return bool((fit.unknowns.as_array() > LEANING * small).any())
 
 
-def far_off(experiment: Experiment, first: Fit, seen: Seen) -> Fit | None:
-    """Return a nominal model with a number that is known to a factor far from the config's.
+def elsewhere(experiment: Experiment, first: Fit, seen: Seen) -> Iterator[Fit]:
+    """Yield further places of the nominal model, as long as what was found still lacks something.
 
-    A leakage that is a hundred times too large leaves nothing that is linear where it stands.
-    None where nothing is lacking, or where no such number does better than the nominal fit.
+    They are the config's own B and beta_e, where what is left out has bent the fit; and numbers
+    that are known to a factor, far from the config's: a leakage that is a hundred times too large
+    leaves nothing that is linear where it stands.
     """
-    if experiment.inverse or not lacks(experiment, seen.fits[seen.best()]):
-        return None
+    def lacking() -> bool:
+        return not experiment.inverse and lacks(experiment, seen.fits[seen.best()])
+
+    if lacking() and bent(start := begun(experiment, FIRST), first):
+        yield start
+    if not lacking():
+        return
     found = []
     for f in rig_free(experiment):
         for step in (-FAR_OFF * f.spread, FAR_OFF * f.spread) if f.spread > LOOSE else ():
@@ -198,7 +194,8 @@ def far_off(experiment: Experiment, first: Fit, seen: Seen) -> Fit | None:
             theta[f.place] *= np.exp(step)
             found.append(with_unknowns(experiment, replace(first, theta=theta), first.unknowns))
     best = max(found, key=lambda fit: fit.log_likelihood, default=first)
-    return best if best.log_likelihood > first.log_likelihood else None
+    if best.log_likelihood > first.log_likelihood:
+        yield best
 
 
 def bent(start: Fit, fit: Fit) -> bool:
