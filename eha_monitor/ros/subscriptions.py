@@ -20,7 +20,7 @@ from eha_monitor.ros.inputs import Decoder, Topic, has_stamp, message_class
 from eha_monitor.ros.quality import clashes
 from eha_monitor.ros.raw import RawReader
 
-# Best effort takes from every publisher; the depth holds ten seconds of a stalled process at 1 kHz.
+# Best effort takes from every publisher; the depth holds ten seconds of a process that stands.
 INPUT_QOS = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT)
 AT_ONCE = 500  # messages of a topic that are taken before those of the next
 
