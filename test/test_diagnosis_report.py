@@ -21,11 +21,18 @@ from eha_monitor.mismatch.diagnosis import (
     RigFinding,
     SignalFit,
     Value,
+    Window,
 )
 from eha_monitor.quantity import DIAGNOSED
 from eha_monitor.reports.diagnosis_figures import telling
 from eha_monitor.reports.diagnosis_report import diagnosis_page, write_diagnosis_report
-from eha_monitor.reports.diagnosis_words import head_words, message_words, probability, removed
+from eha_monitor.reports.diagnosis_words import (
+    head_words,
+    message_words,
+    probability,
+    removed,
+    windows_words,
+)
 from eha_monitor.settings import Settings, load_settings, settings_from_tree
 
 COMMAND = "eha-monitor diagnose bags/hidden_friction"
@@ -318,3 +325,14 @@ def test_a_rig_that_turns_has_newton_metres_everywhere(capsys):
 def test_report_that_cannot_be_written(tmp_path):
     with pytest.raises(InputError, match="cannot write"):
         write_diagnosis_report(tmp_path / "missing" / "x.html", coulomb(), Settings())
+
+
+def test_a_long_recording_says_on_which_windows_its_effects_were_named():
+    found = replace(coulomb(), named_on=(Window("bag", 8.0, 16.0), Window("bag", 32.0, 40.0)))
+    said = windows_words(found)
+    assert "on the 16 s that tell most (8 to 16 s and 32 to 40 s)" in said
+    assert said in diagnosis_page(found, Settings())
+    assert windows_words(coulomb()) == ""
+    assert answer(found)["named_on"] == [
+        {"bag": "bag", "start_s": 8.0, "stop_s": 16.0},
+        {"bag": "bag", "start_s": 32.0, "stop_s": 40.0}]

@@ -64,6 +64,7 @@ def answer(found: Diagnosis) -> dict:
         "explained": None,
         "pieces": [{"bag": piece.bag, "start_s": piece.start_s, "stop_s": piece.stop_s,
                     "parameters": _values(piece.values)} for piece in found.pieces],
+        "named_on": [asdict(one) for one in found.named_on],
         "duration_s": found.duration_s,
         "wall_s": found.wall_s,
     })

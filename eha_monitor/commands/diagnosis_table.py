@@ -25,6 +25,7 @@ from eha_monitor.reports.diagnosis_words import (
     rig_words,
     sentence,
     value_words,
+    windows_words,
 )
 from eha_monitor.words import effect_words, listed
 
@@ -63,7 +64,7 @@ def show(found: Diagnosis, written: list[Path], notes: list[str] = ()) -> None:
                              ("note", notes)):
         for text in sentences:
             console.print(f"[yellow]{title}[/]: {escape(sentence(text))}")
-    if text := certainty(found):
+    for text in filter(None, (certainty(found), windows_words(found))):
         console.print(escape(text), style="dim")
     if found.before or found.after:
         console.print(DIAGNOSED, style="dim")

@@ -20,6 +20,7 @@ from eha_monitor.mismatch.diagnosis import (
     RigFinding,
     SignalFit,
     Value,
+    Window,
 )
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
@@ -102,8 +103,9 @@ def diagnose_held(recordings: list[Recording], settings: Settings, held_out: Rec
                             f"the piston moves by {quantity(experiment.ranges.position, 'm', 2)} "
                             f"only, with {quantity(experiment.noise[0], 'm', 2)} of noise: "
                             "nothing can be told")
+    whole, told = experiment.stretches, telling(experiment)
     naming = on_all_of(experiment, name_effects(
-        telling(experiment), lambda text, share: say(text, 0.85 * share)))
+        told, lambda text, share: say(text, 0.85 * share)))
     experiment = naming.experiment
     pieces: tuple[Piece, ...] = ()
     if not experiment.inverse and (verdict_of(experiment, naming) != "consistent"
@@ -117,8 +119,12 @@ def diagnose_held(recordings: list[Recording], settings: Settings, held_out: Rec
     say("showing the fit on unseen data", 0.88)
     shown = experiment if held_out is None else replace(
         experiment_of([held_out], settings, False), steps=experiment.steps)
-    return assemble(experiment, shown, naming, bags, duration, started, held_out is not None,
-                    pieces)
+    found = assemble(experiment, shown, naming, bags, duration, started, held_out is not None,
+                     pieces)
+    windows = () if told.stretches is whole else told.stretches
+    return replace(found, named_on=tuple(Window(
+        one.source, round(one.start, 4), round(one.start + len(one) * told.dt, 4))
+        for one in windows))
 
 
 def insufficient(bags: tuple[str, ...], duration: float, started: float, why: str) -> Diagnosis:

@@ -164,6 +164,15 @@ class Piece:
 
 
 @dataclass(frozen=True)
+class Window:
+    """A part of a recording, s."""
+
+    bag: str
+    start_s: float
+    stop_s: float
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """The whole answer.
 
@@ -181,6 +190,8 @@ class Diagnosis:
         hold in place of ``auto`` where the recordings tell it.
     probability : of ``consistent`` and of ``unexplained``, 0 to 1.
     rig_data : numbers of the rig that the recordings contradict.
+    named_on : windows of long recordings on which the effects were named; empty where they were
+        named on all of it.
     """
 
     bags: tuple[str, ...]
@@ -206,3 +217,4 @@ class Diagnosis:
     command_hold: str = "auto"
     probability: dict[str, float] = field(default_factory=dict)
     rig_data: tuple[RigFinding, ...] = ()
+    named_on: tuple[Window, ...] = ()

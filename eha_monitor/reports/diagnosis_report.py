@@ -99,6 +99,7 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
         agreement=_agreement(found),
         advice=[words.sentence(text) for text in found.advice],
         certainty=words.certainty(found),
+        windows=words.windows_words(found),
         losses=losses,
         command=command,
         config=config_sections(settings),

@@ -14,6 +14,7 @@ from eha_monitor.quantity import (
 )
 from eha_monitor.settings.tolerance import Tolerance
 from eha_monitor.units import LARGEST
+from eha_monitor.words import listed
 
 # Verdict -> (colour, first words).
 VERDICTS = {
@@ -43,6 +44,18 @@ def head_of(found: Diagnosis) -> tuple[str, str]:
     if found.verdict == "mismatch" and found.rig_data and not found.effects:
         return WRONG_NUMBERS
     return VERDICTS.get(found.verdict, ("unknown", found.verdict))
+
+
+def windows_words(found: Diagnosis) -> str:
+    """Return on which parts of a long recording the effects were named; empty if on all of it."""
+    if not found.named_on:
+        return ""
+    length = sum(one.stop_s - one.start_s for one in found.named_on)
+    several = len({one.bag for one in found.named_on}) > 1
+    where = listed([f"{number(one.start_s)} to {number(one.stop_s)} s"
+                    + (f" of {one.bag}" if several else "") for one in found.named_on])
+    return (f"Effects were named on the {number(length)} s that tell most ({where}); "
+            "the models were then run over the whole recording.")
 
 
 def probability(share_of_one: float) -> str:
