@@ -12,6 +12,7 @@ import warnings
 from pathlib import Path
 
 import numba
+from numba.core import types
 from numba.core.registry import CPUDispatcher
 
 from eha_monitor import compiled_cache
@@ -45,7 +46,7 @@ def _source_hash() -> str:
 PLACES = compiled_cache.places(_source_hash())
 CACHE = PLACES[0]
 FIRST_RUN = not any(place.exists() for place in PLACES)
-compiled_cache.announce(CACHE)
+ANNOUNCER = compiled_cache.announce(CACHE)
 
 # The catalogue calls its terms through a tuple of functions: works, cached, "experimental".
 warnings.filterwarnings("ignore", category=numba.core.errors.NumbaExperimentalFeatureWarning)
@@ -60,16 +61,30 @@ def njit(function=None, *, cache: bool = True, **options):
     if function is None:
         return lambda inner: njit(inner, cache=cache, **options)
     made = numba.njit(function, **options)
+    if isinstance(made, CPUDispatcher):  # NUMBA_DISABLE_JIT: the function itself
+        made.get_call_template = _whatever_the_value(made.get_call_template)
     # A function of somebody else's file is kept by nobody: the folder is named by our source.
     ours = Path(function.__code__.co_filename).is_relative_to(compiled_cache.PACKAGE)
-    if cache and ours and isinstance(made, CPUDispatcher):  # NUMBA_DISABLE_JIT: the function
+    if cache and ours and isinstance(made, CPUDispatcher):
         made._cache = compiled_cache.SharedCache(function, PLACES)
     return made
 
 
-def load_runtime() -> None:
-    """Load what numba otherwise imports at the first call (0.4 s), so that it counts as start."""
-    from numba.core.registry import cpu_target
+def _whatever_the_value(template):
+    """Let a call with a constant, as in ``f(x, True)``, take the code of any value.
 
-    cpu_target.typing_context.refresh()
-    cpu_target.target_context.refresh()
+    numba compiles a function anew for each constant that a caller passes.  What is written into
+    its caller knows the constant all the same.
+    """
+    def plain(args, kws):
+        return template(tuple(types.unliteral(given) for given in args),
+                        {name: types.unliteral(given) for name, given in kws.items()})
+    return plain
+
+
+def load_runtime() -> None:
+    """Start what compiled functions run on, so that it counts as start and not as an answer."""
+    from numba.core.registry import cpu_target
+    from numba.core.runtime import rtsys
+
+    rtsys.initialize(cpu_target.target_context)

@@ -9,16 +9,19 @@ needs an index.
 
 import contextlib
 import hashlib
+import json
 import os
 import pickle
 import re
 import sys
 import tempfile
 import threading
+import time
 from pathlib import Path
 
 import numba
-from numba.core import caching, event
+from numba.core import caching, event, types
+from numba.core.runtime import rtsys
 
 PACKAGE = Path(__file__).parent
 DIGEST = 32  # bytes of the content's digest, ahead of it
@@ -107,6 +110,12 @@ class SharedCache(caching.FunctionCache):
         self._cache_file = _Files(places, Path(self._cache_path).name, self._impl.filename_base)
         self.enable()
 
+    def load_overload(self, sig, target_context):
+        """Load a function, and not all that numba can compile: half a second of imports."""
+        rtsys.initialize(target_context)  # the reference counts of arrays
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
+
     @contextlib.contextmanager
     def _guard_against_spurious_io_errors(self):
         # A disk that is full or read-only costs the next process its time, nobody an answer.
@@ -153,10 +162,11 @@ def _writable() -> Path:
 class Announcer(event.Listener):
     """Says in one line that compilation begins, before the silence, whoever asked for it."""
 
-    SECONDS = 60  # of processor, for all that `estimate` needs: 33 alone, 50 on a busy machine
-    MORE = 30  # and for what only a diagnosis or its advice needs
+    SECONDS = 40  # of processor, for all that `estimate` needs, on a busy machine
+    MORE = 40  # and for what only a diagnosis or its advice needs
 
     def __init__(self, place: Path):
+        self.quiet = False
         self._place = place
         self._said: set[str] = set()
         self._lock = threading.Lock()
@@ -169,7 +179,7 @@ class Announcer(event.Listener):
         part = ("the diagnosis" if re.match(r"eha_monitor\.(mismatch|concealed)\.", module)
                 else "the model")
         with self._lock:
-            if part in self._said:
+            if self.quiet or part in self._said:
                 return
             self._said.add(part)
         seconds = self.MORE if part == "the diagnosis" else self.SECONDS
@@ -180,6 +190,57 @@ class Announcer(event.Listener):
         """Say nothing: the answer follows."""
 
 
-def announce(place: Path) -> None:
-    """Tell from now on when something is compiled into ``place``."""
-    event.register("numba:compile", Announcer(place))
+class Listed(event.Listener):
+    """Adds a line of JSON to a file for each function that is compiled, when it is done.
+
+    A line is [depth, module, function, seconds of processor in this thread, types, the command];
+    depth 0 was called from Python, a deeper one by what was being compiled.
+    """
+
+    def __init__(self, file: Path):
+        self._file, self._begun = file, threading.local()
+
+    def on_start(self, event) -> None:
+        """Start the clock."""
+        self._begun.__dict__.setdefault("stack", []).append(time.thread_time())
+
+    def on_end(self, event) -> None:
+        """Write the line."""
+        seconds = time.thread_time() - self._begun.stack.pop()
+        function = event.data["dispatcher"].py_func
+        line = json.dumps([len(self._begun.stack), function.__module__, function.__qualname__,
+                           round(seconds, 3), written(event.data["args"]), sys.argv])
+        with open(self._file, "a", encoding="utf-8") as file:
+            file.write(line + "\n")
+
+
+def written(given: tuple | types.Type) -> str:
+    """Return types as :mod:`eha_monitor.signatures` has them."""
+    if isinstance(given, tuple):
+        return f"({', '.join(map(written, given))}{',' * (len(given) == 1)})"
+    if isinstance(given, types.NamedTuple):
+        made = given.instance_class
+        return f"named({made.__module__!r}, {made.__name__!r}, {', '.join(map(written, given))})"
+    if isinstance(given, types.Array) and given.ndim and given.mutable and given.aligned:
+        places = [":"] * given.ndim
+        if given.layout in "CF":
+            places[-1 if given.layout == "C" else 0] = "::1"
+        return f"{written(given.dtype)}[{', '.join(places)}]"
+    if isinstance(given, types.Array):
+        return (f"Array({written(given.dtype)}, {given.ndim}, {given.layout!r}, "
+                f"readonly={not given.mutable}, aligned={given.aligned})")
+    if isinstance(given, types.UniTuple):
+        return f"UniTuple({written(given.dtype)}, {given.count})"
+    return str(given)
+
+
+def announce(place: Path) -> Announcer:
+    """Tell from now on when something is compiled into ``place``.
+
+    ``EHA_MONITOR_COMPILED`` names a file that keeps a list (:class:`Listed`).
+    """
+    announcer = Announcer(place)
+    event.register("numba:compile", announcer)
+    if file := os.environ.get("EHA_MONITOR_COMPILED"):
+        event.register("numba:compile", Listed(Path(file)))
+    return announcer

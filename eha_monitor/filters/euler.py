@@ -10,6 +10,7 @@ import numpy as np
 
 from eha_monitor.compiled import njit
 from eha_monitor.filters.inputs import StageInputs
+from eha_monitor.filters.small_matrices import symmetric, times, times_transposed
 from eha_monitor.physics import signals as s
 from eha_monitor.settings.monitor import Settings
 
@@ -44,16 +45,19 @@ def _run(x, u, b, dt, mass, stiff, gain, leak, r, q, m, p, out):
     for i in range(x.shape[0]):
         if i > 0 and not math.isnan(u[i - 1]):
             printed_step(m, b[i], u[i - 1], dt, mass, stiff, gain, leak, f)
-            p[:, :] = f @ p @ f.T
+            p = times_transposed(times(f, p), f)
             p[2, 2] += q * dt * dt
         nu, sd = math.nan, math.nan
         if not math.isnan(x[i]):
             spread = p[0, 0] + r
             nu, sd = x[i] - m[0], math.sqrt(spread)
-            k[:] = p[:, 0] / spread
-            m += k * nu
-            p -= np.outer(k, p[0])
-            p[:, :] = 0.5 * (p + p.T)
+            for j in range(4):
+                k[j] = p[j, 0] / spread
+                m[j] += k[j] * nu
+            for j in range(3, -1, -1):  # the first row, by which all are changed, last
+                for other in range(3, -1, -1):
+                    p[j, other] -= k[j] * p[0, other]
+            p = symmetric(p)
         out[0, i], out[1, i], out[2, i], out[3, i] = m[0], m[1], m[2], m[3]
         out[4, i] = out[5, i] = math.sqrt(max(p[3, 3], 0.0))
         out[6, i], out[7, i] = nu, sd

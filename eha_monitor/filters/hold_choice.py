@@ -10,8 +10,6 @@ hold decided.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import lsq_linear
-from scipy.signal import savgol_filter
 
 from eha_monitor.filters.drive import drive_input
 from eha_monitor.filters.hold import Hold
@@ -24,6 +22,7 @@ from eha_monitor.filters.inputs import (
     missing,
     without_spikes,
 )
+from eha_monitor.filters.least_squares import fitted_with_signs, local_derivatives
 from eha_monitor.filters.noise import noise_levels
 from eha_monitor.filters.results import NoiseEstimate
 from eha_monitor.filters.run_two import most_telling
@@ -280,13 +279,12 @@ def friction_of(x: np.ndarray, force: np.ndarray, settings: Settings, dt: float,
     good = np.isfinite(x)
     window = max(SMOOTHED, round(SMOOTH_S / dt) // 2 * 2 + 1)
     filled = np.interp(index, index[good], x[good])
-    v, a = (savgol_filter(filled, window, 3, deriv=order, delta=dt) for order in (1, 2))
+    v, a = local_derivatives(filled, window, dt)
     highest = max(float(np.abs(v).max()), 1e-12)
     columns = np.column_stack([np.ones(len(v)), v / highest, np.tanh(v / (CREEP * highest)),
                                v * np.abs(v / highest) / highest][: 2 + terms])
     rest = force - rig.mass * a
     rows = np.isfinite(rest)
-    lower = np.concatenate([[-np.inf], np.zeros(1 + terms)])
-    weights = lsq_linear(columns[rows], rest[rows], (lower, np.inf), method="bvls").x
+    weights = fitted_with_signs(columns[rows], rest[rows])
     damping = max(weights[1] / highest, 0.1 * rig.viscous_damping)
     return weights[0] + columns[:, 2:] @ weights[2:], (damping, np.inf)

@@ -15,6 +15,14 @@ import numpy as np
 
 from eha_monitor.compiled import njit
 from eha_monitor.filters.hold import Hold
+from eha_monitor.filters.small_matrices import (
+    add,
+    solved,
+    symmetric,
+    times,
+    times_transposed,
+    transposed,
+)
 from eha_monitor.filters.stage_two import discretise_at
 
 LASTS = 0.02  # s that an unknown force or flow lasts
@@ -37,19 +45,21 @@ def steady_covariance(a, h, q, r):
     P = A P A' - A P H' (H P H' + R)^-1 H P A' + Q; each step carries twice as many samples as the
     one before (Anderson 1978).
     """
-    x, g, step = q.copy(), np.zeros((STATES, STATES)), a.T.copy()
+    x, g, step = q.copy(), np.zeros((STATES, STATES)), transposed(a)
     for j in range(h.shape[0]):
         for i in range(STATES):
             for k in range(STATES):
                 g[i, k] += h[j, i] * h[j, k] / r[j]
-    eye = np.eye(STATES)
     for _ in range(DOUBLINGS):
-        kept = np.linalg.solve(eye + g @ x, step)
-        more = step.T @ x @ kept
-        g = g + step @ np.linalg.solve(eye + g @ x, g @ step.T)
-        x = x + 0.5 * (more + more.T)
-        g = 0.5 * (g + g.T)
-        step = step @ kept
+        gx = times(g, x)
+        for i in range(STATES):
+            gx[i, i] += 1.0
+        kept = solved(gx.copy(), step.copy())
+        more = times(times(transposed(step), x), kept)
+        add(g, times(step, solved(gx, times_transposed(g, step))))
+        add(x, symmetric(more))
+        g = symmetric(g)
+        step = times(step, kept)
         change = 0.0
         for i in range(STATES):
             if abs(more[i, i]) > 1e-4 * abs(x[i, i]):
@@ -171,9 +181,11 @@ def log_likelihood(z, noise, start, end, known, unsure, constants, leak, damping
             scaled[i, j] = a[i, j] * unit[j] / unit[i]
             scaled_q[i, j] = q[i, j] / (unit[i] * unit[j])
     p = steady_covariance(scaled, h, scaled_q, np.ones(m))
-    ph = p @ h.T
-    s = h @ ph + np.eye(m)
-    whole = np.linalg.solve(s, ph.T)
+    ph = times_transposed(p, h)
+    s = times(h, ph)
+    for j in range(m):
+        s[j, j] += 1.0
+    whole = solved(s, transposed(ph))
     for i in range(STATES):
         for j in range(m):
             gain[i, j] = whole[j, i] * unit[i] / noise[j]
@@ -186,7 +198,9 @@ def log_likelihood(z, noise, start, end, known, unsure, constants, leak, damping
                     round(SETTLES / dt), total)
     if count < 1:
         return -np.inf
-    total /= count
+    for j in range(m):
+        for i in range(m):
+            total[j, i] /= count
     spread = total[0, 0] if m == 1 else total[0, 0] * total[1, 1] - total[0, 1] ** 2
     if not spread > 0.0:
         return -np.inf

@@ -305,13 +305,9 @@ def log_likelihood_two(x, start, end, q_u, instrument, b, c, constants, leak, le
     return total
 
 
-@njit
 def bank_two(x, start, end, q_u, instrument, b, grid, constants, leak, leak_flow, dt, r, q_f,
              mean, theta, plain, remembering, flows, memory):
     """Return the log likelihood at each compliance of ``grid``; (len(grid),)."""
-    out = np.empty(grid.shape[0])
-    for i in range(grid.shape[0]):
-        out[i] = log_likelihood_two(x, start, end, q_u, instrument, b, grid[i], constants, leak,
-                                    leak_flow, dt, r, q_f, mean, theta, plain, remembering, flows,
-                                    memory)
-    return out
+    return np.array([log_likelihood_two(
+        x, start, end, q_u, instrument, b, c, constants, leak, leak_flow, dt, r, q_f, mean, theta,
+        plain, remembering, flows, memory) for c in grid])

@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from eha_monitor.compiled import njit
+from eha_monitor.filters.small_matrices import copied
 from eha_monitor.filters.stage_two import BETA_0, EXTRA_C, GAIN, STIFF
 from eha_monitor.physics.contributions import (
     N_EFFECTS,
@@ -155,7 +156,8 @@ def modelled_force(x, v, var_x, var_v, f0, f1, b, mass, dt, steps, p1, p2, theta
     h = max(math.sqrt(max(var_v, 0.0)), 1e-9)
     slope_x = slope_v = unknown = 0.0
     for side in (1.0, -1.0):
-        trial[:] = memory
+        for which in range(memory.shape[0]):
+            copied(trial[which], memory[which])
         slope_v += side * mean_force(x, v + side * h, f0, f1, b, mass, dt, steps, theta, plain,
                                      remembering, trial, s, c)
     slope_v /= 2.0 * h

@@ -53,21 +53,32 @@ def new_memory() -> np.ndarray:
 
 
 @njit
+def _both(active, have):
+    """Return the places at which both are true, ascending.  numba's own compile for seconds."""
+    places, count = np.empty(N_EFFECTS, dtype=np.int64), 0
+    for which in range(N_EFFECTS):
+        if active[which] and have[which]:
+            places[count] = which
+            count += 1
+    return places[:count]
+
+
+@njit
 def with_term(active):
     """Return the places of the active effects that have a term, ascending."""
-    return np.flatnonzero(active & _HAS_TERM)
+    return _both(active, _HAS_TERM)
 
 
 @njit
 def with_update(active):
     """Return the places of the active effects that remember, ascending."""
-    return np.flatnonzero(active & _HAS_UPDATE)
+    return _both(active, _HAS_UPDATE)
 
 
 @njit
 def with_place(active):
     """Return the places of the active effects whose memory holds a position, ascending."""
-    return np.flatnonzero(active & _HAS_PLACE)
+    return _both(active, _HAS_PLACE)
 
 
 @njit(forceinline=True)
@@ -107,6 +118,7 @@ def circuit_of(theta, active):
     w = np.zeros(N_CIRCUIT)
     for place in LIMITS:
         w[place] = np.inf
-    for which in np.flatnonzero(active & _HAS_CIRCUIT):
-        _circuit(which, theta, w)
+    for which in range(N_EFFECTS):
+        if active[which] and _HAS_CIRCUIT[which]:
+            _circuit(which, theta, w)
     return w

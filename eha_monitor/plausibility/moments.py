@@ -8,7 +8,6 @@ gone through once; a hypothesis then costs a small matrix, whatever the recordin
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import prev_fast_len
 
 from eha_monitor.recordings.align import spans
 from eha_monitor.recordings.recording import Recording
@@ -135,7 +134,19 @@ def stretch_of(recording: Recording) -> tuple[int, int]:
     start, stop = max(pieces, key=lambda piece: np.nansum(
         (x[slice(*piece)] - np.nanmean(x[slice(*piece)])) ** 2))
     # One sample more than a length whose transform is quick.
-    return start, start + (prev_fast_len(stop - start - 1) + 1 if stop - start > 2 else 0)
+    return start, start + (quick_length(stop - start - 1) + 1 if stop - start > 2 else 0)
+
+
+def quick_length(samples: int) -> int:
+    """Return the largest number of samples, of factors up to 11, that is no larger."""
+    for length in range(samples, 1, -1):
+        left = length
+        for factor in (2, 3, 5, 7, 11):
+            while left % factor == 0:
+                left //= factor
+        if left == 1:
+            return length
+    return samples
 
 
 def filled(values: np.ndarray) -> np.ndarray:

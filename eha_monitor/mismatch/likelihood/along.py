@@ -3,6 +3,7 @@
 import numpy as np
 
 from eha_monitor.compiled import njit
+from eha_monitor.filters.small_matrices import copied
 from eha_monitor.mismatch.data.experiment import Experiment, Stretch
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.physics import signals as s
@@ -64,9 +65,9 @@ def contributions_along(trajectory, dt, steps, theta, active, memory, out):
     c = np.zeros(s.N_CONTRIBUTIONS)
     n = trajectory.shape[0]
     for k in range(n):
-        now[:] = trajectory[k]
+        copied(now, trajectory[k])
         add_contributions(now, theta, terms, memory, c)
-        out[k] = c
+        copied(out[k], c)
         if k + 1 < n and len(updates):
             for i in range(1, steps + 1):
                 f = i / steps

@@ -12,6 +12,14 @@ import math
 import numpy as np
 
 from eha_monitor.compiled import njit
+from eha_monitor.filters.small_matrices import (
+    copied,
+    solved,
+    symmetric,
+    times,
+    times_transposed,
+    transposed,
+)
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.physics.contributions import (
     circuit_of,
@@ -68,7 +76,11 @@ def innovate(z, u, p1, p2, mode, dt, steps, theta, active, gains, decay, y, memo
     terms, updates, places = with_term(active), with_update(active), with_place(active)
     c, s = np.zeros(N_CONTRIBUTIONS), np.zeros(N_SIGNALS)
     shown = np.zeros(N_OUTPUTS)
-    by_output = gains.transpose(0, 2, 1).copy()  # a sensor's gains side by side
+    by_output = np.empty((gains.shape[0], N_OUTPUTS, gains.shape[1]))
+    for at in range(gains.shape[0]):  # a sensor's gains side by side
+        for j in range(N_OUTPUTS):
+            for i in range(gains.shape[1]):
+                by_output[at, j, i] = gains[at, i, j]
     last = 0
     h = dt / steps
     for k in range(n):
@@ -141,7 +153,7 @@ def transition(mode, dt, steps, theta, active, memory, decay, y, u, shifts, a, h
             inner = memory.copy()
             for r in range(RING):  # the past of a steady motion to this point
                 past[r, 0] = moved[0] - ((RING - r) % RING) * dt / steps * moved[1]
-                past[r, 1:] = moved[1:4]
+                past[r, 1], past[r, 2], past[r, 3] = moved[1], moved[2], moved[3]
             if mode == FORCED:
                 shown[side, 0], shown[side, 1] = moved[0], moved[1]
                 advance_forced(moved, 0.0, dt, steps, u, 0, given[:1], given[1:], theta, terms,
@@ -155,7 +167,7 @@ def transition(mode, dt, steps, theta, active, memory, decay, y, u, shifts, a, h
             moved[Y_FORCE] *= decay
             moved[Y_FLOW] *= decay
             moved[Y_SPEED] *= decay
-            ends[side] = moved
+            copied(ends[side], moved)
         for j in range(N_FILTERED):
             a[j, i] = (ends[0, j] - ends[1, j]) / (2.0 * shifts[i])
         for j in range(N_OUTPUTS):
@@ -184,22 +196,28 @@ def riccati(a, h, q, r, p, used, gains):
     m, states = len(places), a.shape[0]
     hs = np.zeros((m, states))
     for i in range(m):
-        hs[i] = h[places[i]]
+        for j in range(states):
+            hs[i, j] = h[places[i], j]
     old = np.zeros((states, m))
     for k in range(gains.shape[0]):
-        ph = p @ hs.T
-        s = hs @ ph
+        ph = times_transposed(p, hs)
+        s = times(hs, ph)
         for i in range(m):
             s[i, i] += r[places[i]]
-        gain = np.linalg.solve(s, ph.T).T
+        gain = transposed(solved(s, transposed(ph)))
         gains[k] = 0.0
+        size = 1e-300
         for i in range(m):
-            gains[k, :, places[i]] = gain[:, i]
-        p = p - gain @ ph.T
-        p = a @ (0.5 * (p + p.T)) @ a.T
+            for j in range(states):
+                gains[k, j, places[i]] = gain[j, i]
+                size = max(size, abs(gain[j, i]))
+        taken = times_transposed(gain, ph)
+        for i in range(states):
+            for j in range(states):
+                taken[i, j] = p[i, j] - taken[i, j]
+        p = times_transposed(times(a, symmetric(taken)), a)
         for i in range(states):
             p[i, i] += q[i]
-        size = np.abs(gain).max() + 1e-300
         change = 0.0
         for i in range(states):
             for j in range(m):

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from eha_monitor.compiled import njit
+from eha_monitor.filters.small_matrices import copied
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.mismatch.likelihood.innovations import FREE, N_FILTERED
 from eha_monitor.physics.balances import acceleration, drive_speed, rates
@@ -242,7 +243,7 @@ def jacobian(mode, slow, lag, theta, w, terms, y, unknown, span, t, value, behin
                    out)
             unknown[2] = was_here
         elif i == Y_OMEGA and not slow:
-            out[:] = rates
+            copied(out, rates)
         else:
             was_here = y[i]
             y[i] += span[i]
@@ -251,7 +252,7 @@ def jacobian(mode, slow, lag, theta, w, terms, y, unknown, span, t, value, behin
             y[i] = was_here
         for r in range(N_RATES):
             jac[r, i] = (out[r] - rates[r]) / span[i]
-    c[:] = kept
+    copied(c, kept)
     return turning
 
 
@@ -322,7 +323,7 @@ def slopes_along(model, motion, memory):
             written[here, 0] = y[1]
             for i in range(N_RATES):
                 written[here, 1 + i] = out[i]
-    slopes_end[0] = slopes[0]
+    copied(slopes_end[0], slopes[0])
 
 
 @njit(nogil=True)

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from eha_monitor.compiled import njit
+from eha_monitor.filters.small_matrices import copied
 from eha_monitor.mismatch.data.inputs import CLOSED
 from eha_monitor.mismatch.likelihood.innovations import FREE, N_FILTERED
 from eha_monitor.mismatch.likelihood.tangent_lanes import compare
@@ -184,13 +185,14 @@ def stepped(jacs, by_memory, renewed, g, h, delta, kept, inside, rate, whole):
         for stage in range(STAGES):
             at = STAGES * step + stage
             offset = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
-            inside[:] = delta
+            for i in range(N_FILTERED):
+                copied(inside[i], delta[i])
             if stage > 0:
                 for i in range(N_MOVED):
                     add_times(offset * h, rate[i], inside[i])
-            rate[0] = inside[1]
+            copied(rate[0], inside[1])
             for r in range(N_RATES):
-                rate[1 + r] = g[at, r]
+                copied(rate[1 + r], g[at, r])
                 for i in range(N_FILTERED):
                     add_times(jacs[at, r, i], inside[i], rate[1 + r])
                 for e in range(kept.shape[0]):
@@ -207,7 +209,8 @@ def stepped(jacs, by_memory, renewed, g, h, delta, kept, inside, rate, whole):
                     add_times(renewed[step, e, m, i], delta[i], inside[m])
                 for i in range(2):
                     add_times(renewed[step, e, m, 4 + i], kept[e, i], inside[m])
-            kept[e, 0], kept[e, 1] = inside[0], inside[1]
+            for m in range(2):
+                copied(kept[e, m], inside[m])
 
 
 @njit(nogil=True)
@@ -243,15 +246,16 @@ def carried_on(model, motion, points, linear, lanes, areas, e, gains, role, deca
         at = min(k, gains.shape[0] - 1)
         if late:
             for i in range(4):
-                old_end[k % depth, i] = delta[i]
-        other[:] = delta
+                copied(old_end[k % depth, i], delta[i])
+        for i in range(N_FILTERED):
+            copied(other[i], delta[i])
         both = role[k] > 0.0 and math.isfinite(e[k, 2]) and math.isfinite(e[k, 3])
         for place in range(len(used)):
             j = used[place]
             if not math.isfinite(e[k, j]):
                 out[k, place] = math.nan
                 continue
-            row[:] = shown[k - begin, j]
+            copied(row, shown[k - begin, j])
             if j == 4:
                 for i in range(N_FILTERED):
                     add_times(shaft[k, i], delta[i], row)
@@ -301,26 +305,27 @@ def carried_on(model, motion, points, linear, lanes, areas, e, gains, role, deca
                     add_times(-1.0, delta[0], kept[i, 1])
         if late:
             for i in range(4):
-                old_start[k % depth, i] = other[i]
+                copied(old_start[k % depth, i], other[i])
         if k == n - 1:
             break
         p = first[k] - first[begin]
         number = hard[k]
         if number >= 0:
-            delta[:] = other
+            for i in range(N_FILTERED):
+                copied(delta[i], other[i])
             stepped(points.jacs[number], points.by_memory[number], points.renewed[number],
                     g[p : p + stages], dt / model.steps, delta, kept, middle, rate, whole)
         else:
             pushed(other, phi, gamma, g[p : p + SOFT], delta)
             if len(jacs):
                 for i in range(N_MOVED, N_FILTERED):
-                    middle[i] = other[i]
+                    copied(middle[i], other[i])
                 pushed(other, half, half_gamma, g[p : p + SOFT], middle)
                 kicked(jacs[k], constant, dt, matrix, right, kick)
                 kick_lanes(kick, half, middle, row, delta)
                 for i in range(len(updates)):  # it slides, and forgets
                     kept[i, 0] = 0.0
-                    kept[i, 1] = delta[0]
+                    copied(kept[i, 1], delta[0])
         for i in range(Y_FORCE, N_FILTERED):
             for lane in range(count):
                 delta[i, lane] = decay * other[i, lane]

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from eha_monitor.compiled import njit
+from eha_monitor.filters.small_matrices import copied
 from eha_monitor.mismatch.data.inputs import FORCED
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED
 from eha_monitor.mismatch.likelihood.tangent_motion import (
@@ -136,11 +137,11 @@ def look(model, motion, points, size, memory):
                 all_rates[p, r] = rates[r]
             if mode == FORCED:
                 if len(terms):
-                    added[p] = c
+                    copied(added[p], c)
                 continue
             d = 1e-3 * (1.0 + abs(turning))
             if len(terms):
-                added[p] = c
+                copied(added[p], c)
                 s[OMEGA] = turning + d
                 contribute(s, theta, terms, memory, work)
             balanced(mode, value, y, turning + d, unknown[0], unknown[1], theta, work, moved)
@@ -185,12 +186,12 @@ def by_stages(model, motion, points, size, k, memory, s, c, rates, up, y, at, un
             seen[OMEGA] = turning
             if mode != FORCED:
                 seen[X_D] = value
-            points.inner[p] = unknown[:2]
-            points.rates[p] = rates
+            points.inner[p, 0], points.inner[p, 1] = unknown[0], unknown[1]
+            copied(points.rates[p], rates)
             for r in range(3):
                 points.faster[p, r] = jac[r, Y_SPEED]
             if len(terms):
-                points.added[p] = c
+                copied(points.added[p], c)
             for e in range(len(updates)):
                 for m in range(2):
                     kept = memory[updates[e], m]
@@ -212,7 +213,7 @@ def by_stages(model, motion, points, size, k, memory, s, c, rates, up, y, at, un
         if mode == FORCED:
             f = (step + 1.0) / steps
             y[2], y[3] = (1.0 - f) * p1[k] + f * p1[k + 1], (1.0 - f) * p2[k] + f * p2[k + 1]
-        points.reached[number, step] = y
+        copied(points.reached[number, step], y)
         span[0] = FINER * size[0] if y[1] >= 0.0 else -FINER * size[0]
         for e in range(len(updates)):
             renew(theta, updates[e : e + 1], (k * dt) + (step + 1) * h, y, h, span, memory, s,

@@ -1,0 +1,215 @@
+"""What commands call of what is compiled, with the types: generated, the longest first.
+
+``python benchmarks/compilations.py --write`` makes it; :mod:`eha_monitor.compile_all` reads it.
+"""
+
+import importlib
+
+from numba.core.types import Array, NamedTuple, UniTuple, bool, float64, int64, uint8
+
+
+def named(module: str, name: str, *fields) -> NamedTuple:
+    """Return the type of a named tuple of the package."""
+    return NamedTuple(fields, getattr(importlib.import_module(module), name))
+
+
+SIGNATURES = (
+    ("filters.hold_evidence", "log_likelihood", (
+        float64[:, ::1], float64[::1], float64[::1], float64[::1], float64[::1], bool[::1],
+        float64[::1], float64, float64, float64, float64, float64, float64, float64,
+    )),
+    ("mismatch.likelihood.tangent_pass", "carried_on", (
+        named('eha_monitor.mismatch.likelihood.tangent_motion', 'Model', int64, float64, int64,
+        float64[::1], float64[::1], bool, float64, float64, int64[::1], int64[::1], int64[::1]),
+        named('eha_monitor.mismatch.likelihood.tangent_motion', 'Motion', float64[:, ::1],
+        float64[::1], float64[::1], float64[:, ::1], float64[:, ::1], float64[:, ::1],
+        float64[:, ::1]), named('eha_monitor.mismatch.likelihood.tangent_points', 'Points',
+        int64[::1], float64[::1], float64[:, ::1], float64[:, ::1], float64[::1], float64[:, ::1],
+        float64[:, ::1], float64[:, ::1], int64[::1], float64[:, :, :, ::1],
+        float64[:, :, :, :, ::1], float64[:, :, ::1], float64[:, :, :, :, ::1]),
+        named('eha_monitor.mismatch.likelihood.tangent_pass', 'Linear', float64[:, ::1],
+        float64[:, :, ::1], float64[:, ::1], float64[:, :, ::1], float64[:, ::1],
+        float64[:, :, ::1], float64[:, ::1], float64[::1]),
+        named('eha_monitor.mismatch.likelihood.tangent_lanes', 'Lanes', int64[::1], int64[::1],
+        float64[:, ::1], float64[:, ::1], bool[::1], bool[::1], float64[::1], float64[:, :, ::1],
+        float64[:, :, ::1], float64[:, ::1]), float64[::1], float64[:, ::1], float64[:, :, ::1],
+        float64[::1], float64, int64[::1], float64[:, :, ::1],
+    )),
+    ("filters.kernel_two", "log_likelihood_two", (
+        float64[::1], float64[::1], float64[::1], float64[::1], float64[:, ::1], float64,
+        float64, float64[::1], float64, float64[::1], float64, float64, float64, float64[::1],
+        float64[::1], int64[::1], int64[::1], int64[::1], float64[:, ::1],
+    )),
+    ("physics.plant", "run", (
+        float64[::1], float64, float64, int64, float64[:, ::1], int64, int64, float64[:, ::1],
+        bool[::1], float64[:, ::1], float64[:, ::1], int64, float64[:, ::1], float64[:, ::1],
+    )),
+    ("mismatch.likelihood.innovations", "innovate", (
+        float64[:, ::1], float64[:, ::1], float64[::1], float64[::1], int64, float64, int64,
+        float64[::1], bool[::1], float64[:, :, ::1], float64, float64[::1], float64[:, ::1],
+        float64[:, ::1], float64[::1], float64[:, ::1], float64[:, ::1],
+    )),
+    ("mismatch.likelihood.innovations", "transition", (
+        int64, float64, int64, float64[::1], bool[::1], float64[:, ::1], float64, float64[::1],
+        float64[:, ::1], float64[::1], float64[:, ::1], float64[:, ::1],
+    )),
+    ("filters.kernel_one", "run_one", (
+        float64[::1], float64[::1], float64[::1], float64[::1], float64[::1], float64[::1],
+        float64, float64, float64, float64, bool, float64[::1], int64[::1], int64[::1],
+        float64[:, ::1], float64[::1], float64[::1], float64[::1], int64, float64[:, ::1],
+        float64[:, ::1],
+    )),
+    ("filters.kernel_two", "run_two", (
+        float64[::1], float64[::1], float64[::1], float64[::1], float64[:, ::1], float64[::1],
+        float64[::1], float64[::1], float64, float64[::1], float64, float64, float64, float64,
+        float64[::1], float64[::1], int64[::1], int64[::1], int64[::1], float64[:, ::1],
+        float64[::1], float64[:, ::1], float64[::1], float64[::1], float64[:, :, ::1],
+        float64[::1], int64, float64[:, ::1], float64[:, ::1],
+    )),
+    ("filters.kernel_two", "new_step", (
+        float64[::1],
+    )),
+    ("mismatch.likelihood.tangent_points", "look", (
+        named('eha_monitor.mismatch.likelihood.tangent_motion', 'Model', int64, float64, int64,
+        float64[::1], float64[::1], bool, float64, float64, int64[::1], int64[::1], int64[::1]),
+        named('eha_monitor.mismatch.likelihood.tangent_motion', 'Motion', float64[:, ::1],
+        float64[::1], float64[::1], float64[:, ::1], float64[:, ::1], float64[:, ::1],
+        float64[:, ::1]), named('eha_monitor.mismatch.likelihood.tangent_points', 'Points',
+        int64[::1], float64[::1], float64[:, ::1], float64[:, ::1], float64[::1], float64[:, ::1],
+        float64[:, ::1], float64[:, ::1], int64[::1], float64[:, :, :, ::1],
+        float64[:, :, :, :, ::1], float64[:, :, ::1], float64[:, :, :, :, ::1]), float64[::1],
+        float64[:, ::1],
+    )),
+    ("mismatch.likelihood.innovations", "riccati", (
+        float64[:, ::1], float64[:, ::1], float64[::1], float64[::1], float64[:, ::1], bool[::1],
+        float64[:, :, ::1],
+    )),
+    ("filters.euler", "_run", (
+        float64[::1], float64[::1], float64[::1], float64, float64, float64, float64, float64,
+        float64, float64, float64[::1], float64[:, ::1], float64[:, ::1],
+    )),
+    ("filters.kernel_two", "advance_two", (
+        float64[::1], float64[:, ::1], float64[::1], float64, float64, float64, float64, float64,
+        float64[::1], float64, float64, float64, float64, float64, float64, float64[::1],
+        int64[::1], int64[::1], int64[::1], float64[:, ::1], float64[:, ::1], bool,
+        float64[:, :, ::1], float64[::1], float64[:, :, ::1], float64[:, :, ::1], float64[::1],
+        float64[::1],
+    )),
+    ("mismatch.likelihood.tangent_motion", "jacobians", (
+        named('eha_monitor.mismatch.likelihood.tangent_motion', 'Model', int64, float64, int64,
+        float64[::1], float64[::1], bool, float64, float64, int64[::1], int64[::1], int64[::1]),
+        named('eha_monitor.mismatch.likelihood.tangent_motion', 'Motion', float64[:, ::1],
+        float64[::1], float64[::1], float64[:, ::1], float64[:, ::1], float64[:, ::1],
+        float64[:, ::1]), float64[::1], float64[:, ::1], float64[:, :, ::1],
+    )),
+    ("filters.kernel_joint", "run_joint", (
+        float64[::1], float64[::1], float64[::1], float64[::1], float64[::1], float64[:, ::1],
+        float64[::1], float64, float64, float64, float64, bool, float64[::1], float64[:, ::1],
+        float64[:, ::1],
+    )),
+    ("mismatch.likelihood.tangent_motion", "slopes_along", (
+        named('eha_monitor.mismatch.likelihood.tangent_motion', 'Model', int64, float64, int64,
+        float64[::1], float64[::1], bool, float64, float64, int64[::1], int64[::1], int64[::1]),
+        named('eha_monitor.mismatch.likelihood.tangent_motion', 'Motion', float64[:, ::1],
+        float64[::1], float64[::1], float64[:, ::1], float64[:, ::1], float64[:, ::1],
+        float64[:, ::1]), float64[:, ::1],
+    )),
+    ("physics.contributions", "circuit_of", (
+        float64[::1], bool[::1],
+    )),
+    ("filters.drive", "follow", (
+        int64, float64[::1], float64[::1], float64[::1], float64, bool, float64, float64[::1],
+        int64[::1], float64[::1], float64[:, ::1], float64[:, ::1], float64[::1], float64[::1],
+    )),
+    ("mismatch.name.gram", "injected", (
+        float64[:, ::1], bool[::1, :], float64[:, ::1], float64[:, ::1], float64[:, :, ::1],
+        float64[:, ::1], float64[:, :, :],
+    )),
+    ("mismatch.name.gram", "injected", (
+        float64[:, ::1], bool[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1],
+        float64[:, ::1], float64[:, :, :],
+    )),
+    ("mismatch.name.gram", "mapped", (
+        float64[:, :, ::1], bool[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1],
+        float64[:, :, ::1], float64[:, ::1], int64, float64[:, ::1], float64[:, :, ::1],
+    )),
+    ("mismatch.likelihood.smooth", "smooth_back", (
+        float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1],
+        float64[:, ::1],
+    )),
+    ("mismatch.name.gram", "power_at", (
+        float64[::1, :], bool[::1, :], bool[::1], float64[:, ::1], float64[:, ::1],
+        float64[:, :, ::1], float64[:, :, ::1], float64[:, ::1],
+    )),
+    ("mismatch.likelihood.tangent_motion", "turns_over", (
+        named('eha_monitor.mismatch.likelihood.tangent_motion', 'Model', int64, float64, int64,
+        float64[::1], float64[::1], bool, float64, float64, int64[::1], int64[::1], int64[::1]),
+        named('eha_monitor.mismatch.likelihood.tangent_motion', 'Motion', float64[:, ::1],
+        float64[::1], float64[::1], float64[:, ::1], float64[:, ::1], float64[:, ::1],
+        float64[:, ::1]), float64[:, :, ::1], float64[:, ::1], float64[::1], UniTuple(float64, 3),
+        bool[::1],
+    )),
+    ("mismatch.likelihood.along", "contributions_along", (
+        float64[:, ::1], float64, int64, float64[::1], bool[::1], float64[:, ::1], float64[:, ::1],
+    )),
+    ("recordings.walk", "walk_records", (
+        Array(uint8, 1, 'C', readonly=True, aligned=True), int64, int64[::1], int64[::1],
+        int64[::1], int64[::1], int64[::1], int64[::1], int64[::1],
+    )),
+    ("filters.kernel_one", "start_one", (
+        float64[::1], float64[::1], float64, float64, float64, bool,
+    )),
+    ("mismatch.name.gram", "power_at", (
+        float64[:, ::1], bool[:, ::1], bool[::1], float64[:, ::1], float64[:, ::1],
+        float64[:, :, ::1], float64[:, :, ::1], float64[:, ::1],
+    )),
+    ("mismatch.likelihood.along", "drive_along", (
+        float64[::1], float64[:, ::1], float64, int64, float64[::1], float64[::1], float64[::1],
+    )),
+    ("mismatch.locate.latent", "rival_innovations", (
+        float64[:, ::1], int64[::1], float64[:, :, ::1], float64[:, ::1], float64[:, ::1],
+        float64[:, :, ::1], float64[:, ::1],
+    )),
+    ("mismatch.likelihood.tangent_pass", "shafts", (
+        named('eha_monitor.mismatch.likelihood.tangent_motion', 'Model', int64, float64, int64,
+        float64[::1], float64[::1], bool, float64, float64, int64[::1], int64[::1], int64[::1]),
+        named('eha_monitor.mismatch.likelihood.tangent_motion', 'Motion', float64[:, ::1],
+        float64[::1], float64[::1], float64[:, ::1], float64[:, ::1], float64[:, ::1],
+        float64[:, ::1]), float64[:, ::1],
+    )),
+    ("recordings.walk", "same_structure", (
+        Array(uint8, 1, 'C', readonly=True, aligned=True), int64[::1], Array(uint8, 1, 'C',
+        readonly=True, aligned=True), int64[::1],
+    )),
+    ("mismatch.likelihood.tangent_motion", "before_corrections", (
+        float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[::1], float64, float64[::1],
+        float64[:, ::1], float64[::1],
+    )),
+    ("recordings.walk", "gather", (
+        Array(uint8, 1, 'C', readonly=True, aligned=True), int64[::1], int64, int64,
+    )),
+    ("filters.stage_one", "predict_one", (
+        float64, float64, float64, float64, float64, float64, float64,
+    )),
+    ("filters.stage_one", "slopes_one", (
+        float64, float64, float64, float64, float64, float64, float64, float64,
+    )),
+    ("filters.known", "contributions", (
+        float64[::1], float64[::1], int64[::1], float64[:, ::1], float64[::1],
+    )),
+    ("mismatch.likelihood.along", "played", (
+        float64[::1], float64,
+    )),
+    ("mismatch.likelihood.tangent_motion", "lags", (
+        float64[::1],
+    )),
+    ("filters.stage_one", "predict_one_euler", (
+        float64, float64, float64, float64, float64, float64,
+    )),
+    ("concealed.plant", "run", (
+        float64[::1], float64[::1], float64, float64[:, ::1],
+    )),
+    ("concealed.plant", "bristle_stiffness", (
+        float64[::1],
+    )),
+)
