@@ -49,9 +49,9 @@ def spread(values: object, unit: str = "") -> dict:
             "max": rounded(measured.max()), "n": len(measured), "unit": unit}
 
 
-def rounded(value: float) -> float:
-    """Return a number to six digits, so that a file can be read."""
-    return float(f"{value:.6g}")
+def rounded(value: float) -> float | None:
+    """Return a number to six digits, so that a file can be read; None where it is no number."""
+    return float(f"{value:.6g}") if np.isfinite(value) else None
 
 
 def write(name: str, figures: dict[str, dict], measures: tuple[str, ...],
@@ -79,7 +79,7 @@ def write(name: str, figures: dict[str, dict], measures: tuple[str, ...],
             "measures": {part: digest(part) for part in measures}, "figures": figures}
     FIGURES.mkdir(exist_ok=True)
     file = FIGURES / f"{name}.json"
-    file.write_text(json.dumps(made, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    file.write_text(json.dumps(made, indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
     print(f"{file.relative_to(ROOT)} is written; `make figures` puts it into the tables")
 
 

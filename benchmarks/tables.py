@@ -77,11 +77,14 @@ def extremes(figure: dict, digits: int | None = None) -> str:
 
 def change(figure: dict) -> str:
     """Return a change in per cent; one that is no longer a number of this rig is ``lost``."""
-    return f"{figure['value'] + 0.0:.2f} %" if abs(figure["value"]) < LOST else "lost"
+    value = figure["value"]
+    return "lost" if value is None or abs(value) >= LOST else f"{round(value, 2) + 0.0:.2f} %"
 
 
-def written(value: float, digits: int | None) -> str:
-    """Return a number as a table shows it."""
+def written(value: float | None, digits: int | None) -> str:
+    """Return a number as a table shows it; where there is none, a dash."""
+    if value is None:
+        return "–"
     if digits is None and value:
         value = float(f"{value:.3g}")
         digits = 0 if abs(value) >= 100 else 1 if abs(value) >= 10 else 2

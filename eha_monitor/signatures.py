@@ -56,15 +56,18 @@ SIGNATURES = (
     ("filters.kernel_one", "run_one", (
         float64[::1], float64[::1], float64[::1], float64[::1], float64[::1], float64[::1],
         float64, float64, float64, float64, bool, float64[::1], int64[::1], int64[::1],
-        float64[:, ::1], float64[::1], float64[::1], float64[::1], float64[:, ::1],
+        float64[:, ::1], float64[::1], float64[::1], float64[::1], int64, float64[:, ::1],
         float64[:, ::1],
     )),
     ("filters.kernel_two", "run_two", (
         float64[::1], float64[::1], float64[::1], float64[::1], float64[:, ::1], float64[::1],
         float64[::1], float64[::1], float64, float64[::1], float64, float64, float64, float64,
         float64[::1], float64[::1], int64[::1], int64[::1], int64[::1], float64[:, ::1],
-        float64[::1], float64[:, ::1], float64[::1], float64[::1], float64[:, ::1],
-        float64[:, ::1],
+        float64[::1], float64[:, ::1], float64[::1], float64[::1], float64[:, :, ::1],
+        float64[::1], int64, float64[:, ::1], float64[:, ::1],
+    )),
+    ("filters.kernel_two", "new_step", (
+        float64[::1],
     )),
     ("mismatch.likelihood.tangent_points", "look", (
         named('eha_monitor.mismatch.likelihood.tangent_motion', 'Model', int64, float64, int64,

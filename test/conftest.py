@@ -58,9 +58,11 @@ class Graph:
 
     def close(self):
         """Destroy the nodes and end ROS."""
-        for made in self.nodes:
+        while self.nodes:
+            made = self.nodes.pop()
             self.executor.remove_node(made)
             made.destroy_node()
+        made = None
         gc.collect()  # a monitor's subscriptions go with it, and a test does not close it
         self.executor.shutdown()
         self._rclpy.try_shutdown()

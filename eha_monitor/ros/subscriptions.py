@@ -20,8 +20,8 @@ from eha_monitor.ros.inputs import Decoder, Topic, has_stamp, message_class
 from eha_monitor.ros.quality import clashes
 from eha_monitor.ros.raw import RawReader
 
-# Best effort takes from every publisher; the depth holds some seconds of a stalled process.
-INPUT_QOS = QoSProfile(depth=4000, reliability=ReliabilityPolicy.BEST_EFFORT)
+# Best effort takes from every publisher; the depth holds ten seconds of a process that stands.
+INPUT_QOS = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT)
 AT_ONCE = 500  # messages of a topic that are taken before those of the next
 
 # Neither stage needs these; that a rig does not have them is no fault.

@@ -169,7 +169,8 @@ class Monitor(Section):
     """How the live monitor runs."""
 
     namespace: str = Field("/eha", description="namespace of the topics")
-    publish_rate: Si("Hz", "rate of the estimates", gt=0, le=1000) = 10.0
+    publish_rate: Si("Hz", "rate of the estimates, and at least ten times a second that at which "
+                     "the topics are drained", gt=0, le=1000) = 10.0
     stale_after: Si("s", "data missing for this long make the health STALE", gt=0) = 1.0
     latency: Si("s", "how long a row waits for its last channel", gt=0) = 0.02
     on_mismatch: Literal["hold", "rebase", "ignore"] = Field(
