@@ -50,8 +50,8 @@ def spread(values: object, unit: str = "") -> dict:
 
 
 def rounded(value: float) -> float | None:
-    """Return a number to six digits, so that a file can be read; None where it is no number."""
-    return float(f"{value:.6g}") if np.isfinite(value) else None
+    """Return a number to eight digits, so that a file can be read; None where it is none."""
+    return float(f"{value:.8g}") if np.isfinite(value) else None
 
 
 def write(name: str, figures: dict[str, dict], measures: tuple[str, ...],

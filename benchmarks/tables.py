@@ -97,7 +97,7 @@ def told(made: dict) -> str:
     words = [f"`{made['command']}`, {made['date']}, commit {made['commit']}"
              + (" with changes upon it" if made["dirty"] else "")]
     if made.get("copied"):
-        words.append("copied from the page of that day")
+        words.append("written by hand")
     if machine is not None:
         steps = f"{machine['filterpy_steps_per_s']:,.0f}".replace(",", " ")
         words.append(f"{machine['cores']} cores ({machine['model']}, load {machine['load']:g}) of "
@@ -111,7 +111,7 @@ def too_old(file: Path) -> list[str]:
     again = f"run `{made['command']}`, then `make figures`"
     name = file.relative_to(ROOT)
     if made.get("copied"):
-        return [f"{name} is copied from an older page: {again}"]
+        return [f"{name} is written by hand: {again}"]
     return [f"{name} is older than {part}: {again}" for part, known in made["measures"].items()
             if known != digest(part)]
 
