@@ -79,7 +79,8 @@ def write(name: str, figures: dict[str, dict], measures: tuple[str, ...],
             "measures": {part: digest(part) for part in measures}, "figures": figures}
     FIGURES.mkdir(exist_ok=True)
     file = FIGURES / f"{name}.json"
-    file.write_text(json.dumps(made, indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+    text = json.dumps(made, indent=1, ensure_ascii=False, allow_nan=False)
+    file.write_text(f"{text}\n", encoding="utf-8")
     print(f"{file.relative_to(ROOT)} is written; `make figures` puts it into the tables")
 
 

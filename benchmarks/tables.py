@@ -1,15 +1,18 @@
 """The tables of README and docs, made of what the benchmarks recorded.
 
-    python benchmarks/tables.py        # or: make figures
+    python benchmarks/tables.py [--again]        # or: make figures
 
 Between ``<!-- figures: NAME -->`` and ``<!-- /figures -->`` stands what the template
 ``benchmarks/figures/NAME.md.j2`` makes of ``benchmarks/figures/*.json``.  A template names a file
 by its stem: ``speed.both`` is the figure ``both`` of ``speed.json``.  What the tables cannot tell,
-a file that is older than the code it measures, is printed with the command that makes it anew.
+a file that is older than the code it measures, is printed with the command that makes it anew;
+``--again`` first runs those commands that take a minute.
 """
 
+import argparse
 import json
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -23,6 +26,15 @@ LOST = 100.0  # %
 
 def main() -> None:
     """Write the tables; tell which files are older than the code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--again", action="store_true",
+                        help="run what is too old and takes a minute")
+    if parser.parse_args().again:
+        for file in files():
+            made = read(file)
+            if made["held_by"] == "source" and too_old(file):
+                subprocess.run([sys.executable, *shlex.split(made["command"])[1:]], cwd=ROOT,
+                               check=True)
     for page in pages():
         text = page.read_text(encoding="utf-8")
         if (made := with_tables(text)) != text:
