@@ -122,10 +122,6 @@ SIGNATURES = (
         int64[::1], float64[::1], float64[:, ::1], float64[:, ::1], float64[::1], float64[::1],
     )),
     ("mismatch.name.gram", "injected", (
-        float64[:, ::1], bool[::1, :], float64[:, ::1], float64[:, ::1], float64[:, :, ::1],
-        float64[:, ::1], float64[:, :, :],
-    )),
-    ("mismatch.name.gram", "injected", (
         float64[:, ::1], bool[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1],
         float64[:, ::1], float64[:, :, :],
     )),
@@ -136,10 +132,6 @@ SIGNATURES = (
     ("mismatch.likelihood.smooth", "smooth_back", (
         float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1],
         float64[:, ::1],
-    )),
-    ("mismatch.name.gram", "power_at", (
-        float64[::1, :], bool[::1, :], bool[::1], float64[:, ::1], float64[:, ::1],
-        float64[:, :, ::1], float64[:, :, ::1], float64[:, ::1],
     )),
     ("mismatch.likelihood.tangent_motion", "turns_over", (
         named('eha_monitor.mismatch.likelihood.tangent_motion', 'Model', int64, float64, int64,

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eha_monitor.compiled import njit
+from eha_monitor.filters.small_matrices import copied
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit, spread
 from eha_monitor.mismatch.likelihood.gains import (
@@ -90,7 +91,8 @@ def mapped(columns, missing, a, h, old, new, w, first, delta, out):
                 if value != 0.0:
                     for lane in range(m):
                         other[i, lane] += value * delta[j, lane]
-        delta[:] = other
+        for i in range(states):
+            copied(delta[i], other[i])
         for i in range(channels):
             row = out[k - first, i]
             row[:] = 0.0
@@ -157,8 +159,9 @@ def evidence_at(experiment: Experiment, fit: Fit, present: list[np.ndarray], lev
     new, h = np.ascontiguousarray(gains[:, :, used]), np.ascontiguousarray(linear.h[used])
     total = 0.0
     for stretch, part in zip(experiment.stretches, present, strict=True):
-        missing = ~np.isfinite(part)
-        power = power_at(np.nan_to_num(part), missing, stretch.counted, linear.a, h, old, new, w)
+        filled = np.ascontiguousarray(np.nan_to_num(part))
+        missing = np.ascontiguousarray(~np.isfinite(part))
+        power = power_at(filled, missing, stretch.counted, linear.a, h, old, new, w)
         count = (~missing[stretch.counted]).sum(axis=0)
         total += -0.5 * power + float(count @ np.log(np.diag(w)))
     return total

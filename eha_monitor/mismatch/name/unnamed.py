@@ -156,7 +156,7 @@ def columns_of(experiment: Experiment, fit: Fit, unnamed: list[Unnamed],
         stretch = experiment.stretches[i]
         forcing = np.concatenate([one.basis[i] for one in unnamed], axis=1)
         forcing[:-1] = 0.5 * (forcing[:-1] + forcing[1:])
-        missing = ~np.isfinite(stretch.z[:, used])
+        missing = np.ascontiguousarray(~np.isfinite(stretch.z[:, used]))
         injected(np.ascontiguousarray(forcing), missing, linear.a,
                  np.ascontiguousarray(linear.h[used]), gains, enters, into[i])
 
