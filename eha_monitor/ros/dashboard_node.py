@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -25,10 +26,9 @@ from eha_monitor.ros.parameters import settings_of_node
 from eha_monitor.ros.subscriptions import TopicInput
 from eha_monitor.settings import Settings, load_settings
 
-FOLLOW_PERIOD = 1.0
-# What is shown may miss samples, and must not be late: behind a long queue of positions an alarm
-# would wait for seconds.
-SHOWN_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+FOLLOW_PERIOD, TAKE_PERIOD = 1.0, 0.05  # s
+# What is shown may miss samples, and must not be late: the newest of each turn are enough.
+SHOWN_QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def position_topic(settings: Settings, source: str) -> Topic:
@@ -41,20 +41,6 @@ def position_topic(settings: Settings, source: str) -> Topic:
                                  source=Source(entry.source.name, ("x",), entry.source.held))
                 return Topic(topic.name, (stream,))
     raise InputError(f"{source}: channels.x: expected the position's topic")
-
-
-class _Positions:
-    """Stands where a row aligner stands and hands the samples to the state."""
-
-    def __init__(self, state: State):
-        self._state = state
-
-    def push(self, source: Source, time_ns: int, values: tuple[float, ...], now: float) -> None:
-        source.heard_s = now
-        self._state.take_position("measured", time_ns * 1e-9, values[0], now)
-
-    def unread(self, source: Source, empty: bool) -> None:
-        """What held no position is the monitor's to tell."""
 
 
 class Listener:
@@ -80,10 +66,11 @@ class Listener:
                        "estimates": ", ".join(name(f"monitor/{w.section}") for w in WATCHED),
                        "estimated": name("monitor/joint_states"),
                        "health": name("monitor/health")}
-        self.measured = TopicInput(node, measured, _Positions(self.state), lambda now: None,
-                                   qos=SHOWN_QOS)
-        node.create_timer(FOLLOW_PERIOD, self.measured.follow_graph,
-                          clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._node = node
+        self.measured = TopicInput(node, measured, qos=SHOWN_QOS)
+        for period, work in ((FOLLOW_PERIOD, self.measured.follow_graph),
+                             (TAKE_PERIOD, self._take_measured)):
+            node.create_timer(period, work, clock=Clock(clock_type=ClockType.STEADY_TIME))
         for watched in WATCHED:
             for suffix, take in (("", self.state.take_value),
                                  ("_stddev", self.state.take_stddev)):
@@ -93,6 +80,21 @@ class Listener:
                         take(symbol, message.data, time.monotonic()), 10)
         node.create_subscription(JointState, "monitor/joint_states", self._take_estimated, 10)
         node.create_subscription(DiagnosticArray, "monitor/health", self._take_health, LATCHED)
+
+    def close(self) -> None:
+        """End the subscription that is not the node's own."""
+        self.measured.close()
+
+    def _take_measured(self) -> None:
+        messages, _, _ = self.measured.take()
+        if not messages:
+            return
+        now, clock_ns = time.monotonic(), self._node.get_clock().now().nanoseconds
+        came, stamps_ns = (np.full(len(messages), value) for value in (now, clock_ns))
+        for batch in self.measured.read(messages, came, stamps_ns):
+            batch.source.heard_s = now
+            for stamp_ns, values in zip(batch.stamps, batch.values, strict=True):
+                self.state.take_position("measured", float(stamp_ns) * 1e-9, float(values[0]), now)
 
     def _take_estimated(self, message: JointState) -> None:
         if message.position:
@@ -141,6 +143,7 @@ def run_dashboard(config: Path | None, ros_args: list[str], port: int,
         settings = settings_of_node(node, settings)
         heard = Listener(node, settings, source=str(config or "default config"))
         with contextlib.ExitStack() as open_:
+            open_.callback(heard.close)
             if foxglove is not None:
                 socket_ = open_.enter_context(serving_foxglove(node, settings, foxglove))
                 print(f"foxglove: {socket_}", flush=True)
