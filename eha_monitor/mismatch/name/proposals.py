@@ -14,7 +14,7 @@ from eha_monitor.mismatch.name.gram import grams_of
 from eha_monitor.mismatch.name.polish import Slopes
 from eha_monitor.mismatch.name.rank import Ranked, best_over, ranked_at
 from eha_monitor.mismatch.name.seen import Names, Seen, evidence_at_start, own_in, posterior
-from eha_monitor.mismatch.name.suspects import equations, is_named
+from eha_monitor.mismatch.name.suspects import is_named
 from eha_monitor.physics.effects import CATALOGUE
 
 HANDFUL = 4  # sets that are refitted at a linearisation
@@ -116,7 +116,7 @@ def rivals_at(view: Linearised, seen: Seen) -> list[Ranked]:
     wanted = {one.names for one in contested(view)} if view.here == seen.best() else set()
     found = [one for one in with_names(view.ranking) if not seen.known(one.names, view.here)
              and (weights.get(one.names, 0.0) >= RIVAL or one.names in wanted)]
-    return unequal(sorted(found, key=lambda one: -weights.get(one.names, 0.0)))[:HANDFUL]
+    return sorted(found, key=lambda one: -weights.get(one.names, 0.0))[:HANDFUL]
 
 
 def contested(view: Linearised) -> list[Ranked]:
@@ -146,21 +146,13 @@ def with_names(found: list[Ranked]) -> list[Ranked]:
     return list(chosen.values())
 
 
-def unequal(found: list[Ranked]) -> list[Ranked]:
-    """Return sets without those that are one before them with other names."""
-    chosen: dict[Names, Ranked] = {}
-    for one in found:
-        chosen.setdefault(equations(one.names), one)
-    return list(chosen.values())
-
-
 def proposals_of(found: list[Ranked], model: Ranked | None, seen: Seen, here: Names = frozenset()
                  ) -> list[Ranked]:
     """Return the sets that are worth a refit: the smallest that reach most of the best gain.
 
     ``model`` : the model at hand in that ranking.
     """
-    better = named = unequal(with_names(found))
+    better = named = with_names(found)
     if model is not None:
         start = evidence_at_start(seen, here)
         better = [one for one in named if one.evidence > model.evidence and seen.pursued(

@@ -31,7 +31,8 @@ from eha_monitor.physics.parameters import BASE_KEYS, effect_values, place_of
 
 LEAST = 0.05  # of its start: where a size enters at least
 SHARES = (1.0, 0.3)  # of the way to a linear guess
-FARTHEST = 8.0  # of a logarithm: how far a number of the rig is moved by a linear guess
+FARTHEST = 6.0  # of a logarithm: how far a number of the rig is moved by a linear guess
+WRONG_BY = 1e3  # how far a number of the rig may be off; what is less is absent
 INFORMED = 0.5  # of its prior deviation, all else known: a number that the recording answers to
 ROUGH_STEPS = 8  # of a fit whose unknowns will change
 HALVINGS = 3  # of the way to other unknowns
@@ -213,7 +214,9 @@ def informed(experiment: Experiment, what: tuple[Column, ...], ranked: Ranked) -
 
 def wide(f: Free) -> Free:
     """Return a number of the rig that may be wrong altogether."""
-    return replace(f, spread=BEYOND * f.spread, lower=1e-4 * f.lower, upper=1e4 * f.upper)
+    value = float(np.exp(f.prior))
+    return replace(f, spread=min(BEYOND * f.spread, float(np.log(WRONG_BY))),
+                   lower=value / WRONG_BY, upper=value * WRONG_BY)
 
 
 def guess(column: Column, amplitude: float) -> float:

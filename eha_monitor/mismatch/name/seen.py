@@ -11,7 +11,7 @@ from eha_monitor.mismatch.name.acceptance import FORM, FORM_OF_LAW, RIVAL, TEMPE
 from eha_monitor.mismatch.name.gram import lasting
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.refit import discrepancy, evidence_of, impossible, prior_of
-from eha_monitor.mismatch.name.suspects import equations, is_named, kin
+from eha_monitor.mismatch.name.suspects import is_named, kin
 
 Names = frozenset[str]
 PURSUED = 1.0  # log units of score: where less is gained the search does not go on
@@ -52,10 +52,8 @@ class Seen:
             self.left[names] = discrepancy(experiment, fit)
 
     def known(self, names: Names, here: Names) -> bool:
-        """Tell whether a set, or its equal, was refitted, or looked at from the model at hand."""
-        same = equations(names)
-        return any(same == equations(other) for other in (
-            *self.fits, *self.stations, *(names for at, names in self.tried if at == here)))
+        """Tell whether a set was refitted to the end, or looked at from the model at hand."""
+        return names in self.fits or names in self.stations or (here, names) in self.tried
 
     def floor(self) -> float:
         """Return the evidence of a model that needs no unknowns, as far as it is known."""

@@ -45,9 +45,3 @@ def twins(one: str, other: str) -> bool:
     """Tell whether an effect and a number of the rig are one equation."""
     return any(name in CATALOGUE and f"rig.{CATALOGUE[name].rig_twin}" == key
                for name, key in ((one, other), (other, one)))
-
-
-def equations(names: frozenset[str]) -> frozenset[str]:
-    """Return a set with each effect that is one equation with a number of the rig as that."""
-    return frozenset(f"rig.{CATALOGUE[name].rig_twin}" if name in CATALOGUE
-                     and CATALOGUE[name].rig_twin else name for name in names)
