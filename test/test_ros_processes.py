@@ -84,6 +84,11 @@ def test_simulator_monitor_record_replay(graph, tmp_path):
         health = listen(graph, DiagnosticArray, "/eha/monitor/health", QoSProfile(
             depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
         graph.until(lambda: health)
+        # The recorder finds topics once a second; the monitor may have converged before that.
+        node = graph.node("counter")
+        graph.until(lambda: node.count_subscribers("/eha/monitor/viscous_damping") > 1, PATIENCE)
+        diagnostics = listen(graph, DiagnosticArray, "/diagnostics")
+        graph.until(lambda: len(diagnostics) > 1, PATIENCE)
         assert "published" in end(simulator)
         assert "latency from stamp" in end(monitor, signal.SIGINT)
         assert "on 11 topics" in end(record, signal.SIGINT)
