@@ -200,9 +200,9 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         curves = tuple(curve for term in terms for curve in locate.curves_of(experiment, term))
     else:
         terms = missing_terms(experiment, before, after if effects else None)
-        # What has no name is looked for beside what has, not where that is.
-        where = locate.location_of(experiment, before, after, *(
-            (evidence, terms) if verdict == "mismatch" else ({},)))
+        named = verdict == "mismatch"  # else it is what has no name that is looked for
+        where = locate.location_of(experiment, before, after, evidence if named else {},
+                                   terms if named else None)
         curves = locate.latent_curves(experiment, before, after, terms)
     how = balance_show if by_equations else show
     known = values_of(experiment, before), values_of(experiment, after)

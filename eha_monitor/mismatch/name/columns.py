@@ -118,11 +118,14 @@ def rig_free(experiment: Experiment) -> tuple[Free, ...]:
 
 def runs_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray, gains: np.ndarray
             ) -> list[np.ndarray]:
-    """Return the innovations of the used channels at all samples, (n, c) for each stretch."""
+    """Return the innovations of the used channels at all samples, (n, c) for each stretch.
+
+    Their rows are contiguous, as compiled code wants them.
+    """
     if experiment.inverse:
         return [innovations(experiment, theta, active, gains)]
-    return [filtered(experiment, stretch, theta, active, gains)[0][:, experiment.columns]
-            for stretch in experiment.stretches]
+    return [np.ascontiguousarray(filtered(experiment, stretch, theta, active, gains)[0][
+        :, experiment.columns]) for stretch in experiment.stretches]
 
 
 def coarse(experiment: Experiment) -> Experiment:

@@ -146,7 +146,10 @@ def power_at(e, missing, counted, a, h, old, new, w):
 
 def evidence_at(experiment: Experiment, fit: Fit, present: list[np.ndarray], level: Unknowns
                 ) -> float:
-    """Return the likelihood of innovations (n, c) at another level, with the expected S."""
+    """Return the likelihood of innovations (n, c) at another level, with the expected S.
+
+    present : of each stretch as :func:`columns.runs_of` gives them, rows contiguous.
+    """
     used = experiment.columns
     linear = linear_of(experiment, fit.theta, fit.active, level)
     try:
@@ -159,9 +162,8 @@ def evidence_at(experiment: Experiment, fit: Fit, present: list[np.ndarray], lev
     new, h = np.ascontiguousarray(gains[:, :, used]), np.ascontiguousarray(linear.h[used])
     total = 0.0
     for stretch, part in zip(experiment.stretches, present, strict=True):
-        filled = np.ascontiguousarray(np.nan_to_num(part))
-        missing = np.ascontiguousarray(~np.isfinite(part))
-        power = power_at(filled, missing, stretch.counted, linear.a, h, old, new, w)
+        missing = ~np.isfinite(part)
+        power = power_at(np.nan_to_num(part), missing, stretch.counted, linear.a, h, old, new, w)
         count = (~missing[stretch.counted]).sum(axis=0)
         total += -0.5 * power + float(count @ np.log(np.diag(w)))
     return total

@@ -9,10 +9,10 @@ from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.name.acceptance import RIVAL
 from eha_monitor.mismatch.name.base import limits_of
-from eha_monitor.mismatch.name.columns import Column, columns_at
+from eha_monitor.mismatch.name.columns import Column, Columns, columns_at
 from eha_monitor.mismatch.name.gram import grams_of
 from eha_monitor.mismatch.name.polish import Slopes
-from eha_monitor.mismatch.name.rank import Ranked, best_over, ranked_at
+from eha_monitor.mismatch.name.rank import LARGEST_SET, Ranked, best_over, ranked_at
 from eha_monitor.mismatch.name.seen import Names, Seen, evidence_at_start, own_in, posterior
 from eha_monitor.mismatch.name.suspects import is_named
 from eha_monitor.physics.effects import CATALOGUE
@@ -62,24 +62,25 @@ class Linearised:
         return own_in(self.ranking, self.here)
 
 
-def linearised(experiment: Experiment, here: frozenset[str], fit: Fit) -> Linearised:
+def linearised(experiment: Experiment, here: Names, fit: Fit) -> Linearised:
     """Take the columns at a model and rank every set of suspects with a name there."""
-    columns = columns_at(experiment, fit, unnamed=False)
-    grams = grams_of(experiment, fit, columns.values, levels_of(experiment, fit), columns.copies)
-    levels = ranked_at(columns.what, fit.named, grams)
-    return Linearised(here, fit, columns.what, Slopes(experiment, fit, columns), levels,
-                      best_over(levels))
+    return weighed(experiment, here, fit, columns_at(experiment, fit, unnamed=False))
 
 
-def beside(experiment: Experiment, here: frozenset[str], fit: Fit) -> Linearised:
+def beside(experiment: Experiment, here: Names, fit: Fit) -> Linearised:
     """Rank what has no name beside each part of a model.
 
     Unknown functions have more columns than all that has a name, and decide nothing before the
     names have been found.
     """
-    columns = columns_at(experiment, fit, suspects=False)
+    return weighed(experiment, here, fit, columns_at(experiment, fit, suspects=False), more=1)
+
+
+def weighed(experiment: Experiment, here: Names, fit: Fit, columns: Columns,
+            more: int = LARGEST_SET) -> Linearised:
+    """Rank the sets that columns at a model make; ``more`` suspects join a part of it at most."""
     grams = grams_of(experiment, fit, columns.values, levels_of(experiment, fit), columns.copies)
-    levels = ranked_at(columns.what, fit.named, grams, more=1)
+    levels = ranked_at(columns.what, fit.named, grams, more)
     return Linearised(here, fit, columns.what, Slopes(experiment, fit, columns), levels,
                       best_over(levels))
 
