@@ -64,7 +64,7 @@ def new_work(constants):
         N_SIGNALS), np.zeros(N_CONTRIBUTIONS)
 
 
-@njit
+@njit(allocates=False)
 def advance_two(m, p, sens, u0, u1, i0, i1, b, constants, leak, leak_flow, dt, q_f, q_u, mean,
                 theta, plain, remembering, flows, memory, trial, slopes, matrices, at, work, pair,
                 s, c):

@@ -31,7 +31,7 @@ def times_transposed(a, b):
     return out
 
 
-@njit(forceinline=True)
+@njit(forceinline=True, allocates=False)
 def copied(to, row):
     """Write a vector into another; ``to[:] = row`` compiles a message for each pair of shapes."""
     for i in range(row.shape[0]):
@@ -58,7 +58,7 @@ def symmetric(a):
     return out
 
 
-@njit
+@njit(allocates=False)
 def add(a, b):
     """Add B to A in place."""
     for i in range(a.shape[0]):
@@ -66,7 +66,7 @@ def add(a, b):
             a[i, j] += b[i, j]
 
 
-@njit
+@njit(allocates=False)
 def solved(a, b):
     """Return A^-1 B by elimination with the largest pivot of each column; both are overwritten.
 

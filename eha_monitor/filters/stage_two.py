@@ -57,25 +57,25 @@ def hydraulics(theta, beta_0: float, extra_compliance: float, loop: bool,
                      extra_compliance * beta_0, *line, 2.0 / (theta[s.AREA_1] + theta[s.AREA_2])])
 
 
-@njit
+@njit(allocates=False)
 def states_beside_c(k):
     """Return how many states the filter has beside c: x, v, F, and a line's n and dp_l."""
     return 5 if k[LINE_TIME] > FASTEST_LINE else 3
 
 
-@njit
+@njit(allocates=False)
 def place(i):
     """Return the place in the filter of a state beside c."""
     return i if i < C_PLACE else i + 1
 
 
-@njit
+@njit(allocates=False)
 def column(i):
     """Return the place of a state in a row of the step: the line's come last."""
     return i if i < 3 else i + 4
 
 
-@njit
+@njit(allocates=False)
 def system_matrix(k, b, c, leak, dt, a):
     """Write A(B, c, leak) dt for the state (x, v, F) and return the bound of its eigenvalues.
 
@@ -102,7 +102,7 @@ def system_matrix(k, b, c, leak, dt, a):
         + (beta * k[GAIN] * k[LOOP] / (k[MASS] * time * time)) ** 0.2)
 
 
-@njit
+@njit(allocates=False)
 def discretise_at(k, b, c, leak, dt, work, out):
     """Write the exact step of (x, v, F): out = [Phi | Gamma_0 | Gamma_1 | Gamma_f | Gamma_q].
 

@@ -21,7 +21,7 @@ from eha_monitor.filters.supervision import FROZEN, HELD, INFORMATION, SCORE
 STIFFEST = 1e-2  # smallest compliance beta_0/beta_e: a hundred times stiffer than the prior
 
 
-@njit
+@njit(allocates=False)
 def start_two(m, p, x, r, dt, mass):
     """(Re)start (x, v, F) at a measurement; the compliance and its variance stay.
 
@@ -38,7 +38,7 @@ def start_two(m, p, x, r, dt, mass):
     p[2, 2] = (mass * broad_v / dt) ** 2
 
 
-@njit
+@njit(allocates=False)
 def restart_two(m, p, sens, x, r, dt, k):
     """(Re)start all states at a measurement, a line's too; ``k`` the lumped hydraulics."""
     start_two(m, p, x, r, dt, k[MASS])
@@ -61,7 +61,7 @@ def predict_with(rows):
     """Return the prediction for so many states beside c: their loops unroll."""
     n = rows + 1
 
-    @njit
+    @njit(allocates=False)
     def predict(m, p, sens, step, b_step, d_b, u0, u1, i0, i1, force, flow, q_f, q_u, f, fp):
         """Predict state, covariance and the sensitivity to B over one sample.
 
@@ -132,7 +132,7 @@ def correct_with(rows):
     """Return the correction for so many states beside c."""
     n = rows + 1
 
-    @njit
+    @njit(allocates=False)
     def correct(m, p, sens, z, r, w):
         """Update with a position and its variance; the caller has gated it.
 
@@ -163,7 +163,7 @@ predict_chambers, predict_line = predict_with(3), predict_with(5)
 correct_chambers, correct_line = correct_with(3), correct_with(5)
 
 
-@njit
+@njit(allocates=False)
 def correct_two(m, p, sens, z, r, w):
     """Update with a position and its variance; the caller has gated it."""
     if m.shape[0] == C_PLACE + 1:
