@@ -66,7 +66,7 @@ def add(a, b):
             a[i, j] += b[i, j]
 
 
-@njit(allocates=False)
+@njit
 def solved(a, b):
     """Return A^-1 B by elimination with the largest pivot of each column; both are overwritten.
 
