@@ -92,7 +92,7 @@ def _whatever_the_value(template):
 
 
 def _without_an_array(add):
-    """Refuse an array that a function returns uncounted: whoever called would free it once more."""
+    """Refuse an array that a function returns uncounted: its caller would free it once more."""
     def checked(compiled):
         returned = cpu_target.target_context.data_model_manager[compiled.signature.return_type]
         if returned.contains_nrt_meminfo():

@@ -6,9 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from eha_monitor.compiled import CACHE
+from eha_monitor.compiled import CACHE, njit
 
 PACKAGE = Path(__file__).parents[1] / "eha_monitor"
 COUNT = """

@@ -187,7 +187,7 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
                 new, covariance, new_sens, u0, u1, i0, i1, b, constants, leak, leak_flow, dt, q_f,
                 q_u, mean, *effects, memory, trial, True, matrices, at, work, s, c):
             return False
-        step, slope = matrices[5:].reshape(2, len(rows), -1)
+        step, slope = matrices[5:].reshape(2, -1, len(rows)).transpose(0, 2, 1)
         force, flow, noise_force = (at[which] for which in (
             kernel_two.CONSTANT_FORCE, kernel_two.CONSTANT_FLOW, kernel_two.NOISE_FORCE))
         f, g_u, g_f = np.eye(len(new)), np.zeros(len(new)), np.zeros(len(new))

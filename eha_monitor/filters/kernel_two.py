@@ -46,9 +46,9 @@ REFRESH = 5e-3  # relative change of c that asks for a new exact step; between, 
 def new_step(constants):
     """Return what :func:`advance_two` keeps from sample to sample: matrices, and what it found.
 
-    The matrices (7, 3*7), with a line (7, 5*9), each row by row: the exact step at ``at[AT_C]``,
-    its first and second derivative to c, those to B and to the leakage, then the step and its
-    slope to c as taken.
+    The matrices (7, 7*3), with a line (7, 9*5), each column by column: the exact step at
+    ``at[AT_C]``, its first and second derivative to c, those to B and to the leakage, then the
+    step and its slope to c as taken.
     """
     at = np.zeros(N_AT)
     at[AT_C] = math.nan
@@ -73,7 +73,7 @@ def make_step(own, b, constants, leak, dt, matrices, at, work):
     for which in range(5):
         for i in range(rows):
             for j in range(columns):
-                matrices[which, i * columns + j] = made[which, i, j]
+                matrices[which, j * rows + i] = made[which, i, j]
     at[AT_C], at[AT_B], at[LAST_C] = own, b, math.nan
 
 
@@ -86,13 +86,12 @@ def modelled_terms(m, p, omega, compliance, flow, b, u0, u1, constants, leak_flo
     sample's start; other arguments as :func:`advance_two`.
     """
     rows = m.shape[0] - 1
-    columns = rows + 4
     force, to_force, unknown, middle_x = 0.0, 0.0, 0.0, m[0] + 0.5 * dt * m[1]
-    of_f = 2 * columns  # where the row of F begins
-    ahead = (step[of_f + 3] * u0 + step[of_f + 4] * u1 + step[of_f + 5] * at[TOLD_FORCE]
-             + step[of_f + 6] * (flow + leak_flow))
+    on_force, on_flow = 5 * rows, 6 * rows  # where these columns of the step begin
+    ahead = (step[3 * rows + 2] * u0 + step[4 * rows + 2] * u1
+             + step[on_force + 2] * at[TOLD_FORCE] + step[on_flow + 2] * (flow + leak_flow))
     for i in range(rows):
-        ahead += step[of_f + column(i)] * m[place(i)]
+        ahead += step[column(i) * rows + 2] * m[place(i)]
     if len(flows) > 0:  # the flow at the middle of the sample, and how it follows the force
         h = max(math.sqrt(max(p[2, 2], 0.0)), 1e-3)
         middle = 0.5 * (m[2] + ahead)
@@ -100,7 +99,7 @@ def modelled_terms(m, p, omega, compliance, flow, b, u0, u1, constants, leak_flo
             _, _, flow = flow_balance(middle_x, m[1], omega, middle + side * h, mean, compliance,
                                       constants, theta, flows, memory, s, c)
             to_force += side * flow
-        to_force *= 0.5 * (1.0 + step[of_f + 2]) / (2.0 * h)
+        to_force *= 0.5 * (1.0 + step[2 * rows + 2]) / (2.0 * h)
         _, _, flow = flow_balance(middle_x, m[1], omega, middle, mean, compliance, constants,
                                   theta, flows, memory, s, c)
     if len(plain) + len(remembering) > 0:
@@ -110,15 +109,15 @@ def modelled_terms(m, p, omega, compliance, flow, b, u0, u1, constants, leak_flo
             2.0 * mean - p1, theta, plain, remembering, memory, trial, slopes, s, c)
         at[TOLD_FORCE] = force
         force -= slope_x * m[0] + slope_v * m[1]
-        for i in range(0, rows * columns, columns):
-            step[i] += step[i + 5] * slope_x
-            step[i + 1] += step[i + 5] * slope_v
-            slope[i] += slope[i + 5] * slope_x
-            slope[i + 1] += slope[i + 5] * slope_v
+        for i in range(rows):
+            step[i] += step[on_force + i] * slope_x
+            step[rows + i] += step[on_force + i] * slope_v
+            slope[i] += slope[on_force + i] * slope_x
+            slope[rows + i] += slope[on_force + i] * slope_v
     flow -= to_force * m[2]
-    for i in range(0, rows * columns, columns):
-        step[i + 2] += step[i + 6] * to_force
-        slope[i + 2] += slope[i + 6] * to_force
+    for i in range(rows):
+        step[2 * rows + i] += step[on_flow + i] * to_force
+        slope[2 * rows + i] += slope[on_flow + i] * to_force
     return force, flow, unknown
 
 
@@ -173,6 +172,21 @@ def advance_two(m, p, sens, u0, u1, i0, i1, b, constants, leak, leak_flow, dt, q
     else:
         predict_line(m, p, sens, step, slope, matrices[3], u0, u1, i0, i1, force, flow, q_f, q_u)
     return True
+
+
+@njit(allocates=False)
+def as_modulus(c, own, total, s, beta_0):
+    """Turn a compliance and its two variances into a modulus, Pa, and standard deviations.
+
+    So for ``s``, the innovation's variance.  All (n,), in place; beside the loop of the filter
+    since roots and divisions go several at once here.
+    """
+    for k in range(c.shape[0]):
+        compliance = max(c[k], 1e-9)
+        c[k] = beta_0 / compliance
+        per_c = c[k] / compliance
+        own[k], total[k], s[k] = (
+            per_c * math.sqrt(own[k]), per_c * math.sqrt(total[k]), math.sqrt(s[k]))
 
 
 @njit
@@ -232,14 +246,13 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
         if lost:
             at[TOLD_FORCE] = 0.0
         z = x[k]
-        nu, sd = nan, nan
+        nu, s = nan, nan
         if not math.isnan(z):
             if lost:
                 restart_two(m, p, sens, z, r, dt, constants)
             else:
                 s = p[0, 0] + r
                 nu = z - m[0]
-                sd = math.sqrt(s)
                 if nu * nu > GATE * s and spikes < SPIKES:
                     spikes += 1
                 else:
@@ -260,17 +273,15 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
                     events[found, 3] = window
                 found += 1
             factor = honest_factor(w)
-        c = m[3]
         out[0, k], out[1, k] = m[0], m[1]
         out[2, k] = (m[2] - b[k] * m[1] - at[TOLD_FORCE]) / mass
-        beta = constants[BETA_0] / max(c, 1e-9)
-        per_c = beta / max(c, 1e-9)
-        out[3, k] = beta
-        out[4, k] = per_c * factor * math.sqrt(p[3, 3])
-        out[5, k] = per_c * math.sqrt(factor * factor * p[3, 3]
-                                      + sens[3] * sens[3] * b_variance[k])
-        out[6, k], out[7, k] = nu, sd
+        own = factor * factor * p[3, 3]
+        out[3, k], out[4, k] = m[3], own
+        out[5, k] = own + sens[3] * sens[3] * b_variance[k]
+        out[6, k], out[7, k] = nu, s
     w[SPIKED], w[SAMPLES] = spikes, samples
+    as_modulus(out[3, first:n], out[4, first:n], out[5, first:n], out[7, first:n],
+               constants[BETA_0])
     return found
 
 

@@ -60,7 +60,8 @@ def restart_two(m, p, sens, x, r, dt, k):
 
 def predict_with(rows, forceinline):
     """Return the prediction for so many states beside c: their loops unroll."""
-    n, columns = rows + 1, rows + 4
+    n = rows + 1
+    U0, U1, FORCE, FLOW = 3 * rows, 4 * rows, 5 * rows, 6 * rows  # where columns of a step begin
 
     @njit(forceinline=forceinline, allocates=False)
     def predict(m, p, sens, step, b_step, d_b, u0, u1, i0, i1, force, flow, q_f, q_u):
@@ -69,58 +70,57 @@ def predict_with(rows, forceinline):
         Parameters
         ----------
         m : (n,) x, v, F, c, and with a line n, dp_l;  p : (n, n) covariance;  sens : (n,) d m/d B.
-        step : (3*7,) or (5*9,) transition at the present (B, c), row by row; b_step : its
+        step : (7*3,) or (9*5,) transition at the present (B, c), column by column; b_step : its
             derivative to c;  d_b : its derivative to B.
         u0, u1 : drive input at the two ends; i0, i1 : its instrument there.
         force, flow : modelled extra force (N) and flow (N/Pa/s).
         q_f, q_u : variances of an unmodelled force (N^2) and of the drive input on a sample.
         """
-        f, fp, made = on_stack(n, n), on_stack(n, n), on_stack(3, n)
+        f, fp, made = on_stack(n, n), on_stack(n, n), on_stack(3, n)  # f: F transposed
         for i in range(rows):
-            row, first = place(i), i * columns
-            new = (step[first + 3] * u0 + step[first + 4] * u1 + step[first + 5] * force
-                   + step[first + 6] * flow)
-            slope = (b_step[first + 3] * i0 + b_step[first + 4] * i1 + b_step[first + 5] * force
-                     + b_step[first + 6] * flow)
-            from_b = d_b[first + 3] * u0 + d_b[first + 4] * u1
+            row = place(i)
+            new = (step[U0 + i] * u0 + step[U1 + i] * u1 + step[FORCE + i] * force
+                   + step[FLOW + i] * flow)
+            slope = (b_step[U0 + i] * i0 + b_step[U1 + i] * i1 + b_step[FORCE + i] * force
+                     + b_step[FLOW + i] * flow)
+            from_b = d_b[U0 + i] * u0 + d_b[U1 + i] * u1
             for j in range(rows):
-                value, along = m[place(j)], first + column(j)
+                value, along = m[place(j)], column(j) * rows + i
                 new += step[along] * value
                 slope += b_step[along] * value
                 from_b += d_b[along] * value
-                f[row, place(j)] = step[along]
-            f[row, C_PLACE] = slope
+                f[place(j), row] = step[along]
+            f[C_PLACE, row] = slope
             made[0, row], made[1, row] = new, from_b
-            made[2, row] = step[first + 3] + step[first + 4]
+            made[2, row] = step[U0 + i] + step[U1 + i]
         # Where the slope is no larger than what the states' own uncertainty makes of it, it is
         # noise and tells nothing about c; a filter that takes it for information drifts at rest.
-        bend = 2 * columns
-        noise, lean = q_u * (b_step[bend + 3] + b_step[bend + 4]) ** 2, 0.0
+        noise, lean = q_u * (b_step[U0 + 2] + b_step[U1 + 2]) ** 2, 0.0
         for i in range(rows):
-            along = b_step[bend + column(i)]
+            along = b_step[column(i) * rows + 2]
             lean += along * p[place(i), C_PLACE]
             for j in range(rows):
-                noise += along * p[place(i), place(j)] * b_step[bend + column(j)]
-        if f[2, C_PLACE] ** 2 < UNSEEN * (noise - lean * lean / p[C_PLACE, C_PLACE]):
+                noise += along * p[place(i), place(j)] * b_step[column(j) * rows + 2]
+        if f[C_PLACE, 2] ** 2 < UNSEEN * (noise - lean * lean / p[C_PLACE, C_PLACE]):
             for i in range(rows):
-                f[place(i), C_PLACE] = 0.0
+                f[C_PLACE, place(i)] = 0.0
         for i in range(rows):  # d m/d B goes with F, and with what B itself does
             row = place(i)
             for j in range(n):
-                made[1, row] += f[row, j] * sens[j]
+                made[1, row] += f[j, row] * sens[j]
             for j in range(n):
                 fp[row, j] = 0.0
                 for k in range(n):
-                    fp[row, j] += f[row, k] * p[k, j]
+                    fp[row, j] += f[k, row] * p[k, j]
         for i in range(rows):
             row = place(i)
             m[row], sens[row] = made[0, row], made[1, row]
             p[row, C_PLACE] = p[C_PLACE, row] = fp[row, C_PLACE]  # c stays, and so does its row
             for j in range(i, rows):  # P = F P F' + Q
-                total = (q_f * step[i * columns + 5] * step[j * columns + 5]
+                total = (q_f * step[FORCE + i] * step[FORCE + j]
                          + q_u * made[2, row] * made[2, place(j)])
                 for k in range(n):
-                    total += fp[row, k] * f[place(j), k]
+                    total += fp[row, k] * f[k, place(j)]
                 p[row, place(j)] = total
                 p[place(j), row] = total
 
