@@ -108,14 +108,14 @@ def beyond_form(experiment: Experiment, before: Fit, after: Fit, needs: Unknowns
     """Return the probability that a model's unknowns are more than its form error.
 
     Named physics is right to a share of its size only, and a filter needs unknowns for the rest:
-    some ``FORM_SHARE`` of those that the nominal model needs.  What needs many times more lacks
-    something else.
+    some ``FORM_SHARE`` of those that it has taken the place of.  What needs many times more lacks
+    something else, and a model that names nothing has no form error to blame.
     """
     if experiment.inverse:
         return 0.0
     small = limits_of(experiment)[0].as_array()
     needed, still = (level.as_array() / small for level in (before.unknowns, needs))
-    least = np.maximum(FORM_LEAST, FORM_SHARE * needed)
+    least = np.maximum(FORM_LEAST, FORM_SHARE * (needed - still))
     if experiment.mode == FORCED:  # the noise of what measures the force acts like a force
         least[0] = max(least[0], experiment.input_noise / small[0])
     elif experiment.mode == OPEN:  # and that of a measured pump speed like a flow

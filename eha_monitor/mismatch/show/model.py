@@ -18,6 +18,8 @@ TIMED = ("command_delay.T", "position_delay.T", "pressure_delay.T", "feedback_de
          "drive_lag.tau")
 BLOCK = 0.5  # s
 INVERSE_BLOCK = 10  # compared samples of the balances, a second
+TWICE = (("area_1", "area_2"), ("volume_1", "volume_2"))
+ALIKE = 0.99  # correlation of their errors where both are the same number
 COARSE = 0.1  # times the configured noise: rounding that adds 1 % to its variance has a name
 NOTABLE = 0.02  # relative change of a health parameter that is worth a sentence
 HEALTH_WORDS = {"B": "B", "beta_e": "the effective bulk modulus"}
@@ -83,8 +85,7 @@ def robust(experiment: Experiment, fit: Fit, block: float = BLOCK) -> Fit:
     pulls = np.stack([np.einsum("kic,ic->k", part, r) for part, r in zip(
         np.array_split(d, count, axis=1), np.array_split(white, count, axis=0), strict=True)])
     pulls = pulls - pulls.mean(axis=0)
-    weight = np.diag([f.spread**-2.0 for f in fit.free])
-    information = np.einsum("kic,lic->kl", d, d) + weight
+    information = np.einsum("kic,lic->kl", d, d) + prior_information(experiment, fit)
     unit = 1.0 / np.sqrt(np.diag(information))  # newtons beside square metres per pascal second
     bread = np.linalg.pinv(information * np.outer(unit, unit), hermitian=True) * np.outer(
         unit, unit)
@@ -92,6 +93,27 @@ def robust(experiment: Experiment, fit: Fit, block: float = BLOCK) -> Fit:
     sandwich = bread @ meat @ bread
     scale = np.sqrt(np.maximum(np.diag(sandwich) / np.maximum(np.diag(bread), 1e-300), 1.0))
     return replace(fit, covariance=bread * np.outer(scale, scale))
+
+
+def prior_information(experiment: Experiment, fit: Fit) -> np.ndarray:
+    """Return what is known of a fit's numbers beforehand, (k, k) in the fitted coordinates.
+
+    A number of the rig is known to its tolerance, one standard deviation; the search holds it
+    closer, so that names compete.  What the config gives both chambers alike is one number with
+    one error: beta_e is no better known than the volume.
+    """
+    tolerance, rig = experiment.settings.rig.tolerance, experiment.settings.rig
+    places = {f.name.removeprefix("rig."): i for i, f in enumerate(fit.free)
+              if f.name.startswith("rig.")}
+    spread = np.array([f.spread for f in fit.free])
+    for key, i in places.items():
+        spread[i] = max(spread[i], tolerance.log_spread(key))
+    known = np.diag(spread**2)
+    for one, other in TWICE:
+        i, j = places.get(one), places.get(other)
+        if i is not None and j is not None and getattr(rig, one) == getattr(rig, other):
+            known[i, j] = known[j, i] = ALIKE * spread[i] * spread[j]
+    return np.linalg.inv(known)
 
 
 def config_effects(experiment: Experiment, fit: Fit, names: tuple[str, ...]
