@@ -22,6 +22,7 @@ from mcap.stream_reader import get_chunk_data_stream
 
 from eha_monitor.errors import InputError
 from eha_monitor.recordings.walk import AT_END, FOOTER, FULL, PREFIX, walk_records
+from eha_monitor.recordings.columns import let_go
 from eha_monitor.regular import check_regular
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -84,6 +85,7 @@ class McapFile:
             for opcode, begin, length in records:
                 if opcode == Opcode.CHUNK:
                     yield from self._chunk(self.data[begin:begin + length], whole=True)
+                    let_go(self.data)
         if ending == FOOTER:
             return
         self.truncated_at = len(self.data) if ending == AT_END else position
