@@ -123,3 +123,77 @@ def spans_of(masks: Iterator[tuple[int, np.ndarray]]) -> tuple[np.ndarray, np.nd
         stops.append(last)
     none = np.empty(0, dtype=np.int64)
     return np.concatenate([none, *starts]), np.concatenate([none, *stops])
+
+
+class Table:
+    """Rows of several columns, taken piece by piece, such as a filter writes them."""
+
+    def __init__(self):
+        self._first: list[np.ndarray] = []
+        self._columns: list[Column] = []
+        self.rows = 0
+
+    @classmethod
+    def begun(cls, columns: list[np.ndarray] | None, rows: int) -> "Table":
+        """Return a table that begins with the first rows of some columns."""
+        table = cls()
+        if columns is not None and rows:
+            for _, _, part in blocks(*(values[:rows] for values in columns)):
+                table.append(np.stack(part))
+        return table
+
+    def append(self, block: np.ndarray) -> None:
+        """Add rows; ``block`` (columns, m), which becomes the table's own."""
+        if not self._columns and not self._first:
+            self._first = [block]
+        else:
+            if not self._columns:
+                self._columns = [Column() for _ in block]
+            for before in (*self._first, block):
+                for column, values in zip(self._columns, before, strict=True):
+                    column.append(values)
+            self._first = []
+        self.rows += block.shape[1]
+
+    def values(self) -> list[np.ndarray]:
+        """Return each column, (rows,)."""
+        if self._first:
+            return list(self._first[0])
+        return [column.values() for column in self._columns]
+
+
+def mapped(function: Callable[..., np.ndarray], *columns: np.ndarray) -> np.ndarray:
+    """Return what a function that takes row by row makes of columns, (n,)."""
+    made = Table()
+    for _, _, rows in blocks(*columns):
+        made.append(function(*rows)[None, :])
+    return made.values()[0] if made.rows else np.empty(0)
+
+
+def steps_to(rows: int, starts: list[int], values: list[float]) -> np.ndarray:
+    """Return (rows,) values, each from its rising start on; the first from row 0."""
+    made = Table()
+    for first, last in pieces(rows):
+        block = np.full(last - first, values[0])
+        for start, value in zip(starts[1:], values[1:], strict=True):
+            block[max(start - first, 0):] = value
+        made.append(block[None, :])
+    return made.values()[0]
+
+
+def first_where(test: Callable[..., np.ndarray], *columns: np.ndarray) -> int | None:
+    """Return the first row for which a test holds, or None."""
+    for start, _, rows in blocks(*columns):
+        good = test(*rows)
+        if good.any():
+            return start + int(np.argmax(good))
+    return None
+
+
+def sampled(values: np.ndarray, most: int = IN_MEMORY) -> np.ndarray:
+    """Return every so many rows of a column, ``most`` of them at the most, in memory."""
+    stride = -(-len(values) // most)
+    if stride <= 1:
+        return values
+    parts = [rows[-start % stride::stride].copy() for start, _, (rows,) in blocks(values)]
+    return np.concatenate(parts)
