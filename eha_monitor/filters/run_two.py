@@ -12,7 +12,7 @@ from eha_monitor.filters.known import new_known_memory
 from eha_monitor.filters.pieces import PiecedInputs
 from eha_monitor.filters.stage_two import C_PLACE, states_beside_c
 from eha_monitor.filters.supervision import FROZEN, HELD, gave_up, new_supervision
-from eha_monitor.recordings.columns import Table, any_of, blocks
+from eha_monitor.recordings.columns import Table, any_of, blocks, let_go
 from eha_monitor.settings.monitor import Settings
 
 BANK_RATIO = 1.06  # spacing of the bulk moduli tried; half a ring's phase over its life
@@ -208,6 +208,7 @@ def run_from(begin: int, inputs: Inputs, settings: Settings, damping: np.ndarray
                 piece.first, out, changes)
             written.append(out[:, piece.first:])
             seen.add(changes, found, row)
+            let_go(damping, damping_variance)
         out, changes = written.values(), seen.rows
         last = (max(int(changes[0, 0] - 2 * changes[0, 3]), begin) if len(changes)
                 else inputs.rows - 1)

@@ -8,7 +8,7 @@ import numpy as np
 from eha_monitor.filters.model_watch import Trial
 from eha_monitor.filters.results import ParameterEstimate, Taint
 from eha_monitor.health.alarms import Alarm, AlarmBoard
-from eha_monitor.recordings.columns import blocks
+from eha_monitor.recordings.columns import blocks, chosen
 from eha_monitor.settings.monitor import Settings
 
 # Judgements per second, as live; health changes over seconds, and hold times are tenths of one.
@@ -64,14 +64,15 @@ def judge_series(settings: Settings, time: np.ndarray, parameters: dict[str, Par
     step = np.median(np.diff(time[:STEPS])) if len(time) > 1 else 1.0
     stride = max(1, round(1.0 / (JUDGE_RATE * step)))
     index = np.arange(len(time) - 1, -1, -stride)[::-1]  # the last sample is always judged
+    at = chosen(time, index)
     present = (np.ones(len(index), dtype=bool) if measured is None else
-               time[index] - time[0] - _last(measured, time, index)
+               at - time[0] - _last(measured, time, index)
                <= settings.monitor.stale_after)
     warmth = None if temperature is None else _carried(temperature, index).tolist()
     columns = {symbol: _columns(series, index) for symbol, series in parameters.items()}
     trials = {symbol: Trial(series.final.unit) for symbol, series in parameters.items()}
     unjudged = {symbol: _unjudged(series.final) for symbol, series in parameters.items()}
-    for k, (at, here) in enumerate(zip(time[index].tolist(), present.tolist(), strict=True)):
+    for k, (at, here) in enumerate(zip(at.tolist(), present.tolist(), strict=True)):
         if not here:
             board.stale(at, f"no data for more than {settings.monitor.stale_after:g} s")
             continue
@@ -110,9 +111,9 @@ def _columns(series: ParameterSeries, index: np.ndarray) -> tuple[list, list, li
     if series.final.status == "no_data" or len(series.value) == 0:
         empty = [False] * len(index), [float("nan")] * len(index), [float("nan")] * len(index)
         return empty
-    value, stddev = series.value[index], series.stddev[index]
+    value, stddev = chosen(series.value, index), chosen(series.stddev, index)
     known = (series.converged(value, stddev) if callable(series.converged)
-             else series.converged[index])
+             else chosen(series.converged, index))
     judged = np.isfinite(value) & np.isfinite(stddev) & known
     return judged.tolist(), value.tolist(), stddev.tolist()
 
@@ -136,9 +137,9 @@ def _last_rows(present: np.ndarray, index: np.ndarray) -> np.ndarray:
 def _last(measured: np.ndarray, time: np.ndarray, index: np.ndarray) -> np.ndarray:
     """Return when each of ``index`` had its last data, s since the first row; (k,)."""
     rows = _last_rows(measured, index)
-    return np.where(rows >= 0, time[rows] - time[0], -np.inf)
+    return np.where(rows >= 0, chosen(time, np.maximum(rows, 0)) - time[0], -np.inf)
 
 
 def _carried(values: np.ndarray, index: np.ndarray) -> np.ndarray:
     """Return the rows ``index`` with NaN filled with the value before it; (k,)."""
-    return values[np.maximum(_last_rows(values, index), 0)]
+    return chosen(values, np.maximum(_last_rows(values, index), 0))

@@ -106,6 +106,15 @@ def any_of(columns: tuple[np.ndarray, ...], test: Callable[..., np.ndarray]) -> 
     return any(bool(np.any(test(*rows))) for _, _, rows in blocks(*columns))
 
 
+def chosen(values: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Return some rows of a column, ``index`` (k,) rising, in memory."""
+    if not on_disk(values):
+        return values[index]
+    found = [rows[index[slice(*np.searchsorted(index, (start, stop)))] - start]
+             for start, stop, (rows,) in blocks(values)]
+    return np.concatenate(found) if found else values[index]
+
+
 def spans_of(masks: Iterator[tuple[int, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
     """Return first and behind-last row of each stretch of True over consecutive masks.
 
