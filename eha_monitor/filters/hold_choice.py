@@ -94,6 +94,11 @@ def with_hold(settings: Settings, hold: str) -> Settings:
     return settings.model_copy(update={"command_hold": hold})
 
 
+def other_hold(settings: Settings) -> Settings:
+    """Return the settings with the hold that they do not say."""
+    return with_hold(settings, CONTINUOUS if settings.command_hold == SAMPLED else SAMPLED)
+
+
 def resolved(recordings: list[Recording], settings: Settings
              ) -> tuple[Settings, HoldDecision | None]:
     """Return the settings with the hold decided, and what the recordings say about it.

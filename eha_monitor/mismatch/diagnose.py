@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from eha_monitor.breakdown import computing
-from eha_monitor.filters.hold_choice import resolved
+from eha_monitor.filters.hold_choice import other_hold, resolved
 from eha_monitor.mismatch.advise import advice as advise
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.diagnosis import (
@@ -22,10 +22,12 @@ from eha_monitor.mismatch.diagnosis import (
     Value,
     Window,
 )
+from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
 from eha_monitor.mismatch.name.acceptance import LIKELY, RIVAL
 from eha_monitor.mismatch.name.naming import Naming, name_effects
+from eha_monitor.mismatch.name.nominal import nominal
 from eha_monitor.mismatch.name.telling import on_all_of, telling
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT
 from eha_monitor.mismatch.show import balances as balance_show
@@ -84,28 +86,58 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
                say: Report) -> Diagnosis:
     started = time.perf_counter()
     held, decision = resolved(recordings, settings)
-    found = diagnose_held(recordings, held, held_out, say)
+    experiment = experiment_of(recordings, held, hold_out=held_out is None)
+    named = named_in(experiment, say)
+    if decision is not None and named is not None and named[1].unexplained > RIVAL:
+        # What is missing may have been taken for a hold, or the other way about.
+        other = experiment_of(recordings, other_hold(held), hold_out=held_out is None)
+        gained = gained_under(other, named[1])
+        if gained > 0.0:
+            experiment, held, named = other, other.settings, named_in(other, say)
+            decision = replace(decision, hold=held.command_hold, evidence=gained, decided=True)
+    found = diagnosed(recordings, experiment, named, held_out, started, say)
     told = decision is not None and decision.decided
     return replace(found, channels=decision.findings if told else (),
                    command_hold=(held if told else settings).command_hold,
                    wall_s=time.perf_counter() - started)
 
 
-def diagnose_held(recordings: list[Recording], settings: Settings, held_out: Recording | None,
-                  say: Report) -> Diagnosis:
-    """Diagnose with the hold that the settings say."""
-    started = time.perf_counter()
-    experiment = experiment_of(recordings, settings, hold_out=held_out is None)
+def named_in(experiment: Experiment, say: Report) -> tuple[Experiment, Naming] | None:
+    """Name what the windows that tell most show; None where the piston hardly moves."""
+    if experiment.ranges.position < LEAST_MOTION * experiment.noise[0]:
+        return None
+    told = telling(experiment)
+    return told, name_effects(told, lambda text, share: say(text, 0.85 * share))
+
+
+def gained_under(other: Experiment, naming: Naming) -> float:
+    """Return by how much a nominal model fits better than all that was named, log units.
+
+    Parameters
+    ----------
+    other : the same samples and outputs as those of the naming, under another hold of the drive's
+        command.
+    """
+    def each(fit: Fit) -> float:
+        return fit.log_likelihood / np.isfinite(fit.e).sum()
+
+    bare = nominal(telling(other))[1]
+    return float((each(bare) - each(naming.after)) * np.isfinite(bare.e).sum())
+
+
+def diagnosed(recordings: list[Recording], experiment: Experiment,
+              named: tuple[Experiment, Naming] | None, held_out: Recording | None,
+              started: float, say: Report) -> Diagnosis:
+    """Return the answer for what was named on the windows that tell most."""
     bags = tuple(recording.source for recording in recordings)
     duration = sum(recording.duration for recording in recordings)
-    if experiment.ranges.position < LEAST_MOTION * experiment.noise[0]:
+    if named is None:
         return insufficient(bags, duration, started,
                             f"the piston moves by {quantity(experiment.ranges.position, 'm', 2)} "
                             f"only, with {quantity(experiment.noise[0], 'm', 2)} of noise: "
                             "nothing can be told")
-    whole, told = experiment.stretches, telling(experiment)
-    naming = on_all_of(experiment, name_effects(
-        told, lambda text, share: say(text, 0.85 * share)))
+    settings, whole, told = experiment.settings, experiment.stretches, named[0]
+    naming = on_all_of(experiment, named[1])
     experiment = naming.experiment
     pieces: tuple[Piece, ...] = ()
     if not experiment.inverse and (verdict_of(experiment, naming) != "consistent"

@@ -8,7 +8,7 @@ import numpy as np
 from eha_monitor.mismatch.data.experiment import Experiment, resolving
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.name.base import limits_of, with_effect, without_effect
-from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, rig_free
+from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, effects_of, rig_free
 from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished
 from eha_monitor.mismatch.name.proposals import (
     STRAYED,
@@ -70,10 +70,19 @@ class Selection:
     beside: Linearised
 
 
-def nominal_model(experiment: Experiment) -> Fit:
-    """Fit the nominal model, first with unknowns so large that it cannot run away."""
+def nominal_model(experiment: Experiment, within: bool = False) -> Fit:
+    """Fit the nominal model, first with unknowns so large that it cannot run away.
+
+    Parameters
+    ----------
+    within : with the rig's numbers free within their tolerances.  Where only B and beta_e may
+        give, they make up for all that the config has a little wrong, and go where nothing is
+        linear.
+    """
     for factor in LARGER:
-        held = polished(experiment, begun(experiment, factor), Slopes(experiment), 8, 0.5)
+        start = begun(experiment, factor)
+        held = polished(experiment, with_rig(experiment, start) if within else start,
+                        Slopes(experiment), 8, 0.5)
         if held.gains.size and np.isfinite(held.log_likelihood):
             break
     else:
@@ -126,13 +135,14 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
     """Find the set of effects and wrong numbers of the rig that a recording supports."""
     say("fitting the nominal model", 0.05)
     experiment, first = resolved_nominal(experiment)
+    start = nominal_model(experiment, within=True)
     seen = Seen(experiment.inverse)
-    seen.add(experiment, frozenset(), first)
+    seen.add(experiment, frozenset(), start)
     if not seen.evidence:
         raise np.linalg.LinAlgError("the nominal model's evidence is singular")
     views: dict[Names, Linearised] = {}
     done: dict[Names, float] = {}
-    others = elsewhere(experiment, first, seen)
+    others = elsewhere(experiment, start, seen)
     ended = False
     for turn in range(ROUNDS):
         say(f"weighing all sets, round {turn + 1}", 0.1 + 0.1 * turn)
@@ -249,7 +259,11 @@ def simplified(experiment: Experiment, fit: Fit, name: str, other: str) -> Fit:
 
 
 def lesser(experiment: Experiment, fit: Fit, name: str) -> Fit:
-    """Return a fit without one of its members, where it stands."""
+    """Return a fit without one of its members, where it stands.
+
+    What the member hid may now be seen, so every number of the rig is free: a leakage within its
+    tolerance explains what a cross-port leakage did.
+    """
     if is_effect(name):
         bare = without_effect(experiment, fit, name)
     else:
@@ -258,9 +272,20 @@ def lesser(experiment: Experiment, fit: Fit, name: str) -> Fit:
         theta[own.place] = min(max(theta[own.place], own.lower), own.upper)
         bare = replace(fit, theta=theta, named=tuple(n for n in fit.named if n != name),
                        free=tuple(own if f.name == name else f for f in fit.free))
-    k = len(bare.free)
-    return at_level(experiment, with_unknowns(experiment, replace(
-        bare, covariance=np.zeros((k, k)), converged=False), fit.unknowns))
+    return at_level(experiment, with_rig(experiment, bare))
+
+
+def with_rig(experiment: Experiment, fit: Fit) -> Fit:
+    """Return a fit with every number of the rig free within its tolerance, not yet refitted.
+
+    One that is the same equation as an effect of the model stays at the config's.
+    """
+    known = {f.name for f in fit.free}
+    known |= {f"rig.{CATALOGUE[name].rig_twin}" for name in effects_of(fit)}
+    free = fit.free + tuple(f for f in rig_free(experiment) if f.name not in known)
+    k = len(free)
+    return with_unknowns(experiment, replace(
+        fit, free=free, covariance=np.zeros((k, k)), converged=False), fit.unknowns)
 
 
 def without_each(experiment: Experiment, seen: Seen) -> None:

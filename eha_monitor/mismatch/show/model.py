@@ -18,7 +18,7 @@ TIMED = ("command_delay.T", "position_delay.T", "pressure_delay.T", "feedback_de
          "drive_lag.tau")
 BLOCK = 0.5  # s
 INVERSE_BLOCK = 10  # compared samples of the balances, a second
-COARSE = 0.5  # times the configured noise: rounding that makes it a tenth larger is worth a name
+COARSE = 0.1  # times the configured noise: rounding that adds 1 % to its variance has a name
 NOTABLE = 0.02  # relative change of a health parameter that is worth a sentence
 HEALTH_WORDS = {"B": "B", "beta_e": "the effective bulk modulus"}
 
