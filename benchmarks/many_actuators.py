@@ -152,7 +152,8 @@ def publish(count: int, duration: float) -> None:
     node = rclpy.create_node("publishers")
     quality = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
     outputs = [[(node.create_publisher(message_class(s.msgtype), f"/{name}{s.topic}", quality),
-                 bytearray(s.data.tobytes()), s.data.shape[1]) for s in streams] for name in names_of(count)]
+                 bytearray(s.data.tobytes()), s.data.shape[1]) for s in streams]
+               for name in names_of(count)]
     while not all(p.get_subscription_count() for actuator in outputs for p, _, _ in actuator):
         time.sleep(0.05)
     time.sleep(1.0)  # the monitor, too, must have heard of each publisher

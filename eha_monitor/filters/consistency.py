@@ -189,7 +189,8 @@ def judge(innovation: np.ndarray, stddev: np.ndarray, dt: float, stage: str,
     lengths, ratios = seen.ratios()
     chance = np.sqrt(2.0 / (n // lengths))
     excess = (ratios - 1.0) / chance
-    size = np.sqrt(ratios / lengths) * float(np.median(np.concatenate(seen.stddevs)))  # rms of block means
+    # Root mean square of block means.
+    size = np.sqrt(ratios / lengths) * float(np.median(np.concatenate(seen.stddevs)))
     judged = np.where((excess > SIGNIFICANCE) & (ratios > TOLERANCE)
                       & (size > RESOLVED * quantum), ratios, 0.0)
     if (changes is not None and len(changes) and one_way(changes)

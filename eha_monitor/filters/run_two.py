@@ -73,8 +73,8 @@ def start_compliance(inputs: Inputs, settings: Settings, damping: np.ndarray,
     (10 um on triangles, 12 draws each: error over sigma 1.4 at 12 s, 1.0 at 24 s with 8; 2.5 with
     25.  The 8 was picked on these draws).
 
-    Asked are the samples from ``begin`` on.  Where the bank cannot tell, as while the motion is steady, it is the prior's: 1 and its
-    variance.
+    Asked are the samples from ``begin`` on.  Where the bank cannot tell, as while the motion is
+    steady, it is the prior's: 1 and its variance.
     """
     broad = prior_variance(settings)
     steps = round(np.log(BANK_SPAN) / np.log(BANK_RATIO))

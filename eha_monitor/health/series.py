@@ -64,15 +64,15 @@ def judge_series(settings: Settings, time: np.ndarray, parameters: dict[str, Par
     step = np.median(np.diff(time[:STEPS])) if len(time) > 1 else 1.0
     stride = max(1, round(1.0 / (JUDGE_RATE * step)))
     index = np.arange(len(time) - 1, -1, -stride)[::-1]  # the last sample is always judged
-    at = chosen(time, index)
+    times = chosen(time, index)
     present = (np.ones(len(index), dtype=bool) if measured is None else
-               at - time[0] - _last(measured, time, index)
+               times - time[0] - _last(measured, time, index)
                <= settings.monitor.stale_after)
     warmth = None if temperature is None else _carried(temperature, index).tolist()
     columns = {symbol: _columns(series, index) for symbol, series in parameters.items()}
     trials = {symbol: Trial(series.final.unit) for symbol, series in parameters.items()}
     unjudged = {symbol: _unjudged(series.final) for symbol, series in parameters.items()}
-    for k, (at, here) in enumerate(zip(at.tolist(), present.tolist(), strict=True)):
+    for k, (at, here) in enumerate(zip(times.tolist(), present.tolist(), strict=True)):
         if not here:
             board.stale(at, f"no data for more than {settings.monitor.stale_after:g} s")
             continue

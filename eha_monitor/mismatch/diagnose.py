@@ -153,7 +153,7 @@ def diagnosed(recordings: list[Recording], experiment: Experiment,
         experiment_of([held_out], settings, False), steps=experiment.steps)
     found = assemble(experiment, shown, naming, bags, duration, started, held_out is not None,
                      pieces)
-    windows = () if told.stretches is whole else told.stretches
+    windows = told.stretches if told.windows or told.stretches is not whole else ()
     return replace(found, named_on=tuple(Window(
         one.source, round(one.start, 4), round(one.start + len(one) * told.dt, 4))
         for one in windows))

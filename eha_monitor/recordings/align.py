@@ -197,6 +197,7 @@ def tell_rate(name: str, axis: tuple, grid: Grid, said: list[str]) -> None:
 
 
 def tell_grid(grid: Grid, label: str, nominal: float, said: list[str]) -> None:
+    """Say what was made of stamps that are not those of the config."""
     if grid.mode == "snapped":
         said.append(f"{label}: stamps jitter by {grid.jitter * 1e3:.3g} ms rms about an even "
                     f"sampling of {grid.step * 1e3:.6g} ms; the even times are used")

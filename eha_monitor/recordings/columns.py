@@ -57,7 +57,7 @@ class Column:
         parts, self._parts, self._waiting = self._parts, [], 0
         try:
             if self._file is None:
-                self._file = tempfile.TemporaryFile(prefix="eha_monitor_")
+                self._file = tempfile.TemporaryFile(prefix="eha_monitor_")  # noqa: SIM115
             for part in parts:
                 self._file.write(memoryview(part).cast("B") if len(part) else b"")
             self._file.flush()

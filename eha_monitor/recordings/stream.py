@@ -2,7 +2,7 @@
 
 That is possible where stamps are what a sampled system writes: on an even grid, to within what
 counts as exact.  Anything else (jitter, a clock that drifts or jumps, late messages) asks for the
-stamps of the whole recording at once, and :mod:`align` has them.  What both accept they read alike.
+stamps of the whole recording at once, and :mod:`align` has them.  What both take they read alike.
 """
 
 from collections.abc import Callable

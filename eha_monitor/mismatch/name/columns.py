@@ -17,7 +17,7 @@ import numpy as np
 from eha_monitor.mismatch.data.experiment import Experiment, damping_steps
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, filtered, innovations, spread, step_of
-from eha_monitor.mismatch.likelihood.tangents import Lane, along, can
+from eha_monitor.mismatch.likelihood.tangents import Lane, along_into, can
 from eha_monitor.mismatch.name.starts import (
     Start,
     directions_of,
@@ -199,9 +199,7 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
     lanes = [Lane(*move) for move in moves]
     able = [i for i, lane in enumerate(lanes) if can(experiment, fit, lane)]
     if able:
-        for into, found in zip(values, along(experiment, fit, [lanes[i] for i in able]),
-                               strict=True):
-            into[:, :, [1 + i for i in able]] = found
+        along_into(experiment, fit, [lanes[i] for i in able], values, [1 + i for i in able])
     keep = [True] * len(moves)
     for place in able:
         keep[place] = all(tame(into[:, :, 1 + place], part)
