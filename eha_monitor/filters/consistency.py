@@ -6,7 +6,8 @@ import numpy as np
 
 from eha_monitor.filters.results import Consistency
 from eha_monitor.quantity import number
-from eha_monitor.recordings.columns import IN_MEMORY, blocks
+from eha_monitor.recordings import columns
+from eha_monitor.recordings.columns import blocks
 
 LENGTHS = (1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1024)  # samples in a block
 # Verdict: a ratio must be beyond what chance gives AND large enough to matter.
@@ -177,7 +178,7 @@ def judge(innovation: np.ndarray, stddev: np.ndarray, dt: float, stage: str,
         None with fewer than 200 innovations: too few to judge.
     """
     left_out = spans_while_changing(len(innovation), changes, round(window_s / dt))
-    seen = _Squares(-(-len(innovation) // IN_MEMORY))
+    seen = _Squares(-(-len(innovation) // columns.IN_MEMORY))
     for first, last, rows in blocks(innovation, stddev):
         e = whitened(*rows)
         index = np.flatnonzero(np.isfinite(e) & ~_mask(left_out, first, last))

@@ -14,7 +14,8 @@ import numpy as np
 from eha_monitor.filters.inputs import Known, Piece, StageInputs, missing
 from eha_monitor.filters.noise import noise_levels
 from eha_monitor.physics import signals as s
-from eha_monitor.recordings.columns import IN_MEMORY, PIECE, Table
+from eha_monitor.recordings import columns
+from eha_monitor.recordings.columns import Table
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.sample import rows_of, sample_of
 from eha_monitor.settings.monitor import Settings
@@ -28,9 +29,9 @@ def inputs_of(recording: Recording, settings: Settings,
 
     ``size`` : rows of a piece, whatever the length.
     """
-    if size is None and len(recording) <= IN_MEMORY:
+    if size is None and len(recording) <= columns.IN_MEMORY:
         return StageInputs.of(recording, settings)
-    return PiecedInputs(recording, settings, size or PIECE)
+    return PiecedInputs(recording, settings, size or columns.PIECE)
 
 
 class PiecedInputs:
@@ -43,7 +44,7 @@ class PiecedInputs:
     spikes : samples of each channel that were left out, once all pieces have been asked for.
     """
 
-    def __init__(self, recording: Recording, settings: Settings, size: int = PIECE):
+    def __init__(self, recording: Recording, settings: Settings, size: int):
         self.recording, self.settings, self.size = recording, settings, max(size, 4 * BESIDE)
         self.rows, self.dt = len(recording), recording.sample_time
         self.sample = sample_of(recording)

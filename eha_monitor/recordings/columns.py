@@ -8,6 +8,7 @@ with the process); :func:`let_go` gives the memory of its pages back.  The files
 
 import mmap
 import tempfile
+import weakref
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -21,10 +22,11 @@ PIECE = 2**16  # rows that are worked on at a time; of a longer recording only
 class Column:
     """A column of float64 that is appended to, then read."""
 
-    def __init__(self, in_memory: int = IN_MEMORY):
-        self._in_memory = in_memory
+    def __init__(self):
+        self._in_memory = IN_MEMORY
         self._parts: list[np.ndarray] = []
         self._file = None
+        self._whole: np.ndarray | None = None  # once it has been read, nothing is added
         self._waiting = 0
         self.rows = 0
 
@@ -44,20 +46,24 @@ class Column:
     def values(self, rows: int | None = None) -> np.ndarray:
         """Return the column, or its first rows; (n,), not to be written where it is on disk."""
         rows = self.rows if rows is None else min(rows, self.rows)
+        if self._whole is not None:
+            return self._whole[:rows]
         if self._file is None and self.rows <= self._in_memory:
             whole = np.concatenate(self._parts) if self._parts else np.empty(0)
             self._parts = [whole]
             return whole[:rows]
         self._write()
-        size = 8 * self.rows
-        return np.frombuffer(mmap.mmap(self._file.fileno(), size, access=mmap.ACCESS_READ),
-                             dtype=float)[:rows]
+        mapped_file = mmap.mmap(self._file.fileno(), 8 * self.rows, access=mmap.ACCESS_READ)
+        self._file.close()  # the map stays
+        self._whole = np.frombuffer(mapped_file, dtype=float)
+        return self._whole[:rows]
 
     def _write(self) -> None:
         parts, self._parts, self._waiting = self._parts, [], 0
         try:
             if self._file is None:
                 self._file = tempfile.TemporaryFile(prefix="eha_monitor_")  # noqa: SIM115
+                weakref.finalize(self, self._file.close)
             for part in parts:
                 self._file.write(memoryview(part).cast("B") if len(part) else b"")
             self._file.flush()
@@ -199,9 +205,9 @@ def first_where(test: Callable[..., np.ndarray], *columns: np.ndarray) -> int | 
     return None
 
 
-def sampled(values: np.ndarray, most: int = IN_MEMORY) -> np.ndarray:
-    """Return every so many rows of a column, ``most`` of them at the most, in memory."""
-    stride = -(-len(values) // most)
+def sampled(values: np.ndarray) -> np.ndarray:
+    """Return every so many rows of a column, as many as stay in memory."""
+    stride = -(-len(values) // IN_MEMORY)
     if stride <= 1:
         return values
     parts = [rows[-start % stride::stride].copy() for start, _, (rows,) in blocks(values)]

@@ -4,16 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from eha_monitor.recordings.columns import IN_MEMORY, let_go
+from eha_monitor.recordings import columns
+from eha_monitor.recordings.columns import let_go
 from eha_monitor.recordings.recording import Recording
 
 STRETCH = 4096  # rows of each stretch of a sample
 
 
-def sample_of(recording: Recording, most: int = IN_MEMORY) -> Recording:
+def sample_of(recording: Recording) -> Recording:
     """Return stretches from all over a long recording, a missing row between two; or itself."""
-    rows, count = len(recording), most // (STRETCH + 1)
-    if rows <= most:
+    rows, count = len(recording), max(columns.IN_MEMORY // (STRETCH + 1), 1)
+    if rows <= columns.IN_MEMORY:
         return recording
     starts = np.linspace(0, rows - STRETCH, count).astype(int)
     channels = {}

@@ -11,6 +11,7 @@ amplitudes of all columns have the prior N(centre, 1).  Suspects are
 """
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -192,7 +193,10 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
 
     terms = unnamed_of(experiment, fit) if unnamed and not experiment.inverse else []
     sizes = [term.basis[0].shape[1] for term in terms]
-    values = [np.empty((*part.shape, 1 + len(moves) + sum(sizes))) for part in present]
+    # In one block, as large as is given back to the system when it is freed.
+    bounds = np.cumsum([0, *map(len, present)])
+    block = np.empty((bounds[-1], present[0].shape[1], 1 + len(moves) + sum(sizes)))
+    values = [block[first:last] for first, last in pairwise(bounds)]
     rough = coarse(experiment)
     plain = runs_of(rough, fit.theta, fit.active, fit.gains)
 
