@@ -169,7 +169,7 @@ def test_pieces_give_the_numbers_of_the_whole(changing, at_once, size):
 
 @pytest.mark.parametrize("known", [
     {"effects": {"drive_lag": {"tau": 3e-3}}},
-    {"effects": {"command_delay": {"tau": 4e-3}, "position_delay": {"tau": 2e-3}}},
+    {"effects": {"command_delay": {"T": 4e-3}, "position_delay": {"T": 2e-3}}},
     {"effects": {"coulomb_friction": {"F_c": 30.0}}},
     {"command_hold": "sampled"},
 ])
