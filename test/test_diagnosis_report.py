@@ -83,7 +83,7 @@ def test_sections_follow_what_is_there(html):
 def test_page_says_what_was_found(html):
     text = Page(html).text
     for words in ("40.03 ± 0.08 N", "1412 ± 9 N·s/m", "601.2 ± 1.1 N·s/m", "97 %",
-                  "where the motion turns round", "presliding friction", "41 µm", "2.1 µm",
+                  "where the motion reverses", "presliding friction", "41 µm", "2.1 µm",
                   "Push the depressurised rod", "Mismatch, and what it is (>99 %)",
                   "Probability that", "cannot be told from presliding friction",
                   COMMAND, "12 samples came twice", "F_c: 40.03"):
@@ -222,7 +222,7 @@ def test_table_for_a_person(capsys, tmp_path):
     for words in ("Mismatch, and what it is (>99 %): The force balance lacks",
                   "coulomb_friction >99 %", "pump_dead_zone 91 %",
                   "F_c = 40.03 ± 0.08 N", "presliding friction", "1412 ± 9 N·s/m",
-                  "where the motion turns round", "41 µm", "99.7 %", "B read 1412 N·s/m",
+                  "where the motion reverses", "41 µm", "99.7 %", "B read 1412 N·s/m",
                   "βe", DIAGNOSED):
         assert words in out, words
     assert "report.html" in out

@@ -135,7 +135,7 @@ def test_what_is_within_a_number_s_tolerance_is_no_mismatch():
 def test_standstill_is_insufficient_data():
     found = sound(diagnosed(demand=np.zeros(1500)))
     assert found.verdict == "insufficient_data" and found.effects == ()
-    assert "nothing can be told" in found.message
+    assert "too little motion to identify anything" in found.message
     assert found.before == {} and found.after == {}
 
 

@@ -163,7 +163,7 @@ def test_verdict_leads_with_the_gravest(triangle):
     silent = replace(found, stage_two=replace(found.stage_two, estimate=replace(
         found.stage_two.estimate, status="not_excited")))
     assert verdict(silent, triangle.alarms).headline == "Healthy as far as can be told"
-    assert "nothing can be told about effective bulk modulus" in verdict(
+    assert "no estimate of effective bulk modulus" in verdict(
         silent, triangle.alarms).sentence
 
 
@@ -202,7 +202,7 @@ def test_missing_channels_are_said_not_drawn(short, channels, missing):
     case = case_of(replace(recording, channels={n: given[n] for n in channels}), settings)
     page = Page(case.page())
     assert page.ids >= FIGURES
-    assert f"nothing can be told about {missing}" in page.text
+    assert f"no estimate of {missing}" in page.text
     assert ("No curve:" in page.text) or len(page.pictures) == 8
     if "p1" not in channels and "force" not in channels:
         assert "pressure" not in page.pictures

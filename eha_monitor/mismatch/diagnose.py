@@ -135,7 +135,7 @@ def diagnosed(recordings: list[Recording], experiment: Experiment,
         return insufficient(bags, duration, started,
                             f"the piston moves by {quantity(experiment.ranges.position, 'm', 2)} "
                             f"only, with {quantity(experiment.noise[0], 'm', 2)} of noise: "
-                            "nothing can be told")
+                            "too little motion to identify anything")
     settings, whole, told = experiment.settings, experiment.stretches, named[0]
     naming = on_all_of(experiment, named[1])
     experiment = naming.experiment

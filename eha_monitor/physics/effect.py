@@ -122,8 +122,8 @@ class Effect:
     circuit : compiled ``circuit(p, w)``; adds to the constants ``w`` of drive and sensors.
     remembers_place : m[1] is a position; it moves along when a filter corrects the position.
     contains : simpler effects that are a special case of this one.
-    family : effects of one family explain one another's errors of form ("dry" friction); two of
-        them are named only where the second one is large.
+    family : effects of one family explain one another's errors of form ("dry" friction, the flow
+        through a "gap"); two of them are named only where the second one is large.
     rig_twin : number of the rig that does the same when it is wrong: one cannot be told from the
         other.
     rarity : the larger, the less common on rigs; decides where a recording cannot.

@@ -20,13 +20,13 @@ from eha_monitor.words import listed
 VERDICTS = {
     "consistent": ("ok", "Model and recording agree"),
     "mismatch": ("warn", "Mismatch, and what it is"),
-    "unexplained": ("error", "Mismatch without a name"),
+    "unexplained": ("error", "Unexplained mismatch"),
     "insufficient_data": ("unknown", "Too little to tell"),
 }
 CHANGED = ("warn", "A parameter changed, and nothing else is missing")
 WRONG_NUMBERS = ("warn", "The numbers of the rig explain the mismatch, and nothing is left out")
 REGIMES = {
-    "velocity_reversal": "where the motion turns round", "high_speed": "at high speed",
+    "velocity_reversal": "where the motion reverses", "high_speed": "at high speed",
     "high_pressure": "at a high pressure difference", "near_limit": "near a limit",
     "always": "all the time",
 }

@@ -40,13 +40,13 @@ def verdict(estimate: Estimate, alarms: tuple[Alarm, ...]) -> Verdict:
     if told and not (errors or warnings):
         parts.append(_values(told, alarms))
     if untold:
-        parts.append("nothing can be told about " + " and ".join(
+        parts.append("no estimate of " + " and ".join(
             f"{NAMES[p.name]} {SYMBOLS[p.name]} ({STATUS_WORDS.get(p.status, p.status)})"
             for p in untold))
     if estimate.model.status == "consistent":
         parts.append("the model explains the recording")
     elif told and not mismatch:
-        parts.append("whether the model explains the recording could not be told")
+        parts.append("the recording does not show whether the model explains it")
     held = [a for a in alarms if a.not_judged]
     kind, headline = _head(errors, warnings, mismatch, told, untold or held,
                            estimate.model.status)

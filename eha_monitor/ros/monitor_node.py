@@ -226,8 +226,8 @@ class Monitor:
     def _on_reset(self, request, response):
         self._reset("asked for by the service monitor/reset")
         response.success = True
-        response.message = ("both stages have forgotten their estimates and begin anew; alarms "
-                            "stand as they are until there is something to judge")
+        response.message = ("both estimators reset; alarms stay as they are until there is a new "
+                            "estimate to judge")
         return response
 
     def _judge(self) -> None:

@@ -1,6 +1,6 @@
 """A linearisation with every set ranked there, and which of the sets are worth a refit."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,8 +13,15 @@ from eha_monitor.mismatch.name.columns import Column, Columns, columns_at
 from eha_monitor.mismatch.name.gram import grams_of
 from eha_monitor.mismatch.name.polish import Slopes
 from eha_monitor.mismatch.name.rank import LARGEST_SET, Ranked, best_over, ranked_at
-from eha_monitor.mismatch.name.seen import Names, Seen, evidence_at_start, own_in, posterior
-from eha_monitor.mismatch.name.suspects import is_named
+from eha_monitor.mismatch.name.seen import (
+    Names,
+    Seen,
+    beyond,
+    evidence_at_start,
+    own_in,
+    posterior,
+)
+from eha_monitor.mismatch.name.suspects import is_named, kin
 from eha_monitor.physics.effects import CATALOGUE
 
 HANDFUL = 4  # sets that are refitted at a linearisation
@@ -80,9 +87,39 @@ def weighed(experiment: Experiment, here: Names, fit: Fit, columns: Columns,
             more: int = LARGEST_SET) -> Linearised:
     """Rank the sets that columns at a model make; ``more`` suspects join a part of it at most."""
     grams = grams_of(experiment, fit, columns.values, levels_of(experiment, fit), columns.copies)
-    levels = ranked_at(columns.what, fit.named, grams, more)
+    levels = [beyond_one_law(found, here)
+              for found in ranked_at(columns.what, fit.named, grams, more)]
     return Linearised(here, fit, columns.what, Slopes(experiment, fit, columns), levels,
                       best_over(levels))
+
+
+def beyond_one_law(found: list[Ranked], here: Names) -> list[Ranked]:
+    """Return sets in which a second law of a family counts as far as it is beyond form error.
+
+    What one law has wrong another takes up: see :meth:`Seen.scores`.  The model at hand stays as
+    it is, since all others are measured from it.
+    """
+    known: dict[Names, float] = {}
+    for one in found:
+        known[one.names] = max(one.evidence, known.get(one.names, -np.inf))
+    explained: dict[Names, float] = {}
+    for names, evidence in known.items():
+        for law in names:
+            if kin(law) and names - {law} in known and not names & set(kin(law)):
+                family = frozenset((law, *kin(law)))
+                explained[family] = max(evidence - known[names - {law}],
+                                        explained.get(family, 0.0))
+    counted = []
+    for one in found:
+        evidence = one.evidence
+        for family, gain in explained.items():
+            laws = one.names & family
+            if len(laws) > 1 and not laws <= here:
+                single = max((known[some] for some in known if len(some & family) == 1
+                              and some - family <= one.names), default=one.evidence)
+                evidence = min(evidence, beyond(one.evidence, single, gain))
+        counted.append(one if evidence == one.evidence else replace(one, evidence=evidence))
+    return sorted(counted, key=lambda one: -one.evidence)
 
 
 def chosen_at(view: Linearised, seen: Seen) -> list[Ranked]:

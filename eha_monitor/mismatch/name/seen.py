@@ -84,36 +84,37 @@ class Seen:
     def scores(self) -> dict[Names, float]:
         """Return the score of every refitted set.
 
-        No law of friction is right to the last newton: each picks up what another has wrong, and
-        a second one beside it does.  So between sets that differ in the laws of one family only,
-        evidence counts so much less that ``FORM_OF_LAW`` of what the family explains leaves the
-        other set just a rival.
+        No law of friction is right to the last newton, no law of a gap to the last litre: each
+        picks up what another has wrong, and a second one beside it does.  So between sets that
+        differ in the laws of one family only, evidence counts so much less that ``FORM_OF_LAW`` of
+        what the family explains leaves the other set just a rival.
         """
         plain = {names: self.score(value, 0.0) for names, value in self.evidence.items()}
         found = {}
         for names, value in self.evidence.items():
-            best, form = self.family_of(names)
-            most = abs(value - self.evidence[best]) * -np.log(RIVAL) / max(form, 1e-9)
-            gained = plain[names] - plain[best]
-            found[names] = plain[best] + min(max(gained, -most), most) + prior_of(names)
+            found[names] = plain[names] + prior_of(names)
+            for best, form in self.laws_of(names):
+                most = abs(value - self.evidence[best]) * -np.log(RIVAL) / max(form, 1e-9)
+                gained = plain[names] - plain[best]
+                found[names] -= gained - min(max(gained, -most), most)
         return found
 
-    def family_of(self, names: Names) -> tuple[Names, float]:
-        """Return the best set with one law in the place of a set's laws of one family.
+    def laws_of(self, names: Names) -> list[tuple[Names, float]]:
+        """Return for each family of a set the best set with one law in its laws' place.
 
         With it comes how many log units may be form error of that law.
         """
-        law = next(filter(kin, names), None)
-        if law is None:
-            return names, 0.0
-        family = {law, *kin(law)}
-        rest = names - family
-        with_one = [some for some in self.evidence
-                    if some - family == rest and len(some & family) == 1]
-        best = max(with_one, key=self.evidence.get, default=names)
-        without = max((known for some, known in self.evidence.items() if some <= rest),
-                      default=self.evidence[best])
-        return best, FORM_OF_LAW * (self.evidence[best] - without)
+        found = []
+        for family in dict.fromkeys(frozenset((law, *kin(law))) for law in sorted(names)
+                                    if kin(law)):
+            rest = names - family
+            with_one = [some for some in self.evidence
+                        if some - family == rest and len(some & family) == 1]
+            best = max(with_one, key=self.evidence.get, default=names)
+            without = max((known for some, known in self.evidence.items() if some <= rest),
+                          default=self.evidence[best])
+            found.append((best, FORM_OF_LAW * (self.evidence[best] - without)))
+        return found
 
     def best(self) -> Names:
         """Return the set with the highest score."""
@@ -133,7 +134,7 @@ class Seen:
         """
         best = self.best()
         known = {names: (self.fits[names], value) for names, value in self.evidence.items()
-                 if names == best or self.family_of(names)[0] == names}
+                 if names == best or all(one == names for one, _ in self.laws_of(names))}
         every = {**known, **{names: item for names, item in self.stations.items()
                              if item[1] > self.evidence.get(names, -np.inf)}}
         highest = max(every, key=lambda names: every[names][1] + prior_of(names))

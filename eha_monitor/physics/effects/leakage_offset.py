@@ -27,6 +27,7 @@ EFFECT = Effect(
                   1e4, 1e4),
     ),
     term=term,
+    family="gap",
     statement="a flow of {Q_0} leaks across the piston whatever the pressure difference",
     rig_check="Block the rod and hold a small and a large pressure difference: the flow to hold "
     "them must have the same constant part.",

@@ -28,6 +28,7 @@ EFFECT = Effect(
                   1e4),
     ),
     term=term,
+    family="gap",
     statement="turbulent leakage of {c} of the pressure difference crosses the piston or the "
     "pump",
     rig_check="Block the rod and hold two pressure differences, one four times the other: the "
