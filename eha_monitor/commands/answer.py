@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from eha_monitor.filters.observability import ObservabilityTable
-from eha_monitor.filters.pipeline import time_of
+from eha_monitor.filters.pieces import time_of
 from eha_monitor.filters.results import Estimate, ParameterEstimate, StageResult
 from eha_monitor.filters.status import converged_where
 from eha_monitor.health.alarms import Alarm

@@ -8,7 +8,7 @@ import numpy as np
 from eha_monitor.filters.drive import drive_input, loop_gain, opens_loop
 from eha_monitor.filters.hold import Hold, hold_of
 from eha_monitor.filters.known import contributions, new_known_memory, speaks_of
-from eha_monitor.filters.noise import noise_levels, quantum
+from eha_monitor.filters.noise import noise_levels, quantum, without_spikes
 from eha_monitor.filters.results import NoiseEstimate
 from eha_monitor.filters.sensors import undo_sensors
 from eha_monitor.filters.stage_two import LOOP, STIFF, hydraulics
@@ -23,7 +23,6 @@ from eha_monitor.settings.rig import Rig
 SMOOTHED = 5  # samples on each side over which the mean pressure is smoothed
 LINE = NAMES.index("line_dynamics")
 FLOW_BALANCE = ("FLOW_1", "FLOW_2", "COMPLIANCE_1", "COMPLIANCE_2", "VOLUME_1", "VOLUME_2")
-SPIKE_SPAN, SPIKE_SIGMAS = 10.0, 30.0
 
 
 @dataclass(frozen=True)
@@ -341,10 +340,7 @@ class StageInputs:
         return self.drive.start, self.x
 
     def pieces(self, recording: Recording | None = None, begin: int = 0) -> Iterator[Piece]:
-        """Yield the rows from ``begin`` on, as :class:`filters.pieces.PiecedInputs` does: at once.
-
-        ``recording`` is the one that they are of.
-        """
+        """Yield the rows of ``recording`` from ``begin`` on at once, see :mod:`filters.pieces`."""
         part = self.part(begin, self.rows) if begin else self
         yield Piece(part, 0, begin, recording, slice(begin, None))
 
@@ -385,35 +381,6 @@ def position_variance(noise: dict[str, NoiseEstimate], step: float) -> float:
     if "x" not in noise:
         return np.nan
     return max(noise["x"].value, step / np.sqrt(3.0)) ** 2
-
-
-def without_spikes(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstimate],
-                   counted: slice | None = None
-                   ) -> tuple[dict[str, np.ndarray], dict[str, int]]:
-    """Return the channels with lone wild samples set to NaN, and how many ``counted`` ones were.
-
-    A sample is wild when it lies far outside what its two neighbours on each side span: ten
-    times that span and thirty sigmas.  A step is none: its neighbours span it.
-    """
-    cleaned, counts = {}, {}
-    for name, values in channels.items():
-        cleaned[name] = values
-        if name not in noise or name == "temperature" or len(values) < 5:
-            continue
-        before, inner = (values[:-4], values[1:-3]), values[2:-2]
-        after = values[3:-1], values[4:]
-        high = np.maximum(np.maximum(*before), np.maximum(*after))
-        low = np.minimum(np.minimum(*before), np.minimum(*after))
-        wild = np.zeros(len(values), dtype=bool)
-        with np.errstate(invalid="ignore"):
-            wild[2:-2] = np.abs(inner - 0.5 * (high + low)) > (
-                SPIKE_SPAN * (high - low) + SPIKE_SIGMAS * noise[name].value)
-        if wild.any():
-            cleaned[name] = np.where(wild, np.nan, values)
-            count = int(wild[counted or slice(None)].sum())
-            if count:
-                counts[name] = count
-    return cleaned, counts
 
 
 def between(values: np.ndarray) -> np.ndarray:

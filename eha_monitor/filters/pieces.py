@@ -23,6 +23,14 @@ from eha_monitor.settings.monitor import Settings
 BESIDE = 32  # rows on both sides that holds, smoothing and spikes look at
 
 
+def time_of(recording: Recording) -> np.ndarray:
+    """Return (n,) s since the first sample, in memory or not as the columns of a stage."""
+    made = Table()
+    for start, stop in columns.pieces(len(recording)):
+        made.append((np.arange(start, stop) * recording.sample_time)[None, :])
+    return made.values()[0]
+
+
 def inputs_of(recording: Recording, settings: Settings,
               size: int | None = None) -> "StageInputs | PiecedInputs":
     """Return what the stages take from a recording: at once, or piece by piece where it is long.

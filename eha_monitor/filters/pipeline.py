@@ -14,7 +14,7 @@ from eha_monitor.filters.inputs import StageInputs, moved_mass
 from eha_monitor.filters.joint import fits, run_joint
 from eha_monitor.filters.known import new_known_memory
 from eha_monitor.filters.model_watch import BALANCE, tainted_by
-from eha_monitor.filters.pieces import inputs_of
+from eha_monitor.filters.pieces import inputs_of, time_of
 from eha_monitor.filters.reach import WINDOW_S, Reaches, finished, reaches_of
 from eha_monitor.filters.results import (
     Consistency,
@@ -31,7 +31,7 @@ from eha_monitor.filters.status import CONVERGED, judge_parameter, no_data, unit
 from eha_monitor.filters.supervision import gave_up, new_supervision
 from eha_monitor.physics.signals import M as MASS_PLACE
 from eha_monitor.quantity import SYMBOLS, quantity, with_uncertainty
-from eha_monitor.recordings.columns import Table, any_of, first_where, mapped, pieces, steps_to
+from eha_monitor.recordings.columns import Table, any_of, first_where, mapped, steps_to
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
@@ -176,14 +176,6 @@ def run_stage_one(inputs: Inputs, recording: Recording, settings: Settings,
                             f"{with_uncertainty(out[2][first], out[3][first], unit)}"))
     events += change_events(changes, seen.found, inputs.dt, "one", "B", unit)
     return result
-
-
-def time_of(recording: Recording) -> np.ndarray:
-    """Return (n,) s since the first sample, in memory or not as the columns of a stage."""
-    made = Table()
-    for start, stop in pieces(len(recording)):
-        made.append((np.arange(start, stop) * recording.sample_time)[None, :])
-    return made.values()[0]
 
 
 def run_one_kernel(inputs: Inputs, settings: Settings, watch: np.ndarray

@@ -1,5 +1,6 @@
 """Channels with stamps of their own onto one uniform grid."""
 
+import hashlib
 from collections.abc import Callable
 
 import numpy as np
@@ -61,7 +62,7 @@ def align(series: dict[str, tuple[Series, str]], settings: Settings, *, source: 
     columns: dict[str, np.ndarray] = {}
     for name in sorted(series, key=lambda name: (name != reference, CHANNELS.index(name))):
         found, topic = series[name]
-        key = (topic or name, found.stamp_ns.tobytes())
+        key = (topic or name, hashlib.sha256(np.ascontiguousarray(found.stamp_ns)).digest())
         if key not in axes:
             shared = len(axes) == 0  # the reference comes first
             axes[key] = ((keep, t, grid) if shared else
