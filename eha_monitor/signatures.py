@@ -63,8 +63,8 @@ SIGNATURES = (
         float64[::1], float64[::1], float64[::1], float64[::1], float64[:, ::1], float64[::1],
         float64[::1], float64[::1], float64, float64[::1], float64, float64, float64, float64,
         float64[::1], float64[::1], int64[::1], int64[::1], int64[::1], float64[:, ::1],
-        float64[::1], float64[:, ::1], float64[::1], float64[::1], float64[:, :, ::1],
-        float64[::1], int64, float64[:, ::1], float64[:, ::1],
+        float64[::1], float64[:, ::1], float64[::1], float64[::1], float64[:, ::1], float64[::1],
+        int64, float64[:, ::1], float64[:, ::1],
     )),
     ("filters.kernel_two", "new_step", (
         float64[::1],
@@ -92,8 +92,7 @@ SIGNATURES = (
         float64[::1], float64[:, ::1], float64[::1], float64, float64, float64, float64, float64,
         float64[::1], float64, float64, float64, float64, float64, float64, float64[::1],
         int64[::1], int64[::1], int64[::1], float64[:, ::1], float64[:, ::1], bool,
-        float64[:, :, ::1], float64[::1], float64[:, :, ::1], float64[:, :, ::1], float64[::1],
-        float64[::1],
+        float64[:, ::1], float64[::1], float64[:, :, ::1], float64[::1], float64[::1],
     )),
     ("mismatch.likelihood.tangent_motion", "jacobians", (
         named('eha_monitor.mismatch.likelihood.tangent_motion', 'Model', int64, float64, int64,

@@ -6,9 +6,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numba.core.errors import NumbaError
 
-from eha_monitor.compiled import CACHE
+from eha_monitor.compiled import CACHE, njit
 
 PACKAGE = Path(__file__).parents[1] / "eha_monitor"
 COUNT = """
@@ -167,3 +169,20 @@ def test_the_set_up_compiles_all_there_is(tmp_path):
                     folder = cache / CACHE.name / Path(kept.cache_path).name
                     assert list(folder.glob(f"{made.__name__}-*.nbc")) or "<locals>" in (
                         made.py_func.__qualname__), f"{module.name}.{name}"
+
+
+@njit(allocates=False)
+def first_row_of(a):
+    return 1.0, a[0]
+
+
+@njit(allocates=False)
+def one_more(a):
+    return (a + 1.0)[0, 0]
+
+
+@pytest.mark.parametrize("function", [first_row_of, one_more])
+def test_who_says_that_it_makes_no_array_may_neither_make_nor_return_one(function):
+    """It counts no references: its caller would free what it returns once more."""
+    with pytest.raises((TypeError, NumbaError)):
+        function(np.eye(2))

@@ -6,9 +6,18 @@ import numpy as np
 import pytest
 from mismatch_tools import case_of, diagnosed, fitted, recorded
 
-from eha_monitor.mismatch.diagnose import diagnose, rig_findings, verdict_of, worse
+from eha_monitor.filters.hold_choice import other_hold, with_hold
+from eha_monitor.mismatch.data.experiment import experiment_of
+from eha_monitor.mismatch.diagnose import (
+    diagnose,
+    gained_under,
+    rig_findings,
+    verdict_of,
+    worse,
+)
 from eha_monitor.mismatch.diagnosis import VERDICTS, Diagnosis, SignalFit
 from eha_monitor.mismatch.name.naming import Naming
+from eha_monitor.mismatch.name.nominal import nominal
 
 DRY = {"coulomb_friction", "presliding_friction", "stribeck_friction", "pressure_friction",
        "asymmetric_friction"}
@@ -182,3 +191,15 @@ def test_a_wrong_number_is_told_with_both_values_the_most_certain_first():
     assert [one.configured for one in found] == [2e6, 20.0]
     assert found[1].indistinguishable_from == ("added_mass",) and found[1].found.unit == "kg"
     assert found[1].statement.startswith("mass: the config says 20 kg, the recording 600")
+
+
+def test_a_hold_that_the_bare_model_contradicts_is_taken_back():
+    """Play and a saturated drive looked like a hold, and under it nothing fitted any more."""
+    recording, settings = recorded(case_of("drive_saturation"))
+    flowing, held = (experiment_of([recording], with_hold(settings, hold))
+                     for hold in ("continuous", "sampled"))
+    under_hold, under_none = (Naming(made, fit, fit) for made, fit in map(
+        nominal, (held, flowing)))
+    assert gained_under(flowing, under_hold) > 100.0
+    assert gained_under(held, under_none) < -100.0
+    assert other_hold(held.settings).command_hold == flowing.settings.command_hold

@@ -175,19 +175,19 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
     """Run stage two; arguments and answer as those of :func:`kernel_two.run_two`."""
     ekf = _filter(m, p, r)
     effects = theta, plain, remembering, flows
-    *work, s, c = kernel_two.new_work(constants)
+    work, s, c = kernel_two.new_work(constants)
     trial, found = memory.copy(), 0
     at[kernel_two.STEPS] = steps_in_sample(dt, *effects[:3], memory, s, c)
-    rows = range(matrices.shape[1])
+    rows = range(len(m) - 1)
     places, columns = [place(i) for i in rows], [column(i) for i in rows]
 
     def advance(u0, u1, i0, i1, q_u, b, leak_flow, mean) -> bool:
         new, covariance, new_sens = ekf.x.copy(), ekf.P.copy(), sens.copy()
         if not kernel_two.advance_two(
                 new, covariance, new_sens, u0, u1, i0, i1, b, constants, leak, leak_flow, dt, q_f,
-                q_u, mean, *effects, memory, trial, True, matrices, at, *work, s, c):
+                q_u, mean, *effects, memory, trial, True, matrices, at, work, s, c):
             return False
-        step, slope = matrices[5], matrices[6]
+        step, slope = matrices[5:].reshape(2, -1, len(rows)).transpose(0, 2, 1)
         force, flow, noise_force = (at[which] for which in (
             kernel_two.CONSTANT_FORCE, kernel_two.CONSTANT_FLOW, kernel_two.NOISE_FORCE))
         f, g_u, g_f = np.eye(len(new)), np.zeros(len(new)), np.zeros(len(new))

@@ -25,7 +25,7 @@ SPIKES = 3  # so many in a row are no spike
 BROAD = 1e3  # fresh velocity: uncertain by this many position sigmas a sample
 
 
-@njit
+@njit(allocates=False)
 def start_one(m, p, x, r, dt, keep):
     """(Re)start (x, v) at a measurement; ``keep`` leaves B and its variance as they are.
 
@@ -169,7 +169,7 @@ def run_one(x, start, end, q, p1, p2, dt, mass, r, prior_variance, euler, theta,
     return found
 
 
-@njit
+@njit(allocates=False)
 def jump_one(m, p, delta, information):
     """Move B by ``delta`` and forget: variance 4/information, states moved with h = P_sB/P_BB."""
     h_x, h_v = p[2] / p[5], p[4] / p[5]

@@ -46,28 +46,84 @@ REFRESH = 5e-3  # relative change of c that asks for a new exact step; between, 
 def new_step(constants):
     """Return what :func:`advance_two` keeps from sample to sample: matrices, and what it found.
 
-    The matrices (7, 3, 7), with a line (7, 5, 9): the exact step at ``at[AT_C]``, its first and
-    second derivative to c, those to B and to the leakage, then the step and its slope to c as
-    taken.
+    The matrices (7, 7*3), with a line (7, 9*5), each column by column: the exact step at
+    ``at[AT_C]``, its first and second derivative to c, those to B and to the leakage, then the
+    step and its slope to c as taken.
     """
     at = np.zeros(N_AT)
     at[AT_C] = math.nan
     rows = states_beside_c(constants)
-    return np.zeros((7, rows, rows + 4)), at
+    return np.zeros((7, rows * (rows + 4))), at
 
 
 @njit
 def new_work(constants):
     """Return the scratch of :func:`advance_two`."""
     rows = states_beside_c(constants)
-    return np.empty((10, rows, rows)), np.empty((2, rows + 1, rows + 1)), np.zeros(
-        N_SIGNALS), np.zeros(N_CONTRIBUTIONS)
+    return np.empty((10, rows, rows)), np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS)
 
 
 @njit
+def make_step(own, b, constants, leak, dt, matrices, at, work):
+    """Write the exact step at (B, c) and its derivatives (:func:`stage_two.discretise`)."""
+    rows = work.shape[1]
+    columns = rows + 4
+    made = np.empty((5, rows, columns))
+    discretise(constants, b, own, leak, dt, work, made[0], made[1], made[2], made[3], made[4])
+    for which in range(5):
+        for i in range(rows):
+            for j in range(columns):
+                matrices[which, j * rows + i] = made[which, i, j]
+    at[AT_C], at[AT_B], at[LAST_C] = own, b, math.nan
+
+
+@njit(allocates=False)
+def modelled_terms(m, p, omega, compliance, flow, b, u0, u1, constants, leak_flow, dt, mean, theta,
+                   plain, remembering, flows, memory, trial, slopes, step, slope, at, s, c):
+    """Return force, flow and the variance of that force as the modelled effects have them.
+
+    Their slopes to the states go into ``step`` and its slope to c.  ``flow`` is theirs at the
+    sample's start; other arguments as :func:`advance_two`.
+    """
+    rows = m.shape[0] - 1
+    force, to_force, unknown, middle_x = 0.0, 0.0, 0.0, m[0] + 0.5 * dt * m[1]
+    on_force, on_flow = 5 * rows, 6 * rows  # where these columns of the step begin
+    ahead = (step[3 * rows + 2] * u0 + step[4 * rows + 2] * u1
+             + step[on_force + 2] * at[TOLD_FORCE] + step[on_flow + 2] * (flow + leak_flow))
+    for i in range(rows):
+        ahead += step[column(i) * rows + 2] * m[place(i)]
+    if len(flows) > 0:  # the flow at the middle of the sample, and how it follows the force
+        h = max(math.sqrt(max(p[2, 2], 0.0)), 1e-3)
+        middle = 0.5 * (m[2] + ahead)
+        for side in (1.0, -1.0):
+            _, _, flow = flow_balance(middle_x, m[1], omega, middle + side * h, mean, compliance,
+                                      constants, theta, flows, memory, s, c)
+            to_force += side * flow
+        to_force *= 0.5 * (1.0 + step[2 * rows + 2]) / (2.0 * h)
+        _, _, flow = flow_balance(middle_x, m[1], omega, middle, mean, compliance, constants,
+                                  theta, flows, memory, s, c)
+    if len(plain) + len(remembering) > 0:
+        p1 = (m[2] + 2.0 * theta[1] * mean) / (theta[0] + theta[1])
+        force, slope_x, slope_v, unknown = modelled_force(
+            m[0], m[1], p[0, 0], p[1, 1], m[2], ahead, b, constants[MASS], dt, int(at[STEPS]), p1,
+            2.0 * mean - p1, theta, plain, remembering, memory, trial, slopes, s, c)
+        at[TOLD_FORCE] = force
+        force -= slope_x * m[0] + slope_v * m[1]
+        for i in range(rows):
+            step[i] += step[on_force + i] * slope_x
+            step[rows + i] += step[on_force + i] * slope_v
+            slope[i] += slope[on_force + i] * slope_x
+            slope[rows + i] += slope[on_force + i] * slope_v
+    flow -= to_force * m[2]
+    for i in range(rows):
+        step[2 * rows + i] += step[on_flow + i] * to_force
+        slope[2 * rows + i] += slope[on_flow + i] * to_force
+    return force, flow, unknown
+
+
+@njit(forceinline=True, allocates=False)
 def advance_two(m, p, sens, u0, u1, i0, i1, b, constants, leak, leak_flow, dt, q_f, q_u, mean,
-                theta, plain, remembering, flows, memory, trial, slopes, matrices, at, work, pair,
-                s, c):
+                theta, plain, remembering, flows, memory, trial, slopes, matrices, at, work, s, c):
     """Carry the stage over one sample with the modelled effects; False where it cannot.
 
     Parameters
@@ -78,80 +134,59 @@ def advance_two(m, p, sens, u0, u1, i0, i1, b, constants, leak, leak_flow, dt, q
         memory, and of those in the flow balance.
     memory, trial : their memory, updated, and a copy of it.
     slopes : whether the states' covariance is to follow the modelled force.
-    matrices, at : :func:`new_step`.  work, pair, s, c : :func:`new_work`.
+    matrices, at : :func:`new_step`.  work, s, c : :func:`new_work`.
     """
-    any_force, any_flow = len(plain) + len(remembering) > 0, len(flows) > 0
-    if (any_force or any_flow) and math.isnan(mean):  # a pressure that an effect needs
+    modelled = len(plain) + len(remembering) + len(flows) > 0
+    if modelled and math.isnan(mean):  # a pressure that an effect needs
         return False
     compliance = max(m[3], STIFFEST)
-    omega = 0.5 * (u0 + u1)
+    own, to_own, flow, omega = compliance, 1.0, 0.0, 0.5 * (u0 + u1)
     if constants[LOOP] > 0.0:
         omega = constants[LOOP] * (omega - m[0])
-    own, to_own, flow, to_force = compliance, 1.0, 0.0, 0.0
-    if any_flow:
+    if len(flows) > 0:
         own, to_own, flow = flow_balance(m[0] + 0.5 * dt * m[1], m[1], omega, m[2], mean,
                                          compliance, constants, theta, flows, memory, s, c)
         own = max(own, 0.1 * STIFFEST)
     if not (abs(own - at[AT_C]) <= REFRESH * at[AT_C] and abs(b - at[AT_B]) <= 1e-6 * abs(b)):
-        at[AT_C], at[AT_B] = own, b
-        discretise(constants, b, own, leak, dt, work, matrices[0], matrices[1], matrices[2],
-                   matrices[3], matrices[4])
-        at[LAST_C] = math.nan
+        make_step(own, b, constants, leak, dt, matrices, at, work)
     step, slope = matrices[5], matrices[6]
-    rows, columns = step.shape
-    if any_force or any_flow or not abs(own - at[LAST_C]) <= 1e-6 * own:
-        e = own - at[AT_C]
-        for i in range(rows):
-            for j in range(columns):
-                step[i, j] = matrices[0, i, j] + e * (
-                    matrices[1, i, j] + 0.5 * e * matrices[2, i, j])
-                slope[i, j] = to_own * (matrices[1, i, j] + e * matrices[2, i, j])
+    if modelled or not abs(own - at[LAST_C]) <= 1e-6 * own:
+        exact, d_c, d_cc, e = matrices[0], matrices[1], matrices[2], own - at[AT_C]
+        for i in range(step.shape[0]):
+            step[i] = exact[i] + e * (d_c[i] + 0.5 * e * d_cc[i])
+            slope[i] = to_own * (d_c[i] + e * d_cc[i])
         at[LAST_C] = own
     force = 0.0
-    if any_force or any_flow:
-        ahead = (step[2, 3] * u0 + step[2, 4] * u1 + step[2, 5] * at[TOLD_FORCE]
-                 + step[2, 6] * (flow + leak_flow))
-        for i in range(rows):
-            ahead += step[2, column(i)] * m[place(i)]
-        if any_flow:  # the flow at the middle of the sample, and how it follows the force
-            h = max(math.sqrt(max(p[2, 2], 0.0)), 1e-3)
-            middle = 0.5 * (m[2] + ahead)
-            for side in (1.0, -1.0):
-                _, _, flow = flow_balance(m[0] + 0.5 * dt * m[1], m[1], omega, middle + side * h,
-                                          mean, compliance, constants, theta, flows, memory, s, c)
-                to_force += side * flow
-            to_force *= 0.5 * (1.0 + step[2, 2]) / (2.0 * h)
-            _, _, flow = flow_balance(m[0] + 0.5 * dt * m[1], m[1], omega, middle, mean,
-                                      compliance, constants, theta, flows, memory, s, c)
-        if any_force:
-            p1 = (m[2] + 2.0 * theta[1] * mean) / (theta[0] + theta[1])
-            force, slope_x, slope_v, unknown = modelled_force(
-                m[0], m[1], p[0, 0], p[1, 1], m[2], ahead, b, constants[MASS], dt,
-                int(at[STEPS]), p1, 2.0 * mean - p1, theta, plain, remembering, memory, trial,
-                slopes, s, c)
-            q_f += unknown
-            at[TOLD_FORCE] = force
-            force -= slope_x * m[0] + slope_v * m[1]
-            for i in range(rows):
-                step[i, 0] += step[i, 5] * slope_x
-                step[i, 1] += step[i, 5] * slope_v
-                slope[i, 0] += slope[i, 5] * slope_x
-                slope[i, 1] += slope[i, 5] * slope_v
-        flow -= to_force * m[2]
-        for i in range(rows):
-            step[i, 2] += step[i, 6] * to_force
-            slope[i, 2] += slope[i, 6] * to_force
+    if modelled:
+        force, flow, unknown = modelled_terms(
+            m, p, omega, compliance, flow, b, u0, u1, constants, leak_flow, dt, mean, theta, plain,
+            remembering, flows, memory, trial, slopes, step, slope, at, s, c)
+        q_f += unknown
     flow += leak_flow
     if math.isnan(force + flow):
         return False
     at[CONSTANT_FORCE], at[CONSTANT_FLOW], at[NOISE_FORCE] = force, flow, q_f
-    if rows == 3:
+    if m.shape[0] == 4:
         predict_chambers(m, p, sens, step, slope, matrices[3], u0, u1, i0, i1, force, flow, q_f,
-                         q_u, pair[0], pair[1])
+                         q_u)
     else:
-        predict_line(m, p, sens, step, slope, matrices[3], u0, u1, i0, i1, force, flow, q_f, q_u,
-                     pair[0], pair[1])
+        predict_line(m, p, sens, step, slope, matrices[3], u0, u1, i0, i1, force, flow, q_f, q_u)
     return True
+
+
+@njit(allocates=False)
+def as_modulus(c, own, total, s, beta_0):
+    """Turn a compliance and its two variances into a modulus, Pa, and standard deviations.
+
+    So for ``s``, the innovation's variance.  All (n,), in place; beside the loop of the filter
+    since roots and divisions go several at once here.
+    """
+    for k in range(c.shape[0]):
+        compliance = max(c[k], 1e-9)
+        c[k] = beta_0 / compliance
+        per_c = c[k] / compliance
+        own[k], total[k], s[k] = (
+            per_c * math.sqrt(own[k]), per_c * math.sqrt(total[k]), math.sqrt(s[k]))
 
 
 @njit
@@ -190,7 +225,7 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
         Number of events.
     """
     n = x.shape[0]
-    work, pair, s_scratch, c_scratch = new_work(constants)
+    work, s_scratch, c_scratch = new_work(constants)
     trial = memory.copy()
     at[STEPS] = steps_in_sample(dt, theta, plain, remembering, memory, s_scratch, c_scratch)
     mass = constants[MASS]
@@ -207,18 +242,17 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
                 lost = not advance_two(
                     m, p, sens, u0, u1, i0, i1, b[k], constants, leak, leak_flow[k], dt, q_f,
                     q_u[k], mean[i], theta, plain, remembering, flows, memory, trial, True,
-                    matrices, at, work, pair, s_scratch, c_scratch)
+                    matrices, at, work, s_scratch, c_scratch)
         if lost:
             at[TOLD_FORCE] = 0.0
         z = x[k]
-        nu, sd = nan, nan
+        nu, s = nan, nan
         if not math.isnan(z):
             if lost:
                 restart_two(m, p, sens, z, r, dt, constants)
             else:
                 s = p[0, 0] + r
                 nu = z - m[0]
-                sd = math.sqrt(s)
                 if nu * nu > GATE * s and spikes < SPIKES:
                     spikes += 1
                 else:
@@ -239,17 +273,15 @@ def run_two(x, start, end, q_u, instrument, b, b_variance, constants, leak, leak
                     events[found, 3] = window
                 found += 1
             factor = honest_factor(w)
-        c = m[3]
         out[0, k], out[1, k] = m[0], m[1]
         out[2, k] = (m[2] - b[k] * m[1] - at[TOLD_FORCE]) / mass
-        beta = constants[BETA_0] / max(c, 1e-9)
-        per_c = beta / max(c, 1e-9)
-        out[3, k] = beta
-        out[4, k] = per_c * factor * math.sqrt(p[3, 3])
-        out[5, k] = per_c * math.sqrt(factor * factor * p[3, 3]
-                                      + sens[3] * sens[3] * b_variance[k])
-        out[6, k], out[7, k] = nu, sd
+        own = factor * factor * p[3, 3]
+        out[3, k], out[4, k] = m[3], own
+        out[5, k] = own + sens[3] * sens[3] * b_variance[k]
+        out[6, k], out[7, k] = nu, s
     w[SPIKED], w[SAMPLES] = spikes, samples
+    as_modulus(out[3, first:n], out[4, first:n], out[5, first:n], out[7, first:n],
+               constants[BETA_0])
     return found
 
 
@@ -264,7 +296,7 @@ def log_likelihood_two(x, start, end, q_u, instrument, b, c, constants, leak, le
     number.
     """
     matrices, at = new_step(constants)
-    work, pair, s_scratch, c_scratch = new_work(constants)
+    work, s_scratch, c_scratch = new_work(constants)
     memory, trial = memory.copy(), memory.copy()
     at[STEPS] = steps_in_sample(dt, theta, plain, remembering, memory, s_scratch, c_scratch)
     size = states_beside_c(constants) + 1
@@ -283,7 +315,7 @@ def log_likelihood_two(x, start, end, q_u, instrument, b, c, constants, leak, le
                 lost = not advance_two(
                     m, p, sens, u0, u1, instrument[k - 1, 0], instrument[k, 1], b, constants, leak,
                     leak_flow[k], dt, q_f, q_u[k], mean[i], theta, plain, remembering, flows,
-                    memory, trial, False, matrices, at, work, pair, s_scratch, c_scratch)
+                    memory, trial, False, matrices, at, work, s_scratch, c_scratch)
                 m[3] = c
         if math.isnan(x[k]):
             continue

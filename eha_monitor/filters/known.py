@@ -60,19 +60,19 @@ def speaks_of(effect: str, *contributions: str) -> bool:
     return any(name in names for name in contributions)
 
 
-@njit
+@njit(allocates=False)
 def contributions(s, theta, terms, memory, c):
     """Compile :func:`add_contributions` once; inlined everywhere it makes the filters large."""
     add_contributions(s, theta, terms, memory, c)
 
 
-@njit
+@njit(allocates=False)
 def remember(s, theta, updates, h, memory):
     """Compile :func:`update_memory` once."""
     update_memory(s, theta, updates, h, memory)
 
 
-@njit
+@njit(allocates=False)
 def force_at(x, path, v, theta, plain, remembering, memory, s, c):
     """Return the modelled force in N at position ``x``, place on the path and velocity."""
     force = 0.0
@@ -88,7 +88,7 @@ def force_at(x, path, v, theta, plain, remembering, memory, s, c):
     return force
 
 
-@njit
+@njit(allocates=False)
 def steps_in_sample(dt, theta, plain, remembering, memory, s, c):
     """Return how many steps follow a friction that turns over sharply at v = 0."""
     h = 1e-6
@@ -102,7 +102,7 @@ def steps_in_sample(dt, theta, plain, remembering, memory, s, c):
     return min(max(math.ceil(2.0 * rate * dt), fewest), MOST)
 
 
-@njit
+@njit(allocates=False)
 def mean_force(x, v, f0, f1, b, mass, dt, steps, theta, plain, remembering, memory, s, c):
     """Return the modelled force, N, averaged over a sample; its memory goes with the motion.
 
@@ -138,7 +138,7 @@ def mean_force(x, v, f0, f1, b, mass, dt, steps, theta, plain, remembering, memo
     return total / steps
 
 
-@njit
+@njit(allocates=False)
 def modelled_force(x, v, var_x, var_v, f0, f1, b, mass, dt, steps, p1, p2, theta, plain,
                    remembering, memory, trial, slopes, s, c):
     """Return the mean force of a sample, its slopes to x and v, and its own variance.
@@ -180,14 +180,14 @@ def modelled_force(x, v, var_x, var_v, f0, f1, b, mass, dt, steps, p1, p2, theta
     return force, slope_x, slope_v, unknown * unknown
 
 
-@njit
+@njit(allocates=False)
 def pressures_at(force, mean, theta, s):
     """Set both pressures, Pa, from the force and the mean of the two."""
     s[P1] = (force + 2.0 * theta[AREA_2] * mean) / (theta[AREA_1] + theta[AREA_2])
     s[P2] = 2.0 * mean - s[P1]
 
 
-@njit
+@njit(allocates=False)
 def flow_balance(x, v, omega, force, mean, compliance, k, theta, flows, memory, s, c):
     """Return the compliance that acts, its slope to the filter's, and the effects' flow.
 

@@ -32,7 +32,7 @@ def damped_mass_integrals(g):
     return e0, e1, e2, e3, (1.0 / 6.0 - e3) / g
 
 
-@njit
+@njit(allocates=False)
 def _multiply(a, b, out):
     states = a.shape[0]
     for i in range(states):
@@ -43,7 +43,7 @@ def _multiply(a, b, out):
             out[i, j] = total
 
 
-@njit
+@njit(allocates=False)
 def matrix_phi(a, rate, phi0, phi1, phi2, work):
     """Write exp(a), phi_1(a), phi_2(a), phi_k(a) = sum_n a^n/(n+k)!, for an (n, n) matrix.
 

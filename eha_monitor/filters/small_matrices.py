@@ -5,8 +5,35 @@ Every matrix is a C-contiguous float64 array, so that each function is compiled 
 """
 
 import numpy as np
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
+from numba.np.arrayobj import make_array, populate_array
 
 from eha_monitor.compiled import njit
+
+
+@intrinsic(prefer_literal=True)
+def on_stack(typing, rows, columns):
+    """Return a scratch matrix, whose size is known when compiling, that costs no allocation.
+
+    Nothing else can lie where it lies.  So the optimiser may keep its elements in registers once
+    loops over it are unrolled, and code in loops runs like code written out in scalars.  It lives
+    as long as the call, and is for functions with ``allocates=False``.
+    """
+    if not all(isinstance(size, types.IntegerLiteral) for size in (rows, columns)):
+        return None
+    shape = rows.literal_value, columns.literal_value
+    kind = types.Array(types.float64, 2, "C")
+
+    def generate(context, builder, signature, args):
+        matrix, place = make_array(kind)(context, builder), ir.IntType(64)
+        data = cgutils.alloca_once(builder, ir.DoubleType(), size=shape[0] * shape[1])
+        populate_array(matrix, data=data, shape=[place(size) for size in shape],
+                       strides=[place(8 * shape[1]), place(8)], itemsize=place(8), meminfo=None)
+        return matrix._getvalue()
+
+    return kind(rows, columns), generate
 
 
 @njit
@@ -31,7 +58,7 @@ def times_transposed(a, b):
     return out
 
 
-@njit(forceinline=True)
+@njit(forceinline=True, allocates=False)
 def copied(to, row):
     """Write a vector into another; ``to[:] = row`` compiles a message for each pair of shapes."""
     for i in range(row.shape[0]):
@@ -58,7 +85,7 @@ def symmetric(a):
     return out
 
 
-@njit
+@njit(allocates=False)
 def add(a, b):
     """Add B to A in place."""
     for i in range(a.shape[0]):

@@ -57,25 +57,25 @@ def hydraulics(theta, beta_0: float, extra_compliance: float, loop: bool,
                      extra_compliance * beta_0, *line, 2.0 / (theta[s.AREA_1] + theta[s.AREA_2])])
 
 
-@njit
+@njit(allocates=False)
 def states_beside_c(k):
     """Return how many states the filter has beside c: x, v, F, and a line's n and dp_l."""
     return 5 if k[LINE_TIME] > FASTEST_LINE else 3
 
 
-@njit
+@njit(allocates=False)
 def place(i):
     """Return the place in the filter of a state beside c."""
     return i if i < C_PLACE else i + 1
 
 
-@njit
+@njit(allocates=False)
 def column(i):
     """Return the place of a state in a row of the step: the line's come last."""
     return i if i < 3 else i + 4
 
 
-@njit
+@njit(allocates=False)
 def system_matrix(k, b, c, leak, dt, a):
     """Write A(B, c, leak) dt for the state (x, v, F) and return the bound of its eigenvalues.
 
@@ -102,7 +102,7 @@ def system_matrix(k, b, c, leak, dt, a):
         + (beta * k[GAIN] * k[LOOP] / (k[MASS] * time * time)) ** 0.2)
 
 
-@njit
+@njit(allocates=False)
 def discretise_at(k, b, c, leak, dt, work, out):
     """Write the exact step of (x, v, F): out = [Phi | Gamma_0 | Gamma_1 | Gamma_f | Gamma_q].
 
@@ -136,26 +136,22 @@ def discretise(k, b, c, leak, dt, work, step, d_c, d_cc, d_b, d_leak):
     Central differences of the exact step; all arrays (3, 7), or (5, 9) with a line.
     ``work`` is (10, 3, 3) or (10, 5, 5).
     """
-    lower, upper = np.empty_like(step), np.empty_like(step)
-    rows, columns = step.shape
-    discretise_at(k, b, c, leak, dt, work, step)
-    h = 1e-3 * max(c, 1e-3)
-    discretise_at(k, b, c - h, leak, dt, work, lower)
-    discretise_at(k, b, c + h, leak, dt, work, upper)
-    for i in range(rows):
-        for j in range(columns):
-            d_c[i, j] = (upper[i, j] - lower[i, j]) / (2.0 * h)
-            d_cc[i, j] = (upper[i, j] - 2.0 * step[i, j] + lower[i, j]) / (h * h)
-    h = 1e-3 * max(abs(b), 1e-2 * k[MASS] / dt)
-    discretise_at(k, b - h, c, leak, dt, work, lower)
-    discretise_at(k, b + h, c, leak, dt, work, upper)
-    for i in range(rows):
-        for j in range(columns):
-            d_b[i, j] = (upper[i, j] - lower[i, j]) / (2.0 * h)
     beta = k[BETA_0] / max(c + k[EXTRA_C], 1e-9)
-    h = 1e-3 * max(leak, 1e-2 / (beta * dt))
-    discretise_at(k, b, c, leak - h, dt, work, lower)
-    discretise_at(k, b, c, leak + h, dt, work, upper)
+    h_c = 1e-3 * max(c, 1e-3)
+    h_b = 1e-3 * max(abs(b), 1e-2 * k[MASS] / dt)
+    h_leak = 1e-3 * max(leak, 1e-2 / (beta * dt))
+    rows, columns = step.shape
+    around = np.empty((6, rows, columns))  # at c, B and leak: less, then more
+    for which in range(7):  # one call, for what is called is written into each
+        side = 1.0 if which % 2 == 1 else -1.0
+        of_c = side * h_c if which // 2 == 0 else 0.0
+        of_b = side * h_b if which // 2 == 1 else 0.0
+        of_leak = side * h_leak if which // 2 == 2 else 0.0
+        discretise_at(k, b + of_b, c + of_c, leak + of_leak, dt, work,
+                      around[which] if which < 6 else step)
     for i in range(rows):
         for j in range(columns):
-            d_leak[i, j] = (upper[i, j] - lower[i, j]) / (2.0 * h)
+            d_c[i, j] = (around[1, i, j] - around[0, i, j]) / (2.0 * h_c)
+            d_cc[i, j] = (around[1, i, j] - 2.0 * step[i, j] + around[0, i, j]) / (h_c * h_c)
+            d_b[i, j] = (around[3, i, j] - around[2, i, j]) / (2.0 * h_b)
+            d_leak[i, j] = (around[5, i, j] - around[4, i, j]) / (2.0 * h_leak)

@@ -4,6 +4,7 @@ import math
 
 from eha_monitor.compiled import njit
 from eha_monitor.filters.kernel_one import BROAD
+from eha_monitor.filters.small_matrices import on_stack
 from eha_monitor.filters.stage_one import UNSEEN
 from eha_monitor.filters.stage_two import (
     C_PLACE,
@@ -21,7 +22,7 @@ from eha_monitor.filters.supervision import FROZEN, HELD, INFORMATION, SCORE
 STIFFEST = 1e-2  # smallest compliance beta_0/beta_e: a hundred times stiffer than the prior
 
 
-@njit
+@njit(allocates=False)
 def start_two(m, p, x, r, dt, mass):
     """(Re)start (x, v, F) at a measurement; the compliance and its variance stay.
 
@@ -38,7 +39,7 @@ def start_two(m, p, x, r, dt, mass):
     p[2, 2] = (mass * broad_v / dt) ** 2
 
 
-@njit
+@njit(allocates=False)
 def restart_two(m, p, sens, x, r, dt, k):
     """(Re)start all states at a measurement, a line's too; ``k`` the lumped hydraulics."""
     start_two(m, p, x, r, dt, k[MASS])
@@ -57,82 +58,80 @@ def restart_two(m, p, sens, x, r, dt, k):
         p[i, i] = broad * broad
 
 
-def predict_with(rows):
+def predict_with(rows, forceinline):
     """Return the prediction for so many states beside c: their loops unroll."""
     n = rows + 1
+    U0, U1, FORCE, FLOW = 3 * rows, 4 * rows, 5 * rows, 6 * rows  # where columns of a step begin
 
-    @njit
-    def predict(m, p, sens, step, b_step, d_b, u0, u1, i0, i1, force, flow, q_f, q_u, f, fp):
+    @njit(forceinline=forceinline, allocates=False)
+    def predict(m, p, sens, step, b_step, d_b, u0, u1, i0, i1, force, flow, q_f, q_u):
         """Predict state, covariance and the sensitivity to B over one sample.
 
         Parameters
         ----------
         m : (n,) x, v, F, c, and with a line n, dp_l;  p : (n, n) covariance;  sens : (n,) d m/d B.
-        step : (3, 7) or (5, 9) transition at the present (B, c); b_step : its derivative to c;
-        d_b : its derivative to B.
+        step : (7*3,) or (9*5,) transition at the present (B, c), column by column; b_step : its
+            derivative to c;  d_b : its derivative to B.
         u0, u1 : drive input at the two ends; i0, i1 : its instrument there.
         force, flow : modelled extra force (N) and flow (N/Pa/s).
         q_f, q_u : variances of an unmodelled force (N^2) and of the drive input on a sample.
-        f, fp : (n, n) scratch; f is left as the transition with its slope to c.
         """
+        f, fp, made = on_stack(n, n), on_stack(n, n), on_stack(3, n)  # f: F transposed
         for i in range(rows):
             row = place(i)
-            new = (step[i, 3] * u0 + step[i, 4] * u1 + step[i, 5] * force + step[i, 6] * flow)
-            slope = (b_step[i, 3] * i0 + b_step[i, 4] * i1 + b_step[i, 5] * force
-                     + b_step[i, 6] * flow)
-            from_b = d_b[i, 3] * u0 + d_b[i, 4] * u1
+            new = (step[U0 + i] * u0 + step[U1 + i] * u1 + step[FORCE + i] * force
+                   + step[FLOW + i] * flow)
+            slope = (b_step[U0 + i] * i0 + b_step[U1 + i] * i1 + b_step[FORCE + i] * force
+                     + b_step[FLOW + i] * flow)
+            from_b = d_b[U0 + i] * u0 + d_b[U1 + i] * u1
             for j in range(rows):
-                value, along = m[place(j)], column(j)
-                new += step[i, along] * value
-                slope += b_step[i, along] * value
-                from_b += d_b[i, along] * value
-                f[row, place(j)] = step[i, along]
-            f[row, C_PLACE] = slope
-            fp[0, row], fp[1, row] = new, from_b
-        for j in range(n):
-            f[C_PLACE, j] = 1.0 if j == C_PLACE else 0.0
+                value, along = m[place(j)], column(j) * rows + i
+                new += step[along] * value
+                slope += b_step[along] * value
+                from_b += d_b[along] * value
+                f[place(j), row] = step[along]
+            f[C_PLACE, row] = slope
+            made[0, row], made[1, row] = new, from_b
+            made[2, row] = step[U0 + i] + step[U1 + i]
         # Where the slope is no larger than what the states' own uncertainty makes of it, it is
         # noise and tells nothing about c; a filter that takes it for information drifts at rest.
-        noise, lean = q_u * (b_step[2, 3] + b_step[2, 4]) ** 2, 0.0
+        noise, lean = q_u * (b_step[U0 + 2] + b_step[U1 + 2]) ** 2, 0.0
         for i in range(rows):
-            lean += b_step[2, column(i)] * p[place(i), C_PLACE]
+            along = b_step[column(i) * rows + 2]
+            lean += along * p[place(i), C_PLACE]
             for j in range(rows):
-                noise += b_step[2, column(i)] * p[place(i), place(j)] * b_step[2, column(j)]
-        if f[2, C_PLACE] ** 2 < UNSEEN * (noise - lean * lean / p[C_PLACE, C_PLACE]):
+                noise += along * p[place(i), place(j)] * b_step[column(j) * rows + 2]
+        if f[C_PLACE, 2] ** 2 < UNSEEN * (noise - lean * lean / p[C_PLACE, C_PLACE]):
             for i in range(rows):
-                f[place(i), C_PLACE] = 0.0
-        for i in range(rows):
-            m[place(i)] = fp[0, place(i)]
-            total = fp[1, place(i)]
+                f[C_PLACE, place(i)] = 0.0
+        for i in range(rows):  # d m/d B goes with F, and with what B itself does
+            row = place(i)
             for j in range(n):
-                total += f[place(i), j] * sens[j]
-            fp[2, place(i)] = total
-        for i in range(rows):
-            sens[place(i)] = fp[2, place(i)]
-        for i in range(n):
-            for j in range(n if i != C_PLACE else 0):  # c stays, and so does its row
-                total = 0.0
+                made[1, row] += f[j, row] * sens[j]
+            for j in range(n):
+                fp[row, j] = 0.0
                 for k in range(n):
-                    total += f[i, k] * p[k, j]
-                fp[i, j] = total
+                    fp[row, j] += f[k, row] * p[k, j]
         for i in range(rows):
-            gain, row = step[i, 3] + step[i, 4], place(i)
-            p[row, C_PLACE] = p[C_PLACE, row] = fp[row, C_PLACE]
-            for j in range(i, rows):
-                total = (q_f * step[i, 5] * step[j, 5] + q_u * gain * (step[j, 3] + step[j, 4]))
+            row = place(i)
+            m[row], sens[row] = made[0, row], made[1, row]
+            p[row, C_PLACE] = p[C_PLACE, row] = fp[row, C_PLACE]  # c stays, and so does its row
+            for j in range(i, rows):  # P = F P F' + Q
+                total = (q_f * step[FORCE + i] * step[FORCE + j]
+                         + q_u * made[2, row] * made[2, place(j)])
                 for k in range(n):
-                    total += fp[row, k] * f[place(j), k]
+                    total += fp[row, k] * f[k, place(j)]
                 p[row, place(j)] = total
                 p[place(j), row] = total
 
     return predict
 
 
-def correct_with(rows):
+def correct_with(rows, forceinline):
     """Return the correction for so many states beside c."""
     n = rows + 1
 
-    @njit
+    @njit(forceinline=forceinline, allocates=False)
     def correct(m, p, sens, z, r, w):
         """Update with a position and its variance; the caller has gated it.
 
@@ -141,29 +140,32 @@ def correct_with(rows):
         s = p[0, 0] + r
         nu = z - m[0]
         c, own, to_b = m[C_PLACE], p[C_PLACE, C_PLACE], sens[C_PLACE]
-        h = p[0, C_PLACE] / p[C_PLACE, C_PLACE]
+        h = p[0, C_PLACE] / own
         w[SCORE] += h * nu / s
         w[INFORMATION] += h * h / s
-        lead = sens[0]
+        lead, first = sens[0], on_stack(1, n)  # P's first row, by which all are changed
         for i in range(n):
-            m[i] += p[0, i] / s * nu
-            sens[i] -= p[0, i] / s * lead
-        m[C_PLACE] = max(m[C_PLACE], STIFFEST)
-        for i in range(n - 1, -1, -1):  # the first row, by which all are changed, last
-            for j in range(n - 1, i - 1, -1):
-                p[i, j] -= p[0, i] / s * p[0, j]
+            first[0, i] = p[0, i]
+        for i in range(n):
+            gain = first[0, i] / s
+            m[i] += gain * nu
+            sens[i] -= gain * lead
+            for j in range(i, n):
+                p[i, j] -= gain * first[0, j]
                 p[j, i] = p[i, j]
+        m[C_PLACE] = max(m[C_PLACE], STIFFEST)
         if w[FROZEN] == HELD:
             m[C_PLACE], p[C_PLACE, C_PLACE], sens[C_PLACE] = c, own, to_b
 
     return correct
 
 
-predict_chambers, predict_line = predict_with(3), predict_with(5)
-correct_chambers, correct_line = correct_with(3), correct_with(5)
+# The chambers' are in every sample of every rig; written into their callers they cost no call.
+predict_chambers, predict_line = predict_with(3, True), predict_with(5, False)
+correct_chambers, correct_line = correct_with(3, True), correct_with(5, False)
 
 
-@njit
+@njit(forceinline=True, allocates=False)
 def correct_two(m, p, sens, z, r, w):
     """Update with a position and its variance; the caller has gated it."""
     if m.shape[0] == C_PLACE + 1:

@@ -42,7 +42,7 @@ def new_supervision(frozen: bool = False) -> np.ndarray:
     return w
 
 
-@njit
+@njit(allocates=False)
 def astray(w, prior_variance):
     """Tell whether the changes seen are no fault but a model that does not fit.
 
@@ -59,7 +59,7 @@ def gave_up(w: np.ndarray) -> bool:
     return bool(w[FROZEN] == 1.0 and w[CHANGES] >= HOPS)
 
 
-@njit
+@njit(allocates=False)
 def score_ratio(w):
     """Mean square of the normalised block scores; 1 where the model and its noise are right."""
     if w[RATIO_COUNT] < 5.0:
@@ -67,14 +67,14 @@ def score_ratio(w):
     return w[RATIO_SUM] / w[RATIO_COUNT]
 
 
-@njit
+@njit(allocates=False)
 def honest_factor(w):
     """Factor on the filter's sigma that its own score asks for (1 while the ratio is < TRUST)."""
     ratio = score_ratio(w)
     return math.sqrt(ratio) if ratio > TRUST else 1.0
 
 
-@njit
+@njit(allocates=False)
 def forgive_recent(w):
     """Take out of the ratio what a change, seen only now, has put into the last blocks."""
     for j in range(1, min(int(w[BLOCKS]), RECENT)):
@@ -85,7 +85,7 @@ def forgive_recent(w):
             w[RATIO_COUNT] = max(w[RATIO_COUNT] - 1.0, 0.0)
 
 
-@njit
+@njit(allocates=False)
 def look(w, value, variance, prior_variance):
     """Close a block; return (delta, information, samples) of a detected change, or zeros.
 

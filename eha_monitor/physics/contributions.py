@@ -37,7 +37,7 @@ def _by_place(functions: list[Callable], wanted: np.ndarray, call: str, header: 
         lines += [f"    elif which == {i}:", f"        function_{i}({given})"]
     names = {f"function_{i}": function for i, function in enumerate(functions)}
     exec(compile("\n".join(lines), "<catalogue>", "exec"), names)
-    return njit(names["by_place"], cache=False, forceinline=True)
+    return njit(names["by_place"], cache=False, forceinline=True, allocates=False)
 
 
 _term = _by_place([e.term for e in _EFFECTS], _HAS_TERM, "s, {p}, {m}, c",
@@ -81,14 +81,14 @@ def with_place(active):
     return _both(active, _HAS_PLACE)
 
 
-@njit(forceinline=True)
+@njit(forceinline=True, allocates=False)
 def shift_memory(places, by, memory):
     """Move remembered positions by ``by`` m: a filter has corrected the position, nothing slid."""
     for which in places:
         memory[which, 1] += by
 
 
-@njit(forceinline=True)
+@njit(forceinline=True, allocates=False)
 def add_contributions(s, theta, terms, memory, c):
     """Fill ``c`` with the sum of the active effects.
 
@@ -105,7 +105,7 @@ def add_contributions(s, theta, terms, memory, c):
         _term(which, s, theta, memory, c)
 
 
-@njit(forceinline=True)
+@njit(forceinline=True, allocates=False)
 def update_memory(s, theta, updates, h, memory):
     """Carry the memory of effects (:func:`with_update`) over a step of ``h`` s ending at ``s``."""
     for which in updates:
