@@ -142,19 +142,18 @@ def publish(count: int, duration: float) -> None:
     from rclpy.qos import QoSProfile, ReliabilityPolicy
 
     from eha_monitor.physics.simulator import Simulator
-    from eha_monitor.recordings.recording import Recording
     from eha_monitor.recordings.serialise import messages_of
     from eha_monitor.ros.inputs import message_class
     from eha_monitor.settings import Settings
 
     samples = round(duration * 1000)
-    recording = Recording(1e-3, Simulator(Settings(), 1).advance(samples))
-    streams = messages_of(recording, np.arange(samples), "")
+    streams = messages_of(Simulator(Settings(), 1).advance(samples), np.arange(samples), "")
     rclpy.init()
     node = rclpy.create_node("publishers")
     quality = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
     outputs = [[(node.create_publisher(message_class(s.msgtype), f"/{name}{s.topic}", quality),
-                 bytearray(s.data), s.length) for s in streams] for name in names_of(count)]
+                 bytearray(s.data.tobytes()), s.data.shape[1]) for s in streams]
+               for name in names_of(count)]
     while not all(p.get_subscription_count() for actuator in outputs for p, _, _ in actuator):
         time.sleep(0.05)
     time.sleep(1.0)  # the monitor, too, must have heard of each publisher

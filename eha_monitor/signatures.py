@@ -104,7 +104,7 @@ SIGNATURES = (
     ("filters.kernel_joint", "run_joint", (
         float64[::1], float64[::1], float64[::1], float64[::1], float64[::1], float64[:, ::1],
         float64[::1], float64, float64, float64, float64, bool, float64[::1], float64[:, ::1],
-        float64[:, ::1],
+        float64[:, :, ::1], float64[::1], int64, float64[:, ::1],
     )),
     ("mismatch.likelihood.tangent_motion", "slopes_along", (
         named('eha_monitor.mismatch.likelihood.tangent_motion', 'Model', int64, float64, int64,

@@ -20,7 +20,6 @@ from std_msgs.msg import Float64
 
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.cdr import Want, locate
-from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.serialise import messages_of
 from eha_monitor.ros.inputs import message_class
 from eha_monitor.settings import settings_from_tree
@@ -72,12 +71,11 @@ class Publisher:
 
     def _more(self) -> None:
         shown = self.simulator.advance(BLOCK)
-        found = messages_of(Recording(1e-3 / FAST, shown), np.arange(BLOCK), "")
+        found = messages_of(shown, np.arange(BLOCK), "")
         messages = {}
         for stream in found:
             topic = stream.topic.strip("/")
-            messages[topic] = [stream.data[k * stream.length:(k + 1) * stream.length]
-                               for k in range(BLOCK)]
+            messages[topic] = [row.tobytes() for row in stream.data]
             if topic not in self.kinds:
                 self.kinds[topic] = message_class(stream.msgtype)
                 places = locate(messages[topic][0], self.types, stream.msgtype,

@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 
 from eha_monitor.filters.observability import ObservabilityTable
+from eha_monitor.filters.pieces import time_of
 from eha_monitor.filters.results import Estimate, ParameterEstimate, StageResult
 from eha_monitor.filters.status import converged_where
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.health.series import ParameterSeries, judge_series
+from eha_monitor.recordings.columns import blocks
 from eha_monitor.recordings.recording import Recording
 
 SCHEMA = "eha_monitor/estimate/1"
@@ -25,11 +27,11 @@ def judged(found: Estimate) -> tuple[tuple[Alarm, ...], tuple[Alarm, ...]]:
               "beta_e": (second.prior, second.prior_stddev, second.largest)}
     series = {name: ParameterSeries(
         stage.estimate, stage.value, stage.stddev,
-        converged_where(stage.value, stage.stddev, *priors[name]))
+        lambda value, stddev, prior=priors[name]: converged_where(value, stddev, *prior))
         for name, stage in stages.items()}
     temperature = recording.get("temperature") if recording.has("temperature") else None
-    measured = np.isfinite(recording.get("x")) if recording.has("x") else None
-    return judge_series(found.settings, recording.time, series, temperature, measured,
+    measured = recording.get("x") if recording.has("x") else None
+    return judge_series(found.settings, time_of(recording), series, temperature, measured,
                         found.model.tainted)
 
 
@@ -57,8 +59,9 @@ def answer(found: Estimate, alarms: tuple[Alarm, ...], history: tuple[Alarm, ...
         "observability": None if observable is None else [
             asdict(row) for row in observable.rows],
         "noise": {name: asdict(level) for name, level in found.noise.items()},
-        "channel_samples": {name: int(np.isfinite(values).sum())
-                     for name, values in recording.channels.items()},
+        "channel_samples": {name: sum(int(np.isfinite(rows).sum())
+                                      for _, _, (rows,) in blocks(values))
+                            for name, values in recording.channels.items()},
         "events": [asdict(event) for event in found.events],
         "alarm_history": [asdict(alarm) for alarm in history],
         "losses": list(recording.losses),

@@ -1,5 +1,7 @@
 """Commands that write a file: ``simulate``, ``import`` and ``config``."""
 
+from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 import click
@@ -24,39 +26,37 @@ def simulate(out: Path, config: Path | None, seed: int | None, duration: float |
     """Write the simulated EHA straight to a bag, as fast as it goes."""
     from eha_monitor.physics.excitation import total_duration
     from eha_monitor.physics.simulator import Simulator
-    from eha_monitor.recordings.recording import Recording
-    from eha_monitor.recordings.write import write_recording
+    from eha_monitor.recordings.write import ChannelWriter
     from eha_monitor.settings import load_settings
 
     check_new(out, overwrite)  # before the work, not after it
     settings = load_settings(config)
     plant = Simulator(settings, seed, source=str(config or "config"))
     seconds = duration or total_duration(settings.simulation.excitation)
-    channels = _simulated(plant, max(1, round(seconds / plant.dt)))
-    recording = Recording(plant.dt, channels, _START_NS, str(out))
-    with working(f"writing {out}"):
-        write_recording(out, recording, settings, compression="none" if plain else "zstd",
-                        overwrite=overwrite)
-    click.echo(f"{out}: {recording.duration:g} s, {len(recording)} samples, "
-               f"channels {', '.join(channels)}")
+    samples = max(1, round(seconds / plant.dt))
+    parts = _simulated(plant, samples)
+    first = next(parts)
+    with ChannelWriter(out, tuple(first), plant.dt, settings.monitor.namespace,
+                       compression="none" if plain else "zstd", overwrite=overwrite,
+                       start_ns=_START_NS) as writer:
+        for part in chain((first,), parts):
+            writer.write(part)
+    click.echo(f"{out}: {samples * plant.dt:g} s, {samples} samples, channels {', '.join(first)}")
 
 
-def _simulated(plant, samples: int) -> dict:
-    """Run the plant, with a progress bar on a terminal; channel -> (samples,)."""
-    import numpy as np
+def _simulated(plant, samples: int) -> Iterator[dict]:
+    """Run the plant, with a progress bar on a terminal; yields channel -> (m,)."""
     from rich.console import Console
     from rich.progress import Progress
 
     batch = max(1, round(_BATCH_S / plant.dt))
-    parts = []
     with Progress(console=Console(stderr=True), disable=not on_terminal(),
                   transient=True) as progress:
         task = progress.add_task("simulating", total=samples)
         while plant.samples < samples:
             count = min(batch, samples - plant.samples)
-            parts.append(plant.advance(count))
+            yield plant.advance(count)
             progress.advance(task, count)
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 @click.command("import")

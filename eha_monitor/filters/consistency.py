@@ -1,9 +1,13 @@
 """Whether the innovations are what the filter expects: right size, white at every scale."""
 
+import math
+
 import numpy as np
 
 from eha_monitor.filters.results import Consistency
 from eha_monitor.quantity import number
+from eha_monitor.recordings import columns
+from eha_monitor.recordings.columns import blocks
 
 LENGTHS = (1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1024)  # samples in a block
 # Verdict: a ratio must be beyond what chance gives AND large enough to matter.
@@ -58,20 +62,90 @@ def normal_deviate(ratio: np.ndarray, blocks: np.ndarray) -> np.ndarray:
 
 
 def while_changing(n: int, changes: np.ndarray | None, whole: int = 0) -> np.ndarray:
-    """Return (n,) bool, True on the samples that showed a change of the parameter.
+    """Return (n,) bool, True on the samples that showed a change of the parameter."""
+    return _mask(spans_while_changing(n, changes, whole), 0, n)
+
+
+def spans_while_changing(n: int, changes: np.ndarray | None, whole: int = 0
+                         ) -> list[tuple[int, int]]:
+    """Return the stretches of samples that showed a change of the parameter, in order.
 
     A parameter that hops to and fro for more than a third of the record, or that never settles,
     is no fault that grows but a model that does not fit: then nothing is left out.  The record
     counts as ``whole`` samples long at least.
     """
-    mask = np.zeros(n, dtype=bool)
     if changes is None or not len(changes):
-        return mask
-    for sample, _, _, window in changes:
+        return []
+    spans: list[tuple[int, int]] = []
+    for sample, window in sorted(zip(changes[:, 0], changes[:, 3], strict=True)):
         around = max(window, AROUND)
-        mask[max(0, int(sample - 2 * around)) : max(0, int(sample + around) + 1)] = True
+        first = max(0, int(sample - 2 * around))
+        last = min(n, max(0, int(sample + around) + 1))
+        if spans and first <= spans[-1][1]:
+            first, last = spans[-1][0], max(last, spans.pop()[1])
+        spans.append((first, last))
     allowed = MOST_GROWING if one_way(changes) else MOST_HOPPING
-    return mask if mask.sum() <= allowed * max(n, whole) else np.zeros(n, dtype=bool)
+    return spans if sum(b - a for a, b in spans) <= allowed * max(n, whole) else []
+
+
+def _mask(spans: list[tuple[int, int]], start: int, stop: int) -> np.ndarray:
+    """Return (stop - start,) bool, True on the samples within the stretches."""
+    mask = np.zeros(stop - start, dtype=bool)
+    for first, last in spans:
+        mask[max(first - start, 0) : max(last - start, 0)] = True
+    return mask
+
+
+class _Squares:
+    """Sums over whitened innovations, chunk after chunk, of whole blocks of every length."""
+
+    WHOLE = math.lcm(*LENGTHS, WINDOW)  # samples in which all blocks and windows end
+
+    def __init__(self, stride: int):
+        self.samples, self.squares = 0, 0.0
+        self.blocks = dict.fromkeys(LENGTHS, 0)
+        self.sums = dict.fromkeys(LENGTHS, 0.0)
+        self.stddevs: list[np.ndarray] = []
+        self.loudest, self.loudest_at, self.windows = -np.inf, 0, 0
+        self.loud_at: int | None = None
+        self._stride, self._left = stride, (np.empty(0), np.empty(0), np.empty(0, np.int64))
+
+    def add(self, values: np.ndarray, stddev: np.ndarray, index: np.ndarray,
+            last: bool = False) -> None:
+        """Take (m,) whitened innovations, their sigmas, and which samples they are of."""
+        values, stddev, index = (np.concatenate(pair) for pair in zip(
+            self._left, (values, stddev, index), strict=True))
+        whole = len(values) if last else len(values) // self.WHOLE * self.WHOLE
+        self._left = values[whole:], stddev[whole:], index[whole:]
+        if whole:
+            self._take(values[:whole], stddev[:whole], index[:whole])
+
+    def _take(self, values: np.ndarray, stddev: np.ndarray, index: np.ndarray) -> None:
+        self.stddevs.append(stddev[-self.samples % self._stride :: self._stride].copy())
+        self.samples += len(values)
+        self.squares += np.sum(values**2)
+        sums = np.concatenate([[0.0], np.cumsum(values)])
+        for m in LENGTHS:
+            blocks = len(values) // m
+            self.blocks[m] += blocks
+            self.sums[m] += np.sum(np.diff(sums[: blocks * m + 1 : m]) ** 2)
+        windows = len(values) // WINDOW
+        if not windows:
+            return
+        local = (values[: windows * WINDOW] ** 2).reshape(windows, WINDOW).mean(axis=1)
+        peak = int(np.argmax(local))
+        if local[peak] > self.loudest:
+            self.loudest = float(local[peak])
+            self.loudest_at = int(index[min(peak * WINDOW + WINDOW // 2, len(index) - 1)])
+        loud = np.flatnonzero(local > FIRST)
+        if len(loud) and self.loud_at is None:
+            self.loud_at = int(index[(loud[0] + 1) * WINDOW - 1])
+        self.windows += windows
+
+    def ratios(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return what :func:`variance_ratios` does."""
+        lengths = [m for m in LENGTHS if self.blocks[m] >= 8]
+        return np.array(lengths), np.array([self.sums[m] / self.blocks[m] / m for m in lengths])
 
 
 def one_way(changes: np.ndarray) -> bool:
@@ -103,37 +177,38 @@ def judge(innovation: np.ndarray, stddev: np.ndarray, dt: float, stage: str,
     Consistency or None
         None with fewer than 200 innovations: too few to judge.
     """
-    e = whitened(innovation, stddev)
-    left_out = while_changing(len(e), changes, round(window_s / dt))
-    index = np.flatnonzero(np.isfinite(e) & ~left_out)
-    if len(index) < SMALLEST_SAMPLES:
+    left_out = spans_while_changing(len(innovation), changes, round(window_s / dt))
+    seen = _Squares(-(-len(innovation) // columns.IN_MEMORY))
+    for first, last, rows in blocks(innovation, stddev):
+        e = whitened(*rows)
+        index = np.flatnonzero(np.isfinite(e) & ~_mask(left_out, first, last))
+        seen.add(e[index], rows[1][index], index + first, last == len(innovation))
+    n = seen.samples
+    if n < SMALLEST_SAMPLES:
         return None
-    values = e[index]
-    nis = float(np.mean(values**2))
-    lengths, ratios = variance_ratios(values)
-    chance = np.sqrt(2.0 / (len(values) // lengths))
+    nis = float(seen.squares / n)
+    lengths, ratios = seen.ratios()
+    chance = np.sqrt(2.0 / (n // lengths))
     excess = (ratios - 1.0) / chance
-    size = np.sqrt(ratios / lengths) * float(np.median(stddev[index]))  # rms of block means
+    # Root mean square of block means.
+    size = np.sqrt(ratios / lengths) * float(np.median(np.concatenate(seen.stddevs)))
     judged = np.where((excess > SIGNIFICANCE) & (ratios > TOLERANCE)
                       & (size > RESOLVED * quantum), ratios, 0.0)
     if (changes is not None and len(changes) and one_way(changes)
-            and (window_s or not left_out.any())):
+            and (window_s or not left_out)):
         # A parameter that drifts is always a little behind: each change that was seen, and the
         # next one, explain so much of the excess.
         explained = PER_CHANGE * (len(changes) + 1)
-        judged[(ratios - 1.0) * (len(values) // lengths) <= explained] = 0.0
+        judged[(ratios - 1.0) * (n // lengths) <= explained] = 0.0
     worst = int(np.argmax(judged if judged.any() else ratios))
     ratio, length = float(ratios[worst]), int(lengths[worst])
 
-    windows = len(values) // WINDOW
-    local = (values[: windows * WINDOW] ** 2).reshape(windows, WINDOW).mean(axis=1)
-    peak = int(np.argmax(local))
-    loud = np.flatnonzero(local > FIRST)
-    first_time = start + (float(index[(loud[0] + 1) * WINDOW - 1] * dt) if len(loud) else 0.0)
-    peak_time = float(index[min(peak * WINDOW + WINDOW // 2, len(index) - 1)] * dt) + start
-    deviate = normal_deviate(ratios, len(values) // lengths)
-    decisive = bool(local[peak] >= LOCAL or ((judged > 0) & (deviate > SIGNIFICANCE)).any())
-    consistent = not judged.any() and local[peak] < LOCAL
+    loudest = seen.loudest
+    first_time = start + (seen.loud_at * dt if seen.loud_at is not None else 0.0)
+    peak_time = seen.loudest_at * dt + start
+    deviate = normal_deviate(ratios, n // lengths)
+    decisive = bool(loudest >= LOCAL or ((judged > 0) & (deviate > SIGNIFICANCE)).any())
+    consistent = not judged.any() and loudest < LOCAL
     if consistent:
         message = (f"{stage}: innovations are as expected: NIS {nis:.2f}, white at all scales "
                    f"(largest variance ratio {ratio:.2f})")
@@ -143,6 +218,6 @@ def judge(innovation: np.ndarray, stddev: np.ndarray, dt: float, stage: str,
                    f"near t = {peak_time:.2f} s: {missing}")
     else:
         message = (f"{stage}: innovations near t = {peak_time:.2f} s are "
-                   f"{number(np.sqrt(local[peak]), 3)} times too large: {missing}")
-    return Consistency(len(values), nis, ratio, length * dt, peak_time, bool(consistent), message,
+                   f"{number(np.sqrt(loudest), 3)} times too large: {missing}")
+    return Consistency(n, nis, ratio, length * dt, peak_time, bool(consistent), message,
                        first_time, decisive)

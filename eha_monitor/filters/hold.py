@@ -29,6 +29,10 @@ class Hold:
     variance: np.ndarray
     instrument: np.ndarray
 
+    def part(self, rows: slice) -> "Hold":
+        """Return the hold of these samples."""
+        return Hold(self.start[rows], self.end[rows], self.variance[rows], self.instrument[rows])
+
 
 def instrument_of(u: np.ndarray) -> np.ndarray:
     """Return each sample as a parabola through its neighbours at +-3, 4, 5 tells it; (n,).

@@ -31,6 +31,7 @@ from eha_monitor.filters.stage_two import LINE_TIME, LOOP
 from eha_monitor.physics.contributions import circuit_of
 from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.parameters import theta_of
+from eha_monitor.recordings.columns import let_go, mapped
 from eha_monitor.recordings.finding import ChannelFinding
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
@@ -181,13 +182,15 @@ def asked_of(recording: Recording, settings: Settings) -> Asked | None:
     """Return the stretch of a recording that tells most, and both inputs on it."""
     rig, dt = settings.rig, recording.sample_time
     commanded = rig.position_gain is not None and recording.has("x_d")
-    raw = (rig.position_gain * (recording.get("x_d") - recording.get("x")) if commanded
-           else recording.get("omega"))
+    raw = (mapped(lambda x_d, x: rig.position_gain * (x_d - x), recording.get("x_d"),
+                  recording.get("x")) if commanded else recording.get("omega"))
     length = min(len(raw), ASKED)
     start = most_telling(raw, recording.get("x"), length)
+    let_go(raw)
     if settings.effects.get(NAMES[LINE]):
         return None  # a line is late by itself, and is not in this filter
-    cut = {name: np.where(np.isfinite(values), values, np.nan)[start:start + length]
+    cut = {name: np.where(np.isfinite(values[start:start + length]),
+                          values[start:start + length], np.nan)
            for name, values in recording.channels.items()}
     part = Recording(dt, {name: values for name, values in cut.items()
                           if np.isfinite(values).any()})

@@ -1,5 +1,6 @@
 """From a recording to what the stages take: force, drive input, noise, constants, reasons."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 from eha_monitor.filters.drive import drive_input, loop_gain, opens_loop
 from eha_monitor.filters.hold import Hold, hold_of
 from eha_monitor.filters.known import contributions, new_known_memory, speaks_of
-from eha_monitor.filters.noise import noise_levels, quantum
+from eha_monitor.filters.noise import noise_levels, quantum, without_spikes
 from eha_monitor.filters.results import NoiseEstimate
 from eha_monitor.filters.sensors import undo_sensors
 from eha_monitor.filters.stage_two import LOOP, STIFF, hydraulics
@@ -22,7 +23,6 @@ from eha_monitor.settings.rig import Rig
 SMOOTHED = 5  # samples on each side over which the mean pressure is smoothed
 LINE = NAMES.index("line_dynamics")
 FLOW_BALANCE = ("FLOW_1", "FLOW_2", "COMPLIANCE_1", "COMPLIANCE_2", "VOLUME_1", "VOLUME_2")
-SPIKE_SPAN, SPIKE_SIGMAS = 10.0, 30.0
 
 
 @dataclass(frozen=True)
@@ -133,6 +133,13 @@ def mean_pressure(channels: dict[str, np.ndarray], rig: Rig) -> np.ndarray:
     return np.convolve(padded, window, mode="valid")
 
 
+def measures_leakage(rig: Rig, names) -> bool:
+    """Tell whether leakage and make-up come from measured pressures."""
+    equal = rig.area_1 == rig.area_2 and rig.volume_1 == rig.volume_2
+    return not equal and None not in (rig.area_1, rig.area_2, rig.volume_1, rig.volume_2) and (
+        "p1" in names and "p2" in names)
+
+
 def measured_leakage(rig: Rig, channels: dict) -> np.ndarray | None:
     """Return A1/V1 Q1 - A2/V2 Q2 of leakage and make-up from measured pressures, or None.
 
@@ -141,9 +148,7 @@ def measured_leakage(rig: Rig, channels: dict) -> np.ndarray | None:
     then comes from the pressures themselves (the flow balances of
     :func:`physics.balances.derivatives`).  N/Pa/s per unit of bulk modulus.
     """
-    equal = rig.area_1 == rig.area_2 and rig.volume_1 == rig.volume_2
-    if equal or None in (rig.area_1, rig.area_2, rig.volume_1, rig.volume_2) or not (
-            "p1" in channels and "p2" in channels):
+    if not measures_leakage(rig, channels):
         return None
     p1, p2 = channels["p1"], channels["p2"]
     one, two = rig.area_1 / rig.volume_1, rig.area_2 / rig.volume_2
@@ -220,7 +225,7 @@ class Known:
     """What the live estimator knows about its rows and does not measure anew on each batch.
 
     The reasons are those of the rows that it began with; ``started`` is what the drive
-    remembers at the first row.
+    remembers at the first row; ``counted`` are the rows whose spikes are counted.
     """
 
     model: RigModel
@@ -229,6 +234,25 @@ class Known:
     no_force: str | None
     no_drive: str | None
     started: np.ndarray | None = None
+    counted: slice | None = None
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Rows that a stage takes at a time.
+
+    Attributes
+    ----------
+    inputs : of these rows; the one before them comes first where there is one.
+    first : the first of them in ``inputs``; ``row`` : its number in the recording.
+    recording, within : rows that hold these and their neighbours, and where ``inputs`` lie there.
+    """
+
+    inputs: "StageInputs"
+    first: int
+    row: int
+    recording: Recording | None
+    within: slice
 
 
 @dataclass(frozen=True)
@@ -270,7 +294,8 @@ class StageInputs:
         names = [name for name in recording.channels if known or recording.has(name)]
         noise = known.noise if known else noise_levels(recording, settings.noise)
         recorded, spikes = without_spikes(
-            {name: recording.channels[name] for name in names}, noise)
+            {name: recording.channels[name] for name in names}, noise,
+            known.counted if known else None)
         circuit = known.model.circuit if known else circuit_of(
             *theta_of(rig, settings.effects))
         channels, noise = undo_sensors(
@@ -304,6 +329,21 @@ class StageInputs:
             between(channels["p2"]) if both else charge, mean_pressure(channels, rig), noise,
             position_variance(noise, step), step, no_force, no_drive, spikes, kept)
 
+    @property
+    def rows(self) -> int:
+        """How many there are."""
+        return len(self.x)
+
+    @property
+    def course(self) -> tuple[np.ndarray, np.ndarray]:
+        """The drive's input at the start of each sample, and the position; (n,) each."""
+        return self.drive.start, self.x
+
+    def pieces(self, recording: Recording | None = None, begin: int = 0) -> Iterator[Piece]:
+        """Yield the rows of ``recording`` from ``begin`` on at once, see :mod:`filters.pieces`."""
+        part = self.part(begin, self.rows) if begin else self
+        yield Piece(part, 0, begin, recording, slice(begin, None))
+
     def part(self, start: int, stop: int) -> "StageInputs":
         """Return the inputs of samples ``start`` to ``stop``."""
         n, cut = len(self.x), slice(start, stop)
@@ -311,9 +351,7 @@ class StageInputs:
             field.name: value[cut] for field in fields(self)
             if isinstance(value := getattr(self, field.name), np.ndarray) and len(value) == n}
         for name in ("force", "drive"):
-            hold = getattr(self, name)
-            changed[name] = Hold(hold.start[cut], hold.end[cut], hold.variance[cut],
-                                 hold.instrument[cut])
+            changed[name] = getattr(self, name).part(cut)
         return replace(self, **changed)
 
 
@@ -323,7 +361,7 @@ def model_for(channels: dict[str, np.ndarray], settings: Settings) -> RigModel:
     if "p1" in channels and "p2" in channels:
         mean = float(np.nanmedian(0.5 * (channels["p1"] + channels["p2"])))
     model = RigModel.of(settings, mean, "x_d" in channels)
-    if measured_leakage(settings.rig, channels) is not None:
+    if measures_leakage(settings.rig, channels):
         model = replace(model, leak=0.0)
     return model
 
@@ -343,32 +381,6 @@ def position_variance(noise: dict[str, NoiseEstimate], step: float) -> float:
     if "x" not in noise:
         return np.nan
     return max(noise["x"].value, step / np.sqrt(3.0)) ** 2
-
-
-def without_spikes(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstimate]
-                   ) -> tuple[dict[str, np.ndarray], dict[str, int]]:
-    """Return the channels with lone wild samples set to NaN, and how many there were.
-
-    A sample is wild when it lies far outside what its two neighbours on each side span: ten
-    times that span and thirty sigmas.  A step is none: its neighbours span it.
-    """
-    cleaned, counts = {}, {}
-    for name, values in channels.items():
-        cleaned[name] = values
-        if name not in noise or name == "temperature" or len(values) < 5:
-            continue
-        before, inner = (values[:-4], values[1:-3]), values[2:-2]
-        after = values[3:-1], values[4:]
-        high = np.maximum(np.maximum(*before), np.maximum(*after))
-        low = np.minimum(np.minimum(*before), np.minimum(*after))
-        wild = np.zeros(len(values), dtype=bool)
-        with np.errstate(invalid="ignore"):
-            wild[2:-2] = np.abs(inner - 0.5 * (high + low)) > (
-                SPIKE_SPAN * (high - low) + SPIKE_SIGMAS * noise[name].value)
-        if wild.any():
-            cleaned[name] = np.where(wild, np.nan, values)
-            counts[name] = int(wild.sum())
-    return cleaned, counts
 
 
 def between(values: np.ndarray) -> np.ndarray:

@@ -8,10 +8,13 @@ import numpy as np
 
 from eha_monitor.filters import kernel_joint
 from eha_monitor.filters.hold import Hold, hold_of
-from eha_monitor.filters.inputs import StageInputs, force_variance, measured_leakage, with_noise
+from eha_monitor.filters.inputs import force_variance, measures_leakage, with_noise
+from eha_monitor.filters.pieces import PiecedInputs
 from eha_monitor.filters.results import JointResult, ParameterEstimate, StageResult
+from eha_monitor.filters.run_two import Inputs
 from eha_monitor.filters.stage_two import LOOP
 from eha_monitor.filters.status import judge_parameter, units_of
+from eha_monitor.recordings.columns import Table, sampled
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
@@ -37,21 +40,23 @@ def fits(stage: StageResult) -> bool:
             and stage.consistency.consistent)
 
 
-def speed_hold(recording: Recording, settings: Settings, inputs: StageInputs) -> Hold | None:
+def speed_hold(recording: Recording, settings: Settings, inputs: Inputs) -> Hold | None:
     """Return the hold of the measured pump speed, or None."""
-    if not recording.has("omega"):
+    if "omega" not in recording.channels:
         return None
     sigma = inputs.noise["omega"].value
     return with_noise(hold_of(recording.channels["omega"], sigma,
                               sampled=settings.command_hold == "sampled"), sigma**2)
 
 
-def drive_is_ideal(recording: Recording, settings: Settings, inputs: StageInputs) -> bool:
+def drive_is_ideal(recording: Recording, settings: Settings, inputs: Inputs) -> bool:
     """Tell whether the measured pump speed is K_pos (x_d - x) to within the sensors' noise.
 
     Then x_d is an input without noise and says far more than the speed sensor; a drive with lag
     or limits fails this, and the measured speed is taken.
     """
+    if isinstance(inputs, PiecedInputs):
+        return drive_is_ideal(inputs.sample, settings, inputs.facts)
     gain = settings.rig.position_gain
     if gain is None or not recording.has("x_d", "omega") or not inputs.model.loop:
         return False
@@ -65,7 +70,7 @@ def drive_is_ideal(recording: Recording, settings: Settings, inputs: StageInputs
     return bool(np.mean(residual**2) < IDEAL and np.mean(means**2) < IDEAL)
 
 
-def run_joint(inputs: StageInputs, recording: Recording, settings: Settings, one: StageResult,
+def run_joint(inputs: Inputs, recording: Recording, settings: Settings, one: StageResult,
               two: StageResult, since: int = 0) -> JointResult | None:
     """Estimate B, beta_e and C_T together, or return None where pressure or omega is missing.
 
@@ -74,18 +79,16 @@ def run_joint(inputs: StageInputs, recording: Recording, settings: Settings, one
     after the last change that a stage saw (sample ``since``): its parameters are constant.
     """
     model = inputs.model
-    hold = speed_hold(recording, settings, inputs)
-    if (hold is None or model.hydraulics is None or inputs.no_force is not None
+    if (not recording.has("omega") or model.hydraulics is None or inputs.no_force is not None
             or not recording.has("p1", "p2") or model.active.any()
-            or measured_leakage(settings.rig, recording.channels) is not None):
+            or measures_leakage(settings.rig, recording.channels)):
         return None
     if len(recording) - since < SHORTEST:
         since = 0  # it never settles: whether one set of parameters fits is the question then
     rig = settings.rig
     constants = model.hydraulics.copy()
-    words = "pump speed"
-    if drive_is_ideal(recording, settings, inputs):
-        hold = hold_of(recording.channels["x_d"], 0.0)
+    words, ideal = "pump speed", drive_is_ideal(recording, settings, inputs)
+    if ideal:
         words = "demanded position (the drive follows it within the noise)"
     else:
         constants[LOOP] = 0.0  # the measured speed is the input: the loop is open
@@ -101,16 +104,21 @@ def run_joint(inputs: StageInputs, recording: Recording, settings: Settings, one
             start[1] * two.estimate.stddev / two.estimate.value) ** 2)
     m = np.array([np.nan, 0.0, 0.0, *start, model.leak, 0.0])
     p = np.diag([0.0, 0.0, 0.0, *variance, 0.0])
-    out = np.empty((7, len(recording) - since))
-    force = inputs.measured_force
     r_f = force_variance(rig, inputs.noise, 0.0)
-    part = slice(since, None)
-    kernel_joint.run_joint(
-        inputs.x[part], force[part], hold.start[part], hold.end[part], hold.variance[part],
-        hold.instrument[part], constants, inputs.dt, inputs.position_variance, r_f, 0.0,
-        False, m, p, out)
+    (matrices, at), written = kernel_joint.new_step(), Table()
+    for piece in inputs.pieces(recording, since):
+        part, rows = piece.inputs, piece.recording
+        hold = (hold_of(rows.channels["x_d"], 0.0) if ideal
+                else speed_hold(rows, settings, inputs)).part(piece.within)
+        out = np.empty((7, part.rows))
+        kernel_joint.run_joint(
+            part.x, part.measured_force, hold.start, hold.end, hold.variance, hold.instrument,
+            constants, inputs.dt, inputs.position_variance, r_f, 0.0, False, m, p, matrices, at,
+            piece.first, out)
+        written.append(out[3:, piece.first:])
+    nu_x, sd_x, nu_f, sd_f = map(sampled, written.values())
     with np.errstate(invalid="ignore"):
-        squares = np.concatenate([(out[3] / out[4]) ** 2, (out[5] / out[6]) ** 2])
+        squares = np.concatenate([(nu_x / sd_x) ** 2, (nu_f / sd_f) ** 2])
         squares = squares[np.isfinite(squares)]
         # The median, since a few samples at a jump of the command say nothing about the fit.
         nis = np.median(squares) / MEDIAN_SQUARE if len(squares) else np.nan

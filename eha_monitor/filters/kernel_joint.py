@@ -46,8 +46,11 @@ def update_scalar(m, p, index, z, r, frozen, k):
 
 @njit
 def run_joint(x, force, start, end, q_u, instrument, constants, dt, r_x, r_f, q_f, frozen,
-              m, p, out):
-    """Run the filter over all samples.
+              m, p, matrices, at, first, out):
+    """Run the filter over the samples from ``first`` on.
+
+    Its state is ``m``, ``p``, ``matrices`` and ``at``: rows taken in two runs, the second with
+    the last sample of the first before its own, give the same numbers as in one.
 
     Parameters
     ----------
@@ -60,20 +63,19 @@ def run_joint(x, force, start, end, q_u, instrument, constants, dt, r_x, r_f, q_
         the drive input); P learns all the same and ends as the inverse of prior plus Fisher
         information.
     m, p : (7,), (7, 7) updated; m[0] NaN asks for a fresh start.
+    matrices, at : :func:`new_step`, updated.
     out : (7, n) written: B, beta_e, leak, innovation and sigma of x, of the force.
     """
     work = np.empty((10, 3, 3))
-    base, d_c, d_cc = np.empty((3, 7)), np.empty((3, 7)), np.empty((3, 7))
-    d_b, d_leak = np.empty((3, 7)), np.empty((3, 7))
+    base, d_c, d_cc, d_b, d_leak = matrices
     step = np.empty((3, 7))
     f = np.zeros((3, STATES))
     temp = np.empty((3, STATES))
     gain = np.empty(STATES)
-    at_b, at_c, at_l = math.nan, math.nan, math.nan
+    at_b, at_c, at_l, spikes = at
     mass = constants[MASS]
     nan = math.nan
-    spikes = 0
-    for k in range(x.shape[0]):
+    for k in range(first, x.shape[0]):
         lost = math.isnan(m[0])
         if not lost and k > 0:
             u0, u1 = start[k - 1], end[k]
@@ -104,7 +106,7 @@ def run_joint(x, force, start, end, q_u, instrument, constants, dt, r_x, r_f, q_
             if far and not frozen and spikes < SPIKES:  # as the stages do
                 spikes += 1
             else:
-                spikes = 0
+                spikes = 0.0
                 nu_x, s = update_scalar(m, p, 0, x[k], r_x, frozen, gain)
                 sd_x = math.sqrt(s)
         if not math.isnan(m[0]) and r_f < math.inf and not math.isnan(force[k]):
@@ -112,6 +114,12 @@ def run_joint(x, force, start, end, q_u, instrument, constants, dt, r_x, r_f, q_
             sd_f = math.sqrt(s)
         out[0, k], out[1, k], out[2, k] = m[3], constants[BETA_0] / max(m[4], 1e-9), m[5]
         out[3, k], out[4, k], out[5, k], out[6, k] = nu_x, sd_x, nu_f, sd_f
+    at[0], at[1], at[2], at[3] = at_b, at_c, at_l, spikes
+
+
+def new_step() -> tuple[np.ndarray, np.ndarray]:
+    """Return the matrices of a step and where they hold (B, c, leak; spikes in a row): nowhere."""
+    return np.empty((5, 3, 7)), np.array([np.nan, np.nan, np.nan, 0.0])
 
 
 @njit

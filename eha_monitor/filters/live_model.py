@@ -173,21 +173,20 @@ class LiveModel:
         # Changes excuse nothing here: one value must explain the whole window.
         out = run_one_kernel(inputs, self.settings, new_supervision(frozen=True))[0]
         prior = self.settings.stage_one
-        parameter = judge_parameter("B", out[2, -1], out[3, -1], "", prior.prior,
+        parameter = judge_parameter("B", out[2][-1], out[3][-1], "", prior.prior,
                                     prior.prior_stddev)
         return self._fit("one", inputs, out, parameter)
 
     def _stage_two(self, inputs: StageInputs, damping: tuple[float, float]) -> Fit:
         rows = len(inputs.x)
-        out = np.full((8, rows), np.nan)
-        run_from(0, inputs, self.settings, np.full(rows, damping[0]), np.full(rows, damping[1]),
-                 out, frozen=True)
+        out = run_from(0, inputs, self.settings, np.full(rows, damping[0]),
+                       np.full(rows, damping[1]), frozen=True).out
         prior = self.settings.stage_two
-        parameter = judge_parameter("beta_e", out[3, -1], out[5, -1], "", prior.prior,
+        parameter = judge_parameter("beta_e", out[3][-1], out[5][-1], "", prior.prior,
                                     prior.prior_stddev, prior.largest)
         return self._fit("two", inputs, out, parameter)
 
-    def _fit(self, stage: str, inputs: StageInputs, out: np.ndarray,
+    def _fit(self, stage: str, inputs: StageInputs, out: list[np.ndarray],
              parameter: ParameterEstimate) -> Fit:
         innovation, stddev = (out[place] for place in _PLACE[stage])
         fits = None

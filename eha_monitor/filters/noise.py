@@ -16,6 +16,7 @@ KEPT_MEAN = 0.6230155
 SMALLEST_SAMPLES = 64
 FLOOR = 5e-6
 SMALLEST = 1e-12  # in the channel's unit: what stands still has a variance that can be divided by
+SPIKE_SPAN, SPIKE_SIGMAS = 10.0, 30.0
 
 _LEVEL_OF = {"x": "position", "v": "velocity", "p1": "pressure", "p2": "pressure",
              "omega": "pump_speed", "force": "force", "temperature": "temperature"}
@@ -91,3 +92,32 @@ def noise_levels(recording: Recording, levels: NoiseLevels) -> dict[str, NoiseEs
         else:
             found[name] = NoiseEstimate(level if level > 0 else SMALLEST, False)
     return found
+
+
+def without_spikes(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstimate],
+                   counted: slice | None = None
+                   ) -> tuple[dict[str, np.ndarray], dict[str, int]]:
+    """Return the channels with lone wild samples set to NaN, and how many ``counted`` ones were.
+
+    A sample is wild when it lies far outside what its two neighbours on each side span: ten
+    times that span and thirty sigmas.  A step is none: its neighbours span it.
+    """
+    cleaned, counts = {}, {}
+    for name, values in channels.items():
+        cleaned[name] = values
+        if name not in noise or name == "temperature" or len(values) < 5:
+            continue
+        before, inner = (values[:-4], values[1:-3]), values[2:-2]
+        after = values[3:-1], values[4:]
+        high = np.maximum(np.maximum(*before), np.maximum(*after))
+        low = np.minimum(np.minimum(*before), np.minimum(*after))
+        wild = np.zeros(len(values), dtype=bool)
+        with np.errstate(invalid="ignore"):
+            wild[2:-2] = np.abs(inner - 0.5 * (high + low)) > (
+                SPIKE_SPAN * (high - low) + SPIKE_SIGMAS * noise[name].value)
+        if wild.any():
+            cleaned[name] = np.where(wild, np.nan, values)
+            count = int(wild[counted or slice(None)].sum())
+            if count:
+                counts[name] = count
+    return cleaned, counts

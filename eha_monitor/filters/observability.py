@@ -6,9 +6,11 @@ import numpy as np
 
 from eha_monitor.filters import kernel_joint
 from eha_monitor.filters.hold import hold_of
-from eha_monitor.filters.inputs import RigModel, StageInputs, force_variance
+from eha_monitor.filters.inputs import Piece, force_variance
 from eha_monitor.filters.joint import speed_hold
+from eha_monitor.filters.pieces import PiecedInputs, inputs_of
 from eha_monitor.filters.results import Estimate
+from eha_monitor.filters.run_two import Inputs
 from eha_monitor.filters.stage_two import LOOP
 
 COMBINATIONS = (("x", "x_d"), ("x", "omega"), ("x", "p1", "p2"), ("x", "x_d", "p1", "p2"),
@@ -46,15 +48,18 @@ def observability(estimate: Estimate) -> ObservabilityTable:
     Without a drive input see :func:`without_drive`.
     """
     recording, settings = estimate.recording, estimate.settings
-    inputs = StageInputs.of(recording, settings)
+    inputs = inputs_of(recording, settings)
     if inputs.model.hydraulics is None:
         return ObservabilityTable(())
-    rows = []
-    for channels in COMBINATIONS:
-        if all(recording.has(name) for name in channels) and (
-                "x_d" not in channels or settings.rig.position_gain is not None):
-            rows.append(ObservabilityRow(channels, bound(channels, estimate, inputs)))
-    return ObservabilityTable(tuple(rows))
+    bounds = [Bound(channels, estimate, inputs) for channels in COMBINATIONS
+              if all(recording.has(name) for name in channels) and (
+                  "x_d" not in channels or settings.rig.position_gain is not None)]
+    if any(bound.driven for bound in bounds):
+        for piece in inputs.pieces(recording):
+            for bound in bounds:
+                bound.take(piece)
+    return ObservabilityTable(tuple(ObservabilityRow(bound.channels, bound.relative)
+                                    for bound in bounds))
 
 
 def without_drive(estimate: Estimate) -> dict[str, float]:
@@ -69,43 +74,65 @@ def without_drive(estimate: Estimate) -> dict[str, float]:
             "L": np.inf}
 
 
-def stands_still(omega: np.ndarray, inputs: StageInputs) -> bool:
+def stands_still(omega: np.ndarray, inputs: Inputs) -> bool:
     """Tell whether the pump speed is nothing but its sensor's noise."""
     return bool(np.nanmean(omega**2) < STILL**2 * inputs.noise["omega"].value ** 2)
 
 
-def bound(channels: tuple[str, ...], estimate: Estimate, inputs: StageInputs) -> dict[str, float]:
-    """Return the relative standard deviation of B, beta_e and L from these channels."""
-    recording, settings = estimate.recording, estimate.settings
-    rig = settings.rig
-    if "x_d" not in channels and "omega" not in channels:
-        return without_drive(estimate)
-    model: RigModel = inputs.model
-    damping, modulus = (estimate.parameters[name] for name in ("B", "beta_e"))
-    b = damping.value if damping.status == "converged" else rig.viscous_damping
-    beta = modulus.value if modulus.status == "converged" else rig.bulk_modulus
-    values = np.array([max(abs(b), 1e-9), model.beta_0 / beta, max(model.leak, 1e-15)])
-    constants = model.hydraulics.copy()
-    if "x_d" in channels:
-        constants[LOOP] = rig.position_gain
-        hold = hold_of(recording.channels["x_d"], 0.0)
+class Bound:
+    """The bound of B, beta_e and L from some channels, over the pieces of a recording.
+
+    Attributes
+    ----------
+    driven : whether a drive input is among the channels.
+    """
+
+    def __init__(self, channels: tuple[str, ...], estimate: Estimate, inputs: Inputs):
+        self.channels, self.estimate, self.inputs = channels, estimate, inputs
+        self.driven = "x_d" in channels or "omega" in channels
+        model, rig = inputs.model, estimate.settings.rig
+        damping, modulus = (estimate.parameters[name] for name in ("B", "beta_e"))
+        b = damping.value if damping.status == "converged" else rig.viscous_damping
+        beta = modulus.value if modulus.status == "converged" else rig.bulk_modulus
+        self._values = np.array([max(abs(b), 1e-9), model.beta_0 / beta, max(model.leak, 1e-15)])
+        self._constants = model.hydraulics.copy()
+        self._constants[LOOP] = rig.position_gain if "x_d" in channels else 0.0
+        self._still = False
+        if self.driven and "x_d" not in channels:
+            omega = (inputs.sample if isinstance(inputs, PiecedInputs)
+                     else estimate.recording).channels["omega"]
+            self._still = stands_still(omega, inputs)
+        self._m = np.array([np.nan, 0.0, 0.0, *self._values, 0.0])
+        self._p = np.diag([0.0, 0.0, 0.0, *(VAGUE * self._values) ** 2, 0.0])
+        self._step = kernel_joint.new_step()
+
+    def take(self, piece: Piece) -> None:
+        """Learn from some rows."""
+        if not self.driven:
+            return
+        part, rows, inputs = piece.inputs, piece.recording, self.inputs
+        if "x_d" in self.channels:
+            hold = hold_of(rows.channels["x_d"], 0.0)
+        else:
+            hold = speed_hold(rows, self.estimate.settings, inputs)
         variance = hold.variance
-    else:
-        constants[LOOP] = 0.0
-        hold = speed_hold(recording, settings, inputs)
-        variance = hold.variance if hold is not None else None
-        if hold is not None and stands_still(recording.channels["omega"], inputs):
-            hold = hold_of(np.zeros(len(recording)), 0.0)  # its noise is no motion
-    force, r_f = np.full(len(recording), np.nan), np.inf
-    if "p1" in channels:
-        force = inputs.measured_force
-        r_f = force_variance(rig, inputs.noise, 0.0)
-    m = np.array([np.nan, 0.0, 0.0, *values, 0.0])
-    p = np.diag([0.0, 0.0, 0.0, *(VAGUE * values) ** 2, 0.0])
-    out = np.empty((7, len(recording)))
-    kernel_joint.run_joint(inputs.x, force, hold.start, hold.end, variance,
-                           hold.instrument, constants, inputs.dt,
-                           inputs.position_variance, r_f, 0.0, True, m, p, out)
-    relative = np.sqrt(np.maximum(np.diag(p)[3:6], 0.0)) / values
-    relative = np.where(relative > 0.1 * VAGUE, np.inf, relative)
-    return dict(zip(("B", "beta_e", "L"), (float(value) for value in relative), strict=True))
+        if self._still:
+            hold = hold_of(np.zeros(len(rows)), 0.0)  # its noise is no motion
+        force, r_f = np.full(part.rows, np.nan), np.inf
+        if "p1" in self.channels:
+            force = part.measured_force
+            r_f = force_variance(self.estimate.settings.rig, inputs.noise, 0.0)
+        hold, out = hold.part(piece.within), np.empty((7, part.rows))
+        kernel_joint.run_joint(
+            part.x, force, hold.start, hold.end, variance[piece.within], hold.instrument,
+            self._constants, inputs.dt, inputs.position_variance, r_f, 0.0, True, self._m,
+            self._p, *self._step, piece.first, out)
+
+    @property
+    def relative(self) -> dict[str, float]:
+        """Relative standard deviations of B, beta_e and L."""
+        if not self.driven:
+            return without_drive(self.estimate)
+        found = np.sqrt(np.maximum(np.diag(self._p)[3:6], 0.0)) / self._values
+        found = np.where(found > 0.1 * VAGUE, np.inf, found)
+        return dict(zip(("B", "beta_e", "L"), map(float, found), strict=True))

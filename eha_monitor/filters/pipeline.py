@@ -14,6 +14,7 @@ from eha_monitor.filters.inputs import StageInputs, moved_mass
 from eha_monitor.filters.joint import fits, run_joint
 from eha_monitor.filters.known import new_known_memory
 from eha_monitor.filters.model_watch import BALANCE, tainted_by
+from eha_monitor.filters.pieces import inputs_of, time_of
 from eha_monitor.filters.reach import WINDOW_S, Reaches, finished, reaches_of
 from eha_monitor.filters.results import (
     Consistency,
@@ -25,11 +26,12 @@ from eha_monitor.filters.results import (
     ParameterEstimate,
     StageResult,
 )
-from eha_monitor.filters.run_two import MOST_EVENTS, run_stage_two_kernel
+from eha_monitor.filters.run_two import MOST_EVENTS, Changes, Inputs, run_stage_two_kernel
 from eha_monitor.filters.status import CONVERGED, judge_parameter, no_data, units_of
 from eha_monitor.filters.supervision import gave_up, new_supervision
 from eha_monitor.physics.signals import M as MASS_PLACE
 from eha_monitor.quantity import SYMBOLS, quantity, with_uncertainty
+from eha_monitor.recordings.columns import Table, any_of, first_where, mapped, steps_to
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
@@ -76,9 +78,12 @@ def _estimated(recording: Recording, settings: Settings) -> Estimate:
                    channels=decision.findings if decision is not None else ())
 
 
-def estimate_held(recording: Recording, settings: Settings) -> Estimate:
-    """Run both stages with the hold that the settings say."""
-    inputs = StageInputs.of(recording, settings)
+def estimate_held(recording: Recording, settings: Settings, size: int | None = None) -> Estimate:
+    """Run both stages with the hold that the settings say.
+
+    ``size`` : rows of a piece; without it a long recording is taken in pieces, others at once.
+    """
+    inputs = inputs_of(recording, settings, size)
     events: list[Event] = []
     one = run_stage_one(inputs, recording, settings, events)
     damping, damping_variance = hand_over(one, settings, recording, events, inputs)
@@ -117,9 +122,10 @@ def apart(stage: StageResult, other: StageResult, settings: Settings, why: str) 
     """Return a stage with the difference to another run of it in its standard deviations."""
     if len(stage.value) != len(other.value):
         return stage
-    difference = np.nan_to_num(stage.value - other.value)
+    stddev = mapped(lambda own, mine, others: np.hypot(own, np.nan_to_num(mine - others)),
+                    stage.stddev, stage.value, other.value)
     return replace(stage, estimate=wider(stage.estimate, other.estimate.value, settings, why),
-                   stddev=np.hypot(stage.stddev, difference))
+                   stddev=stddev)
 
 
 def wider(p: ParameterEstimate, other: float, settings: Settings, why: str) -> ParameterEstimate:
@@ -141,53 +147,61 @@ def empty_stage(stage: str, estimate: ParameterEstimate) -> StageResult:
     return StageResult(stage, estimate, none, none, none, none, none, none, none, none, None)
 
 
-def run_stage_one(inputs: StageInputs, recording: Recording, settings: Settings,
+def run_stage_one(inputs: Inputs, recording: Recording, settings: Settings,
                   events: list[Event]) -> StageResult:
     """Run stage one."""
     unit = units_of(settings.rig.motion)["B"]
     if inputs.no_force:
         return empty_stage("one", no_data("B", unit, inputs.no_force))
     prior, spread = settings.stage_one.prior, settings.stage_one.prior_stddev
-    out, changes, found, watch = run_one_kernel(inputs, settings, new_supervision())
+    watch = new_supervision()
+    out, seen = run_one_kernel(inputs, settings, watch)
     if gave_up(watch):  # the model does not fit: an average with an honest sigma, not a chase
-        out, changes, found, watch = run_one_kernel(inputs, settings, new_supervision(True))
+        out, seen = run_one_kernel(inputs, settings, new_supervision(True))
         events.append(Event(0.0, "one", "B follows the motion or runs away, which is no change: "
                             "held constant over the record"))
-    if not np.isfinite(out[4]).any():
+    changes = seen.rows
+    if not any_of((out[4],), np.isfinite):
         return empty_stage("one", no_data(
             "B", unit, "stage one found no stretch with position and force together"))
-    parameter = judge_parameter("B", out[2, -1], out[3, -1], unit, prior, spread)
+    parameter = judge_parameter("B", out[2][-1], out[3][-1], unit, prior, spread)
     verdict = unless_unexcited(parameter, judge(
         out[4], out[5], inputs.dt, "stage one", MISSING_ONE, changes, inputs.quantum))
-    result = StageResult(
-        "one", parameter,
-        recording.time, out[2], out[3], out[0], out[1],
-        (inputs.force.start - out[2] * out[1]) / inputs.model.theta[MASS_PLACE], out[4], out[5],
-        verdict, changes=changes)
+    result = StageResult("one", parameter, time_of(recording), out[2], out[3], out[0], out[1],
+                         out[6], out[4], out[5], verdict, changes=changes)
     first = first_converged(out[2], out[3], spread)
     if first is not None:
         events.append(Event(first * inputs.dt, "one",
                             f"B converged at "
-                            f"{with_uncertainty(out[2, first], out[3, first], unit)}"))
-    events += change_events(changes, found, inputs.dt, "one", "B", unit)
+                            f"{with_uncertainty(out[2][first], out[3][first], unit)}"))
+    events += change_events(changes, seen.found, inputs.dt, "one", "B", unit)
     return result
 
 
-def run_one_kernel(inputs: StageInputs, settings: Settings, watch: np.ndarray
-                   ) -> tuple[np.ndarray, np.ndarray, int, np.ndarray]:
-    """Run stage one over a recording; (6, n) output, changes, their number, the watch."""
+def run_one_kernel(inputs: Inputs, settings: Settings, watch: np.ndarray
+                   ) -> tuple[list[np.ndarray], Changes]:
+    """Run stage one over a recording; its six outputs and the acceleration (n,), the changes.
+
+    ``watch`` is updated.
+    """
     spread = settings.stage_one.prior_stddev
     m = np.array([np.nan, 0.0, settings.stage_one.prior])
     p = np.zeros(6)
     p[5] = spread**2
-    out, changes = np.empty((6, len(inputs.x))), np.empty((MOST_EVENTS, 4))
-    model, force = inputs.model, inputs.force
-    found = engine_of(settings)[0](
-        inputs.x, force.start, force.end, force.variance, inputs.p1, inputs.p2, inputs.dt,
-        moved_mass(model, inputs.dt), inputs.position_variance, spread**2,
-        settings.discretisation == "euler", model.theta, model.plain,
-        model.remembering, new_known_memory(), m, p, watch, 0, out, changes)
-    return out, changes[: min(found, MOST_EVENTS)], found, watch
+    model, memory = inputs.model, new_known_memory()
+    written, seen = Table(), Changes()
+    for piece in inputs.pieces():
+        part, force = piece.inputs, piece.inputs.force
+        out, changes = np.empty((6, part.rows)), np.empty((MOST_EVENTS, 4))
+        found = engine_of(settings)[0](
+            part.x, force.start, force.end, force.variance, part.p1, part.p2, inputs.dt,
+            moved_mass(model, inputs.dt), inputs.position_variance, spread**2,
+            settings.discretisation == "euler", model.theta, model.plain,
+            model.remembering, memory, m, p, watch, piece.first, out, changes)
+        seen.add(changes, found, piece.row - piece.first)
+        acceleration = (force.start - out[2] * out[1]) / model.theta[MASS_PLACE]
+        written.append(np.vstack([out, acceleration])[:, piece.first:])
+    return written.values(), seen
 
 
 def change_events(changes: np.ndarray, found: int, dt: float, stage: str, name: str,
@@ -211,8 +225,8 @@ def change_events(changes: np.ndarray, found: int, dt: float, stage: str, name: 
 
 def first_converged(value: np.ndarray, stddev: np.ndarray, prior_stddev: float) -> int | None:
     """Return the first sample at which a parameter counts as converged."""
-    good = (stddev < 0.1 * np.abs(value)) & (stddev < 0.5 * prior_stddev)
-    return int(np.argmax(good)) if good.any() else None
+    return first_where(lambda v, s: (s < 0.1 * np.abs(v)) & (s < 0.5 * prior_stddev),
+                       value, stddev)
 
 
 def unless_unexcited(parameter: ParameterEstimate,
@@ -228,7 +242,7 @@ def unless_unexcited(parameter: ParameterEstimate,
 
 
 def hand_over(one: StageResult, settings: Settings, recording: Recording, events: list[Event],
-              inputs: StageInputs) -> tuple[np.ndarray, np.ndarray]:
+              inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
     """Return the damping that stage two takes at each sample and its variance, (n,) each."""
     n, changes = len(recording), one.changes
     unit = units_of(settings.rig.motion)["B"]
@@ -237,8 +251,10 @@ def hand_over(one: StageResult, settings: Settings, recording: Recording, events
         if inputs.no_drive is None:
             events.append(Event(0.0, "two", f"stage one gives no B ({one.estimate.status}): "
                                 f"stage two takes {with_uncertainty(nominal, spread, unit)}"))
-        return np.full(n, nominal), np.full(n, spread**2)
-    damping, variance = np.empty(n), np.empty(n)
+        return steps_to(n, [0], [nominal]), steps_to(n, [0], [spread**2])
+    rows: list[int] = []
+    dampings: list[float] = []
+    variances: list[float] = []
     # A change is dated to the start of the window that showed it; what B was before it is read
     # another window earlier, where the change had not yet pulled at it.
     starts = [0, *(max(0, int(row[0] - row[3]) + 1) for row in changes)]
@@ -250,8 +266,9 @@ def hand_over(one: StageResult, settings: Settings, recording: Recording, events
             continue  # before stage one knew: the next piece's value serves backwards too
         start = 0 if not handed else start
         handed = True
-        damping[start:] = one.value[last]
-        variance[start:] = one.stddev[last] ** 2
+        rows.append(start)
+        dampings.append(float(one.value[last]))
+        variances.append(float(one.stddev[last]) ** 2)
         if inputs.no_drive is None and (i == len(starts) - 1
                                         or starts[i + 1] - start > 1.0 / inputs.dt):
             events.append(Event(
@@ -259,10 +276,10 @@ def hand_over(one: StageResult, settings: Settings, recording: Recording, events
                 f"{'re-run' if start else 'runs'} with B = "
                 f"{with_uncertainty(one.value[last], one.stddev[last], unit)} handed over by "
                 "stage one"))
-    return damping, variance
+    return steps_to(n, rows, dampings), steps_to(n, rows, variances)
 
 
-def run_stage_two(inputs: StageInputs, recording: Recording, settings: Settings,
+def run_stage_two(inputs: Inputs, recording: Recording, settings: Settings,
                   damping: np.ndarray, damping_variance: np.ndarray,
                   events: list[Event]) -> StageResult:
     """Run stage two with the damping handed over."""
@@ -272,16 +289,17 @@ def run_stage_two(inputs: StageInputs, recording: Recording, settings: Settings,
     if settings.discretisation == "euler":
         from eha_monitor.filters.euler import run_printed
 
-        out, changes, sensitivity = run_printed(inputs, settings, damping), NO_CHANGES, np.nan
+        out = list(run_printed(inputs.part(0, inputs.rows), settings, damping))
+        changes, sensitivity = NO_CHANGES, np.nan
     else:
         found = run_stage_two_kernel(inputs, settings, damping, damping_variance)
         out, changes = found.out, found.changes
         sensitivity = -float(found.sensitivity[3] / max(found.state[3], 1e-9))
-    if not np.isfinite(out[6]).any():
+    if not any_of((out[6],), np.isfinite):
         return empty_stage("two", no_data(
             "beta_e", unit, "stage two found no stretch with position and drive together"))
     prior = settings.stage_two
-    parameter = judge_parameter("beta_e", out[3, -1], out[5, -1], unit, prior.prior,
+    parameter = judge_parameter("beta_e", out[3][-1], out[5][-1], unit, prior.prior,
                                 prior.prior_stddev, prior.largest)
     verdict = unless_unexcited(parameter, judge(
         out[6], out[7], inputs.dt, "stage two", MISSING_TWO, changes, inputs.quantum))
@@ -289,11 +307,11 @@ def run_stage_two(inputs: StageInputs, recording: Recording, settings: Settings,
     if first is not None:
         events.append(Event(first * inputs.dt, "two",
                             f"βe converged at "
-                            f"{with_uncertainty(out[3, first], out[5, first], unit)}"))
+                            f"{with_uncertainty(out[3][first], out[5][first], unit)}"))
     events += change_events(changes, len(changes), inputs.dt, "two", "beta_e", unit)
     result = StageResult(
         "two", parameter,
-        recording.time, out[3], out[5], out[0], out[1], out[2], out[6], out[7], verdict,
+        time_of(recording), out[3], out[5], out[0], out[1], out[2], out[6], out[7], verdict,
         sensitivity, changes)
     return result
 
@@ -316,7 +334,7 @@ def model_status(verdicts: Iterable[Consistency | None],
 
 
 def tested_model(one: StageResult, two: StageResult, joint: JointResult | None,
-                 settings: Settings, inputs: StageInputs, damping: np.ndarray) -> ModelStatus:
+                 settings: Settings, inputs: Inputs, damping: np.ndarray) -> ModelStatus:
     """Return the verdict on the model with the misfits behind it and what they taint.
 
     ``damping`` is the (n,) B that stage two had.
@@ -340,13 +358,13 @@ def tested_model(one: StageResult, two: StageResult, joint: JointResult | None,
                    tainted=tainted_by(found, abs(two.sensitivity * bias), reaches.most()))
 
 
-def _looks(found: list[Mismatch], stages: tuple[StageResult, StageResult], inputs: StageInputs
+def _looks(found: list[Mismatch], stages: tuple[StageResult, StageResult], inputs: Inputs
            ) -> list[StageInputs]:
     """Return stretches from which it is read how far a misfit can have moved the parameters.
 
     They lie between its beginning, or the last change of a parameter, and the end.
     """
-    n = len(inputs.x)
+    n = inputs.rows
     length = min(n, round(WINDOW_S / inputs.dt))
     first = [m.since_s / inputs.dt for m in found if np.isfinite(m.since_s)]
     changed = [row[0] for stage in stages for row in stage.changes[-1:]]
@@ -355,7 +373,7 @@ def _looks(found: list[Mismatch], stages: tuple[StageResult, StageResult], input
     return [inputs.part(start, start + length) for start in starts.tolist()]
 
 
-def warnings_of(inputs: StageInputs, settings: Settings) -> list[str]:
+def warnings_of(inputs: Inputs, settings: Settings) -> list[str]:
     """Return what a user should know about the recording beyond the estimates."""
     notes = []
     for name, level in inputs.noise.items():

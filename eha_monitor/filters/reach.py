@@ -246,7 +246,7 @@ def reach_one(inputs: StageInputs, settings: Settings, present: float
                                 v * np.abs(v), np.abs(v)), _rms(force)),
                       OFF_SCALE * _filled(force), late])
 
-    def filtered(theta: np.ndarray) -> np.ndarray:
+    def filtered(theta: np.ndarray) -> list[np.ndarray]:
         missing = theta @ terms
         hold = replace(inputs.force, start=inputs.force.start + missing,
                        end=inputs.force.end + missing)
@@ -254,10 +254,10 @@ def reach_one(inputs: StageInputs, settings: Settings, present: float
 
     def run(theta: np.ndarray) -> tuple[np.ndarray, float]:
         out = filtered(theta)
-        return out[4] / out[5], float(out[2, -1])
+        return out[4] / out[5], float(out[2][-1])
 
     plain = filtered(np.zeros(len(terms)))
-    value, stddev = plain[2, -1], plain[3, -1]
+    value, stddev = plain[2][-1], plain[3][-1]
     if not stddev <= CONVERGED * abs(value):
         return None
     found = yield from explain(run, np.ones(len(terms)), STEPS)

@@ -1,5 +1,6 @@
 """Running stage two over a recording: where it starts, and anew after a large change."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,8 +9,10 @@ from eha_monitor.filters import kernel_two
 from eha_monitor.filters.engine import engine_of
 from eha_monitor.filters.inputs import StageInputs
 from eha_monitor.filters.known import new_known_memory
+from eha_monitor.filters.pieces import PiecedInputs
 from eha_monitor.filters.stage_two import C_PLACE, states_beside_c
 from eha_monitor.filters.supervision import FROZEN, HELD, gave_up, new_supervision
+from eha_monitor.recordings.columns import Table, any_of, blocks, let_go
 from eha_monitor.settings.monitor import Settings
 
 BANK_RATIO = 1.06  # spacing of the bulk moduli tried; half a ring's phase over its life
@@ -27,6 +30,7 @@ LARGE = 0.03  # relative change of the modulus upon which the bank is asked agai
 SHORTEST = 500  # samples between two such starts
 MOST_STARTS = 6
 MOST_EVENTS = 200  # detected changes that are kept
+Inputs = StageInputs | PiecedInputs
 
 
 def most_telling(drive: np.ndarray, x: np.ndarray, length: int) -> int:
@@ -35,17 +39,30 @@ def most_telling(drive: np.ndarray, x: np.ndarray, length: int) -> int:
     Among stretches that are nearly as good the first one: the filter starts where the recording
     starts, and a later stretch may show a modulus that has changed since.
     """
-    moved = np.abs(np.diff(drive, prepend=drive[:1]))
-    moved[~(np.isfinite(moved) & np.isfinite(x))] = 0.0
-    total = np.concatenate([[0.0], np.cumsum(moved**2)])
-    if len(moved) <= length:
+    if len(drive) <= length:
         return 0
-    told = total[length:] - total[:-length]
-    return int(np.argmax(told >= NEARLY * told.max()))
+    best = max(float(told.max(initial=0.0)) for _, told in _told(drive, x, length))
+    return next(first + int(np.argmax(told >= NEARLY * best))
+                for first, told in _told(drive, x, length) if (told >= NEARLY * best).any())
 
 
-def start_compliance(inputs: StageInputs, settings: Settings,
-                     damping: np.ndarray) -> tuple[float, float]:
+def _told(drive: np.ndarray, x: np.ndarray, length: int) -> Iterator[tuple[int, np.ndarray]]:
+    """Yield, piece by piece, the first start and how much the drive moves from each start on."""
+    last, sums, seen = drive[:1].copy(), np.zeros(1), 0
+    for _, stop, (u, measured) in blocks(drive, x):
+        moved = np.abs(np.diff(u, prepend=last))
+        moved[~(np.isfinite(moved) & np.isfinite(measured))] = 0.0
+        # One running sum over all pieces; of the sums before, as many as a stretch is long.
+        further = np.cumsum(np.concatenate([sums[-1:], moved**2]))
+        sums, last = np.concatenate([sums[:-1], further]), u[-1:].copy()
+        if len(sums) > length:
+            yield seen, sums[length:] - sums[:-length]
+            sums = sums[len(sums) - length:]
+            seen = stop + 1 - length
+
+
+def start_compliance(inputs: Inputs, settings: Settings, damping: np.ndarray,
+                     begin: int = 0) -> tuple[float, float]:
     """Return where stage two's compliance starts and its variance, from a bank of filters.
 
     The bank takes the stretch that tells most, and a longer one while that tells too little: an
@@ -56,17 +73,18 @@ def start_compliance(inputs: StageInputs, settings: Settings,
     (10 um on triangles, 12 draws each: error over sigma 1.4 at 12 s, 1.0 at 24 s with 8; 2.5 with
     25.  The 8 was picked on these draws).
 
-    Where the bank cannot tell, as while the motion is steady, it is the prior's: 1 and its
-    variance.
+    Asked are the samples from ``begin`` on.  Where the bank cannot tell, as while the motion is
+    steady, it is the prior's: 1 and its variance.
     """
     broad = prior_variance(settings)
     steps = round(np.log(BANK_SPAN) / np.log(BANK_RATIO))
     grid = BANK_RATIO ** np.arange(-steps, steps + 1)
-    length = min(len(inputs.x), round(BANK_SECONDS / inputs.dt))
-    longest = min(len(inputs.x), round(BANK_LONGEST / inputs.dt))
+    rows = inputs.rows - begin
+    length = min(rows, round(BANK_SECONDS / inputs.dt))
+    longest = min(rows, round(BANK_LONGEST / inputs.dt))
     inflation = 25.0
     while True:
-        weight = bank_weights(inputs, settings, damping, grid, length)
+        weight = bank_weights(inputs, settings, damping, grid, length, begin)
         if weight is None:
             return 1.0, broad
         mean = float(weight @ grid)
@@ -80,21 +98,19 @@ def start_compliance(inputs: StageInputs, settings: Settings,
     return (mean, variance) if variance < min(broad, (BANK_FAR * mean) ** 2) else (1.0, broad)
 
 
-def bank_weights(inputs: StageInputs, settings: Settings, damping: np.ndarray,
-                 grid: np.ndarray, length: int) -> np.ndarray | None:
+def bank_weights(inputs: Inputs, settings: Settings, damping: np.ndarray,
+                 grid: np.ndarray, length: int, begin: int = 0) -> np.ndarray | None:
     """Return the posterior weights of the compliances ``grid`` from ``length`` samples."""
-    start = most_telling(inputs.drive.start, inputs.x, length)
-    if not np.nan_to_num(np.diff(inputs.drive.start)).any():
+    drive, x = (values[begin:] for values in inputs.course)
+    if not any_of((drive,), lambda rows: np.nan_to_num(np.diff(rows)) != 0.0):
         return None  # a drive at rest tells nothing
-    part = slice(start, start + length)
-    model = inputs.model
+    start = begin + most_telling(drive, x, length)
+    part, model = inputs.part(start, start + length), inputs.model
     likelihood = kernel_two.bank_two(
-        inputs.x[part], inputs.drive.start[part], inputs.drive.end[part],
-        inputs.drive.variance[part], inputs.drive.instrument[part],
-        damping[start + length // 2], grid, model.hydraulics, model.leak, inputs.leak_flow[part],
-        inputs.dt, inputs.position_variance, force_noise_variance(settings),
-        inputs.mean[part] if len(inputs.mean) > 1 else inputs.mean, model.theta, model.plain,
-        model.remembering, model.flows, new_known_memory())
+        part.x, part.drive.start, part.drive.end, part.drive.variance, part.drive.instrument,
+        damping[start + length // 2], grid, model.hydraulics, model.leak, part.leak_flow,
+        inputs.dt, inputs.position_variance, force_noise_variance(settings), part.mean,
+        model.theta, model.plain, model.remembering, model.flows, new_known_memory())
     likelihood = np.where(np.isfinite(likelihood), likelihood, -np.inf)
     if not np.isfinite(likelihood).any():
         return None
@@ -116,7 +132,7 @@ def force_noise_variance(settings: Settings) -> float:
 class KernelTwoResult:
     """What stage two leaves: (8, n) output, changes, and the state to go on from."""
 
-    out: np.ndarray
+    out: list[np.ndarray]
     changes: np.ndarray
     state: np.ndarray
     covariance: np.ndarray
@@ -127,7 +143,7 @@ class KernelTwoResult:
     at: np.ndarray
 
 
-def run_stage_two_kernel(inputs: StageInputs, settings: Settings, damping: np.ndarray,
+def run_stage_two_kernel(inputs: Inputs, settings: Settings, damping: np.ndarray,
                          damping_variance: np.ndarray) -> KernelTwoResult:
     """Run stage two over the whole recording.
 
@@ -135,44 +151,37 @@ def run_stage_two_kernel(inputs: StageInputs, settings: Settings, damping: np.nd
     watch makes is only a hint: the filter starts anew from the bank, at the samples that showed
     the change.  A modulus that hops to and fro without large steps is held.
     """
-    n = len(inputs.x)
-    out = np.empty((8, n))
     kept: list[np.ndarray] = []
-    begin = 0
+    begin, before = 0, None
     for _ in range(MOST_STARTS):
-        result = run_from(begin, inputs, settings, damping, damping_variance, out)
-        changes = result.changes
+        result = run_from(begin, inputs, settings, damping, damping_variance, before=before)
+        changes, before = result.changes, result.out
         if kept:  # what the change led to is known now
-            kept[-1][2] = out[3, min(int(kept[-1][0]) + SHORTEST, n - 1)]
+            kept[-1][2] = result.out[3][min(int(kept[-1][0]) + SHORTEST, inputs.rows - 1)]
         large = [row for row in changes if row[0] - row[3] >= begin + SHORTEST
                  and abs(row[2] / row[1] - 1.0) > LARGE]
         if not large:
             if gave_up(result.watch):
-                result = run_from(0, inputs, settings, damping, damping_variance, out,
-                                  frozen=True)
-                return replace(result, out=out)
+                return run_from(0, inputs, settings, damping, damping_variance, frozen=True)
             break
         sample, window = large[0][0], large[0][3]
         kept += [row for row in changes if row[0] <= sample]
         begin = int(sample - window)
-    return replace(result, out=out, changes=np.array([*kept, *result.changes]).reshape(-1, 4))
+    return replace(result, changes=np.array([*kept, *result.changes]).reshape(-1, 4))
 
 
-def run_from(begin: int, inputs: StageInputs, settings: Settings, damping: np.ndarray,
-             damping_variance: np.ndarray, out: np.ndarray, *,
-             frozen: bool = False) -> KernelTwoResult:
-    """Run the stage from sample ``begin`` to the end, writing ``out`` from there on.
+def run_from(begin: int, inputs: Inputs, settings: Settings, damping: np.ndarray,
+             damping_variance: np.ndarray, *, frozen: bool = False,
+             before: list[np.ndarray] | None = None) -> KernelTwoResult:
+    """Run the stage from sample ``begin`` to the end; ``before`` is the output up to there.
 
     Where the recording's start does not tell the compliance it is held at the prior: while the
     motion is steady an extended filter gathers information that is not there (a piston at
     constant speed: 4e9 +- 1e8 Pa after half a second, for 6e8).
     """
-    part = inputs.part(begin, len(inputs.x)) if begin else inputs
-    b, b_variance = damping[begin:], damping_variance[begin:]
-    start, variance = start_compliance(part, settings, b)
-    model, drive = inputs.model, part.drive
+    start, variance = start_compliance(inputs, settings, damping, begin)
+    model = inputs.model
     broad, run_two = prior_variance(settings), engine_of(settings)[1]
-    written, changes = np.empty((8, len(part.x))), np.empty((MOST_EVENTS, 4))
     held = begin == 0 and variance == broad
     # Once more from where it led, if that is sharp: what the filter learns from a ringing oil
     # column is right only near the answer.
@@ -185,19 +194,47 @@ def run_from(begin: int, inputs: StageInputs, settings: Settings, damping: np.nd
         if held:
             watch[FROZEN] = HELD
         matrices, at = kernel_two.new_step(model.hydraulics)
-        found = run_two(
-            part.x, drive.start, drive.end, drive.variance, drive.instrument, b, b_variance,
-            model.hydraulics, model.leak, part.leak_flow, inputs.dt, inputs.position_variance,
-            force_noise_variance(settings), broad, part.mean, model.theta, model.plain,
-            model.remembering, model.flows, memory, m, p, sens, watch, matrices, at, 0, written,
-            changes)
-        last = max(int(changes[0, 0] - 2 * changes[0, 3]), 0) if found else len(part.x) - 1
-        sigma = written[4, last] / written[3, last]  # what it came to before any change
+        written, seen = Table.begun(before, begin), Changes()
+        for piece in inputs.pieces(begin=begin):
+            part, row = piece.inputs, piece.row - piece.first
+            out, changes = np.empty((8, part.rows)), np.empty((MOST_EVENTS, 4))
+            drive, here = part.drive, slice(row, row + part.rows)
+            found = run_two(
+                part.x, drive.start, drive.end, drive.variance, drive.instrument,
+                damping[here].copy(), damping_variance[here].copy(), model.hydraulics, model.leak,
+                part.leak_flow, inputs.dt, inputs.position_variance,
+                force_noise_variance(settings), broad, part.mean, model.theta, model.plain,
+                model.remembering, model.flows, memory, m, p, sens, watch, matrices, at,
+                piece.first, out, changes)
+            written.append(out[:, piece.first:])
+            seen.add(changes, found, row)
+            let_go(damping, damping_variance)
+        out, changes = written.values(), seen.rows
+        last = (max(int(changes[0, 0] - 2 * changes[0, 3]), begin) if len(changes)
+                else inputs.rows - 1)
+        sigma = out[4][last] / out[3][last]  # what it came to before any change
         if not sigma < SHARP:
             break
-        start = model.beta_0 / written[3, last]
+        start = model.beta_0 / out[3][last]
         variance = min(variance, max(25.0 * sigma**2, CLOSE**2) * start**2)
-    out[:, begin:] = written
-    changes = changes[: min(found, MOST_EVENTS)].copy()
-    changes[:, 0] += begin
     return KernelTwoResult(out, changes, m, p, sens, watch, memory, matrices, at)
+
+
+class Changes:
+    """The changes that a stage detects, piece by piece; the first of them are kept."""
+
+    def __init__(self):
+        self._parts: list[np.ndarray] = [np.empty((0, 4))]
+        self.found = 0
+
+    def add(self, events: np.ndarray, found: int, row: int) -> None:
+        """Take what a stage wrote for a piece whose first row is ``row``."""
+        part = events[: min(found, max(MOST_EVENTS - self.found, 0))].copy()
+        part[:, 0] += row
+        self._parts.append(part)
+        self.found += found
+
+    @property
+    def rows(self) -> np.ndarray:
+        """(k, 4) sample, before, after, samples that showed it."""
+        return np.concatenate(self._parts)

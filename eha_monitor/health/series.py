@@ -1,6 +1,6 @@
 """The alarms of a whole recording: the live board, driven at a reduced rate."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,10 +8,12 @@ import numpy as np
 from eha_monitor.filters.model_watch import Trial
 from eha_monitor.filters.results import ParameterEstimate, Taint
 from eha_monitor.health.alarms import Alarm, AlarmBoard
+from eha_monitor.recordings.columns import blocks, chosen
 from eha_monitor.settings.monitor import Settings
 
 # Judgements per second, as live; health changes over seconds, and hold times are tenths of one.
 JUDGE_RATE = 10.0
+STEPS = 100_000  # from which the rate is told
 
 
 @dataclass(frozen=True)
@@ -22,13 +24,14 @@ class ParameterSeries:
     ----------
     final : the estimate at the end, with its status and its reason.
     value, stddev : (n,) SI.
-    converged : (n,) bool, where the motion had told the value: nothing else is judged.
+    converged : (n,) bool, where the motion had told the value: nothing else is judged; or what
+        tells it from values and standard deviations.
     """
 
     final: ParameterEstimate
     value: np.ndarray
     stddev: np.ndarray
-    converged: np.ndarray
+    converged: np.ndarray | Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def judge_series(settings: Settings, time: np.ndarray, parameters: dict[str, ParameterSeries],
@@ -46,7 +49,8 @@ def judge_series(settings: Settings, time: np.ndarray, parameters: dict[str, Par
     time : (n,) s, rising.
     parameters : ``B`` and ``beta_e`` as they converged.
     temperature : (n,) °C with NaN where not measured (the last one counts), or None.
-    measured : (n,) bool, False in gaps of the data; None means everywhere.
+    measured : (n,) bool, or numbers that are NaN, False in gaps of the data; None means
+        everywhere.
     tainted : see :meth:`AlarmBoard.update`; each counts from its ``since_s`` on.
 
     Returns
@@ -57,15 +61,18 @@ def judge_series(settings: Settings, time: np.ndarray, parameters: dict[str, Par
     board = AlarmBoard(settings)
     if len(time) == 0:
         return tuple(board.stale(0.0, "the recording holds no samples")), tuple(board.history)
-    step = np.median(np.diff(time)) if len(time) > 1 else 1.0
+    step = np.median(np.diff(time[:STEPS])) if len(time) > 1 else 1.0
     stride = max(1, round(1.0 / (JUDGE_RATE * step)))
     index = np.arange(len(time) - 1, -1, -stride)[::-1]  # the last sample is always judged
-    present = _recent(time, measured, settings.monitor.stale_after)[index]
-    warmth = None if temperature is None else _carried(temperature)[index].tolist()
+    times = chosen(time, index)
+    present = (np.ones(len(index), dtype=bool) if measured is None else
+               times - time[0] - _last(measured, time, index)
+               <= settings.monitor.stale_after)
+    warmth = None if temperature is None else _carried(temperature, index).tolist()
     columns = {symbol: _columns(series, index) for symbol, series in parameters.items()}
     trials = {symbol: Trial(series.final.unit) for symbol, series in parameters.items()}
     unjudged = {symbol: _unjudged(series.final) for symbol, series in parameters.items()}
-    for k, (at, here) in enumerate(zip(time[index].tolist(), present.tolist(), strict=True)):
+    for k, (at, here) in enumerate(zip(times.tolist(), present.tolist(), strict=True)):
         if not here:
             board.stale(at, f"no data for more than {settings.monitor.stale_after:g} s")
             continue
@@ -104,9 +111,11 @@ def _columns(series: ParameterSeries, index: np.ndarray) -> tuple[list, list, li
     if series.final.status == "no_data" or len(series.value) == 0:
         empty = [False] * len(index), [float("nan")] * len(index), [float("nan")] * len(index)
         return empty
-    judged = np.isfinite(series.value) & np.isfinite(series.stddev) & series.converged
-    return (judged[index].tolist(), series.value[index].tolist(),
-            series.stddev[index].tolist())
+    value, stddev = chosen(series.value, index), chosen(series.stddev, index)
+    known = (series.converged(value, stddev) if callable(series.converged)
+             else chosen(series.converged, index))
+    judged = np.isfinite(value) & np.isfinite(stddev) & known
+    return judged.tolist(), value.tolist(), stddev.tolist()
 
 
 def _unjudged(final: ParameterEstimate) -> ParameterEstimate:
@@ -114,15 +123,23 @@ def _unjudged(final: ParameterEstimate) -> ParameterEstimate:
     return replace(final, status="not_excited", message=message)
 
 
-def _recent(time: np.ndarray, measured: np.ndarray | None, limit: float) -> np.ndarray:
-    """Tell for each sample whether data came within ``limit`` s before it; (n,) bool."""
-    if measured is None:
-        return np.ones(len(time), dtype=bool)
-    last = np.maximum.accumulate(np.where(measured, time, -np.inf))
-    return time - last <= limit
+def _last_rows(present: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Return the last row up to each of ``index`` that is True or a number; -1 without one."""
+    found, last = [], -1
+    for start, stop, (rows,) in blocks(present):
+        good = rows if rows.dtype == bool else np.isfinite(rows)
+        place = np.maximum.accumulate(np.where(good, np.arange(start, stop), last))
+        found.append(place[index[(index >= start) & (index < stop)] - start])
+        last = int(place[-1])
+    return np.concatenate(found)
 
 
-def _carried(values: np.ndarray) -> np.ndarray:
-    """Fill NaN with the value before it; (n,)."""
-    place = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), 0))
-    return values[place]
+def _last(measured: np.ndarray, time: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Return when each of ``index`` had its last data, s since the first row; (k,)."""
+    rows = _last_rows(measured, index)
+    return np.where(rows >= 0, chosen(time, np.maximum(rows, 0)) - time[0], -np.inf)
+
+
+def _carried(values: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Return the rows ``index`` with NaN filled with the value before it; (k,)."""
+    return chosen(values, np.maximum(_last_rows(values, index), 0))

@@ -192,6 +192,7 @@ class Diagnosis:
     rig_data : numbers of the rig that the recordings contradict.
     named_on : windows of long recordings on which the effects were named; empty where they were
         named on all of it.
+    looked_s : of a long recording the models saw so many seconds; 0 where they saw all of it.
     """
 
     bags: tuple[str, ...]
@@ -218,3 +219,4 @@ class Diagnosis:
     probability: dict[str, float] = field(default_factory=dict)
     rig_data: tuple[RigFinding, ...] = ()
     named_on: tuple[Window, ...] = ()
+    looked_s: float = 0.0

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.recordings.align import spans
+from eha_monitor.recordings.columns import blocks, let_go, spans_of
 from eha_monitor.recordings.recording import Recording
+from eha_monitor.recordings.sample import sample_of
 
 LONGEST = 32_768  # samples that are looked at: those of the piece with the most motion
 SHORTEST = 64
@@ -73,9 +74,10 @@ class Moments:
 def moments_of(recording: Recording) -> Moments:
     """Return the moments of a recording; no columns where it is too short or nothing moves."""
     levels = {name: level_of(values, recording.sample_time)
-              for name, values in recording.channels.items() if np.isfinite(values).any()}
+              for name, values in sample_of(recording).channels.items()
+              if np.isfinite(values).any()}
     start, stop = stretch_of(recording)
-    piece = {name: filled(values[start:stop]) for name, values in recording.channels.items()
+    piece = {name: filled(values[start:stop].copy()) for name, values in recording.channels.items()
              if name in levels and np.isfinite(values[start:stop]).mean() > PRESENT} \
         if stop - start >= SHORTEST else {}
     piece = {name: values for name, values in piece.items()
@@ -125,14 +127,19 @@ def stretch_of(recording: Recording) -> tuple[int, int]:
     if not recording.has("x"):
         return 0, min(len(recording), LONGEST)
     x = recording.channels["x"]
-    starts, stops = spans(np.isfinite(x))
+    starts, stops = spans_of((row, np.isfinite(rows)) for row, _, (rows,) in blocks(x))
     if len(starts) > 1:
         joined = np.flatnonzero(starts[1:] - stops[:-1] > BRIDGED)
         starts, stops = starts[np.r_[0, joined + 1]], stops[np.r_[joined, len(stops) - 1]]
     pieces = [(a, min(a + LONGEST, stop)) for start, stop in zip(starts, stops, strict=True)
               for a in range(int(start), int(stop), LONGEST)]
-    start, stop = max(pieces, key=lambda piece: np.nansum(
-        (x[slice(*piece)] - np.nanmean(x[slice(*piece)])) ** 2))
+    def motion(piece: tuple[int, int]) -> float:
+        values = x[slice(*piece)]
+        told = np.nansum((values - np.nanmean(values)) ** 2)
+        let_go(x)
+        return told
+
+    start, stop = max(pieces, key=motion)
     # One sample more than a length whose transform is quick.
     return start, start + (quick_length(stop - start - 1) + 1 if stop - start > 2 else 0)
 

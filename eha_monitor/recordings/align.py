@@ -1,8 +1,12 @@
 """Channels with stamps of their own onto one uniform grid."""
 
+import hashlib
+from collections.abc import Callable
+
 import numpy as np
 
 from eha_monitor.errors import InputError, one_line
+from eha_monitor.recordings.gaps import tell_gaps
 from eha_monitor.recordings.grid import GAP, JITTER, Grid, fit_grid
 from eha_monitor.recordings.limits import within_limits
 from eha_monitor.recordings.recording import CHANNELS, Recording
@@ -12,7 +16,6 @@ from eha_monitor.settings.monitor import Settings
 
 CLOCKS = 2**61  # ns; stamps are held within this range, so that differences do not overflow
 SPARSE = 1000  # grid points for each sample, beyond which a recording is refused
-TOLD = 3  # gaps named one by one
 
 
 def align(series: dict[str, tuple[Series, str]], settings: Settings, *, source: str = "",
@@ -34,7 +37,7 @@ def align(series: dict[str, tuple[Series, str]], settings: Settings, *, source: 
         If the stamps are too sparse for a grid.
     """
     said = list(losses)
-    series = {name: (_within_range(found, name, topic, source, said), topic)
+    series = {name: (within_range(found, name, topic, source, said), topic)
               for name, (found, topic) in series.items()}
     if not series:
         raise InputError(f"{source}: no channel to align")
@@ -47,7 +50,7 @@ def align(series: dict[str, tuple[Series, str]], settings: Settings, *, source: 
     origin = int(leader.stamp_ns[keep[0]])
     t = (leader.stamp_ns[keep] - origin) * 1e-9
     grid = fit_grid(t, leader.values[keep], settings.rig.sample_time)
-    _tell_grid(grid, label, settings.rig.sample_time, said)
+    tell_grid(grid, label, settings.rig.sample_time, said)
     points = (int(grid.index[-1]) + 1 if grid.mode != "instants"
               else int((t[-1] - t[0]) / grid.step + JITTER) + 1)
     if points > SPARSE * len(t) + 1000:
@@ -59,22 +62,22 @@ def align(series: dict[str, tuple[Series, str]], settings: Settings, *, source: 
     columns: dict[str, np.ndarray] = {}
     for name in sorted(series, key=lambda name: (name != reference, CHANNELS.index(name))):
         found, topic = series[name]
-        key = (topic or name, found.stamp_ns.tobytes())
+        key = (topic or name, hashlib.sha256(np.ascontiguousarray(found.stamp_ns)).digest())
         if key not in axes:
             shared = len(axes) == 0  # the reference comes first
             axes[key] = ((keep, t, grid) if shared else
                          _axis(found, topic or name, leader, keep, origin, grid, window, said))
         columns[name] = _place(found.values, axes[key], grid, points)
-        _tell_rate(name, axes[key], grid, said)
+        tell_rate(name, axes[key], grid, said)
     columns = {name: columns[name] for name in CHANNELS
                if name in columns and (name == reference or np.isfinite(columns[name]).any())}
-    _tell_gaps(columns, reference, grid.step, said)
+    tell_gaps(columns, grid.step, said)
     return Recording(sample_time=grid.step, channels=columns,
                      start_ns=max(0, origin + round(grid.start * 1e9)), source=source,
                      losses=tuple(dict.fromkeys(map(one_line, said))))
 
 
-def _within_range(found: Series, name: str, topic: str, source: str, said: list[str]) -> Series:
+def within_range(found: Series, name: str, topic: str, source: str, said: list[str]) -> Series:
     """Blank what is no measurement and clip stamps that would overflow; count NaN."""
     values = np.asarray(found.values, dtype=float)
     missing = int(np.sum(np.isnan(values)))
@@ -114,24 +117,36 @@ def _axis(found: Series, label: str, leader: Series, led, origin: int, grid: Gri
     t = (stamps[chosen] - origin) * 1e-9
     own = fit_grid(t, found.values[chosen], grid.step)
     if own.mode != "exact":
-        _tell_grid(own, label, own.step, said)
+        tell_grid(own, label, own.step, said)
     return chosen, t, own
 
 
 def _place(values: np.ndarray, axis: tuple, grid: Grid, points: int) -> np.ndarray:
     """Put one channel on the grid: direct where its times fall on it, else interpolated."""
+    return placing(values, axis, grid)(0, points)
+
+
+def placing(values: np.ndarray, axis: tuple, grid: Grid) -> Callable[[int, int], np.ndarray]:
+    """Return what gives rows ``start`` to ``stop`` of the grid of one channel."""
     keep, t, own = axis
-    column = np.full(points, np.nan)
     times = own.times(t)
     place = (times - grid.start) / grid.step
     index = np.round(place)
     level = abs(own.step / grid.step - 1) < 0.1  # a slower one is interpolated in between
     if level and (np.abs(place - index) <= JITTER).all() and (np.diff(index) > 0).all():
-        inside = (index >= 0) & (index < points)
-        column[index[inside].astype(np.int64)] = values[keep[inside]]
-        return column
-    return interpolate(times, values[keep], grid.start + np.arange(points) * grid.step,
-                       cubic=own is grid)
+        def direct(start: int, stop: int) -> np.ndarray:
+            column = np.full(stop - start, np.nan)
+            inside = (index >= start) & (index < stop)
+            column[index[inside].astype(np.int64) - start] = values[keep[inside]]
+            return column
+
+        return direct
+
+    def between(start: int, stop: int) -> np.ndarray:
+        return interpolate(times, values[keep], grid.start + np.arange(start, stop) * grid.step,
+                           cubic=own is grid)
+
+    return between
 
 
 def interpolate(t: np.ndarray, values: np.ndarray, at: np.ndarray,
@@ -175,14 +190,15 @@ def interpolate(t: np.ndarray, values: np.ndarray, at: np.ndarray,
     return out
 
 
-def _tell_rate(name: str, axis: tuple, grid: Grid, said: list[str]) -> None:
+def tell_rate(name: str, axis: tuple, grid: Grid, said: list[str]) -> None:
     """Say that a channel has a rate of its own, so that what lies between is interpolated."""
     keep, _, own = axis
     if len(keep) > 2 and not 1 / 1.1 < own.step / grid.step < 1.1:
         said.append(f"{name}: {1 / own.step:.4g} Hz, interpolated to {1 / grid.step:.4g} Hz")
 
 
-def _tell_grid(grid: Grid, label: str, nominal: float, said: list[str]) -> None:
+def tell_grid(grid: Grid, label: str, nominal: float, said: list[str]) -> None:
+    """Say what was made of stamps that are not those of the config."""
     if grid.mode == "snapped":
         said.append(f"{label}: stamps jitter by {grid.jitter * 1e3:.3g} ms rms about an even "
                     f"sampling of {grid.step * 1e3:.6g} ms; the even times are used")
@@ -192,29 +208,6 @@ def _tell_grid(grid: Grid, label: str, nominal: float, said: list[str]) -> None:
     elif abs(grid.step / nominal - 1) > 1e-6:
         said.append(f"{label}: the stamps say a sample time of {grid.step * 1e3:.6g} ms, "
                     f"the config {nominal * 1e3:.6g} ms; the stamps are used")
-
-
-def _tell_gaps(columns: dict[str, np.ndarray], reference: str, step: float, said: list) -> None:
-    """Say where rows are missing: of everything, then of single channels beyond that."""
-    seen = np.isfinite(np.stack(list(columns.values()))).any(axis=0)
-    _tell_spans(~seen, "no data", step, said)
-    for name, column in columns.items():
-        missing = ~np.isfinite(column) & seen
-        starts, stops = spans(missing)
-        long = (stops - starts) * step > max(GAP * step, 0.01)  # single NaN have been counted
-        hidden = np.zeros(len(column), dtype=bool)
-        for start, stop in zip(starts[long], stops[long], strict=True):
-            hidden[start:stop] = True
-        _tell_spans(hidden, f"{name}: no data", step, said)
-
-
-def _tell_spans(missing: np.ndarray, what: str, step: float, said: list[str]) -> None:
-    starts, stops = spans(missing)
-    for start, stop in list(zip(starts, stops, strict=True))[:TOLD]:
-        said.append(f"{what} from {start * step:.3f} s for {(stop - start) * step:.3f} s")
-    if len(starts) > TOLD:
-        rest = np.sum(stops[TOLD:] - starts[TOLD:]) * step
-        said.append(f"{what} in {len(starts) - TOLD} more gaps, {rest:.3f} s in all")
 
 
 def spans(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

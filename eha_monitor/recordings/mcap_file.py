@@ -21,6 +21,7 @@ from mcap.opcode import Opcode
 from mcap.stream_reader import get_chunk_data_stream
 
 from eha_monitor.errors import InputError
+from eha_monitor.recordings.columns import let_go
 from eha_monitor.recordings.walk import AT_END, FOOTER, FULL, PREFIX, walk_records
 from eha_monitor.regular import check_regular
 
@@ -28,6 +29,7 @@ MAGIC = b"\x89MCAP0\r\n"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 LARGEST_CHUNK = 2**31  # a larger one is a damaged length, not a chunk
 BATCH = 65536  # messages for each yielded block of an unchunked file
+OTHERS = 256  # other records that are walked at a time: each touches some pages of the file
 
 # What the libraries raise on hostile bytes; struct.error is no ValueError, EOFError none either.
 DAMAGE = (McapError, ValueError, KeyError, RuntimeError, EOFError, MemoryError, OverflowError,
@@ -81,9 +83,11 @@ class McapFile:
                     break
                 self._declare(opcode, self.data[begin:begin + length])
             yield from self._count(block)
+            let_go(self.data)
             for opcode, begin, length in records:
                 if opcode == Opcode.CHUNK:
                     yield from self._chunk(self.data[begin:begin + length], whole=True)
+                    let_go(self.data)
         if ending == FOOTER:
             return
         self.truncated_at = len(self.data) if ending == AT_END else position
@@ -159,7 +163,7 @@ def _walk(data: np.ndarray, start: int):
     """Walk at most BATCH messages; returns the block, the other records, position, ending."""
     room = min(BATCH, max((len(data) - start) // 31, 0) + 1)
     ids, times, begins, lengths = np.empty((4, room), dtype=np.int64)
-    opcodes, other_begins, other_lengths = np.empty((3, 4096), dtype=np.int64)
+    opcodes, other_begins, other_lengths = np.empty((3, OTHERS), dtype=np.int64)
     position, messages, others, ending = walk_records(
         data, start, ids, times, begins, lengths, opcodes, other_begins, other_lengths)
     block = Block(data, ids[:messages], times[:messages], begins[:messages], lengths[:messages])

@@ -10,6 +10,7 @@ from eha_monitor.recordings.align import align
 from eha_monitor.recordings.bag import Bag
 from eha_monitor.recordings.cdr import Want
 from eha_monitor.recordings.recording import Recording
+from eha_monitor.recordings.stream import NotEvenError, Sources, Stream
 from eha_monitor.recordings.topics import Series, TopicReader, types_of
 from eha_monitor.settings.monitor import Channel, Settings
 
@@ -29,14 +30,25 @@ def read_recording(path: str | Path, settings: Settings) -> Recording:
     InputError
         If there is no bag, or none of its messages gives a channel.
     """
+    try:
+        return _read(path, settings, streamed=True)
+    except NotEvenError:
+        return _read(path, settings, streamed=False)
+
+
+def _read(path: str | Path, settings: Settings, streamed: bool) -> Recording:
     bag = Bag(path)
-    collector = _Collector(settings)
+    collector = _Collector(settings, streamed)
     for file, block in bag.blocks():
         collector.take(file, block)
-    collector.flush()
+    collector.flush(last=True)
     losses = bag.damage()
-    series = collector.channels(str(path), losses)
-    recording = align(series, settings, source=str(path), losses=losses)
+    found = collector.sources(str(path), losses)
+    if collector.stream is not None:
+        recording = collector.stream.finish(str(path), losses, found)
+    else:
+        recording = align(collector.channels(str(path), losses, found), settings,
+                          source=str(path), losses=losses)
     if any(file.truncated_at is not None for file in bag.files):
         recording = _tell_recovered(recording)
     return recording
@@ -53,7 +65,8 @@ def _tell_recovered(recording: Recording) -> Recording:
 class _Collector:
     """Sorts the messages of a bag into the topics that channels may come from."""
 
-    def __init__(self, settings: Settings):
+    def __init__(self, settings: Settings, streamed: bool = False):
+        self.settings, self.stream, self.may_stream = settings, None, streamed
         self.channels_wanted = settings.channels
         self.namespace = "/" + settings.monitor.namespace.strip("/")
         self.readers: dict[str, TopicReader] = {}
@@ -77,8 +90,25 @@ class _Collector:
         if self.pending_bytes > BATCH_BYTES or len(self.pending) > 4096:
             self.flush()
 
-    def flush(self) -> None:
-        """Decode what is pending: all of one topic's messages of several chunks at once."""
+    def flush(self, last: bool = False) -> None:
+        """Decode what is pending: all of one topic's messages of several chunks at once.
+
+        Where it is not the last the bag is long, and is put on its grid as it comes.
+        """
+        self._decode()
+        if last:
+            return
+        if self.stream is None and self.may_stream:
+            stream = Stream(self.settings, lambda: self.sources("", []))
+            try:
+                stream.begin()
+                self.stream = stream
+            except (NotEvenError, InputError):
+                self.may_stream = False  # nothing is lost: the readers keep all
+        if self.stream is not None:
+            self.stream.take()
+
+    def _decode(self) -> None:
         if not self.pending:
             return
         if len(self.pending) == 1:
@@ -157,10 +187,10 @@ class _Collector:
         return (channel.topic if channel.topic.startswith("/")
                 else f"{self.namespace.rstrip('/')}/{channel.topic}")
 
-    def channels(self, source: str, losses: list[str]) -> dict[str, tuple[Series, str]]:
-        """Return channel -> series in SI and its topic; sentences go to ``losses``."""
+    def sources(self, source: str, losses: list[str]) -> Sources:
+        """Return channel -> who reads its topic, and what of it; sentences go to ``losses``."""
         losses.extend(self.notes)
-        found: dict[str, tuple[Series, str]] = {}
+        found: Sources = {}
         unfit: list[str] = []
         for name, channel in self.channels_wanted.items():
             topic = self._topic(source, name, channel)
@@ -172,13 +202,8 @@ class _Collector:
                 if topic in self.unfit and self.unfit[topic] not in unfit:
                     unfit.append(self.unfit[topic])
                 continue
-            series = reader.series(want)
-            if series is not None:
-                shift = round(channel.delay * 1e9)
-                with np.errstate(over="ignore", invalid="ignore"):
-                    values = channel.scale * series.values + channel.offset
-                found[name] = (Series(series.stamp_ns - shift, series.log_ns, values,
-                                      series.stamped), topic)
+            if self._on_grid(name) or reader.series(want) is not None:
+                found[name] = (reader, want)
         for reader in self.readers.values():
             if reader.unreadable:
                 losses.append(f"{reader.topic}: {reader.unreadable} of {reader.count} messages "
@@ -187,6 +212,22 @@ class _Collector:
             raise InputError(self._nothing(source, unfit, losses))
         losses.extend(unfit)
         return found
+
+    def _on_grid(self, name: str) -> bool:
+        return self.stream is not None and name in self.stream.lanes
+
+    def channels(self, source: str, losses: list[str], found: Sources
+                 ) -> dict[str, tuple[Series, str]]:
+        """Return channel -> series in SI and its topic."""
+        made = {}
+        for name, (reader, want) in found.items():
+            channel, series = self.channels_wanted[name], reader.series(want)
+            shift = round(channel.delay * 1e9)
+            with np.errstate(over="ignore", invalid="ignore"):
+                values = channel.scale * series.values + channel.offset
+            made[name] = (Series(series.stamp_ns - shift, series.log_ns, values,
+                                 series.stamped), reader.topic)
+        return made
 
     def _topic(self, source: str, name: str, channel: Channel) -> str | None:
         exact = self._exact(channel)

@@ -4,7 +4,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from eha_monitor.recordings.limits import within_limits
+from eha_monitor.recordings.columns import any_of
+from eha_monitor.recordings.limits import LARGEST, within_limits
 
 # Every channel there can be, in the order in which tables show them.
 CHANNELS = ("x", "v", "x_d", "omega", "omega_d", "p1", "p2", "force", "temperature")
@@ -38,9 +39,13 @@ class Recording:
     losses: tuple[str, ...] = field(default=())
 
     def __post_init__(self):
-        kept, said, time = {}, [], self.time
+        kept, said = {}, []
         for name, values in self.channels.items():
-            kept[name], told = within_limits(name, values, time, self.source or "recording")
+            kept[name], told = values, ()
+            limit = LARGEST.get(name, np.finfo(float).max)
+            if any_of((values,), lambda rows, limit=limit: np.abs(rows) > limit):
+                kept[name], told = within_limits(name, values, self.time,
+                                                 self.source or "recording")
             said += told
         if said:
             object.__setattr__(self, "channels", kept)
@@ -66,7 +71,7 @@ class Recording:
 
     def has(self, *names: str) -> bool:
         """Tell whether every named channel was recorded and holds a finite value."""
-        return all(name in self.channels and np.isfinite(self.channels[name]).any()
+        return all(name in self.channels and any_of((self.channels[name],), np.isfinite)
                    for name in names)
 
     def get(self, name: str) -> np.ndarray:

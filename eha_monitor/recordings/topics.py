@@ -102,6 +102,7 @@ class TopicReader:
         self.columns: dict[Want, list[np.ndarray]] = {want: [] for want in self.asked}
         self.present: dict[Want, list[np.ndarray]] = {want: [] for want in self.asked}
         self.unreadable = 0
+        self.taken = 0
         self._store: Typestore | None = None
 
     def add(self, data, times, begins, lengths) -> None:
@@ -163,8 +164,34 @@ class TopicReader:
 
     @property
     def count(self) -> int:
-        """Messages taken so far."""
-        return sum(len(part) for part in self.logs)
+        """Messages so far."""
+        return self.taken + sum(len(part) for part in self.logs)
+
+    def take(self, wants: tuple[Want, ...]
+             ) -> tuple[np.ndarray, dict[Want, np.ndarray]] | None:
+        """Return header stamps and the wanted values of what was collected, and forget it.
+
+        None, and nothing is forgotten, where some message lacks one of them or a stamp, or holds
+        a number of the others.
+        """
+        every = (*wants, *STAMP)
+        if self.unreadable or not self.stamped or not all(
+                part.all() for want in every for part in self.present[want]):
+            return None
+        others = [want for want in self.wants if want not in wants]
+        if any(np.isfinite(part).any() for want in others for part in self.columns[want]):
+            return None
+        columns = {want: np.concatenate([np.empty(0), *self.columns[want]]) for want in wants}
+        seconds, rest = (np.concatenate([np.empty(0, np.int64), *self.columns[want]])
+                         for want in STAMP)
+        stamps = seconds * 1_000_000_000 + rest
+        if not stamps.all():
+            return None
+        self.taken += len(stamps)
+        self.logs = []
+        for want in self.asked:
+            self.columns[want], self.present[want] = [], []
+        return stamps, columns
 
     def series(self, want: Want) -> Series | None:
         """Return what was collected, or None where no message held it or all of it is NaN."""

@@ -1,313 +1,90 @@
-"""Recordings to rosbag2 mcap bags, all at once or message by message."""
+"""Channels to rosbag2 mcap bags with the topics of the interface contract, piece by piece."""
 
-import contextlib
-import os
-import shutil
-from dataclasses import dataclass
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
-from mcap.writer import CompressionType, Writer
-from rosbags.interfaces import (
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
-from rosbags.rosbag2.metadata import dump_qos_v9
-from rosbags.typesys import Stores, get_typestore
 
 from eha_monitor.errors import InputError
+from eha_monitor.recordings.bag_writer import BagWriter, TopicType, check_bag_target
+from eha_monitor.recordings.columns import any_of, let_go
+from eha_monitor.recordings.limits import within_limits
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.serialise import messages_of
 from eha_monitor.settings.monitor import Settings
 
-FOREVER = QosTime(9223372036, 854775807)
-COMPRESSIONS = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4,
-                "none": CompressionType.NONE}
+ROWS = 4096  # written at a time
+__all__ = ["BagWriter", "ChannelWriter", "TopicType", "check_bag_target", "write_recording"]
 
 
-def offered_qos(latched: bool = False, depth: int = 10) -> list[Qos]:
-    """Return the QoS that a recorded topic declares: reliable, transient local if latched."""
-    return [Qos(QosHistory.KEEP_LAST, depth, QosReliability.RELIABLE,
-                QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
-                FOREVER, FOREVER, QosLiveliness.AUTOMATIC, FOREVER, False)]
-
-
-def check_bag_target(path: str | Path, overwrite: bool) -> None:
-    """Refuse a place for a new bag where something else than a bag would be lost.
-
-    Parameters
-    ----------
-    path : folder or ``.mcap`` file that is going to be written.
-    overwrite : whether a bag that is there may be replaced: a folder of metadata.yaml and .mcap
-        files and nothing else, or a file whose name ends in ``.mcap``.
-
-    Raises
-    ------
-    InputError
-        If there is anything else, or a bag without ``overwrite``.
-    """
-    target = Path(path)
-    try:
-        if not os.path.lexists(target):
-            return
-        if not (target.is_dir() or target.is_file()):
-            raise InputError(f"{path}: is neither a regular file nor a folder, expected a new bag")
-        if not overwrite:
-            raise InputError(f"{path}: exists already, expected a new bag or --overwrite")
-        if not (_is_bag_folder(target) if target.is_dir() else target.suffix == ".mcap"):
-            raise InputError(f"{path}: is no bag; refusing to overwrite it")
-    except OSError as problem:
-        raise InputError(f"{path}: cannot write bag: {problem.strerror}") from problem
-
-
-def _is_bag_folder(folder: Path) -> bool:
-    """Tell whether a folder holds a bag and nothing that is not part of it."""
-    found = list(folder.iterdir())
-    parts = [entry for entry in found if entry.name.endswith((".mcap", ".mcap.zstd"))]
-    metadata = folder / "metadata.yaml"
-    if any(not entry.is_file() or (entry not in parts and entry != metadata) for entry in found):
-        return False
-    return bool(parts) or (metadata in found and "rosbag2_bagfile_information"
-                           in metadata.read_text(encoding="utf-8", errors="replace"))
-
-
-@dataclass(frozen=True)
-class TopicType:
-    """What a bag declares of a topic.
-
-    Without a definition, the one of ROS 2 Jazzy is taken; ``qos`` is YAML text as rosbag2
-    writes it.
-    """
-
-    msgtype: str
-    latched: bool = False
-    definition: str = ""
-    encoding: str = "ros2msg"
-    qos: str = ""
-
-
-class BagWriter:
-    """Writes serialised messages to a bag; a context manager.
-
-    The bag grows under a temporary name next to the target and is renamed when it is closed.
-    After a crash or an exception the temporary file stays: what was written up to the last
-    chunk can be read as a truncated bag.
-
-    Parameters
-    ----------
-    path : ``BAG`` becomes ``BAG/metadata.yaml`` and ``BAG/BAG_0.mcap``; a path that ends in
-        ``.mcap`` becomes that one file.
-    topics : name -> message type, or :class:`TopicType`; more may follow by :meth:`add_topic`.
-    compression : ``zstd``, ``lz4`` or ``none``, chunk by chunk.
-    overwrite : replace an existing bag.
-
-    Raises
-    ------
-    InputError
-        If the target exists or cannot be written, or a message type is not known.
-    """
-
-    def __init__(self, path: str | Path, topics: dict[str, str | TopicType], *,
-                 compression: str = "zstd", overwrite: bool = False, distro: str = "jazzy"):
-        self.path, self.overwrite, self.distro = Path(path), overwrite, distro
-        if self.path.name in ("", ".."):  # a name of its own, to be renamed to
-            self.path = Path(os.path.abspath(path))
-        if compression not in COMPRESSIONS:
-            raise InputError(f"{path}: compression: expected {', '.join(COMPRESSIONS)}, got "
-                             f"{compression!r}")
-        check_bag_target(path, overwrite)
-        if not self.path.name:
-            raise InputError(f"{path}: expected the name of a new bag")
-        self.single = self.path.suffix == ".mcap"
-        self.temporary = self.path.with_name(
-            f".{self.path.stem if self.single else self.path.name}.{os.getpid()}.tmp"
-            + (".mcap" if self.single else ""))
-        self.counts: dict[str, int] = {}
-        self.first, self.last = 2**63 - 1, 0
-        self._declared: dict[str, dict] = {}
-        self._ids: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
-        self._store = None
-        self._stream = None
-        try:
-            self.temporary.parent.mkdir(parents=True, exist_ok=True)
-            self._stream = self._file().open("wb")
-        except OSError as problem:
-            self.discard()
-            raise InputError(f"{path}: cannot write bag: {problem.strerror}") from problem
-        self._writer = Writer(self._stream, chunk_size=786_432,
-                              compression=COMPRESSIONS[compression])
-        self._writer.start("ros2", "eha_monitor")
-        try:
-            for topic, kind in topics.items():
-                self.add_topic(topic, kind)
-        except InputError:
-            self.discard()
-            raise
-
-    def _file(self) -> Path:
-        if self.single:
-            return self.temporary
-        self._remove(self.temporary)
-        self.temporary.mkdir()
-        return self.temporary / f"{self.path.name}_0.mcap"
-
-    def add_topic(self, topic: str, kind: str | TopicType) -> None:
-        """Declare a topic; names are absolute.  Declaring it again changes nothing."""
-        if topic in self._ids:
-            return
-        kind = TopicType(kind) if isinstance(kind, str) else kind
-        digest, definition = "", kind.definition
-        if not definition:
-            self._store = self._store or get_typestore(Stores.ROS2_JAZZY)
-            if kind.msgtype not in self._store.fielddefs:
-                raise InputError(f"{self.path}: {topic}: message type {kind.msgtype} is not "
-                                 "known, expected one of ROS 2 Jazzy or a definition")
-            definition = self._store.generate_msgdef(kind.msgtype, ros_version=2)[0]
-            digest = self._store.hash_rihs01(kind.msgtype)
-        profiles = dump_qos_v9(offered_qos(kind.latched))
-        # rosbags drops a topic whose QoS differs between file and metadata: one source for both.
-        qos = kind.qos or _yaml(profiles).strip()
-        if kind.msgtype not in self._schemas:
-            self._schemas[kind.msgtype] = self._writer.register_schema(
-                kind.msgtype, kind.encoding, definition.encode())
-        self._ids[topic] = self._writer.register_channel(
-            topic, "cdr", self._schemas[kind.msgtype],
-            {"offered_qos_profiles": qos, "topic_type_hash": digest})
-        self.counts[topic] = 0
-        self._declared[topic] = {
-            "name": topic, "type": kind.msgtype, "serialization_format": "cdr",
-            "offered_qos_profiles": kind.qos or profiles, "type_description_hash": digest}
-
-    def write_raw(self, topic: str, stamp_ns: int, data: bytes) -> None:
-        """Append one serialised message; ``stamp_ns`` is its log time."""
-        self._writer.add_message(self._ids[topic], stamp_ns, data, stamp_ns)
-        self.counts[topic] += 1
-        if stamp_ns < self.first:
-            self.first = stamp_ns
-        if stamp_ns > self.last:
-            self.last = stamp_ns
-
-    def flush(self) -> None:
-        """Put everything written so far on disk as a finished chunk."""
-        self._writer.flush()
-
-    def close(self) -> None:
-        """Write index and metadata, and give the bag its name."""
-        if self._stream is None:
-            return
-        try:
-            metadata = self._metadata()
-            self._writer.add_metadata("rosbag2", {"serialized_metadata": _yaml(metadata)})
-            self._writer.finish()
-            self._stream.flush()
-            os.fsync(self._stream.fileno())
-            self._stream.close()
-            self._stream = None
-            if not self.single:
-                (self.temporary / "metadata.yaml").write_text(
-                    _yaml({"rosbag2_bagfile_information": metadata}), encoding="utf-8")
-            self._take_the_name()
-        except OSError as problem:
-            raise InputError(f"{self.path}: cannot write bag: {problem.strerror}; what was "
-                             f"written is in {self.temporary}") from problem
-
-    def _take_the_name(self) -> None:
-        """Rename the finished bag; what was there goes only when the new one is in place."""
-        try:
-            check_bag_target(self.path, self.overwrite)  # again: it may have come meanwhile
-        except InputError as problem:
-            raise InputError(f"{problem}; the bag is left as {self.temporary}") from problem
-        if not os.path.lexists(self.path):
-            self.temporary.rename(self.path)
-            return
-        old = self.temporary.with_name(self.temporary.name + ".old")
-        self.path.rename(old)
-        try:
-            self.temporary.rename(self.path)
-        except OSError:
-            old.rename(self.path)
-            raise
-        self._remove(old)
-
-    def abort(self) -> None:
-        """Stop without index and name; the temporary file keeps what was written."""
-        stream, self._stream = self._stream, None
-        if stream is not None:
-            try:
-                self._writer.flush()
-            finally:
-                stream.close()
-
-    def discard(self) -> None:
-        """Stop and remove what was written."""
-        stream, self._stream = self._stream, None
-        with contextlib.suppress(OSError):  # of a full disk: it is full of what goes now
-            if stream is not None:
-                stream.close()
-        with contextlib.suppress(OSError):
-            self._remove(self.temporary)
-
-    def __enter__(self) -> "BagWriter":
-        return self
-
-    def __exit__(self, kind, value, traceback) -> None:
-        if kind is None:
-            self.close()
-        else:
-            self.abort()
-
-    @staticmethod
-    def _remove(path: Path) -> None:
-        if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path)
-        else:
-            path.unlink(missing_ok=True)
-
-    def _metadata(self) -> dict:
-        count = sum(self.counts.values())
-        start = {"nanoseconds_since_epoch": self.first if count else 0}
-        duration = {"nanoseconds": max(0, self.last - self.first) if count else 0}
-        name = self.path.name if self.single else f"{self.path.name}_0.mcap"
-        return {
-            "version": 9, "storage_identifier": "mcap", "duration": duration,
-            "starting_time": start, "message_count": count,
-            "topics_with_message_count": [
-                {"topic_metadata": self._declared[topic], "message_count": number}
-                for topic, number in self.counts.items()],
-            "compression_format": "", "compression_mode": "",
-            "relative_file_paths": [name],
-            "files": [{"path": name, "starting_time": start, "duration": duration,
-                       "message_count": count}],
-            "custom_data": None, "ros_distro": self.distro}
-
-
-def _yaml(tree) -> str:
-    from ruamel.yaml import YAML
-
-    yaml, text = YAML(typ="safe"), StringIO()
-    yaml.default_flow_style = False
-    yaml.representer.ignore_aliases = lambda data: True
-    yaml.dump(tree, text)
-    return text.getvalue()
-
-
-def write_recording(path: str | Path, recording: Recording | dict[str, np.ndarray],
-                    settings: Settings, *, compression: str = "zstd", overwrite: bool = False,
-                    start_ns: int | None = None) -> Path:
-    """Write channels as a bag with the topics of the interface contract.
+class ChannelWriter:
+    """Writes rows of channels to a new bag; a context manager.
 
     Header stamps and log times are ``start_ns`` plus the grid; a row in which a topic has no
     finite value is left out.
 
     Parameters
     ----------
-    path : see :class:`BagWriter`.
+    path, compression, overwrite : see :class:`bag_writer.BagWriter`.
+    channels : those that are going to be written.
+    sample_time : s.
+    namespace : of the topics.
+    """
+
+    def __init__(self, path: str | Path, channels: tuple[str, ...], sample_time: float,
+                 namespace: str, *, compression: str = "zstd", overwrite: bool = False,
+                 start_ns: int = 0):
+        self.channels, self.sample_time, self.namespace = channels, sample_time, namespace
+        self.start_ns, self.rows = start_ns, 0
+        none = messages_of({name: np.empty(0) for name in channels}, np.empty(0, np.int64),
+                           namespace)
+        if not none:
+            raise InputError(f"{path}: nothing to write, no channel has a finite value")
+        self._path = path
+        self._bag = BagWriter(path, {one.topic: one.msgtype for one in none},
+                              compression=compression, overwrite=overwrite)
+
+    def write(self, channels: dict[str, np.ndarray]) -> None:
+        """Append rows; channel -> (m,) SI values.
+
+        Raises
+        ------
+        InputError
+            If a channel runs away; nothing is left of the bag then.
+        """
+        rows = len(next(iter(channels.values())))
+        time = np.arange(self.rows, self.rows + rows) * self.sample_time
+        channels = {name: within_limits(name, channels[name], time, str(self._path))[0]
+                    for name in self.channels}
+        for first in range(0, rows, ROWS):
+            part = {name: channels[name][first:first + ROWS] for name in self.channels}
+            count = min(ROWS, rows - first)
+            stamps = self.start_ns + np.round(
+                np.arange(self.rows, self.rows + count) * self.sample_time * 1e9).astype(np.int64)
+            if stamps[0] < 0 or stamps[-1] >= 2**31 * 1_000_000_000:
+                raise InputError(f"{self._path}: stamps from {stamps[0]} to {stamps[-1]} ns do "
+                                 "not fit a header")
+            self._bag.write_many({one.topic: (one.stamps, one.data) for one in messages_of(
+                part, stamps, self.namespace)})
+            self.rows += count
+
+    def __enter__(self) -> "ChannelWriter":
+        return self
+
+    def __exit__(self, kind, value, traceback) -> None:
+        if kind is not None and issubclass(kind, InputError):
+            self._bag.discard()
+        else:
+            self._bag.__exit__(kind, value, traceback)
+
+
+def write_recording(path: str | Path, recording: Recording | dict[str, np.ndarray],
+                    settings: Settings, *, compression: str = "zstd", overwrite: bool = False,
+                    start_ns: int | None = None) -> Path:
+    """Write a recording as a bag.
+
+    Parameters
+    ----------
+    path : see :class:`bag_writer.BagWriter`.
     recording : a recording, or channel -> (n,) SI values on the config's sample time.
     settings : ``monitor.namespace``, and ``rig.sample_time`` where arrays are given.
     start_ns : time of the first sample; by default the recording's own.
@@ -325,23 +102,14 @@ def write_recording(path: str | Path, recording: Recording | dict[str, np.ndarra
     if len(recording) == 0:
         raise InputError(f"{path}: nothing to write, the recording has no samples")
     start = recording.start_ns if start_ns is None else start_ns
-    stamps = start + np.round(np.arange(len(recording)) * recording.sample_time * 1e9).astype(
-        np.int64)
-    if stamps[0] < 0 or stamps[-1] >= 2**31 * 1_000_000_000:
-        raise InputError(f"{path}: stamps from {stamps[0]} to {stamps[-1]} ns do not fit a header")
-    streams = messages_of(recording, stamps, settings.monitor.namespace)
-    if not streams:
-        raise InputError(f"{path}: nothing to write, no channel has a finite value")
-    with BagWriter(path, {s.topic: s.msgtype for s in streams}, compression=compression,
-                   overwrite=overwrite) as writer:
-        # In order of time over all topics, as a recorder would have met them.
-        times = np.concatenate([s.stamps for s in streams])
-        which = np.concatenate([np.full(len(s.stamps), i) for i, s in enumerate(streams)])
-        place = np.concatenate([np.arange(len(s.stamps)) for s in streams])
-        order = np.lexsort((which, times))
-        for stamp, i, row in zip(times[order].tolist(), which[order].tolist(),
-                                 place[order].tolist(), strict=True):
-            stream = streams[i]
-            writer.write_raw(stream.topic, stamp,
-                             stream.data[row * stream.length:(row + 1) * stream.length])
+    last = start + round((len(recording) - 1) * recording.sample_time * 1e9)
+    if start < 0 or last >= 2**31 * 1_000_000_000:
+        raise InputError(f"{path}: stamps from {start} to {last} ns do not fit a header")
+    names = tuple(name for name, values in recording.channels.items()
+                  if any_of((values,), np.isfinite))
+    with ChannelWriter(path, names, recording.sample_time, settings.monitor.namespace,
+                       compression=compression, overwrite=overwrite, start_ns=start) as writer:
+        for first in range(0, len(recording), ROWS):
+            writer.write({name: recording.channels[name][first:first + ROWS] for name in names})
+            let_go(*recording.channels.values())
     return Path(path)

@@ -54,8 +54,10 @@ def windows_words(found: Diagnosis) -> str:
     several = len({one.bag for one in found.named_on}) > 1
     where = listed([f"{number(one.start_s)} to {number(one.stop_s)} s"
                     + (f" of {one.bag}" if several else "") for one in found.named_on])
+    over = (f"the {number(found.looked_s)} s whose motion tells most" if found.looked_s
+            else "the whole recording")
     return (f"Effects were named on the {number(length)} s that tell most ({where}); "
-            "the models were then run over the whole recording.")
+            f"the models were then run over {over}.")
 
 
 def probability(share_of_one: float) -> str:

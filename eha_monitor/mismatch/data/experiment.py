@@ -17,11 +17,13 @@ from eha_monitor.mismatch.data.inputs import (
     present,
 )
 from eha_monitor.mismatch.data.stretch import BURN_IN, Stretch
+from eha_monitor.mismatch.data.windows import Rows, windows_of
 from eha_monitor.physics.effect import Ranges
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.physics.plant import N_OUTPUTS
 from eha_monitor.physics.signals import K_POS
 from eha_monitor.recordings.recording import Recording
+from eha_monitor.recordings.sample import rows_of, sample_of
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
@@ -61,6 +63,7 @@ class Experiment:
     held : the drive holds its input over each sample, a digital controller.
     inverse : the balances' own errors are compared (:mod:`equation_error`), not predictions.
     drift : by how much the circuit outside the model moves a chamber's pressure in a sample, Pa.
+    windows : the stretches are windows of longer recordings.
     """
 
     settings: Settings
@@ -82,6 +85,7 @@ class Experiment:
     largest_unknown: float = 3e4
     by_pressures: bool = False
     held: bool = False
+    windows: bool = False
 
     @property
     def n(self) -> int:
@@ -102,6 +106,8 @@ def experiment_of(recordings: list[Recording], settings: Settings,
                   hold_out: bool = True) -> Experiment:
     """Make the experiment of one or more recordings of a rig.
 
+    Of long ones it holds the windows that tell most.
+
     Raises
     ------
     InputError
@@ -118,21 +124,27 @@ def experiment_of(recordings: list[Recording], settings: Settings,
         if abs(recording.sample_time - first.sample_time) > 1e-6 * first.sample_time:
             raise InputError(f"{recording.source}: expected the sample time of {first.source}, "
                              f"{first.sample_time:g} s, got {recording.sample_time:g} s")
-        noise = noise_levels(recording, settings.noise)
-        channels, found = without_spikes(
-            {name: values for name, values in recording.channels.items()
-             if recording.has(name)}, noise)
-        for name, count in found.items():
-            spikes[name] = spikes.get(name, 0) + count
+    chosen = windows_of(recordings, settings)
+    for number, recording in enumerate(recordings):
+        noise = noise_levels(sample_of(recording), settings.noise)
+        names = [name for name in recording.channels if recording.has(name)]
         for name, level in noise.items():
             levels.setdefault(name, []).append(level.value)
-        parts += stretches_of(recording, channels, settings, mode, levels, hold_out)
-        columns.append(channels)
+        windows = [Rows(number, 0, len(recording))] if chosen is None else [
+            one for one in chosen if one.recording == number]
+        for one in windows:
+            rows = recording if chosen is None else rows_of(recording, one.first, one.last)
+            channels, found = without_spikes({name: rows.channels[name] for name in names}, noise)
+            for name, count in found.items():
+                spikes[name] = spikes.get(name, 0) + count
+            parts += stretches_of(rows, channels, settings, mode, levels, hold_out,
+                                  one.first * recording.sample_time)
+            columns.append(channels)
     if not parts:
         raise InputError(f"{first.source}: expected at least {SHORTEST:g} s without a gap of "
                          "position and of the input (command, pump speed or force)")
     sigma = np.array([np.median(levels[name]) if name in levels else np.nan for name in OUTPUTS])
-    x = first.get("x")
+    x = sample_of(first).get("x")
     step = quantum(x[np.isfinite(x)])
     sigma[0] = max(sigma[0], step / np.sqrt(12.0))
     used = np.array([any(np.isfinite(part.z[:, j]).any() for part in parts)
@@ -144,7 +156,7 @@ def experiment_of(recordings: list[Recording], settings: Settings,
                       spikes, wanted, circuit_drift(settings, mode, columns),
                       by_equations(settings, mode, columns), by_pressures=mode == FORCED
                       and settings.rig.area_1 is not None and "p1" in levels and "p2" in levels,
-                      held=is_held(mode, settings))
+                      held=is_held(mode, settings), windows=chosen is not None)
 
 
 def is_held(mode: int, settings: Settings) -> bool:
@@ -262,8 +274,8 @@ def resolving(experiment: Experiment, damping: float) -> Experiment:
 
 
 def stretches_of(recording: Recording, channels: dict, settings: Settings, mode: int,
-                 levels: dict, hold_out: bool) -> list[Stretch]:
-    """Cut a recording where its input is missing for long."""
+                 levels: dict, hold_out: bool, begun: float = 0.0) -> list[Stretch]:
+    """Cut a recording where its input is missing for long; it begins at ``begun`` s."""
     n, dt, rig = len(recording), recording.sample_time, settings.rig
     nothing = np.full(n, np.nan)
     if mode == CLOSED and wants_speed(recording):
@@ -304,7 +316,7 @@ def stretches_of(recording: Recording, channels: dict, settings: Settings, mode:
         burn = max(1, int(BURN_IN / dt))
         seen = np.convolve(held_out, np.ones(burn + 1))[: len(time)] > 0.5
         parts.append(Stretch(
-            recording.source, start * dt, z[here].copy(),
+            recording.source, begun + start * dt, z[here].copy(),
             course, smooth(p1[here], charge), smooth(p2[here], charge),
             (time >= BURN_IN) & ~seen & (loose == 0.0), held_out, loose))
     return parts

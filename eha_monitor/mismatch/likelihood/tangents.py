@@ -98,14 +98,23 @@ def along(experiment: Experiment, fit: Fit, lanes: Sequence[Lane]) -> list[np.nd
 
     NaN where nothing was measured; infinite where the model's own run goes astray.
     """
-    tasks = []
-    for stretch in experiment.stretches:
+    made = [np.empty((len(stretch), len(experiment.columns), len(lanes)))
+            for stretch in experiment.stretches]
+    along_into(experiment, fit, lanes, made, list(range(len(lanes))))
+    return made
+
+
+def along_into(experiment: Experiment, fit: Fit, lanes: Sequence[Lane], into: list[np.ndarray],
+               places: list[int]) -> None:
+    """Write the tangents of lanes to ``places`` of columns, (n, c, m) for each stretch."""
+    def carry(task) -> None:
+        track, first, columns = task
+        columns[:, :, places[first : first + LANES]] = track.carry(lanes[first : first + LANES])
+
+    for stretch, columns in zip(experiment.stretches, into, strict=True):
+        # One stretch after the other: what a track holds is as large as many columns.
         track = Track(experiment, fit, stretch)
-        tasks += [(track, lanes[i : i + LANES]) for i in range(0, len(lanes), LANES)]
-    made = spread(lambda task: task[0].carry(task[1]), tasks)
-    per = -(-len(lanes) // LANES)
-    return [np.concatenate(made[i * per : (i + 1) * per], axis=2) if per > 1 else made[i]
-            for i in range(len(experiment.stretches))]
+        spread(carry, [(track, i, columns) for i in range(0, len(lanes), LANES)])
 
 
 class Track:

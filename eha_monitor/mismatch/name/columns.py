@@ -11,13 +11,14 @@ amplitudes of all columns have the prior N(centre, 1).  Suspects are
 """
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment, damping_steps
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, filtered, innovations, spread, step_of
-from eha_monitor.mismatch.likelihood.tangents import Lane, along, can
+from eha_monitor.mismatch.likelihood.tangents import Lane, along_into, can
 from eha_monitor.mismatch.name.starts import (
     Start,
     directions_of,
@@ -192,16 +193,17 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
 
     terms = unnamed_of(experiment, fit) if unnamed and not experiment.inverse else []
     sizes = [term.basis[0].shape[1] for term in terms]
-    values = [np.empty((*part.shape, 1 + len(moves) + sum(sizes))) for part in present]
+    # In one block, as large as is given back to the system when it is freed.
+    bounds = np.cumsum([0, *map(len, present)])
+    block = np.empty((bounds[-1], present[0].shape[1], 1 + len(moves) + sum(sizes)))
+    values = [block[first:last] for first, last in pairwise(bounds)]
     rough = coarse(experiment)
     plain = runs_of(rough, fit.theta, fit.active, fit.gains)
 
     lanes = [Lane(*move) for move in moves]
     able = [i for i, lane in enumerate(lanes) if can(experiment, fit, lane)]
     if able:
-        for into, found in zip(values, along(experiment, fit, [lanes[i] for i in able]),
-                               strict=True):
-            into[:, :, [1 + i for i in able]] = found
+        along_into(experiment, fit, [lanes[i] for i in able], values, [1 + i for i in able])
     keep = [True] * len(moves)
     for place in able:
         keep[place] = all(tame(into[:, :, 1 + place], part)

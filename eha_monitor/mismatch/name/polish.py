@@ -32,29 +32,37 @@ class Slopes:
 
     def __init__(self, experiment: Experiment, fit: Fit | None = None,
                  columns: Columns | None = None):
-        self.experiment, self.fit, self.columns = experiment, fit, columns
+        self.experiment, self.fit = experiment, fit
         self.places: dict[str, int] = {}
+        self.spreads: list[float] = []
+        own = []
         for i, column in enumerate(columns.what if columns else ()):
+            if column.name in self.places:  # a number that is wrong stands there twice
+                continue
             if column.free is not None and (column.owner == ALWAYS or column.variant < 0):
-                self.places.setdefault(column.name, i)  # a number that is wrong stands there twice
+                self.places[column.name] = len(own)
+                self.spreads.append(column.free.spread)
+                own.append(1 + i)
+        # These alone: all columns of a minute take a hundred megabytes.
+        self.values = [part[:, :, own] for part in (columns.values if columns else ())]
 
     def of(self, fit: Fit) -> dict[str, np.ndarray]:
         """Return name -> (N, c) slope in the fitted coordinate, of what is known."""
         wanted = [f for f in fit.free if f.name in self.places]
         if not wanted:
             return {}
-        places = [1 + self.places[f.name] for f in wanted]
+        places = [self.places[f.name] for f in wanted]
         if self.experiment.inverse:
-            whole = np.nan_to_num(self.columns.values[0][:, :, places])
+            whole = np.nan_to_num(self.values[0][:, :, places])
             return self._in_units(wanted, whole)
         parts = under(self.experiment, self.fit, [
-            np.ascontiguousarray(part[:, :, places]) for part in self.columns.values], fit.gains)
+            np.ascontiguousarray(part[:, :, places]) for part in self.values], fit.gains)
         whole = np.concatenate([part[stretch.counted] for part, stretch in zip(
             parts, self.experiment.stretches, strict=True)])
         return self._in_units(wanted, whole)
 
     def _in_units(self, wanted: list[Free], whole: np.ndarray) -> dict[str, np.ndarray]:
-        units = [self.columns.what[self.places[f.name]].free.spread for f in wanted]
+        units = [self.spreads[self.places[f.name]] for f in wanted]
         return {f.name: whole[:, :, i] / unit
                 for i, (f, unit) in enumerate(zip(wanted, units, strict=True))}
 

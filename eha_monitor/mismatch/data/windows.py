@@ -1,0 +1,121 @@
+"""The windows of a long recording that are looked at: those whose motion tells most.
+
+A model run over an hour costs minutes and gigabytes, and says no more than the telling parts of
+it.  Before any model is run each window is asked, in one pass over the recording, how its motion
+excites what the balances are made of, and by how much they are off there; the windows are taken
+one by one whose log det together is the largest (D-optimal, greedy).  Of these the models
+themselves take their pick (:mod:`name.telling`).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from eha_monitor.filters.inputs import force_of
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.recordings.sample import rows_of
+from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.rig import Rig
+
+WINDOW = 8_000  # samples
+LOOKED = 64_000  # samples that are looked at; a recording that is no longer is looked at whole
+REACH_S = 0.01  # over which means, and from mean to mean slopes, are taken
+TURNING = 0.05  # of the rms speed: below, a direction is half told
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Samples ``first`` to ``last`` of a recording, by its number."""
+
+    recording: int
+    first: int
+    last: int
+
+
+def windows_of(recordings: list[Recording], settings: Settings, most: int = LOOKED,
+               size: int = WINDOW) -> list[Rows] | None:
+    """Return the windows that tell most, in order; None where all of the samples are few.
+
+    Parameters
+    ----------
+    recordings : of one rig.
+    most : samples that are looked at; ``size`` : samples of a window.
+    """
+    if sum(map(len, recordings)) <= most:
+        return None
+    windows, told = [], []
+    for number, recording in enumerate(recordings):
+        for first in range(0, len(recording), size):
+            last = min(first + size, len(recording))
+            if last - first >= size // 2:
+                windows.append(Rows(number, first, last))
+                told.append(told_by(rows_of(recording, first, last), settings))
+    names = sorted(set().union(*told))
+    tables = [np.column_stack([one.get(name, np.zeros(len(one["x"]))) for name in names])
+              if one else np.zeros((0, len(names))) for one in told]
+    # In units of what a column comes to over the whole.
+    scale = np.sqrt(sum((part**2).sum(axis=0) for part in tables) / max(sum(map(len, tables)), 1))
+    grams = [(part / np.where(scale > 0, scale, 1.0)).T @ (part / np.where(scale > 0, scale, 1.0))
+             for part in tables]
+    whole, chosen, left, samples = np.eye(len(names)), [], list(range(len(windows))), 0
+    while left and samples + size // 2 <= most:
+        best = max(left, key=lambda i: np.linalg.slogdet(whole + grams[i])[1])
+        left.remove(best)
+        chosen.append(best)
+        whole = whole + grams[best]
+        samples += windows[best].last - windows[best].first
+    return [windows[i] for i in sorted(chosen)]
+
+
+def told_by(window: Recording, settings: Settings) -> dict[str, np.ndarray]:
+    """Return what the balances are made of in a window, and what they leave; name -> (n,).
+
+    Means over ``REACH_S``, in which a sensor's noise is small; nil where one is not there.
+    """
+    rig, channels = settings.rig, window.channels
+    reach = max(1, round(REACH_S / window.sample_time))
+    count = len(window) // reach
+    step = reach * window.sample_time
+
+    def coarse(values: np.ndarray) -> np.ndarray:
+        return values[: count * reach].reshape(count, reach).mean(axis=1)
+
+    if count < 4 or "x" not in channels:
+        return {}
+    x = coarse(channels["x"])
+    v = np.gradient(x, step)
+    a = np.gradient(v, step)
+    found = {"x": x, "v": v, "a": a, "v|v|": v * np.abs(v),
+             "turning": np.tanh(v / max(TURNING * _rms(v), 1e-12))}
+    force = force_of(rig, channels)
+    if force is not None:
+        force = coarse(force)
+        found |= {"force": force, "force_left": force - rig.mass * a - rig.viscous_damping * v}
+    for name in ("p1", "p2"):
+        if name in channels:
+            found |= {name: coarse(channels[name]),
+                      f"{name}'": np.gradient(coarse(channels[name]), step)}
+    speed = speed_of(channels, rig)
+    if speed is not None:
+        speed = coarse(speed)
+        found |= {"omega": speed, "omega'": np.gradient(speed, step)}
+        if rig.pump_displacement and rig.area_1:
+            found["flow_left"] = rig.pump_displacement * speed - rig.area_1 * v
+        if "omega" in channels and rig.position_gain is not None and "x_d" in channels:
+            wanted = rig.position_gain * (channels["x_d"] - channels["x"])
+            found["drive_left"] = coarse(channels["omega"] - wanted)
+    return {name: np.nan_to_num(values) for name, values in found.items()}
+
+
+def speed_of(channels: dict[str, np.ndarray], rig: Rig) -> np.ndarray | None:
+    """Return the pump's speed as it was measured, or as it was told, rad/s."""
+    if "omega" in channels:
+        return channels["omega"]
+    if rig.position_gain is not None and "x_d" in channels:
+        return rig.position_gain * (channels["x_d"] - channels["x"])
+    return None
+
+
+def _rms(values: np.ndarray) -> float:
+    good = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(good**2))) if len(good) else 0.0

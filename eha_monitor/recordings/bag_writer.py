@@ -1,0 +1,305 @@
+"""Serialised messages to rosbag2 mcap bags, one by one or by the thousand."""
+
+import contextlib
+import os
+import shutil
+from dataclasses import dataclass
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+from mcap.writer import CompressionType
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2.metadata import dump_qos_v9
+from rosbags.typesys import Stores, get_typestore
+
+from eha_monitor.errors import InputError
+from eha_monitor.recordings.bulk import BulkWriter, Messages
+
+FOREVER = QosTime(9223372036, 854775807)
+COMPRESSIONS = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4,
+                "none": CompressionType.NONE}
+
+
+def offered_qos(latched: bool = False, depth: int = 10) -> list[Qos]:
+    """Return the QoS that a recorded topic declares: reliable, transient local if latched."""
+    return [Qos(QosHistory.KEEP_LAST, depth, QosReliability.RELIABLE,
+                QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
+                FOREVER, FOREVER, QosLiveliness.AUTOMATIC, FOREVER, False)]
+
+
+def check_bag_target(path: str | Path, overwrite: bool) -> None:
+    """Refuse a place for a new bag where something else than a bag would be lost.
+
+    Parameters
+    ----------
+    path : folder or ``.mcap`` file that is going to be written.
+    overwrite : whether a bag that is there may be replaced: a folder of metadata.yaml and .mcap
+        files and nothing else, or a file whose name ends in ``.mcap``.
+
+    Raises
+    ------
+    InputError
+        If there is anything else, or a bag without ``overwrite``.
+    """
+    target = Path(path)
+    try:
+        if not os.path.lexists(target):
+            return
+        if not (target.is_dir() or target.is_file()):
+            raise InputError(f"{path}: is neither a regular file nor a folder, expected a new bag")
+        if not overwrite:
+            raise InputError(f"{path}: exists already, expected a new bag or --overwrite")
+        if not (_is_bag_folder(target) if target.is_dir() else target.suffix == ".mcap"):
+            raise InputError(f"{path}: is no bag; refusing to overwrite it")
+    except OSError as problem:
+        raise InputError(f"{path}: cannot write bag: {problem.strerror}") from problem
+
+
+def _is_bag_folder(folder: Path) -> bool:
+    """Tell whether a folder holds a bag and nothing that is not part of it."""
+    found = list(folder.iterdir())
+    parts = [entry for entry in found if entry.name.endswith((".mcap", ".mcap.zstd"))]
+    metadata = folder / "metadata.yaml"
+    if any(not entry.is_file() or (entry not in parts and entry != metadata) for entry in found):
+        return False
+    return bool(parts) or (metadata in found and "rosbag2_bagfile_information"
+                           in metadata.read_text(encoding="utf-8", errors="replace"))
+
+
+@dataclass(frozen=True)
+class TopicType:
+    """What a bag declares of a topic.
+
+    Without a definition, the one of ROS 2 Jazzy is taken; ``qos`` is YAML text as rosbag2
+    writes it.
+    """
+
+    msgtype: str
+    latched: bool = False
+    definition: str = ""
+    encoding: str = "ros2msg"
+    qos: str = ""
+
+
+class BagWriter:
+    """Writes serialised messages to a bag; a context manager.
+
+    The bag grows under a temporary name next to the target and is renamed when it is closed.
+    After a crash or an exception the temporary file stays: what was written up to the last
+    chunk can be read as a truncated bag.
+
+    Parameters
+    ----------
+    path : ``BAG`` becomes ``BAG/metadata.yaml`` and ``BAG/BAG_0.mcap``; a path that ends in
+        ``.mcap`` becomes that one file.
+    topics : name -> message type, or :class:`TopicType`; more may follow by :meth:`add_topic`.
+    compression : ``zstd``, ``lz4`` or ``none``, chunk by chunk.
+    overwrite : replace an existing bag.
+
+    Raises
+    ------
+    InputError
+        If the target exists or cannot be written, or a message type is not known.
+    """
+
+    def __init__(self, path: str | Path, topics: dict[str, str | TopicType], *,
+                 compression: str = "zstd", overwrite: bool = False, distro: str = "jazzy"):
+        self.path, self.overwrite, self.distro = Path(path), overwrite, distro
+        if self.path.name in ("", ".."):  # a name of its own, to be renamed to
+            self.path = Path(os.path.abspath(path))
+        if compression not in COMPRESSIONS:
+            raise InputError(f"{path}: compression: expected {', '.join(COMPRESSIONS)}, got "
+                             f"{compression!r}")
+        check_bag_target(path, overwrite)
+        if not self.path.name:
+            raise InputError(f"{path}: expected the name of a new bag")
+        self.single = self.path.suffix == ".mcap"
+        self.temporary = self.path.with_name(
+            f".{self.path.stem if self.single else self.path.name}.{os.getpid()}.tmp"
+            + (".mcap" if self.single else ""))
+        self.counts: dict[str, int] = {}
+        self.first, self.last = 2**63 - 1, 0
+        self._declared: dict[str, dict] = {}
+        self._ids: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._store = None
+        self._stream = None
+        try:
+            self.temporary.parent.mkdir(parents=True, exist_ok=True)
+            self._stream = self._file().open("wb")
+        except OSError as problem:
+            self.discard()
+            raise InputError(f"{path}: cannot write bag: {problem.strerror}") from problem
+        self._writer = BulkWriter(self._stream, chunk_size=786_432,
+                              compression=COMPRESSIONS[compression])
+        self._writer.start("ros2", "eha_monitor")
+        try:
+            for topic, kind in topics.items():
+                self.add_topic(topic, kind)
+        except InputError:
+            self.discard()
+            raise
+
+    def _file(self) -> Path:
+        if self.single:
+            return self.temporary
+        self._remove(self.temporary)
+        self.temporary.mkdir()
+        return self.temporary / f"{self.path.name}_0.mcap"
+
+    def add_topic(self, topic: str, kind: str | TopicType) -> None:
+        """Declare a topic; names are absolute.  Declaring it again changes nothing."""
+        if topic in self._ids:
+            return
+        kind = TopicType(kind) if isinstance(kind, str) else kind
+        digest, definition = "", kind.definition
+        if not definition:
+            self._store = self._store or get_typestore(Stores.ROS2_JAZZY)
+            if kind.msgtype not in self._store.fielddefs:
+                raise InputError(f"{self.path}: {topic}: message type {kind.msgtype} is not "
+                                 "known, expected one of ROS 2 Jazzy or a definition")
+            definition = self._store.generate_msgdef(kind.msgtype, ros_version=2)[0]
+            digest = self._store.hash_rihs01(kind.msgtype)
+        profiles = dump_qos_v9(offered_qos(kind.latched))
+        # rosbags drops a topic whose QoS differs between file and metadata: one source for both.
+        qos = kind.qos or _yaml(profiles).strip()
+        if kind.msgtype not in self._schemas:
+            self._schemas[kind.msgtype] = self._writer.register_schema(
+                kind.msgtype, kind.encoding, definition.encode())
+        self._ids[topic] = self._writer.register_channel(
+            topic, "cdr", self._schemas[kind.msgtype],
+            {"offered_qos_profiles": qos, "topic_type_hash": digest})
+        self.counts[topic] = 0
+        self._declared[topic] = {
+            "name": topic, "type": kind.msgtype, "serialization_format": "cdr",
+            "offered_qos_profiles": kind.qos or profiles, "type_description_hash": digest}
+
+    def write_raw(self, topic: str, stamp_ns: int, data: bytes) -> None:
+        """Append one serialised message; ``stamp_ns`` is its log time."""
+        self._writer.add_message(self._ids[topic], stamp_ns, data, stamp_ns)
+        self.counts[topic] += 1
+        if stamp_ns < self.first:
+            self.first = stamp_ns
+        if stamp_ns > self.last:
+            self.last = stamp_ns
+
+    def write_many(self, channels: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
+        """Append messages of topics: rising log times (m,) ns and messages (m, length) uint8."""
+        self._writer.add_messages([Messages(self._ids[topic], times, data)
+                                   for topic, (times, data) in channels.items()])
+        for topic, (times, _) in channels.items():
+            if len(times):
+                self.counts[topic] += len(times)
+                self.first = min(self.first, int(times[0]))
+                self.last = max(self.last, int(times[-1]))
+
+    def flush(self) -> None:
+        """Put everything written so far on disk as a finished chunk."""
+        self._writer.flush()
+
+    def close(self) -> None:
+        """Write index and metadata, and give the bag its name."""
+        if self._stream is None:
+            return
+        try:
+            metadata = self._metadata()
+            self._writer.add_metadata("rosbag2", {"serialized_metadata": _yaml(metadata)})
+            self._writer.finish()
+            self._stream.flush()
+            os.fsync(self._stream.fileno())
+            self._stream.close()
+            self._stream = None
+            if not self.single:
+                (self.temporary / "metadata.yaml").write_text(
+                    _yaml({"rosbag2_bagfile_information": metadata}), encoding="utf-8")
+            self._take_the_name()
+        except OSError as problem:
+            raise InputError(f"{self.path}: cannot write bag: {problem.strerror}; what was "
+                             f"written is in {self.temporary}") from problem
+
+    def _take_the_name(self) -> None:
+        """Rename the finished bag; what was there goes only when the new one is in place."""
+        try:
+            check_bag_target(self.path, self.overwrite)  # again: it may have come meanwhile
+        except InputError as problem:
+            raise InputError(f"{problem}; the bag is left as {self.temporary}") from problem
+        if not os.path.lexists(self.path):
+            self.temporary.rename(self.path)
+            return
+        old = self.temporary.with_name(self.temporary.name + ".old")
+        self.path.rename(old)
+        try:
+            self.temporary.rename(self.path)
+        except OSError:
+            old.rename(self.path)
+            raise
+        self._remove(old)
+
+    def abort(self) -> None:
+        """Stop without index and name; the temporary file keeps what was written."""
+        stream, self._stream = self._stream, None
+        if stream is not None:
+            try:
+                self._writer.flush()
+            finally:
+                stream.close()
+
+    def discard(self) -> None:
+        """Stop and remove what was written."""
+        stream, self._stream = self._stream, None
+        with contextlib.suppress(OSError):  # of a full disk: it is full of what goes now
+            if stream is not None:
+                stream.close()
+        with contextlib.suppress(OSError):
+            self._remove(self.temporary)
+
+    def __enter__(self) -> "BagWriter":
+        return self
+
+    def __exit__(self, kind, value, traceback) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.abort()
+
+    @staticmethod
+    def _remove(path: Path) -> None:
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
+
+    def _metadata(self) -> dict:
+        count = sum(self.counts.values())
+        start = {"nanoseconds_since_epoch": self.first if count else 0}
+        duration = {"nanoseconds": max(0, self.last - self.first) if count else 0}
+        name = self.path.name if self.single else f"{self.path.name}_0.mcap"
+        return {
+            "version": 9, "storage_identifier": "mcap", "duration": duration,
+            "starting_time": start, "message_count": count,
+            "topics_with_message_count": [
+                {"topic_metadata": self._declared[topic], "message_count": number}
+                for topic, number in self.counts.items()],
+            "compression_format": "", "compression_mode": "",
+            "relative_file_paths": [name],
+            "files": [{"path": name, "starting_time": start, "duration": duration,
+                       "message_count": count}],
+            "custom_data": None, "ros_distro": self.distro}
+
+
+def _yaml(tree) -> str:
+    from ruamel.yaml import YAML
+
+    yaml, text = YAML(typ="safe"), StringIO()
+    yaml.default_flow_style = False
+    yaml.representer.ignore_aliases = lambda data: True
+    yaml.dump(tree, text)
+    return text.getvalue()
