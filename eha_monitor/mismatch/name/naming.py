@@ -115,7 +115,8 @@ def beyond_form(experiment: Experiment, before: Fit, after: Fit, needs: Unknowns
         return 0.0
     small = limits_of(experiment)[0].as_array()
     needed, still = (level.as_array() / small for level in (before.unknowns, needs))
-    least = np.maximum(FORM_LEAST, FORM_SHARE * (needed - still))
+    taken = needed - still if after.named else 0.0 * still
+    least = np.maximum(FORM_LEAST, FORM_SHARE * taken)
     if experiment.mode == FORCED:  # the noise of what measures the force acts like a force
         least[0] = max(least[0], experiment.input_noise / small[0])
     elif experiment.mode == OPEN:  # and that of a measured pump speed like a flow
