@@ -16,7 +16,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from record import add_option, spread, write
+import record
 
 COMMANDS = ("simulate", "estimate", "diagnose", "record")
 MEASURES = ("eha_monitor/recordings", "eha_monitor/filters", "eha_monitor/mismatch",
@@ -33,7 +33,7 @@ def main() -> None:
     options.add_argument("--commands", nargs="+", choices=COMMANDS, default=list(COMMANDS))
     options.add_argument("--folder", type=Path, help="of the bags; 0.5 GB for an hour")
     options.add_argument("--write", nargs=2, metavar=("MINUTES", "BAG"), help=argparse.SUPPRESS)
-    add_option(options)
+    record.add_option(options)
     asked = options.parse_args()
     if asked.write:
         write_messages(int(asked.write[0]), Path(asked.write[1]))
@@ -44,9 +44,9 @@ def main() -> None:
         for minutes in asked.minutes:
             figures |= measured(minutes, asked.commands, Path(place))
     if asked.record:
-        figures["asked_mb"] = spread(ASKED_MB, "MB")
-        figures |= {f"asked_{name}": spread(value, "s") for name, value in ASKED.items()}
-        write("long", figures, MEASURES, held_by="commit")
+        figures["asked_mb"] = record.spread(ASKED_MB, "MB")
+        figures |= {f"asked_{name}": record.spread(value, "s") for name, value in ASKED.items()}
+        record.write("long", figures, MEASURES, held_by="commit")
 
 
 def measured(minutes: int, commands: list[str], place: Path) -> dict[str, dict]:
@@ -67,8 +67,8 @@ def measured(minutes: int, commands: list[str], place: Path) -> dict[str, dict]:
         if name in commands:
             print(f"{name:9s} {minutes:3d} min  {processor:6.1f} s of processor  {peak:5.0f} MB",
                   flush=True)
-            figures[f"{name}_s_{minutes}"] = spread(processor, "s")
-            figures[f"{name}_mb_{minutes}"] = spread(peak, "MB")
+            figures[f"{name}_s_{minutes}"] = record.spread(processor, "s")
+            figures[f"{name}_mb_{minutes}"] = record.spread(peak, "MB")
     return figures
 
 
