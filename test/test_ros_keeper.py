@@ -46,7 +46,7 @@ def test_reset_begins_the_estimators_anew(graph):
     sender.send(0, 100)
     graph.until(lambda: len(estimator.rows) == 100)
     answer = Caller(graph).trigger("/eha/monitor/reset")
-    assert answer.success and "begin anew" in answer.message
+    assert answer.success and "estimators reset" in answer.message
     assert estimator.resets == ["asked for by the service monitor/reset"]
     sender.send(100, 100)
     graph.until(lambda: len(estimator.rows) == 200)

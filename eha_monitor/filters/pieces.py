@@ -28,7 +28,7 @@ def time_of(recording: Recording) -> np.ndarray:
     made = Table()
     for start, stop in columns.pieces(len(recording)):
         made.append((np.arange(start, stop) * recording.sample_time)[None, :])
-    return made.values()[0]
+    return made.only()
 
 
 def inputs_of(recording: Recording, settings: Settings,

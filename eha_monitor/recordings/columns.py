@@ -176,13 +176,17 @@ class Table:
             return list(self._first[0])
         return [column.values() for column in self._columns]
 
+    def only(self) -> np.ndarray:
+        """Return the one column, (rows,); empty where nothing was appended."""
+        return self.values()[0] if self.rows else np.empty(0)
+
 
 def mapped(function: Callable[..., np.ndarray], *columns: np.ndarray) -> np.ndarray:
     """Return what a function that takes row by row makes of columns, (n,)."""
     made = Table()
     for _, _, rows in blocks(*columns):
         made.append(function(*rows)[None, :])
-    return made.values()[0] if made.rows else np.empty(0)
+    return made.only()
 
 
 def steps_to(rows: int, starts: list[int], values: list[float]) -> np.ndarray:
@@ -193,7 +197,7 @@ def steps_to(rows: int, starts: list[int], values: list[float]) -> np.ndarray:
         for start, value in zip(starts[1:], values[1:], strict=True):
             block[max(start - first, 0):] = value
         made.append(block[None, :])
-    return made.values()[0]
+    return made.only()
 
 
 def first_where(test: Callable[..., np.ndarray], *columns: np.ndarray) -> int | None:

@@ -28,12 +28,15 @@ class ChannelWriter:
     channels : those that are going to be written.
     sample_time : s.
     namespace : of the topics.
+    limited : what no sensor could show is refused; a :class:`Recording` refused it when it was
+        made.
     """
 
     def __init__(self, path: str | Path, channels: tuple[str, ...], sample_time: float,
                  namespace: str, *, compression: str = "zstd", overwrite: bool = False,
-                 start_ns: int = 0):
+                 start_ns: int = 0, limited: bool = True):
         self.channels, self.sample_time, self.namespace = channels, sample_time, namespace
+        self._limited = limited
         self.start_ns, self.rows = start_ns, 0
         none = messages_of({name: np.empty(0) for name in channels}, np.empty(0, np.int64),
                            namespace)
@@ -53,8 +56,9 @@ class ChannelWriter:
         """
         rows = len(next(iter(channels.values())))
         time = np.arange(self.rows, self.rows + rows) * self.sample_time
-        channels = {name: within_limits(name, channels[name], time, str(self._path))[0]
-                    for name in self.channels}
+        if self._limited:
+            channels = {name: within_limits(name, channels[name], time, str(self._path))[0]
+                        for name in self.channels}
         for first in range(0, rows, ROWS):
             part = {name: channels[name][first:first + ROWS] for name in self.channels}
             count = min(ROWS, rows - first)
@@ -108,7 +112,8 @@ def write_recording(path: str | Path, recording: Recording | dict[str, np.ndarra
     names = tuple(name for name, values in recording.channels.items()
                   if any_of((values,), np.isfinite))
     with ChannelWriter(path, names, recording.sample_time, settings.monitor.namespace,
-                       compression=compression, overwrite=overwrite, start_ns=start) as writer:
+                       compression=compression, overwrite=overwrite, start_ns=start,
+                       limited=False) as writer:
         for first in range(0, len(recording), ROWS):
             writer.write({name: recording.channels[name][first:first + ROWS] for name in names})
             let_go(*recording.channels.values())

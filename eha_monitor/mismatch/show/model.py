@@ -20,7 +20,7 @@ BLOCK = 0.5  # s
 INVERSE_BLOCK = 10  # compared samples of the balances, a second
 TWICE = (("area_1", "area_2"), ("volume_1", "volume_2"))
 ALIKE = 0.99  # correlation of their errors where both are the same number
-COARSE = 0.2  # times the noise: a step of 0.7 of it.  Half of it is any encoder's, and no news
+COARSE = 0.5  # times the configured noise: rounding that makes it a tenth larger is worth a name
 NOTABLE = 0.02  # relative change of a health parameter that is worth a sentence
 HEALTH_WORDS = {"B": "B", "beta_e": "the effective bulk modulus"}
 
