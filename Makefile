@@ -13,7 +13,7 @@ INSTALLED := setup.py setup.cfg pyproject.toml package.xml $(shell find eha_moni
 TRIALS := benchmarks/wrong_inputs.py benchmarks/newcomer.py benchmarks/command_hold.py
 
 # What the benchmarks write their figures with.
-RECORDS := benchmarks/record.py benchmarks/tables.py
+RECORDS := benchmarks/record.py benchmarks/tables.py benchmarks/proof_figures.py
 
 # ROS traffic stays on this machine, in a domain of its own, and logs stay in out/.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST

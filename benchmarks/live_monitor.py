@@ -7,10 +7,13 @@ another core publishes the inputs as serialised messages with the stamp of the m
 loopback.  First, in the same run and on the same core, the reference: a node with the same four
 subscriptions and empty callbacks on an EventsExecutor, fed in the same way, and two plain filterpy
 filters (of three and of four states), predicted and updated once a row.  The monitor's share of
-the core is given as a ratio to the reference's, each for one actuator.  Shares are those of the
-whole process while messages come.  Latency is from a row's stamp to the publication of the first
-estimates that know of it, over the last minute: a run of 70 s leaves out the beginning, when a
-row waits for the 256 from which the noise is first measured.
+the core is given as a ratio to the reference's, each for one actuator.  So is what the middleware
+alone takes: the same subscriptions in a process that sleeps and takes nothing, below which no
+subscriber can be.  Shares are those of the whole process while messages come.
+
+Latency is from a row's stamp to the publication of the first estimates that know of it, over the
+last minute: a run of 70 s leaves out the beginning, when a row waits for the 256 from which the
+noise is first measured.
 """
 
 import argparse
@@ -41,10 +44,11 @@ def main() -> int:
     options.add_argument("--rate", type=float, default=10.0, metavar="HZ",
                          help="monitor.publish_rate")
     record.add_option(options)
-    options.add_argument("--reference", action="store_true", help=argparse.SUPPRESS)
+    options.add_argument("--reference", choices=("callbacks", "middleware"),
+                         help=argparse.SUPPRESS)
     given = options.parse_args()
     if given.reference:
-        reference_node()
+        reference_node(takes=given.reference == "callbacks")
         return 0
     cores = sorted(os.sched_getaffinity(0))
     if len(cores) < 2:
@@ -59,7 +63,8 @@ def main() -> int:
             "PYTHONPATH": str(many.REPOSITORY), "OPENBLAS_NUM_THREADS": "1"})
         config = Path(folder) / "config.yaml"
         config.write_text(f"monitor: {{publish_rate: {given.rate}}}\n")
-        callbacks = measure_reference(given.duration, cores)
+        callbacks = measure_reference("callbacks", given.duration, cores)
+        middleware = measure_reference("middleware", given.duration, cores)
         os.sched_setaffinity(0, {cores[0]})
         costs = [record.plain_filterpy_cost(states) for states in (3, 4)]
         filters = 1000 * sum(costs)
@@ -68,6 +73,8 @@ def main() -> int:
         print(f"reference, one actuator: {100 * reference:.1f} % of a core: empty callbacks "
               f"{100 * callbacks:.1f} %, two plain filterpy filters {100 * filters:.1f} % "
               f"({1 / costs[0]:.0f} steps of three states a second)", flush=True)
+        print(f"the middleware alone, nothing taken: {100 * middleware:.1f} % of a core, a ratio "
+              f"of {middleware / reference:.3f}")
         bound = 1e3 / given.rate + MARGIN_MS
         print(f"asked: a ratio of {TARGET} at most, p99 of {bound:.0f} ms at most, nothing lost")
         print(f"{'actuators':>9} {'rows':>8} {'lost':>6} {'missing':>8} {'p50 ms':>8} "
@@ -80,6 +87,8 @@ def main() -> int:
     if given.record:
         record.write("live", figures | {
             "callbacks": record.spread(100 * callbacks, "% of a core"),
+            "middleware": record.spread(100 * middleware, "% of a core"),
+            "floor": record.spread(middleware / reference),
             "filters": record.spread(100 * filters, "% of a core"),
             "bound": record.spread(bound, "ms"), "asked": record.spread(TARGET)},
             MEASURED, held_by="commit")
@@ -132,17 +141,17 @@ def measure(count: int, duration: float, config: Path, cores: list[int],
             "most": late[2], "share": 100 * share, "ratio": share / count / reference}
 
 
-def measure_reference(duration: float, cores: list[int]) -> float:
-    """Return the share of a core that empty callbacks of one actuator's topics take."""
-    node = many.start(cores[0], __file__, "--reference")
+def measure_reference(what: str, duration: float, cores: list[int]) -> float:
+    """Return the share of a core of one actuator's topics, with empty callbacks or alone."""
+    node = many.start(cores[0], __file__, "--reference", what)
     try:
         return fed(node, 1, duration, cores[1])[0]
     finally:
         many.end(node)
 
 
-def reference_node() -> None:
-    """Spin a node with one actuator's subscriptions and empty callbacks, until killed."""
+def reference_node(takes: bool) -> None:
+    """Hold one actuator's subscriptions until killed, and spin them if ``takes``."""
     import rclpy
     from rclpy.experimental import EventsExecutor
     from sensor_msgs.msg import FluidPressure, JointState
@@ -156,9 +165,13 @@ def reference_node() -> None:
                         (FluidPressure, "pressure/chamber_2")):
         node.create_subscription(kind, topic, lambda message: None, INPUT_QOS)
     executor = EventsExecutor()
-    executor.add_node(node)
+    if takes:
+        executor.add_node(node)
     while rclpy.ok():
-        executor.spin_once(timeout_sec=1.0)
+        if takes:
+            executor.spin_once(timeout_sec=1.0)
+        else:
+            time.sleep(1.0)
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ in units of both standard deviations together.  EMPS has one record here, which 
 The recordings state no licence, so they stay where they are; without them this says so and ends.
 """
 
+import itertools
 import math
 import sys
 from collections.abc import Iterator
@@ -74,6 +75,18 @@ def named(found: Diagnosis) -> str:
     return f"{found.verdict}: {', '.join(names) or '-'}"
 
 
+def agree(one: Diagnosis, other: Diagnosis) -> bool:
+    """Tell whether two answers name the same, or what either says it cannot tell apart."""
+    def classes(found: Diagnosis) -> list[set[str]]:
+        return [{effect.name, *effect.indistinguishable_from} for effect in found.effects] + [
+            {f"rig.{finding.key}", *finding.indistinguishable_from} for finding in found.rig_data]
+
+    mine, theirs = classes(one), classes(other)
+    return one.verdict == other.verdict and len(mine) == len(theirs) and any(
+        all(first & second for first, second in zip(mine, order, strict=True))
+        for order in itertools.permutations(theirs))
+
+
 def main() -> None:
     """Print the table."""
     options = options_of(__doc__.splitlines()[0])
@@ -84,7 +97,7 @@ def main() -> None:
     for head in ("record", "named on the others", "named on it alone", "error left on it",
                  "differ, in deviations"):
         table.add_column(head)
-    same = records = within = sizes = 0
+    same = alike = records = within = sizes = 0
     for rig in (rig for rig in RECORDS if options.only in ("", rig)):
         settings = load_settings(ROOT / "config" / f"{rig}.yaml")
         every = records_of(rig, options.data, settings)
@@ -97,12 +110,14 @@ def main() -> None:
                 table.add_row(Path(record.source).stem, str(error), "", "", "")
                 continue
             gaps = list(compared(others, alone))
+            alike += agree(others, alone)
             records, same = records + 1, same + (named(others) == named(alone))
             sizes, within = sizes + len(gaps), within + sum(abs(gap) <= 2.0 for _, gap in gaps)
             table.add_row(Path(record.source).stem, named(others), named(alone), left(others),
                           ", ".join(f"{name} {gap:+.1f}" for name, gap in gaps))
     Console(width=190).print(table)
-    print(f"names the same: {same} of {records}; sizes within 2 deviations: {within} of {sizes}")
+    print(f"names the same: {same} of {records}, with what is not told apart: {alike}; sizes "
+          f"within 2 deviations: {within} of {sizes}")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """`import` and `diagnose` on the real recordings in ../shared/data, with the configs of config/.
 
-    python benchmarks/real_diagnosis.py [--data ../shared/data] [--only emps]
+    python benchmarks/real_diagnosis.py [--data ../shared/data] [--only emps] [--record]
 
 The recordings state no licence, so they stay where they are; without them this says so and ends.
 """
@@ -13,6 +13,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import record
 from rich.console import Console
 from rich.table import Table
 
@@ -106,6 +107,7 @@ def options_of(description: str) -> argparse.Namespace | None:
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
     parser.add_argument("--only", default="", help="config whose recordings are run")
+    record.add_option(parser)
     options = parser.parse_args()
     if options.data.is_dir():
         return options
@@ -123,13 +125,22 @@ def main() -> None:
                  "% of the force", "s"):
         table.add_column(head)
     chosen = [case for case in CASES if options.only in ("", case[0])]
+    kept = []
     with tempfile.TemporaryDirectory() as folder:
         for i, (config, files, expected) in enumerate(chosen, 1):
             name = " + ".join(Path(file).stem for file in files)
             row = row_of(config, files, options.data, Path(folder))
             print(f"{i}/{len(chosen)} {name}: {row[0]}, {row[-1]} s", file=sys.stderr, flush=True)
             table.add_row(name, expected, *row)
+            verdict, names, reached_, left, *_ = row
+            kept.append({"what": f"{config}: {name}", "published": expected, "found": "; ".join(
+                filter(None, (f"{verdict}: {names}" if names else verdict, reached_,
+                              f"force left {left} N" if left else "")))})
     Console(width=190).print(table)
+    if options.record:
+        record.write("real_diagnosis", {"rows": kept}, (
+            "eha_monitor/mismatch", "eha_monitor/filters", "eha_monitor/physics"),
+            held_by="commit")
 
 
 if __name__ == "__main__":

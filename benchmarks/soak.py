@@ -1,6 +1,6 @@
 """The live monitor under faults of its inputs: each must be named, and pass without harm.
 
-    python benchmarks/soak.py --minutes 10 --seed 0
+    python benchmarks/soak.py --minutes 10 --seed 0 [--record]
 
 A publisher process sends the simulated actuator at 1 kHz on the four input topics; now and then
 one of the faults below lasts some seconds, with at least 12 s of calm after it.  The monitor is
@@ -26,6 +26,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import record
 
 REPOSITORY = Path(__file__).parents[1]
 sys.path.insert(0, str(REPOSITORY))
@@ -98,6 +99,7 @@ def main() -> int:
     options.add_argument("--seed", type=int, default=0)
     options.add_argument("--kinds", nargs="+", choices=list(WORDS), default=list(WORDS))
     options.add_argument("--log", type=Path, help="write what was seen to a JSON file")
+    record.add_option(options)
     given = options.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         os.environ.update({
@@ -109,7 +111,11 @@ def main() -> int:
         given.log.write_text(json.dumps({"faults": [vars(f) for f in faults], **vars(seen)}))
     print(f"{given.minutes:g} min, seed {given.seed}, load {os.getloadavg()[1]:.1f} on "
           f"{os.cpu_count()} cores")
-    return report(faults, seen, status, said)
+    missed, figures = report(faults, seen, status, said)
+    if given.record:
+        record.write("soak", figures, ("eha_monitor/filters", "eha_monitor/health",
+                                       "eha_monitor/ros"), held_by="commit")
+    return int(missed)
 
 
 def soak(duration: float, seed: int, kinds: list[str]
@@ -200,8 +206,9 @@ def resident(pid: int) -> float:
     return int(found[1]) / 1024 if found else np.nan
 
 
-def report(faults: list[Fault], seen: Seen, status: int | None, said: str) -> int:
-    """Print the table; return 1 if a demand is missed."""
+def report(faults: list[Fault], seen: Seen, status: int | None, said: str
+           ) -> tuple[bool, dict[str, dict]]:
+    """Print the table; return whether a demand is missed, and the figures to record."""
     print(f"{'fault':<13} {'times':>5} {'named s':>8} {'recovered s':>12} {'cleared s':>10} "
           f"{'ERRORs':>7}")
     missed, rows = [], {}
@@ -238,7 +245,17 @@ def report(faults: list[Fault], seen: Seen, status: int | None, said: str) -> in
         missed.append(f"the monitor ended with {status}")
     for line in missed:
         print("MISSED", line)
-    return int(bool(missed))
+    every = np.array([one for found in rows.values() for one in found], float).reshape(-1, 4)
+    share = re.search(r"CPU share ([\d.]+) %", said)
+    figures = {
+        "faults": (len(every),), "named": (np.sum(every[:, 0] <= NAMED_S),),
+        "longest_to_name": (every[:, 0].max(), "s"),
+        "longest_to_recover": (every[:, 1].max(), "s"),
+        "errors": (every[:, 3].sum(),),
+        "share": (float(share[1]) if share else np.nan, "% of a core"),
+        "memory": (memory[later].mean(), "MB"), "memory_slope": (slope, "MB/min"),
+        "memory_slope_asked": (SLOPE, "MB/min"), "load": (os.getloadavg()[1],)}
+    return bool(missed), {name: record.spread(*one) for name, one in figures.items()}
 
 
 def named_after(fault: Fault, seen: Seen, until: float) -> tuple[float, float]:

@@ -203,4 +203,5 @@ SIGNATURES = (
     ("concealed.plant", "bristle_stiffness", (
         float64[::1],
     )),
+    ("physics.own_term", "expressed", (float64[::1], float64[::1])),
 )

@@ -192,6 +192,10 @@ CHARGE = RigFinding(
 MASS = RigFinding(
     "mass", 20.0, Value(25.1, 0.2, "kg"), 0.71,
     "mass: the config says 20 kg, the recording 25.10 ± 0.20 kg", ("added_mass",))
+PUMP = RigFinding(
+    "pump_displacement", 1.69e-7, Value(1.643e-7, 8e-10, "m³/rad"), float("nan"),
+    "pump_displacement: the config says 0.169 cm³/rad, the recording 0.1643 ± 0.0008 cm³/rad, "
+    "within its tolerance")
 
 
 def wrong_number() -> Diagnosis:
@@ -220,7 +224,8 @@ def everything() -> Diagnosis:
     time = Curve("force", "time", "s", "N", t, pushed + rng.normal(0.0, 6.0, t.size),
                  np.full(t.size, 6.0), pushed)
     return replace(
-        two, effects=(load, *two.effects), rig_data=(CHARGE, MASS), curves=(*two.curves, time),
+        two, effects=(load, *two.effects), rig_data=(CHARGE, MASS), rig_within=(PUMP,),
+        curves=(*two.curves, time),
         message="; ".join([CHARGE.statement, MASS.statement, load.statement,
                            *(effect.statement for effect in two.effects)]),
         probability={"consistent": 0.0, "unexplained": 0.06})

@@ -114,7 +114,7 @@ def test_what_no_motion_separates_is_a_check_at_the_rig(hiding):
 
 def test_words_say_what_how_much_and_what_next(advised):
     text = "\n".join(advise.sentences(advised))
-    assert "B and Coulomb friction cannot be told apart from the plateaus" in text
+    assert "B and Coulomb friction are indistinguishable at constant speed" in text
     assert "correlation 1.000" in text
     assert "N·s/m" in text
     assert "record also" in text and "log units" in text

@@ -178,7 +178,7 @@ def test_json_is_the_contract(name):
     assert isinstance(tree["advice"], list)
     assert set(tree["probability"]) == {"consistent", "unexplained"}
     assert tree["threshold"]["calibrated"] is False
-    for finding in tree["rig_data"]:
+    for finding in (*tree["rig_data"], *tree["rig_within"]):
         assert set(finding) == {"key", "configured", "found", "probability", "statement",
                                 "indistinguishable_from"}
         assert set(finding["found"]) == {"value", "stddev", "unit"}
@@ -237,7 +237,8 @@ def test_nothing_is_certain_in_per_cent():
 def test_a_wrong_number_of_the_rig_is_read_first(capsys):
     html = page_of(everything())
     page = Page(html)
-    assert {"wrong-numbers", "rig-numbers", "verdict", "effect-intermittent_load"} <= page.ids
+    assert {"wrong-numbers", "rig-numbers", "rig-within", "verdict",
+            "effect-intermittent_load"} <= page.ids
     assert html.index('id="wrong-numbers"') < html.index('id="verdict"')
     for words in (f"{CHARGE.statement} (99 %)", f"{MASS.statement} (71 %)",
                   "In this recording mass cannot be told from added mass",

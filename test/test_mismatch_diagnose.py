@@ -11,13 +11,13 @@ from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnose import (
     diagnose,
     gained_under,
-    rig_findings,
     verdict_of,
     worse,
 )
 from eha_monitor.mismatch.diagnosis import VERDICTS, Diagnosis, SignalFit
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.nominal import nominal
+from eha_monitor.mismatch.show.rig_numbers import rig_findings
 
 DRY = {"coulomb_friction", "presliding_friction", "stribeck_friction", "pressure_friction",
        "asymmetric_friction"}
@@ -46,6 +46,7 @@ def test_clean_record_is_consistent():
                            progress=lambda text, share: told.append((text, share))))
     assert found.verdict == "consistent" and found.effects == () and found.config_effects == {}
     assert found.rig_data == () and found.probability["consistent"] > 0.5
+    assert found.rig_within == ()
     assert found.after["B"].value == pytest.approx(600.0, rel=0.02)
     assert found.after["beta_e"].value == pytest.approx(6e8, rel=0.02)
     assert found.health == ()
@@ -139,6 +140,16 @@ def test_what_is_within_a_number_s_tolerance_is_no_mismatch():
     """A mass 5 % off: as well as an engineer knows it."""
     found = sound(diagnosed(nominal={"M": 21.0}))
     assert found.verdict == "consistent" and found.effects == () and found.rig_data == ()
+
+
+def test_what_the_recording_knows_better_within_the_tolerance_is_told():
+    """A pump that delivers 2.5 % less, its displacement known to 3 %: no mismatch, but news."""
+    found = sound(diagnosed(rig={"D_p": 0.975 * 1.69e-7}, nominal={"D_p": 1.69e-7}))
+    assert found.verdict == "consistent" and found.rig_data == ()
+    (finding,) = [one for one in found.rig_within if one.key == "pump_displacement"]
+    assert finding.configured == 1.69e-7
+    assert abs(finding.found.value - 0.975 * 1.69e-7) < 3.0 * finding.found.stddev
+    assert finding.statement.endswith("within its tolerance")
 
 
 def test_standstill_is_insufficient_data():

@@ -34,11 +34,12 @@ from eha_monitor.mismatch.name.refit import (
 )
 from eha_monitor.mismatch.name.seen import Seen, counted, posterior
 from eha_monitor.mismatch.name.select import (
-    elsewhere,
+    far_off,
     lacks,
     lesser,
     nominal_model,
     resolved_nominal,
+    unbent,
     with_rig,
     without_each,
 )
@@ -279,7 +280,25 @@ def test_a_number_known_to_a_factor_is_tried_far_off_only_where_something_is_lac
     clean = fitted()
     seen = Seen()
     seen.add(clean.experiment, frozenset(), clean.before)
-    assert not list(elsewhere(clean.experiment, clean.before, seen))
+    assert far_off(clean.experiment, clean.before, seen) is None
+    assert unbent(clean.experiment, clean.before, seen) is None
+
+
+def test_the_config_s_own_place_is_looked_at_where_friction_has_bent_the_first_fit():
+    rubbing = fitted("coulomb_friction")
+    seen = Seen()
+    seen.add(rubbing.experiment, frozenset(), rubbing.before)
+    start = unbent(rubbing.experiment, rubbing.before, seen)
+    assert start is not None and start.value("B") < rubbing.before.value("B")
+    assert start.value("B") == rubbing.experiment.theta[next(
+        f.place for f in start.free if f.name == "B")]
+
+
+def test_a_rival_that_is_far_behind_is_not_carried_further():
+    rubbing = fitted("coulomb_friction")
+    whole = settled(rubbing.experiment, rubbing.before)
+    cut = settled(rubbing.experiment, rubbing.before, worth=np.inf)
+    assert cut.log_likelihood <= whole.log_likelihood and np.isfinite(cut.log_likelihood)
 
 
 # ---- probabilities ------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from test_physics_effects import VALUES, contributions, signal_row
 from eha_monitor.filters.known import speaks_of
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import (
+    N_EFFECTS,
     N_THETA,
     add_contributions,
     new_memory,
@@ -114,8 +115,8 @@ def test_only_friction_remembers_a_place_and_families_are_of_one_balance():
 
 def test_what_changes_the_pump_and_remembers_is_a_resonance():
     """Stage two follows the pump without memory; a line's is a state of its own."""
-    remembering = {NAMES[i] for i in with_update(np.ones(len(NAMES), dtype=np.bool_))}
-    assert {name for name in remembering if speaks_of(name, "SPEED")} == {
+    remembering = with_update(np.ones(N_EFFECTS, dtype=np.bool_))
+    assert {NAMES[i] for i in remembering if speaks_of(i, np.zeros(N_THETA), "SPEED")} == {
         name for name, effect in CATALOGUE.items() if effect.resonant}
 
 

@@ -36,6 +36,15 @@ def said(*effects, after=None) -> dict:
 
 # McMaster.
 
+def test_a_wrong_leakage_of_the_config_is_the_same_equation_as_more_leakage():
+    answer = said() | {"rig_data": [{"key": "leakage", "found": {"value": 9.6e-12,
+                                                                 "stddev": 2e-14}}]}
+    assert mcmaster.leakage(answer, 2.5e-13) == {"value": 4.8e-12, "stddev": 1e-14}
+    named = said(("cross_port_leakage", (), {"L": 4.5e-12}))
+    assert mcmaster.leakage(named, 2.5e-13)["value"] == 4.5e-12 + 2.5e-13
+    assert mcmaster.leakage(said(), 2.5e-13) is None
+
+
 def test_published_leakage_is_the_configs_and_the_concealed_one_together():
     for state, (leak, offset, _, a_2, _) in MCMASTER.items():
         case = mcmaster_case(state)

@@ -3,6 +3,7 @@
 import math
 import time
 
+import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.parameter import Parameter
@@ -12,6 +13,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float32, Float64
 
 from eha_monitor.errors import InputError
+from eha_monitor.filters.rows import Rows
 from eha_monitor.ros import messages
 from eha_monitor.ros.inputs import topics_of
 from eha_monitor.ros.monitor_node import Monitor
@@ -224,3 +226,14 @@ def test_thresholds_change_at_run_time_and_bad_ones_are_refused(graph):
 
 def test_late_joiners_match_the_latched_topic():
     assert LATCHED.durability == DurabilityPolicy.TRANSIENT_LOCAL and LATCHED.depth == 1
+
+
+def test_what_a_turn_brings_is_one_piece_so_that_estimates_know_of_all(graph):
+    """Judged in the middle of a turn, its second half was published a period later."""
+    monitor, estimator, _ = start(graph)
+    told = []
+    monitor._judge = lambda: told.append(len(estimator.rows))
+    monitor._judged_ns = 80 * MS
+    stamps = np.arange(135, 235) * MS
+    monitor._take(Rows(stamps, {"x": np.zeros(100)}, np.zeros(100)))
+    assert told == [100]

@@ -20,6 +20,7 @@ from eha_monitor.settings.corrected import corrected, rounded
 from eha_monitor.settings.document import annotated
 from eha_monitor.settings.load import settings_from_tree
 from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.own_terms import is_own
 from eha_monitor.units import LARGEST
 
 SCHEMA = "eha_monitor/diagnosis/1"
@@ -42,6 +43,7 @@ def answer(found: Diagnosis) -> dict:
         "probability": {key: found.probability.get(key)
                         for key in ("consistent", "unexplained")},
         "rig_data": [asdict(finding) for finding in found.rig_data],
+        "rig_within": [asdict(finding) for finding in found.rig_within],
         "location": {"balance": found.location.balance, "regime": found.location.regime,
                      "intervals_s": found.location.intervals_s},
         "effects": [_effect(effect) for effect in found.effects],
@@ -161,9 +163,9 @@ def _corrected_numbers(found: Diagnosis, settings: Settings, rig: dict, missing:
 
 def _named_physics(found: Diagnosis, tree: dict, missing: list[str]) -> list[str]:
     """Put the named effects into the tree; return what was changed, in words."""
-    tree["effects"] = {name: {key: rounded(value) for key, value in values.items()
-                              if math.isfinite(value)}
-                       for name, values in found.config_effects.items() if name in CATALOGUE}
+    tree["effects"] = {name: values if is_own(values) else {
+        key: rounded(value) for key, value in values.items() if math.isfinite(value)}
+        for name, values in found.config_effects.items() if name in CATALOGUE or is_own(values)}
     for effect in found.effects:
         if effect.name not in CATALOGUE:
             sizes = ", ".join(f"{name} = {value_words(value)}"

@@ -60,6 +60,8 @@ def show(found: Diagnosis, written: list[Path], notes: list[str] = ()) -> None:
         console.print(_parameters(found))
     if found.signals:
         console.print(_fit(found))
+    for finding in found.rig_within:
+        console.print(f"[yellow]number of the rig[/]: {escape(finding.statement)}")
     for title, sentences in (("health", found.health), ("advice", found.advice),
                              ("note", notes)):
         for text in sentences:
@@ -85,7 +87,7 @@ def _table(*columns: str) -> Table:
 
 def _effects(found: Diagnosis) -> Table:
     table = _table("left out", "probability", "balance", "size", "parameters",
-                   "not told apart from")
+                   "indistinguishable from")
     for effect in found.effects:
         table.add_row(effect.name, probability(effect.probability), effect.balance,
                       escape(effect.size),

@@ -68,7 +68,7 @@ class RigModel:
         beta_0 = settings.stage_two.prior
         rig = settings.rig
         places = {kind: np.array([which for which in with_term(active)
-                                  if speaks_of(NAMES[which], *names)], dtype=np.int64)
+                                  if speaks_of(which, theta, *names)], dtype=np.int64)
                   for kind, names in (("force", ("FORCE",)), ("pump", ("SPEED",)),
                                       ("flows", FLOW_BALANCE))}
         # A line is part of stage two's own flow balance (:mod:`stage_two`).
@@ -81,7 +81,7 @@ class RigModel:
         circuit = circuit_of(theta, active)
         opened = opens_loop(circuit, places["pump"])
         # What a pump loses to pressure is better told by the stage's own force than by sensors.
-        by_force = np.array([speaks_of(NAMES[which], "P1", "P2")
+        by_force = np.array([speaks_of(which, theta, "P1", "P2")
                              for which in places["pump"]], dtype=bool)
         places["flows"] = np.union1d(places["flows"], places["pump"][by_force])
         places["pump"] = places["pump"][~by_force]

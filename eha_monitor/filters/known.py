@@ -16,9 +16,11 @@ from eha_monitor.physics.contributions import (
     N_EFFECTS,
     add_contributions,
     new_memory,
+    slot_of,
     update_memory,
 )
-from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.effects import CATALOGUE, NAMES
+from eha_monitor.physics.own_term import speaks
 from eha_monitor.physics.signals import (
     AREA_1,
     AREA_2,
@@ -53,9 +55,11 @@ def new_known_memory() -> np.ndarray:
     return np.vstack([memory, np.zeros((1, memory.shape[1]))])
 
 
-def speaks_of(effect: str, *contributions: str) -> bool:
-    """Tell whether an effect's term adds to one of these contributions, by their names."""
-    term = CATALOGUE[effect].term
+def speaks_of(which: int, theta: np.ndarray, *contributions: str) -> bool:
+    """Tell whether the term at a place adds to one of these contributions, by their names."""
+    if which >= len(NAMES):
+        return speaks(theta[slot_of(which)], *contributions)
+    term = CATALOGUE[NAMES[which]].term
     names = getattr(term, "py_func", term).__code__.co_names
     return any(name in names for name in contributions)
 

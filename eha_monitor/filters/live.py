@@ -35,7 +35,7 @@ from eha_monitor.physics import signals as s
 from eha_monitor.quantity import SYMBOLS, quantity
 from eha_monitor.settings.monitor import Settings
 
-LAG = 8  # rows that the hold looks ahead
+LAG = 6  # rows that the hold looks ahead: five for the instrument, one for its next sample
 CONTEXT = 16  # rows that it looks back
 NOISE_AGAIN_S = (1.0, 4.0, 10.0)  # after the start; then every 10 s
 # Of the position's variance (256 rows give it to 20 %): older innovations then say nothing.

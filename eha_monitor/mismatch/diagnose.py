@@ -42,10 +42,11 @@ from eha_monitor.mismatch.show.model import (
     stated_stddev,
     values_of,
 )
+from eha_monitor.mismatch.show.rig_numbers import rig_findings, rig_within
 from eha_monitor.mismatch.show.sizes import filtered_tracks, size_of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
-from eha_monitor.quantity import number, quantity, side_by_side
+from eha_monitor.quantity import number, quantity
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import listed
@@ -210,6 +211,7 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
     if naming.loads:
         effects = (*effects, intermittent(naming))
     wrong = rig_findings(experiment, naming)
+    within = () if by_equations else rig_within(experiment, naming)
     if verdict == "mismatch":  # what is less likely than not is no answer
         effects = tuple(effect for effect in effects if not effect.probability < LIKELY)
         wrong = tuple(finding for finding in wrong if not finding.probability < LIKELY)
@@ -241,10 +243,10 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
     known = values_of(experiment, before), values_of(experiment, after)
     parts = how.agreement(experiment, before, after)
     if verdict == "unexplained":
-        known = known[0], in_doubt(known[1], parts)
+        known, within = (known[0], in_doubt(known[1], parts)), ()
     return Diagnosis(
         bags, verdict, change_words(pieces) if pieces else message_of(
-            verdict, effects, where, explained, wrong), where, effects, *known,
+            verdict, effects, where, explained, wrong, within), where, effects, *known,
         "held_out_bag" if other_bag else "held_out", signals, curves,
         how.overlays(shown, before, after), considered_of(naming),
         parts,
@@ -253,22 +255,7 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         config_effects(experiment, after, tuple(effect.name for effect in effects)),
         duration_s=duration, wall_s=time.perf_counter() - started, pieces=pieces,
         probability={"consistent": naming.consistent, "unexplained": naming.unexplained},
-        rig_data=wrong)
-
-
-def rig_findings(experiment: Experiment, naming: Naming) -> tuple[RigFinding, ...]:
-    """Return the numbers of the rig that a recording contradicts, the most certain first."""
-    found = []
-    for key in naming.wrong:
-        name = f"rig.{key}"
-        unit = type(experiment.settings.rig).model_fields[key].json_schema_extra["unit"]
-        value = Value(naming.after.value(name), naming.after.stddev(name), unit)
-        configured = float(getattr(experiment.settings.rig, key))
-        one, other = side_by_side(configured, value.value, value.stddev, unit)
-        found.append(RigFinding(
-            key, configured, value, naming.probability.get(name, np.nan),
-            f"{key}: the config says {one}, the recording {other}", naming.rivals.get(name, ())))
-    return tuple(sorted(found, key=lambda finding: -finding.probability))
+        rig_data=wrong, rig_within=within)
 
 
 def named_effect(experiment: Experiment, naming: Naming, name: str, tracks: list[np.ndarray]
@@ -317,10 +304,13 @@ def rivals_of(experiment: Experiment, naming: Naming, name: str) -> tuple[str, .
 
 
 def message_of(verdict: str, effects: tuple[NamedEffect, ...], where: Location,
-               explained: float, wrong: tuple[RigFinding, ...] = ()) -> str:
+               explained: float, wrong: tuple[RigFinding, ...] = (),
+               within: tuple[RigFinding, ...] = ()) -> str:
     """Return the verdict in a sentence."""
     if verdict == "consistent":
-        return "the nominal model explains this recording down to the sensors' noise"
+        moved = (f", with {listed([one.key for one in within])} moved within the tolerance,"
+                 if within else "")
+        return f"the nominal model{moved} explains this recording down to the sensors' noise"
     if verdict == "mismatch":
         return "; ".join([*(finding.statement for finding in wrong),
                           *(effect.statement for effect in effects)])

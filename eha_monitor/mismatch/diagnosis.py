@@ -49,13 +49,13 @@ class NamedEffect:
 
 @dataclass(frozen=True)
 class RigFinding:
-    """A number of the rig that the recording contradicts by more than its tolerance.
+    """A number of the rig of which the recording says another value than the config.
 
     Attributes
     ----------
     key : of the config's ``rig``; ``configured`` its value there, SI.
     found : what the recording says, with its standard deviation, SI.
-    probability : that the number is wrong, 0 to 1.
+    probability : that it is wrong by more than its tolerance, 0 to 1; NaN where it is within.
     statement : one sentence with both numbers.
     indistinguishable_from : effects that would do the same on this very recording.
     """
@@ -190,6 +190,7 @@ class Diagnosis:
         hold in place of ``auto`` where the recordings tell it.
     probability : of ``consistent`` and of ``unexplained``, 0 to 1.
     rig_data : numbers of the rig that the recordings contradict.
+    rig_within : numbers of the rig that they know better than the config, within its tolerance.
     named_on : windows of long recordings on which the effects were named; empty where they were
         named on all of it.
     looked_s : of a long recording the models saw so many seconds; 0 where they saw all of it.
@@ -218,5 +219,6 @@ class Diagnosis:
     command_hold: str = "auto"
     probability: dict[str, float] = field(default_factory=dict)
     rig_data: tuple[RigFinding, ...] = ()
+    rig_within: tuple[RigFinding, ...] = ()
     named_on: tuple[Window, ...] = ()
     looked_s: float = 0.0

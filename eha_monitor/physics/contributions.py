@@ -6,16 +6,38 @@ import numpy as np
 
 from eha_monitor.compiled import njit
 from eha_monitor.physics.effect import no_circuit, no_term, no_update
-from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.effects import CATALOGUE, NAMES
+from eha_monitor.physics.own_term import OWN_NAMES, SLOTS, WIDTH, own_term
 from eha_monitor.physics.signals import LIMITS, MAX_MEMORY, MAX_PARAMETERS, N_BASE, N_CIRCUIT
 
-N_EFFECTS = len(CATALOGUE)
-N_THETA = N_BASE + N_EFFECTS * MAX_PARAMETERS
+ALL_NAMES = (*NAMES, *OWN_NAMES)  # in the order of their places
+N_EFFECTS = len(ALL_NAMES)
+FIRST_OWN = N_BASE + len(NAMES) * MAX_PARAMETERS  # place in theta of the rig's own terms
+N_THETA = FIRST_OWN + SLOTS * WIDTH
 _EFFECTS = tuple(CATALOGUE.values())
-_HAS_TERM = np.array([effect.term is not no_term for effect in _EFFECTS])
-_HAS_UPDATE = np.array([effect.update is not no_update for effect in _EFFECTS])
-_HAS_PLACE = np.array([effect.remembers_place for effect in _EFFECTS])
-_HAS_CIRCUIT = np.array([effect.circuit is not no_circuit for effect in _EFFECTS])
+_OWN = (False,) * SLOTS
+_HAS_TERM = np.array([*(effect.term is not no_term for effect in _EFFECTS), *(True,) * SLOTS])
+_HAS_UPDATE = np.array([*(effect.update is not no_update for effect in _EFFECTS), *_OWN])
+_HAS_PLACE = np.array([*(effect.remembers_place for effect in _EFFECTS), *_OWN])
+_HAS_CIRCUIT = np.array([*(effect.circuit is not no_circuit for effect in _EFFECTS), *_OWN])
+
+
+def slot_of(which: int) -> slice:
+    """Return the places in theta of an effect, or of one of the rig's own terms."""
+    if which < len(NAMES):
+        start = N_BASE + which * MAX_PARAMETERS
+        return slice(start, start + MAX_PARAMETERS)
+    start = FIRST_OWN + (which - len(NAMES)) * WIDTH
+    return slice(start, start + WIDTH)
+
+
+def effect_at(place: int) -> int:
+    """Return which effect or own term a place in theta belongs to; -1 the base parameters."""
+    if place < N_BASE:
+        return -1
+    if place < FIRST_OWN:
+        return (place - N_BASE) // MAX_PARAMETERS
+    return len(NAMES) + (place - FIRST_OWN) // WIDTH
 
 
 def _by_place(functions: list[Callable], wanted: np.ndarray, call: str, header: str) -> Callable:
@@ -32,15 +54,15 @@ def _by_place(functions: list[Callable], wanted: np.ndarray, call: str, header: 
     """
     lines = [f"def by_place({header}):", "    if which < 0:", "        pass"]
     for i in np.flatnonzero(wanted):
-        start = N_BASE + i * MAX_PARAMETERS
-        given = call.format(p=f"theta[{start}:{start + MAX_PARAMETERS}]", m=f"memory[{i}]")
+        own = slot_of(int(i))
+        given = call.format(p=f"theta[{own.start}:{own.stop}]", m=f"memory[{i}]")
         lines += [f"    elif which == {i}:", f"        function_{i}({given})"]
     names = {f"function_{i}": function for i, function in enumerate(functions)}
     exec(compile("\n".join(lines), "<catalogue>", "exec"), names)
     return njit(names["by_place"], cache=False, forceinline=True, allocates=False)
 
 
-_term = _by_place([e.term for e in _EFFECTS], _HAS_TERM, "s, {p}, {m}, c",
+_term = _by_place([*(e.term for e in _EFFECTS), *(own_term,) * SLOTS], _HAS_TERM, "s, {p}, {m}, c",
                   "which, s, theta, memory, c")
 _update = _by_place([e.update for e in _EFFECTS], _HAS_UPDATE, "s, {p}, h, {m}",
                     "which, s, theta, h, memory")
@@ -95,7 +117,8 @@ def add_contributions(s, theta, terms, memory, c):
     Parameters
     ----------
     s : (N_SIGNALS,) signals, SI.
-    theta : (N_THETA,) base parameters, then MAX_PARAMETERS places for each effect.
+    theta : (N_THETA,) base parameters, then MAX_PARAMETERS places for each effect, then WIDTH
+        for each own term of the rig.
     terms : places of the effects that add (:func:`with_term`).
     memory : (N_EFFECTS, MAX_MEMORY), read.
     c : (N_CONTRIBUTIONS,) written.

@@ -4,8 +4,9 @@ import numpy as np
 
 from eha_monitor.errors import InputError
 from eha_monitor.physics import signals
-from eha_monitor.physics.contributions import N_EFFECTS, N_THETA
+from eha_monitor.physics.contributions import N_EFFECTS, N_THETA, slot_of
 from eha_monitor.physics.effects import CATALOGUE, NAMES
+from eha_monitor.settings.own_terms import is_own, slot_for
 from eha_monitor.settings.rig import Rig
 
 # Place in theta <- key of the rig section.
@@ -18,14 +19,22 @@ BASE_KEYS = {
 }
 
 
-def theta_of(rig: Rig, effects: dict[str, dict[str, float]]) -> tuple[np.ndarray, np.ndarray]:
-    """Return ``theta`` (N_THETA,) and ``active`` (N_EFFECTS,) bool; null constants become NaN."""
+def theta_of(rig: Rig, effects: dict[str, dict]) -> tuple[np.ndarray, np.ndarray]:
+    """Return ``theta`` (N_THETA,) and ``active`` (N_EFFECTS,) bool; null constants become NaN.
+
+    Terms of the rig's own take the places after the catalogue's, in their order.
+    """
     theta = np.zeros(N_THETA)
     active = np.zeros(N_EFFECTS, dtype=np.bool_)
     for place, key in BASE_KEYS.items():
         value = getattr(rig, key)
         theta[place] = np.nan if value is None else value
+    own = iter(range(len(NAMES), N_EFFECTS))
     for name, values in effects.items():
+        if is_own(values):
+            which = next(own)
+            active[which], theta[slot_of(which)] = True, slot_for(values)
+            continue
         active[NAMES.index(name)] = True
         for p in CATALOGUE[name].parameters:
             # A limit that is not there stands at its bound: finite, a fault can start from it.
@@ -40,7 +49,7 @@ def place_of(parameter: str) -> int:
             return place
     effect, _, name = parameter.partition(".")
     names = [p.name for p in CATALOGUE[effect].parameters]
-    return signals.N_BASE + NAMES.index(effect) * signals.MAX_PARAMETERS + names.index(name)
+    return slot_of(NAMES.index(effect)).start + names.index(name)
 
 
 def effect_values(theta: np.ndarray, effect: str) -> dict[str, float]:

@@ -22,7 +22,7 @@ import numpy as np
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread, with_unknowns
 from eha_monitor.mismatch.name.acceptance import FORM_LEAST
-from eha_monitor.mismatch.name.base import limits_of, with_effect, without_effect
+from eha_monitor.mismatch.name.base import needs, with_effect, without_effect
 from eha_monitor.mismatch.name.columns import columns_at, effects_of, rig_free
 from eha_monitor.mismatch.name.nominal import nominal
 from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished
@@ -205,9 +205,8 @@ def told(rig: RigNumbers, first: Fit, known: dict[str, dict], truth: dict) -> Fi
 
 def leaves(experiment: Experiment, fit: Fit) -> bool:
     """Tell whether a model needs more unknowns than every right one may, or cannot be followed."""
-    small = limits_of(experiment)[0].as_array()
     return (experiment.inverse or not np.isfinite(fit.log_likelihood)
-            or bool((fit.unknowns.as_array() > FORM_LEAST * small).any()))
+            or needs(experiment, fit, FORM_LEAST))
 
 
 def instead(rig: RigNumbers, after: Fit, name: str, other: str, without: Fit) -> Fit:

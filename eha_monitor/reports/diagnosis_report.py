@@ -79,6 +79,7 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
         head=words.head_words(found),
         message=words.message_words(found, probable=True),
         wrong=[_rig(finding, settings.rig.tolerance) for finding in found.rig_data],
+        within=[_rig(finding, settings.rig.tolerance) for finding in found.rig_within],
         doubts=[f"In this recording {effect_words(effect.name)} cannot be told from "
                 f"{_rivals(effect.indistinguishable_from)}." for effect in found.effects
                 if effect.indistinguishable_from],
@@ -110,7 +111,7 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
 
 def _compared(found: Diagnosis) -> bool:
     """Tell whether there is a model after the one of the config."""
-    return bool(found.effects or found.rig_data or found.pieces)
+    return bool(found.effects or found.rig_data or found.rig_within or found.pieces)
 
 
 def _rig(finding: RigFinding, tolerance: Tolerance) -> dict[str, str]:

@@ -223,11 +223,11 @@ def certainty(found: Diagnosis) -> str:
     """Return what speaks for the other verdicts, and where a probability is from, as sentences."""
     rest = [f"{words}: {probability(found.probability[key])}" for key, words in
             (("consistent", "that nothing is missing"),
-             ("unexplained", "that something without a name is missing"))
+             ("unexplained", "that something unidentified is missing"))
             if math.isfinite(found.probability.get(key, math.nan))]
     if not rest:
         return ""
     return (f"Probability {'; '.join(rest)}. This and every probability here come from the "
-            "evidence of all sets of effects, wrong numbers of the rig and terms without a name "
-            "that were compared. What holds 5 % or more in the place of an answer is listed as "
-            "not told apart from it.")
+            "evidence of all sets of effects, wrong rig numbers and smooth unknown terms that "
+            "were compared. Whatever reaches 5 % in the place of an answer is listed as "
+            "indistinguishable from it.")

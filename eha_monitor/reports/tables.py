@@ -11,6 +11,7 @@ from pydantic import BaseModel
 from eha_monitor.filters.results import Estimate, JointResult, ParameterEstimate
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.own_term import ADDED_UNITS
 from eha_monitor.quantity import FLOOR, SYMBOLS, number, quantity, share
 from eha_monitor.reports.alarm_timeline import alarm_words
 from eha_monitor.reports.parameter_figures import NAMES, limits_in_words
@@ -127,13 +128,30 @@ def config_sections(settings: Settings) -> list[dict[str, Any]]:
         {"key": _plain(key), "value": str(getattr(settings, key)),
          "description": Settings.model_fields[key].description or ""}
         for key in ("discretisation", "command_hold")]})
-    known = [(effect, p, values[p.name]) for effect, values in settings.effects.items()
+    known = [{"key": f"{effect_words(effect)}, {p.name}",
+              "value": quantity(values[p.name], p.unit, 6), "description": p.description}
+             for effect, values in settings.effects.items() if effect in CATALOGUE
              for p in CATALOGUE[effect].parameters if p.name in values]
+    known += [_own_row(name, values) for name, values in settings.effects.items()
+              if name not in CATALOGUE]
     if known:
-        found.append({"name": "effects", "title": "Effects beyond the linear model", "rows": [
-            {"key": f"{effect_words(effect)}, {p.name}", "value": quantity(value, p.unit, 6),
-             "description": p.description} for effect, p, value in known]})
+        found.append({"name": "effects", "title": "Effects beyond the linear model",
+                      "rows": known})
     return found
+
+
+def _own_row(name: str, values: dict) -> dict[str, str]:
+    """Return the row of a term of the rig's own."""
+    unit = ADDED_UNITS[values["adds"]]
+    if "expression" in values:
+        with_ = ", ".join(f"{key} = {value:g}" for key, value in values.items()
+                          if key not in ("adds", "expression"))
+        text = f"{values['expression']}{f' with {with_}' if with_ else ''}"
+    else:
+        text = (f"{len(values['values'])} values over {values['of']}, {values['first']:g} to "
+                f"{values['last']:g}")
+    return {"key": _plain(name), "value": text,
+            "description": f"a term of the rig's own, adds to the {values['adds']} in {unit}"}
 
 
 def _plain(key: str) -> str:

@@ -191,8 +191,9 @@ class Monitor:
             since = rows.stamps - self._judged_ns
             due = (since < 0) | (since >= JUDGE_EVERY_NS)
             stop = int(np.argmax(due)) + 1 if due.any() else len(rows)
-            if rows.stamps[-1] - rows.stamps[stop - 1] < JUDGE_EVERY_NS // 2:
-                stop = len(rows)  # a few rows more are not worth a turn of their own
+            # What a turn brings is one piece, so that what is published at its end knows of all.
+            if rows.stamps[-1] - rows.stamps[stop - 1] < JUDGE_EVERY_NS:
+                stop = len(rows)
             self._give(rows.part(0, stop))
             if due.any():
                 self._judge()

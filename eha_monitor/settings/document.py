@@ -18,6 +18,13 @@ _HEAD = """\
 A config of eha_monitor.  Every key may be left out: the value shown is then taken.
 A number is in the SI unit named beside it, or a string with a unit: mass: "20 kg".
 """
+_OWN = (
+    "  <any other name>: a term of the rig's own, a formula or a table: docs/effects.md",
+    "    adds: force (N, against positive motion), flow (m^3/s from chamber 2 into 1), flow_1, "
+    "flow_2 (m^3/s into a chamber), speed (rad/s of the pump)",
+    '    expression: e.g. "F*exp(-((x - x_0)/w)**2)*tanh(v/1e-3)" with F, x_0, w beside it, SI',
+    "    of, first, last, values, times: a table over a signal (x, v, dp, p, omega, p1, p2)",
+)
 
 
 def annotated(settings: Settings, title: str = "") -> str:
@@ -80,6 +87,8 @@ def _pattern(annotation: Any, margin: str) -> Iterator[str]:
 def _catalogue(indent: int) -> Iterator[str]:
     """Yield the effects that a config may name, with their parameters, as comments."""
     margin = " " * indent
+    for line in _OWN:
+        yield from _comment(line, margin)
     for effect in CATALOGUE.values():
         yield from _comment(f"  {effect.name}: ({effect.balance} balance) {effect.equation}",
                             margin)

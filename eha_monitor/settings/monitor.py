@@ -216,5 +216,6 @@ class Settings(Section):
     thresholds: Thresholds = Field(Thresholds(), description="alarm limits")
     viscosity: Viscosity = Field(Viscosity(), description="temperature compensation of B")
     monitor: Monitor = Field(Monitor(), description="the live monitor")
-    effects: Annotated[dict[str, dict[str, float]], BeforeValidator(effects_field)] = Field(
+    effects: Annotated[dict[str, dict[str, float | str | list[float]]],
+                       BeforeValidator(effects_field)] = Field(
         {}, description="modelled physics beyond the linear model")

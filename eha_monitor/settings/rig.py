@@ -7,6 +7,8 @@ from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.own_term import SLOTS
+from eha_monitor.settings import own_terms
 from eha_monitor.settings.section import Section
 from eha_monitor.settings.tolerance import Tolerance
 from eha_monitor.units import Si, to_si
@@ -132,6 +134,8 @@ def _superscript(unit: str) -> str:
 def effects_field(value):
     """Check the ``effects`` section against the catalogue and return {effect: {name: value}}.
 
+    What has the key ``adds`` is a term of the rig's own (:mod:`settings.own_terms`).
+
     A shape that is not given takes its default; a size that is not given is absent, as long as
     the effect has another size that is.
 
@@ -143,9 +147,16 @@ def effects_field(value):
     if not isinstance(value, dict):
         raise ValueError("expected a mapping from effect to its parameters")
     checked = {}
+    own = [name for name, given in value.items() if own_terms.is_own(given)]
+    if len(own) > SLOTS:
+        raise ValueError(f"{own[SLOTS]}: expected at most {SLOTS} terms beyond the catalogue")
     for name, given in value.items():
+        if name in own:
+            checked[name] = own_terms.checked(name, given)
+            continue
         if name not in CATALOGUE:
-            raise ValueError(f"unknown effect {name!r}, expected one of {', '.join(CATALOGUE)}")
+            raise ValueError(f"unknown effect {name!r}, expected a term of your own with the key "
+                             f"adds, or one of {', '.join(CATALOGUE)}")
         effect = CATALOGUE[name]
         known = {p.name: p for p in effect.parameters}
         if not isinstance(given, dict):

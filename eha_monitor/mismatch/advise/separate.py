@@ -40,7 +40,7 @@ class Question:
         beta_e alone may take its part.
     parameter : ``B`` or ``beta_e`` where the question is what of it is the effect, or "".
     steady : the recording's plateaus alone are asked, and the motion away from its reversals:
-        the answer then does not hang on how friction turns round.
+        the answer then does not hang on how friction reverses.
     truth, other : the model with the effect, and the other one.
     amount : of the effect in which they differ, SI; ``symbol`` its size, in ``unit``.
     reference : which of the two is the fit at which slopes are taken: ``truth`` or ``other``.
@@ -182,7 +182,7 @@ def entered_at(experiment: Experiment, traces: Traces, effect: str, name: str,
                base: Sequence[Slope]) -> Fit:
     """Return a fit with one named effect replaced by another, its sizes by linear regression.
 
-    What both have, such as the way in which friction turns round, begins where the named one has
+    What both have, such as the way in which friction reverses, begins where the named one has
     it.
     """
     fit = traces.fit

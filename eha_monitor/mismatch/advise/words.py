@@ -71,22 +71,22 @@ def confusion_words(c: Confusion, advice: Advice) -> str:
     share = 1.0 if c.named else rounded(c.amount) / c.amount
     size = amount(share * c.amount, c.unit)
     if abs(c.plateau_correlation) > HOPELESS:
-        can = "cannot" if c.plateau_inflation > HOPELESS_INFLATION else "can hardly"
-        text = (f"{parameter} and {effect} {can} be told apart from the plateaus of steady speed "
+        nearly = "" if c.plateau_inflation > HOPELESS_INFLATION else "nearly "
+        text = (f"{parameter} and {effect} are {nearly}indistinguishable at constant speed "
                 f"({advice.plateaus:.0%} of this recording): correlation "
                 f"{abs(c.plateau_correlation):.3f}, variance inflation "
                 f"{number(c.plateau_inflation, 2)}; {parameter} may be off by "
                 f"{amount(share * abs(c.plateau_shift), unit)} for {size} of it")
         how = "between them" if c.named else "there"
         if abs(c.correlation) < HOPELESS:
-            text += (f"; the changes of speed {how} tell them apart (correlation "
+            text += (f"; the changes of speed {how} distinguish them (correlation "
                      f"{abs(c.correlation):.3f}, inflation {number(c.inflation, 2)} over all), "
-                     "as far as the model of the turn-round is right")
+                     "as far as the model of friction at reversal is right")
         return text
     text = (f"{parameter} and {effect}: correlation {abs(c.correlation):.3f}, variance inflation "
             f"{number(c.inflation, 2)}")
     if c.inflation > HARDLY:
-        text += ": this recording hardly tells them apart"
+        text += ": nearly indistinguishable in this recording"
     shift = amount(share * abs(c.shift), unit)
     return (f"{text}; without the {size} of it that was found, {parameter} would be off by "
             f"{shift}" if c.named else

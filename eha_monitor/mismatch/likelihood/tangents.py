@@ -33,14 +33,15 @@ from eha_monitor.mismatch.likelihood.tangent_pass import Linear, carried_on, sha
 from eha_monitor.mismatch.likelihood.tangent_points import points_of
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import (
+    ALL_NAMES,
     N_EFFECTS,
     circuit_of,
+    effect_at,
     new_memory,
     with_place,
     with_term,
     with_update,
 )
-from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.plant import N_OUTPUTS, SHORTEST_LAG, new_past
 
 # From where a sample is gone through by its Runge-Kutta stages: what an effect adds to a rate in
@@ -72,16 +73,15 @@ def lane_of(fit: Fit, name: str) -> Lane:
 def can(experiment: Experiment, fit: Fit, lane: Lane) -> bool:
     """Tell whether a lane can be carried along; else take its difference by another run."""
     changed = differing(fit, lane)
-    active = {NAMES[i] for i in np.flatnonzero(fit.active)}
-    own = {NAMES[i] for i in changed if i >= 0}
+    active = {ALL_NAMES[i] for i in np.flatnonzero(fit.active)}
+    own = {ALL_NAMES[i] for i in changed if i >= 0}
     return (not experiment.inverse and not (active | own) & set(BEYOND) and len(changed) == 1)
 
 
 def differing(fit: Fit, lane: Lane) -> list[int]:
     """Return the effects in which a lane's model differs; -1 stands for the base parameters."""
     moved = np.flatnonzero(lane.theta != fit.theta)
-    found = {-1 if place < s.N_BASE else int((place - s.N_BASE) // s.MAX_PARAMETERS)
-             for place in moved}
+    found = {effect_at(int(place)) for place in moved}
     found |= set(np.flatnonzero(lane.active != fit.active).tolist())
     # What stands in theta of an effect that acts in neither is nothing.
     return sorted(i for i in found if i < 0 or lane.active[i] or fit.active[i])

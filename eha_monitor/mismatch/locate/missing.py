@@ -10,6 +10,7 @@ from eha_monitor.mismatch.likelihood.along import contributions_along, drive_alo
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import (
+    ALL_NAMES,
     circuit_of,
     new_memory,
 )
@@ -36,7 +37,7 @@ def contributed(experiment: Experiment, fit: Fit, trajectory: np.ndarray,
                 names: tuple[str, ...]) -> np.ndarray:
     """Return the contributions of some effects on a trajectory, (n, N_CONTRIBUTIONS)."""
     active = np.zeros_like(fit.active)
-    active[[NAMES.index(name) for name in names]] = True
+    active[[ALL_NAMES.index(name) for name in names]] = True
     found = np.zeros((len(trajectory), s.N_CONTRIBUTIONS))
     contributions_along(trajectory, experiment.dt, experiment.steps, fit.theta, active,
                         new_memory(), found)

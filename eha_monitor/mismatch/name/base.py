@@ -60,6 +60,14 @@ def limits_of(experiment: Experiment) -> tuple[Unknowns, Unknowns]:
     return Unknowns(*small), Unknowns(*large)
 
 
+def needs(experiment: Experiment, fit: Fit, times: float) -> bool:
+    """Tell whether a fit needs an unknown of more than so many times the smallest."""
+    if experiment.inverse:
+        return False
+    small = limits_of(experiment)[0].as_array()
+    return bool((fit.unknowns.as_array() > times * small).any())
+
+
 def with_effect(fit: Fit, start: Start, amplitudes: tuple[float, ...]) -> Fit:
     """Return a fit with an effect entered at a multiple of its start, not yet refitted."""
     values = dict(start.values)

@@ -20,7 +20,7 @@ from eha_monitor.mismatch.name.acceptance import (
     TEMPER,
     UNTOLD,
 )
-from eha_monitor.mismatch.name.base import limits_of
+from eha_monitor.mismatch.name.base import limits_of, needs
 from eha_monitor.mismatch.name.columns import runs_of
 from eha_monitor.mismatch.name.gram import evidence_at
 from eha_monitor.mismatch.name.polish import Slopes, polished
@@ -134,10 +134,7 @@ def beyond_form(experiment: Experiment, before: Fit, after: Fit, needs: Unknowns
 
 def lacking(experiment: Experiment, fit: Fit) -> bool:
     """Tell whether a fit needs an unknown that matters."""
-    if experiment.inverse:
-        return False
-    small = limits_of(experiment)[0].as_array()
-    return bool((fit.unknowns.as_array() > LACKING * small).any())
+    return needs(experiment, fit, LACKING)
 
 
 def name_effects(experiment: Experiment, report: Report | None = None) -> Naming:

@@ -24,6 +24,7 @@ from eha_monitor.mismatch.name.gram import under
 ENOUGH = 6  # slopes from which one pass of tangents costs less than as many differences
 # Of a step: shorter first, because inside a threshold the direction is right and the length not.
 SHARES = (1.0, 0.3, 0.1, 0.03)
+LARGEST = 1e100  # slope of an innovation that is a slope; its square must still be a number
 ROUGHLY = 5.0  # log units: a tolerance at which slopes are not taken afresh
 
 
@@ -62,9 +63,10 @@ class Slopes:
         return self._in_units(wanted, whole)
 
     def _in_units(self, wanted: list[Free], whole: np.ndarray) -> dict[str, np.ndarray]:
-        units = [self.spreads[self.places[f.name]] for f in wanted]
-        return {f.name: whole[:, :, i] / unit
-                for i, (f, unit) in enumerate(zip(wanted, units, strict=True))}
+        # Tangents grow without bound along a run that a finite step leaves where it is.
+        usable = np.abs(whole).max(axis=(0, 1)) < LARGEST  # nor is NaN
+        return {f.name: whole[:, :, i] / self.spreads[self.places[f.name]]
+                for i, f in enumerate(wanted) if usable[i]}
 
 
 def polished(experiment: Experiment, fit: Fit, slopes: Slopes, steps: int = 12,

@@ -31,6 +31,7 @@ from eha_monitor.physics.parameters import BASE_KEYS, effect_values, place_of
 
 LEAST = 0.05  # of its start: where a size enters at least
 SHARES = (1.0, 0.3)  # of the way to a linear guess
+SHORTER = (0.1, 0.03, 0.01)  # where no model can run there
 FARTHEST = 6.0  # of a logarithm: how far a number of the rig is moved by a linear guess
 WRONG_BY = 1e3  # how far a number of the rig may be off; what is less is absent
 INFORMED = 0.5  # of its prior deviation, all else known: a number that the recording answers to
@@ -100,8 +101,11 @@ def at_level(experiment: Experiment, fit: Fit) -> Fit:
 
 
 def settled(experiment: Experiment, fit: Fit, slopes: Slopes | None = None, rounds: int = 4,
-            tolerance: float = 0.3) -> Fit:
-    """Fit parameters and unknowns in turn until neither gains."""
+            tolerance: float = 0.3, worth: float = -np.inf) -> Fit:
+    """Fit parameters and unknowns in turn until neither gains.
+
+    A fit that is below ``worth`` log units after a round is not carried further.
+    """
     slopes, known = slopes or Slopes(experiment), None
     for _ in range(rounds):
         made, known = polished_on(experiment, fit, slopes.of(fit) if known is None else known,
@@ -109,6 +113,8 @@ def settled(experiment: Experiment, fit: Fit, slopes: Slopes | None = None, roun
         if not np.isfinite(made.log_likelihood):
             return made
         fit = at_level(experiment, made)
+        if fit.log_likelihood < worth:
+            return fit
         if fit is made:
             break
         known = None  # under other gains the slopes are others
@@ -122,8 +128,13 @@ def entered_at_best(experiment: Experiment, fit: Fit, what: tuple[Column, ...], 
 
     What is far off does not act in proportion, and a guess may lie beyond it.
     """
-    return max((joined(experiment, fit, what, ranked, share) for share in SHARES),
+    best = max((joined(experiment, fit, what, ranked, share) for share in SHARES),
                key=lambda one: one.log_likelihood)
+    for share in SHORTER:
+        if np.isfinite(best.log_likelihood):
+            break
+        best = joined(experiment, fit, what, ranked, share)
+    return best
 
 
 def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: Ranked,

@@ -1,13 +1,12 @@
 """Joint selection: linearise, rank every set, refit the best, linearise there again."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment, resolving
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
-from eha_monitor.mismatch.name.base import limits_of, with_effect, without_effect
+from eha_monitor.mismatch.name.base import limits_of, needs, with_effect, without_effect
 from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, effects_of, rig_free
 from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished
 from eha_monitor.mismatch.name.proposals import (
@@ -44,7 +43,7 @@ MOST_GOING = 2  # of these
 LOOKS = 3  # handfuls that are refitted from one linearisation
 WITHIN_REACH, FINALISTS = 20.0, 3  # log units; sets that are fitted to the end
 BENT = 0.2  # of the logarithm of B or beta_e
-CLOSE = 1000.0  # log units: the nominal model is a rival too
+CLOSE = 1000.0  # log units: within them a set is a rival that is fitted to the end
 QUICK = 10  # steps of the first look
 ROUNDS = 8
 
@@ -87,7 +86,7 @@ def nominal_model(experiment: Experiment, within: bool = False) -> Fit:
             break
     else:
         raise np.linalg.LinAlgError("the nominal model's likelihood is singular")
-    if experiment.inverse or lacks(experiment, at_level(experiment, held)):
+    if experiment.inverse or not leans_less(experiment, at_level(experiment, held)):
         return held
     return settled(experiment, held)
 
@@ -98,7 +97,9 @@ def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], seen: 
         return entered_at_best(experiment, view.fit, view.what, one)
 
     def quick(one: Ranked) -> Fit:
-        return polished(experiment, entered(one), view.slopes, QUICK, ROUGHLY)
+        # Each under the unknowns that it asks for: large ones hide how far off a model still is.
+        made = polished(experiment, entered(one), view.slopes, QUICK, ROUGHLY)
+        return at_level(experiment, made) if np.isfinite(made.log_likelihood) else made
 
     own = view.own
     if own is not None and not view.here and chosen[0].evidence < own.evidence + CLOSE:
@@ -135,25 +136,30 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
     """Find the set of effects and wrong numbers of the rig that a recording supports."""
     say("fitting the nominal model", 0.05)
     experiment, first = resolved_nominal(experiment)
-    start = nominal_model(experiment, within=True)
+    near = not experiment.inverse and leans_less(experiment, first)
+    start = (settled(experiment, with_rig(experiment, first)) if near
+             else nominal_model(experiment, within=True))
     seen = Seen(experiment.inverse)
     seen.add(experiment, frozenset(), start)
     if not seen.evidence:
         raise np.linalg.LinAlgError("the nominal model's evidence is singular")
     views: dict[Names, Linearised] = {}
     done: dict[Names, float] = {}
-    others = elsewhere(experiment, start, seen)
-    ended = False
+    far = ended = False
     for turn in range(ROUNDS):
         say(f"weighing all sets, round {turn + 1}", 0.1 + 0.1 * turn)
-        at = seen.ahead(done, STRAYED)
-        if at is not None:
+        at, other = seen.ahead(done, STRAYED), None
+        if turn == 1:
+            other = unbent(experiment, start, seen)
+        if other is None and at is None and not far:
+            far, other = True, far_off(experiment, start, seen)
+        if other is not None:
+            ended, here = False, frozenset()
+            view = linearised(experiment, here, other)
+        elif at is not None:
             here, fit = at
             view = linearised(experiment, here, fit)
             views[here] = replace(view, slopes=None)
-        elif (other := next(others, None)) is not None:
-            ended, here = False, frozenset()
-            view = linearised(experiment, here, other)
         else:
             break
         done[here] = evidence_at_start(seen, here)
@@ -161,7 +167,8 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
             held(experiment, view, seen)
             if evidence_at_start(seen, here) > done[here] + STRAYED:
                 continue
-        for _ in range(LOOKS):
+        # A model of which a part has vanished is not in its own ranking: nothing compares to it.
+        for _ in range(LOOKS if view.own is not None else 0):
             chosen = chosen_at(view, seen) or rivals_at(view, seen)
             if not chosen:
                 break
@@ -179,24 +186,36 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
 
 def lacks(experiment: Experiment, fit: Fit) -> bool:
     """Tell whether a model needs unknowns that show."""
+    return needs(experiment, fit, LEANING)
+
+
+def leans_less(experiment: Experiment, fit: Fit) -> bool:
+    """Tell whether a nominal model asks for smaller unknowns than it was first given."""
     small = limits_of(experiment)[0].as_array()
-    return bool((fit.unknowns.as_array() > LEANING * small).any())
+    return bool((fit.unknowns.as_array() < FIRST * small).all())
 
 
-def elsewhere(experiment: Experiment, first: Fit, seen: Seen) -> Iterator[Fit]:
-    """Yield further places of the nominal model, as long as what was found still lacks something.
+def unbent(experiment: Experiment, first: Fit, seen: Seen) -> Fit | None:
+    """Return the nominal model at the config's B and beta_e, if what is left out has bent them.
 
-    They are the config's own B and beta_e, where what is left out has bent the fit; and numbers
-    that are known to a factor, far from the config's: a leakage that is a hundred times too large
-    leaves nothing that is linear where it stands.
+    Where a first look has found nothing that explains the recording, this is the second place,
+    before what was found is followed: what is linear at the config may not be so where the fit
+    went.
     """
-    def lacking() -> bool:
-        return not experiment.inverse and lacks(experiment, seen.fits[seen.best()])
+    if not lacks(experiment, seen.fits[seen.best()]):
+        return None
+    start = begun(experiment, FIRST)
+    return start if bent(start, first) else None
 
-    if lacking() and bent(start := begun(experiment, FIRST), first):
-        yield start
-    if not lacking():
-        return
+
+def far_off(experiment: Experiment, first: Fit, seen: Seen) -> Fit | None:
+    """Return a further place of the nominal model, if what was found in the end lacks something.
+
+    It has a number that is known to a factor far from the config's: a leakage that is a hundred
+    times too large leaves nothing that is linear where it stands.
+    """
+    if not lacks(experiment, seen.fits[seen.best()]):
+        return None
     found = []
     for f in rig_free(experiment):
         for step in (-FAR_OFF * f.spread, FAR_OFF * f.spread) if f.spread > LOOSE else ():
@@ -204,8 +223,7 @@ def elsewhere(experiment: Experiment, first: Fit, seen: Seen) -> Iterator[Fit]:
             theta[f.place] *= np.exp(step)
             found.append(with_unknowns(experiment, replace(first, theta=theta), first.unknowns))
     best = max(found, key=lambda fit: fit.log_likelihood, default=first)
-    if best.log_likelihood > first.log_likelihood:
-        yield best
+    return best if best.log_likelihood > first.log_likelihood else None
 
 
 def bent(start: Fit, fit: Fit) -> bool:
@@ -299,7 +317,7 @@ def without_each(experiment: Experiment, seen: Seen) -> None:
         told, fit = best, seen.fits[best]
         for name in best if len(best) > 1 else ():
             seen.add(experiment, best - {name}, settled(
-                experiment, lesser(experiment, fit, name)))
+                experiment, lesser(experiment, fit, name), worth=fit.log_likelihood - CLOSE))
 
 
 def finish(experiment: Experiment, seen: Seen) -> None:
@@ -309,11 +327,13 @@ def finish(experiment: Experiment, seen: Seen) -> None:
     """
     without_each(experiment, seen)
     best = seen.best()
+    lead = seen.fits[best]
     for name in filter(is_effect, best):  # a law of the family as simple, from the same place
         for other in {*CATALOGUE[name].contains, *simple_kin(name)}:
             if best - {name} | {other} not in seen.fits:
                 seen.add(experiment, best - {name} | {other}, settled(
-                    experiment, simplified(experiment, seen.fits[best], name, other)))
+                    experiment, simplified(experiment, lead, name, other),
+                    worth=lead.log_likelihood - CLOSE))
     scores, best = seen.scores(), seen.best()
     near = [names for names in sorted(scores, key=lambda names: -scores[names])
             if scores[names] > scores[best] - WITHIN_REACH][:FINALISTS]
@@ -321,16 +341,18 @@ def finish(experiment: Experiment, seen: Seen) -> None:
         near.append(frozenset())  # that nothing is missing is never judged by half a fit
     level = seen.fits[best].unknowns
     lead = seen.fits[max(near, key=seen.evidence.get)]
+    worth = lead.log_likelihood - CLOSE
 
     def ended(names: frozenset[str]) -> Fit:
         fit = seen.fits[names]
         if not experiment.inverse and fit.unknowns != level:
             fit = with_unknowns(experiment, fit, level)
-        whole = fit if fit.converged and fit is seen.fits[names] else settled(experiment, fit)
+        whole = fit if fit.converged and fit is seen.fits[names] else settled(
+            experiment, fit, worth=worth)
         other = crossed(fit, lead)
         if other is None:
             return whole
-        other = settled(experiment, with_unknowns(experiment, other, level))
+        other = settled(experiment, with_unknowns(experiment, other, level), worth=worth)
         return max(whole, other, key=lambda one: one.log_likelihood)
 
     for names, fit in zip(near, spread(ended, near), strict=True):

@@ -16,7 +16,7 @@ from eha_monitor.mismatch.likelihood.innovations import N_FILTERED
 from eha_monitor.mismatch.locate.missing import modelled_force
 from eha_monitor.mismatch.show.sizes import filtered_tracks
 from eha_monitor.physics import signals as s
-from eha_monitor.physics.effects import NAMES
+from eha_monitor.physics.contributions import ALL_NAMES
 from eha_monitor.physics.plant import N_OUTPUTS, Y_P1, Y_P2, Y_V, Y_X
 
 SIGNALS = ("position", "velocity", "pressure_1", "pressure_2", "pump_speed")
@@ -181,7 +181,7 @@ def force_residual(experiment: Experiment, fit: Fit) -> tuple[float, float]:
         states[:, Y_X], states[:, Y_V] = x, v
         states[:, Y_P1], states[:, Y_P2] = stretch.p1, stretch.p2
         track = signals_along(experiment, stretch, states)
-        names = tuple(name for name, on in zip(NAMES, fit.active, strict=True) if on)
+        names = tuple(name for name, on in zip(ALL_NAMES, fit.active, strict=True) if on)
         model = (fit.theta[s.M] * a + fit.theta[s.B] * v
                  + modelled_force(experiment, fit, track, names))
         both = low_pass(min(BALANCE, 0.1 / dt), dt)

@@ -7,7 +7,7 @@ from eha_monitor.mismatch.likelihood.along import signals_along
 from eha_monitor.mismatch.likelihood.fit import Fit, filtered
 from eha_monitor.mismatch.locate.missing import contributed
 from eha_monitor.physics import signals as s
-from eha_monitor.physics.contributions import circuit_of
+from eha_monitor.physics.contributions import N_EFFECTS, circuit_of
 from eha_monitor.physics.effects import NAMES
 from eha_monitor.quantity import quantity, share
 
@@ -38,7 +38,7 @@ def size_of(experiment: Experiment, fit: Fit, name: str, tracks: list[np.ndarray
 
     tracks : :func:`filtered_tracks` of the fit.
     """
-    alone = np.zeros(len(NAMES), dtype=bool)
+    alone = np.zeros(N_EFFECTS, dtype=bool)
     alone[NAMES.index(name)] = True
     found = []
     w = circuit_of(fit.theta, alone)

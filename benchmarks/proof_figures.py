@@ -1,0 +1,139 @@
+"""The figures of a sealed trial or of a ground, from the result that `prove --json` wrote.
+
+    eha-monitor prove --cases 200 --seed 4242 --oracle --json trial.json
+    python benchmarks/proof_figures.py trial.json --record
+    python benchmarks/proof_figures.py simulator.json --record
+
+The table says at which commit the answers were given; a result of other source is refused, so run
+this where the trial was run.
+"""
+
+import argparse
+import json
+import statistics
+import sys
+from pathlib import Path
+
+import record
+
+MEASURED = ("eha_monitor/mismatch", "eha_monitor/filters", "eha_monitor/physics")
+STRENGTHS = ("1", "0.3", "0.05")
+
+
+def main() -> int:
+    """Print the rows of a result, and record them if asked; 2 where the result is another's."""
+    from eha_monitor.prove.trial import source_digest
+
+    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    options.add_argument("result", type=Path, help="what `prove --json` wrote")
+    record.add_option(options)
+    given = options.parse_args()
+    found = json.loads(given.result.read_text(encoding="utf-8"))
+    ground = found.get("ground", "draws")
+    if ground not in ROWS:
+        print(f"{given.result}: expected a result of one of the grounds {', '.join(ROWS)}, not "
+              f"{ground}", file=sys.stderr)
+        return 2
+    rows_of, write = ROWS[ground]
+    rows = rows_of(found)
+    for row in rows:
+        print("  ".join(filter(None, row.values())))
+    if given.record:
+        if set(found["sources"]) != {source_digest()}:
+            print(f"{given.result}: expected answers of this very source of the program; run the "
+                  "trial again, or this in the checkout that ran it", file=sys.stderr)
+            return 2
+        write({"rows": rows})
+    return 0
+
+
+def trial_rows(found: dict) -> list[dict]:
+    """Return mark, value and aim of a trial with an oracle."""
+    score, rows = found["score"], found["rows"]
+
+    def within(chosen: list[dict]) -> str:
+        return f"{sum(bool(row['within_class']) for row in chosen)} of {len(chosen)}"
+
+    def percent(name: str) -> str:
+        return "–" if score.get(name) is None else f"{100 * score[name]:.1f} %"
+
+    shown = [row for row in rows if row["detectable"] and row["kind"] != "outside"]
+    kinds = {kind: [row for row in shown if row["kind"] == kind] for kind in ("pair", "triple")}
+    outside = [row for row in rows if row["kind"] == "outside" and row["detectable"]]
+    sensor = [row for row in rows if row["sensor_or_timing"]]
+    clean = [row for row in rows if row["kind"] == "null"]
+    strong = found["by_strength"]
+    seconds = [row["seconds"] for row in rows]
+    return [
+        mark(f"right names, or within their declared class, all {len(rows)} recordings of seed "
+             f"{found['seed']}", percent("within_class")),
+        mark("the same, where the oracle has 20 log units",
+             f"{percent('detectable_within_class')} of {len(shown)}",
+             "95 %"),
+        mark(f"single effects at strengths about {', '.join(STRENGTHS)}, with that oracle",
+             ", ".join(f"{round(one['detectable'] * (one['detectable_within_class'] or 0.0))} of "
+                       f"{one['detectable']}" for one in map(strong.get, STRENGTHS) if one),
+             "99, 98, 90 %"),
+        mark("pairs; triples, with that oracle", "; ".join(map(within, kinds.values())),
+             "95, 85 %"),
+        mark("what has no name: `unexplained` in the right place; a wrong name",
+             f"{within(outside)}; {sum(row['confident_wrong'] for row in outside)} of "
+             f"{len(outside)}", "92, 2 %"),
+        mark("the right balance", percent("located"), "99 %"),
+        mark("a sensor or a delay blamed on the plant",
+             f"{sum(row['sensor_blamed'] for row in sensor)} of {len(sensor)}", "none"),
+        mark("numbers of the rig beyond tolerance found; one within tolerance named",
+             f"{percent('rig_found')}; {percent('rig_false_name')}", "95, 1 %"),
+        mark("false alarm on a clean recording",
+             f"{sum(row['verdict'] != 'consistent' for row in clean)} of {len(clean)}", "0.5 %"),
+        mark("calibration error of the probabilities", percent("calibration_error"), "5 %"),
+        mark("held-out error removed, of what can be removed", percent("held_out_error_removed"),
+             "90 %"),
+        mark("named parameters within 5 %; of these, where ±2σ allows it",
+             f"{percent('named_parameters_within_5_percent')}; "
+             f"{percent('told_parameters_within_5_percent')}", "95 %"),
+        mark("B and βe within 2 %; inside ±2σ", f"{percent('base_parameters_within_2_percent')}; "
+             f"{percent('parameters_inside_2_sigma')}", "98; 92–98 %"),
+        mark("seconds for an answer on one core: median, mean, longest",
+             ", ".join(f"{one:.3g}" for one in (
+                 statistics.median(seconds), statistics.mean(seconds), max(seconds))),
+             "5 to 10 on two cores"),
+    ]
+
+
+def mark(words: str, value: str, aim: str = "") -> dict[str, str]:
+    """Return a row of a trial's table."""
+    return {"mark": words, "value": value, "aim": aim}
+
+
+def ground_rows(found: dict) -> list[dict]:
+    """Return what was asked of a ground, and what it found."""
+    rows, parameters = found["rows"], [one for one in found["parameters"] if one["aim"]]
+    right = sum(bool(row["within_class"]) for row in rows)
+    close = sum(bool(one["within"]) for one in parameters)
+    aim = 100 * max((one["aim"] for one in parameters), default=0.0)
+    missed = [row["case"] for row in rows if not row["within_class"]]
+    return [{"what": WHAT[found["ground"]],
+             "found": f"{right} of {len(rows)} within class"
+                      + (f" (not {', '.join(missed)})" if missed else "")
+                      + (f"; {close} of {len(parameters)} parameters within {aim:.0f} %"
+                         if parameters else ""),
+             "published": ""}]
+
+
+WHAT = {
+    "simulator": "Hopsan: 14 rigs, rich motion, triangle and both together",
+    "mcmaster": "the McMaster actuator in its three states",
+    "triangle": "the paper's triangle with Coulomb friction, and a second recording as advised",
+}
+HELD = {"measures": MEASURED, "held_by": "commit"}
+ROWS = {
+    "draws": (trial_rows, lambda made: record.write("proof", made, **HELD)),
+    "simulator": (ground_rows, lambda made: record.write("simulator_ground", made, **HELD)),
+    "mcmaster": (ground_rows, lambda made: record.write("mcmaster_ground", made, **HELD)),
+    "triangle": (ground_rows, lambda made: record.write("triangle_ground", made, **HELD)),
+}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

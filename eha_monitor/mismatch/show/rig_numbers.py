@@ -1,0 +1,55 @@
+"""What the recordings say of the rig's numbers: those that are wrong, those they know better."""
+
+import numpy as np
+
+from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.diagnosis import RigFinding, Value
+from eha_monitor.mismatch.likelihood.fit import Fit
+from eha_monitor.mismatch.name.columns import rig_free
+from eha_monitor.mismatch.name.naming import Naming
+from eha_monitor.mismatch.name.refit import INFORMED
+from eha_monitor.quantity import side_by_side
+
+OTHER = 3.0  # standard deviations between the recording and the config: it is another number
+NOTABLE = 0.5  # of the tolerance: what is less is no news to anybody
+
+
+def rig_findings(experiment: Experiment, naming: Naming) -> tuple[RigFinding, ...]:
+    """Return the numbers of the rig that a recording contradicts, the most certain first."""
+    found = []
+    for key in naming.wrong:
+        configured, value, words = _told(experiment, naming.after, key)
+        found.append(RigFinding(
+            key, configured, value, naming.probability.get(f"rig.{key}", np.nan), words,
+            naming.rivals.get(f"rig.{key}", ())))
+    return tuple(sorted(found, key=lambda finding: -finding.probability))
+
+
+def rig_within(experiment: Experiment, naming: Naming) -> tuple[RigFinding, ...]:
+    """Return the numbers that a recording knows better than the config, within their tolerance.
+
+    A pump that delivers 3 % less is no mismatch where its displacement is known to 3 %, but it is
+    what the recording says.
+    """
+    fitted, found = {f.name for f in naming.after.free}, []
+    for own in rig_free(experiment):
+        key = own.name.removeprefix("rig.")
+        if own.name not in fitted or key in naming.wrong:
+            continue
+        configured, value, words = _told(experiment, naming.after, key)
+        spread = experiment.settings.rig.tolerance.log_spread(key)
+        moved, sigma = np.log(value.value / configured), value.stddev / value.value
+        if sigma < INFORMED * spread and abs(moved) > max(OTHER * sigma, NOTABLE * spread):
+            found.append(RigFinding(key, configured, value, np.nan,
+                                    f"{words}, within its tolerance"))
+    return tuple(found)
+
+
+def _told(experiment: Experiment, fit: Fit, key: str) -> tuple[float, Value, str]:
+    """Return what the config says of a number, what the recording, and both in words."""
+    name, rig = f"rig.{key}", experiment.settings.rig
+    unit = type(rig).model_fields[key].json_schema_extra["unit"]
+    value = Value(fit.value(name), fit.stddev(name), unit)
+    configured = float(getattr(rig, key))
+    one, other = side_by_side(configured, value.value, value.stddev, unit)
+    return configured, value, f"{key}: the config says {one}, the recording {other}"

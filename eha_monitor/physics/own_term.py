@@ -1,0 +1,216 @@
+"""Terms that no entry of the catalogue has: a table of knots or an expression, from the config.
+
+A rig has room for ``SLOTS`` of them.  What such a term is stands in theta beside the parameters of
+the catalogue's effects, so the compiled equations run any of them without being compiled again:
+
+    ADDS, KIND                                        to which balance; table or expression
+    SIGNAL, FACTOR, SCALE, COUNT, FIRST, LAST, VALUES  of a table
+    LENGTH, CODES, CONSTANTS                          of an expression, in postfix order
+
+A table is a cubic through its knots (Catmull and Rom 1974), linear at both ends, and keeps its
+last value beyond them: where a recording has said nothing, nothing is extrapolated.
+"""
+
+import math
+
+import numpy as np
+
+from eha_monitor.compiled import njit
+from eha_monitor.physics.signals import FLOW_1, FLOW_2, FORCE, OMEGA, P1, P2, SPEED, V, X
+
+SLOTS, WIDTH = 2, 64
+OWN_NAMES = tuple(f"own_{i + 1}" for i in range(SLOTS))
+MOST_KNOTS, MOST_CODES, MOST_CONSTANTS, DEEPEST = 49, 36, 24, 6
+
+# Head of a slot.
+ADDS, KIND = 0, 1
+NOTHING, TABLE, EXPRESSION = range(3)
+# A table.
+SIGNAL, FACTOR, SCALE, COUNT, FIRST, LAST, VALUES = range(2, 9)
+# An expression.
+LENGTH, CODES = 2, 3
+CONSTANTS = CODES + MOST_CODES
+
+# To what a term adds -> the contributions that read it, and its unit.
+BALANCES = {"force": ("FORCE",), "flow": ("FLOW_1", "FLOW_2"), "flow_1": ("FLOW_1",),
+            "flow_2": ("FLOW_2",), "speed": ("SPEED",)}
+ADDED_UNITS = {"force": "N", "flow": "m³/s", "flow_1": "m³/s", "flow_2": "m³/s",
+               "speed": "rad/s"}
+ADDED = tuple(BALANCES)
+TO_FORCE, TO_FLOW, TO_FLOW_1, TO_FLOW_2, _TO_SPEED = range(len(ADDED))
+OF = ("x", "v", "dp", "p", "omega", "p1", "p2")  # signals that a term may be a function of
+PRESSURES = ("dp", "p", "p1", "p2")
+FACTORS = ("none", "direction", "v", "dp")  # what a table may be multiplied by
+_BY_NONE, BY_DIRECTION, BY_V, BY_DP = range(len(FACTORS))
+
+# Codes of an expression: functions of one number, of two, then signals and constants.
+ONE = ("neg", "abs", "sign", "sqrt", "exp", "tanh", "sin", "cos")
+TWO = ("add", "subtract", "multiply", "divide", "power", "max", "min")
+FIRST_TWO, FIRST_SIGNAL, FIRST_CONSTANT = 100, 200, 300
+
+
+@njit(forceinline=True)
+def signal_of(s, which):
+    """Return a signal by its place in ``OF``, SI."""
+    if which == 0:
+        return s[X]
+    if which == 1:
+        return s[V]
+    if which == 2:
+        return s[P1] - s[P2]
+    if which == 3:
+        return 0.5 * (s[P1] + s[P2])
+    if which == 4:
+        return s[OMEGA]
+    return s[P1] if which == 5 else s[P2]
+
+
+@njit(forceinline=True)
+def knot(values, count, i):
+    """Return the value at knot i; one before the first and one after the last are on a line."""
+    if i < 0:
+        return 2.0 * values[0] - values[1]
+    if i >= count:
+        return 2.0 * values[count - 1] - values[count - 2]
+    return values[i]
+
+
+@njit(forceinline=True)
+def tabled(values, count, first, last, at):
+    """Return a table's value at ``at``: the cubic through four knots, constant beyond the ends."""
+    along = (at - first) / (last - first) * (count - 1)
+    along = min(max(along, 0.0), float(count - 1))
+    i = min(int(along), count - 2)
+    f = along - i
+    a, b = knot(values, count, i - 1), knot(values, count, i)
+    c, d = knot(values, count, i + 1), knot(values, count, i + 2)
+    return b + 0.5 * f * (c - a + f * (2.0 * a - 5.0 * b + 4.0 * c - d
+                                       + f * (3.0 * (b - c) + d - a)))
+
+
+@njit(forceinline=True)
+def one_of(code, a):
+    """Return a function of one number; what is not real is NaN."""
+    if code == 0:
+        return -a
+    if code == 1:
+        return abs(a)
+    if code == 2:
+        return 1.0 if a > 0.0 else (-1.0 if a < 0.0 else 0.0)
+    if code == 3:
+        return math.sqrt(a) if a >= 0.0 else math.nan
+    if code == 4:
+        return math.exp(min(a, 700.0))
+    if code == 5:
+        return math.tanh(a)
+    return math.sin(a) if code == 6 else math.cos(a)
+
+
+@njit(forceinline=True)
+def two_of(code, a, b):
+    """Return a function of two numbers; what is not real is NaN."""
+    if code == 0:
+        return a + b
+    if code == 1:
+        return a - b
+    if code == 2:
+        return a * b
+    if code == 3:
+        return a / b if b != 0.0 else math.nan
+    if code == 4:
+        if a == 0.0 and b < 0.0:
+            return math.nan
+        if a < 0.0 and b != math.floor(b):
+            return math.nan
+        return a**b
+    return max(a, b) if code == 5 else min(a, b)
+
+
+@njit(forceinline=True)
+def expressed(q, s):
+    """Return an expression's value; its stack is six numbers deep and takes no memory."""
+    a = b = c = d = e = f = 0.0
+    for i in range(int(q[LENGTH])):
+        code = int(q[CODES + i])
+        if code >= FIRST_SIGNAL:
+            value = (q[CONSTANTS + code - FIRST_CONSTANT] if code >= FIRST_CONSTANT
+                     else signal_of(s, code - FIRST_SIGNAL))
+            f, e, d, c, b, a = e, d, c, b, a, value
+        elif code >= FIRST_TWO:
+            a = two_of(code - FIRST_TWO, b, a)
+            b, c, d, e = c, d, e, f
+        else:
+            a = one_of(code, a)
+    return a
+
+
+@njit
+def own_term(s, q, m, c):
+    """Add a slot's term to the contributions, as an effect's ``term`` does.
+
+    Parameters
+    ----------
+    s : (N_SIGNALS,) signals;  q : (WIDTH,) the slot;  m : its memory, not used.
+    c : (N_CONTRIBUTIONS,) added to.
+    """
+    if q[KIND] == TABLE:
+        value = tabled(q[VALUES:], int(q[COUNT]), q[FIRST], q[LAST], signal_of(s, int(q[SIGNAL])))
+        factor = int(q[FACTOR])
+        if factor == BY_DIRECTION:
+            value *= math.tanh(s[V] / q[SCALE])
+        elif factor == BY_V:
+            value *= s[V] / q[SCALE]
+        elif factor == BY_DP:
+            value *= (s[P1] - s[P2]) / q[SCALE]
+    elif q[KIND] == EXPRESSION:
+        value = expressed(q, s)
+    else:
+        return
+    adds = int(q[ADDS])
+    if adds == TO_FORCE:
+        c[FORCE] += value
+    elif adds == TO_FLOW:
+        c[FLOW_1] += value
+        c[FLOW_2] -= value
+    elif adds == TO_FLOW_1:
+        c[FLOW_1] += value
+    elif adds == TO_FLOW_2:
+        c[FLOW_2] += value
+    else:
+        c[SPEED] += value
+
+
+def cardinal(at: np.ndarray, count: int, first: float, last: float) -> np.ndarray:
+    """Return what each knot of a table contributes at ``at``, (n, count)."""
+    along = np.clip((np.asarray(at) - first) / (last - first) * (count - 1), 0.0, count - 1.0)
+    i = np.minimum(along.astype(int), count - 2)
+    f = along - i
+    weights = (0.5 * f * (-1.0 + f * (2.0 - f)), 1.0 + 0.5 * f * f * (3.0 * f - 5.0),
+               0.5 * f * (1.0 + f * (4.0 - 3.0 * f)), 0.5 * f * f * (f - 1.0))
+    found, rows = np.zeros((len(along), count + 2)), np.arange(len(along))
+    for offset, weight in enumerate(weights):
+        found[rows, i + offset] += weight  # knot i - 1 stands in column i
+    inner = found[:, 1:-1]
+    inner[:, 0] += 2.0 * found[:, 0]  # the knots beyond the ends are on a line
+    inner[:, 1] -= found[:, 0]
+    inner[:, -1] += 2.0 * found[:, -1]
+    inner[:, -2] -= found[:, -1]
+    return inner
+
+
+def reads(q: np.ndarray) -> set[str]:
+    """Return the signals that a slot's term reads, by their names in ``OF``."""
+    if q[KIND] == TABLE:
+        also = {"direction": {"v"}, "v": {"v"}, "dp": {"dp"}}
+        return {OF[int(q[SIGNAL])]} | also.get(FACTORS[int(q[FACTOR])], set())
+    codes = q[CODES : CODES + int(q[LENGTH])] if q[KIND] == EXPRESSION else ()
+    return {OF[int(code) - FIRST_SIGNAL] for code in codes
+            if FIRST_SIGNAL <= code < FIRST_CONSTANT}
+
+
+def speaks(q: np.ndarray, *names: str) -> bool:
+    """Tell whether a slot's term adds to one of these contributions, or reads such a signal."""
+    used = set(BALANCES[ADDED[int(q[ADDS])]])
+    if reads(q) & set(PRESSURES):
+        used |= {"P1", "P2"}
+    return bool(used & set(names))
