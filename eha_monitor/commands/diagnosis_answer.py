@@ -7,7 +7,7 @@ from textwrap import wrap
 
 from eha_monitor import __version__
 from eha_monitor.commands.answer import finite
-from eha_monitor.mismatch.diagnosis import Diagnosis, NamedEffect, Value
+from eha_monitor.mismatch.diagnosis import Diagnosis, LearnedTerm, NamedEffect, Value
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import NOTE, with_uncertainty
 from eha_monitor.reports.diagnosis_words import (
@@ -60,6 +60,7 @@ def answer(found: Diagnosis) -> dict:
         "curves": [{**asdict(curve), **{name: getattr(curve, name).tolist() for name in
                                         ("x", "measured", "spread", "modelled")}}
                    for curve in found.curves],
+        "learned": [_learned(term) for term in found.learned],
         "config_effects": found.config_effects,
         # Probabilities took their place; programs that read them find the keys.
         "threshold": {"log_units": None, "calibrated": False},
@@ -99,6 +100,19 @@ def _effect(effect: NamedEffect) -> dict:
             "equation": effect.equation, "rig_check": effect.rig_check}
 
 
+def _learned(term: LearnedTerm) -> dict:
+    """Return the contract's keys of a learned term, then what extends them."""
+    arrays = ("x", "curve", "band", "at", "measured", "spread", "formula_curve")
+    return {"balance": term.balance, "of": term.of, "formula": term.formula,
+            "alternatives": [shown for shown, _ in term.rivals],
+            "held_out_error_removed": term.removed, "adds": term.adds,
+            "statement": term.statement, "size": term.size, "unit": term.unit,
+            "against_unit": term.against_unit, "log_evidence": term.gained,
+            "alternatives_behind": [behind for _, behind in term.rivals],
+            "covered": [float(term.x[0]), float(term.x[-1])], "entry": term.entry,
+            **{name: getattr(term, name).tolist() for name in arrays}}
+
+
 def _values(values: dict[str, Value]) -> dict:
     return {name: asdict(value) for name, value in values.items()}
 
@@ -109,15 +123,15 @@ def written_config(found: Diagnosis, settings: Settings, source: Path | None) ->
     ``effects`` is what the diagnosis says, and numbers of the rig that it contradicts become the
     found ones.  B and beta_e of the rig become the fitted ones: ``simulator`` then makes what was
     recorded, and the filters start where the rig is.  Nothing else is changed, thresholds and
-    priors included: whether the rig is healthy is not for a fit to say.  Where the names do not
-    explain the mismatch, the config stays as it was.
+    priors included: whether the rig is healthy is not for a fit to say.  Where neither names nor
+    a learned term explain the mismatch, the config stays as it was.
     """
     tree = settings.model_dump()
     changed, missing = [], []
     if found.command_hold != settings.command_hold:
         tree["command_hold"] = found.command_hold
         changed.append(f"command_hold: {found.command_hold}")
-    if found.verdict == "mismatch":
+    if found.verdict == "mismatch" or found.learned:
         changed += _corrected_numbers(found, settings, tree["rig"], missing)
         changed += _named_physics(found, tree, missing)
         for name, key in RIG_KEYS.items():
@@ -174,4 +188,5 @@ def _named_physics(found: Diagnosis, tree: dict, missing: list[str]) -> list[str
             missing.append(f"{effect.name}: {sizes}{f' at {when}' if when else ''}; a config "
                            "holds only what acts all the time")
     names = [effect.name for effect in found.effects if effect.name in CATALOGUE]
-    return [f"effects: {', '.join(names)}"] if names else []
+    lines = [f"effects: {', '.join(names)}"] if names else []
+    return lines + [f"effects, learned: {term.statement}" for term in found.learned]

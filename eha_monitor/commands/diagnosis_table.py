@@ -17,6 +17,7 @@ from eha_monitor.reports.diagnosis_words import (
     head_of,
     head_words,
     interval_words,
+    log_units,
     message_words,
     percent,
     place_words,
@@ -29,6 +30,7 @@ from eha_monitor.reports.diagnosis_words import (
 )
 from eha_monitor.words import effect_words, listed
 
+RIVAL_FORMULA = 20.0  # log units: a formula that is worse by more is not worth a line
 _COLOURS = {"ok": "green", "warn": "yellow", "error": "red", "unknown": "dim"}
 
 
@@ -56,6 +58,8 @@ def show(found: Diagnosis, written: list[Path], notes: list[str] = ()) -> None:
             if effect.intervals_s:
                 console.print(escape(f"{effect.name} acts at "
                                      f"{interval_words(effect.intervals_s)}"))
+    if found.learned:
+        console.print(_learned(found))
     if found.before or found.after:
         console.print(_parameters(found))
     if found.signals:
@@ -94,6 +98,17 @@ def _effects(found: Diagnosis) -> Table:
                       escape("\n".join(f"{name} = {value_words(value)}"
                                        for name, value in effect.parameters.items())),
                       escape(_rivals(effect.indistinguishable_from)) or "–")
+    return table
+
+
+def _learned(found: Diagnosis) -> Table:
+    table = _table("learned", "function of", "size", "removed on unseen data", "formula")
+    for term in found.learned:
+        rivals = [f"or {shown}, {log_units(behind)} log units worse"
+                  for shown, behind in term.rivals if behind < RIVAL_FORMULA]
+        table.add_row(f"missing {term.balance}", ", ".join(term.of), term.size,
+                      percent(term.removed),
+                      escape("\n".join([term.formula or "none as good as the curve", *rivals])))
     return table
 
 

@@ -14,6 +14,7 @@ from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.diagnosis import (
     Considered,
     Diagnosis,
+    LearnedTerm,
     Location,
     NamedEffect,
     Piece,
@@ -22,6 +23,7 @@ from eha_monitor.mismatch.diagnosis import (
     Value,
     Window,
 )
+from eha_monitor.mismatch.learn.told import told_of
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
@@ -46,7 +48,7 @@ from eha_monitor.mismatch.show.rig_numbers import rig_findings, rig_within
 from eha_monitor.mismatch.show.sizes import filtered_tracks, size_of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
-from eha_monitor.quantity import number, quantity
+from eha_monitor.quantity import number, quantity, share
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import listed
@@ -56,7 +58,6 @@ LARGE_PART = 0.5  # of the evidence: what an effect must take away to be named b
 # Effect of the force balance -> errors of pressure sensors that make the same force: an offset,
 # and a scale by the mean pressure.
 FORCE_OF_SENSORS = {"constant_load": ("pressure_offset", "pressure_scale")}
-WORSE = 1.02  # ratio of squared errors on unseen data that is beyond chance
 
 Report = Callable[[str, float], None]
 
@@ -153,7 +154,7 @@ def diagnosed(recordings: list[Recording], experiment: Experiment,
     shown = experiment if held_out is None else replace(
         experiment_of([held_out], settings, False), steps=experiment.steps)
     found = assemble(experiment, shown, naming, bags, duration, started, held_out is not None,
-                     pieces)
+                     pieces, say)
     windows = told.stretches if told.windows or told.stretches is not whole else ()
     return replace(found, named_on=tuple(Window(
         one.source, round(one.start, 4), round(one.start + len(one) * told.dt, 4))
@@ -180,21 +181,14 @@ def verdict_of(experiment: Experiment, naming: Naming) -> str:
     return "consistent"
 
 
-def worse(signals: dict[str, SignalFit]) -> bool:
-    """Tell whether the error on unseen data, in units of the noise, has grown."""
-    pairs = [(fit.before_rms / fit.noise_rms, fit.after_rms / fit.noise_rms)
-             for fit in signals.values() if fit.noise_rms > 0]
-    return sum(after**2 for _, after in pairs) > WORSE * sum(before**2 for before, _ in pairs)
-
-
 def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tuple[str, ...],
-             duration: float, started: float, other_bag: bool, pieces: tuple[Piece, ...] = ()
-             ) -> Diagnosis:
+             duration: float, started: float, other_bag: bool, pieces: tuple[Piece, ...],
+             say: Report) -> Diagnosis:
     """Put the answer together."""
     naming = replace(naming, before=robust(experiment, naming.before),
                      after=robust(experiment, naming.after))
     verdict, explained = verdict_of(experiment, naming), naming.explained
-    before, after = naming.before, naming.after
+    before, after, asked = naming.before, naming.after, naming
     by_equations = experiment.inverse
     if by_equations:
         closed = balance_show.balances_of(experiment, before, after)
@@ -204,8 +198,16 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         signals = show.shown(shown, before, after)
         tracks = filtered_tracks(experiment, after) if after.named else []
     # A fit that fails on unseen data has named nothing.
-    if after.named and not naming.loads and worse(signals):  # no model runs with such a load
+    if after.named and not naming.loads and show.worse(signals):  # no model runs with such a load
         verdict, explained = "unexplained", 0.0
+    told = None
+    if verdict == "unexplained" and not by_equations and not naming.loads:
+        say("learning what has no name", 0.92)
+        told = told_of(experiment, shown, naming)
+    if told is not None:  # its names are those that stand beside what was learned
+        signals, naming = told.signals, beside_learned(naming, told.fit)
+        after = naming.after
+        tracks = filtered_tracks(experiment, after) if after.named else []
     effects = tuple(named_effect(experiment, naming, name, tracks) for name in sorted(
         after.named, key=lambda name: -naming.evidence[name]))
     if naming.loads:
@@ -216,7 +218,8 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         effects = tuple(effect for effect in effects if not effect.probability < LIKELY)
         wrong = tuple(finding for finding in wrong if not finding.probability < LIKELY)
         verdict = verdict if effects or wrong else "consistent"
-    if verdict == "unexplained":  # what takes away a small part only is a confident wrong name
+    if verdict == "unexplained" and told is None:
+        # What takes away a small part only is a confident wrong name.
         effects = effects if explained >= LARGE_PART else ()
         wrong = wrong if explained >= LARGE_PART else ()
     step = quantised(experiment)
@@ -233,6 +236,10 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         terms = balance_show.terms_of(experiment, before, after)
         where = balance_show.location_of(experiment, effects, terms, closed)
         curves = tuple(curve for term in terms for curve in locate.curves_of(experiment, term))
+    elif told is not None:
+        evidence |= {f"{locate.LEARNED}{told.term.balance}": told.term.gained}
+        where = locate.location_of(experiment, before, after, evidence, [told.missing])
+        curves = locate.latent_curves(experiment, before, after, [told.missing])
     else:
         terms = missing_terms(experiment, before, after if effects else None)
         named = verdict == "mismatch"  # else it is what has no name that is looked for
@@ -243,19 +250,37 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
     known = values_of(experiment, before), values_of(experiment, after)
     parts = how.agreement(experiment, before, after)
     if verdict == "unexplained":
-        known, within = (known[0], in_doubt(known[1], parts)), ()
+        known = known[0], in_doubt(known[1], parts)
+        within = within if told is not None else ()
     return Diagnosis(
-        bags, verdict, change_words(pieces) if pieces else message_of(
+        bags, verdict, change_words(pieces) if pieces else learned_words(told.term)
+        if told is not None else message_of(
             verdict, effects, where, explained, wrong, within), where, effects, *known,
         "held_out_bag" if other_bag else "held_out", signals, curves,
         how.overlays(shown, before, after), considered_of(naming),
         parts,
         health_sentences(experiment, *known, effects),
-        balance_show.doubts(effects) if by_equations else advise.advice_for(experiment, naming),
-        config_effects(experiment, after, tuple(effect.name for effect in effects)),
+        balance_show.doubts(effects) if by_equations else advise.advice_for(experiment, asked),
+        config_effects(experiment, after, tuple(effect.name for effect in effects),
+                       told.term if told is not None else None),
         duration_s=duration, wall_s=time.perf_counter() - started, pieces=pieces,
         probability={"consistent": naming.consistent, "unexplained": naming.unexplained},
-        rig_data=wrong, rig_within=within)
+        rig_data=wrong, rig_within=within, learned=(told.term,) if told is not None else ())
+
+
+def beside_learned(naming: Naming, fit: Fit) -> Naming:
+    """Return a naming with the names that stand beside a learned term, in the learned model."""
+    return replace(  # nothing was asked of how probable they are beside it
+        naming, probability={},
+        after=replace(fit, named=tuple(n for n in fit.named if n in CATALOGUE)),
+        wrong=tuple(n.removeprefix("rig.") for n in fit.named if n.startswith("rig.")))
+
+
+def learned_words(term: LearnedTerm) -> str:
+    """Return the message of a verdict with a learned term."""
+    return (f"no entry of the catalogue explains what the {term.balance} balance lacks: "
+            f"{term.statement}. With it {share(min(term.removed, 0.999))} of the squared error on "
+            "unseen data is gone")
 
 
 def named_effect(experiment: Experiment, naming: Naming, name: str, tracks: list[np.ndarray]

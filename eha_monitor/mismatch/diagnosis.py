@@ -132,6 +132,49 @@ class Overlay:
 
 
 @dataclass(frozen=True)
+class LearnedTerm:
+    """A model of what has no name, learned from the recording: a curve over one signal.
+
+    Attributes
+    ----------
+    balance : whose missing part it is; ``adds`` to what, as an own term of a config.
+    of : signals that it is a function of, the curve's first.
+    statement : one sentence with numbers; ``size`` at its largest here, in words.
+    unit, against_unit : of the curve and of its signal.
+    x, curve, band : (n,) the curve and its standard deviation; nothing is known beyond its ends.
+    at, measured, spread : (k,) the same from the recording, bin by bin.
+    formula : where one explains the recording better than the curve does, else empty.
+    rivals : other formulas and by how many log units each is worse than the formula that is told,
+        or else than the curve.
+    formula_curve : (n,) of the best formula, NaN where there is none.
+    removed : share of the squared error on unseen data, beyond the noise, that it takes away from
+        the same model without it.
+    gained : log units over that model.
+    entry : of a config's ``effects``.
+    """
+
+    balance: str
+    adds: str
+    of: tuple[str, ...]
+    statement: str
+    size: str
+    unit: str
+    against_unit: str
+    x: np.ndarray
+    curve: np.ndarray
+    band: np.ndarray
+    at: np.ndarray
+    measured: np.ndarray
+    spread: np.ndarray
+    formula: str
+    rivals: tuple[tuple[str, float], ...]
+    formula_curve: np.ndarray
+    removed: float
+    gained: float
+    entry: dict
+
+
+@dataclass(frozen=True)
 class Considered:
     """A catalogue entry that was tried, and why it is not named.
 
@@ -193,6 +236,8 @@ class Diagnosis:
     rig_within : numbers of the rig that they know better than the config, within its tolerance.
     named_on : windows of long recordings on which the effects were named; empty where they were
         named on all of it.
+    learned : where the verdict is ``unexplained``: a model of what has no name, if one holds on
+        unseen data; ``after`` and ``signals`` are then of it.
     looked_s : of a long recording the models saw so many seconds; 0 where they saw all of it.
     """
 
@@ -222,3 +267,4 @@ class Diagnosis:
     rig_within: tuple[RigFinding, ...] = ()
     named_on: tuple[Window, ...] = ()
     looked_s: float = 0.0
+    learned: tuple[LearnedTerm, ...] = ()

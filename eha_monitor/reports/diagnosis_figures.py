@@ -5,7 +5,14 @@ import textwrap
 import numpy as np
 from matplotlib.axes import Axes
 
-from eha_monitor.mismatch.diagnosis import Agreement, Curve, Diagnosis, Overlay, Value
+from eha_monitor.mismatch.diagnosis import (
+    Agreement,
+    Curve,
+    Diagnosis,
+    LearnedTerm,
+    Overlay,
+    Value,
+)
 from eha_monitor.quantity import SYMBOLS
 from eha_monitor.reports.axes import axis_scale, scale_of, stated, time_scale
 from eha_monitor.reports.drawing import (
@@ -77,7 +84,9 @@ def curve_picture(found: Diagnosis, curve: Curve, large: bool = False) -> Pictur
         curve.x, curve.measured, curve.spread, curve.modelled))
     across = scale_of(x, curve.against_unit)
     named = listed([effect_words(effect.name) for effect in found.effects
-                    if effect.balance == curve.balance])
+                    if effect.balance == curve.balance]
+                   + ["the learned term" for term in found.learned
+                      if term.balance == curve.balance])
     with_line = bool(named) and bool(np.isfinite(modelled).any())
     spread = np.where(np.isfinite(spread), spread, 0.0)
     drawn = [measured, measured - spread, measured + spread, *([modelled] if with_line else [])]
@@ -107,6 +116,47 @@ def curve_picture(found: Diagnosis, curve: Curve, large: bool = False) -> Pictur
     return picture(figure, f"{MISSING.get(curve.balance, curve.balance)} against "
                            f"{curve.against.replace('_', ' ')}: measured"
                            f"{' and modelled' if with_line else ''}")
+
+
+def learned_picture(term: LearnedTerm) -> Picture:
+    """Draw a learned curve with its band, what was measured of it, and its best formula."""
+    figure, (axis,) = _figure(LARGE)
+    shown = [term.curve, *([term.formula_curve] if np.isfinite(term.formula_curve).all() else [])]
+    low, high, _ = robust_range([*shown, term.measured])
+    scale, across = axis_scale(max(abs(low), abs(high)), term.unit), scale_of(
+        term.x, term.against_unit)
+    x, curve, band = term.x * across.factor, term.curve * scale.factor, term.band * scale.factor
+    axis.axhline(0.0, color=INK, linewidth=0.8)
+    axis.errorbar(term.at * across.factor, term.measured * scale.factor,
+                  term.spread * scale.factor, linestyle="", marker="o", color=SEEN,
+                  markersize=4.5, elinewidth=0.9, ecolor="#b4bcc4",
+                  label="measured, and its spread")
+    axis.fill_between(x, curve - 2.0 * band, curve + 2.0 * band, color=AFTER, alpha=0.25,
+                      linewidth=0, label="learned, ± 2 standard deviations")
+    axis.plot(x, curve, color=AFTER, linewidth=2.2, label="learned")
+    if len(shown) > 1:
+        axis.plot(x, term.formula_curve * scale.factor, color=BEFORE, linewidth=1.6,
+                  linestyle="--", label="formula" if term.formula else "best formula, worse")
+    _legend(axis, True)
+    pad_limits(axis, low * scale.factor, high * scale.factor)
+    axis.margins(x=0.02)
+    name = {"x": "position x", "v": "velocity v", "dp": "pressure difference Δp",
+            "p": "mean pressure p", "omega": "pump speed ω", "p1": "pressure p₁",
+            "p2": "pressure p₂"}[term.of[0]]
+    axis.set_xlabel(f"{name}{_bracket(across.unit)}")
+    axis.set_ylabel(f"{learned_words(term)}{_bracket(scale.unit)}")
+    return picture(figure, f"{learned_words(term)} against {name}: measured, learned, and the "
+                           "formula")
+
+
+def learned_words(term: LearnedTerm) -> str:
+    """Return what a learned curve is, as a label of an axis."""
+    what = MISSING.get(term.balance, term.balance)
+    if len(term.of) == 1:
+        return what
+    if term.unit in ("N", "m³/s", "rad/s"):
+        return f"{what} against motion"
+    return f"{what} for each unit of {'Δp' if term.of[1] == 'dp' else 'v'}"
 
 
 def overlay_picture(overlay: Overlay, with_after: bool = True) -> Picture | None:

@@ -12,6 +12,7 @@ from eha_monitor.mismatch.diagnosis import (
     Considered,
     Curve,
     Diagnosis,
+    LearnedTerm,
     NamedEffect,
     RigFinding,
     Value,
@@ -24,6 +25,7 @@ from eha_monitor.reports.alarm_timeline import time_ticks
 from eha_monitor.reports.diagnosis_figures import (
     agreement_picture,
     curve_picture,
+    learned_picture,
     overlay_picture,
     telling,
 )
@@ -33,6 +35,7 @@ from eha_monitor.reports.parameter_figures import NAMES
 from eha_monitor.reports.tables import config_sections
 from eha_monitor.settings.corrected import corrected
 from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.own_terms import is_own
 from eha_monitor.settings.tolerance import Tolerance
 from eha_monitor.words import effect_words, listed
 
@@ -83,14 +86,18 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
         doubts=[f"In this recording {effect_words(effect.name)} cannot be told from "
                 f"{_rivals(effect.indistinguishable_from)}." for effect in found.effects
                 if effect.indistinguishable_from],
-        hero=curve_picture(found, curves[0], large=True) if curves else None,
-        hero_words=_curve_note(found, curves[0]) if curves else "",
+        hero=learned_picture(found.learned[0]) if found.learned else
+        curve_picture(found, curves[0], large=True) if curves else None,
+        hero_words=_learned_note(found.learned[0]) if found.learned else
+        _curve_note(found, curves[0]) if curves else "",
         summary=_summary(found),
         health=[words.sentence(text) for text in found.health],
+        learned=[_learned(term) for term in found.learned],
         compared=_compared(found),
         pieces=_pieces(found),
         location=_location(found),
-        curves=[curve_picture(found, curve) for curve in curves[1:_MOST_CURVES]],
+        curves=[curve_picture(found, curve)
+                for curve in curves[0 if found.learned else 1 : _MOST_CURVES]],
         effects=[_effect(effect, found.duration_s) for effect in found.effects],
         considered=_considered(found.considered),
         fit=_fit(found),
@@ -111,7 +118,17 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
 
 def _compared(found: Diagnosis) -> bool:
     """Tell whether there is a model after the one of the config."""
-    return bool(found.effects or found.rig_data or found.rig_within or found.pieces)
+    return bool(found.effects or found.rig_data or found.rig_within or found.pieces
+                or found.learned)
+
+
+def _learned(term: LearnedTerm) -> dict[str, Any]:
+    """Return what the page says of a learned term."""
+    ends = (quantity(term.x[0], term.against_unit, 3), quantity(term.x[-1], term.against_unit, 3))
+    return {"statement": words.sentence(term.statement),
+            "formula": term.formula, "removed": words.percent(term.removed),
+            "gained": words.log_units(term.gained), "ends": ends,
+            "rivals": [(shown, words.log_units(behind)) for shown, behind in term.rivals]}
 
 
 def _rig(finding: RigFinding, tolerance: Tolerance) -> dict[str, str]:
@@ -125,16 +142,29 @@ def _rig(finding: RigFinding, tolerance: Tolerance) -> dict[str, str]:
 
 def _for_config(found: Diagnosis, settings: Settings) -> dict[str, Any]:
     """Return what ``--write-config`` would put into a config, and what it cannot."""
-    if found.verdict != "mismatch":
+    if found.verdict != "mismatch" and not found.learned:
         return {"config_rig": {}, "config_effects": {}, "config_lacks": ""}
     rig, _ = corrected(settings.rig, {finding.key: finding.found.value
                                       for finding in found.rig_data})
     return {"config_rig": rig,
-            "config_effects": {name: values for name, values in found.config_effects.items()
-                               if name in CATALOGUE},
+            "config_effects": {name: _flow_text(values)
+                               for name, values in found.config_effects.items()
+                               if name in CATALOGUE or is_own(values)},
             "config_lacks": listed([effect_words(effect.name)
                                           for effect in found.effects
                                           if effect.name not in CATALOGUE])}
+
+
+def _flow_text(values: dict) -> str:
+    """Return an entry of ``effects`` on one line of YAML."""
+    def text(value) -> str:
+        if isinstance(value, str):
+            return f'"{value}"' if "(" in value or "*" in value else value
+        if isinstance(value, (list, tuple)):
+            return f"[{', '.join(map(text, value))}]"
+        return f"{value:.6g}"
+
+    return "{" + ", ".join(f"{key}: {text(value)}" for key, value in values.items()) + "}"
 
 
 def _presentable(found: Diagnosis) -> Diagnosis:
@@ -180,6 +210,14 @@ def _curve_note(found: Diagnosis, curve: Curve) -> str:
     if found.verdict == "consistent":
         return "What is left when the model has explained the recording: noise about zero."
     return f"{dots}: what the recording shows and the model lacks. No entry of the catalogue fits."
+
+
+def _learned_note(term: LearnedTerm) -> str:
+    formula = ("Dashed: the formula, which explains the recording better than the curve does."
+               if term.formula else "Dashed: the best formula; the curve explains more."
+               if term.rivals else "")
+    return ("Dots: what the recording shows and the model lacks. Blue: what was learned from the "
+            f"whole recording, with its band. {formula} Beyond the ends nothing is known.")
 
 
 def _summary(found: Diagnosis) -> list[dict[str, str]]:

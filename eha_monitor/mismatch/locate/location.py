@@ -34,6 +34,7 @@ GRAIN, MOST_INTERVALS = 0.1, 8  # s of an interval's grain; intervals
 SMOOTH = 0.02  # s over which a term's change is taken
 MATERIAL = 0.3  # of a term's mean square: what it changes by at a reversal, squared, to count
 LEFT = 30.0  # times the smallest unknowns: the named effects leave something behind
+LEARNED = "learned."  # before the balance of a term that was learned
 # Where a term of each balance may be at home.
 HOMES = {
     "force": ("velocity_reversal", "high_speed", "high_pressure", "near_limit"),
@@ -125,8 +126,8 @@ def location_of(experiment: Experiment, before: Fit, after: Fit | None,
 
     Parameters
     ----------
-    named : effect or ``rig.<key>`` -> log evidence; empty where nothing in the catalogue explains
-        the mismatch.  What the named effects leave behind counts beside them.
+    named : effect, ``rig.<key>`` or ``learned.<balance>`` -> log evidence; empty where nothing
+        explains the mismatch.  What the named effects leave behind counts beside them.
     terms : :func:`missing_terms` of the named effects, where they are at hand.
     """
     weights = dict.fromkeys(BALANCES, 0.0)
@@ -164,9 +165,11 @@ def location_of(experiment: Experiment, before: Fit, after: Fit | None,
 
 
 def balance_of(name: str) -> str:
-    """Return the balance of an effect, or of a number of the rig (``rig.<key>``)."""
+    """Return the balance of an effect, a number of the rig (``rig.<key>``), a learned term."""
     if name in CATALOGUE:
         return CATALOGUE[name].balance
+    if name.startswith(LEARNED):
+        return name.removeprefix(LEARNED)
     key = name.removeprefix("rig.")
     return ("force" if key in ("mass", "area_1", "area_2", INTERMITTENT)
             else "drive" if key == "position_gain" else "flow")

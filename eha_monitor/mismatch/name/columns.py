@@ -10,6 +10,7 @@ amplitudes of all columns have the prior N(centre, 1).  Suspects are
     unnamed     smooth unknown functions (:mod:`eha_monitor.mismatch.name.unnamed`)
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -27,7 +28,7 @@ from eha_monitor.mismatch.name.starts import (
     possible,
     starts_of,
 )
-from eha_monitor.mismatch.name.unnamed import columns_of, unnamed_of
+from eha_monitor.mismatch.name.unnamed import Unnamed, columns_of, unnamed_of
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import BASE_KEYS, effect_values
 from eha_monitor.physics.signals import B
@@ -142,11 +143,14 @@ def coarse(experiment: Experiment) -> Experiment:
     return replace(experiment, steps=min(steps, experiment.steps))
 
 
-def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects: bool = True
-               ) -> Columns:
+def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects: bool = True,
+               terms: Sequence[Unnamed] | None = None) -> Columns:
     """Return innovations and columns at a fit, under its gains.
 
-    ``suspects`` : also the effects that the model does not have.
+    Parameters
+    ----------
+    unnamed : also unknown functions: ``terms``, or those of :func:`unnamed_of`.
+    suspects : also the effects that the model does not have.
     """
     present = runs_of(experiment, fit.theta, fit.active, fit.gains)
     what: list[Column] = []
@@ -191,7 +195,8 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
         if possible(start.effect, experiment):
             entering(fit, start, REPLACING + place, what, moves)
 
-    terms = unnamed_of(experiment, fit) if unnamed and not experiment.inverse else []
+    if terms is None:
+        terms = unnamed_of(experiment, fit) if unnamed and not experiment.inverse else []
     sizes = [term.basis[0].shape[1] for term in terms]
     # In one block, as large as is given back to the system when it is freed.
     bounds = np.cumsum([0, *map(len, present)])

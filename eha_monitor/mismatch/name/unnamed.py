@@ -16,7 +16,7 @@ from eha_monitor.mismatch.likelihood.fit import Fit, filtered, spread
 from eha_monitor.mismatch.likelihood.gains import linear_of, smallest_unknowns
 from eha_monitor.mismatch.name.gram import carried, injected
 from eha_monitor.physics import signals as s
-from eha_monitor.physics.plant import Y_FLOW, Y_FORCE, Y_SPEED
+from eha_monitor.physics.plant import Y_FLOW, Y_FORCE, Y_P1, Y_P2, Y_SPEED
 
 HATS = 9  # of a signal
 BLOCK, MOST_BLOCKS = 1.0, 30  # s of a time in which an unknown load is constant; how many
@@ -32,7 +32,8 @@ class Unnamed:
 
     Attributes
     ----------
-    name : e.g. ``force of x``; ``balance`` it acts in; ``of`` what it is a function of.
+    name : e.g. ``force of x``; ``balance`` it acts in: ``force``, ``flow`` across, ``flow_1`` and
+        ``flow_2`` into one chamber, ``drive``; ``of`` what it is a function of.
     basis : for each stretch (n, k) hat functions times the signal that it scales.
     """
 
@@ -147,9 +148,20 @@ def columns_of(experiment: Experiment, fit: Fit, unnamed: list[Unnamed],
     linear = linear_of(experiment, fit.theta, fit.active, fit.unknowns)
     small = dict(zip(PLACES, smallest_unknowns(experiment).as_array(), strict=True))
     used = experiment.columns
+
+    def entering(balance: str) -> np.ndarray:
+        """Return what a unit adds to the state over a sample, (N,)."""
+        plain, _, chamber = balance.partition("_")
+        into = PRIOR * small[plain] * carried(linear.a, PLACES[plain])
+        if chamber:  # nothing into the other one
+            into[Y_P2 if chamber == "1" else Y_P1] = 0.0
+        if chamber == "2":  # the unknown flow goes out of chamber 2, this one into it
+            into *= -1.0
+        return into
+
     enters = np.concatenate([np.repeat(
-        PRIOR * small[one.balance] * carried(linear.a, PLACES[one.balance])[:, None],
-        one.basis[0].shape[1], axis=1) for one in unnamed], axis=1)
+        entering(one.balance)[:, None], one.basis[0].shape[1], axis=1)
+        for one in unnamed], axis=1)
     gains = np.ascontiguousarray(fit.gains[:, :, used])
 
     def write(i: int) -> None:

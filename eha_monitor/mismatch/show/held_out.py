@@ -27,6 +27,7 @@ OVERLAY = 1.0  # s of an overlay
 BLOCKS = 30  # fewest blocks of a variance ratio that is shown: chance stays below 1 +- 0.26
 DERIVATIVES, BALANCE = 100.0, 20.0  # Hz: pass bands of v and a, and of the whole force balance
 FEWEST = 500  # samples in a part whose parameters are fitted
+WORSE = 1.02  # ratio of squared errors on unseen data that is beyond chance
 
 
 @dataclass(frozen=True)
@@ -159,6 +160,13 @@ def shown(experiment: Experiment, before: Fit, after: Fit | None,
         found["force"] = SignalFit("N", forces[0][0], forces[-1][0], float("nan"),
                                    signal_rms=forces[-1][1])
     return found
+
+
+def worse(signals: dict[str, SignalFit]) -> bool:
+    """Tell whether the error on unseen data, in units of the noise, has grown."""
+    pairs = [(fit.before_rms / fit.noise_rms, fit.after_rms / fit.noise_rms)
+             for fit in signals.values() if fit.noise_rms > 0]
+    return sum(after**2 for _, after in pairs) > WORSE * sum(before**2 for before, _ in pairs)
 
 
 def force_residual(experiment: Experiment, fit: Fit) -> tuple[float, float]:

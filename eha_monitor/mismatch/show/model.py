@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.diagnosis import Agreement, NamedEffect, Value
+from eha_monitor.mismatch.diagnosis import Agreement, LearnedTerm, NamedEffect, Value
 from eha_monitor.mismatch.likelihood.fit import Fit, sensitivities, step_of, whitener
 from eha_monitor.mismatch.name.base import TIMING
 from eha_monitor.physics.effects import CATALOGUE
@@ -116,14 +116,20 @@ def prior_information(experiment: Experiment, fit: Fit) -> np.ndarray:
     return np.linalg.inv(known)
 
 
-def config_effects(experiment: Experiment, fit: Fit, names: tuple[str, ...]
-                   ) -> dict[str, dict[str, float]]:
-    """Return the ``effects:`` section: what the config had, and the named ones of ``names``."""
+def config_effects(experiment: Experiment, fit: Fit, names: tuple[str, ...],
+                   learned: LearnedTerm | None = None) -> dict[str, dict[str, float]]:
+    """Return the ``effects:`` section: what the config had, the named ones of ``names``, learned.
+    """
     found = {name: dict(values) for name, values in experiment.settings.effects.items()}
     for name in (name for name in fit.named if name in names):
         values = effect_values(fit.theta, name)
         found[name] = {p.name: float(min(max(values[p.name], p.lower), p.upper))
                        for p in CATALOGUE[name].parameters}
+    if learned is not None:
+        name, more = f"learned_{learned.adds}", 2
+        while name in found:
+            name, more = f"learned_{learned.adds}_{more}", more + 1
+        found[name] = dict(learned.entry)
     return found
 
 

@@ -1,0 +1,209 @@
+"""The learned term: a table's values fitted in the likelihood, beside all that the model has."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.learn.forms import BALANCE, KNOTS, Form, Guess, ranked_forms
+from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread, with_unknowns
+from eha_monitor.mismatch.name.acceptance import UNNAMED
+from eha_monitor.mismatch.name.naming import Naming
+from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished
+from eha_monitor.mismatch.name.refit import (
+    at_level,
+    begun,
+    evidence_of,
+    joined,
+    prior_of,
+    settled,
+)
+from eha_monitor.mismatch.name.select import FIRST, with_rig
+from eha_monitor.physics.contributions import ALL_NAMES, slot_of
+from eha_monitor.physics.effects import NAMES
+from eha_monitor.physics.own_term import OWN_NAMES, SCALE, VALUES, cardinal
+from eha_monitor.settings.own_terms import slot_for
+
+SHARES = (1.0, 0.3, 0.1, 0.0)  # of the way to a linear guess
+TRIED = 3  # forms that are looked at from each place, of those weighed
+LOOK, GOING = 10, 2  # steps of a look; forms that are then fitted to the end
+MORE = (17, 33)  # values of a table, while the evidence grows
+WIDE = 3.0  # times the root mean square of the guess: the prior deviation of a table's values
+SHARP_SPREAD = 1.5  # of the logarithm of the speed over which a term turns round
+SHARPEST = 1e-5  # of the largest speed
+
+
+@dataclass(frozen=True)
+class Learned:
+    """A model with a learned term.
+
+    Attributes
+    ----------
+    form, first, last, count : the table's; ``which`` place of its own term among all effects.
+    fit : the model; ``evidence`` of it, log units, prior odds of its names included.
+    without : the model that it was learned beside; ``gained`` log units over that.
+    """
+
+    form: Form
+    first: float
+    last: float
+    count: int
+    which: int
+    fit: Fit
+    evidence: float
+    without: Fit
+    gained: float
+
+    @property
+    def balance(self) -> str:
+        """Balance whose missing part it is."""
+        return BALANCE[self.form.adds]
+
+    @property
+    def values(self) -> np.ndarray:
+        """Values at the knots, (count,) SI."""
+        start = slot_of(self.which).start + VALUES
+        return self.fit.theta[start : start + self.count].copy()
+
+    @property
+    def scale(self) -> float:
+        """Scale of what the table is multiplied by, in that one's unit."""
+        return float(self.fit.theta[slot_of(self.which).start + SCALE])
+
+    @property
+    def knots(self) -> np.ndarray:
+        """Places of the values, (count,) SI."""
+        return np.linspace(self.first, self.last, self.count)
+
+    def places(self) -> list[int]:
+        """Return the places of the values in the fit's covariance."""
+        names = [f.name for f in self.fit.free]
+        return [names.index(knot_name(self.which, i)) for i in range(self.count)]
+
+    def covariance(self) -> np.ndarray:
+        """Return the covariance of the values, (count, count)."""
+        places = self.places()
+        return self.fit.covariance[np.ix_(places, places)]
+
+    def curve(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the curve and its standard deviation at places of the signal, (n,) each."""
+        basis = cardinal(at, self.count, self.first, self.last)
+        band = np.einsum("ij,jk,ik->i", basis, self.covariance(), basis)
+        return basis @ self.values, np.sqrt(np.maximum(band, 0.0))
+
+    def entry(self) -> dict:
+        """Return it as an entry of a config's ``effects``."""
+        return {"adds": self.form.adds, "of": self.form.of, "times": self.form.times,
+                "scale": self.scale, "first": self.first, "last": self.last,
+                "values": self.values.tolist()}
+
+
+def knot_name(which: int, i: int) -> str:
+    """Return the name of a value of an own term's table, as :class:`Free` has it."""
+    return f"{ALL_NAMES[which]}.{i}"
+
+
+def free_slot(experiment: Experiment) -> int | None:
+    """Return the place of an own term that the config leaves free, None where it has all."""
+    return next((i for i in range(len(NAMES), len(NAMES) + len(OWN_NAMES))
+                 if not experiment.active[i]), None)
+
+
+def entered_at_best(experiment: Experiment, base: Fit, which: int, guess: Guess) -> Fit:
+    """Return a model at a linear guess of the table and of all else, or a shorter way along it."""
+    return max((entered(experiment, joined(experiment, base, guess.what, guess.ranked, share),
+                        which, guess, share * guess.values) for share in SHARES),
+               key=lambda fit: fit.log_likelihood)
+
+
+def entered(experiment: Experiment, base: Fit, which: int, guess: Guess, values: np.ndarray
+            ) -> Fit:
+    """Return a model with a table entered, not yet refitted; ``values`` (n,) SI."""
+    form, slot = guess.form, slot_of(which)
+    theta, active = base.theta.copy(), base.active.copy()
+    theta[slot] = slot_for({"adds": form.adds, "of": form.of, "times": form.times,
+                            "scale": guess.scale, "first": guess.first, "last": guess.last,
+                            "values": values.tolist()})
+    active[which] = True
+    width = WIDE * max(float(np.sqrt(np.mean(guess.values**2))), 1e-30)
+    free = tuple(Free(knot_name(which, i), slot.start + VALUES + i, -1e3 * width, 1e3 * width,
+                      0.0, width) for i in range(len(values)))
+    if form.times == "direction":
+        fastest = max(experiment.ranges.speed, 1e-9)
+        free += (Free(f"{ALL_NAMES[which]}.scale", slot.start + SCALE, SHARPEST * fastest,
+                      fastest, float(np.log(guess.scale)), SHARP_SPREAD, True),)
+    k = len(base.free) + len(free)
+    return with_unknowns(experiment, replace(
+        base, theta=theta, active=active, free=base.free + free,
+        covariance=np.zeros((k, k)), converged=False), base.unknowns)
+
+
+def score_of(experiment: Experiment, fit: Fit) -> float:
+    """Return the evidence of a model, prior odds of its names included, log units."""
+    if not np.isfinite(fit.log_likelihood):
+        return -np.inf
+    return evidence_of(experiment, fit) + prior_of(frozenset(fit.named))
+
+
+def fitted(experiment: Experiment, start: Fit, which: int, guess: Guess, count: int,
+           without: Fit) -> Learned:
+    """Fit a table of ``count`` values that was entered; ``without`` is the model without it."""
+    made = settled(experiment, start)
+    score = score_of(experiment, made) + UNNAMED
+    return Learned(guess.form, guess.first, guess.last, count, which, made, score, without,
+                   score - score_of(experiment, without))
+
+
+def finer(experiment: Experiment, coarse: Learned, count: int) -> Learned:
+    """Return a learned term with more values, fitted from where it stands."""
+    places = np.linspace(coarse.first, coarse.last, count)
+    guess = Guess(coarse.form, coarse.evidence, coarse.first, coarse.last, coarse.scale,
+                  coarse.values)
+    plain = replace(coarse.fit, free=tuple(
+        f for f in coarse.fit.free if not f.name.startswith(ALL_NAMES[coarse.which] + ".")))
+    start = entered(experiment, plain, coarse.which, guess, coarse.curve(places)[0])
+    return fitted(experiment, start, coarse.which, guess, count, coarse.without)
+
+
+def learned_of(experiment: Experiment, naming: Naming) -> Learned | None:
+    """Learn what has no name as a function of one signal; None where no function helps.
+
+    It begins beside the nominal model, and beside what was named: a wrong name bends what is
+    left, and a right one leaves less.  Form and number of knots are chosen by evidence.
+    """
+    which = free_slot(experiment)
+    if which is None or experiment.inverse:
+        return None
+    # What was named, wrong numbers of the rig among it, and nothing: both with all numbers free.
+    # What is left out bends these fits, and what is linear at the config is not so there.
+    named = replace(naming.after, named=(
+        *naming.after.named, *(f"rig.{key}" for key in naming.wrong)))
+    bases = spread(lambda fit: settled(experiment, with_rig(experiment, fit)),
+                   [named, naming.before])
+    without = max(bases, key=lambda fit: score_of(experiment, fit))
+    bases.append(with_rig(experiment, begun(experiment, FIRST)))
+    places = [(base, guess) for base in bases
+              for guess in ranked_forms(experiment, base)[:TRIED]]
+
+    def look(place: tuple[Fit, Guess]) -> tuple[float, Fit, Guess]:
+        base, guess = place
+        start = entered_at_best(experiment, base, which, guess)
+        made = polished(experiment, start, Slopes(experiment), LOOK, ROUGHLY)
+        made = at_level(experiment, made) if np.isfinite(made.log_likelihood) else made
+        return made.log_likelihood + prior_of(frozenset(made.named)), made, guess
+
+    ahead: dict[Form, tuple[float, Fit, Guess]] = {}
+    for one in spread(look, places):
+        if one[0] > ahead.get(one[2].form, (-np.inf,))[0]:
+            ahead[one[2].form] = one
+    going = sorted(ahead.values(), key=lambda one: -one[0])[:GOING]
+    found = spread(lambda one: fitted(experiment, one[1], which, one[2], KNOTS, without), going)
+    best = max(found, key=lambda one: one.evidence, default=None)
+    if best is None or not best.gained > 0.0:
+        return None
+    for count in MORE:
+        one = finer(experiment, best, count)
+        if not one.evidence > best.evidence:
+            break
+        best = one
+    return best

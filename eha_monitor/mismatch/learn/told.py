@@ -1,0 +1,178 @@
+"""What is told of a learned term: curve and band, formula, and how it fares on unseen data."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.diagnosis import LearnedTerm, SignalFit
+from eha_monitor.mismatch.learn.formula import (
+    ADDED,
+    FACTORS,
+    SHOWN,
+    SIGNAL_UNITS,
+    Formula,
+    curve_of,
+    formulas_of,
+    in_signal,
+)
+from eha_monitor.mismatch.learn.forms import signal_along
+from eha_monitor.mismatch.learn.learned import Learned, learned_of
+from eha_monitor.mismatch.learn.shapes import SHAPES
+from eha_monitor.mismatch.likelihood.fit import Fit
+from eha_monitor.mismatch.likelihood.smooth import smoothed
+from eha_monitor.mismatch.locate.missing import contributed, modelled_flow, modelled_force
+from eha_monitor.mismatch.locate.terms import STATES, UNITS, Missing, following, tracks_of
+from eha_monitor.mismatch.name.naming import Naming
+from eha_monitor.mismatch.show.held_out import shown, worse
+from eha_monitor.mismatch.show.model import robust
+from eha_monitor.physics import signals as s
+from eha_monitor.physics.contributions import ALL_NAMES, slot_of
+from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.quantity import quantity
+from eha_monitor.settings.own_terms import slot_for
+
+HALF = 0.5  # of the error on unseen data: what takes away less is no model of what is missing
+PLACES = 161  # of a drawn curve
+BINS, FEWEST = 41, 15  # of what was measured; samples in one
+LARGEST = 0.98  # quantile of a term's size that counts as its largest
+ACTS = {"none": "", "direction": " and acts against the motion", "v": " and of the velocity",
+        "dp": " and of the pressure difference"}
+WHAT = {"force": "force", "flow": "flow between the chambers", "flow_1": "flow into chamber 1",
+        "flow_2": "flow into chamber 2", "speed": "shaft speed"}
+
+
+@dataclass(frozen=True)
+class Told:
+    """A learned model that holds on unseen data.
+
+    Attributes
+    ----------
+    term : what is told of it.
+    fit : the model that runs, with the formula where one is told; its names are ``fit.named``.
+    signals : errors on unseen data, of the nominal model and of this one.
+    missing : the term along the recording, measured and modelled.
+    """
+
+    term: LearnedTerm
+    fit: Fit
+    signals: dict[str, SignalFit]
+    missing: Missing
+
+
+def told_of(experiment: Experiment, unseen: Experiment, naming: Naming) -> Told | None:
+    """Learn what has no name; None where no model of it holds on data that no fit has seen.
+
+    Parameters
+    ----------
+    unseen : with held-out samples, or another recording of the rig.
+    """
+    learned = learned_of(experiment, naming)
+    if learned is None:
+        return None
+    judged = shown(unseen, learned.without, learned.fit)
+    share, signals = removed(judged), shown(unseen, naming.before, learned.fit)
+    if not share >= HALF or worse(judged) or worse(signals):
+        return None
+    learned = replace(learned, fit=robust(experiment, learned.fit))
+    formulas = formulas_of(experiment, learned)
+    fit, honest = learned.fit, bool(formulas) and formulas[0].evidence > learned.evidence
+    if honest:
+        fit = robust(experiment, formulas[0].fit)
+        signals = shown(unseen, naming.before, fit)
+        share = removed(shown(unseen, learned.without, fit))
+    missing, factors = missing_of(experiment, learned, fit)
+    return Told(term_of(learned, formulas, honest, share, missing, factors), fit, signals, missing)
+
+
+def removed(signals: dict[str, SignalFit]) -> float:
+    """Return the share of the squared error beyond the noise that is gone, all signals; <= 1."""
+    pairs = [(fit.before_rms / fit.noise_rms, fit.after_rms / fit.noise_rms)
+             for fit in signals.values() if fit.noise_rms > 0]
+    before = sum(max(one**2 - 1.0, 0.0) for one, _ in pairs)
+    after = sum(max(other**2 - 1.0, 0.0) for _, other in pairs)
+    return 1.0 - after / before if before > 0.0 else 0.0
+
+
+def missing_of(experiment: Experiment, learned: Learned, fit: Fit
+               ) -> tuple[Missing, tuple[np.ndarray, ...]]:
+    """Return the term along the recording, and what a curve of one would make there, (n,) each.
+
+    ``measured`` is what the record needs when the term is switched off, at the B and beta_e that
+    stand beside it.
+    """
+    which, form, balance = learned.which, learned.form, learned.balance
+    active, ones = fit.active.copy(), fit.theta.copy()
+    active[which] = False
+    fit = replace(fit, named=tuple(name for name in fit.named if name in CATALOGUE))
+    ones[slot_of(which)] = slot_for({**learned.entry(), "values": [1.0] * learned.count})
+    bare = replace(fit, active=active)
+    states = smoothed(experiment, following(experiment, bare, balance))
+    tracks = tracks_of(experiment, states)
+    name = (ALL_NAMES[which],)
+
+    def made(one: Fit, track: np.ndarray) -> np.ndarray:
+        if balance == "force":
+            return modelled_force(experiment, one, track, name)
+        if balance == "flow":
+            return modelled_flow(experiment, one, track, name)
+        return contributed(experiment, one, track, name)[:, s.SPEED]
+
+    term = Missing(balance, UNITS[balance], tracks,
+                   tuple(one[:, STATES[balance]] for one in states),
+                   tuple(made(fit, track) for track in tracks))
+    return term, tuple(made(replace(fit, theta=ones), track) for track in tracks)
+
+
+def measured_at(learned: Learned, missing: Missing, factors: tuple[np.ndarray, ...]
+                ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return places, values and spread of a curve as the recording shows it, (k,) each.
+
+    In each bin of the signal the value g that makes ``g * factor`` nearest to the missing term.
+    """
+    at = np.concatenate([signal_along(track, learned.form.of) for track in missing.tracks])
+    what, factor = np.concatenate(missing.measured), np.concatenate(factors)
+    edges = np.linspace(learned.first, learned.last, BINS + 1)
+    which = np.digitize(at, edges) - 1
+    rows = []
+    for i in range(BINS):
+        here = (which == i) & np.isfinite(what) & np.isfinite(factor)
+        power = float(factor[here] @ factor[here])
+        if here.sum() < FEWEST or not power > 0.0:
+            continue
+        value = float(factor[here] @ what[here]) / power
+        left = what[here] - value * factor[here]
+        spread = np.sqrt(np.mean(left**2) / (power / here.sum()))
+        rows.append((0.5 * (edges[i] + edges[i + 1]), value, spread))
+    return tuple(np.array(rows).T) if rows else (np.zeros(0),) * 3
+
+
+def term_of(learned: Learned, formulas: list[Formula], honest: bool, share: float,
+            missing: Missing, factors: tuple[np.ndarray, ...]) -> LearnedTerm:
+    """Return the record of a learned term."""
+    form = learned.form
+    x = np.linspace(learned.first, learned.last, PLACES)
+    curve, band = learned.curve(x)
+    divisor = learned.scale if form.times in ("v", "dp") else 1.0
+    best = formulas[0] if formulas else None
+    drawn = np.full(len(x), np.nan)
+    if best is not None:
+        shape = next(shape for shape in SHAPES if shape.name == best.shape)
+        drawn = curve_of(in_signal(shape.text, form.of), best.values, form.of, x)
+    at, measured, spread = measured_at(learned, missing, factors)
+    signals = (form.of, *({"direction": ("v",), "v": ("v",), "dp": ("dp",)}.get(form.times, ())))
+    largest = float(np.quantile(np.abs(np.concatenate(missing.modelled)), LARGEST))
+    size = quantity(largest, missing.unit, 3)
+    of = SHOWN.get(form.of, form.of)
+    told = best.shown if honest else ""
+    statement = (f"an unknown {WHAT[form.adds]}, {told}, {size} at its largest" if told else
+                 f"an unknown {WHAT[form.adds]} that is a function of {of}{ACTS[form.times]}, "
+                 f"{size} at its largest")
+    reference = best.evidence if honest else learned.evidence
+    rivals = formulas[1:] if honest else formulas
+    return LearnedTerm(
+        learned.balance, form.adds, tuple(dict.fromkeys(signals)), statement, size,
+        ADDED[form.adds] + FACTORS[form.times][2], SIGNAL_UNITS[form.of], x, curve / divisor,
+        band / divisor, at, measured / divisor, spread / divisor, told,
+        tuple((one.shown, reference - one.evidence) for one in rivals), drawn, share,
+        learned.gained, best.entry(form.adds) if honest else learned.entry())
