@@ -246,8 +246,20 @@ def test_the_page_of_own_terms_says_what_happens(tmp_path):
         assert run.returncode == 0, (line, run.stderr)
     known, bare, estimated = (json.loads((tmp_path / f"{name}.json").read_text())
                               for name in ("with", "without", "estimate"))
-    assert known["verdict"] == "consistent" != bare["verdict"]
+    assert (known["verdict"], bare["verdict"]) == ("consistent", "unexplained")
     assert estimated["parameters"]["B"]["value"] == pytest.approx(600.0, rel=0.03)
+    learned, = bare["learned"]
+    assert learned["balance"] == "force" and learned["of"] == ["x", "v"]
+    entry = learned["entry"]
+    assert [entry[key] for key in ("F", "u_0", "w")] == pytest.approx([60.0, 4e-3, 5e-3], rel=0.03)
+    assert "60 N · exp(" in learned["formula"] and learned["held_out_error_removed"] > 0.99
+    x, curve, band = (np.array(learned[key]) for key in ("x", "curve", "band"))
+    true = 60.0 * np.exp(-(((x - 4e-3) / 5e-3) ** 2))
+    assert np.mean(np.abs(curve - true) < 2.0 * band + 0.5) > 0.9
+    for name, true in (("B", 600.0), ("beta_e", 6e8)):
+        assert bare["parameters"]["after"][name]["value"] == pytest.approx(true, rel=0.03)
+    page = (tmp_path / "worn.html").read_text()
+    assert learned["formula"] in page and "What was learned of it" in page
 
 
 def test_reports_name_the_terms_that_a_config_has():

@@ -23,8 +23,9 @@ CATALOGUE_BALANCES = {
 }
 # Outside the catalogue of the diagnosis: the right answer is "unexplained", at this balance.
 OUTSIDE_BALANCES = {
-    "force": ("position_friction_hump", "sticking_place", "gapped_load"),
-    "flow": ("sticking_check_valve", "pump_ripple", "position_dependent_leak"),
+    "force": ("position_friction_hump", "sticking_place", "gapped_load", "lever_load",
+              "end_cushion"),
+    "flow": ("sticking_check_valve", "pump_ripple", "position_dependent_leak", "widening_gap"),
 }
 
 
@@ -254,6 +255,29 @@ def _place_leak(c: Context) -> Hidden:
         parameters={"L": leak, "x": place, "width": width})
 
 
+def _lever(c: Context) -> Hidden:
+    """Load of a lever: a sine of the stroke (Jelali and Kroll, Hydraulic Servo-systems)."""
+    force, length = c.take("F", 60.0 * c.size), c.take("length", 30e-3)
+    return Hidden(plant={"lever_load": force, "lever_length": length},
+                  parameters={"F": force, "length": length})
+
+
+def _cushion(c: Context) -> Hidden:
+    """Damping that rises toward the ends (Merritt, Hydraulic Control Systems: end cushioning)."""
+    rise, place = c.take("d", 9e4 * c.size), c.take("x", 5e-3)
+    return Hidden(plant={"cushion": rise, "cushion_place": place},
+                  parameters={"d": rise, "x": place})
+
+
+def _widening(c: Context) -> Hidden:
+    """Gap widened by its own pressure (Ivantysyn and Ivantysynova, Hydrostatic Pumps and Motors).
+
+    The flow through a gap goes with the cube of its height, and that here with the pressure.
+    """
+    gain = c.take("L_3", 30.0 * c.rig["leakage"] * c.size / 4e5**2)
+    return Hidden(plant={"widening_gap": gain}, parameters={"L_3": gain})
+
+
 ENTRIES: dict[str, Callable[[Context], Hidden]] = {
     "coulomb_friction": _coulomb,
     "stribeck_friction": _stribeck,
@@ -295,4 +319,7 @@ ENTRIES: dict[str, Callable[[Context], Hidden]] = {
     "sticking_check_valve": _sticky_valve,
     "pump_ripple": _ripple,
     "position_dependent_leak": _place_leak,
+    "lever_load": _lever,
+    "end_cushion": _cushion,
+    "widening_gap": _widening,
 }

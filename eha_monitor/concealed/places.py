@@ -23,6 +23,7 @@ NAMES = (
     "hump_force", "hump_place", "hump_width", "stick_force", "stick_place", "stick_width",
     "sticky_gain", "sticky_open", "sticky_close", "ripple", "ripple_order",
     "gapped_mass", "gapped_play", "place_leak", "place_leak_place", "place_leak_width",
+    "lever_load", "lever_length", "cushion", "cushion_place", "widening_gap",
 )
 (AREA, VOLUME, MASS, DAMPING, BULK_MODULUS, LEAKAGE, MAKEUP, CHARGE_PRESSURE, DISPLACEMENT,
  POSITION_GAIN, SEAL_FORWARD, SEAL_BACKWARD, SEAL_STATIC, STRIBECK_SPEED, SEAL_PER_PRESSURE,
@@ -33,7 +34,8 @@ NAMES = (
  PUMP_LOSS, LINE_INERTANCE, LINE_RESISTANCE, LINE_VOLUME, DRIVE_LAG, SPEED_LIMIT,
  FEEDBACK_DELAY, HUMP_FORCE, HUMP_PLACE, HUMP_WIDTH, STICK_FORCE, STICK_PLACE, STICK_WIDTH,
  STICKY_GAIN, STICKY_OPEN, STICKY_CLOSE, RIPPLE, RIPPLE_ORDER, GAPPED_MASS, GAPPED_PLAY,
- PLACE_LEAK, PLACE_LEAK_PLACE, PLACE_LEAK_WIDTH) = range(len(NAMES))
+ PLACE_LEAK, PLACE_LEAK_PLACE, PLACE_LEAK_WIDTH, LEVER_LOAD, LEVER_LENGTH, CUSHION,
+ CUSHION_PLACE, WIDENING_GAP) = range(len(NAMES))
 N_CONSTANTS = len(NAMES)
 
 # Columns of the fine trajectory.

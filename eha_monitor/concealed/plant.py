@@ -21,6 +21,8 @@ from eha_monitor.concealed.places import (
     CHECK_GAIN,
     CHECK_PRESSURE,
     CONSTANT_LOAD,
+    CUSHION,
+    CUSHION_PLACE,
     DAMPING,
     DAMPING_ASYMMETRY,
     DEAD_ZONE,
@@ -36,6 +38,8 @@ from eha_monitor.concealed.places import (
     HUMP_WIDTH,
     LEAKAGE,
     LEAKAGE_OFFSET,
+    LEVER_LENGTH,
+    LEVER_LOAD,
     LINE_INERTANCE,
     LINE_RESISTANCE,
     LINE_VOLUME,
@@ -74,6 +78,7 @@ from eha_monitor.concealed.places import (
     TURBULENT,
     VOLUME,
     VOLUME_SLOPE,
+    WIDENING_GAP,
 )
 
 ATMOSPHERE = 1.01325e5  # Pa
@@ -163,6 +168,8 @@ def _leak(x, dp, c):
         flow += c[RELIEF_GAIN] * (dp - math.copysign(c[RELIEF_PRESSURE], dp))
     if c[PLACE_LEAK] != 0.0:
         flow += c[PLACE_LEAK] * _bump(x, c[PLACE_LEAK_PLACE], c[PLACE_LEAK_WIDTH]) * dp
+    if c[WIDENING_GAP] != 0.0:  # a gap that its own pressure opens lets through its cube
+        flow += c[WIDENING_GAP] * dp * dp * dp
     return flow
 
 
@@ -212,6 +219,10 @@ def _derivatives(y, memory, w_command, c, dy):
     dy[SW] = (w_command - y[SW]) / c[DRIVE_LAG] if c[DRIVE_LAG] > 0.0 else 0.0
 
     resisting = c[DAMPING] * v + c[QUADRATIC] * v * abs(v) + c[CONSTANT_LOAD] + c[STIFFNESS] * x
+    if c[LEVER_LOAD] != 0.0:
+        resisting += c[LEVER_LOAD] * math.sin(2.0 * math.pi * x / c[LEVER_LENGTH])
+    if c[CUSHION] != 0.0:
+        resisting += c[CUSHION] * max(abs(x) - c[CUSHION_PLACE], 0.0) * v
     resisting += c[DAMPING_ASYMMETRY] * abs(v)
     stiffness = bristle_stiffness(c)
     if stiffness > 0.0:

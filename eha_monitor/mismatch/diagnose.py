@@ -19,7 +19,6 @@ from eha_monitor.mismatch.diagnosis import (
     NamedEffect,
     Piece,
     RigFinding,
-    SignalFit,
     Value,
     Window,
 )

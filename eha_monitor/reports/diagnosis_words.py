@@ -24,6 +24,7 @@ VERDICTS = {
     "insufficient_data": ("unknown", "Too little to tell"),
 }
 CHANGED = ("warn", "A parameter changed, and nothing else is missing")
+LEARNED = ("warn", "Not in the catalogue, and learned from the recording")
 WRONG_NUMBERS = ("warn", "The numbers of the rig explain the mismatch, and nothing is left out")
 REGIMES = {
     "velocity_reversal": "where the motion reverses", "high_speed": "at high speed",
@@ -41,6 +42,8 @@ def head_of(found: Diagnosis) -> tuple[str, str]:
     """Return the colour and the first words of a verdict."""
     if found.pieces:
         return CHANGED
+    if found.learned:
+        return LEARNED
     if found.verdict == "mismatch" and found.rig_data and not found.effects:
         return WRONG_NUMBERS
     return VERDICTS.get(found.verdict, ("unknown", found.verdict))

@@ -1,4 +1,4 @@
-"""Of which signal a missing term is a function: every form weighed at once from one Gram matrix."""
+"""Of which signal a missing term is a function: all forms weighed from one Gram matrix."""
 
 from dataclasses import dataclass, replace
 

@@ -12,6 +12,7 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import least_squares
 
 from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.learn.forms import Form
 from eha_monitor.mismatch.learn.learned import SHARPEST, Learned, score_of
 from eha_monitor.mismatch.learn.shapes import SHAPES, Shape
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread, with_unknowns
@@ -19,7 +20,7 @@ from eha_monitor.mismatch.name.acceptance import UNNAMED
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
 from eha_monitor.physics.expression import parsed
-from eha_monitor.physics.own_term import CONSTANTS, OF, expressed
+from eha_monitor.physics.own_term import ADDED_UNITS, CONSTANTS, expressed
 from eha_monitor.physics.signals import N_SIGNALS, OMEGA, P1, P2, V, X
 from eha_monitor.quantity import quantity
 
@@ -28,7 +29,6 @@ EXACT = 0.02  # of the curve's root mean square: no table follows a formula clos
 SIGNAL_UNITS = {"x": "m", "v": "m/s", "dp": "Pa", "p": "Pa", "omega": "rad/s", "p1": "Pa",
                 "p2": "Pa"}
 SHOWN = {"dp": "Δp", "omega": "ω", "p1": "p₁", "p2": "p₂"}
-ADDED = {"force": "N", "flow": "m³/s", "flow_1": "m³/s", "flow_2": "m³/s", "speed": "rad/s"}
 FACTORS = {"none": ("", "", ""), "direction": ("*tanh(v/v_e)", " against the motion", ""),
            "v": ("*v", " · v", "·s/m"), "dp": ("*dp", " · Δp", "/Pa")}
 WIDE = 3.0  # times its own size: the prior deviation of a formula's parameter
@@ -75,9 +75,7 @@ def curve_of(text: str, values: dict[str, float], of: str, at: np.ndarray) -> np
     for i, value in enumerate(at):
         s[X] = s[V] = s[OMEGA] = s[P1] = value
         s[P2] = -value if of == "p2" else 0.0
-        if of == "p":
-            s[P2] = value
-        elif of == "p2":
+        if of == "p" or of == "p2":
             s[P2] = value
         found[i] = expressed(slot, s)
     return found
@@ -88,11 +86,12 @@ def in_signal(text: str, of: str) -> str:
     return re.sub(r"\bu\b", of, text)
 
 
-def unit_of(form, kind: str) -> str:
+def unit_of(form: Form, kind: str) -> str:
     """Return the unit of a shape's parameter, SI."""
-    y, u = ADDED[form.adds] + FACTORS[form.times][2], SIGNAL_UNITS[form.of]
+    y, u = ADDED_UNITS[form.adds] + FACTORS[form.times][2], SIGNAL_UNITS[form.of]
     divided = f"{y}/({u})" if "/" in u else f"{y}/{u}"
-    return {"y": y, "u": u, "y/u": divided, "y/u2": f"{y}/({u})²", "y/ru": f"{y}/√({u})"}[kind]
+    return {"y": y, "u": u, "y/u": divided, "y/u2": f"{y}/({u})²",
+            "y/u3": f"{y}/({u})³", "y/ru": f"{y}/√({u})"}[kind]
 
 
 def on_curve(shape: Shape, places: np.ndarray, learned: Learned
@@ -137,7 +136,7 @@ def scale_of(kind: str, u: np.ndarray, y: np.ndarray) -> float:
     """Return the size of a shape's parameter over a curve, SI."""
     across, high = float(np.ptp(u)), float(np.abs(y).max()) + 1e-300
     return {"y": high, "u": across, "y/u": high / across, "y/u2": high / across**2,
-            "y/ru": high / np.sqrt(across)}[kind]
+            "y/u3": high / across**3, "y/ru": high / np.sqrt(across)}[kind]
 
 
 def refitted(experiment: Experiment, learned: Learned, shape: Shape, values: dict[str, float]
@@ -178,12 +177,10 @@ def refitted(experiment: Experiment, learned: Learned, shape: Shape, values: dic
                    score_of(experiment, made) + UNNAMED)
 
 
-def shown_as(shape: Shape, form, values: dict[str, float]) -> str:
+def shown_as(shape: Shape, form: Form, values: dict[str, float]) -> str:
     """Return a formula with its numbers, as a person reads it."""
     told = {key: quantity(values[key], unit_of(form, kind), 3)
             for key, kind in shape.units.items()}
     text = shape.shown.format(u=SHOWN.get(form.of, form.of), **told) + FACTORS[form.times][1]
     return text.replace("+ −", "− ").replace("− −", "+ ").replace("+ -", "− ").replace("− -", "+ ")
 
-
-assert set(SIGNAL_UNITS) == set(OF)

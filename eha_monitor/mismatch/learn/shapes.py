@@ -21,8 +21,8 @@ class Shape:
     name : in words.
     text : expression in ``u`` and its parameters.
     shown : how a person reads it; parameters and ``u`` in braces.
-    units : parameter -> ``y``, ``u``, ``y/u``, ``y/u2`` or ``y/ru``: of the curve, of the signal,
-        of their ratio, of the ratio with its square, with its root.
+    units : parameter -> ``y``, ``u``, ``y/u``, ``y/u2``, ``y/u3`` or ``y/ru``: of the curve, of
+        the signal, of their ratio, of the ratio with its square, its cube, its root.
     starts : of a curve, (n,) places and (n,) values, where a fit may begin.
     positive : parameters that are widths or limits.
     """
@@ -99,11 +99,22 @@ def _dead_band(u, y):
         yield {"k": float(law @ y / max(law @ law, 1e-300)), "d": share * largest}
 
 
+def _beyond(u, y):
+    largest = float(np.abs(u).max())
+    for share in (0.15, 0.4, 0.7):
+        law = np.maximum(np.abs(u) - share * largest, 0.0)
+        yield {"k": float(law @ y / max(law @ law, 1e-300)), "d": share * largest}
+
+
+def _cube(u, y):
+    yield {"c": float((u**3) @ y / (u**3 @ u**3))}
+
+
 def _threshold(u, y):
     for share in (0.25, 0.5, 0.75):
         place = float(u.min() + share * np.ptp(u))
-        for law, key in ((np.maximum(u - place, 0.0), 1.0),):
-            yield {"k": key * float(law @ y / max(law @ law, 1e-300)), "u_0": place}
+        law = np.maximum(u - place, 0.0)
+        yield {"k": float(law @ y / max(law @ law, 1e-300)), "u_0": place}
 
 
 def _under(u, y):
@@ -129,6 +140,7 @@ SHAPES = (
     Shape("a parabola", "F + k*u + c*u*u", "({F} + {k} · {u} + {c} · {u}²)",
           {"F": "y", "k": "y/u", "c": "y/u2"}, _parabola),
     Shape("a square law", "c*u*abs(u)", "{c} · |{u}|{u}", {"c": "y/u2"}, _square),
+    Shape("a cube", "c*u*u*u", "{c} · {u}³", {"c": "y/u3"}, _cube),
     Shape("a root", "c*sign(u)*sqrt(abs(u))", "{c} · sgn({u}) √|{u}|", {"c": "y/ru"}, _root),
     Shape("a bump", "F*exp(-((u - u_0)/w)**2)", "{F} · exp(−(({u} − {u_0})/{w})²)",
           {"F": "y", "u_0": "u", "w": "u"}, _bump, ("w",)),
@@ -141,6 +153,8 @@ SHAPES = (
           _saturation, ("w",)),
     Shape("a dead band", "k*(max(u - d, 0) + min(u + d, 0))",
           "{k} · ({u} beyond ±{d})", {"k": "y/u", "d": "u"}, _dead_band, ("d",)),
+    Shape("a rise beyond", "k*max(abs(u) - d, 0)", "{k} · (|{u}| above {d})",
+          {"k": "y/u", "d": "u"}, _beyond, ("d",)),
     Shape("a threshold", "k*max(u - u_0, 0)", "{k} · ({u} above {u_0})",
           {"k": "y/u", "u_0": "u"}, _threshold),
     Shape("a threshold from below", "k*max(u_0 - u, 0)", "{k} · ({u} below {u_0})",

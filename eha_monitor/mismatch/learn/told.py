@@ -6,8 +6,8 @@ import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import LearnedTerm, SignalFit
+from eha_monitor.mismatch.learn.forms import signal_along
 from eha_monitor.mismatch.learn.formula import (
-    ADDED,
     FACTORS,
     SHOWN,
     SIGNAL_UNITS,
@@ -16,7 +16,6 @@ from eha_monitor.mismatch.learn.formula import (
     formulas_of,
     in_signal,
 )
-from eha_monitor.mismatch.learn.forms import signal_along
 from eha_monitor.mismatch.learn.learned import Learned, learned_of
 from eha_monitor.mismatch.learn.shapes import SHAPES
 from eha_monitor.mismatch.likelihood.fit import Fit
@@ -29,6 +28,7 @@ from eha_monitor.mismatch.show.model import robust
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
 from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.own_term import ADDED_UNITS
 from eha_monitor.quantity import quantity
 from eha_monitor.settings.own_terms import slot_for
 
@@ -101,7 +101,7 @@ def missing_of(experiment: Experiment, learned: Learned, fit: Fit
     ``measured`` is what the record needs when the term is switched off, at the B and beta_e that
     stand beside it.
     """
-    which, form, balance = learned.which, learned.form, learned.balance
+    which, balance = learned.which, learned.balance
     active, ones = fit.active.copy(), fit.theta.copy()
     active[which] = False
     fit = replace(fit, named=tuple(name for name in fit.named if name in CATALOGUE))
@@ -172,7 +172,7 @@ def term_of(learned: Learned, formulas: list[Formula], honest: bool, share: floa
     rivals = formulas[1:] if honest else formulas
     return LearnedTerm(
         learned.balance, form.adds, tuple(dict.fromkeys(signals)), statement, size,
-        ADDED[form.adds] + FACTORS[form.times][2], SIGNAL_UNITS[form.of], x, curve / divisor,
+        ADDED_UNITS[form.adds] + FACTORS[form.times][2], SIGNAL_UNITS[form.of], x, curve / divisor,
         band / divisor, at, measured / divisor, spread / divisor, told,
         tuple((one.shown, reference - one.evidence) for one in rivals), drawn, share,
         learned.gained, best.entry(form.adds) if honest else learned.entry())

@@ -118,8 +118,7 @@ def prior_information(experiment: Experiment, fit: Fit) -> np.ndarray:
 
 def config_effects(experiment: Experiment, fit: Fit, names: tuple[str, ...],
                    learned: LearnedTerm | None = None) -> dict[str, dict[str, float]]:
-    """Return the ``effects:`` section: what the config had, the named ones of ``names``, learned.
-    """
+    """Return the ``effects:`` section: what the config had, those named, the learned."""
     found = {name: dict(values) for name, values in experiment.settings.effects.items()}
     for name in (name for name in fit.named if name in names):
         values = effect_values(fit.theta, name)
