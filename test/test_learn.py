@@ -162,6 +162,7 @@ def term(formula="38 N · exp(−((x − 4 mm)/5 mm)²) against the motion"):
     return LearnedTerm(
         "force", "force", ("x", "v"), f"an unknown force, {formula}, 38 N at its largest", "38 N",
         "N", "m", x, curve, 0.0 * x + 1.0, x[::2], curve[::2], 0.0 * x[::2] + 2.0, formula,
+        "a bump" if formula else "",
         (("2 N", 120.0), ("a <b> & c", 3.0)), curve if formula else np.full(21, math.nan), 0.97,
         812.0, entry)
 

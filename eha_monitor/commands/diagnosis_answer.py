@@ -104,6 +104,7 @@ def _learned(term: LearnedTerm) -> dict:
     """Return the contract's keys of a learned term, then what extends them."""
     arrays = ("x", "curve", "band", "at", "measured", "spread", "formula_curve")
     return {"balance": term.balance, "of": term.of, "formula": term.formula,
+            "shape": term.shape,
             "alternatives": [shown for shown, _ in term.rivals],
             "held_out_error_removed": term.removed, "adds": term.adds,
             "statement": term.statement, "size": term.size, "unit": term.unit,

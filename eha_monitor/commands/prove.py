@@ -30,9 +30,10 @@ DRAWS = 200
               help="Write a self-contained HTML report; without it DIR/proof.html.")
 @click.option("--markdown", "text_file", type=_PATH, metavar="FILE.md",
               help="Put the result into a Markdown file, between its two result marks.")
-@click.option("--draw", type=click.Choice(("mixed", "ladder")), default="mixed",
-              show_default=True, help="Sets of 0 to 3 effects on all rigs and motions; or single "
-              "effects over a ladder of strengths, for a detection curve of each.")
+@click.option("--draw", type=click.Choice(("mixed", "ladder", "outside")), default="mixed",
+              show_default=True, help="Sets of 0 to 3 effects on all rigs and motions; single "
+              "effects over a ladder of strengths, for a detection curve of each; or what the "
+              "catalogue has no name for.")
 @click.option("--rig", type=click.Choice(("exact", "within", "beyond", "mixed")), default="mixed",
               show_default=True, help="What the nominal configs say of the rig: the truth; each "
               "number off by one tolerance (standard deviation); one number off by 3 to 10 of "

@@ -58,7 +58,8 @@ def draw_rig(rng: np.random.Generator) -> dict[str, float]:
     return {key: float(f"{value:.4g}") for key, value in rig.items()}
 
 
-def draw_cases(n: int, seed: int, *, paper_rig: float = 0.3, rig: str = "mixed") -> list[Case]:
+def draw_cases(n: int, seed: int, *, paper_rig: float = 0.3, rig: str = "mixed",
+               sets: dict = SETS) -> list[Case]:
     """Draw ``n`` cases; the same seed gives the same cases, and fewer are a head of more.
 
     Whatever ``rig`` is, effects, motions and true rigs of a seed are the same.
@@ -69,15 +70,16 @@ def draw_cases(n: int, seed: int, *, paper_rig: float = 0.3, rig: str = "mixed")
     seed : of everything.
     paper_rig : share of the cases on the paper's own rig.
     rig : what the nominal configs say of it, one of :data:`configured.KINDS`.
+    sets : effects in a case -> share of the cases.
     """
-    cases = [_draw(f"c{i + 1:03d}", np.random.default_rng([seed, i]), paper_rig)
+    cases = [_draw(f"c{i + 1:03d}", np.random.default_rng([seed, i]), paper_rig, sets)
              for i in range(n)]
     return misconfigured(cases, seed, rig)
 
 
-def _draw(name: str, rng: np.random.Generator, paper_rig: float) -> Case:
-    kinds = list(SETS)
-    count = kinds[rng.choice(len(kinds), p=list(SETS.values()))]
+def _draw(name: str, rng: np.random.Generator, paper_rig: float, sets: dict) -> Case:
+    kinds = list(sets)
+    count = kinds[rng.choice(len(kinds), p=list(sets.values()))]
     motion = str(rng.choice(list(MOTIONS), p=list(MOTIONS.values())))
     layouts = list(CHANNELS)
     channels = layouts[rng.choice(len(layouts), p=list(CHANNELS.values()))]

@@ -6,12 +6,12 @@ import numpy as np
 
 from eha_monitor.concealed.cases import CONFIG_KEYS, TOLERANCES, Case, effect_names
 from eha_monitor.concealed.configured import misconfigured
-from eha_monitor.concealed.draws import draw_cases
+from eha_monitor.concealed.draws import SETS, draw_cases
 from eha_monitor.concealed.hidden import SIGNED
 from eha_monitor.errors import InputError
 from eha_monitor.settings.monitor import Settings
 
-DRAWS = ("mixed", "ladder")
+DRAWS = ("mixed", "ladder", "outside")
 WEAKEST, STRONGEST = 0.01, 1.2
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
@@ -22,13 +22,15 @@ def cases_of(draw: str, count: int, seed: int, rig: str = "mixed",
 
     Parameters
     ----------
-    draw : ``mixed`` (rigs, motions, sets of 0 to 3 effects, outside the catalogue) or ``ladder``
-        (one effect on rich motion, each effect at strengths that fill the scale evenly).
+    draw : ``mixed`` (rigs, motions, sets of 0 to 3 effects, outside the catalogue), ``ladder``
+        (one effect on rich motion, each effect at strengths that fill the scale evenly) or
+        ``outside`` (rigs and motions; what no catalogue has, alone).
     rig : what the nominal configs say of the rig, one of :data:`configured.KINDS`.
     settings : config on whose rig all cases are, ``source`` its name; drawn rigs without it.
     """
-    cases = (tuple(draw_cases(count, seed, rig="exact")) if draw == "mixed" else
-             tuple(rung(i, seed) for i in range(count)))
+    cases = (tuple(rung(i, seed) for i in range(count)) if draw == "ladder" else
+             tuple(draw_cases(count, seed, rig="exact", sets=(
+                 SETS if draw == "mixed" else {"outside": 1.0}))))
     if settings is not None:
         cases = on_rig(cases, settings, source)
     return tuple(misconfigured(cases, seed, rig))

@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 
 from eha_monitor.prove import numbers
+from eha_monitor.prove.learned import LEARNED, learned_row, learned_score
 from eha_monitor.prove.reliability import calibration_error, reliability_of, statements_of
 
 LARGEST_CLASS = 3  # members of a declared class: the name and at most two rivals
@@ -33,16 +34,12 @@ MARKS = {
     "sensor_blamed_on_physics": ("sensor or timing blamed on the plant", "never", 0.0, False),
     "outside_unexplained": ("outside the catalogue: unexplained, in the right place",
                             "at least 90 %", 0.9, True),
-    "outside_confident_wrong": ("outside the catalogue: a confident wrong name", "at most 2 %",
-                                0.02, False),
-    "held_out_error_removed": ("of the removable error on unseen data, removed",
-                               "at least 90 %", 0.9, True),
-    "rig_found": ("rig numbers off by three tolerances or more, named", "at least 95 %", 0.95,
-                  True),
-    "rig_false_name": ("a rig number named although it is within its tolerance", "at most 1 %",
-                       0.01, False),
-    "calibration_error": ("expected calibration error of the probabilities", "at most 5 %", 0.05,
-                          False),
+    "outside_confident_wrong": ("outside the catalogue: a wrong name", "at most 2 %", 0.02, False),
+    "held_out_error_removed": ("removable error on unseen data removed", "at least 90 %", 0.9,
+                               True),
+    "rig_found": ("rig numbers off by three tolerances, named", "at least 95 %", 0.95, True),
+    "rig_false_name": ("rig number named within its tolerance", "at most 1 %", 0.01, False),
+    "calibration_error": ("calibration error of the probabilities", "at most 5 %", 0.05, False),
     "named_parameters_within_5_percent": ("parameters of named effects within 5 %, where the "
                                           "config's numbers are right", "", None, True),
     "told_parameters_within_5_percent": ("of these, where two standard deviations are 5 % or less",
@@ -51,6 +48,7 @@ MARKS = {
                                          "numbers are right", "", None, True),
     "parameters_inside_2_sigma": ("parameters inside their ± two standard deviations",
                                   "at least 90 %", 0.9, True),
+    **LEARNED,
 }
 NONE, UNEXPLAINED, FAILED = "none", "unexplained", "failed"
 
@@ -136,6 +134,7 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
         "parameters": parameter_errors(truth, answer, pairs) if exact and not null else [],
         "rig": numbers.kind_of(errors_off), "rig_truth": numbers.keys_off(truth),
         "rig_named": [one["key"] for one in answer.get("rig_data", ())],
+        "learned": learned_row(truth, answer),
         "rig_off": off, "rig_expected": rig_known, "rig_evidence": rig_evidence,
         "rig_classes": {one["number"]: list(said[one["number"]]) for one in findings},
         "rig_false": numbers.false_names([one["number"] for one in findings],
@@ -282,6 +281,7 @@ def score_of(rows: Sequence[dict]) -> dict:
         "rig_false_name": share(bool(row["rig_false"]) for row in rows),
         "calibration_error": calibration_error(reliability(rows)),
         **parameter_score(rows),
+        **learned_score(rows),
     }
 
 

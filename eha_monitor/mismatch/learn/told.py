@@ -174,5 +174,6 @@ def term_of(learned: Learned, formulas: list[Formula], honest: bool, share: floa
         learned.balance, form.adds, tuple(dict.fromkeys(signals)), statement, size,
         ADDED_UNITS[form.adds] + FACTORS[form.times][2], SIGNAL_UNITS[form.of], x, curve / divisor,
         band / divisor, at, measured / divisor, spread / divisor, told,
+        best.shape if honest else "",
         tuple((one.shown, reference - one.evidence) for one in rivals), drawn, share,
         learned.gained, best.entry(form.adds) if honest else learned.entry())
