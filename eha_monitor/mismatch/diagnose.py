@@ -22,11 +22,11 @@ from eha_monitor.mismatch.diagnosis import (
     Value,
     Window,
 )
-from eha_monitor.mismatch.learn.told import told_of
+from eha_monitor.mismatch.learn.told import Told, told_of
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
-from eha_monitor.mismatch.name.acceptance import LIKELY, RIVAL
+from eha_monitor.mismatch.name.acceptance import LIKELY, RIVAL, TEMPER
 from eha_monitor.mismatch.name.naming import Naming, name_effects
 from eha_monitor.mismatch.name.nominal import nominal
 from eha_monitor.mismatch.name.telling import on_all_of, telling
@@ -200,11 +200,14 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
     if after.named and not naming.loads and show.worse(signals):  # no model runs with such a load
         verdict, explained = "unexplained", 0.0
     told = None
-    if verdict == "unexplained" and not by_equations and not naming.loads:
+    doubted = verdict == "unexplained" or (verdict == "mismatch" and naming.unexplained > RIVAL)
+    if doubted and not by_equations and not naming.loads:
         say("learning what has no name", 0.92)
         told = told_of(experiment, shown, naming)
+        if verdict == "mismatch" and told is not None:  # more likely than not it has names
+            verdict, told = ("unexplained", told) if told.decides else (verdict, None)
     if told is not None:  # its names are those that stand beside what was learned
-        signals, naming = told.signals, beside_learned(naming, told.fit)
+        signals, naming = told.signals, beside_learned(naming, told)
         after = naming.after
         tracks = filtered_tracks(experiment, after) if after.named else []
     effects = tuple(named_effect(experiment, naming, name, tracks) for name in sorted(
@@ -267,10 +270,12 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         rig_data=wrong, rig_within=within, learned=(told.term,) if told is not None else ())
 
 
-def beside_learned(naming: Naming, fit: Fit) -> Naming:
+def beside_learned(naming: Naming, told: Told) -> Naming:
     """Return a naming with the names that stand beside a learned term, in the learned model."""
+    fit, other = told.fit, float(np.exp(-TEMPER * max(told.term.gained, 0.0)))
     return replace(  # nothing was asked of how probable they are beside it
-        naming, probability={},
+        naming, probability={}, consistent=naming.consistent * other,
+        unexplained=1.0 - (1.0 - naming.unexplained) * other,
         after=replace(fit, named=tuple(n for n in fit.named if n in CATALOGUE)),
         wrong=tuple(n.removeprefix("rig.") for n in fit.named if n.startswith("rig.")))
 

@@ -7,7 +7,7 @@ import numpy as np
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.learn.forms import BALANCE, KNOTS, Form, Guess, ranked_forms
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread, with_unknowns
-from eha_monitor.mismatch.name.acceptance import UNNAMED
+from eha_monitor.mismatch.name.acceptance import FORM, FORM_OF_LAW, UNNAMED
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished
 from eha_monitor.mismatch.name.refit import (
@@ -18,7 +18,7 @@ from eha_monitor.mismatch.name.refit import (
     prior_of,
     settled,
 )
-from eha_monitor.mismatch.name.select import FIRST, with_rig
+from eha_monitor.mismatch.name.select import FIRST, lesser, with_rig
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
 from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.own_term import OWN_NAMES, SCALE, VALUES, cardinal
@@ -41,7 +41,8 @@ class Learned:
     ----------
     form, first, last, count : the table's; ``which`` place of its own term among all effects.
     fit : the model; ``evidence`` of it, log units, prior odds of its names included.
-    without : the model that it was learned beside; ``gained`` log units over that.
+    without : the best model without it; ``gained`` log units over that.
+    decides : it explains more than the form error of what was named can be.
     """
 
     form: Form
@@ -53,6 +54,7 @@ class Learned:
     evidence: float
     without: Fit
     gained: float
+    decides: bool = True
 
     @property
     def balance(self) -> str:
@@ -180,7 +182,10 @@ def learned_of(experiment: Experiment, naming: Naming) -> Learned | None:
         *naming.after.named, *(f"rig.{key}" for key in naming.wrong)))
     bases = spread(lambda fit: settled(experiment, with_rig(experiment, fit)),
                    [named, naming.before])
-    without = max(bases, key=lambda fit: score_of(experiment, fit))
+    scores = [score_of(experiment, fit) for fit in bases]
+    without = bases[int(np.argmax(scores))]
+    # Named laws are right to a share of what they explain, and that is nothing that is missing.
+    form = FORM + FORM_OF_LAW * max(scores[0] - scores[1], 0.0)
     bases.append(with_rig(experiment, begun(experiment, FIRST)))
     places = [(base, guess) for base in bases
               for guess in ranked_forms(experiment, base)[:TRIED]]
@@ -206,4 +211,15 @@ def learned_of(experiment: Experiment, naming: Naming) -> Learned | None:
         if not one.evidence > best.evidence:
             break
         best = one
-    return best
+    return replace(alone(experiment, best), decides=best.gained > form)
+
+
+def alone(experiment: Experiment, learned: Learned) -> Learned:
+    """Return a learned term without the names beside it that it can do without."""
+    for name in learned.fit.named:
+        made = settled(experiment, lesser(experiment, learned.fit, name))
+        evidence = score_of(experiment, made) + UNNAMED
+        if evidence > learned.evidence:
+            learned = replace(learned, fit=made, evidence=evidence,
+                              gained=learned.gained + evidence - learned.evidence)
+    return learned

@@ -52,12 +52,14 @@ class Told:
     fit : the model that runs, with the formula where one is told; its names are ``fit.named``.
     signals : errors on unseen data, of the nominal model and of this one.
     missing : the term along the recording, measured and modelled.
+    decides : it explains more than the form error of what was named can be.
     """
 
     term: LearnedTerm
     fit: Fit
     signals: dict[str, SignalFit]
     missing: Missing
+    decides: bool
 
 
 def told_of(experiment: Experiment, unseen: Experiment, naming: Naming) -> Told | None:
@@ -82,7 +84,8 @@ def told_of(experiment: Experiment, unseen: Experiment, naming: Naming) -> Told 
         signals = shown(unseen, naming.before, fit)
         share = removed(shown(unseen, learned.without, fit))
     missing, factors = missing_of(experiment, learned, fit)
-    return Told(term_of(learned, formulas, honest, share, missing, factors), fit, signals, missing)
+    return Told(term_of(learned, formulas, honest, share, missing, factors), fit, signals, missing,
+                learned.decides)
 
 
 def removed(signals: dict[str, SignalFit]) -> float:
