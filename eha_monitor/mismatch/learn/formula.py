@@ -11,6 +11,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import least_squares
 
+from eha_monitor.compiled import njit
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.learn.forms import Form
 from eha_monitor.mismatch.learn.learned import SHARPEST, Learned, score_of
@@ -69,16 +70,18 @@ def formulas_of(experiment: Experiment, learned: Learned) -> list[Formula]:
 
 def curve_of(text: str, values: dict[str, float], of: str, at: np.ndarray) -> np.ndarray:
     """Return an expression of one signal at its places, (n,)."""
-    slot = parsed(text).slot("force", values)
-    s = np.zeros(N_SIGNALS)
-    found = np.empty(len(at))
-    for i, value in enumerate(at):
-        s[X] = s[V] = s[OMEGA] = s[P1] = value
-        s[P2] = -value if of == "p2" else 0.0
-        if of == "p" or of == "p2":
-            s[P2] = value
-        found[i] = expressed(slot, s)
+    rows, found = np.zeros((len(at), N_SIGNALS)), np.empty(len(at))
+    rows[:, [X, V, OMEGA, P1]] = np.asarray(at)[:, None]
+    rows[:, P2] = at if of in ("p", "p2") else 0.0  # dp is p1 - p2
+    expressed_along(parsed(text).slot("force", values), rows, found)
     return found
+
+
+@njit(nogil=True)
+def expressed_along(q, rows, out):
+    """Write an expression's value at each row of signals, (n,); ``rows`` (n, N_SIGNALS)."""
+    for i in range(len(out)):
+        out[i] = expressed(q, rows[i])
 
 
 def in_signal(text: str, of: str) -> str:
