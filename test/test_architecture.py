@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -37,6 +38,7 @@ ROS_PACKAGES = ("rclpy", "rcl_interfaces", "sensor_msgs", "std_msgs", "std_srvs"
 MAY_ASK_FOR_ROS = {"commands/common.py"}
 
 
+@cache
 def imported(path: Path) -> set[str]:
     """Return every module that a file imports, wherever the statement stands."""
     names = set()

@@ -29,7 +29,7 @@ from eha_monitor.filters.known import new_known_memory
 from eha_monitor.filters.stage_two import states_beside_c
 from eha_monitor.filters.supervision import FROZEN, HELD, new_supervision
 
-SAME = 1e-9
+SAME = 1e-8  # between processors rounding differs: 1.1e-9 was seen in 32 samples of stage two
 # Stage two's covariance falls by twelve orders of magnitude: what rounding makes of that at first,
 # and of the rest over 4000 samples.
 GROWN = {"one": SAME, "two": 1e-6}

@@ -12,11 +12,11 @@ from eha_monitor.mismatch.diagnose import (
     diagnose,
     gained_under,
     verdict_of,
-    worse,
 )
 from eha_monitor.mismatch.diagnosis import VERDICTS, Diagnosis, SignalFit
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.nominal import nominal
+from eha_monitor.mismatch.show.held_out import worse
 from eha_monitor.mismatch.show.rig_numbers import rig_findings
 
 DRY = {"coulomb_friction", "presliding_friction", "stribeck_friction", "pressure_friction",

@@ -26,6 +26,9 @@ READING = 0.03  # share of the progress bar
               help="Write the config with the named physics and the rig's numbers in it.")
 @click.option("--held-out", "held_out", type=_PATH, metavar="BAG",
               help="Show the fit on this recording; without it on a part that is kept back.")
+@click.option("--hypothesis", "hypothesis_file", type=_PATH, metavar="FILE",
+              help="Your own suspicion: an expression whose parameters are fitted and ranked "
+              "beside the catalogue (docs/effects.md).")
 @click.option("--calibration/--no-calibration", hidden=True, expose_value=False,
               help="Does nothing; it chose how a threshold was set that there is no more.")
 @click.option("--exit-code", is_flag=True,
@@ -33,7 +36,7 @@ READING = 0.03  # share of the progress bar
 @archive_options
 def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
              report_file: Path | None, config_file: Path | None, held_out: Path | None,
-             exit_code: bool, **asked) -> int:
+             hypothesis_file: Path | None, exit_code: bool, **asked) -> int:
     """Say where BAG and the model differ, what physics was left out, and show the fit improve.
 
     Several BAGs of one rig are explained together.  Where BAG is a folder that holds bags, each
@@ -45,7 +48,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
             raise InputError("expected one folder that holds bags, or bags, got "
                              + ", ".join(map(str, bags)))
         refuse(bags[0], json=json_file, report=report_file, write_config=config_file,
-               held_out=held_out)
+               held_out=held_out, hypothesis=hypothesis_file)
         return int(answer_folder("diagnose", bags[0], config, archive) and exit_code)
     check_inputs(bags, held_out)
     check_outputs({"--json": json_file, "--report": report_file, "--write-config": config_file},
@@ -63,8 +66,10 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
     from eha_monitor.mismatch.diagnose import diagnose as run
     from eha_monitor.recordings.read import read_recording
     from eha_monitor.settings import load_settings
+    from eha_monitor.settings.hypothesis import load_hypothesis
 
     settings = load_settings(config)
+    hypothesis = load_hypothesis(hypothesis_file) if hypothesis_file else None
     with progress_bar() as told:
         told("reading", 0.0)
         load_runtime()
@@ -82,7 +87,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
         def further(text: str, share: float) -> None:
             told(text, READING + (1 - READING) * share)
 
-        found = of_rig(run(recordings, settings, unseen, further), settings.rig.motion)
+        found = of_rig(run(recordings, settings, unseen, further, hypothesis), settings.rig.motion)
         findings = (*findings, *found.channels)
     if json_file:
         write_json(json_file, answer(found) | {"channels": finding_tree(findings)})
@@ -94,7 +99,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
         losses = [f"{recording.source}: {loss}" for recording in recordings
                   for loss in recording.losses] + [finding.finding for finding in findings]
         write_diagnosis_report(report_file, found, settings, losses,
-                               command_line(bags, config, held_out))
+                               command_line(bags, config, held_out, hypothesis_file))
 
     from eha_monitor.commands.diagnosis_table import show
 
@@ -114,11 +119,13 @@ def check_inputs(bags: tuple[Path, ...], held_out: Path | None) -> None:
                          "is not")
 
 
-def command_line(bags: tuple[Path, ...], config: Path | None, held_out: Path | None) -> str:
+def command_line(bags: tuple[Path, ...], config: Path | None, held_out: Path | None,
+                 hypothesis: Path | None = None) -> str:
     """Return the command that makes the same answer again."""
     words = ["eha-monitor", "diagnose", *map(str, bags)]
     words += ["--config", str(config)] if config else []
     words += ["--held-out", str(held_out)] if held_out else []
+    words += ["--hypothesis", str(hypothesis)] if hypothesis else []
     return shlex.join(words)
 
 

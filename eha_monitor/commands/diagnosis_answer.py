@@ -182,12 +182,12 @@ def _named_physics(found: Diagnosis, tree: dict, missing: list[str]) -> list[str
         key: rounded(value) for key, value in values.items() if math.isfinite(value)}
         for name, values in found.config_effects.items() if name in CATALOGUE or is_own(values)}
     for effect in found.effects:
-        if effect.name not in CATALOGUE:
+        if effect.name not in tree["effects"]:
             sizes = ", ".join(f"{name} = {value_words(value)}"
                               for name, value in effect.parameters.items())
             when = interval_words(effect.intervals_s)
             missing.append(f"{effect.name}: {sizes}{f' at {when}' if when else ''}; a config "
                            "holds only what acts all the time")
-    names = [effect.name for effect in found.effects if effect.name in CATALOGUE]
+    names = [effect.name for effect in found.effects if effect.name in tree["effects"]]
     lines = [f"effects: {', '.join(names)}"] if names else []
     return lines + [f"effects, learned: {term.statement}" for term in found.learned]

@@ -22,12 +22,13 @@ from eha_monitor.mismatch.diagnosis import (
     Value,
     Window,
 )
+from eha_monitor.mismatch.learn.tested import Tested, supported, tested
 from eha_monitor.mismatch.learn.told import Told, told_of
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
 from eha_monitor.mismatch.name.acceptance import LIKELY, RIVAL, TEMPER
-from eha_monitor.mismatch.name.naming import Naming, name_effects
+from eha_monitor.mismatch.name.naming import Naming, beyond_form, name_effects
 from eha_monitor.mismatch.name.nominal import nominal
 from eha_monitor.mismatch.name.telling import on_all_of, telling
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT
@@ -49,6 +50,7 @@ from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
 from eha_monitor.quantity import number, quantity, share
 from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.hypothesis import Hypothesis
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import listed
 
@@ -62,7 +64,7 @@ Report = Callable[[str, float], None]
 
 
 def diagnose(recordings: list[Recording], settings: Settings, held_out: Recording | None = None,
-             progress: Report | None = None) -> Diagnosis:
+             progress: Report | None = None, hypothesis: Hypothesis | None = None) -> Diagnosis:
     """Say where model and recordings differ, which physics that is, and show the fit improve.
 
     Parameters
@@ -72,6 +74,7 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
     held_out : recording on which the fit is shown; without it the last fifth of every 5 s of
         the recordings is kept aside and enters no fit.
     progress : told what is done and how far it is, 0 to 1.
+    hypothesis : the user's own, ranked beside all that has a name.
 
     Raises
     ------
@@ -80,11 +83,12 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
         calculation.
     """
     with computing(*(recording.source for recording in recordings)):
-        return _diagnosed(recordings, settings, held_out, progress or (lambda text, share: None))
+        return _diagnosed(recordings, settings, held_out, progress or (lambda text, share: None),
+                          hypothesis)
 
 
 def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Recording | None,
-               say: Report) -> Diagnosis:
+               say: Report, hypothesis: Hypothesis | None) -> Diagnosis:
     started = time.perf_counter()
     held, decision = resolved(recordings, settings)
     experiment = experiment_of(recordings, held, hold_out=held_out is None)
@@ -96,7 +100,7 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
         if gained > 0.0:
             experiment, held, named = other, other.settings, named_in(other, say)
             decision = replace(decision, hold=held.command_hold, evidence=gained, decided=True)
-    found = diagnosed(recordings, experiment, named, held_out, started, say)
+    found = diagnosed(recordings, experiment, named, held_out, started, say, hypothesis)
     told = decision is not None and decision.decided
     return replace(found, channels=decision.findings if told else (),
                    command_hold=(held if told else settings).command_hold,
@@ -128,7 +132,7 @@ def gained_under(other: Experiment, naming: Naming) -> float:
 
 def diagnosed(recordings: list[Recording], experiment: Experiment,
               named: tuple[Experiment, Naming] | None, held_out: Recording | None,
-              started: float, say: Report) -> Diagnosis:
+              started: float, say: Report, hypothesis: Hypothesis | None = None) -> Diagnosis:
     """Return the answer for what was named on the windows that tell most."""
     bags = tuple(recording.source for recording in recordings)
     duration = sum(recording.duration for recording in recordings)
@@ -153,7 +157,7 @@ def diagnosed(recordings: list[Recording], experiment: Experiment,
     shown = experiment if held_out is None else replace(
         experiment_of([held_out], settings, False), steps=experiment.steps)
     found = assemble(experiment, shown, naming, bags, duration, started, held_out is not None,
-                     pieces, say)
+                     pieces, say, hypothesis)
     windows = told.stretches if told.windows or told.stretches is not whole else ()
     return replace(found, named_on=tuple(Window(
         one.source, round(one.start, 4), round(one.start + len(one) * told.dt, 4))
@@ -182,7 +186,7 @@ def verdict_of(experiment: Experiment, naming: Naming) -> str:
 
 def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tuple[str, ...],
              duration: float, started: float, other_bag: bool, pieces: tuple[Piece, ...],
-             say: Report) -> Diagnosis:
+             say: Report, hypothesis: Hypothesis | None) -> Diagnosis:
     """Put the answer together."""
     naming = replace(naming, before=robust(experiment, naming.before),
                      after=robust(experiment, naming.after))
@@ -199,21 +203,30 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
     # A fit that fails on unseen data has named nothing.
     if after.named and not naming.loads and show.worse(signals):  # no model runs with such a load
         verdict, explained = "unexplained", 0.0
-    told = None
-    doubted = verdict == "unexplained" or (verdict == "mismatch" and naming.unexplained > RIVAL)
-    if doubted and not by_equations and not naming.loads:
+    test = told = None
+    if hypothesis is not None and not naming.loads:
+        say("testing the hypothesis", 0.9)
+        test = tested(experiment, naming, hypothesis)
+        told = supported(experiment, shown, naming, test) if test is not None else None
+    doubted = verdict == "unexplained" or (
+        verdict == "mismatch" and naming.unexplained > RIVAL)
+    if told is None and doubted and not by_equations and not naming.loads:
         say("learning what has no name", 0.92)
         told = told_of(experiment, shown, naming)
         if verdict == "mismatch" and told is not None:  # more likely than not it has names
             verdict, told = ("unexplained", told) if told.decides else (verdict, None)
-    if told is not None:  # its names are those that stand beside what was learned
-        signals, naming = told.signals, beside_learned(naming, told)
-        after = naming.after
+    if told is not None:  # its names are those that stand beside it
+        signals, naming = told.signals, beside_own(experiment, naming, told)
+        after, verdict = naming.after, "unexplained" if told.effect is None else verdict_of(
+            experiment, naming)
         tracks = filtered_tracks(experiment, after) if after.named else []
     effects = tuple(named_effect(experiment, naming, name, tracks) for name in sorted(
         after.named, key=lambda name: -naming.evidence[name]))
     if naming.loads:
         effects = (*effects, intermittent(naming))
+    if told is not None and told.effect is not None:
+        effects, verdict = (told.effect, *effects), (
+            "mismatch" if verdict == "consistent" else verdict)
     wrong = rig_findings(experiment, naming)
     within = () if by_equations else rig_within(experiment, naming)
     if verdict == "mismatch":  # what is less likely than not is no answer
@@ -239,7 +252,8 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         where = balance_show.location_of(experiment, effects, terms, closed)
         curves = tuple(curve for term in terms for curve in locate.curves_of(experiment, term))
     elif told is not None:
-        evidence |= {f"{locate.LEARNED}{told.term.balance}": told.term.gained}
+        evidence.pop(told.name, None)
+        evidence |= {f"{locate.LEARNED}{told.missing.balance}": told.gained}
         where = locate.location_of(experiment, before, after, evidence, [told.missing])
         curves = locate.latent_curves(experiment, before, after, [told.missing])
     else:
@@ -256,26 +270,29 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         within = within if told is not None else ()
     return Diagnosis(
         bags, verdict, change_words(pieces) if pieces else learned_words(told.term)
-        if told is not None else message_of(
+        if told is not None and told.term is not None else message_of(
             verdict, effects, where, explained, wrong, within), where, effects, *known,
         "held_out_bag" if other_bag else "held_out", signals, curves,
-        how.overlays(shown, before, after), considered_of(naming),
+        how.overlays(shown, before, after), considered_of(naming, test, told),
         parts,
         health_sentences(experiment, *known, effects),
         balance_show.doubts(effects) if by_equations else advise.advice_for(experiment, asked),
         config_effects(experiment, after, tuple(effect.name for effect in effects),
-                       told.term if told is not None else None),
+                       (told.name, told.entry) if told is not None else None),
         duration_s=duration, wall_s=time.perf_counter() - started, pieces=pieces,
         probability={"consistent": naming.consistent, "unexplained": naming.unexplained},
-        rig_data=wrong, rig_within=within, learned=(told.term,) if told is not None else ())
+        rig_data=wrong, rig_within=within,
+        learned=(told.term,) if told is not None and told.term is not None else ())
 
 
-def beside_learned(naming: Naming, told: Told) -> Naming:
-    """Return a naming with the names that stand beside a learned term, in the learned model."""
-    fit, other = told.fit, float(np.exp(-TEMPER * max(told.term.gained, 0.0)))
+def beside_own(experiment: Experiment, naming: Naming, told: Told) -> Naming:
+    """Return a naming with the names that stand beside a term that no catalogue has."""
+    fit, other = told.fit, float(np.exp(-TEMPER * max(told.gained, 0.0)))
+    # A learned term has no name; beside one of the user's, what the model still lacks has none.
+    unexplained = (1.0 - (1.0 - naming.unexplained) * other if told.effect is None else
+                   beyond_form(experiment, naming.before, fit, fit.unknowns))
     return replace(  # nothing was asked of how probable they are beside it
-        naming, probability={}, consistent=naming.consistent * other,
-        unexplained=1.0 - (1.0 - naming.unexplained) * other,
+        naming, probability={}, consistent=naming.consistent * other, unexplained=unexplained,
         after=replace(fit, named=tuple(n for n in fit.named if n in CATALOGUE)),
         wrong=tuple(n.removeprefix("rig.") for n in fit.named if n.startswith("rig.")))
 
@@ -350,9 +367,14 @@ def message_of(verdict: str, effects: tuple[NamedEffect, ...], where: Location,
             f"explains{named}")
 
 
-def considered_of(naming: Naming) -> tuple[Considered, ...]:
+def considered_of(naming: Naming, test: Tested | None, told: Told | None
+                  ) -> tuple[Considered, ...]:
     """Return what was tried and why it is not named."""
     found: dict[str, Considered] = {}
+    if test is not None and (told is None or told.effect is None):
+        why = (f"the best model without it is {number(-test.gained, 3)} log units ahead"
+               if test.gained < 0.0 else "it takes away too little of the error on unseen data")
+        found[test.hypothesis.name] = Considered(test.hypothesis.name, test.gained, (), why)
     best = {*naming.after.named, *(f"rig.{key}" for key in naming.wrong)}
     for names, _, behind in naming.tried:
         for name in names - best:

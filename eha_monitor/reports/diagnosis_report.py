@@ -152,7 +152,7 @@ def _for_config(found: Diagnosis, settings: Settings) -> dict[str, Any]:
                                if name in CATALOGUE or is_own(values)},
             "config_lacks": listed([effect_words(effect.name)
                                           for effect in found.effects
-                                          if effect.name not in CATALOGUE])}
+                                          if effect.name not in found.config_effects])}
 
 
 def _flow_text(values: dict) -> str:

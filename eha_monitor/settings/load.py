@@ -36,21 +36,31 @@ def load_settings(path: str | Path | None) -> Settings:
     InputError
         One line: file, key, what was expected.
     """
-    if path is None:
-        return Settings()
+    return Settings() if path is None else settings_from_tree(tree_of(path), str(path))
+
+
+def tree_of(path: str | Path, what: str = "a config"):
+    """Return the tree of a YAML file; ``what`` it is, in errors.
+
+    Raises
+    ------
+    InputError
+        One line: file, what was expected.
+    """
     path = Path(path)
-    check_regular(path, "a config", streams=True)
+    check_regular(path, what, streams=True)
     try:
         with path.open("rb") as file:  # what is given by mistake may be large
             content = file.read(LARGEST + 1)
         if len(content) > LARGEST:
-            raise InputError(f"{path}: expected a config of at most {LARGEST // 1024} KiB")
+            raise InputError(f"{path}: expected {what} of at most {LARGEST // 1024} KiB")
         text = content.decode("utf-8")
     except OSError as problem:
-        raise InputError(f"{path}: cannot read config: {problem.strerror}") from problem
+        raise InputError(f"{path}: cannot read {what.removeprefix('a ')}: "
+                         f"{problem.strerror}") from problem
     except UnicodeDecodeError as problem:
         raise InputError(f"{path}: expected UTF-8 text") from problem
-    return settings_from_tree(_parsed(text, path), str(path))
+    return _parsed(text, path)
 
 
 def _parsed(text: str, path: Path):

@@ -211,15 +211,16 @@ def learned_of(experiment: Experiment, naming: Naming) -> Learned | None:
         if not one.evidence > best.evidence:
             break
         best = one
-    return replace(alone(experiment, best), decides=best.gained > form)
+    fit = alone(experiment, best.fit)
+    evidence = score_of(experiment, fit) + UNNAMED
+    return replace(best, fit=fit, evidence=evidence, decides=best.gained > form,
+                   gained=best.gained + evidence - best.evidence)
 
 
-def alone(experiment: Experiment, learned: Learned) -> Learned:
-    """Return a learned term without the names beside it that it can do without."""
-    for name in learned.fit.named:
-        made = settled(experiment, lesser(experiment, learned.fit, name))
-        evidence = score_of(experiment, made) + UNNAMED
-        if evidence > learned.evidence:
-            learned = replace(learned, fit=made, evidence=evidence,
-                              gained=learned.gained + evidence - learned.evidence)
-    return learned
+def alone(experiment: Experiment, fit: Fit) -> Fit:
+    """Return a model with a term that no catalogue has, less the names that it can do without."""
+    for name in fit.named:
+        made = settled(experiment, lesser(experiment, fit, name))
+        if score_of(experiment, made) > score_of(experiment, fit):
+            fit = made
+    return fit

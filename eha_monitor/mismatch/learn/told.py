@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.diagnosis import LearnedTerm, SignalFit
+from eha_monitor.mismatch.diagnosis import LearnedTerm, NamedEffect, SignalFit
 from eha_monitor.mismatch.learn.forms import signal_along
 from eha_monitor.mismatch.learn.formula import (
     FACTORS,
@@ -44,22 +44,29 @@ WHAT = {"force": "force", "flow": "flow between the chambers", "flow_1": "flow i
 
 @dataclass(frozen=True)
 class Told:
-    """A learned model that holds on unseen data.
+    """A model with a term that no catalogue has, which holds on unseen data.
 
     Attributes
     ----------
-    term : what is told of it.
     fit : the model that runs, with the formula where one is told; its names are ``fit.named``.
     signals : errors on unseen data, of the nominal model and of this one.
     missing : the term along the recording, measured and modelled.
+    gained : log units over the best model without it.
     decides : it explains more than the form error of what was named can be.
+    entry : of a config's ``effects``; ``name`` of it there.
+    term : what is told of a learned one; None where it is the user's own.
+    effect : what is told of the user's own; None where it was learned.
     """
 
-    term: LearnedTerm
     fit: Fit
     signals: dict[str, SignalFit]
     missing: Missing
+    gained: float
     decides: bool
+    entry: dict
+    name: str
+    term: LearnedTerm | None = None
+    effect: NamedEffect | None = None
 
 
 def told_of(experiment: Experiment, unseen: Experiment, naming: Naming) -> Told | None:
@@ -83,9 +90,11 @@ def told_of(experiment: Experiment, unseen: Experiment, naming: Naming) -> Told 
         fit = robust(experiment, formulas[0].fit)
         signals = shown(unseen, naming.before, fit)
         share = removed(shown(unseen, learned.without, fit))
-    missing, factors = missing_of(experiment, learned, fit)
-    return Told(term_of(learned, formulas, honest, share, missing, factors), fit, signals, missing,
-                learned.decides)
+    missing = missing_of(experiment, fit, learned.which, learned.balance)
+    term = term_of(learned, formulas, honest, share, missing,
+                   factors_of(experiment, learned, fit, missing))
+    return Told(fit, signals, missing, learned.gained, learned.decides, term.entry,
+                f"learned_{term.adds}", term=term)
 
 
 def removed(signals: dict[str, SignalFit]) -> float:
@@ -97,34 +106,46 @@ def removed(signals: dict[str, SignalFit]) -> float:
     return 1.0 - after / before if before > 0.0 else 0.0
 
 
-def missing_of(experiment: Experiment, learned: Learned, fit: Fit
-               ) -> tuple[Missing, tuple[np.ndarray, ...]]:
-    """Return the term along the recording, and what a curve of one would make there, (n,) each.
+def missing_of(experiment: Experiment, fit: Fit, which: int, balance: str) -> Missing:
+    """Return a model's own term along the recording, as measured and as modelled.
 
     ``measured`` is what the record needs when the term is switched off, at the B and beta_e that
     stand beside it.
     """
-    which, balance = learned.which, learned.balance
-    active, ones = fit.active.copy(), fit.theta.copy()
+    active = fit.active.copy()
     active[which] = False
-    fit = replace(fit, named=tuple(name for name in fit.named if name in CATALOGUE))
-    ones[slot_of(which)] = slot_for({**learned.entry(), "values": [1.0] * learned.count})
-    bare = replace(fit, active=active)
-    states = smoothed(experiment, following(experiment, bare, balance))
+    states = smoothed(experiment, following(experiment, replace(fit, active=active), balance))
     tracks = tracks_of(experiment, states)
-    name = (ALL_NAMES[which],)
-
-    def made(one: Fit, track: np.ndarray) -> np.ndarray:
-        if balance == "force":
-            return modelled_force(experiment, one, track, name)
-        if balance == "flow":
-            return modelled_flow(experiment, one, track, name)
-        return contributed(experiment, one, track, name)[:, s.SPEED]
-
-    term = Missing(balance, UNITS[balance], tracks,
+    return Missing(balance, UNITS[balance], tracks,
                    tuple(one[:, STATES[balance]] for one in states),
-                   tuple(made(fit, track) for track in tracks))
-    return term, tuple(made(replace(fit, theta=ones), track) for track in tracks)
+                   tuple(made_by(experiment, fit, which, balance, track) for track in tracks))
+
+
+def factors_of(experiment: Experiment, learned: Learned, fit: Fit, missing: Missing
+               ) -> tuple[np.ndarray, ...]:
+    """Return what a curve of one would make along the recording, (n,) for each stretch."""
+    ones = fit.theta.copy()
+    ones[slot_of(learned.which)] = slot_for({**learned.entry(), "values": [1.0] * learned.count})
+    return tuple(made_by(experiment, replace(fit, theta=ones), learned.which, learned.balance,
+                         track) for track in missing.tracks)
+
+
+def made_by(experiment: Experiment, fit: Fit, which: int, balance: str, track: np.ndarray
+            ) -> np.ndarray:
+    """Return the force, flow or speed that an own term makes along a trajectory, (n,)."""
+    fit = replace(fit, named=tuple(name for name in fit.named if name in CATALOGUE))
+    name = (ALL_NAMES[which],)
+    if balance == "force":
+        return modelled_force(experiment, fit, track, name)
+    if balance == "flow":
+        return modelled_flow(experiment, fit, track, name)
+    return contributed(experiment, fit, track, name)[:, s.SPEED]
+
+
+def size_of(missing: Missing) -> str:
+    """Return how much a term does at its largest, in words."""
+    return quantity(float(np.quantile(np.abs(np.concatenate(missing.modelled)), LARGEST)),
+                    missing.unit, 3)
 
 
 def measured_at(learned: Learned, missing: Missing, factors: tuple[np.ndarray, ...]
@@ -164,8 +185,7 @@ def term_of(learned: Learned, formulas: list[Formula], honest: bool, share: floa
         drawn = curve_of(in_signal(shape.text, form.of), best.values, form.of, x)
     at, measured, spread = measured_at(learned, missing, factors)
     signals = (form.of, *({"direction": ("v",), "v": ("v",), "dp": ("dp",)}.get(form.times, ())))
-    largest = float(np.quantile(np.abs(np.concatenate(missing.modelled)), LARGEST))
-    size = quantity(largest, missing.unit, 3)
+    size = size_of(missing)
     of = SHOWN.get(form.of, form.of)
     told = best.shown if honest else ""
     statement = (f"an unknown {WHAT[form.adds]}, {told}, {size} at its largest" if told else

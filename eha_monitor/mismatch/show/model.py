@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.diagnosis import Agreement, LearnedTerm, NamedEffect, Value
+from eha_monitor.mismatch.diagnosis import Agreement, NamedEffect, Value
 from eha_monitor.mismatch.likelihood.fit import Fit, sensitivities, step_of, whitener
 from eha_monitor.mismatch.name.base import TIMING
 from eha_monitor.physics.effects import CATALOGUE
@@ -117,18 +117,19 @@ def prior_information(experiment: Experiment, fit: Fit) -> np.ndarray:
 
 
 def config_effects(experiment: Experiment, fit: Fit, names: tuple[str, ...],
-                   learned: LearnedTerm | None = None) -> dict[str, dict[str, float]]:
-    """Return the ``effects:`` section: what the config had, those named, the learned."""
+                   own: tuple[str, dict] | None = None) -> dict[str, dict[str, float]]:
+    """Return the ``effects:`` section: what the config had, those named, a term of its ``own``."""
     found = {name: dict(values) for name, values in experiment.settings.effects.items()}
     for name in (name for name in fit.named if name in names):
         values = effect_values(fit.theta, name)
         found[name] = {p.name: float(min(max(values[p.name], p.lower), p.upper))
                        for p in CATALOGUE[name].parameters}
-    if learned is not None:
-        name, more = f"learned_{learned.adds}", 2
+    if own is not None:
+        (plain, entry), more = own, 2
+        name = plain
         while name in found:
-            name, more = f"learned_{learned.adds}_{more}", more + 1
-        found[name] = dict(learned.entry)
+            name, more = f"{plain}_{more}", more + 1
+        found[name] = dict(entry)
     return found
 
 

@@ -1,0 +1,151 @@
+"""The user's hypothesis, in the same ranking as all that has a name, by the same likelihood."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.diagnosis import NamedEffect, Value
+from eha_monitor.mismatch.learn.learned import alone, free_slot, score_of
+from eha_monitor.mismatch.learn.told import HALF, Told, missing_of, removed, size_of
+from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread, with_unknowns
+from eha_monitor.mismatch.name.acceptance import EFFECT, LIKELY, TEMPER
+from eha_monitor.mismatch.name.naming import Naming, beyond_form
+from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished
+from eha_monitor.mismatch.name.refit import at_level, settled
+from eha_monitor.mismatch.name.select import with_rig
+from eha_monitor.mismatch.show.held_out import shown, worse
+from eha_monitor.mismatch.show.model import robust
+from eha_monitor.physics.contributions import ALL_NAMES, slot_of
+from eha_monitor.physics.expression import parsed
+from eha_monitor.physics.own_term import CONSTANTS
+from eha_monitor.quantity import quantity
+from eha_monitor.settings.hypothesis import Hypothesis
+
+LOOK, GOING = 10, 2  # steps of a look; how many are fitted to the end
+SHARES = (0.15, 0.5, 0.85)  # of the way from bound to bound: where a parameter is tried besides
+
+
+@dataclass(frozen=True)
+class Tested:
+    """A hypothesis fitted to a recording.
+
+    Attributes
+    ----------
+    which : place of its own term; ``fit`` the model with it, ``without`` the best one without it.
+    gained : log units over that one, prior odds included.
+    values : its parameters, SI.
+    """
+
+    hypothesis: Hypothesis
+    which: int
+    fit: Fit
+    without: Fit
+    gained: float
+    values: dict[str, float]
+
+    @property
+    def probability(self) -> float:
+        """Probability that it is there, against the best model without it."""
+        return float(1.0 / (1.0 + np.exp(-np.clip(TEMPER * self.gained, -600.0, 600.0))))
+
+    def entry(self) -> dict:
+        """Return it as an entry of a config's ``effects``."""
+        return self.hypothesis.entry(self.values)
+
+
+def tested(experiment: Experiment, naming: Naming, hypothesis: Hypothesis) -> Tested | None:
+    """Fit a hypothesis beside what was named, or nothing; None where there is no room for it.
+
+    Fits begin at its start, and where each parameter in turn is elsewhere between its bounds,
+    beside the better of the two models without it.
+    """
+    which = free_slot(experiment)
+    if which is None or experiment.inverse:
+        return None
+    named = replace(naming.after, named=(
+        *naming.after.named, *(f"rig.{key}" for key in naming.wrong)))
+    bases = spread(lambda fit: settled(experiment, with_rig(experiment, fit)),
+                   [named, naming.before])
+    without = max(bases, key=lambda fit: score_of(experiment, fit))
+
+    def look(values: dict[str, float]) -> Fit:
+        start = entered(experiment, without, which, hypothesis, values)
+        made = polished(experiment, start, Slopes(experiment), LOOK, ROUGHLY)
+        return at_level(experiment, made) if np.isfinite(made.log_likelihood) else made
+
+    looks = sorted(spread(look, starts_of(hypothesis)), key=lambda fit: -fit.log_likelihood)
+    best = max(spread(lambda fit: settled(experiment, fit), looks[:GOING]),
+               key=lambda fit: score_of(experiment, fit))
+    best = alone(experiment, best)
+    gained = score_of(experiment, best) + EFFECT - score_of(experiment, without)
+    start = slot_of(which).start + CONSTANTS
+    return Tested(hypothesis, which, best, without, gained, {
+        key: float(best.theta[start + place])
+        for key, place in parsed(hypothesis.expression).parameters.items()})
+
+
+def starts_of(hypothesis: Hypothesis) -> list[dict[str, float]]:
+    """Return where fits begin: parameter -> value, SI."""
+    first = {key: one.start for key, one in hypothesis.parameters.items()}
+    found = [first]
+    for key, one in hypothesis.parameters.items():
+        for share in SHARES:
+            value = (one.lower * (one.upper / one.lower) ** share if one.log
+                     else one.lower + share * (one.upper - one.lower))
+            found.append({**first, key: value})
+    return found
+
+
+def entered(experiment: Experiment, base: Fit, which: int, hypothesis: Hypothesis,
+            values: dict[str, float]) -> Fit:
+    """Return a model with the hypothesis at some values of its parameters, not yet refitted."""
+    expression, slot = parsed(hypothesis.expression), slot_of(which)
+    theta, active = base.theta.copy(), base.active.copy()
+    theta[slot], active[which] = expression.slot(hypothesis.adds, values), True
+    free = list(base.free)
+    for key, place in expression.parameters.items():
+        one = hypothesis.parameters[key]
+        at, name = slot.start + CONSTANTS + place, f"{ALL_NAMES[which]}.{key}"
+        if one.log:
+            free.append(Free(name, at, one.lower, one.upper, float(np.log(one.start)),
+                             0.5 * float(np.log(one.upper / one.lower)), True))
+        else:
+            free.append(Free(name, at, one.lower, one.upper, one.start,
+                             0.5 * (one.upper - one.lower)))
+    k = len(free)
+    return with_unknowns(experiment, replace(
+        base, theta=theta, active=active, free=tuple(free), covariance=np.zeros((k, k)),
+        converged=False), base.unknowns)
+
+
+def supported(experiment: Experiment, unseen: Experiment, naming: Naming, test: Tested
+              ) -> Told | None:
+    """Return the model with a hypothesis, if it is likely and holds on unseen data."""
+    judged = shown(unseen, test.without, test.fit)
+    if not test.probability > LIKELY or worse(judged):
+        return None
+    # What takes away a small part only, and leaves the rest without a name, is no answer.
+    rest = beyond_form(experiment, naming.before, test.fit, test.fit.unknowns)
+    if rest > LIKELY and removed(judged) < HALF:
+        return None
+    fit = robust(experiment, test.fit)
+    signals = shown(unseen, naming.before, fit)
+    if worse(signals):
+        return None
+    missing = missing_of(experiment, fit, test.which, test.hypothesis.balance)
+    return Told(fit, signals, missing, test.gained, True, test.entry(), test.hypothesis.name,
+                effect=effect_of(test, fit, size_of(missing)))
+
+
+def effect_of(test: Tested, fit: Fit, size: str) -> NamedEffect:
+    """Return the record of a hypothesis that is supported; ``fit`` with its covariance."""
+    hypothesis, own = test.hypothesis, ALL_NAMES[test.which]
+    parameters = {key: Value(value, fit.stddev(f"{own}.{key}"), hypothesis.parameters[key].unit)
+                  for key, value in test.values.items()}
+    told = {key: quantity(value.value, value.unit, 3) for key, value in parameters.items()}
+    sentence = hypothesis.sentence.format(**told) or (
+        f"{hypothesis.name.replace('_', ' ')}: "
+        + ", ".join(f"{key} = {text}" for key, text in told.items()))
+    return NamedEffect(hypothesis.name, hypothesis.balance, sentence, parameters, test.gained, (),
+                       hypothesis.expression, hypothesis.check, size, test.probability)
