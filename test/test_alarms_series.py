@@ -50,7 +50,7 @@ def test_a_minute_at_1_khz_costs_little():
         start = time.process_time()
         judge_series(Settings(), TIME, rows, np.full(N, 40.0))
         costs.append(time.process_time() - start)
-    assert min(costs) < 0.02
+    assert min(costs) < 0.06  # 0.1 % of the minute, on a machine of half the speed too
 
 
 def test_before_convergence_nothing_is_judged():

@@ -25,7 +25,7 @@ parameters:
   A: {start: 20.0, lower: -500.0, upper: 500.0, unit: N}
 """
 SWEEP = {"kind": "multisine", "amplitude": 0.02, "frequency": 0.3, "frequency_end": 20.0,
-         "duration": 8.0}
+         "duration": 5.0}
 
 
 def loaded(tmp_path, text):
@@ -71,7 +71,7 @@ def test_what_is_no_hypothesis_is_one_line(tmp_path, text):
 
 @pytest.fixture(scope="module")
 def worn():
-    return simulated(SWEEP, 8.0, effects={"worn": {
+    return simulated(SWEEP, 5.0, effects={"worn": {
         "adds": "force", "expression": "F*exp(-((x - x_0)/w)**2)*tanh(v/1e-3)", "F": 60.0,
         "x_0": 4e-3, "w": 5e-3}}).recording(seed=1)
 

@@ -111,12 +111,11 @@ def test_a_monitor_that_falls_behind_a_bag_says_so_while_it_does(graph):
     assert not any("late" in p or "dropped" in p for p in monitor.data.problems)
     assert "no data for x_d" not in " ".join(a.message for a in monitor.board.alarms)
 
-    def told():
+    def told():  # what is missing may make it an ERROR before it is a second behind
         return [f for array in health for f in findings_of(array)
-                if f.name == "data" and f.level == "ERROR"]
+                if f.name == "data" and f.level == "ERROR" and float(f.values["behind_s"]) > 1.0]
     graph.until(told, 60.0)
     assert told()[0].message.startswith("the monitor cannot keep up: ")
-    assert float(told()[0].values["behind_s"]) > 1.0
     graph.until(lambda: monitor.data.overload is None, 60.0)  # the queue has been worked off
 
 
