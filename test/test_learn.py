@@ -55,7 +55,7 @@ TRUE = {"F": 38.0, "F_0": 5.0, "k": 900.0, "c": 4e4, "u_0": 3e-3, "w": 6e-3, "d"
 class Curve:
     """A learned curve of x that is known with 0.2 at each of 33 places."""
 
-    form, scale = Form("force", "x", "direction"), 1e-3
+    form, scale, divisor = Form("force", "x", "direction"), 1e-3, 1.0
 
     def __init__(self, values, stddev=0.2):
         self.values = np.asarray(values)

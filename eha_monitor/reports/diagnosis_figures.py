@@ -37,7 +37,9 @@ MISSING = {"force": "missing force", "flow": "missing flow", "drive": "missing d
            "sensor": "sensor error"}
 _SYMBOL_OF = {"velocity": "velocity v", "position": "position x", "omega": "pump speed ω",
               "pump_speed": "pump speed ω", "pressure_difference": "pressure difference Δp",
-              "time": "time"}
+              "time": "time", "x": "position x", "v": "velocity v",
+              "dp": "pressure difference Δp", "p": "mean pressure p", "p1": "pressure p₁",
+              "p2": "pressure p₂"}
 # In steady motion pump and piston go together; a force hangs on the piston.
 _INDIRECT, _STAND_IN = ("force", "pump_speed"), 0.5
 _MOST_BARS = 70  # points with a bar each; more get a band
@@ -140,9 +142,7 @@ def learned_picture(term: LearnedTerm) -> Picture:
     _legend(axis, True)
     pad_limits(axis, low * scale.factor, high * scale.factor)
     axis.margins(x=0.02)
-    name = {"x": "position x", "v": "velocity v", "dp": "pressure difference Δp",
-            "p": "mean pressure p", "omega": "pump speed ω", "p1": "pressure p₁",
-            "p2": "pressure p₂"}[term.of[0]]
+    name = axis_words(term.of[0])
     axis.set_xlabel(f"{name}{_bracket(across.unit)}")
     axis.set_ylabel(f"{learned_words(term)}{_bracket(scale.unit)}")
     return picture(figure, f"{learned_words(term)} against {name}: measured, learned, and the "

@@ -5,7 +5,7 @@ decides the evidence of the recording's own innovations, beside that of the tabl
 """
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -14,9 +14,15 @@ from scipy.optimize import least_squares
 from eha_monitor.compiled import njit
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.learn.forms import Form
-from eha_monitor.mismatch.learn.learned import SHARPEST, Learned, score_of
+from eha_monitor.mismatch.learn.learned import (
+    SHARP_SPREAD,
+    SHARPEST,
+    Learned,
+    begun_with,
+    score_of,
+)
 from eha_monitor.mismatch.learn.shapes import SHAPES, Shape
-from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread, with_unknowns
+from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread
 from eha_monitor.mismatch.name.acceptance import UNNAMED
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
@@ -106,7 +112,7 @@ def on_curve(shape: Shape, places: np.ndarray, learned: Learned
     cost : half the chi-squared and Schwarz's price of the parameters (1978).
     shape, values : SI, of the curve divided by the scale of its factor.
     """
-    divisor = learned.scale if learned.form.times in ("v", "dp") else 1.0
+    divisor = learned.divisor
     y = learned.values / divisor
     floor = EXACT * float(np.sqrt(np.mean(y**2)))
     covariance = learned.covariance() / divisor**2 + floor**2 * np.eye(len(y))
@@ -156,24 +162,21 @@ def refitted(experiment: Experiment, learned: Learned, shape: Shape, values: dic
     slot, own = slot_of(which), ALL_NAMES[which]
     theta, active = learned.fit.theta.copy(), learned.fit.active.copy()
     theta[slot] = expression.slot(form.adds, values)
-    y = learned.values / (learned.scale if form.times in ("v", "dp") else 1.0)
+    y = learned.values / learned.divisor
     fastest = max(experiment.ranges.speed, 1e-9)
     free = [f for f in learned.fit.free if not f.name.startswith(own + ".")]
     for key, place in expression.parameters.items():
         at, name = slot.start + CONSTANTS + place, f"{own}.{key}"
         if key == "v_e":
             free.append(Free(name, at, SHARPEST * fastest, fastest,
-                             float(np.log(values[key])), 1.5, True))
+                             float(np.log(values[key])), SHARP_SPREAD, True))
         elif key in shape.positive:
             free.append(Free(name, at, 1e-4 * values[key], 1e4 * values[key],
                              float(np.log(values[key])), 1.5, True))
         else:
             size = scale_of(shape.units[key], learned.knots, y)
             free.append(Free(name, at, -1e3 * size, 1e3 * size, 0.0, WIDE * size))
-    k = len(free)
-    made = settled(experiment, with_unknowns(experiment, replace(
-        learned.fit, theta=theta, active=active, free=tuple(free),
-        covariance=np.zeros((k, k)), converged=False), learned.fit.unknowns))
+    made = settled(experiment, begun_with(experiment, learned.fit, theta, active, tuple(free)))
     found = {key: float(made.theta[slot.start + CONSTANTS + place])
              for key, place in expression.parameters.items()}
     return Formula(shape.name, text, found, shown_as(shape, form, found), made,

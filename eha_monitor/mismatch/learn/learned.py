@@ -9,12 +9,11 @@ from eha_monitor.mismatch.learn.forms import BALANCE, KNOTS, Form, Guess, ranked
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread, with_unknowns
 from eha_monitor.mismatch.name.acceptance import FORM, FORM_OF_LAW, UNNAMED
 from eha_monitor.mismatch.name.naming import Naming
-from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished
 from eha_monitor.mismatch.name.refit import (
-    at_level,
     begun,
     evidence_of,
     joined,
+    looked,
     prior_of,
     settled,
 )
@@ -26,7 +25,7 @@ from eha_monitor.settings.own_terms import slot_for
 
 SHARES = (1.0, 0.3, 0.1, 0.0)  # of the way to a linear guess
 TRIED = 3  # forms that are looked at from each place, of those weighed
-LOOK, GOING = 10, 2  # steps of a look; forms that are then fitted to the end
+GOING = 2  # forms that are then fitted to the end
 MORE = (17, 33)  # values of a table, while the evidence grows
 WIDE = 3.0  # times the root mean square of the guess: the prior deviation of a table's values
 SHARP_SPREAD = 1.5  # of the logarithm of the speed over which a term turns round
@@ -71,6 +70,11 @@ class Learned:
     def scale(self) -> float:
         """Scale of what the table is multiplied by, in that one's unit."""
         return float(self.fit.theta[slot_of(self.which).start + SCALE])
+
+    @property
+    def divisor(self) -> float:
+        """What a formula's curve is less than the table's: its factor stands without a scale."""
+        return self.scale if self.form.times in ("v", "dp") else 1.0
 
     @property
     def knots(self) -> np.ndarray:
@@ -134,10 +138,27 @@ def entered(experiment: Experiment, base: Fit, which: int, guess: Guess, values:
         fastest = max(experiment.ranges.speed, 1e-9)
         free += (Free(f"{ALL_NAMES[which]}.scale", slot.start + SCALE, SHARPEST * fastest,
                       fastest, float(np.log(guess.scale)), SHARP_SPREAD, True),)
-    k = len(base.free) + len(free)
+    return begun_with(experiment, base, theta, active, base.free + free)
+
+
+def begun_with(experiment: Experiment, base: Fit, theta: np.ndarray, active: np.ndarray,
+               free: tuple[Free, ...]) -> Fit:
+    """Return a model with other parameters, under the unknowns of ``base``, not yet refitted."""
+    k = len(free)
     return with_unknowns(experiment, replace(
-        base, theta=theta, active=active, free=base.free + free,
-        covariance=np.zeros((k, k)), converged=False), base.unknowns)
+        base, theta=theta, active=active, free=free, covariance=np.zeros((k, k)),
+        converged=False), base.unknowns)
+
+
+def bases_of(experiment: Experiment, naming: Naming) -> list[Fit]:
+    """Return what an own term is fitted beside: what was named, and nothing.
+
+    Wrong numbers of the rig are among the names, and all its numbers are free in both.
+    """
+    named = replace(naming.after, named=(
+        *naming.after.named, *(f"rig.{key}" for key in naming.wrong)))
+    return spread(lambda fit: settled(experiment, with_rig(experiment, fit)),
+                  [named, naming.before])
 
 
 def score_of(experiment: Experiment, fit: Fit) -> float:
@@ -176,25 +197,19 @@ def learned_of(experiment: Experiment, naming: Naming) -> Learned | None:
     which = free_slot(experiment)
     if which is None or experiment.inverse:
         return None
-    # What was named, wrong numbers of the rig among it, and nothing: both with all numbers free.
-    # What is left out bends these fits, and what is linear at the config is not so there.
-    named = replace(naming.after, named=(
-        *naming.after.named, *(f"rig.{key}" for key in naming.wrong)))
-    bases = spread(lambda fit: settled(experiment, with_rig(experiment, fit)),
-                   [named, naming.before])
+    bases = bases_of(experiment, naming)
     scores = [score_of(experiment, fit) for fit in bases]
     without = bases[int(np.argmax(scores))]
     # Named laws are right to a share of what they explain, and that is nothing that is missing.
     form = FORM + FORM_OF_LAW * max(scores[0] - scores[1], 0.0)
+    # What is left out bends these fits, and what is linear at the config is not so there.
     bases.append(with_rig(experiment, begun(experiment, FIRST)))
     places = [(base, guess) for base in bases
               for guess in ranked_forms(experiment, base)[:TRIED]]
 
     def look(place: tuple[Fit, Guess]) -> tuple[float, Fit, Guess]:
         base, guess = place
-        start = entered_at_best(experiment, base, which, guess)
-        made = polished(experiment, start, Slopes(experiment), LOOK, ROUGHLY)
-        made = at_level(experiment, made) if np.isfinite(made.log_likelihood) else made
+        made = looked(experiment, entered_at_best(experiment, base, which, guess))
         return made.log_likelihood + prior_of(frozenset(made.named)), made, guess
 
     ahead: dict[Form, tuple[float, Fit, Guess]] = {}

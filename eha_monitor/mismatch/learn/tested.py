@@ -1,19 +1,23 @@
 """The user's hypothesis, in the same ranking as all that has a name, by the same likelihood."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import NamedEffect, Value
-from eha_monitor.mismatch.learn.learned import alone, free_slot, score_of
+from eha_monitor.mismatch.learn.learned import (
+    alone,
+    bases_of,
+    begun_with,
+    free_slot,
+    score_of,
+)
 from eha_monitor.mismatch.learn.told import HALF, Told, missing_of, removed, size_of
-from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread, with_unknowns
+from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread
 from eha_monitor.mismatch.name.acceptance import EFFECT, LIKELY, TEMPER
 from eha_monitor.mismatch.name.naming import Naming, beyond_form
-from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished
-from eha_monitor.mismatch.name.refit import at_level, settled
-from eha_monitor.mismatch.name.select import with_rig
+from eha_monitor.mismatch.name.refit import looked, settled
 from eha_monitor.mismatch.show.held_out import shown, worse
 from eha_monitor.mismatch.show.model import robust
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
@@ -22,7 +26,7 @@ from eha_monitor.physics.own_term import CONSTANTS
 from eha_monitor.quantity import quantity
 from eha_monitor.settings.hypothesis import Hypothesis
 
-LOOK, GOING = 10, 2  # steps of a look; how many are fitted to the end
+GOING = 2  # starts that are fitted to the end
 SHARES = (0.15, 0.5, 0.85)  # of the way from bound to bound: where a parameter is tried besides
 
 
@@ -63,18 +67,10 @@ def tested(experiment: Experiment, naming: Naming, hypothesis: Hypothesis) -> Te
     which = free_slot(experiment)
     if which is None or experiment.inverse:
         return None
-    named = replace(naming.after, named=(
-        *naming.after.named, *(f"rig.{key}" for key in naming.wrong)))
-    bases = spread(lambda fit: settled(experiment, with_rig(experiment, fit)),
-                   [named, naming.before])
-    without = max(bases, key=lambda fit: score_of(experiment, fit))
-
-    def look(values: dict[str, float]) -> Fit:
-        start = entered(experiment, without, which, hypothesis, values)
-        made = polished(experiment, start, Slopes(experiment), LOOK, ROUGHLY)
-        return at_level(experiment, made) if np.isfinite(made.log_likelihood) else made
-
-    looks = sorted(spread(look, starts_of(hypothesis)), key=lambda fit: -fit.log_likelihood)
+    without = max(bases_of(experiment, naming), key=lambda fit: score_of(experiment, fit))
+    looks = sorted(spread(lambda values: looked(experiment, entered(
+        experiment, without, which, hypothesis, values)), starts_of(hypothesis)),
+        key=lambda fit: -fit.log_likelihood)
     best = max(spread(lambda fit: settled(experiment, fit), looks[:GOING]),
                key=lambda fit: score_of(experiment, fit))
     best = alone(experiment, best)
@@ -113,10 +109,7 @@ def entered(experiment: Experiment, base: Fit, which: int, hypothesis: Hypothesi
         else:
             free.append(Free(name, at, one.lower, one.upper, one.start,
                              0.5 * (one.upper - one.lower)))
-    k = len(free)
-    return with_unknowns(experiment, replace(
-        base, theta=theta, active=active, free=tuple(free), covariance=np.zeros((k, k)),
-        converged=False), base.unknowns)
+    return begun_with(experiment, base, theta, active, tuple(free))
 
 
 def supported(experiment: Experiment, unseen: Experiment, naming: Naming, test: Tested

@@ -177,7 +177,7 @@ def term_of(learned: Learned, formulas: list[Formula], honest: bool, share: floa
     form = learned.form
     x = np.linspace(learned.first, learned.last, PLACES)
     curve, band = learned.curve(x)
-    divisor = learned.scale if form.times in ("v", "dp") else 1.0
+    divisor = learned.divisor
     best = formulas[0] if formulas else None
     drawn = np.full(len(x), np.nan)
     if best is not None:

@@ -23,7 +23,7 @@ from eha_monitor.mismatch.name.columns import (
     runs_of,
 )
 from eha_monitor.mismatch.name.gram import evidence_at
-from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished_on
+from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished, polished_on
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.starts import entered, free_of, own_sizes, sharing
 from eha_monitor.physics.effects import CATALOGUE, NAMES
@@ -35,6 +35,7 @@ SHORTER = (0.1, 0.03, 0.01)  # where no model can run there
 FARTHEST = 6.0  # of a logarithm: how far a number of the rig is moved by a linear guess
 WRONG_BY = 1e3  # how far a number of the rig may be off; what is less is absent
 INFORMED = 0.5  # of its prior deviation, all else known: a number that the recording answers to
+QUICK = 10  # steps of a first look
 ROUGH_STEPS = 8  # of a fit whose unknowns will change
 HALVINGS = 3  # of the way to other unknowns
 # Shapes that act over micrometres and milliseconds, outside the band of the balances.
@@ -120,6 +121,15 @@ def settled(experiment: Experiment, fit: Fit, slopes: Slopes | None = None, roun
         known = None  # under other gains the slopes are others
     return polished_on(experiment, fit, slopes.of(fit) if known is None else known, 12,
                        tolerance)[0]
+
+
+def looked(experiment: Experiment, start: Fit, slopes: Slopes | None = None) -> Fit:
+    """Return a model after a first look: a few steps, then the unknowns that it asks for.
+
+    Large unknowns hide how far off a model still is.
+    """
+    made = polished(experiment, start, slopes or Slopes(experiment), QUICK, ROUGHLY)
+    return at_level(experiment, made) if np.isfinite(made.log_likelihood) else made
 
 
 def entered_at_best(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: Ranked

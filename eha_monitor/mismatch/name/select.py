@@ -8,7 +8,7 @@ from eha_monitor.mismatch.data.experiment import Experiment, resolving
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.name.base import limits_of, needs, with_effect, without_effect
 from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, effects_of, rig_free
-from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished
+from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.proposals import (
     STRAYED,
     Linearised,
@@ -22,6 +22,7 @@ from eha_monitor.mismatch.name.refit import (
     at_level,
     begun,
     entered_at_best,
+    looked,
     settled,
 )
 from eha_monitor.mismatch.name.seen import (
@@ -44,7 +45,6 @@ LOOKS = 3  # handfuls that are refitted from one linearisation
 WITHIN_REACH, FINALISTS = 20.0, 3  # log units; sets that are fitted to the end
 BENT = 0.2  # of the logarithm of B or beta_e
 CLOSE = 1000.0  # log units: within them a set is a rival that is fitted to the end
-QUICK = 10  # steps of the first look
 ROUNDS = 8
 
 
@@ -97,9 +97,7 @@ def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], seen: 
         return entered_at_best(experiment, view.fit, view.what, one)
 
     def quick(one: Ranked) -> Fit:
-        # Each under the unknowns that it asks for: large ones hide how far off a model still is.
-        made = polished(experiment, entered(one), view.slopes, QUICK, ROUGHLY)
-        return at_level(experiment, made) if np.isfinite(made.log_likelihood) else made
+        return looked(experiment, entered(one), view.slopes)
 
     own = view.own
     if own is not None and not view.here and chosen[0].evidence < own.evidence + CLOSE:
