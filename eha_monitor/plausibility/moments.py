@@ -28,6 +28,7 @@ LEAST_BAND = 8  # bins
 MOVES = 10.0  # standard deviations of the noise: below, nothing moves
 MARGIN = 0.02  # of a stretch is left out at each end, where smoothing has one side only
 OVERFLOWS = 1e100  # no signal; its square is still a number
+AWAY = 0.01  # of the motion: nearer to where it begins or ends, the piston may stand at a stop
 SAME = 1e-9  # of its spread: two channels no further apart are one and the same
 
 
@@ -139,9 +140,26 @@ def stretch_of(recording: Recording) -> tuple[int, int]:
         let_go(x)
         return told
 
-    start, stop = max(pieces, key=motion)
+    start, stop = moving(x, *max(pieces, key=motion))
     # One sample more than a length whose transform is quick.
     return start, start + (quick_length(stop - start - 1) + 1 if stop - start > 2 else 0)
+
+
+def moving(x: np.ndarray, start: int, stop: int) -> tuple[int, int]:
+    """Return the samples between standing at the beginning and standing at the end.
+
+    A piston that is pressed against a stop answers to no force, and says nothing of a sign.
+    """
+    here = x[start:stop]
+    told = np.flatnonzero(np.isfinite(here))
+    if not len(told):
+        return start, stop
+    away = AWAY * np.ptp(here[told])
+    left = told[np.abs(here[told] - here[told[0]]) > away]
+    back = told[np.abs(here[told] - here[told[-1]]) > away]
+    if not len(left) or not len(back) or back[-1] - left[0] < SHORTEST:
+        return start, stop
+    return start + int(left[0]), start + int(back[-1]) + 1
 
 
 def quick_length(samples: int) -> int:

@@ -16,6 +16,7 @@ from eha_monitor.mismatch.data.inputs import (
     noise_governs,
     present,
 )
+from eha_monitor.mismatch.data.stops import between_stops
 from eha_monitor.mismatch.data.stretch import BURN_IN, Stretch
 from eha_monitor.mismatch.data.windows import Rows, windows_of
 from eha_monitor.physics.effect import Ranges
@@ -298,7 +299,11 @@ def stretches_of(recording: Recording, channels: dict, settings: Settings, mode:
     p1, p2 = channels.get("p1", nothing), channels.get("p2", nothing)
     charge = rig.charge_pressure
     parts = []
-    for start, stop in present(u, z[:, 0], int(LONGEST_GAP / dt)):
+    spans = present(u, z[:, 0], int(LONGEST_GAP / dt))
+    if mode == FORCED:
+        spans = [(start + first, start + last) for start, stop in spans
+                 for first, last in between_stops(z[start:stop, 0], u[start:stop], dt)]
+    for start, stop in spans:
         if (stop - start) * dt < SHORTEST:
             continue
         here = slice(start, stop)
