@@ -1,22 +1,27 @@
 """Which numbers have changed: the fewest that bring a run back among the healthy ones."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import combinations
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from eha_monitor.mismatch.compare.healthy import Healthy
-from eha_monitor.mismatch.compare.runs import Run
-from eha_monitor.mismatch.name.columns import ALWAYS, Column
-from eha_monitor.mismatch.name.suspects import exclude
-from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.mismatch.compare.runs import Reading, with_changes
+from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
+from eha_monitor.mismatch.name.acceptance import FORM_OF_LAW
+from eha_monitor.mismatch.name.columns import ALWAYS
+from eha_monitor.mismatch.name.polish import Slopes, polished
+from eha_monitor.mismatch.name.suspects import exclude, simple_kin
+from eha_monitor.physics.effects import CATALOGUE, NAMES
 
 MOST = 3  # numbers that change at once
-NEXT = 12  # single ones from which sets grow
+LEAST, NEARLY = 5, 0.9  # numbers that are fitted: those that leave least; share of the best gain
+ENOUGH = 0.75  # of what goes beyond healthy runs: what is left is the laws' form error
+WORTH = 0.5  # of what is left: another number must take so much away
 ALIKE = 2.0  # log units: what explains a run so nearly as well cannot be told from the best
 PARAMETER = 0.5  # rarity of a change of B or beta_e, between what is common and what is not
-STEEP = 1e-9  # of a set's products: singular
 
 
 @dataclass(frozen=True)
@@ -25,93 +30,177 @@ class Explanation:
 
     Attributes
     ----------
-    changes : place among the run's numbers -> amplitude, beyond the mean of the healthy runs.
-    left : half the mean square of what is left, in the healthy runs' own spread, log units.
+    places : of the changed numbers, among those of the healthy runs.
+    fit : the recording under the healthy model with these numbers free.
+    reading : what it says there; ``left`` how much less likely that is of a healthy run than
+        their mean, log units.
     complete : nothing that is left goes beyond the limits of a healthy run.
     rivals : place -> places of others that explain as much in its stead.
     """
 
-    changes: dict[int, float]
+    places: tuple[int, ...]
+    fit: Fit
+    reading: Reading
     left: float
     complete: bool
-    rivals: dict[int, tuple[int, ...]]
+    rivals: dict[int, tuple[int, ...]] = field(default_factory=dict)
 
 
-def changed(healthy: Healthy, run: Run) -> bool:
-    """Tell whether a run goes beyond what healthy runs do."""
-    return bool((np.abs(healthy.t_of(run.amplitudes)) > healthy.limit).any())
+class Comparison:
+    """A recording against the healthy ones.
 
-
-def explained(healthy: Healthy, run: Run) -> Explanation:
-    """Return the fewest changes of named numbers after which a run is like the healthy ones.
-
-    Where no such set is found, the best of the largest ones.
+    Attributes
+    ----------
+    healthy, experiment : the recording under the healthy experiment.
+    what : the numbers that may change.
+    before : what it says of the healthy model.
     """
-    able = [int(i) for i in healthy.kept if named(run.what[i])]
-    singles = sorted((made for i in able if (made := weighed(healthy, run, (i,))) is not None),
-                     key=lambda one: one.left)
-    best, found = None, singles
-    for size in range(1, MOST + 1):
-        if size > 1:
-            first = [next(iter(one.changes)) for one in singles[:NEXT]]
-            grown = [tuple(best.changes) + (i,) for i in able if i not in best.changes]
-            sets = [*combinations(first, size), *grown] if size == 2 else grown
-            found = sorted((made for places in dict.fromkeys(map(frozenset, sets))
-                            if not clash(run, places)
-                            and (made := weighed(healthy, run, tuple(places))) is not None),
-                           key=lambda one: one.left)
-        good = [one for one in found if one.complete]
-        if good:
-            return chosen(run, good)
-        best = min([*found[:1], *([best] if best else [])], key=lambda one: one.left)
-    return best
+
+    def __init__(self, healthy: Healthy, experiment: Experiment):
+        self.healthy, self.experiment = healthy, experiment
+        self.what = healthy.runs[0].what
+        self.before = self.explaining((), with_unknowns(experiment, healthy.fit,
+                                                        healthy.fit.unknowns))
+
+    @property
+    def changed(self) -> bool:
+        """Whether the recording goes beyond what healthy runs do."""
+        return not self.before.complete
+
+    def explaining(self, places: tuple[int, ...], fit: Fit) -> Explanation:
+        """Return a model with what it leaves."""
+        reading = self.healthy.read(self.experiment, fit, places)
+        left, complete = self.left_of(reading.amplitudes, reading.power, places)
+        return Explanation(places, fit, reading, left, complete)
+
+    def left_of(self, amplitudes: np.ndarray, power: np.ndarray, places: tuple[int, ...]
+                ) -> tuple[float, bool]:
+        """Return what amplitudes leave beside changed numbers, and whether healthy runs do so."""
+        t = self.healthy.t_of(amplitudes, power)
+        t[np.isin(self.healthy.kept, places)] = np.nan  # they are where the recording has them
+        free = len(self.healthy.runs) - 1
+        each = 0.5 * (free + 1) * np.log1p(t**2 / free)  # Student's density
+        return (self.healthy.count * float(np.nanmean(each)),
+                not (np.abs(t) > self.healthy.limit).any())
+
+    def moved(self, best: Explanation, place: int) -> Explanation | None:
+        """Fit one number more to the recording, beside those that moved; None where none fits.
+
+        The model's own numbers stay as healthy runs have them, each with its spread.
+        """
+        column, amount = self.what[place], best.reading.amplitudes[place]
+        start = with_changes(best.fit, [(column, amount)])
+        return self.refitted(start, (*best.places, place))
+
+    def refitted(self, start: Fit, places: tuple[int, ...]) -> Explanation | None:
+        """Fit changed numbers, the own ones held as healthy runs have them; None if none fits."""
+        own, theta, active = self.healthy.own, start.theta.copy(), start.active.copy()
+        entering = {self.what[i].owner for i in places if self.what[i].variant >= 0}
+        for i, name in enumerate(NAMES):  # what came in with a number that is no longer there
+            active[i] = active[i] and (self.healthy.fit.active[i] or name in entering)
+        for i, f in zip(own.places, own.free, strict=True):
+            if i not in places:
+                theta[f.place] = self.healthy.fit.theta[f.place]
+        wide = tuple(self.what[i].free for i in places)
+        rest = [(f, held) for i, f, held in zip(
+            own.places, own.free, own.held(self.healthy.fit), strict=True) if i not in places]
+        free = wide + tuple(held for _, held in rest)
+        k = len(free)
+        made = polished(self.experiment, with_unknowns(self.experiment, replace(
+            start, theta=theta, active=active, free=free, covariance=np.zeros((k, k)),
+            converged=False), start.unknowns), Slopes(self.experiment))
+        absent = any(self.what[i].variant >= 0 and made.theta[self.what[i].free.place]
+                     == self.what[i].free.prior for i in places)
+        if absent or not np.isfinite(made.log_likelihood):
+            return None
+        return self.explaining(places, replace(made, free=wide + tuple(f for f, _ in rest)))
+
+    def explained(self) -> Explanation:
+        """Return the fewest changes after which the run is like the healthy ones.
+
+        Where no such set is found, those that each take away half of what was left.
+        """
+        best = self.before
+        for _ in range(MOST):
+            found = [one for one in spread(partial(self.moved, best), self.promising(best))
+                     if one is not None]
+            if not found:
+                break
+            first = self.chosen(found)
+            if not first.complete and first.left > WORTH * best.left:
+                break
+            best = first
+            if best.complete:
+                break
+        return self.fewest(best)
+
+    def share_of(self, one: Explanation) -> float:
+        """Return the share of what goes beyond healthy runs that an explanation takes away."""
+        return 1.0 - one.left / self.before.left
+
+    def fewest(self, best: Explanation) -> Explanation:
+        """Return an explanation less the numbers that it can do without."""
+        for place in best.places[:-1] if len(best.places) > 1 else ():
+            rest = tuple(i for i in best.places if i != place)
+            one = self.refitted(best.fit, rest)
+            if one is not None and one.complete >= best.complete and (
+                    one.left < best.left + ALIKE):
+                best = replace(one, rivals={i: best.rivals.get(i, ()) for i in rest})
+        return best
+
+    def promising(self, best: Explanation) -> list[int]:
+        """Return the own numbers, and those that leave least or gain most by the linear guess."""
+        owners = {self.what[i].owner for i in best.places}
+        own = [int(i) for i in self.healthy.own.places if i not in best.places]
+        able = [i for i in self.healthy.kept.tolist() if i not in own and i not in best.places
+                and not any(clash(self.what[i].owner, other) for other in owners)]
+        mean = dict(zip(self.healthy.kept.tolist(), self.healthy.mean.tolist(), strict=True))
+        off = {i: best.reading.amplitudes[i] - mean[i] for i in able
+               if np.isfinite(best.reading.amplitudes[i])}
+        left = sorted(off, key=lambda i: self.left_of(
+            best.reading.without(i, off[i]), best.reading.power, (*best.places, i))[0])
+        gains = {i: off[i] ** 2 * best.reading.power[i] for i in off}
+        most = NEARLY * max(gains.values(), default=0.0)
+        first = [*dict.fromkeys(self.starts_of(left)[:LEAST] + self.starts_of(
+            [i for i in left if gains[i] > most]))]
+        # Laws of one family explain one another's errors: none of them is judged without the rest.
+        family = {law for i in first for law in simple_kin(self.what[i].owner)}
+        return [*own, *dict.fromkeys(first + self.starts_of(
+            [i for i in left if self.what[i].owner in family]))]
+
+    def starts_of(self, places: list[int]) -> list[int]:
+        """Return numbers in their order, each in the first of its starts only."""
+        found: dict[tuple[str, str], int] = {}
+        for i in places:
+            found.setdefault((self.what[i].owner, self.what[i].name), i)
+        return list(found.values())
+
+    def chosen(self, found: Sequence[Explanation]) -> Explanation:
+        """Return the commonest of the explanations that are as good as the best, with the others.
+
+        A law is right to a share of what it explains only.
+        """
+        best = min(found, key=lambda one: one.left)
+        alike = ALIKE + FORM_OF_LAW * max(self.before.left - best.left, 0.0)
+        near = [one for one in found if one.left <= best.left + alike
+                and one.complete >= best.complete]
+        first = min(near, key=lambda one: (sum(map(self.rarity, one.places)), one.left))
+        last = first.places[-1]
+        return replace(first, rivals={**first.rivals, last: tuple(
+            one.places[-1] for one in near if one.places[-1] != last)})
+
+    def rarity(self, place: int) -> float:
+        """Return how uncommon a change is; what can only grow has half the room of the others."""
+        column = self.what[place]
+        if column.owner == ALWAYS:
+            return PARAMETER
+        entry = CATALOGUE[column.owner]
+        symbol = column.name.partition(".")[2]
+        p = next(p for p in entry.parameters if p.name == symbol)
+        one_way = p.lower >= p.neutral
+        return entry.rarity + 0.1 * len(entry.contains) - (0.05 if one_way else 0.0)
 
 
-def chosen(run: Run, good: Sequence[Explanation]) -> Explanation:
-    """Return the commonest of the explanations that are as good as the best, with the others."""
-    near = [one for one in good if one.left < good[0].left + ALIKE]
-    first = min(near, key=lambda one: (sum(rarity(run.what[i], amount) for i, amount
-                                           in one.changes.items()), one.left))
-    rivals = {}
-    for i in first.changes:
-        rest = set(first.changes) - {i}
-        rivals[i] = tuple(next(iter(set(one.changes) - rest)) for one in near
-                          if i not in one.changes and rest <= set(one.changes))
-    return Explanation(first.changes, first.left, True, rivals)
-
-
-def weighed(healthy: Healthy, run: Run, places: tuple[int, ...]) -> Explanation | None:
-    """Return what a set explains: its numbers moved until each is at the mean of the healthy."""
-    rows = np.array(places)
-    mean = dict(zip(healthy.kept.tolist(), healthy.mean, strict=True))
-    products = run.products[np.ix_(1 + rows, 1 + rows)] / run.power[rows][:, None]
-    if np.linalg.cond(products) > 1.0 / STEEP:
-        return None
-    amounts = np.linalg.solve(products, run.amplitudes[rows] - [mean[i] for i in places])
-    changes = dict(zip(places, amounts.tolist(), strict=True))
-    t = healthy.t_of(run.without(changes))
-    left = 0.5 * float(np.mean((t / healthy.limit) ** 2) * np.mean(healthy.limit) ** 2)
-    return Explanation(changes, left, bool((np.abs(t) <= healthy.limit).all()), {})
-
-
-def named(column: Column) -> bool:
-    """Tell whether a number has a name: B, beta_e, the rig's, or of the catalogue."""
-    return column.owner == ALWAYS or column.owner in CATALOGUE
-
-
-def clash(run: Run, places: frozenset[int]) -> bool:
-    """Tell whether two numbers of a set belong to effects of which one contains the other."""
-    owners = [run.what[i].owner for i in places]
-    return any(one == two and one != ALWAYS or one != two and ALWAYS not in (one, two)
-               and exclude(one, two) for one, two in combinations(owners, 2))
-
-
-def rarity(column: Column, amount: float) -> float:
-    """Return how uncommon a change is; what can only grow has half the room of what may turn."""
-    if column.owner == ALWAYS:
-        return PARAMETER
-    entry = CATALOGUE[column.owner]
-    symbol = column.name.partition(".")[2]
-    p = next(p for p in entry.parameters if p.name == symbol)
-    one_way = p.lower >= p.neutral and amount > 0.0
-    return entry.rarity + 0.1 * len(entry.contains) - (0.05 if one_way else 0.0)
+def clash(one: str, other: str) -> bool:
+    """Tell whether two numbers belong to one effect, or to two of which one has the other."""
+    return one == other != ALWAYS or (ALWAYS not in (one, other) and exclude(one, other))

@@ -1,26 +1,28 @@
 """What healthy recordings have in common, and by how much they differ from run to run."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.special import stdtrit
 
 from eha_monitor.errors import InputError
-from eha_monitor.mismatch.compare.runs import Run, of_parts, run_of
+from eha_monitor.mismatch.compare.runs import Own, Reading, Run, of_parts, reading_of, run_of
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.data.stretch import cut
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.name.naming import Naming, name_effects
 from eha_monitor.mismatch.name.telling import telling
-from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
 FEWEST = 4  # recordings that tell how runs differ; fewer are cut in pieces
 PIECES = 8  # that they are cut in then, together
 SHORTEST_S = 1.0  # of a piece
+ANSWERS = 0.01  # of the usual power: a run that answers less says nothing of a number
+ROUNDS, LEAST = 200, 1e-12  # of expectation and maximisation; variance that stays
 FALSE = 0.01  # of healthy recordings that may be called changed
-KINDS = 2  # what has a name, and unknown functions: each has half of that
 
 
 @dataclass(frozen=True)
@@ -31,10 +33,11 @@ class Healthy:
     ----------
     experiment : of all references; ``naming`` what was named on them; ``fit`` the model.
     scales : (c,) of the balances, see :func:`run_of`.
-    runs : what each reference says.
+    runs : what each reference says; ``own`` the model's own numbers over them, ``readings`` what
+        each says beside these.
     kept : (k,) places of the numbers that every run answers to.
-    mean, spread : (k,) of their amplitudes over the runs.
-    limit : (k,) of Student's t, so that ``FALSE`` of the healthy runs go beyond any.
+    mean, spread : (k,) of their amplitudes over the runs; ``power`` (k,) as it usually is there.
+    count : how many different numbers these are.
     pieces : the runs are pieces of so few recordings that runs cannot be compared.
     """
 
@@ -43,32 +46,78 @@ class Healthy:
     fit: Fit
     scales: np.ndarray
     runs: tuple[Run, ...]
+    own: Own
+    readings: tuple[Reading, ...]
     kept: np.ndarray
     mean: np.ndarray
     spread: np.ndarray
-    limit: np.ndarray
+    power: np.ndarray
+    count: float
     pieces: bool
 
-    def t_of(self, amplitudes: np.ndarray) -> np.ndarray:
-        """Return Student's t of amplitudes (m,) of another run, (k,): n - 1 degrees of freedom.
+    def read(self, experiment: Experiment, fit: Fit, changed: tuple[int, ...] = ()) -> Reading:
+        """Return what a recording says of a model beside the own numbers, from their mean.
 
-        One new run differs from the mean of n by a standard deviation of sqrt(1 + 1/n) spreads.
+        Parameters
+        ----------
+        changed : places of numbers that stay where the recording has them.
+        """
+        first, own = self.runs[0], self.own
+        stay = np.isin(own.places, changed)
+        own = replace(own, mean=np.where(stay, 0.0, own.mean - own.away(fit.theta, self.fit)),
+                      variance=np.where(stay, 1.0, own.variance))
+        return reading_of(run_of(experiment, fit, self.scales).ordered(first.keys, first.what),
+                          own)
+
+    def t_of(self, amplitudes: np.ndarray, power: np.ndarray) -> np.ndarray:
+        """Return Student's t of a new run's amplitudes, (k,): n - 1 degrees of freedom.
+
+        One new run differs from the mean of n by a standard deviation of sqrt(1 + 1/n) spreads;
+        NaN where it does not answer to a number.
+
+        Parameters
+        ----------
+        amplitudes, power : (m,) see :class:`Reading`.
         """
         n = len(self.runs)
-        return (amplitudes[self.kept] - self.mean) / (self.spread * np.sqrt(1.0 + 1.0 / n))
+        return weight_of(power[self.kept], self.power) * (
+            amplitudes[self.kept] - self.mean) / (self.spread * np.sqrt(1.0 + 1.0 / n))
+
+    @property
+    def limit(self) -> float:
+        """Student's t so that a share ``FALSE`` of healthy runs goes beyond it in any number."""
+        return limit_of(len(self.runs), self.count)
 
     def odd_ones(self) -> list[int]:
         """Return references that differ from all the others as no healthy run should."""
-        rows = np.array([run.amplitudes[self.kept] for run in self.runs])
         found = []
-        for i in range(len(rows)) if len(rows) > 3 else ():
-            others = np.delete(rows, i, axis=0)
-            n = len(others)
-            t = (rows[i] - others.mean(axis=0)) / (
-                others.std(axis=0, ddof=1) * np.sqrt(1.0 + 1.0 / n))
-            if (np.abs(t) > self.limit).any():
+        for i in range(len(self.runs)) if len(self.runs) >= FEWEST else ():
+            others = [reading for j, reading in enumerate(self.readings) if j != i]
+            mean, spread, power = scatter(others, self.kept)
+            rest = replace(self, runs=self.runs[:i] + self.runs[i + 1 :], mean=mean,
+                           spread=spread, power=power)
+            one, limit = self.readings[i], limit_of(
+                len(rest.runs), self.count, FALSE / len(self.runs))
+            if (np.abs(rest.t_of(one.amplitudes, one.power)) > limit).any():
                 found.append(i)
         return found
+
+
+def weight_of(power: np.ndarray, usual: np.ndarray) -> np.ndarray:
+    """Return the weights of amplitudes: a run that answers to a number less tells it less well."""
+    return np.sqrt(np.minimum(power / usual, 1.0))
+
+
+def scatter(readings: Sequence[Reading], kept: np.ndarray
+            ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return mean and spread of the runs' amplitudes, and their usual power, (k,) each."""
+    rows = np.array([one.amplitudes[kept] for one in readings])
+    powers = np.array([one.power[kept] for one in readings])
+    usual = np.median(powers, axis=0)
+    weights = weight_of(powers, usual) ** 2
+    mean = (weights * rows).sum(axis=0) / weights.sum(axis=0)
+    spread = np.sqrt((weights * (rows - mean) ** 2).sum(axis=0) / (len(readings) - 1))
+    return mean, spread, usual
 
 
 def runs_in(experiments: list[Experiment]) -> tuple[list[Experiment], bool]:
@@ -82,7 +131,7 @@ def runs_in(experiments: list[Experiment]) -> tuple[list[Experiment], bool]:
         count = max(round(PIECES * one.n / total), 1)
         bounds = np.linspace(0, len(longest), count + 1).astype(int)
         found += [one.only((cut(longest, int(first), int(last), one.dt),))
-                  for first, last in zip(bounds, bounds[1:], strict=False)]
+                  for first, last in pairwise(bounds)]
     short = min(one.n * one.dt for one in found)
     if short < SHORTEST_S:
         raise InputError(
@@ -94,60 +143,73 @@ def runs_in(experiments: list[Experiment]) -> tuple[list[Experiment], bool]:
 def healthy_of(references: list[Recording], settings: Settings) -> Healthy:
     """Learn what healthy recordings have in common, and how they differ.
 
+    The model is named on the longest of them; by how much the others differ from it is what the
+    machine's own spread is.
+
     Raises
     ------
     InputError
         If there are too few to tell how healthy runs differ, or they do not move.
     """
     joint = experiment_of(references, settings, hold_out=False)
-    naming = name_effects(telling(joint))
+    parts = [joint.only(tuple(stretch for stretch in joint.stretches
+                              if stretch.source == recording.source))
+             for recording in references]
+    naming = name_effects(telling(max(parts, key=lambda one: one.n)))
     joint = replace(naming.experiment, stretches=joint.stretches)
-    parts, pieces = runs_in([joint.only(tuple(
-        stretch for stretch in joint.stretches if stretch.source == recording.source))
-        for recording in references])
     fit = with_unknowns(joint, naming.after, naming.after.unknowns)
     scales = np.sqrt(np.nanmean(fit.e**2, axis=0))
-    runs = tuple(spread(lambda one: run_of(one, fit, scales), of_parts(joint, parts)))
-    return healthy_from(joint, naming, fit, scales, alike(runs), pieces)
+    parts, pieces = runs_in(parts)
+    runs = spread(lambda one: run_of(one, fit, scales), of_parts(joint, parts))
+    first = runs[0]
+    runs = tuple(run.ordered(first.keys, first.what) for run in runs)
+    own = own_over(runs)
+    readings = tuple(reading_of(run, own) for run in runs)
+    rows, powers = (np.array([getattr(one, name) for one in readings])
+                    for name in ("amplitudes", "power"))
+    kept = np.flatnonzero(np.isfinite(rows).all(axis=0) & (np.ptp(rows, axis=0) > 0.0)
+                          & (powers.min(axis=0) > ANSWERS * np.median(powers, axis=0)))
+    return Healthy(joint, naming, fit, scales, runs, own, readings, kept,
+                   *scatter(readings, kept), count_of(runs, kept), pieces)
 
 
-def alike(runs: tuple[Run, ...]) -> tuple[Run, ...]:
-    """Return runs with the numbers that all of them have, in one order."""
-    common = set.intersection(*(set(run.keys) for run in runs))
-    found = []
-    for run in runs:
-        places = [i for i, key in enumerate(run.keys) if key in common]
-        rows = np.array([0, *(1 + i for i in places)])
-        found.append(replace(run, what=tuple(run.what[i] for i in places),
-                             products=run.products[np.ix_(rows, rows)]))
-    return tuple(found)
+def own_over(runs: tuple[Run, ...]) -> Own:
+    """Return how the model's own numbers vary over the runs: expectation and maximisation.
+
+    Each run's are a ~ N(m, s^2), and the run tells them by its products G and sides g (Dempster,
+    Laird and Rubin 1977; Laird and Ware 1982):
+
+        V = (G + s^-2)^-1,  a = V (m s^-2 - g);    m = mean a,  s^2 = mean V + (a - m)^2
+    """
+    places = np.flatnonzero([column.variant < 0 and column.free is not None
+                             for column in runs[0].what])
+    rows = [np.ix_(1 + places, 1 + places) for _ in runs]
+    grams = [run.products[at] for run, at in zip(runs, rows, strict=True)]
+    sides = [run.products[0, 1 + places] for run in runs]
+    mean, variance = np.zeros(len(places)), np.ones(len(places))
+    for _ in range(ROUNDS):
+        inner = [np.linalg.inv(gram + np.diag(1.0 / variance)) for gram in grams]
+        found = np.array([v @ (mean / variance - side)
+                          for v, side in zip(inner, sides, strict=True)])
+        mean = found.mean(axis=0)
+        variance = np.maximum(np.mean([np.diag(v) for v in inner], axis=0)
+                              + found.var(axis=0), LEAST)
+    return Own(places, mean, variance, tuple(runs[0].what[i].free for i in places))
 
 
-def healthy_from(joint: Experiment, naming: Naming, fit: Fit, scales: np.ndarray,
-                 runs: tuple[Run, ...], pieces: bool) -> Healthy:
-    """Return what runs have in common."""
-    rows = np.array([run.amplitudes for run in runs])
-    with np.errstate(invalid="ignore"):
-        deviation = rows.std(axis=0, ddof=1)
-    kept = np.flatnonzero(np.isfinite(rows).all(axis=0) & (deviation > 0.0))
-    what = runs[0].what
-    products = sum(run.products for run in runs)[1:, 1:]
-    limit = np.zeros(len(kept))
-    named = np.array([what[i].owner in CATALOGUE or what[i].free is not None for i in kept])
-    for kind in (named, ~named):
-        if kind.any():
-            limit[kind] = limit_of(products[np.ix_(kept[kind], kept[kind])], len(runs))
-    return Healthy(joint, naming, fit, scales, runs, kept, rows[:, kept].mean(axis=0),
-                   deviation[kept], limit, pieces)
-
-
-def limit_of(products: np.ndarray, runs: int) -> float:
-    """Return the |t| beyond which one of several numbers goes in a share of ``FALSE / KINDS``.
+def count_of(runs: tuple[Run, ...], kept: np.ndarray) -> float:
+    """Return how many of the numbers are different ones.
 
     Numbers that move the same innovations are one: their effective count is that of the
     eigenvalues of their correlations, (sum l)^2 / sum l^2.
     """
+    rows = 1 + kept
+    products = sum(run.products for run in runs)[np.ix_(rows, rows)]
     scale = np.sqrt(np.diag(products))
     eigen = np.linalg.eigvalsh(products / np.outer(scale, scale))
-    count = eigen.sum() ** 2 / (eigen**2).sum()
-    return float(-stdtrit(runs - 1, 0.5 * FALSE / KINDS / count))
+    return float(eigen.sum() ** 2 / (eigen**2).sum())
+
+
+def limit_of(runs: int, count: float, share: float = FALSE) -> float:
+    """Return the |t| beyond which one of ``count`` numbers goes in a share of healthy runs."""
+    return float(-stdtrit(runs - 1, 0.5 * share / count))

@@ -1,13 +1,15 @@
 """What one recording says of a model that others made: by how much each number would move.
 
 Each number that may change (B, beta_e, parameters of what is in the model, sizes of all that the
-catalogue has, smooth unknown functions) has a column, the innovations' sensitivity to it.  If it
-alone changed, least squares tells by how much,
+catalogue has) has a column, the innovations' sensitivity to it.  The
+model's own numbers vary from run to run of a healthy machine, a ~ N(m, s^2) (:mod:`healthy`), so
+innovations are r + C_o a + c d + white noise, where d is a change of one number.  With G the
+products of the columns and g those with r + C_o m, what the own numbers explain is taken out,
 
-    a = -c'e / c'c
+    g' = g - G_.o (G_oo + s^-2)^-1 g_o,    G' = G - G_.o (G_oo + s^-2)^-1 G_o.,    d = -g'/G'
 
-in units of the number's prior.  From run to run of a healthy machine these amplitudes scatter, and
-that scatter, not the sensors' noise, is what a change is measured against.
+in units of the number's prior.  That d scatters over the healthy runs; this scatter, not the
+sensors' noise, is what a change is measured against.
 """
 
 from dataclasses import dataclass, replace
@@ -15,12 +17,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
-from eha_monitor.mismatch.name.columns import ALWAYS, ASTRAY_OWNER, Column, Columns, columns_at
+from eha_monitor.mismatch.likelihood.fit import Fit, Free, with_unknowns
+from eha_monitor.mismatch.name.columns import (
+    ALWAYS,
+    ASTRAY_OWNER,
+    Column,
+    Columns,
+    columns_at,
+)
 from eha_monitor.mismatch.name.gram import grams_of
-from eha_monitor.mismatch.name.unnamed import INTERMITTENT
-from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.mismatch.name.starts import entered
+from eha_monitor.mismatch.name.suspects import limited
+from eha_monitor.physics.effects import CATALOGUE, NAMES
+from eha_monitor.physics.parameters import place_of
 
+NARROW = 1e-7  # of a prior's deviation: the narrowest spread of a number over healthy runs
 SEEN = 1e-12  # of the largest product: a column below does nothing here
 CHARGE = "rig.charge_pressure"  # the one number of a rig that changes by itself
 
@@ -50,39 +61,102 @@ class Run:
             found.append((*key, seen[key]))
         return found
 
-    @property
-    def power(self) -> np.ndarray:
-        """Squares of the columns, (m,)."""
-        return np.diag(self.products)[1:]
+    def ordered(self, keys: list[tuple[str, int, str, int]], what: tuple[Column, ...]) -> "Run":
+        """Return it with the numbers of another run, in its order; what it lacks does nothing."""
+        places = {key: 1 + i for i, key in enumerate(self.keys)}
+        own = np.array([0, *(places.get(key, -1) for key in keys)])
+        products = self.products[np.ix_(own, own)].copy()
+        products[own < 0], products[:, own < 0] = 0.0, 0.0
+        return replace(self, what=what, products=products)
 
-    @property
-    def amplitudes(self) -> np.ndarray:
-        """By how much each number would move if it alone did, (m,); NaN where it does nothing."""
-        with np.errstate(invalid="ignore", divide="ignore"):
-            found = -self.products[0, 1:] / self.power
-        return np.where(self.power > SEEN * self.power.max(), found, np.nan)
 
-    def without(self, changes: dict[int, float]) -> np.ndarray:
-        """Return the amplitudes that are left once some numbers have moved, (m,).
+@dataclass(frozen=True)
+class Own:
+    """The model's own numbers over the healthy runs.
 
-        ``changes`` : place -> amplitude.
-        """
-        found = self.amplitudes
-        for place, amount in changes.items():
-            found = found - amount * self.products[1:, 1 + place] / np.where(
-                self.power > 0.0, self.power, np.nan)
-        return found
+    Attributes
+    ----------
+    places : (o,) among a run's numbers; ``mean``, ``variance`` (o,) of their amplitudes.
+    free : (o,) how they are fitted.
+    """
+
+    places: np.ndarray
+    mean: np.ndarray
+    variance: np.ndarray
+    free: tuple[Free, ...]
+
+    def away(self, theta: np.ndarray, fit: Fit) -> np.ndarray:
+        """Return how far parameters are from the healthy model's, (o,) in amplitudes."""
+        return np.array([(f.inward(theta[f.place]) - f.inward(fit.theta[f.place])) / f.spread
+                         for f in self.free])
+
+    def held(self, fit: Fit) -> tuple[Free, ...]:
+        """Return the own numbers as a healthy run has them: a prior for the fit of another."""
+        return tuple(replace(f, prior=f.inward(fit.theta[f.place]) + mean * f.spread,
+                             spread=max(np.sqrt(variance), NARROW) * f.spread)
+                     for f, mean, variance in zip(self.free, self.mean, self.variance,
+                                                  strict=True))
+
+
+@dataclass(frozen=True)
+class Reading:
+    """By how much each number of a run would move if it alone did, beside the own ones.
+
+    Attributes
+    ----------
+    amplitudes : (m,), NaN where a number does nothing.
+    power : (m,) squares of the columns, less what the own numbers explain.
+    response : (m, m) by how much the amplitude of each falls where another moves by one.
+    """
+
+    amplitudes: np.ndarray
+    power: np.ndarray
+    response: np.ndarray
+
+    def without(self, place: int, amount: float) -> np.ndarray:
+        """Return the amplitudes that are left once a number has moved, (m,)."""
+        return self.amplitudes - self.response[:, place] * amount
+
+
+def reading_of(run: Run, own: Own) -> Reading:
+    """Return what a run says beside the model's own numbers."""
+    products = run.products[1:, 1:]
+    sides = run.products[0, 1:] + products[:, own.places] @ own.mean
+    # Own numbers are read beside the other own ones, all else beside all of them.
+    beside, left = _beside(products, sides, own.places, own.variance)
+    for i, place in enumerate(own.places):
+        rest = np.delete(np.arange(len(own.places)), i)
+        rows, side = _beside(products, sides, own.places[rest], own.variance[rest])
+        beside[place], left[place] = rows[place], side[place]
+    power = np.diag(beside).copy()
+    power[~(power > SEEN * np.diag(products))] = np.nan
+    return Reading(-left / power, power, beside / power[:, None])
+
+
+def _beside(products: np.ndarray, sides: np.ndarray, places: np.ndarray, variance: np.ndarray
+            ) -> tuple[np.ndarray, np.ndarray]:
+    """Return products and sides without what some numbers explain."""
+    if not len(places):
+        return products.copy(), sides.copy()
+    inner = products[np.ix_(places, places)] + np.diag(1.0 / variance)
+    taken = np.linalg.solve(inner, np.column_stack([products[places], sides[places]]))
+    return (products - products[:, places] @ taken[:, :-1],
+            sides - products[:, places] @ taken[:, -1])
 
 
 def may_change(column: Column) -> bool:
     """Tell whether a number may differ between two recordings of one machine."""
-    if column.owner == ASTRAY_OWNER or column.owner == INTERMITTENT:
+    if column.owner == ASTRAY_OWNER:
         return False
     if column.name.startswith("rig."):
         return column.owner == ALWAYS and column.name == CHARGE
     if column.owner == ALWAYS:
         return "." not in column.name  # else a small timing error that every record has
-    return column.owner not in CATALOGUE or column.size
+    if column.variant < 0 or column.start is None:
+        return column.size
+    # A limit has no linear size, and what grows out of another effect is that one's change.
+    return (not column.start.replaces and not limited(column.owner)
+            and column.free.prior == 0.0)
 
 
 def run_of(experiment: Experiment, fit: Fit, scales: np.ndarray) -> Run:
@@ -93,7 +167,7 @@ def run_of(experiment: Experiment, fit: Fit, scales: np.ndarray) -> Run:
     scales : (c,) by which each balance is divided where balances are compared, SI.
     """
     here = with_unknowns(experiment, fit, fit.unknowns)
-    columns = columns_at(experiment, here)
+    columns = columns_at(experiment, here, unnamed=False)
     products, samples = products_of(experiment, here, columns, scales)
     kept = [i for i, column in enumerate(columns.what[: len(products) - 1]) if may_change(column)]
     rows = np.array([0, *(1 + i for i in kept)])
@@ -115,15 +189,20 @@ def products_of(experiment: Experiment, fit: Fit, columns: Columns, scales: np.n
     return products, samples
 
 
-def moved(column: Column, fit: Fit, amplitude: float) -> float:
-    """Return by how much a number moves with an amplitude, SI."""
-    f = column.free
-    if f is None:
-        return amplitude
-    if not f.log:
-        return amplitude * f.spread
-    now = fit.theta[f.place] if column.variant < 0 else float(np.exp(f.prior))
-    return float(now * np.expm1(np.clip(amplitude * f.spread, -50.0, 50.0)))
+def with_changes(fit: Fit, changes: list[tuple[Column, float]]) -> Fit:
+    """Return a model with some numbers moved by an amplitude each; its bounds hold."""
+    theta, active = fit.theta.copy(), fit.active.copy()
+    for column, amplitude in changes:
+        f = column.free
+        if column.variant < 0:
+            theta[f.place] = f.outward(f.inward(fit.theta[f.place]) + amplitude * f.spread)
+            continue
+        if not active[NAMES.index(column.owner)]:
+            theta, active = entered(theta, active, column.start)
+            for p in CATALOGUE[column.owner].sizes:
+                theta[place_of(f"{column.owner}.{p.name}")] = p.neutral
+        theta[f.place] = f.outward(f.prior + amplitude * f.spread)
+    return replace(fit, theta=theta, active=active)
 
 
 def of_parts(experiment: Experiment, runs: list[Experiment]) -> list[Experiment]:

@@ -1,24 +1,30 @@
 """Of which signal a missing term is a function: all forms weighed from one Gram matrix."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
-from eha_monitor.mismatch.likelihood.fit import Fit
+from eha_monitor.mismatch.likelihood.equation_error import motion_of
+from eha_monitor.mismatch.likelihood.fit import Fit, innovations, spread
 from eha_monitor.mismatch.likelihood.gains import smallest_unknowns
-from eha_monitor.mismatch.name.columns import Column, columns_at
+from eha_monitor.mismatch.name.columns import Column, Columns, columns_at, inserted
 from eha_monitor.mismatch.name.proposals import weighed
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.unnamed import PRIOR, Unnamed
 from eha_monitor.mismatch.show.sizes import filtered_tracks
 from eha_monitor.physics import signals as s
-from eha_monitor.physics.own_term import cardinal
+from eha_monitor.physics.contributions import slot_of
+from eha_monitor.physics.effects import NAMES
+from eha_monitor.physics.own_term import OWN_NAMES, cardinal
+from eha_monitor.settings.own_terms import slot_for
 
 KNOTS = 9  # of a table when the forms are weighed
 COVERED = 0.001  # quantile of the signal at which a table ends: beyond it nothing was measured
 SHARP = 0.02  # of the largest speed: over which a term that follows the direction turns round
+LEFT = 3.0  # times what is left of a balance: the prior deviation of a table's values there
 # What a term adds to -> which unknown of the filter stands for it, and its balance.
 UNKNOWN = {"force": "force", "flow": "flow", "flow_1": "flow_1", "flow_2": "flow_2",
            "speed": "drive"}
@@ -104,39 +110,128 @@ def factor_along(track: np.ndarray, times: str, scale: float) -> np.ndarray:
     return np.ones(len(track))
 
 
+@dataclass(frozen=True)
+class Table:
+    """A form over the range that a recording covers.
+
+    Attributes
+    ----------
+    first, last : ends of the table, SI;  ``scale`` of its factor;  ``unit`` of its values, SI.
+    """
+
+    form: Form
+    first: float
+    last: float
+    scale: float
+    unit: float
+
+    def entry(self, values: np.ndarray) -> dict:
+        """Return it with values (n,), SI, as an entry of a config's ``effects``."""
+        return {"adds": self.form.adds, "of": self.form.of, "times": self.form.times,
+                "scale": self.scale, "first": self.first, "last": self.last,
+                "values": values.tolist()}
+
+
+def tracks_of(experiment: Experiment, fit: Fit) -> list[np.ndarray]:
+    """Return the signals along each stretch, (n, N_SIGNALS): as filtered, or as compared."""
+    if experiment.inverse:
+        return [motion_of(experiment, stretch).track for stretch in experiment.stretches]
+    return filtered_tracks(experiment, fit)
+
+
+def tables_of(experiment: Experiment, fit: Fit) -> tuple[Table, ...]:
+    """Return every form over what the recordings cover."""
+    tracks = tracks_of(experiment, fit)
+    units = units_of(experiment, fit)
+    difference = np.abs(np.concatenate([signal_along(track, "dp") for track in tracks]))
+    scales = {"direction": max(SHARP * experiment.ranges.speed, 1e-9),
+              "v": max(experiment.ranges.speed, 1e-9),
+              "dp": max(float(np.quantile(difference, 0.98)), 1e-9)}
+    found = []
+    for form in forms_of(experiment):
+        whole = np.concatenate([signal_along(track, form.of) for track in tracks])
+        first, last = np.quantile(whole, [COVERED, 1.0 - COVERED])
+        if last - first > 1e-6 * np.abs(whole).max():
+            found.append(Table(form, float(first), float(last),
+                               float(scales.get(form.times, 1.0)), units[BALANCE[form.adds]]))
+    return tuple(found)
+
+
+def units_of(experiment: Experiment, fit: Fit) -> dict[str, float]:
+    """Return the prior deviation of a table's values in each balance, SI."""
+    if experiment.inverse:  # a few times what is left of it
+        left = np.sqrt(np.nanmean(fit.e**2, axis=0))
+        return dict(zip(("force", "flow", "drive"), (LEFT * left).tolist(), strict=False))
+    small = smallest_unknowns(experiment).as_array()
+    return dict(zip(("force", "flow", "drive"), (PRIOR * small).tolist(), strict=True))
+
+
+def columns_with(experiment: Experiment, fit: Fit, tables: Sequence[Table],
+                 suspects: bool = False) -> Columns:
+    """Return the columns at a fit with those of every knot of tables, a group for each.
+
+    Parameters
+    ----------
+    suspects : also the effects that the model does not have.
+    """
+    if experiment.inverse:
+        plain = columns_at(experiment, fit, unnamed=False, suspects=suspects)
+        return inserted(plain, *knots_by_difference(experiment, fit, tables))
+    tracks, terms = tracks_of(experiment, fit), []
+    for one in tables:
+        form = one.form
+        terms.append(Unnamed(form.name, UNKNOWN[form.adds], form.of, tuple(
+            cardinal(signal_along(track, form.of), KNOTS, one.first, one.last)
+            * factor_along(track, form.times, one.scale)[:, None] for track in tracks)))
+    return columns_at(experiment, fit, suspects=suspects, terms=terms)
+
+
+def knots_by_difference(experiment: Experiment, fit: Fit, tables: Sequence[Table]
+                        ) -> tuple[list[Column], np.ndarray]:
+    """Return the columns of tables where balances are compared: these are linear in the values.
+
+    Returns
+    -------
+    what, values : (k,) and (n, c, k).
+    """
+    which = free_slot(experiment)
+    base = innovations(experiment, fit.theta, fit.active, fit.gains)
+    if which is None or not tables:
+        return [], np.zeros((*base.shape, 0))
+    active = fit.active.copy()
+    active[which] = True
+
+    def one(place: tuple[Table, int]) -> np.ndarray:
+        table, i = place
+        theta = fit.theta.copy()
+        theta[slot_of(which)] = slot_for(table.entry(table.unit * np.eye(KNOTS)[i]))
+        return innovations(experiment, theta, active, fit.gains) - base
+
+    places = [(table, i) for table in tables for i in range(KNOTS)]
+    return ([Column(table.form.name, 0, table.form.name, size=True) for table, _ in places],
+            np.stack(spread(one, places), axis=2))
+
+
+def free_slot(experiment: Experiment) -> int | None:
+    """Return the place of an own term that the config leaves free, None where it has all."""
+    return next((i for i in range(len(NAMES), len(NAMES) + len(OWN_NAMES))
+                 if not experiment.active[i]), None)
+
+
 def ranked_forms(experiment: Experiment, fit: Fit) -> list[Guess]:
     """Return the forms that would gain anything beside a model, best first."""
-    tracks = filtered_tracks(experiment, fit)
-    small = dict(zip(("force", "flow", "drive"), smallest_unknowns(experiment).as_array(),
-                     strict=True))
-    terms, told = [], {}
-    for form in forms_of(experiment):
-        at = [signal_along(track, form.of) for track in tracks]
-        whole = np.concatenate(at)
-        first, last = np.quantile(whole, [COVERED, 1.0 - COVERED])
-        scale = {"direction": max(SHARP * experiment.ranges.speed, 1e-9),
-                 "v": max(experiment.ranges.speed, 1e-9),
-                 "dp": max(float(np.quantile(np.abs(np.concatenate(
-                     [signal_along(track, "dp") for track in tracks])), 0.98)), 1e-9)}.get(
-                         form.times, 1.0)
-        if not last - first > 1e-6 * np.abs(whole).max():
-            continue
-        terms.append(Unnamed(form.name, UNKNOWN[form.adds], form.of, tuple(
-            cardinal(one, KNOTS, first, last) * factor_along(track, form.times, scale)[:, None]
-            for one, track in zip(at, tracks, strict=True))))
-        told[form.name] = (form, float(first), float(last), float(scale),
-                           PRIOR * small[BALANCE[form.adds]])
+    tables = {table.form.name: table for table in tables_of(experiment, fit)}
     view = weighed(experiment, frozenset(fit.named), fit,
-                   columns_at(experiment, fit, suspects=False, terms=terms), more=1)
+                   columns_with(experiment, fit, tuple(tables.values())), more=1)
     found: dict[str, Guess] = {}
     for one in view.ranking:
-        name = next((name for name in one.names if name in told), None)
+        name = next((name for name in one.names if name in tables), None)
         if name is None or name in found or one.names - {name} != frozenset(fit.named):
             continue
-        form, first, last, scale, unit = told[name]
+        table = tables[name]
         values = np.array([value for place, value in sorted(one.amplitudes.items())
                            if view.what[place].owner == name])
         rest = tuple(member for member in one.members if member.owner != name)
-        found[name] = Guess(form, one.evidence, first, last, scale, unit * values,
-                            replace(one, members=rest), view.what)
+        found[name] = Guess(table.form, one.evidence, table.first, table.last, table.scale,
+                            table.unit * values, replace(one, members=rest), view.what)
     return sorted(found.values(), key=lambda guess: -guess.evidence)

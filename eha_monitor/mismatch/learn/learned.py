@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.learn.forms import BALANCE, KNOTS, Form, Guess, ranked_forms
+from eha_monitor.mismatch.learn.forms import BALANCE, KNOTS, Form, Guess, free_slot, ranked_forms
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread, with_unknowns
 from eha_monitor.mismatch.name.acceptance import FORM, FORM_OF_LAW, UNNAMED
 from eha_monitor.mismatch.name.naming import Naming
@@ -19,8 +19,7 @@ from eha_monitor.mismatch.name.refit import (
 )
 from eha_monitor.mismatch.name.select import FIRST, lesser, with_rig
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
-from eha_monitor.physics.effects import NAMES
-from eha_monitor.physics.own_term import OWN_NAMES, SCALE, VALUES, cardinal
+from eha_monitor.physics.own_term import SCALE, VALUES, cardinal
 from eha_monitor.settings.own_terms import slot_for
 
 SHARES = (1.0, 0.3, 0.1, 0.0)  # of the way to a linear guess
@@ -109,12 +108,6 @@ def knot_name(which: int, i: int) -> str:
     return f"{ALL_NAMES[which]}.{i}"
 
 
-def free_slot(experiment: Experiment) -> int | None:
-    """Return the place of an own term that the config leaves free, None where it has all."""
-    return next((i for i in range(len(NAMES), len(NAMES) + len(OWN_NAMES))
-                 if not experiment.active[i]), None)
-
-
 def entered_at_best(experiment: Experiment, base: Fit, which: int, guess: Guess) -> Fit:
     """Return a model at a linear guess of the table and of all else, or a shorter way along it."""
     return max((entered(experiment, joined(experiment, base, guess.what, guess.ranked, share),
@@ -195,7 +188,7 @@ def learned_of(experiment: Experiment, naming: Naming) -> Learned | None:
     left, and a right one leaves less.  Form and number of knots are chosen by evidence.
     """
     which = free_slot(experiment)
-    if which is None or experiment.inverse:
+    if which is None:
         return None
     bases = bases_of(experiment, naming)
     scores = [score_of(experiment, fit) for fit in bases]

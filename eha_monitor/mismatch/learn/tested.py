@@ -6,13 +6,8 @@ import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import NamedEffect, Value
-from eha_monitor.mismatch.learn.learned import (
-    alone,
-    bases_of,
-    begun_with,
-    free_slot,
-    score_of,
-)
+from eha_monitor.mismatch.learn.forms import free_slot
+from eha_monitor.mismatch.learn.learned import alone, bases_of, begun_with, score_of
 from eha_monitor.mismatch.learn.told import HALF, Told, missing_of, removed, size_of
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread
 from eha_monitor.mismatch.name.acceptance import EFFECT, LIKELY, TEMPER
