@@ -31,7 +31,7 @@ FORBIDDEN = {
 }
 # The rooms of the diagnosis, in the order in which a recording goes through them: each may use
 # those before it.  Files that stand in no room tie them together; ``diagnosis`` holds records.
-ROOMS = ("data", "likelihood", "name", "locate", "show", "learn", "advise")
+ROOMS = ("data", "likelihood", "name", "locate", "show", "learn", "compare", "advise")
 ROS_PACKAGES = ("rclpy", "rcl_interfaces", "sensor_msgs", "std_msgs", "std_srvs",
                 "diagnostic_msgs", "lifecycle_msgs", "rosgraph_msgs", "builtin_interfaces")
 # The one place that asks whether ROS is there, to say so in one line.

@@ -19,6 +19,25 @@ config_option = click.option(
     help="Config (YAML); without it the paper's EHA.")
 
 
+class Several(click.Command):
+    """A command with options that take all words up to the next option: ``--reference A B C``."""
+
+    several: tuple[str, ...] = ("--reference", "--without")
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Give each further word the option's name again, as click takes them."""
+        found, option = [], ""
+        for word in args:
+            if word in self.several:
+                option = word
+            elif word.startswith("-"):
+                option = ""
+            elif option and found[-1] != option:
+                found.append(option)
+            found.append(word)
+        return super().parse_args(ctx, found)
+
+
 def ros_module(name: str):
     """Import a module of ``eha_monitor.ros``, or say in one line that ROS is missing."""
     import importlib

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import click
 
+from eha_monitor.archive.find import find_bags, is_archive
 from eha_monitor.commands.archive import Archive, answer_folder, archive_options, refuse
-from eha_monitor.commands.common import check_outputs, config_option, on_terminal
+from eha_monitor.commands.common import Several, check_outputs, config_option, on_terminal
 from eha_monitor.errors import InputError
 from eha_monitor.output import write_json, write_text
 
@@ -16,7 +17,7 @@ _PATH = click.Path(path_type=Path)
 READING = 0.03  # share of the progress bar
 
 
-@click.command()
+@click.command(cls=Several)
 @click.argument("bags", type=_PATH, nargs=-1, required=True, metavar="BAG [BAG ...]")
 @config_option
 @click.option("--json", "json_file", type=_PATH, metavar="FILE", help="Write the answer as JSON.")
@@ -29,6 +30,13 @@ READING = 0.03  # share of the progress bar
 @click.option("--hypothesis", "hypothesis_file", type=_PATH, metavar="FILE",
               help="Your own suspicion: an expression whose parameters are fitted and ranked "
               "beside the catalogue (docs/effects.md).")
+@click.option("--reference", "references", type=_PATH, multiple=True,
+              metavar="HEALTHY [HEALTHY ...]",
+              help="Healthy recordings of the machine, or a folder of them: say what has changed "
+              "against these.  Give BAG before it.")
+@click.option("--without", multiple=True, metavar="EFFECT [EFFECT ...]",
+              help="Entries of the catalogue that this rig cannot have, or for a trial: they are "
+              "not considered.")
 @click.option("--calibration/--no-calibration", hidden=True, expose_value=False,
               help="Does nothing; it chose how a threshold was set that there is no more.")
 @click.option("--exit-code", is_flag=True,
@@ -36,11 +44,13 @@ READING = 0.03  # share of the progress bar
 @archive_options
 def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
              report_file: Path | None, config_file: Path | None, held_out: Path | None,
-             hypothesis_file: Path | None, exit_code: bool, **asked) -> int:
+             hypothesis_file: Path | None, references: tuple[Path, ...], without: tuple[str, ...],
+             exit_code: bool, **asked) -> int:
     """Say where BAG and the model differ, what physics was left out, and show the fit improve.
 
-    Several BAGs of one rig are explained together.  Where BAG is a folder that holds bags, each
-    is explained by itself, into one table with trends over time.
+    Several BAGs of one rig are explained together.  With --reference the answer is what has
+    changed against healthy recordings, or that nothing has.  Where BAG is a folder that holds
+    bags, each is explained by itself, into one table with trends over time.
     """
     archive = Archive(**asked)
     if any(archive.covers(bag) for bag in bags):
@@ -48,11 +58,14 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
             raise InputError("expected one folder that holds bags, or bags, got "
                              + ", ".join(map(str, bags)))
         refuse(bags[0], json=json_file, report=report_file, write_config=config_file,
-               held_out=held_out, hypothesis=hypothesis_file)
+               held_out=held_out, hypothesis=hypothesis_file, reference=references or None)
         return int(answer_folder("diagnose", bags[0], config, archive) and exit_code)
-    check_inputs(bags, held_out)
+    references = unfolded(references)
+    check_inputs(bags, held_out, references)
+    if references and (held_out or hypothesis_file):
+        raise InputError("--reference: expected neither --held-out nor --hypothesis beside it")
     check_outputs({"--json": json_file, "--report": report_file, "--write-config": config_file},
-                  (*bags, *((held_out,) if held_out else ())), config)
+                  (*bags, *references, *((held_out,) if held_out else ())), config)
 
     from eha_monitor.commands.diagnosis_answer import (
         answer,
@@ -63,11 +76,17 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
     from eha_monitor.commands.plausible import checked, finding_tree
     from eha_monitor.commands.rotary import of_rig
     from eha_monitor.compiled import load_runtime
+    from eha_monitor.mismatch.compare.compared import compared
     from eha_monitor.mismatch.diagnose import diagnose as run
+    from eha_monitor.physics.effects import CATALOGUE
     from eha_monitor.recordings.read import read_recording
     from eha_monitor.settings import load_settings
     from eha_monitor.settings.hypothesis import load_hypothesis
 
+    unknown = [name for name in without if name not in CATALOGUE]
+    if unknown:
+        raise InputError(f"--without: {unknown[0]}: expected an effect of the catalogue, "
+                         f"e.g. {', '.join(sorted(CATALOGUE)[:3])}")
     settings = load_settings(config)
     hypothesis = load_hypothesis(hypothesis_file) if hypothesis_file else None
     with progress_bar() as told:
@@ -75,19 +94,22 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
         load_runtime()
         recordings = [read_recording(bag, settings) for bag in bags]
         unseen = read_recording(held_out, settings) if held_out else None
+        healthy = [read_recording(bag, settings) for bag in references]
 
         def refused(findings, message: str) -> None:
             if json_file:
                 write_json(json_file, refusal(bags, message, finding_tree(findings)))
 
         told("asking whether recording and config belong together", READING)
-        findings = checked([*recordings, *([unseen] if unseen else [])], settings, config,
-                           config_file, refused)
+        findings = checked([*recordings, *([unseen] if unseen else []), *healthy], settings,
+                           config, config_file, refused)
 
         def further(text: str, share: float) -> None:
             told(text, READING + (1 - READING) * share)
 
-        found = of_rig(run(recordings, settings, unseen, further, hypothesis), settings.rig.motion)
+        found = compared(recordings, healthy, settings, further) if healthy else run(
+            recordings, settings, unseen, further, hypothesis, without)
+        found = of_rig(found, settings.rig.motion)
         findings = (*findings, *found.channels)
     if json_file:
         write_json(json_file, answer(found) | {"channels": finding_tree(findings)})
@@ -99,7 +121,8 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
         losses = [f"{recording.source}: {loss}" for recording in recordings
                   for loss in recording.losses] + [finding.finding for finding in findings]
         write_diagnosis_report(report_file, found, settings, losses,
-                               command_line(bags, config, held_out, hypothesis_file))
+                               command_line(bags, config, held_out, hypothesis_file,
+                                            references))
 
     from eha_monitor.commands.diagnosis_table import show
 
@@ -108,10 +131,20 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
     return int(exit_code and mismatched(found))
 
 
-def check_inputs(bags: tuple[Path, ...], held_out: Path | None) -> None:
+def unfolded(references: tuple[Path, ...]) -> tuple[Path, ...]:
+    """Return references with the bags of each folder of bags."""
+    found: list[Path] = []
+    for one in references:
+        found += [place.path for place in find_bags(one) if not place.problem] if is_archive(
+            one) else [one]
+    return tuple(found)
+
+
+def check_inputs(bags: tuple[Path, ...], held_out: Path | None,
+                 references: tuple[Path, ...] = ()) -> None:
     """Refuse a bag that is given twice: what was fitted is no longer unseen."""
-    places = [bag.resolve() for bag in bags]
-    for bag, place in zip(bags, places, strict=True):
+    places = [bag.resolve() for bag in (*bags, *references)]
+    for bag, place in zip((*bags, *references), places, strict=True):
         if places.count(place) > 1:
             raise InputError(f"{bag}: is given twice, expected different recordings")
     if held_out is not None and held_out.resolve() in places:
@@ -120,12 +153,13 @@ def check_inputs(bags: tuple[Path, ...], held_out: Path | None) -> None:
 
 
 def command_line(bags: tuple[Path, ...], config: Path | None, held_out: Path | None,
-                 hypothesis: Path | None = None) -> str:
+                 hypothesis: Path | None = None, references: tuple[Path, ...] = ()) -> str:
     """Return the command that makes the same answer again."""
     words = ["eha-monitor", "diagnose", *map(str, bags)]
     words += ["--config", str(config)] if config else []
     words += ["--held-out", str(held_out)] if held_out else []
     words += ["--hypothesis", str(hypothesis)] if hypothesis else []
+    words += ["--reference", *map(str, references)] if references else []
     return shlex.join(words)
 
 

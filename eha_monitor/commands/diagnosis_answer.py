@@ -7,7 +7,7 @@ from textwrap import wrap
 
 from eha_monitor import __version__
 from eha_monitor.commands.answer import finite
-from eha_monitor.mismatch.diagnosis import Diagnosis, LearnedTerm, NamedEffect, Value
+from eha_monitor.mismatch.diagnosis import Change, Diagnosis, LearnedTerm, NamedEffect, Value
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import NOTE, with_uncertainty
 from eha_monitor.reports.diagnosis_words import (
@@ -61,6 +61,8 @@ def answer(found: Diagnosis) -> dict:
                                         ("x", "measured", "spread", "modelled")}}
                    for curve in found.curves],
         "learned": [_learned(term) for term in found.learned],
+        "references": found.references,
+        "changes": [_change(one) for one in found.changes],
         "config_effects": found.config_effects,
         # Probabilities took their place; programs that read them find the keys.
         "threshold": {"log_units": None, "calibrated": False},
@@ -98,6 +100,16 @@ def _effect(effect: NamedEffect) -> dict:
             "log_evidence": effect.log_evidence, "intervals_s": effect.intervals_s,
             "indistinguishable_from": effect.indistinguishable_from, "size": effect.size,
             "equation": effect.equation, "rig_check": effect.rig_check}
+
+
+def _change(change: Change) -> dict:
+    def number(value: Value) -> dict:
+        return {"value": value.value, "stddev": value.stddev}
+
+    return {"what": change.what, "parameter": change.symbol, "balance": change.balance,
+            "reference": number(change.reference), "now": number(change.now),
+            "unit": change.unit, "statement": change.statement,
+            "indistinguishable_from": change.indistinguishable_from}
 
 
 def _learned(term: LearnedTerm) -> dict:

@@ -50,7 +50,9 @@ def show(found: Diagnosis, written: list[Path], notes: list[str] = ()) -> None:
     console.print(f"[bold {_COLOURS[kind]}]{escape(head_words(found))}[/]: "
                   f"{escape(message_words(found))}".rstrip(": "))
     _print_place(console, found)
-    if found.effects:
+    if found.changes:
+        console.print(_changes(found))
+    if found.effects and not found.references:
         console.print(_effects(found))
         for effect in found.effects:
             if effect.statement not in found.message:
@@ -101,6 +103,16 @@ def _effects(found: Diagnosis) -> Table:
     return table
 
 
+def _changes(found: Diagnosis) -> Table:
+    table = _table("changed", "healthy", "now", "indistinguishable from")
+    for change in found.changes:
+        name = f"{effect_words(change.what)} {change.symbol}" if change.symbol else SYMBOLS.get(
+            change.what, change.what)
+        table.add_row(name, value_words(change.reference), value_words(change.now),
+                      escape(_rivals(change.indistinguishable_from)) or "–")
+    return table
+
+
 def _learned(found: Diagnosis) -> Table:
     table = _table("learned", "function of", "size", "removed on unseen data", "formula")
     for term in found.learned:
@@ -117,7 +129,7 @@ def _rivals(names: tuple[str, ...]) -> str:
 
 
 def _parameters(found: Diagnosis) -> Table:
-    table = _table("parameter", "before", "after")
+    table = _table("parameter", *("healthy", "now") if found.references else ("before", "after"))
     for name in dict.fromkeys((*found.before, *found.after)):
         table.add_row(SYMBOLS.get(name, name), *(value_words(values.get(name))
                               for values in (found.before, found.after)))

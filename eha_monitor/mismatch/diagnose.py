@@ -23,7 +23,7 @@ from eha_monitor.mismatch.diagnosis import (
     Window,
 )
 from eha_monitor.mismatch.learn.tested import Tested, supported, tested
-from eha_monitor.mismatch.learn.told import Told, told_of
+from eha_monitor.mismatch.learn.told import Told, told_of, tracks_of
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
@@ -45,7 +45,7 @@ from eha_monitor.mismatch.show.model import (
     values_of,
 )
 from eha_monitor.mismatch.show.rig_numbers import rig_findings, rig_within
-from eha_monitor.mismatch.show.sizes import filtered_tracks, size_of
+from eha_monitor.mismatch.show.sizes import size_of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
 from eha_monitor.quantity import number, quantity, share
@@ -64,7 +64,8 @@ Report = Callable[[str, float], None]
 
 
 def diagnose(recordings: list[Recording], settings: Settings, held_out: Recording | None = None,
-             progress: Report | None = None, hypothesis: Hypothesis | None = None) -> Diagnosis:
+             progress: Report | None = None, hypothesis: Hypothesis | None = None,
+             without: tuple[str, ...] = ()) -> Diagnosis:
     """Say where model and recordings differ, which physics that is, and show the fit improve.
 
     Parameters
@@ -75,6 +76,7 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
         the recordings is kept aside and enters no fit.
     progress : told what is done and how far it is, 0 to 1.
     hypothesis : the user's own, ranked beside all that has a name.
+    without : effects of the catalogue that are not considered.
 
     Raises
     ------
@@ -84,18 +86,19 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
     """
     with computing(*(recording.source for recording in recordings)):
         return _diagnosed(recordings, settings, held_out, progress or (lambda text, share: None),
-                          hypothesis)
+                          hypothesis, without)
 
 
 def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Recording | None,
-               say: Report, hypothesis: Hypothesis | None) -> Diagnosis:
+               say: Report, hypothesis: Hypothesis | None, without: tuple[str, ...]
+               ) -> Diagnosis:
     started = time.perf_counter()
     held, decision = resolved(recordings, settings)
-    experiment = experiment_of(recordings, held, hold_out=held_out is None)
+    experiment = experiment_of(recordings, held, held_out is None, without)
     named = named_in(experiment, say)
     if decision is not None and named is not None and named[1].unexplained > RIVAL:
         # What is missing may have been taken for a hold, or the other way about.
-        other = experiment_of(recordings, other_hold(held), hold_out=held_out is None)
+        other = experiment_of(recordings, other_hold(held), held_out is None, without)
         gained = gained_under(other, named[1])
         if gained > 0.0:
             experiment, held, named = other, other.settings, named_in(other, say)
@@ -199,7 +202,7 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         tracks = balance_show.tracks_of(experiment)
     else:
         signals = show.shown(shown, before, after)
-        tracks = filtered_tracks(experiment, after) if after.named else []
+        tracks = tracks_of(experiment, after) if after.named else []
     # A fit that fails on unseen data has named nothing.
     if after.named and not naming.loads and show.worse(signals):  # no model runs with such a load
         verdict, explained = "unexplained", 0.0
@@ -208,9 +211,9 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         say("testing the hypothesis", 0.9)
         test = tested(experiment, naming, hypothesis)
         told = supported(experiment, shown, naming, test) if test is not None else None
-    doubted = verdict == "unexplained" or (
-        verdict == "mismatch" and naming.unexplained > RIVAL)
-    if told is None and doubted and not by_equations and not naming.loads:
+    doubted = verdict == "unexplained" or (verdict == "mismatch" and (
+        naming.unexplained > RIVAL or (by_equations and bool(closed.open.any()))))
+    if told is None and doubted and not naming.loads:
         say("learning what has no name", 0.92)
         told = told_of(experiment, shown, naming)
         if verdict == "mismatch" and told is not None:  # more likely than not it has names
@@ -219,7 +222,7 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         signals, naming = told.signals, beside_own(experiment, naming, told)
         after, verdict = naming.after, "unexplained" if told.effect is None else verdict_of(
             experiment, naming)
-        tracks = filtered_tracks(experiment, after) if after.named else []
+        tracks = tracks_of(experiment, after) if after.named else []
     effects = tuple(named_effect(experiment, naming, name, tracks) for name in sorted(
         after.named, key=lambda name: -naming.evidence[name]))
     if naming.loads:
@@ -247,14 +250,15 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         between = tuple((one.stop_s, other.start_s) for one, other in pairwise(pieces)
                         if one.bag == other.bag)
         where, curves = Location(dict.fromkeys(BALANCES, 0.0), "", between), ()
-    elif by_equations:
+    elif by_equations and told is None:
         terms = balance_show.terms_of(experiment, before, after)
         where = balance_show.location_of(experiment, effects, terms, closed)
         curves = tuple(curve for term in terms for curve in locate.curves_of(experiment, term))
     elif told is not None:
         evidence.pop(told.name, None)
         evidence |= {f"{locate.LEARNED}{told.missing.balance}": told.gained}
-        where = locate.location_of(experiment, before, after, evidence, [told.missing])
+        where = locate.told_location(experiment, told.missing) if by_equations else (
+            locate.location_of(experiment, before, after, evidence, [told.missing]))
         curves = locate.latent_curves(experiment, before, after, [told.missing])
     else:
         terms = missing_terms(experiment, before, after if effects else None)

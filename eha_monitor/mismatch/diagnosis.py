@@ -209,6 +209,31 @@ class Piece:
 
 
 @dataclass(frozen=True)
+class Change:
+    """A number that is not what healthy recordings of the machine have.
+
+    Attributes
+    ----------
+    what : ``B``, ``beta_e``, ``charge_pressure``, an effect, or ``learned <balance>``.
+    symbol : of the effect's parameter, or "".
+    balance : where it acts.
+    reference : mean of the healthy recordings, with its spread from one to the next; ``now`` of
+        this recording, with the standard deviation of its noise.
+    statement : one sentence with both.
+    indistinguishable_from : what explains this recording as well.
+    """
+
+    what: str
+    symbol: str
+    balance: str
+    reference: Value
+    now: Value
+    unit: str
+    statement: str
+    indistinguishable_from: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class Window:
     """A part of a recording, s."""
 
@@ -240,6 +265,7 @@ class Diagnosis:
         named on all of it.
     learned : where the verdict is ``unexplained``: a model of what has no name, if one holds on
         unseen data; ``after`` and ``signals`` are then of it.
+    references : healthy recordings that it was compared with, or none; ``changes`` against them.
     looked_s : of a long recording the models saw so many seconds; 0 where they saw all of it.
     """
 
@@ -270,3 +296,5 @@ class Diagnosis:
     named_on: tuple[Window, ...] = ()
     looked_s: float = 0.0
     learned: tuple[LearnedTerm, ...] = ()
+    references: tuple[str, ...] = ()
+    changes: tuple[Change, ...] = ()

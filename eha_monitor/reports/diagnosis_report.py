@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from eha_monitor.mismatch.diagnosis import (
+    Change,
     Considered,
     Curve,
     Diagnosis,
@@ -93,6 +94,8 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
         summary=_summary(found),
         health=[words.sentence(text) for text in found.health],
         learned=[_learned(term) for term in found.learned],
+        changes=[_change(one) for one in found.changes],
+        references=len(found.references),
         compared=_compared(found),
         pieces=_pieces(found),
         location=_location(found),
@@ -120,6 +123,15 @@ def _compared(found: Diagnosis) -> bool:
     """Tell whether there is a model after the one of the config."""
     return bool(found.effects or found.rig_data or found.rig_within or found.pieces
                 or found.learned)
+
+
+def _change(change: Change) -> dict[str, str]:
+    """Return a row of what has changed."""
+    name = (f"{effect_words(change.what)} {change.symbol}" if change.symbol
+            else f"{NAMES.get(change.what, change.what)} {SYMBOLS.get(change.what, '')}")
+    return {"name": name.strip(), "reference": words.value_words(change.reference),
+            "now": words.value_words(change.now),
+            "rivals": _rivals(change.indistinguishable_from)}
 
 
 def _learned(term: LearnedTerm) -> dict[str, Any]:

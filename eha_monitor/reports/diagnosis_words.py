@@ -25,6 +25,12 @@ VERDICTS = {
 }
 CHANGED = ("warn", "A parameter changed, and nothing else is missing")
 LEARNED = ("warn", "Not in the catalogue, and learned from the recording")
+# Verdict against healthy recordings -> the same.
+AGAINST_HEALTHY = {
+    "consistent": ("ok", "As the healthy recordings"),
+    "mismatch": ("warn", "Changed, and what it is"),
+    "unexplained": ("error", "Changed, and no entry of the catalogue explains it"),
+}
 WRONG_NUMBERS = ("warn", "The numbers of the rig explain the mismatch, and nothing is left out")
 REGIMES = {
     "velocity_reversal": "where the motion reverses", "high_speed": "at high speed",
@@ -40,6 +46,8 @@ _MOST_INTERVALS = 6
 
 def head_of(found: Diagnosis) -> tuple[str, str]:
     """Return the colour and the first words of a verdict."""
+    if found.references and found.verdict in AGAINST_HEALTHY:
+        return AGAINST_HEALTHY[found.verdict]
     if found.pieces:
         return CHANGED
     if found.learned:

@@ -83,6 +83,13 @@ class Healthy:
         return weight_of(power[self.kept], self.power) * (
             amplitudes[self.kept] - self.mean) / (self.spread * np.sqrt(1.0 + 1.0 / n))
 
+    def usual(self) -> Fit:
+        """Return the model with its own numbers at the mean of the healthy runs."""
+        theta = self.fit.theta.copy()
+        for f, mean in zip(self.own.free, self.own.mean, strict=True):
+            theta[f.place] = f.outward(f.inward(theta[f.place]) + mean * f.spread)
+        return replace(self.fit, theta=theta)
+
     @property
     def limit(self) -> float:
         """Student's t so that a share ``FALSE`` of healthy runs goes beyond it in any number."""

@@ -65,6 +65,7 @@ class Experiment:
     inverse : the balances' own errors are compared (:mod:`equation_error`), not predictions.
     drift : by how much the circuit outside the model moves a chamber's pressure in a sample, Pa.
     windows : the stretches are windows of longer recordings.
+    without : effects of the catalogue that are not considered.
     """
 
     settings: Settings
@@ -87,6 +88,7 @@ class Experiment:
     by_pressures: bool = False
     held: bool = False
     windows: bool = False
+    without: tuple[str, ...] = ()
 
     @property
     def n(self) -> int:
@@ -104,10 +106,10 @@ class Experiment:
 
 
 def experiment_of(recordings: list[Recording], settings: Settings,
-                  hold_out: bool = True) -> Experiment:
+                  hold_out: bool = True, without: tuple[str, ...] = ()) -> Experiment:
     """Make the experiment of one or more recordings of a rig.
 
-    Of long ones it holds the windows that tell most.
+    Of long ones it holds the windows that tell most.  Effects ``without`` are not considered.
 
     Raises
     ------
@@ -157,7 +159,7 @@ def experiment_of(recordings: list[Recording], settings: Settings,
                       spikes, wanted, circuit_drift(settings, mode, columns),
                       by_equations(settings, mode, columns), by_pressures=mode == FORCED
                       and settings.rig.area_1 is not None and "p1" in levels and "p2" in levels,
-                      held=is_held(mode, settings), windows=chosen is not None)
+                      held=is_held(mode, settings), windows=chosen is not None, without=without)
 
 
 def is_held(mode: int, settings: Settings) -> bool:

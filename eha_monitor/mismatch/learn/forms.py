@@ -79,7 +79,7 @@ def forms_of(experiment: Experiment) -> tuple[Form, ...]:
     """Return the forms that an experiment's channels can tell apart."""
     found = [Form("force", "v"), Form("force", "x"), Form("force", "x", "direction"),
              Form("force", "x", "v")]
-    if experiment.mode != FORCED or experiment.by_pressures:
+    if experiment.mode != FORCED and not experiment.inverse:  # else they are the force itself
         found += [Form("force", "p", "direction"), Form("force", "dp", "direction")]
     if experiment.mode == FORCED:
         return tuple(found)

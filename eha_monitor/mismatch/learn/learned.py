@@ -24,7 +24,7 @@ from eha_monitor.settings.own_terms import slot_for
 
 SHARES = (1.0, 0.3, 0.1, 0.0)  # of the way to a linear guess
 TRIED = 3  # forms that are looked at from each place, of those weighed
-GOING = 2  # forms that are then fitted to the end
+GOING = 3  # forms that are then fitted to the end
 MORE = (17, 33)  # values of a table, while the evidence grows
 WIDE = 3.0  # times the root mean square of the guess: the prior deviation of a table's values
 SHARP_SPREAD = 1.5  # of the logarithm of the speed over which a term turns round
@@ -181,6 +181,16 @@ def finer(experiment: Experiment, coarse: Learned, count: int) -> Learned:
     return fitted(experiment, start, coarse.which, guess, count, coarse.without)
 
 
+def as_fine(experiment: Experiment, best: Learned) -> Learned:
+    """Return a learned term with as many values as its evidence asks for."""
+    for count in MORE:
+        one = finer(experiment, best, count)
+        if not one.evidence > best.evidence:
+            break
+        best = one
+    return best
+
+
 def learned_of(experiment: Experiment, naming: Naming) -> Learned | None:
     """Learn what has no name as a function of one signal; None where no function helps.
 
@@ -210,15 +220,11 @@ def learned_of(experiment: Experiment, naming: Naming) -> Learned | None:
         if one[0] > ahead.get(one[2].form, (-np.inf,))[0]:
             ahead[one[2].form] = one
     going = sorted(ahead.values(), key=lambda one: -one[0])[:GOING]
-    found = spread(lambda one: fitted(experiment, one[1], which, one[2], KNOTS, without), going)
+    found = spread(lambda one: as_fine(experiment, fitted(
+        experiment, one[1], which, one[2], KNOTS, without)), going)
     best = max(found, key=lambda one: one.evidence, default=None)
     if best is None or not best.gained > 0.0:
         return None
-    for count in MORE:
-        one = finer(experiment, best, count)
-        if not one.evidence > best.evidence:
-            break
-        best = one
     fit = alone(experiment, best.fit)
     evidence = score_of(experiment, fit) + UNNAMED
     return replace(best, fit=fit, evidence=evidence, decides=best.gained > form,

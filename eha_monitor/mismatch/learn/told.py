@@ -21,10 +21,13 @@ from eha_monitor.mismatch.learn.shapes import SHAPES
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.likelihood.smooth import smoothed
 from eha_monitor.mismatch.locate.missing import contributed, modelled_flow, modelled_force
-from eha_monitor.mismatch.locate.terms import STATES, UNITS, Missing, following, tracks_of
+from eha_monitor.mismatch.locate.terms import STATES, UNITS, Missing, following
+from eha_monitor.mismatch.locate.terms import tracks_of as smoothed_tracks
 from eha_monitor.mismatch.name.naming import Naming
+from eha_monitor.mismatch.show import balances as balance_show
 from eha_monitor.mismatch.show.held_out import shown, worse
 from eha_monitor.mismatch.show.model import robust
+from eha_monitor.mismatch.show.sizes import filtered_tracks
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
 from eha_monitor.physics.effects import CATALOGUE
@@ -79,8 +82,8 @@ def told_of(experiment: Experiment, unseen: Experiment, naming: Naming) -> Told 
     learned = learned_of(experiment, naming)
     if learned is None:
         return None
-    judged = shown(unseen, learned.without, learned.fit)
-    share, signals = removed(judged), shown(unseen, naming.before, learned.fit)
+    judged = errors(unseen, learned.without, learned.fit)
+    share, signals = removed(judged), errors(unseen, naming.before, learned.fit)
     if not share >= HALF or worse(judged) or worse(signals):
         return None
     learned = replace(learned, fit=robust(experiment, learned.fit))
@@ -88,13 +91,27 @@ def told_of(experiment: Experiment, unseen: Experiment, naming: Naming) -> Told 
     fit, honest = learned.fit, bool(formulas) and formulas[0].evidence > learned.evidence
     if honest:
         fit = robust(experiment, formulas[0].fit)
-        signals = shown(unseen, naming.before, fit)
-        share = removed(shown(unseen, learned.without, fit))
+        signals = errors(unseen, naming.before, fit)
+        share = removed(errors(unseen, learned.without, fit))
     missing = missing_of(experiment, fit, learned.which, learned.balance)
     term = term_of(learned, formulas, honest, share, missing,
                    factors_of(experiment, learned, fit, missing))
     return Told(fit, signals, missing, learned.gained, learned.decides, term.entry,
                 f"learned_{term.adds}", term=term)
+
+
+def errors(unseen: Experiment, before: Fit, after: Fit) -> dict[str, SignalFit]:
+    """Return the errors of two models on data that no fit has seen."""
+    if not unseen.inverse:
+        return shown(unseen, before, after)
+    return balance_show.signals_of(unseen, before, after, balance_show.balances_of(
+        unseen, before, after).floor)
+
+
+def tracks_of(experiment: Experiment, fit: Fit) -> list[np.ndarray]:
+    """Return the signals at each sample, (n, N_SIGNALS): as filtered, or as compared."""
+    return (balance_show.tracks_of(experiment) if experiment.inverse
+            else filtered_tracks(experiment, fit))
 
 
 def removed(signals: dict[str, SignalFit]) -> float:
@@ -114,8 +131,10 @@ def missing_of(experiment: Experiment, fit: Fit, which: int, balance: str) -> Mi
     """
     active = fit.active.copy()
     active[which] = False
+    if experiment.inverse:
+        return balance_show.needed(experiment, replace(fit, active=active), fit, balance)
     states = smoothed(experiment, following(experiment, replace(fit, active=active), balance))
-    tracks = tracks_of(experiment, states)
+    tracks = smoothed_tracks(experiment, states)
     return Missing(balance, UNITS[balance], tracks,
                    tuple(one[:, STATES[balance]] for one in states),
                    tuple(made_by(experiment, fit, which, balance, track) for track in tracks))

@@ -120,6 +120,14 @@ def binned(values: np.ndarray, measured: np.ndarray, modelled: np.ndarray
     return tuple(np.array(rows).T) if rows else (np.zeros(0),) * 4
 
 
+def told_location(experiment: Experiment, term: Missing) -> Location:
+    """Return where a model's own term acts: all of the disagreement is in its balance."""
+    shares = {name: float(name == term.balance) for name in BALANCES}
+    regime, weight = regime_of(experiment, term)
+    return Location(shares, regime, worst_intervals(experiment, weight) if regime != "always"
+                    else whole_of(experiment))
+
+
 def location_of(experiment: Experiment, before: Fit, after: Fit | None,
                 named: Mapping[str, float], terms: Sequence[Missing] | None = None) -> Location:
     """Say where model and recording disagree.

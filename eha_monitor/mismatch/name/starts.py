@@ -40,6 +40,8 @@ class Start:
 def possible(name: str, experiment: Experiment) -> bool:
     """Tell whether an effect can show in these channels at all."""
     effect = CATALOGUE[name]
+    if name in experiment.without:
+        return False
     if experiment.inverse and (effect.balance == "sensor" or name in UNSEEN):
         return False
     if name == "pressure_friction" and not any(

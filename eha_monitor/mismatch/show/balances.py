@@ -110,25 +110,31 @@ def terms_of(experiment: Experiment, before: Fit, after: Fit) -> list[Missing]:
 
     What the record needs once the effects of that balance are switched off in ``after``.
     """
-    tracks = tuple(tracks_of(experiment))
     found = []
     for j in range(after.e.shape[1]):
         named = [name for name in after.named if CATALOGUE[name].balance == SHOWN[j]]
         if after.named and not named:
             continue
         base = without(before, after, SHOWN[j]) if named else after
-        measured, modelled = [], []
-        for stretch in experiment.stretches:
-            motion = motion_of(experiment, stretch)
-            rows = [motion.band(left_along(experiment, stretch, fit.theta, fit.active)[j])
-                    for fit in (base, after)]
-            there = upsampled(experiment, stretch, motion.telling[j].astype(float)) > 0.99
-            need = upsampled(experiment, stretch, rows[0])
-            measured.append(np.where(there, need, np.nan))
-            modelled.append(upsampled(experiment, stretch, rows[0] - rows[1]))
-        found.append(Missing(SHOWN[j], UNITS[j], tracks, tuple(measured),
-                             tuple(modelled) if named else None))
+        one = needed(experiment, base, after, SHOWN[j])
+        found.append(one if named else replace(one, modelled=None))
     return found
+
+
+def needed(experiment: Experiment, base: Fit, after: Fit, balance: str) -> Missing:
+    """Return what one model leaves of a balance, and what another takes away of that."""
+    j = SHOWN.index(balance)
+    measured, modelled = [], []
+    for stretch in experiment.stretches:
+        motion = motion_of(experiment, stretch)
+        rows = [motion.band(left_along(experiment, stretch, fit.theta, fit.active)[j])
+                for fit in (base, after)]
+        there = upsampled(experiment, stretch, motion.telling[j].astype(float)) > 0.99
+        need = upsampled(experiment, stretch, rows[0])
+        measured.append(np.where(there, need, np.nan))
+        modelled.append(upsampled(experiment, stretch, rows[0] - rows[1]))
+    return Missing(balance, UNITS[j], tuple(tracks_of(experiment)), tuple(measured),
+                   tuple(modelled))
 
 
 def location_of(experiment: Experiment, effects: Sequence[NamedEffect], terms: list[Missing],
