@@ -12,6 +12,7 @@ from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.name.acceptance import (
     BEYOND_FORM,
     FORM_LEAST,
+    FORM_OF_LAW,
     FORM_SHARE,
     LACKING,
     LIKELY,
@@ -114,6 +115,8 @@ def beyond_form(experiment: Experiment, before: Fit, after: Fit, needs: Unknowns
     if experiment.inverse:
         return 0.0
     small = limits_of(experiment)[0].as_array()
+    if experiment.mode == FORCED and after.named and form_only(experiment, before, after):
+        return 0.0
     needed, still = (level.as_array() / small for level in (before.unknowns, needs))
     taken = needed - still if after.named else 0.0 * still
     least = np.maximum(FORM_LEAST, FORM_SHARE * taken)
@@ -130,6 +133,17 @@ def beyond_form(experiment: Experiment, before: Fit, after: Fit, needs: Unknowns
     gained = evidence_at(experiment, after, present, needs) - evidence_at(
         experiment, after, present, few)
     return odds / (1.0 + odds) * float(-np.expm1(-TEMPER * max(gained, 0.0)))
+
+
+def form_only(experiment: Experiment, before: Fit, after: Fit) -> bool:
+    """Tell whether names leave no more than the form error of laws, run nearly free.
+
+    What measures the force brings an unknown force to every model, the best as much as the
+    nominal one: its size says nothing of what is missing.  What the models leave without it does.
+    """
+    few = Unknowns(*(FORM_LEAST * limits_of(experiment)[0].as_array()))
+    left = [np.nanmean(with_unknowns(experiment, fit, few).e ** 2) for fit in (before, after)]
+    return bool(left[1] < FORM_OF_LAW * left[0])
 
 
 def lacking(experiment: Experiment, fit: Fit) -> bool:

@@ -30,7 +30,7 @@ from eha_monitor.mismatch.name.seen import (
     Seen,
     evidence_at_start,
 )
-from eha_monitor.mismatch.name.starts import sharing, starts_of
+from eha_monitor.mismatch.name.starts import possible, sharing, starts_of
 from eha_monitor.mismatch.name.suspects import is_effect, simple_kin
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import effect_values
@@ -97,7 +97,13 @@ def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], seen: 
         return entered_at_best(experiment, view.fit, view.what, one)
 
     def quick(one: Ranked) -> Fit:
-        return looked(experiment, entered(one), view.slopes)
+        made = looked(experiment, entered(one), view.slopes)
+        if not np.isfinite(made.log_likelihood) or made.unknowns == view.fit.unknowns:
+            return made
+        # The guess is ranked by the innovations that a filter expects, the fit by those it has: a
+        # model is not judged under unknowns that suit it less than those it came from.
+        return max(made, with_unknowns(experiment, made, view.fit.unknowns),
+                   key=lambda fit: fit.log_likelihood)
 
     own = view.own
     if own is not None and not view.here and chosen[0].evidence < own.evidence + CLOSE:
@@ -328,7 +334,7 @@ def finish(experiment: Experiment, seen: Seen) -> None:
     lead = seen.fits[best]
     for name in filter(is_effect, best):  # a law of the family as simple, from the same place
         for other in {*CATALOGUE[name].contains, *simple_kin(name)}:
-            if best - {name} | {other} not in seen.fits:
+            if possible(other, experiment) and best - {name} | {other} not in seen.fits:
                 seen.add(experiment, best - {name} | {other}, settled(
                     experiment, simplified(experiment, lead, name, other),
                     worth=lead.log_likelihood - CLOSE))
