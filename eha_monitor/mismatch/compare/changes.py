@@ -18,8 +18,10 @@ from eha_monitor.physics.effects import CATALOGUE, NAMES
 
 MOST = 3  # numbers that change at once
 LEAST, NEARLY = 5, 0.9  # numbers that are fitted: those that leave least; share of the best gain
+STEPS = 60  # of a fit: priors as narrow as healthy runs are make a long way
 ENOUGH = 0.75  # of what goes beyond healthy runs: what is left is the laws' form error
 WORTH = 0.5  # of what is left: another number must take so much away
+NARROWLY = 0.3  # of the limit: by so much what is as good as the best may be beyond it
 ALIKE = 2.0  # log units: what explains a run so nearly as well cannot be told from the best
 PARAMETER = 0.5  # rarity of a change of B or beta_e, between what is common and what is not
 
@@ -34,7 +36,7 @@ class Explanation:
     fit : the recording under the healthy model with these numbers free.
     reading : what it says there; ``left`` how much less likely that is of a healthy run than
         their mean, log units.
-    complete : nothing that is left goes beyond the limits of a healthy run.
+    worst : the largest t that is left, over the limit of a healthy run.
     rivals : place -> places of others that explain as much in its stead.
     """
 
@@ -42,8 +44,13 @@ class Explanation:
     fit: Fit
     reading: Reading
     left: float
-    complete: bool
+    worst: float
     rivals: dict[int, tuple[int, ...]] = field(default_factory=dict)
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing that is left goes beyond the limit of a healthy run."""
+        return self.worst <= 1.0
 
 
 class Comparison:
@@ -70,18 +77,18 @@ class Comparison:
     def explaining(self, places: tuple[int, ...], fit: Fit) -> Explanation:
         """Return a model with what it leaves."""
         reading = self.healthy.read(self.experiment, fit, places)
-        left, complete = self.left_of(reading.amplitudes, reading.power, places)
-        return Explanation(places, fit, reading, left, complete)
+        return Explanation(places, fit, reading, *self.left_of(
+            reading.amplitudes, reading.power, places))
 
     def left_of(self, amplitudes: np.ndarray, power: np.ndarray, places: tuple[int, ...]
-                ) -> tuple[float, bool]:
-        """Return what amplitudes leave beside changed numbers, and whether healthy runs do so."""
+                ) -> tuple[float, float]:
+        """Return what amplitudes leave beside changed numbers, and its worst over the limit."""
         t = self.healthy.t_of(amplitudes, power)
         t[np.isin(self.healthy.kept, places)] = np.nan  # they are where the recording has them
         free = len(self.healthy.runs) - 1
         each = 0.5 * (free + 1) * np.log1p(t**2 / free)  # Student's density
         return (self.healthy.count * float(np.nanmean(each)),
-                not (np.abs(t) > self.healthy.limit).any())
+                float(np.nanmax(np.abs(t), initial=0.0)) / self.healthy.limit)
 
     def moved(self, best: Explanation, place: int) -> Explanation | None:
         """Fit one number more to the recording, beside those that moved; None where none fits.
@@ -108,7 +115,7 @@ class Comparison:
         k = len(free)
         made = polished(self.experiment, with_unknowns(self.experiment, replace(
             start, theta=theta, active=active, free=free, covariance=np.zeros((k, k)),
-            converged=False), start.unknowns), Slopes(self.experiment))
+            converged=False), start.unknowns), Slopes(self.experiment), STEPS)
         absent = any(self.what[i].variant >= 0 and made.theta[self.what[i].free.place]
                      == self.what[i].free.prior for i in places)
         if absent or not np.isfinite(made.log_likelihood):
@@ -180,13 +187,15 @@ class Comparison:
 
         A law is right to a share of what it explains only.
         """
-        best = min(found, key=lambda one: one.left)
+        best = min(found, key=lambda one: (not one.complete, one.left))
         alike = ALIKE + FORM_OF_LAW * max(self.before.left - best.left, 0.0)
         near = [one for one in found if one.left <= best.left + alike
-                and one.complete >= best.complete]
+                and one.worst <= max(best.worst, 1.0) + NARROWLY]
         first = min(near, key=lambda one: (sum(map(self.rarity, one.places)), one.left))
         last = first.places[-1]
-        return replace(first, rivals={**first.rivals, last: tuple(
+        # What cannot be told from a complete one needs nothing more.
+        worst = min(first.worst, max(best.worst, 1.0))
+        return replace(first, worst=worst, rivals={**first.rivals, last: tuple(
             one.places[-1] for one in near if one.places[-1] != last)})
 
     def rarity(self, place: int) -> float:

@@ -83,7 +83,8 @@ def _answer(healthy: Healthy, recordings: list[Recording], references: list[Reco
         say("asking what has changed", 0.7)
         best = comparison.explained()
     verdict = "consistent" if not comparison.changed else (
-        "mismatch" if best.places and comparison.share_of(best) > ENOUGH else "unexplained")
+        "mismatch" if best.places and (best.complete or comparison.share_of(best) > ENOUGH)
+        else "unexplained")
     places = best.places if verdict == "mismatch" else ()
     say("showing the fit on unseen data", 0.9)
     parts = Comparison(healthy, fitted)
