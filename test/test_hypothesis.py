@@ -33,6 +33,32 @@ def loaded(tmp_path, text):
     return load_hypothesis(tmp_path / "mine.yaml")
 
 
+def package(folder: Path, text: str) -> None:
+    """Install a package with an entry point, as pip leaves it."""
+    (folder / "my_laws.py").write_text(text)
+    about = folder / "my_laws-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: my_laws\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text("[eha_monitor.effects]\ncam = my_laws:CAM\n")
+
+
+def test_a_hypothesis_of_an_installed_package_goes_by_its_name(tmp_path, monkeypatch):
+    package(tmp_path, f"CAM = {YAML(typ='safe').load(CAM)!r}\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    found = load_hypothesis("cam")
+    assert found.name == "cam" and found.parameters["A"].unit == "N"
+    with pytest.raises(InputError, match=r"eha_monitor\.effects: cam"):
+        load_hypothesis("camel")
+
+
+def test_a_package_that_cannot_be_imported_is_told_in_one_line(tmp_path, monkeypatch):
+    package(tmp_path, "import nothing_of_that_name\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(__import__("sys").modules, "my_laws", raising=False)
+    with pytest.raises(InputError, match="nothing_of_that_name"):
+        load_hypothesis("cam")
+
+
 def test_the_page_s_hypothesis_is_read(tmp_path):
     found = loaded(tmp_path, SPOT)
     assert (found.name, found.adds, found.balance) == ("worn_spot", "force", "force")

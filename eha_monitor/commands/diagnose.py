@@ -27,9 +27,9 @@ READING = 0.03  # share of the progress bar
               help="Write the config with the named physics and the rig's numbers in it.")
 @click.option("--held-out", "held_out", type=_PATH, metavar="BAG",
               help="Show the fit on this recording; without it on a part that is kept back.")
-@click.option("--hypothesis", "hypothesis_file", type=_PATH, metavar="FILE",
-              help="Your own suspicion: an expression whose parameters are fitted and ranked "
-              "beside the catalogue (docs/effects.md).")
+@click.option("--hypothesis", "hypothesis_file", type=_PATH, metavar="FILE|NAME",
+              help="Your own suspicion, a file or the name of an installed one: an expression "
+              "whose parameters are fitted and ranked beside the catalogue (docs/effects.md).")
 @click.option("--reference", "references", type=_PATH, multiple=True,
               metavar="HEALTHY [HEALTHY ...]",
               help="Healthy recordings of the machine, or a folder of them: say what has changed "

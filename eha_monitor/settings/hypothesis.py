@@ -9,9 +9,11 @@
       w: {start: 3.0e-3, lower: 1.0e-4, upper: 0.05, unit: m}
     sentence: "the cylinder is worn at {x_0}: the seal grips with up to {F}"
 
-All numbers are SI; the sentence may name parameters in braces.
+All numbers are SI; the sentence may name parameters in braces.  An installed package gives the
+same as a mapping under an entry point of the group ``eha_monitor.effects``.
 """
 
+from importlib.metadata import entry_points
 from pathlib import Path
 from string import Formatter
 
@@ -23,6 +25,7 @@ from eha_monitor.settings.load import tree_of
 from eha_monitor.settings.own_terms import checked
 
 MOST_PARAMETERS = 8
+GROUP = "eha_monitor.effects"  # of the entry points of installed packages
 
 
 class Fitted(BaseModel):
@@ -87,16 +90,39 @@ class Hypothesis(BaseModel):
 
 
 def load_hypothesis(path: str | Path) -> Hypothesis:
-    """Return the hypothesis of a YAML file.
+    """Return the hypothesis of a YAML file, or of an installed package by its name.
 
     Raises
     ------
     InputError
-        One line: file, key, what was expected.
+        One line: file or name, key, what was expected.
     """
-    tree = tree_of(path, "a hypothesis")
+    return hypothesis_of(installed(str(path)) if not Path(path).exists() and Path(
+        path).suffix == "" else tree_of(path, "a hypothesis"), path)
+
+
+def installed(name: str):
+    """Return what an installed package has under a name of the group :data:`GROUP`.
+
+    Raises
+    ------
+    InputError
+        If no package has it, or its module cannot be imported.
+    """
+    known = {one.name: one for one in entry_points(group=GROUP)}
+    if name not in known:
+        raise InputError(f"{name}: expected a file with a hypothesis, or the name of one that an "
+                         f"installed package has ({GROUP}: {', '.join(known) or 'none'})")
+    try:
+        return known[name].load()
+    except Exception as problem:  # whatever a stranger's module does when it is imported
+        raise InputError(f"{name}: {known[name].value} cannot be loaded: {problem}") from problem
+
+
+def hypothesis_of(tree, source: str | Path) -> Hypothesis:
+    """Return a hypothesis of a parsed tree; ``source`` names it in errors."""
     if not isinstance(tree, dict):
-        raise InputError(f"{path}: expected a hypothesis: name, adds ({', '.join(ADDED)}), "
+        raise InputError(f"{source}: expected a hypothesis: name, adds ({', '.join(ADDED)}), "
                          "expression, parameters")
     try:
         return Hypothesis.model_validate(tree)
@@ -105,5 +131,4 @@ def load_hypothesis(path: str | Path) -> Hypothesis:
         key = ".".join(str(part) for part in error["loc"])
         text = error["msg"].removeprefix("Value error, ")
         line = " ".join(f"{key}: {text}".removeprefix(": ").split())[:400]
-        raise InputError(f"{path}: {line}") from None
-
+        raise InputError(f"{source}: {line}") from None
