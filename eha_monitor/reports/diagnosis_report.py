@@ -122,7 +122,7 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
 def _compared(found: Diagnosis) -> bool:
     """Tell whether there is a model after the one of the config."""
     return bool(found.effects or found.rig_data or found.rig_within or found.pieces
-                or found.learned)
+                or found.learned or found.references)
 
 
 def _change(change: Change) -> dict[str, str]:
