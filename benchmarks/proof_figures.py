@@ -34,6 +34,8 @@ def main() -> int:
         print(f"{given.result}: expected a result of one of the grounds {', '.join(ROWS)}, not "
               f"{ground}", file=sys.stderr)
         return 2
+    if {row["kind"] for row in found["rows"]} == {"outside"}:
+        ground = "outside"
     rows_of, write = ROWS[ground]
     rows = rows_of(found)
     for row in rows:
@@ -101,6 +103,23 @@ def trial_rows(found: dict) -> list[dict]:
     ]
 
 
+def outside_rows(found: dict) -> list[dict]:
+    """Return how each kind without a name fared in a trial of these alone, and all together."""
+    kinds: dict[str, list[dict]] = {}
+    for row in found["rows"]:
+        kinds.setdefault(row["truth"][0], []).append(row)
+    groups = [*sorted(kinds.items()), (f"all {len(found['rows'])} of seed {found['seed']}",
+                                       found["rows"])]
+    return [{"kind": kind.replace("_", " "), "cases": str(len(rows)),
+             "placed": str(sum(bool(row["within_class"]) for row in rows)),
+             "wrong": str(sum(row["confident_wrong"] for row in rows)),
+             "told": str(sum(row["learned"]["told"] for row in rows)),
+             "removed": f"{100 * statistics.median(row['learned']['removed'] for row in rows):.0f}"
+                        " %",
+             "shape": str(sum(bool(row["learned"]["shape"]) for row in rows))}
+            for kind, rows in groups]
+
+
 def mark(words: str, value: str, aim: str = "") -> dict[str, str]:
     """Return a row of a trial's table."""
     return {"mark": words, "value": value, "aim": aim}
@@ -128,6 +147,7 @@ WHAT = {
 }
 HELD = {"measures": MEASURED, "held_by": "commit"}
 ROWS = {
+    "outside": (outside_rows, lambda made: record.write("outside", made, **HELD)),
     "draws": (trial_rows, lambda made: record.write("proof", made, **HELD)),
     "simulator": (ground_rows, lambda made: record.write("simulator_ground", made, **HELD)),
     "mcmaster": (ground_rows, lambda made: record.write("mcmaster_ground", made, **HELD)),
