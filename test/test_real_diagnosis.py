@@ -52,11 +52,12 @@ def test_screw_drive_agrees_with_the_published_friction():
     recordings, settings = read("emps", "emps/DATA_EMPS.mat")
     found = diagnose(recordings, settings)
     effect = found.effects[0]
+    assert found.verdict == "mismatch"  # the force's own noise is no unexplained physics
     assert effect.name == "asymmetric_friction"
     assert found.after["B"].value == pytest.approx(203.5, rel=0.03)
     assert effect.parameters["F_c"].value == pytest.approx(20.39, rel=0.03)
     why = {one.name: one.why for one in found.considered}
-    assert "gave way to asymmetric friction" in why["coulomb_friction"]
+    assert "log units behind" in why["coulomb_friction"]
     assert found.signals["force"].after_rms < 0.2 * found.signals["force"].before_rms
 
 
