@@ -191,7 +191,7 @@ def test_a_breakdown_of_the_numbers_is_one_line_that_names_the_recording(recordi
     """Within the limits, and still nothing that a filter's gains can be computed from."""
     channels = copies(recording)
     channels["x"] *= 1e7
-    with pytest.raises(InputError, match=r"wild_bag: the calculation broke down .*singular"):
+    with pytest.raises(InputError, match=r"wild_bag: the calculation broke down \("):
         diagnose([Recording(1e-3, channels, source="wild_bag")], settings())
 
 

@@ -29,6 +29,7 @@ MOVES = 10.0  # standard deviations of the noise: below, nothing moves
 MARGIN = 0.02  # of a stretch is left out at each end, where smoothing has one side only
 OVERFLOWS = 1e100  # no signal; its square is still a number
 AWAY = 0.01  # of the motion: nearer to where it begins or ends, the piston may stand at a stop
+STANDS = 0.25  # of the samples at both ends: less of a stand weighs little
 SAME = 1e-9  # of its spread: two channels no further apart are one and the same
 
 
@@ -148,7 +149,8 @@ def stretch_of(recording: Recording) -> tuple[int, int]:
 def moving(x: np.ndarray, start: int, stop: int) -> tuple[int, int]:
     """Return the samples between standing at the beginning and standing at the end.
 
-    A piston that is pressed against a stop answers to no force, and says nothing of a sign.
+    A piston that is pressed against a stop answers to no force, and says nothing of a sign.  Where
+    it hardly ever stands, all samples are.
     """
     here = x[start:stop]
     told = np.flatnonzero(np.isfinite(here))
@@ -158,6 +160,8 @@ def moving(x: np.ndarray, start: int, stop: int) -> tuple[int, int]:
     left = told[np.abs(here[told] - here[told[0]]) > away]
     back = told[np.abs(here[told] - here[told[-1]]) > away]
     if not len(left) or not len(back) or back[-1] - left[0] < SHORTEST:
+        return start, stop
+    if back[-1] - left[0] > (1.0 - STANDS) * len(here):
         return start, stop
     return start + int(left[0]), start + int(back[-1]) + 1
 
