@@ -88,7 +88,7 @@ class Comparison:
         free = len(self.healthy.runs) - 1
         each = 0.5 * (free + 1) * np.log1p(t**2 / free)  # Student's density
         return (self.healthy.count * float(np.nanmean(each)),
-                float(np.nanmax(np.abs(t), initial=0.0)) / self.healthy.limit)
+                float(np.nanmax(np.abs(t) / self.healthy.limits, initial=0.0)))
 
     def moved(self, best: Explanation, place: int) -> Explanation | None:
         """Fit one number more to the recording, beside those that moved; None where none fits.

@@ -241,14 +241,14 @@ def _message(healthy: Healthy, comparison: Comparison, best: Explanation, verdic
     if verdict == "mismatch":
         return "; ".join(change.statement for change in changes)
     t = healthy.t_of(comparison.before.reading.amplitudes, comparison.before.reading.power)
-    at = int(np.nanargmax(np.abs(t)))
+    at = int(np.nanargmax(np.abs(t) / healthy.limits))
     column = comparison.what[healthy.kept[at]]
     words = OWN_WORDS.get(column.name) or effect_words(column.owner)
     if verdict == "consistent":
         return (f"nothing has changed against {len(references)} healthy recordings: what differs "
                 f"most is {words}, by {number(abs(t[at]), 2)} of their standard deviations from "
-                f"one to the next, and {share(FALSE)} of healthy recordings go beyond "
-                f"{number(healthy.limit, 2)}")
+                f"one to the next, where {number(healthy.limits[at], 2)} is no more than a "
+                f"healthy machine does ({share(FALSE)} false alarms)")
     named = [effect_words(comparison.what[i].owner or comparison.what[i].name)
              for i in best.places]
     part = (f"; {listed(named)} would explain {share(comparison.share_of(best), 2)} of it"

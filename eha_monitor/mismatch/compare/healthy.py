@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -95,19 +96,29 @@ class Healthy:
         """Student's t so that a share ``FALSE`` of healthy runs goes beyond it in any number."""
         return limit_of(len(self.runs), self.count)
 
-    def odd_ones(self) -> list[int]:
-        """Return references that differ from all the others as no healthy run should."""
+    @cached_property
+    def own_t(self) -> np.ndarray:
+        """Student's t of each reference against all the others, (n, k)."""
         found = []
-        for i in range(len(self.runs)) if len(self.runs) >= FEWEST else ():
+        for i, one in enumerate(self.readings):
             others = [reading for j, reading in enumerate(self.readings) if j != i]
             mean, spread, power = scatter(others, self.kept)
             rest = replace(self, runs=self.runs[:i] + self.runs[i + 1 :], mean=mean,
                            spread=spread, power=power)
-            one, limit = self.readings[i], limit_of(
-                len(rest.runs), self.count, FALSE / len(self.runs))
-            if (np.abs(rest.t_of(one.amplitudes, one.power)) > limit).any():
-                found.append(i)
-        return found
+            found.append(rest.t_of(one.amplitudes, one.power))
+        return np.array(found)
+
+    @cached_property
+    def limits(self) -> np.ndarray:
+        """How far each number may be, (k,) of t: what a healthy run did once, one may do again."""
+        seen = np.nanmax(np.abs(self.own_t), axis=0)
+        return np.maximum(seen, self.limit) if len(self.runs) > FEWEST else np.full(
+            len(self.kept), self.limit)
+
+    def odd_ones(self) -> list[int]:
+        """Return references that differ from all the others as no healthy run should."""
+        limit = limit_of(len(self.runs) - 1, self.count, FALSE / len(self.runs))
+        return np.flatnonzero((np.abs(self.own_t) > limit).any(axis=1)).tolist()
 
 
 def weight_of(power: np.ndarray, usual: np.ndarray) -> np.ndarray:
