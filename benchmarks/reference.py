@@ -18,7 +18,6 @@ from rich.progress import track
 from eha_monitor.compiled import load_runtime
 from eha_monitor.mismatch.compare.changes import Comparison
 from eha_monitor.mismatch.compare.healthy import healthy_of
-from eha_monitor.mismatch.compare.runs import of_parts
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.recordings.importing import read_table
@@ -80,7 +79,7 @@ def tried(strokes: dict, references: list[str], others: list[str], settings
     healthy, found = healthy_of([strokes[name] for name in references], settings), {}
     for name in others:
         here = experiment_of([strokes[name]], settings, hold_out=False)
-        one = Comparison(healthy, of_parts(healthy.experiment, [here])[0])
+        one = Comparison(healthy, healthy.experiment.only(here.stretches))
         names = [one.what[i].owner for i in one.explained().places] if one.changed else []
         found[name] = one.changed, names
     return found

@@ -84,7 +84,7 @@ def test_limit_is_students():
 def runs_with(values, precision):
     """Return runs of one own number with such values, known with such a precision."""
     column = Column("", -1, "B", free=Free("B", 0, 0.0, 1.0, 0.0, 1.0))
-    return tuple(Run((column,), np.array([[1.0, -p * a], [-p * a, p]]), 100)
+    return tuple(Run((column,), np.array([[1.0, -p * a], [-p * a, p]]))
                  for a, p in zip(values, precision, strict=True))
 
 
@@ -106,7 +106,7 @@ def test_reading_is_the_schur_complement_of_ridge_regression():
     e = rng.standard_normal(200)
     table = np.column_stack([e, rows])
     what = tuple(Column("", -1 if i < 2 else 0, f"n{i}") for i in range(4))
-    found = reading_of(Run(what, table.T @ table, 200), own)
+    found = reading_of(Run(what, table.T @ table), own)
     # A change of number 3, own ones penalised: the same by augmented least squares.
     left = np.vstack([rows[:, [0, 1, 3]], [[2**0.5, 0, 0], [0, 0.5**0.5, 0]]])
     right = np.concatenate([-(e + rows[:, :2] @ own.mean), [0.0, 0.0]])

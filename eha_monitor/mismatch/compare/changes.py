@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
 from eha_monitor.mismatch.compare.healthy import Healthy
-from eha_monitor.mismatch.compare.runs import Reading, with_changes
+from eha_monitor.mismatch.compare.runs import Reading, with_change
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.name.acceptance import FORM_OF_LAW
@@ -60,14 +60,17 @@ class Comparison:
     ----------
     healthy, experiment : the recording under the healthy experiment.
     what : the numbers that may change.
-    before : what it says of the healthy model.
     """
 
     def __init__(self, healthy: Healthy, experiment: Experiment):
         self.healthy, self.experiment = healthy, experiment
         self.what = healthy.runs[0].what
-        self.before = self.explaining((), with_unknowns(experiment, healthy.fit,
-                                                        healthy.fit.unknowns))
+
+    @cached_property
+    def before(self) -> Explanation:
+        """What the recording says of the healthy model."""
+        return self.explaining((), with_unknowns(self.experiment, self.healthy.fit,
+                                                 self.healthy.fit.unknowns))
 
     @property
     def changed(self) -> bool:
@@ -95,11 +98,15 @@ class Comparison:
 
         The model's own numbers stay as healthy runs have them, each with its spread.
         """
-        column, amount = self.what[place], best.reading.amplitudes[place]
-        start = with_changes(best.fit, [(column, amount)])
+        start = with_change(best.fit, self.what[place], best.reading.amplitudes[place])
         return self.refitted(start, (*best.places, place))
 
     def refitted(self, start: Fit, places: tuple[int, ...]) -> Explanation | None:
+        """Fit changed numbers, see :meth:`fitted`, and say what that leaves."""
+        made = self.fitted(start, places)
+        return None if made is None else self.explaining(places, made)
+
+    def fitted(self, start: Fit, places: tuple[int, ...]) -> Fit | None:
         """Fit changed numbers, the own ones held as healthy runs have them; None if none fits."""
         own, theta, active = self.healthy.own, start.theta.copy(), start.active.copy()
         entering = {self.what[i].owner for i in places if self.what[i].variant >= 0}
@@ -120,7 +127,7 @@ class Comparison:
                      == self.what[i].free.prior for i in places)
         if absent or not np.isfinite(made.log_likelihood):
             return None
-        return self.explaining(places, replace(made, free=wide + tuple(f for f, _ in rest)))
+        return replace(made, free=wide + tuple(f for f, _ in rest))
 
     def explained(self) -> Explanation:
         """Return the fewest changes after which the run is like the healthy ones.

@@ -10,7 +10,6 @@ from eha_monitor.breakdown import computing
 from eha_monitor.filters.hold_choice import resolved
 from eha_monitor.mismatch.compare.changes import ENOUGH, Comparison, Explanation
 from eha_monitor.mismatch.compare.healthy import FALSE, Healthy, healthy_of
-from eha_monitor.mismatch.compare.runs import of_parts
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.diagnosis import (
     Change,
@@ -20,7 +19,7 @@ from eha_monitor.mismatch.diagnosis import (
     NamedEffect,
     Value,
 )
-from eha_monitor.mismatch.learn.told import LARGEST, told_of
+from eha_monitor.mismatch.learn.told import LARGEST, errors, told_of, tracks_of
 from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, Missing, missing_terms
@@ -30,7 +29,7 @@ from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.show import balances as balance_show
 from eha_monitor.mismatch.show import held_out as show
 from eha_monitor.mismatch.show.model import config_effects, values_of
-from eha_monitor.mismatch.show.sizes import filtered_tracks, size_of
+from eha_monitor.mismatch.show.sizes import size_of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import number, share, with_uncertainty
 from eha_monitor.recordings.recording import Recording
@@ -68,7 +67,8 @@ def compared(recordings: list[Recording], references: list[Recording], settings:
         healthy = healthy_of(references, held)
         say("comparing", 0.6)
         here = [experiment_of(recordings, held, hold_out) for hold_out in (False, True)]
-        found = _answer(healthy, recordings, references, *of_parts(healthy.experiment, here), say)
+        found = _answer(healthy, recordings, references, *(
+            healthy.experiment.only(one.stretches) for one in here), say)
     return replace(found, wall_s=time.perf_counter() - started,
                    advice=_advice(healthy, references, here[0], found.verdict))
 
@@ -87,15 +87,15 @@ def _answer(healthy: Healthy, recordings: list[Recording], references: list[Reco
         else "unexplained")
     places = best.places if verdict == "mismatch" else ()
     say("showing the fit on unseen data", 0.9)
-    parts = Comparison(healthy, fitted)
-    before = with_unknowns(fitted, healthy.usual(), healthy.fit.unknowns)
-    after = parts.refitted(best.fit, places) or parts.before
+    before, plain = (with_unknowns(fitted, one, one.unknowns)
+                     for one in (healthy.usual(), healthy.fit))
+    after = Comparison(healthy, fitted).fitted(best.fit, places) or plain
     names = tuple(dict.fromkeys(comparison.what[i].owner for i in places
                                 if comparison.what[i].owner in CATALOGUE))
-    model = _named(after.fit, names)
+    model = _named(after, names)
     changes = tuple(_change(healthy, comparison, best, place) for place in places)
     how = balance_show if whole.inverse else show
-    signals = _signals(fitted, before, model)
+    signals = errors(fitted, before, model)
     effects = tuple(_effect(fitted, model, name, changes, comparison.before.left - best.left)
                     for name in names)
     where, curves = _place(fitted, before, model, verdict, changes)
@@ -105,7 +105,7 @@ def _answer(healthy: Healthy, recordings: list[Recording], references: list[Reco
         told = told_of(fitted, fitted, _on(healthy.naming, healthy.fit, fitted))
         if told is not None and told.term is not None:
             term, model = told.term, told.fit
-            signals = _signals(fitted, before, model)
+            signals = errors(fitted, before, model)
             changes = (_learned(told.term, told.missing),)
             curves = locate.latent_curves(fitted, before, model, [told.missing])
             message = ("something has changed that no entry of the catalogue explains: "
@@ -137,14 +137,6 @@ def _on(naming: Naming, fit: Fit, experiment: Experiment) -> Naming:
 def _named(fit: Fit, names: tuple[str, ...]) -> Fit:
     """Return a model that says which effects it has."""
     return replace(fit, named=tuple(dict.fromkeys((*fit.named, *names))))
-
-
-def _signals(experiment: Experiment, before: Fit, after: Fit) -> dict:
-    """Return the errors on unseen data of the healthy model and of the one with the changes."""
-    if not experiment.inverse:
-        return show.shown(experiment, before, after)
-    closed = balance_show.balances_of(experiment, before, after)
-    return balance_show.signals_of(experiment, before, after, closed.floor)
 
 
 def _reference(healthy: Healthy, place: int) -> tuple[float, float]:
@@ -203,13 +195,12 @@ def _effect(experiment: Experiment, fit: Fit, name: str, changes: tuple[Change, 
     """Return the record of an effect that has changed."""
     mine = [change for change in changes if change.what == name]
     entry = CATALOGUE[name]
-    tracks = (balance_show.tracks_of(experiment) if experiment.inverse
-              else filtered_tracks(experiment, fit))
     return NamedEffect(
         name, entry.balance, "; ".join(change.statement for change in mine),
         {change.symbol: change.now for change in mine}, gained,
         tuple(dict.fromkeys(rival for change in mine for rival in change.indistinguishable_from)),
-        entry.equation, entry.rig_check, size_of(experiment, fit, name, tracks))
+        entry.equation, entry.rig_check,
+        size_of(experiment, fit, name, tracks_of(experiment, fit)))
 
 
 def _place(experiment: Experiment, before: Fit, after: Fit, verdict: str,

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from eha_monitor.errors import InputError
-from eha_monitor.mismatch.compare.runs import Own, Reading, Run, of_parts, reading_of, run_of
+from eha_monitor.mismatch.compare.runs import Own, Reading, Run, reading_of, run_of
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.data.stretch import cut
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
@@ -63,12 +63,11 @@ class Healthy:
         ----------
         changed : places of numbers that stay where the recording has them.
         """
-        first, own = self.runs[0], self.own
+        own = self.own
         stay = np.isin(own.places, changed)
         own = replace(own, mean=np.where(stay, 0.0, own.mean - own.away(fit.theta, self.fit)),
                       variance=np.where(stay, 1.0, own.variance))
-        return reading_of(run_of(experiment, fit, self.scales).ordered(first.keys, first.what),
-                          own)
+        return reading_of(run_of(experiment, fit, self.scales).ordered(self.runs[0].what), own)
 
     def t_of(self, amplitudes: np.ndarray, power: np.ndarray) -> np.ndarray:
         """Return Student's t of a new run's amplitudes, (k,): n - 1 degrees of freedom.
@@ -178,9 +177,8 @@ def healthy_of(references: list[Recording], settings: Settings) -> Healthy:
     fit = with_unknowns(joint, naming.after, naming.after.unknowns)
     scales = np.sqrt(np.nanmean(fit.e**2, axis=0))
     parts, pieces = runs_in(parts)
-    runs = spread(lambda one: run_of(one, fit, scales), of_parts(joint, parts))
-    first = runs[0]
-    runs = tuple(run.ordered(first.keys, first.what) for run in runs)
+    runs = spread(lambda one: run_of(joint.only(one.stretches), fit, scales), parts)
+    runs = tuple(run.ordered(runs[0].what) for run in runs)
     own = own_over(runs)
     readings = tuple(reading_of(run, own) for run in runs)
     rows, powers = (np.array([getattr(one, name) for one in readings])

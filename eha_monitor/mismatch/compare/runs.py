@@ -1,10 +1,10 @@
 """What one recording says of a model that others made: by how much each number would move.
 
 Each number that may change (B, beta_e, parameters of what is in the model, sizes of all that the
-catalogue has) has a column, the innovations' sensitivity to it.  The
-model's own numbers vary from run to run of a healthy machine, a ~ N(m, s^2) (:mod:`healthy`), so
-innovations are r + C_o a + c d + white noise, where d is a change of one number.  With G the
-products of the columns and g those with r + C_o m, what the own numbers explain is taken out,
+catalogue has) has a column, the innovations' sensitivity to it.  The model's own numbers vary from
+run to run of a healthy machine, a ~ N(m, s^2) (:mod:`healthy`), so innovations are r + C_o a + c d
++ white noise, where d is a change of one number.  With G the products of the columns and g those
+with r + C_o m, what the own numbers explain is taken out,
 
     g' = g - G_.o (G_oo + s^-2)^-1 g_o,    G' = G - G_.o (G_oo + s^-2)^-1 G_o.,    d = -g'/G'
 
@@ -18,14 +18,8 @@ import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, with_unknowns
-from eha_monitor.mismatch.name.columns import (
-    ALWAYS,
-    ASTRAY_OWNER,
-    Column,
-    Columns,
-    columns_at,
-)
-from eha_monitor.mismatch.name.gram import grams_of
+from eha_monitor.mismatch.name.columns import ALWAYS, ASTRAY_OWNER, Column, columns_at
+from eha_monitor.mismatch.name.gram import balances_gram, grams_of
 from eha_monitor.mismatch.name.starts import entered
 from eha_monitor.mismatch.name.suspects import limited
 from eha_monitor.physics.effects import CATALOGUE, NAMES
@@ -44,30 +38,23 @@ class Run:
     ----------
     what : (m,) the numbers.
     products : (1 + m, 1 + m) of the whitened columns, innovations first.
-    samples : how many innovations there are.
     """
 
     what: tuple[Column, ...]
     products: np.ndarray
-    samples: int
 
-    @property
-    def keys(self) -> list[tuple[str, int, str, int]]:
-        """Owner, start, name and place among columns of that name of each number."""
-        found, seen = [], {}
-        for column in self.what:
-            key = (column.owner, column.variant, column.name)
-            seen[key] = seen.get(key, -1) + 1
-            found.append((*key, seen[key]))
-        return found
-
-    def ordered(self, keys: list[tuple[str, int, str, int]], what: tuple[Column, ...]) -> "Run":
+    def ordered(self, what: tuple[Column, ...]) -> "Run":
         """Return it with the numbers of another run, in its order; what it lacks does nothing."""
-        places = {key: 1 + i for i, key in enumerate(self.keys)}
-        own = np.array([0, *(places.get(key, -1) for key in keys)])
+        places = {key_of(column): 1 + i for i, column in enumerate(self.what)}
+        own = np.array([0, *(places.get(key_of(column), -1) for column in what)])
         products = self.products[np.ix_(own, own)].copy()
         products[own < 0], products[:, own < 0] = 0.0, 0.0
-        return replace(self, what=what, products=products)
+        return Run(what, products)
+
+
+def key_of(column: Column) -> tuple[str, int, str]:
+    """Return what a number is known by in every run: owner, start and name."""
+    return column.owner, column.variant, column.name
 
 
 @dataclass(frozen=True)
@@ -152,7 +139,7 @@ def may_change(column: Column) -> bool:
         return column.owner == ALWAYS and column.name == CHARGE
     if column.owner == ALWAYS:
         return "." not in column.name  # else a small timing error that every record has
-    if column.variant < 0 or column.start is None:
+    if column.variant < 0:
         return column.size
     # A limit has no linear size, and what grows out of another effect is that one's change.
     return (not column.start.replaces and not limited(column.owner)
@@ -168,43 +155,23 @@ def run_of(experiment: Experiment, fit: Fit, scales: np.ndarray) -> Run:
     """
     here = with_unknowns(experiment, fit, fit.unknowns)
     columns = columns_at(experiment, here, unnamed=False)
-    products, samples = products_of(experiment, here, columns, scales)
+    gram = (balances_gram(here, columns.values[0], scales) if experiment.inverse
+            else grams_of(experiment, here, columns.values, [here.unknowns])[0])
+    products = gram.products
     kept = [i for i, column in enumerate(columns.what[: len(products) - 1]) if may_change(column)]
     rows = np.array([0, *(1 + i for i in kept)])
-    return Run(tuple(columns.what[i] for i in kept), products[np.ix_(rows, rows)], samples)
+    return Run(tuple(columns.what[i] for i in kept), products[np.ix_(rows, rows)])
 
 
-def products_of(experiment: Experiment, fit: Fit, columns: Columns, scales: np.ndarray
-                ) -> tuple[np.ndarray, int]:
-    """Return the products of whitened columns, innovations first, and how many rows they have."""
-    if not experiment.inverse:
-        (gram,) = grams_of(experiment, fit, columns.values, [fit.unknowns])
-        return gram.products, int(gram.counts.sum())
-    values = columns.values[0]
-    products, samples = np.zeros((values.shape[2],) * 2), 0
-    for j, scale in enumerate(scales):
-        rows = values[np.isfinite(values[:, j, 0]), j] / scale
-        products += rows.T @ rows
-        samples += len(rows)
-    return products, samples
-
-
-def with_changes(fit: Fit, changes: list[tuple[Column, float]]) -> Fit:
-    """Return a model with some numbers moved by an amplitude each; its bounds hold."""
-    theta, active = fit.theta.copy(), fit.active.copy()
-    for column, amplitude in changes:
-        f = column.free
-        if column.variant < 0:
-            theta[f.place] = f.outward(f.inward(fit.theta[f.place]) + amplitude * f.spread)
-            continue
-        if not active[NAMES.index(column.owner)]:
-            theta, active = entered(theta, active, column.start)
-            for p in CATALOGUE[column.owner].sizes:
-                theta[place_of(f"{column.owner}.{p.name}")] = p.neutral
-        theta[f.place] = f.outward(f.prior + amplitude * f.spread)
+def with_change(fit: Fit, column: Column, amplitude: float) -> Fit:
+    """Return a model with a number moved by an amplitude; its bounds hold."""
+    theta, active, f = fit.theta.copy(), fit.active.copy(), column.free
+    if column.variant < 0:
+        theta[f.place] = f.outward(f.inward(fit.theta[f.place]) + amplitude * f.spread)
+        return replace(fit, theta=theta)
+    if not active[NAMES.index(column.owner)]:
+        theta, active = entered(theta, active, column.start)
+        for p in CATALOGUE[column.owner].sizes:
+            theta[place_of(f"{column.owner}.{p.name}")] = p.neutral
+    theta[f.place] = f.outward(f.prior + amplitude * f.spread)
     return replace(fit, theta=theta, active=active)
-
-
-def of_parts(experiment: Experiment, runs: list[Experiment]) -> list[Experiment]:
-    """Return the data of several runs under one experiment: its noise, ranges and steps."""
-    return [replace(experiment, stretches=one.stretches) for one in runs]

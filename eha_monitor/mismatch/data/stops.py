@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from eha_monitor.recordings.align import spans
+
 OVER = 0.04  # s over which the velocity is taken
 STANDS = 0.05  # of the largest speed: slower is standing
 LASTING = 0.03  # s: a shorter stand is a reversal
@@ -33,14 +35,9 @@ def between_stops(x: np.ndarray, force: np.ndarray, dt: float) -> list[tuple[int
     top, near = np.quantile(speed, 0.998), NEAR * np.ptp(x)
     moves = np.median(force[speed >= 0.5 * top])
     held = (speed < STANDS * top) & ((x < x.min() + near) | (x > x.max() - near))
-    places = [float(np.median(x[a:b])) for a, b in spans(held)
+    places = [float(np.median(x[a:b])) for a, b in zip(*spans(held), strict=True)
               if (b - a) * dt >= LASTING and np.median(force[a:b]) > PRESSES * moves]
     if not places:
         return [(0, len(x))]
-    return spans(np.all(np.abs(x[:, None] - np.array(places)) > near, axis=1))
-
-
-def spans(mask: np.ndarray) -> list[tuple[int, int]]:
-    """Return where a mask (n,) begins and ends to be true."""
-    edges = np.flatnonzero(np.diff(np.r_[False, mask, False].astype(int)))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+    away = np.all(np.abs(x[:, None] - np.array(places)) > near, axis=1)
+    return [(int(a), int(b)) for a, b in zip(*spans(away), strict=True)]

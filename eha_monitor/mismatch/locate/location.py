@@ -122,7 +122,11 @@ def binned(values: np.ndarray, measured: np.ndarray, modelled: np.ndarray
 
 def told_location(experiment: Experiment, term: Missing) -> Location:
     """Return where a model's own term acts: all of the disagreement is in its balance."""
-    shares = {name: float(name == term.balance) for name in BALANCES}
+    return located(experiment, {name: float(name == term.balance) for name in BALANCES}, term)
+
+
+def located(experiment: Experiment, shares: dict[str, float], term: Missing) -> Location:
+    """Return where a missing term is worst, beside the shares of the balances."""
     regime, weight = regime_of(experiment, term)
     return Location(shares, regime, worst_intervals(experiment, weight) if regime != "always"
                     else whole_of(experiment))
@@ -167,9 +171,7 @@ def location_of(experiment: Experiment, before: Fit, after: Fit | None,
         mine = sensor_errors(experiment, last, balance, outputs)
     if not mine:
         return Location(shares, "always", whole_of(experiment))
-    regime, weight = regime_of(experiment, mine[-1])
-    return Location(shares, regime, worst_intervals(experiment, weight) if regime != "always"
-                    else whole_of(experiment))
+    return located(experiment, shares, mine[-1])
 
 
 def balance_of(name: str) -> str:

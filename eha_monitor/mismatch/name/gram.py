@@ -239,16 +239,17 @@ def extended(gram: Gram, copies: Sequence[tuple[int, float]]) -> Gram:
     return replace(gram, products=products)
 
 
-def balances_gram(fit: Fit, columns: np.ndarray) -> Gram:
+def balances_gram(fit: Fit, columns: np.ndarray, scales: np.ndarray | None = None) -> Gram:
     """Return the Gram matrix where the balances' own errors are compared, (n, c, m).
 
-    They are weighed by what is left of each.
+    They are weighed by what is left of each, or by ``scales`` (c,), SI.
     """
     _, channels, m = columns.shape
     products, counts, logdet = np.zeros((m, m)), np.zeros(channels), 0.0
     for j in range(channels):
         rows = columns[np.isfinite(columns[:, j, 0]), j]
-        scale = max(float(np.sqrt(np.mean(rows[:, 0] ** 2))), 1e-300)
+        scale = max(float(np.sqrt(np.mean(rows[:, 0] ** 2))), 1e-300) if scales is None else (
+            float(scales[j]))
         products += (rows.T @ rows) / scale**2
         counts[j] = len(rows)
         logdet += counts[j] * np.log(scale)

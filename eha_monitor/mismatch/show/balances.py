@@ -153,9 +153,7 @@ def location_of(experiment: Experiment, effects: Sequence[NamedEffect], terms: l
     mine = [term for term in terms if term.balance == max(shares, key=shares.get)]
     if not mine:
         return Location(shares, "always", location.whole_of(experiment))
-    regime, weight = location.regime_of(experiment, mine[-1])
-    return Location(shares, regime, location.whole_of(experiment) if regime == "always"
-                    else location.worst_intervals(experiment, weight))
+    return location.located(experiment, shares, mine[-1])
 
 
 def overlays(shown: Experiment, before: Fit, after: Fit) -> tuple[Overlay, ...]:
