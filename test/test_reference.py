@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 from scipy import stats
 
-from eha_monitor.commands.diagnose import diagnose
+from eha_monitor.commands.diagnose import command_line, diagnose
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.compare.compared import compared
 from eha_monitor.mismatch.compare.healthy import limit_of, own_over
@@ -180,6 +180,16 @@ def test_command_says_what_has_changed_of_an_eha(tmp_path):
 def test_reference_and_bag_must_differ(tmp_path):
     asked = CliRunner().invoke(diagnose, ["a", "--reference", "b", "a"])
     assert isinstance(asked.exception, InputError) and "given twice" in str(asked.exception)
+
+
+def test_what_a_comparison_has_no_use_for_is_refused(tmp_path):
+    asked = CliRunner().invoke(diagnose, ["a", "--reference", "b", "--without", "backlash"])
+    assert isinstance(asked.exception, InputError) and "--without" in str(asked.exception)
+
+
+def test_the_report_s_command_names_what_was_not_considered():
+    words = command_line((Path("a"),), None, None, without=("backlash", "relief_valve"))
+    assert words == "eha-monitor diagnose a --without backlash relief_valve"
 
 
 def test_effects_without_are_of_the_catalogue(tmp_path):

@@ -58,12 +58,14 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
             raise InputError("expected one folder that holds bags, or bags, got "
                              + ", ".join(map(str, bags)))
         refuse(bags[0], json=json_file, report=report_file, write_config=config_file,
-               held_out=held_out, hypothesis=hypothesis_file, reference=references or None)
+               held_out=held_out, hypothesis=hypothesis_file, reference=references,
+               without=without)
         return int(answer_folder("diagnose", bags[0], config, archive) and exit_code)
     references = unfolded(references)
     check_inputs(bags, held_out, references)
-    if references and (held_out or hypothesis_file):
-        raise InputError("--reference: expected neither --held-out nor --hypothesis beside it")
+    if references and (held_out or hypothesis_file or without):
+        raise InputError("--reference: expected neither --held-out, --hypothesis nor --without "
+                         "beside it")
     check_outputs({"--json": json_file, "--report": report_file, "--write-config": config_file},
                   (*bags, *references, *((held_out,) if held_out else ())), config)
 
@@ -122,7 +124,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
                   for loss in recording.losses] + [finding.finding for finding in findings]
         write_diagnosis_report(report_file, found, settings, losses,
                                command_line(bags, config, held_out, hypothesis_file,
-                                            references))
+                                            references, without))
 
     from eha_monitor.commands.diagnosis_table import show
 
@@ -153,13 +155,15 @@ def check_inputs(bags: tuple[Path, ...], held_out: Path | None,
 
 
 def command_line(bags: tuple[Path, ...], config: Path | None, held_out: Path | None,
-                 hypothesis: Path | None = None, references: tuple[Path, ...] = ()) -> str:
+                 hypothesis: Path | None = None, references: tuple[Path, ...] = (),
+                 without: tuple[str, ...] = ()) -> str:
     """Return the command that makes the same answer again."""
     words = ["eha-monitor", "diagnose", *map(str, bags)]
     words += ["--config", str(config)] if config else []
     words += ["--held-out", str(held_out)] if held_out else []
     words += ["--hypothesis", str(hypothesis)] if hypothesis else []
     words += ["--reference", *map(str, references)] if references else []
+    words += ["--without", *without] if without else []
     return shlex.join(words)
 
 
