@@ -109,7 +109,7 @@ def test_a_formula_is_read_with_its_units(times):
     bump = next(one for one in SHAPES if one.name == "a bump")
     form = Form("force", "x", times)
     text = shown_as(bump, form, {"F": 38.0, "u_0": -8e-3, "w": 4.1e-3})
-    unit = {"v": " N·s/m", "dp": " N/Pa"}.get(times, " N")
+    unit = {"v": " N·s/m", "dp": " N/Pa", "omega": " N·s/rad"}.get(times, " N")
     assert text.startswith(f"38{unit} · exp(−((x + 8 mm)/4.1 mm)²)")
     assert text.endswith(FACTORS[times][1])
     assert unit_of(form, "y/u2").endswith("/(m)²")
@@ -129,14 +129,15 @@ def test_a_form_along_a_trajectory_is_what_the_equations_add(of, times):
     track[:, s.X], track[:, s.V] = rng.uniform(-0.02, 0.02, (2, n))
     track[:, s.P1], track[:, s.P2] = rng.uniform(1e6, 3e6, (2, n))
     track[:, s.OMEGA] = rng.uniform(-100.0, 100.0, n)
-    at = signal_along(track, of)
+    track[:, s.ANGLE] = rng.uniform(-40.0, 40.0, n)
+    at, angles = signal_along(track, of), track[:, s.ANGLE].copy()
     entry = {"adds": "force", "of": of, "times": times, "scale": 0.5, "first": float(at.min()),
              "last": float(at.max()), "values": rng.normal(0.0, 1.0, 9).tolist()}
     q = slot_for(checked("mine", entry))
     for k in range(n):
         c = np.zeros(s.N_CONTRIBUTIONS)
-        o.own_term(track[k], q, np.zeros(s.MAX_MEMORY), c)
-        row = o.cardinal(at[k : k + 1], 9, entry["first"], entry["last"])
+        o.own_term(track[k], q, np.array([angles[k], 0.0]), c)
+        row = o.cardinal(at[k : k + 1], 9, entry["first"], entry["last"], of == "angle")
         factor = factor_along(track[k : k + 1], times, 0.5)[0]
         assert c[s.FORCE] == pytest.approx(factor * (row @ entry["values"])[0], rel=1e-9)
 

@@ -76,7 +76,7 @@ class RigModel:
         if active[LINE]:
             line = tuple(theta[place_of(f"{NAMES[LINE]}.{one}")] for one in ("T_l", "zeta", "Z"))
             places["pump"] = places["pump"][places["pump"] != LINE]
-        updates = with_update(active)
+        updates = with_update(active, theta)
         remember = np.isin(places["force"], updates)
         circuit = circuit_of(theta, active)
         opened = opens_loop(circuit, places["pump"])

@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from eha_monitor.filters import run_two
+from eha_monitor.filters.covered import beyond, ranges_of, within
 from eha_monitor.filters.engine import engine_of
 from eha_monitor.filters.handover import Handover
 from eha_monitor.filters.inputs import (
@@ -80,6 +81,7 @@ class LiveEstimator(Intake, RunAgain):
         self._checkpoints = Checkpoints()
         self._plausible = LivePlausibility(self.settings)
         self._announced: set[str] = set()
+        self._ranges, self._beyond = ranges_of(self.settings), ("", math.nan)
         self._told: tuple = (None, {})  # the last parameters and what they were judged from
         if reason:
             self._events.append(Event(self._now, "monitor", f"estimates reset: {reason}"))
@@ -257,6 +259,7 @@ class LiveEstimator(Intake, RunAgain):
         if standing:
             tester.measure(self._last, self._parameters(), self._damping[0], self._two, now)
         start = self._taken - round(JUDGED_S / self.dt)
+        self._look_beyond(start, now)
         if not standing or start < self._buffer.first or not tester.trying.due(now):
             return
         # Stage two's misfit may be a wrong B's: it is asked once stage one fits.
@@ -266,6 +269,15 @@ class LiveEstimator(Intake, RunAgain):
         tester.trying.answered(now, yes=fit.fits or standing[0] == "one")
         if ended:
             self._adopt(standing[0], fit, start)
+
+    def _look_beyond(self, start: int, now: float) -> None:
+        """Ask whether the last window left the range of what was learned; say so once."""
+        words = beyond(self._ranges, self._buffer.channels(start, self._taken), self.dt,
+                       self.settings.rig.position_gain) if self._ranges else ""
+        if words and not self._beyond[0]:
+            self._tell("monitor", words)
+        since = self._beyond[1] if words and self._beyond[0] else now - JUDGED_S
+        self._beyond = words, since if words else math.nan
 
     def _last(self, seconds: float) -> StageInputs:
         """Return the inputs of the last seconds, or of as many as there are."""
@@ -308,7 +320,8 @@ class LiveEstimator(Intake, RunAgain):
         """Return the present estimates; the events are handed out once."""
         self._settle()
         events, self._events = tuple(sorted(self._events, key=lambda e: e.time_s)), []
-        model = self._tester.status(self._now, self._parameters(), self._two)
+        model = within(self._tester.status(self._now, self._parameters(), self._two),
+                       *self._beyond)
         state = self._one or self._two
         position, velocity = map(float, state.m[:2]) if state else (math.nan, math.nan)
         return self._plausible.told(LiveSnapshot(

@@ -8,6 +8,7 @@ import numpy as np
 
 from eha_monitor.breakdown import computing
 from eha_monitor.filters.consistency import judge
+from eha_monitor.filters.covered import beyond, ranges_of, within
 from eha_monitor.filters.engine import engine_of
 from eha_monitor.filters.hold_choice import SAMPLED, HoldDecision, resolved, with_hold
 from eha_monitor.filters.inputs import StageInputs, moved_mass
@@ -33,6 +34,7 @@ from eha_monitor.physics.signals import M as MASS_PLACE
 from eha_monitor.quantity import SYMBOLS, quantity, with_uncertainty
 from eha_monitor.recordings.columns import Table, any_of, first_where, mapped, steps_to
 from eha_monitor.recordings.recording import Recording
+from eha_monitor.recordings.sample import sample_of
 from eha_monitor.settings.monitor import Settings
 
 MISSING_ONE = "the force balance M x'' = F - B x' leaves something out, or a sensor is wrong"
@@ -93,7 +95,9 @@ def estimate_held(recording: Recording, settings: Settings, size: int | None = N
     joint = run_joint(inputs, recording, settings, one, two, since)
     return Estimate(
         recording, settings, one, two, joint,
-        tested_model(one, two, joint, settings, inputs, damping),
+        within(tested_model(one, two, joint, settings, inputs, damping),
+               beyond(ranges_of(settings), sample_of(recording).channels, recording.sample_time,
+                      settings.rig.position_gain), 0.0),
         tuple(sorted(events, key=lambda event: event.time_s)), inputs.noise,
         warnings=tuple(warnings_of(inputs, settings)))
 

@@ -28,6 +28,7 @@ from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
 from eha_monitor.mismatch.name.acceptance import LIKELY, RIVAL, TEMPER
+from eha_monitor.mismatch.name.angle import at_its_angle
 from eha_monitor.mismatch.name.naming import Naming, beyond_form, name_effects
 from eha_monitor.mismatch.name.nominal import nominal
 from eha_monitor.mismatch.name.telling import on_all_of, telling
@@ -94,11 +95,12 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
                ) -> Diagnosis:
     started = time.perf_counter()
     held, decision = resolved(recordings, settings)
-    experiment = experiment_of(recordings, held, held_out is None, without)
+    experiment = at_its_angle(experiment_of(recordings, held, held_out is None, without))
     named = named_in(experiment, say)
     if decision is not None and named is not None and named[1].unexplained > RIVAL:
         # What is missing may have been taken for a hold, or the other way about.
-        other = experiment_of(recordings, other_hold(held), held_out is None, without)
+        other = at_its_angle(experiment_of(recordings, other_hold(held), held_out is None,
+                                           without))
         gained = gained_under(other, named[1])
         if gained > 0.0:
             experiment, held, named = other, other.settings, named_in(other, say)

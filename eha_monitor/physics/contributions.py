@@ -7,7 +7,7 @@ import numpy as np
 from eha_monitor.compiled import njit
 from eha_monitor.physics.effect import no_circuit, no_term, no_update
 from eha_monitor.physics.effects import CATALOGUE, NAMES
-from eha_monitor.physics.own_term import OWN_NAMES, SLOTS, WIDTH, own_term
+from eha_monitor.physics.own_term import OWN_NAMES, SLOTS, TURNED, WIDTH, own_term, turn, turns
 from eha_monitor.physics.signals import LIMITS, MAX_MEMORY, MAX_PARAMETERS, N_BASE, N_CIRCUIT
 
 ALL_NAMES = (*NAMES, *OWN_NAMES)  # in the order of their places
@@ -64,7 +64,8 @@ def _by_place(functions: list[Callable], wanted: np.ndarray, call: str, header: 
 
 _term = _by_place([*(e.term for e in _EFFECTS), *(own_term,) * SLOTS], _HAS_TERM, "s, {p}, {m}, c",
                   "which, s, theta, memory, c")
-_update = _by_place([e.update for e in _EFFECTS], _HAS_UPDATE, "s, {p}, h, {m}",
+_update = _by_place([*(e.update for e in _EFFECTS), *(turn,) * SLOTS],
+                    np.array([*_HAS_UPDATE[:-SLOTS], *(True,) * SLOTS]), "s, {p}, h, {m}",
                     "which, s, theta, h, memory")
 _circuit = _by_place([e.circuit for e in _EFFECTS], _HAS_CIRCUIT, "{p}, w", "which, theta, w")
 
@@ -72,6 +73,13 @@ _circuit = _by_place([e.circuit for e in _EFFECTS], _HAS_CIRCUIT, "{p}, w", "whi
 def new_memory() -> np.ndarray:
     """Return the memory of all effects at the start, (N_EFFECTS, MAX_MEMORY)."""
     return np.zeros((N_EFFECTS, MAX_MEMORY))
+
+
+def turned_memory(angle: float) -> np.ndarray:
+    """Return the memory at the start of what begins at an angle of the shaft, rad."""
+    memory = new_memory()
+    memory[len(NAMES) :, TURNED] = angle
+    return memory
 
 
 @njit
@@ -92,9 +100,13 @@ def with_term(active):
 
 
 @njit
-def with_update(active):
+def with_update(active, theta):
     """Return the places of the active effects that remember, ascending."""
-    return _both(active, _HAS_UPDATE)
+    have = _HAS_UPDATE.copy()
+    for i in range(SLOTS):
+        have[N_EFFECTS - SLOTS + i] = turns(theta[FIRST_OWN + i * WIDTH : FIRST_OWN
+                                                  + (i + 1) * WIDTH])
+    return _both(active, have)
 
 
 @njit

@@ -8,7 +8,11 @@ the catalogue's effects, so the compiled equations run any of them without being
     LENGTH, CODES, CONSTANTS                          of an expression, in postfix order
 
 A table is a cubic through its knots (Catmull and Rom 1974), linear at both ends, and keeps its
-last value beyond them: where a recording has said nothing, nothing is extrapolated.
+last value beyond them: where a recording has said nothing, nothing is extrapolated.  Over the
+shaft's angle it is periodic, from ``first`` to ``last``.
+
+The angle is what the shaft has turned since the recording began, in the term's own memory: no
+channel has it.  So its zero is another one in each recording, and a recording's own is ``PHASE``.
 """
 
 import math
@@ -16,7 +20,19 @@ import math
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.physics.signals import FLOW_1, FLOW_2, FORCE, OMEGA, P1, P2, SPEED, V, X
+from eha_monitor.physics.signals import (
+    ANGLE,
+    FLOW_1,
+    FLOW_2,
+    FORCE,
+    OMEGA,
+    P1,
+    P2,
+    SPEED,
+    T,
+    V,
+    X,
+)
 
 SLOTS, WIDTH = 2, 64
 OWN_NAMES = tuple(f"own_{i + 1}" for i in range(SLOTS))
@@ -30,6 +46,7 @@ SIGNAL, FACTOR, SCALE, COUNT, FIRST, LAST, VALUES = range(2, 9)
 # An expression.
 LENGTH, CODES = 2, 3
 CONSTANTS = CODES + MOST_CODES
+PHASE = WIDTH - 1  # of both: the angle at which a recording begins, rad
 
 # To what a term adds -> the contributions that read it, and its unit.
 BALANCES = {"force": ("FORCE",), "flow": ("FLOW_1", "FLOW_2"), "flow_1": ("FLOW_1",),
@@ -38,10 +55,12 @@ ADDED_UNITS = {"force": "N", "flow": "m³/s", "flow_1": "m³/s", "flow_2": "m³/
                "speed": "rad/s"}
 ADDED = tuple(BALANCES)
 TO_FORCE, TO_FLOW, TO_FLOW_1, TO_FLOW_2, _TO_SPEED = range(len(ADDED))
-OF = ("x", "v", "dp", "p", "omega", "p1", "p2")  # signals that a term may be a function of
+OF = ("x", "v", "dp", "p", "omega", "p1", "p2", "angle")  # that a term may be a function of
+BY_ANGLE = OF.index("angle")
 PRESSURES = ("dp", "p", "p1", "p2")
-FACTORS = ("none", "direction", "v", "dp")  # what a table may be multiplied by
-_BY_NONE, BY_DIRECTION, BY_V, BY_DP = range(len(FACTORS))
+FACTORS = ("none", "direction", "v", "dp", "omega")  # what a table may be multiplied by
+_BY_NONE, BY_DIRECTION, BY_V, BY_DP, BY_OMEGA = range(len(FACTORS))
+TURNED, SINCE = 0, 1  # memory: the shaft's angle, rad, and when it was that, s
 
 # Codes of an expression: functions of one number, of two, then signals and constants.
 ONE = ("neg", "abs", "sign", "sqrt", "exp", "tanh", "sin", "cos")
@@ -62,7 +81,9 @@ def signal_of(s, which):
         return 0.5 * (s[P1] + s[P2])
     if which == 4:
         return s[OMEGA]
-    return s[P1] if which == 5 else s[P2]
+    if which == 5:
+        return s[P1]
+    return s[P2] if which == 6 else s[ANGLE]
 
 
 @njit(forceinline=True)
@@ -76,14 +97,23 @@ def knot(values, count, i):
 
 
 @njit(forceinline=True)
-def tabled(values, count, first, last, at):
-    """Return a table's value at ``at``: the cubic through four knots, constant beyond the ends."""
-    along = (at - first) / (last - first) * (count - 1)
-    along = min(max(along, 0.0), float(count - 1))
-    i = min(int(along), count - 2)
+def tabled(values, count, first, last, at, periodic):
+    """Return a table's value at ``at``: the cubic through four knots, constant beyond the ends.
+
+    A periodic one has its first knot again, at ``last``, in the place of one more.
+    """
+    along = (at - first) / (last - first)
+    if periodic:
+        along = (along - math.floor(along)) * count
+        i = int(along)
+        a, b = values[(i - 1) % count], values[i % count]
+        c, d = values[(i + 1) % count], values[(i + 2) % count]
+    else:
+        along = min(max(along * (count - 1), 0.0), float(count - 1))
+        i = min(int(along), count - 2)
+        a, b = knot(values, count, i - 1), knot(values, count, i)
+        c, d = knot(values, count, i + 1), knot(values, count, i + 2)
     f = along - i
-    a, b = knot(values, count, i - 1), knot(values, count, i)
-    c, d = knot(values, count, i + 1), knot(values, count, i + 2)
     return b + 0.5 * f * (c - a + f * (2.0 * a - 5.0 * b + 4.0 * c - d
                                        + f * (3.0 * (b - c) + d - a)))
 
@@ -150,11 +180,14 @@ def own_term(s, q, m, c):
 
     Parameters
     ----------
-    s : (N_SIGNALS,) signals;  q : (WIDTH,) the slot;  m : its memory, not used.
+    s : (N_SIGNALS,) signals, the angle written;  q : (WIDTH,) the slot;  m : its memory.
     c : (N_CONTRIBUTIONS,) added to.
     """
+    s[ANGLE] = q[PHASE] + m[TURNED] + s[OMEGA] * (s[T] - m[SINCE])
     if q[KIND] == TABLE:
-        value = tabled(q[VALUES:], int(q[COUNT]), q[FIRST], q[LAST], signal_of(s, int(q[SIGNAL])))
+        which = int(q[SIGNAL])
+        value = tabled(q[VALUES:], int(q[COUNT]), q[FIRST], q[LAST], signal_of(s, which),
+                       which == BY_ANGLE)
         factor = int(q[FACTOR])
         if factor == BY_DIRECTION:
             value *= math.tanh(s[V] / q[SCALE])
@@ -162,6 +195,8 @@ def own_term(s, q, m, c):
             value *= s[V] / q[SCALE]
         elif factor == BY_DP:
             value *= (s[P1] - s[P2]) / q[SCALE]
+        elif factor == BY_OMEGA:
+            value *= s[OMEGA] / q[SCALE]
     elif q[KIND] == EXPRESSION:
         value = expressed(q, s)
     else:
@@ -180,14 +215,45 @@ def own_term(s, q, m, c):
         c[SPEED] += value
 
 
-def cardinal(at: np.ndarray, count: int, first: float, last: float) -> np.ndarray:
+@njit
+def turn(s, q, h, m):
+    """Carry the shaft's angle over a step of ``h`` s that has ended at the signals ``s``."""
+    m[TURNED] += h * s[OMEGA]
+    m[SINCE] = s[T]
+
+
+@njit
+def turns(q):
+    """Tell whether a slot's term reads the shaft's angle."""
+    if q[KIND] == TABLE:
+        return q[SIGNAL] == BY_ANGLE
+    if q[KIND] == EXPRESSION:
+        for i in range(int(q[LENGTH])):
+            if q[CODES + i] == FIRST_SIGNAL + BY_ANGLE:
+                return True
+    return False
+
+
+def cardinal(at: np.ndarray, count: int, first: float, last: float, periodic: bool = False
+             ) -> np.ndarray:
     """Return what each knot of a table contributes at ``at``, (n, count)."""
-    along = np.clip((np.asarray(at) - first) / (last - first) * (count - 1), 0.0, count - 1.0)
-    i = np.minimum(along.astype(int), count - 2)
+    along = (np.asarray(at) - first) / (last - first)
+    if periodic:
+        along = (along - np.floor(along)) * count
+        i = np.minimum(along.astype(int), count - 1)
+    else:
+        along = np.clip(along * (count - 1), 0.0, count - 1.0)
+        i = np.minimum(along.astype(int), count - 2)
     f = along - i
     weights = (0.5 * f * (-1.0 + f * (2.0 - f)), 1.0 + 0.5 * f * f * (3.0 * f - 5.0),
                0.5 * f * (1.0 + f * (4.0 - 3.0 * f)), 0.5 * f * f * (f - 1.0))
-    found, rows = np.zeros((len(along), count + 2)), np.arange(len(along))
+    rows = np.arange(len(along))
+    if periodic:  # the four knots go round
+        around = np.zeros((len(along), count))
+        for offset, weight in enumerate(weights):
+            np.add.at(around, (rows, (i + offset - 1) % count), weight)
+        return around
+    found = np.zeros((len(along), count + 2))
     for offset, weight in enumerate(weights):
         found[rows, i + offset] += weight  # knot i - 1 stands in column i
     inner = found[:, 1:-1]
@@ -201,7 +267,7 @@ def cardinal(at: np.ndarray, count: int, first: float, last: float) -> np.ndarra
 def reads(q: np.ndarray) -> set[str]:
     """Return the signals that a slot's term reads, by their names in ``OF``."""
     if q[KIND] == TABLE:
-        also = {"direction": {"v"}, "v": {"v"}, "dp": {"dp"}}
+        also = {"direction": {"v"}, "v": {"v"}, "dp": {"dp"}, "omega": {"omega"}}
         return {OF[int(q[SIGNAL])]} | also.get(FACTORS[int(q[FACTOR])], set())
     codes = q[CODES : CODES + int(q[LENGTH])] if q[KIND] == EXPRESSION else ()
     return {OF[int(code) - FIRST_SIGNAL] for code in codes
@@ -209,7 +275,13 @@ def reads(q: np.ndarray) -> set[str]:
 
 
 def speaks(q: np.ndarray, *names: str) -> bool:
-    """Tell whether a slot's term adds to one of these contributions, or reads such a signal."""
+    """Tell whether a slot's term adds to one of these contributions, or reads such a signal.
+
+    One of the shaft's angle says nothing there: the stages do not follow the angle, over which it
+    is as often positive as negative.
+    """
+    if turns(q):
+        return False
     used = set(BALANCES[ADDED[int(q[ADDS])]])
     if reads(q) & set(PRESSURES):
         used |= {"P1", "P2"}

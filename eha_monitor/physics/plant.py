@@ -23,6 +23,7 @@ from eha_monitor.physics.contributions import (
     with_update,
 )
 from eha_monitor.physics.signals import (
+    ANGLE,
     COMMAND_DELAY,
     DRIVE_LAG,
     FEEDBACK_DELAY,
@@ -303,7 +304,7 @@ def run(y, t0, dt, steps, u, pieces, lead, theta, active, memory, past, last, ou
     """
     c, s = np.zeros(N_CONTRIBUTIONS), np.zeros(N_SIGNALS)
     w = circuit_of(theta[0], active)
-    terms, updates = with_term(active), with_update(active)
+    terms, updates = with_term(active), with_update(active, theta[0])
     for k in range(out.shape[0]):
         row = theta[0]
         if theta.shape[0] > 1:
@@ -315,6 +316,7 @@ def run(y, t0, dt, steps, u, pieces, lead, theta, active, memory, past, last, ou
         out[k, X], out[k, V], out[k, P1], out[k, P2] = y[Y_X], y[Y_V], y[Y_P1], y[Y_P2]
         out[k, OMEGA] = omega
         out[k, X_D] = piece_at(u, (lead + k) * pieces, 0.0)
+        out[k, ANGLE] = math.nan  # in the memory of the term that reads it
         sense(y, t, dt / steps, past, last, w, shown[k])
         shown[k, 4] = omega
         last = advance(y, t, dt, steps, u, pieces, lead + k, True, row, terms, updates, w, memory,

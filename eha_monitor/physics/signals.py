@@ -6,8 +6,8 @@ is self-contained.
 """
 
 # Signals s: what the equations may look at (SI units).
-T, X, V, P1, P2, OMEGA, X_D = range(7)
-N_SIGNALS = 7
+T, X, V, P1, P2, OMEGA, X_D, ANGLE = range(8)  # ANGLE: what the shaft has turned, rad
+N_SIGNALS = 8
 
 # Contributions c: what an effect may add while the plant moves.
 FORCE = 0  # N, resists positive motion: M x'' = A1 p1 - A2 p2 - B v - c[FORCE]

@@ -19,8 +19,9 @@ LEARNED = {
     "learned_shape": ("outside: signals and shape of the formula right", "at least 50 %", 0.5,
                       True),
 }
-# What was concealed -> signals that it is a function of, its true curve, names of its shape.
-LAWS: dict[str, tuple[tuple[str, ...], Callable[[float, dict], float], tuple[str, ...]]] = {
+# What was concealed -> signals that it is a function of, its true curve (None where the key does
+# not hold all its numbers), names of its shape.
+LAWS: dict[str, tuple[tuple[str, ...], Callable[[float, dict], float] | None, tuple[str, ...]]] = {
     "position_friction_hump": (("x", "v"), lambda x, p: p["F"] * math.exp(
         -(((x - p["x"]) / p["width"]) ** 2)), ("a bump", "a bump on a constant")),
     "position_dependent_leak": (("x", "dp"), lambda x, p: -p["L"] * math.exp(
@@ -29,6 +30,7 @@ LAWS: dict[str, tuple[tuple[str, ...], Callable[[float, dict], float], tuple[str
                    ("a sine",)),
     "end_cushion": (("x", "v"), lambda x, p: p["d"] * max(abs(x) - p["x"], 0.0),
                     ("a rise beyond",)),
+    "pump_ripple": (("angle", "omega"), None, ("a ripple", "a ripple with its second harmonic")),
     "widening_gap": (("dp",), lambda dp, p: -p["L_3"] * dp**3, ("a cube",)),
 }
 
@@ -55,13 +57,14 @@ def learned_row(truth: dict, answer: dict) -> dict | None:
               for name in ("B", "beta_e") if name in after}
     of, law, shapes = LAWS.get(outside[0]["name"], ((), None, ()))
     inside = None
-    if law is not None and tuple(term["of"]) == of and term["balance"] == outside[0]["balance"]:
+    found = tuple(term["of"]) == of and term["balance"] == outside[0]["balance"]
+    if law is not None and found:
         parameters = outside[0]["parameters"]
         near = [abs(y - law(x, parameters)) <= SIGMAS * band
                 for x, y, band in zip(term["x"], term["curve"], term["band"], strict=True)]
         inside = sum(near) / len(near)
     return {"told": True, "removed": term["held_out_error_removed"], "errors": errors,
-            "inside": inside, "shape": inside is not None and term["shape"] in shapes}
+            "inside": inside, "shape": found and term["shape"] in shapes}
 
 
 def learned_score(rows: Sequence[dict]) -> dict[str, float | None]:

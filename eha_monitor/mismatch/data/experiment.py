@@ -11,6 +11,7 @@ from eha_monitor.mismatch.data.inputs import (
     CLOSED,
     FORCED,
     OPEN,
+    angle_of,
     course_of,
     filled,
     noise_governs,
@@ -300,7 +301,7 @@ def stretches_of(recording: Recording, channels: dict, settings: Settings, mode:
         z[:, 2:] = np.nan
     p1, p2 = channels.get("p1", nothing), channels.get("p2", nothing)
     charge = rig.charge_pressure
-    parts = []
+    parts, angle = [], None if mode == FORCED else angle_of(channels, rig, dt)
     spans = present(u, z[:, 0], int(LONGEST_GAP / dt))
     if mode == FORCED:
         spans = [(start + first, start + last) for start, stop in spans
@@ -325,7 +326,8 @@ def stretches_of(recording: Recording, channels: dict, settings: Settings, mode:
         parts.append(Stretch(
             recording.source, begun + start * dt, z[here].copy(),
             course, smooth(p1[here], charge), smooth(p2[here], charge),
-            (time >= BURN_IN) & ~seen & (loose == 0.0), held_out, loose))
+            (time >= BURN_IN) & ~seen & (loose == 0.0), held_out, loose,
+            None if angle is None else angle[here]))
     return parts
 
 

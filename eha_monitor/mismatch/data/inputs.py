@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from eha_monitor.settings.rig import Rig
+
 CLOSED, OPEN, FORCED = 0, 1, 2  # input: x_d with the loop, pump speed, force
 JUMP = 20.0  # times the neighbouring steps: a jump, held until its stamp
 REACH = 25  # samples over which an input's own change is told from its noise
@@ -124,3 +126,18 @@ def noise_governs(parts: list[np.ndarray]) -> bool:
     q = max((far - near) / (REACH - 1), 0.0)
     r = 0.5 * (near - q)
     return bool(r > GOVERNS * q)
+
+
+def angle_of(channels: dict, rig: Rig, dt: float) -> np.ndarray | None:
+    """Return what the shaft has turned since the recording began, rad (n,); None if nothing says.
+
+    The integral of the pump's speed, measured or that of the position loop.
+    """
+    if "omega" in channels:
+        speed = channels["omega"]
+    elif rig.position_gain is not None and "x_d" in channels:
+        speed = rig.position_gain * (channels["x_d"] - channels["x"])
+    else:
+        return None
+    speed = filled(speed) if np.isfinite(speed).any() else np.zeros(len(speed))
+    return dt * np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))])

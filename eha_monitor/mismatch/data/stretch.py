@@ -22,6 +22,7 @@ class Stretch:
     held_out : (n,) bool, samples kept aside for the proof.
     loose : (n,) share of the pressure difference that is taken from the sensors because the
         input's course before the sample is not known, or None.
+    angle : (n,) what the shaft has turned since the recording began, rad; None if nothing says it.
     """
 
     source: str
@@ -33,6 +34,12 @@ class Stretch:
     counted: np.ndarray
     held_out: np.ndarray
     loose: np.ndarray | None = None
+    angle: np.ndarray | None = None
+
+    @property
+    def begins_at(self) -> float:
+        """Angle of the shaft at the first sample, rad; 0 where nothing says it."""
+        return 0.0 if self.angle is None else float(self.angle[0])
 
     def __len__(self) -> int:
         return len(self.z)
@@ -53,4 +60,5 @@ def cut(stretch: Stretch, first: int, last: int, dt: float) -> Stretch:
     return replace(stretch, start=stretch.start + first * dt, z=stretch.z[here],
                    u=stretch.u[here], p1=stretch.p1[here], p2=stretch.p2[here], counted=counted,
                    held_out=stretch.held_out[here],
-                   loose=None if stretch.loose is None else stretch.loose[here])
+                   loose=None if stretch.loose is None else stretch.loose[here],
+                   angle=None if stretch.angle is None else stretch.angle[here])

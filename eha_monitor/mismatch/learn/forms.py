@@ -23,6 +23,7 @@ from eha_monitor.settings.own_terms import slot_for
 
 KNOTS = 9  # of a table when the forms are weighed
 COVERED = 0.001  # quantile of the signal at which a table ends: beyond it nothing was measured
+MOST_PERIODS, HARMONICS = 24, 2  # of a ripple: in a revolution of the shaft; of each
 SHARP = 0.02  # of the largest speed: over which a term that follows the direction turns round
 LEFT = 3.0  # times what is left of a balance: the prior deviation of a table's values there
 # What a term adds to -> which unknown of the filter stands for it, and its balance.
@@ -40,7 +41,8 @@ class Form:
     ----------
     adds : ``force`` N, ``flow``, ``flow_1``, ``flow_2`` m³/s or ``speed`` rad/s.
     of : the signal of the table.
-    times : what the table's value is multiplied by: ``none``, ``direction``, ``v`` or ``dp``.
+    times : what the table's value is multiplied by: ``none``, ``direction``, ``v``, ``dp`` or
+        ``omega``.
     """
 
     adds: str
@@ -51,6 +53,11 @@ class Form:
     def name(self) -> str:
         """Name of its group of columns."""
         return f"learned {self.adds} of {self.of} times {self.times}"
+
+    @property
+    def periodic(self) -> bool:
+        """Tell whether its table goes round: the shaft's angle begins anew."""
+        return self.of == "angle"
 
 
 @dataclass(frozen=True)
@@ -85,6 +92,8 @@ def forms_of(experiment: Experiment) -> tuple[Form, ...]:
         return tuple(found)
     found += [Form("flow", "dp"), Form("flow", "x"), Form("flow", "v"), Form("flow", "x", "dp"),
               Form("flow_1", "p1"), Form("flow_2", "p2")]
+    if not experiment.inverse:
+        found.append(Form("flow", "angle", "omega"))
     if experiment.mode == CLOSED:
         found += [Form("speed", "omega"), Form("speed", "x")]
     return tuple(found)
@@ -96,7 +105,8 @@ def signal_along(track: np.ndarray, of: str) -> np.ndarray:
         return track[:, s.P1] - track[:, s.P2]
     if of == "p":
         return 0.5 * (track[:, s.P1] + track[:, s.P2])
-    return track[:, {"x": s.X, "v": s.V, "omega": s.OMEGA, "p1": s.P1, "p2": s.P2}[of]]
+    return track[:, {"x": s.X, "v": s.V, "omega": s.OMEGA, "p1": s.P1, "p2": s.P2,
+                     "angle": s.ANGLE}[of]]
 
 
 def factor_along(track: np.ndarray, times: str, scale: float) -> np.ndarray:
@@ -107,6 +117,8 @@ def factor_along(track: np.ndarray, times: str, scale: float) -> np.ndarray:
         return track[:, s.V] / scale
     if times == "dp":
         return signal_along(track, "dp") / scale
+    if times == "omega":
+        return track[:, s.OMEGA] / scale
     return np.ones(len(track))
 
 
@@ -147,14 +159,39 @@ def tables_of(experiment: Experiment, fit: Fit) -> tuple[Table, ...]:
     scales = {"direction": max(SHARP * experiment.ranges.speed, 1e-9),
               "v": max(experiment.ranges.speed, 1e-9),
               "dp": max(float(np.quantile(difference, 0.98)), 1e-9)}
+    speed = np.abs(np.concatenate([track[:, s.OMEGA] for track in tracks]))
+    scales["omega"] = max(float(np.quantile(speed, 0.98)), 1e-9)
     found = []
     for form in forms_of(experiment):
         whole = np.concatenate([signal_along(track, form.of) for track in tracks])
         first, last = np.quantile(whole, [COVERED, 1.0 - COVERED])
+        if form.periodic:
+            first, last = 0.0, 2.0 * np.pi / periods_of(experiment, fit, tracks)
         if last - first > 1e-6 * np.abs(whole).max():
             found.append(Table(form, float(first), float(last),
                                float(scales.get(form.times, 1.0)), units[BALANCE[form.adds]]))
     return tuple(found)
+
+
+def periods_of(experiment: Experiment, fit: Fit, tracks: list[np.ndarray]) -> int:
+    """Return how often in a revolution of the shaft what a model leaves comes again.
+
+    A pump's flow ripples with its pistons or teeth, in proportion to its speed, with harmonics.
+    An innovation is what entered over the sample before it, so the angle in its middle counts.
+    """
+    counted = [stretch.counted for stretch in experiment.stretches]
+    middle = [np.concatenate([[0.0], 0.5 * (track[1:, s.ANGLE] + track[:-1, s.ANGLE])])
+              for track in tracks]
+    angle = np.concatenate([one[mask] for one, mask in zip(middle, counted, strict=True)])
+    speed = np.concatenate([track[mask, s.OMEGA]
+                            for track, mask in zip(tracks, counted, strict=True)])
+    left = np.nan_to_num(fit.e / np.nanstd(fit.e, axis=0))
+    shares = np.zeros(HARMONICS * MOST_PERIODS + 1)
+    for k in range(1, len(shares)):
+        waves = speed[:, None] * np.stack([np.cos(k * angle), np.sin(k * angle)], axis=1)
+        shares[k] = np.sum((waves.T @ left) ** 2) / max(np.sum(waves**2), 1e-300)
+    of = np.arange(1, MOST_PERIODS + 1)
+    return int(of[np.argmax(sum(shares[of * h] for h in range(1, HARMONICS + 1)))])
 
 
 def units_of(experiment: Experiment, fit: Fit) -> dict[str, float]:
@@ -181,7 +218,7 @@ def columns_with(experiment: Experiment, fit: Fit, tables: Sequence[Table],
     for one in tables:
         form = one.form
         terms.append(Unnamed(form.name, UNKNOWN[form.adds], form.of, tuple(
-            cardinal(signal_along(track, form.of), KNOTS, one.first, one.last)
+            cardinal(signal_along(track, form.of), KNOTS, one.first, one.last, form.periodic)
             * factor_along(track, form.times, one.scale)[:, None] for track in tracks)))
     return columns_at(experiment, fit, suspects=suspects, terms=terms)
 

@@ -1,7 +1,8 @@
 """A formula for a learned term: shapes fitted to its curve, the best refitted in the likelihood.
 
 The curve is no more than a way to find where to begin; which formula is told, and whether one is,
-decides the evidence of the recording's own innovations, beside that of the table.
+decides the evidence of the recording's own innovations, beside that of the table, which may be
+ahead by a law's form error.
 """
 
 import re
@@ -21,23 +22,24 @@ from eha_monitor.mismatch.learn.learned import (
     begun_with,
     score_of,
 )
-from eha_monitor.mismatch.learn.shapes import SHAPES, Shape
+from eha_monitor.mismatch.learn.shapes import RIPPLES, SHAPES, Shape
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread
 from eha_monitor.mismatch.name.acceptance import UNNAMED
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
 from eha_monitor.physics.expression import parsed
 from eha_monitor.physics.own_term import ADDED_UNITS, CONSTANTS, expressed
-from eha_monitor.physics.signals import N_SIGNALS, OMEGA, P1, P2, V, X
+from eha_monitor.physics.signals import ANGLE, N_SIGNALS, OMEGA, P1, P2, V, X
 from eha_monitor.quantity import quantity
 
 REFITTED = 3  # formulas that are fitted to the recording
 EXACT = 0.02  # of the curve's root mean square: no table follows a formula closer
 SIGNAL_UNITS = {"x": "m", "v": "m/s", "dp": "Pa", "p": "Pa", "omega": "rad/s", "p1": "Pa",
-                "p2": "Pa"}
-SHOWN = {"dp": "Δp", "omega": "ω", "p1": "p₁", "p2": "p₂"}
+                "p2": "Pa", "angle": "rad"}
+SHOWN = {"dp": "Δp", "omega": "ω", "p1": "p₁", "p2": "p₂", "angle": "θ"}
 FACTORS = {"none": ("", "", ""), "direction": ("*tanh(v/v_e)", " against the motion", ""),
-           "v": ("*v", " · v", "·s/m"), "dp": ("*dp", " · Δp", "/Pa")}
+           "v": ("*v", " · v", "·s/m"), "dp": ("*dp", " · Δp", "/Pa"),
+           "omega": ("*omega", " · ω", "·s/rad")}
 WIDE = 3.0  # times its own size: the prior deviation of a formula's parameter
 
 
@@ -65,9 +67,10 @@ class Formula:
 
 
 def formulas_of(experiment: Experiment, learned: Learned) -> list[Formula]:
-    """Return the formulas that fit best, best first; the first is told if it beats the table."""
+    """Return the formulas that fit best, best first; the first is told if no table leads far."""
     places = learned.knots
-    fits = sorted((fit for shape in SHAPES if (fit := on_curve(shape, places, learned))),
+    shapes = RIPPLES if learned.form.periodic else SHAPES
+    fits = sorted((fit for shape in shapes if (fit := on_curve(shape, places, learned))),
                   key=lambda found: found[0])
     made = spread(lambda found: refitted(experiment, learned, *found[1:]), fits[:REFITTED])
     return sorted((one for one in made if np.isfinite(one.evidence)),
@@ -77,7 +80,7 @@ def formulas_of(experiment: Experiment, learned: Learned) -> list[Formula]:
 def curve_of(text: str, values: dict[str, float], of: str, at: np.ndarray) -> np.ndarray:
     """Return an expression of one signal at its places, (n,)."""
     rows, found = np.zeros((len(at), N_SIGNALS)), np.empty(len(at))
-    rows[:, [X, V, OMEGA, P1]] = np.asarray(at)[:, None]
+    rows[:, [X, V, OMEGA, P1, ANGLE]] = np.asarray(at)[:, None]
     rows[:, P2] = at if of in ("p", "p2") else 0.0  # dp is p1 - p2
     expressed_along(parsed(text).slot("force", values), rows, found)
     return found
@@ -97,10 +100,11 @@ def in_signal(text: str, of: str) -> str:
 
 def unit_of(form: Form, kind: str) -> str:
     """Return the unit of a shape's parameter, SI."""
-    y, u = ADDED_UNITS[form.adds] + FACTORS[form.times][2], SIGNAL_UNITS[form.of]
+    y = (ADDED_UNITS[form.adds] + FACTORS[form.times][2]).replace("/s·s/rad", "/rad")
+    u = SIGNAL_UNITS[form.of]
     divided = f"{y}/({u})" if "/" in u else f"{y}/{u}"
     return {"y": y, "u": u, "y/u": divided, "y/u2": f"{y}/({u})²",
-            "y/u3": f"{y}/({u})³", "y/ru": f"{y}/√({u})"}[kind]
+            "y/u3": f"{y}/({u})³", "y/ru": f"{y}/√({u})", "rad": "rad", "1": ""}[kind]
 
 
 def on_curve(shape: Shape, places: np.ndarray, learned: Learned
@@ -145,7 +149,7 @@ def scale_of(kind: str, u: np.ndarray, y: np.ndarray) -> float:
     """Return the size of a shape's parameter over a curve, SI."""
     across, high = float(np.ptp(u)), float(np.abs(y).max()) + 1e-300
     return {"y": high, "u": across, "y/u": high / across, "y/u2": high / across**2,
-            "y/u3": high / across**3, "y/ru": high / np.sqrt(across)}[kind]
+            "y/u3": high / across**3, "y/ru": high / np.sqrt(across), "rad": np.pi, "1": 1.0}[kind]
 
 
 def refitted(experiment: Experiment, learned: Learned, shape: Shape, values: dict[str, float]

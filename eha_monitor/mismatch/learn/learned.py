@@ -73,12 +73,12 @@ class Learned:
     @property
     def divisor(self) -> float:
         """What a formula's curve is less than the table's: its factor stands without a scale."""
-        return self.scale if self.form.times in ("v", "dp") else 1.0
+        return self.scale if self.form.times in ("v", "dp", "omega") else 1.0
 
     @property
     def knots(self) -> np.ndarray:
         """Places of the values, (count,) SI."""
-        return np.linspace(self.first, self.last, self.count)
+        return places_of(self.form, self.first, self.last, self.count)
 
     def places(self) -> list[int]:
         """Return the places of the values in the fit's covariance."""
@@ -92,7 +92,7 @@ class Learned:
 
     def curve(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the curve and its standard deviation at places of the signal, (n,) each."""
-        basis = cardinal(at, self.count, self.first, self.last)
+        basis = cardinal(at, self.count, self.first, self.last, self.form.periodic)
         band = np.einsum("ij,jk,ik->i", basis, self.covariance(), basis)
         return basis @ self.values, np.sqrt(np.maximum(band, 0.0))
 
@@ -101,6 +101,11 @@ class Learned:
         return {"adds": self.form.adds, "of": self.form.of, "times": self.form.times,
                 "scale": self.scale, "first": self.first, "last": self.last,
                 "values": self.values.tolist()}
+
+
+def places_of(form: Form, first: float, last: float, count: int) -> np.ndarray:
+    """Return the places of a table's values, (count,) SI."""
+    return np.linspace(first, last, count, endpoint=not form.periodic)
 
 
 def knot_name(which: int, i: int) -> str:
@@ -172,7 +177,7 @@ def fitted(experiment: Experiment, start: Fit, which: int, guess: Guess, count: 
 
 def finer(experiment: Experiment, coarse: Learned, count: int) -> Learned:
     """Return a learned term with more values, fitted from where it stands."""
-    places = np.linspace(coarse.first, coarse.last, count)
+    places = places_of(coarse.form, coarse.first, coarse.last, count)
     guess = Guess(coarse.form, coarse.evidence, coarse.first, coarse.last, coarse.scale,
                   coarse.values)
     plain = replace(coarse.fit, free=tuple(

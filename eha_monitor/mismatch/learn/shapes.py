@@ -22,7 +22,8 @@ class Shape:
     text : expression in ``u`` and its parameters.
     shown : how a person reads it; parameters and ``u`` in braces.
     units : parameter -> ``y``, ``u``, ``y/u``, ``y/u2``, ``y/u3`` or ``y/ru``: of the curve, of
-        the signal, of their ratio, of the ratio with its square, its cube, its root.
+        the signal, of their ratio, of the ratio with its square, its cube, its root; ``rad`` of
+        an angle, ``1`` of a number.
     starts : of a curve, (n,) places and (n,) values, where a fit may begin.
     positive : parameters that are widths or limits.
     """
@@ -134,6 +135,26 @@ def _sine(u, y):
         yield {"F_0": level, "F": size, "u_0": -phase * length / (2 * np.pi), "w": length}
 
 
+def _waves(u, y, count):
+    """Return how many periods a revolution has, and size and phase of so many harmonics."""
+    n = 2.0 * np.pi / (len(u) * (u[1] - u[0]))  # the first place comes again at the end
+    found = []
+    for k in range(1, count + 1):
+        a, b = 2.0 * np.mean(y * np.cos(k * n * u)), 2.0 * np.mean(y * np.sin(k * n * u))
+        found.append((float(np.hypot(a, b)), float(np.arctan2(b, a))))
+    return float(n), found
+
+
+def _ripple(u, y):
+    n, [(size, phase)] = _waves(u, y, 1)
+    yield {"F": size, "n": n, "a": phase}
+
+
+def _two_waves(u, y):
+    n, [(size, phase), (second, other)] = _waves(u, y, 2)
+    yield {"F": size, "n": n, "a": phase, "G": second, "b": other}
+
+
 SHAPES = (
     Shape("a constant", "F", "{F}", {"F": "y"}, _constant),
     Shape("a line", "F + k*u", "({F} + {k} · {u})", {"F": "y", "k": "y/u"}, _line),
@@ -162,4 +183,12 @@ SHAPES = (
     Shape("a sine", "F_0 + F*sin(2*pi*(u - u_0)/w)",
           "({F_0} + {F} · sin(2π({u} − {u_0})/{w}))",
           {"F_0": "y", "F": "y", "u_0": "u", "w": "u"}, _sine, ("w",)),
+)
+# Over the shaft's angle: n periods in a revolution, one for each piston or tooth of a pump.
+RIPPLES = (
+    Shape("a ripple", "F*cos(n*u - a)", "{F} · cos({n} · {u} − {a})",
+          {"F": "y", "n": "1", "a": "rad"}, _ripple, ("n",)),
+    Shape("a ripple with its second harmonic", "F*cos(n*u - a) + G*cos(2*n*u - b)",
+          "({F} · cos({n} · {u} − {a}) + {G} · cos(2 · {n} · {u} − {b}))",
+          {"F": "y", "n": "1", "a": "rad", "G": "y", "b": "rad"}, _two_waves, ("n",)),
 )

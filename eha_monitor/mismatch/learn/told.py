@@ -17,12 +17,13 @@ from eha_monitor.mismatch.learn.formula import (
     in_signal,
 )
 from eha_monitor.mismatch.learn.learned import Learned, learned_of
-from eha_monitor.mismatch.learn.shapes import SHAPES
+from eha_monitor.mismatch.learn.shapes import RIPPLES, SHAPES
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.likelihood.smooth import smoothed
 from eha_monitor.mismatch.locate.missing import contributed, modelled_flow, modelled_force
 from eha_monitor.mismatch.locate.terms import STATES, UNITS, Missing, following
 from eha_monitor.mismatch.locate.terms import tracks_of as smoothed_tracks
+from eha_monitor.mismatch.name.acceptance import FORM_OF_LAW
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.show import balances as balance_show
 from eha_monitor.mismatch.show.held_out import shown, worse
@@ -40,7 +41,7 @@ PLACES = 161  # of a drawn curve
 BINS, FEWEST = 41, 15  # of what was measured; samples in one
 LARGEST = 0.98  # quantile of a term's size that counts as its largest
 ACTS = {"none": "", "direction": " and acts against the motion", "v": " and of the velocity",
-        "dp": " and of the pressure difference"}
+        "dp": " and of the pressure difference", "omega": " and of the speed of the shaft"}
 WHAT = {"force": "force", "flow": "flow between the chambers", "flow_1": "flow into chamber 1",
         "flow_2": "flow into chamber 2", "speed": "shaft speed"}
 
@@ -88,7 +89,9 @@ def told_of(experiment: Experiment, unseen: Experiment, naming: Naming) -> Told 
         return None
     learned = replace(learned, fit=robust(experiment, learned.fit))
     formulas = formulas_of(experiment, learned)
-    fit, honest = learned.fit, bool(formulas) and formulas[0].evidence > learned.evidence
+    # As any law a formula is right to a share of what it explains; a table follows the rest, too.
+    least = learned.evidence - FORM_OF_LAW * max(learned.gained, 0.0)
+    fit, honest = learned.fit, bool(formulas) and formulas[0].evidence > least
     if honest:
         fit = robust(experiment, formulas[0].fit)
         signals = errors(unseen, naming.before, fit)
@@ -174,6 +177,8 @@ def measured_at(learned: Learned, missing: Missing, factors: tuple[np.ndarray, .
     In each bin of the signal the value g that makes ``g * factor`` nearest to the missing term.
     """
     at = np.concatenate([signal_along(track, learned.form.of) for track in missing.tracks])
+    if learned.form.periodic:
+        at = learned.first + np.mod(at - learned.first, learned.last - learned.first)
     what, factor = np.concatenate(missing.measured), np.concatenate(factors)
     edges = np.linspace(learned.first, learned.last, BINS + 1)
     which = np.digitize(at, edges) - 1
@@ -200,10 +205,11 @@ def term_of(learned: Learned, formulas: list[Formula], honest: bool, share: floa
     best = formulas[0] if formulas else None
     drawn = np.full(len(x), np.nan)
     if best is not None:
-        shape = next(shape for shape in SHAPES if shape.name == best.shape)
+        shape = next(shape for shape in (*SHAPES, *RIPPLES) if shape.name == best.shape)
         drawn = curve_of(in_signal(shape.text, form.of), best.values, form.of, x)
     at, measured, spread = measured_at(learned, missing, factors)
-    signals = (form.of, *({"direction": ("v",), "v": ("v",), "dp": ("dp",)}.get(form.times, ())))
+    signals = (form.of, *({"direction": ("v",)}.get(form.times) or (
+        () if form.times == "none" else (form.times,))))
     size = size_of(missing)
     of = SHOWN.get(form.of, form.of)
     told = best.shown if honest else ""

@@ -47,6 +47,8 @@ def signals_along(experiment: Experiment, stretch: Stretch, states: np.ndarray) 
         found[:, s.OMEGA] = stretch.u[:, 0]
     if experiment.mode == CLOSED:
         found[:, s.X_D] = stretch.u[:, 0]
+    if stretch.angle is not None:
+        found[:, s.ANGLE] = stretch.angle
     return found
 
 
@@ -60,7 +62,7 @@ def contributions_along(trajectory, dt, steps, theta, active, memory, out):
     steps : steps of the effects' memory in a sample of ``dt`` s.
     out : (n, N_CONTRIBUTIONS) written.
     """
-    terms, updates = with_term(active), with_update(active)
+    terms, updates = with_term(active), with_update(active, theta)
     now = np.zeros(s.N_SIGNALS)
     c = np.zeros(s.N_CONTRIBUTIONS)
     n = trajectory.shape[0]

@@ -21,7 +21,7 @@ from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.equation_error import residuals
 from eha_monitor.mismatch.likelihood.gains import Unknowns, decay_of, gains_of
 from eha_monitor.mismatch.likelihood.innovations import FREE, N_FILTERED, innovate
-from eha_monitor.physics.contributions import new_memory
+from eha_monitor.physics.contributions import turned_memory
 from eha_monitor.physics.plant import N_OUTPUTS, new_past, new_state
 
 MOVED = 0.03  # of the logarithm of a base parameter: its own and the others' slopes have changed
@@ -149,8 +149,8 @@ def filtered(experiment: Experiment, stretch, theta, active, gains, states: bool
     kept = np.empty((n if states else 0, N_FILTERED))
     y = start_of(experiment, stretch if begin is None else begin)
     innovate(stretch.z, stretch.u, stretch.p1, stretch.p2, experiment.mode, experiment.dt,
-             experiment.steps, theta, active, gains, decay_of(experiment), y, new_memory(),
-             new_past(y), role, e, kept)
+             experiment.steps, theta, active, gains, decay_of(experiment), y,
+             turned_memory(stretch.begins_at), new_past(y), role, e, kept)
     return e, kept
 
 

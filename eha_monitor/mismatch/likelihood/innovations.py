@@ -73,7 +73,7 @@ def innovate(z, u, p1, p2, mode, dt, steps, theta, active, gains, decay, y, memo
     """
     n = z.shape[0]
     w = circuit_of(theta, active)
-    terms, updates, places = with_term(active), with_update(active), with_place(active)
+    terms, updates, places = with_term(active), with_update(active, theta), with_place(active)
     c, s = np.zeros(N_CONTRIBUTIONS), np.zeros(N_SIGNALS)
     shown = np.zeros(N_OUTPUTS)
     by_output = np.empty((gains.shape[0], N_OUTPUTS, gains.shape[1]))
@@ -139,7 +139,7 @@ def transition(mode, dt, steps, theta, active, memory, decay, y, u, shifts, a, h
     a : (N_FILTERED, N_FILTERED), hh : (N_OUTPUTS, N_FILTERED), written.
     """
     w = circuit_of(theta, active)
-    terms, updates = with_term(active), with_update(active)
+    terms, updates = with_term(active), with_update(active, theta)
     c, s = np.zeros(N_CONTRIBUTIONS), np.zeros(N_SIGNALS)
     past = np.zeros((RING, 4))
     shown = np.zeros((2, N_OUTPUTS))

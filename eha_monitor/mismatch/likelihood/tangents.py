@@ -37,7 +37,7 @@ from eha_monitor.physics.contributions import (
     N_EFFECTS,
     circuit_of,
     effect_at,
-    new_memory,
+    turned_memory,
     with_place,
     with_term,
     with_update,
@@ -128,15 +128,15 @@ class Track:
         w = circuit_of(theta, active)
         slow = bool(mode == CLOSED and lags(w))
         shortest = SHORTEST_LAG * dt / experiment.steps
-        updates = with_update(active)
+        updates = with_update(active, theta)
         self.model = Model(mode, dt, experiment.steps, theta, w, slow,
                            max(w[s.DRIVE_LAG], shortest), shortest, with_term(active), updates,
                            with_place(active))
         self.e, states = np.empty((n, N_OUTPUTS)), np.zeros((n, N_FILTERED + 2 * len(updates)))
         y = start_of(experiment, stretch)
         innovate(stretch.z, stretch.u, stretch.p1, stretch.p2, mode, dt, experiment.steps, theta,
-                 active, fit.gains, decay_of(experiment), y, new_memory(), new_past(y), self.role,
-                 self.e, states)
+                 active, fit.gains, decay_of(experiment), y, turned_memory(stretch.begins_at),
+                 new_past(y), self.role, self.e, states)
         self.astray = not np.nanmax(np.abs(self.e), initial=0.0) < 1e29
         if self.astray:
             return
@@ -144,7 +144,7 @@ class Track:
         before_corrections(states, self.e, fit.gains, self.role, dt, theta, ends, self.shifts)
         slopes, slopes_end = np.zeros((2, n, N_MOVED))
         self.motion = Motion(stretch.u, stretch.p1, stretch.p2, states, ends, slopes, slopes_end)
-        slopes_along(self.model, self.motion, new_memory())
+        slopes_along(self.model, self.motion, turned_memory(stretch.begins_at))
         self.linearise()
 
     def linearise(self) -> None:
@@ -160,13 +160,15 @@ class Track:
         varying = len(model.terms) > 0 or np.isfinite(model.w[[s.SPEED_LIMIT, s.SLEW_LIMIT]]).any()
         jacs = np.zeros((n if varying else 1, N_RATES, N_FILTERED))
         hard = np.zeros(n, dtype=np.bool_)
-        jacobians(model, motion, size, new_memory(), jacs)
+        memory = turned_memory(self.stretch.begins_at)
+        jacobians(model, motion, size, memory, jacs)
         constant = jacs[0]
         if varying:
             constant = np.median(jacs[:: max(n // POINTS, 1)], axis=0)
             limits = REMEMBERING if len(model.updates) else FORGETTING
             turns_over(model, motion, jacs, constant, rate, limits, hard)
-        self.points = points_of(model, motion, hard, size, new_memory())
+        self.points = points_of(model, motion, hard, size,
+                                turned_memory(self.stretch.begins_at))
         shaft = np.zeros((n, N_FILTERED))
         if self.experiment.used[4]:
             shafts(model, motion, shaft)
@@ -201,9 +203,11 @@ def lanes_of(fit: Fit, lanes: Sequence[Lane]) -> Lanes:
             kinds[i] = BALANCE if lane.theta[s.K_POS] == fit.theta[s.K_POS] else DRIVE
         else:
             kinds[i] = TERM if len(with_term(np.arange(N_EFFECTS) == which[i])) else DRIVE
-    flags = [np.array([kind == TERM and len(has(np.arange(N_EFFECTS) == place)) > 0
-                       for kind, place in zip(kinds, which, strict=True)])
-             for has in (with_update, with_place)]
+    alone = [np.arange(N_EFFECTS) == place for place in which]
+    terms = kinds == TERM
+    flags = [terms & np.array([len(with_update(one, lane.theta)) > 0
+                               for one, lane in zip(alone, lanes, strict=True)], dtype=bool),
+             terms & np.array([len(with_place(one)) > 0 for one in alone], dtype=bool)]
     count = len(lanes)
     return Lanes(kinds, which, np.array([lane.theta for lane in lanes]),
                  np.array([circuit_of(lane.theta, lane.active) for lane in lanes]), *flags,

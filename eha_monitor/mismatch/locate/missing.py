@@ -12,7 +12,7 @@ from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import (
     ALL_NAMES,
     circuit_of,
-    new_memory,
+    turned_memory,
 )
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
@@ -40,7 +40,7 @@ def contributed(experiment: Experiment, fit: Fit, trajectory: np.ndarray,
     active[[ALL_NAMES.index(name) for name in names]] = True
     found = np.zeros((len(trajectory), s.N_CONTRIBUTIONS))
     contributions_along(trajectory, experiment.dt, experiment.steps, fit.theta, active,
-                        new_memory(), found)
+                        turned_memory(float(trajectory[0, s.ANGLE])), found)
     return found
 
 
