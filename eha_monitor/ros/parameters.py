@@ -4,9 +4,10 @@ import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import BaseModel
+from pydantic_core import PydanticCustomError
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -18,6 +19,8 @@ from rclpy.parameter import Parameter
 
 from eha_monitor.errors import InputError
 from eha_monitor.settings import Settings, settings_from_tree
+from eha_monitor.settings.monitor import LIMITS
+from eha_monitor.units import LARGEST, to_si
 
 # Sections that each node reads; a key of another section is not declared on it.
 MONITOR_KEYS = ("rig", "channels", "noise", "stage_one", "stage_two", "discretisation",
@@ -27,6 +30,8 @@ SIMULATOR_KEYS = ("rig", "channels", "simulation", "effects", "monitor")
 RUNTIME_SECTION = "thresholds"
 # Parameters that rclpy itself declares.
 _ROS_OWN = ("use_sim_time", "qos_overrides", "start_type_description_service")
+# A ROS parameter knows no null: this number stands for it, and these words for the number.
+UNSET, _UNSET_WORDS = math.nan, ("nan", ".nan", "null", "none", "~", "")
 
 
 @dataclass(frozen=True)
@@ -40,6 +45,8 @@ class Entry:
     description, unit : from the declaration.
     lower, upper : range of a number, None where there is none.
     read_only : whether it is fixed once the node runs.
+    number : whether it is one, or may be.
+    optional : whether it may be null.
     """
 
     name: str
@@ -49,12 +56,28 @@ class Entry:
     lower: float | None
     upper: float | None
     read_only: bool
+    number: bool = False
+    optional: bool = False
+
+    @property
+    def shown(self) -> Any:
+        """The value as ROS is shown it: a number that is not set is NaN.
+
+        A parameter without a value would make rclpy answer nothing to whoever asks for all.
+        """
+        if self.value is None:
+            return UNSET if self.number else ""
+        return self.value
 
     def descriptor(self) -> ParameterDescriptor:
         """Return the ROS descriptor."""
         unit = f" [{self.unit}]" if self.unit not in ("", "1") else ""
         descriptor = ParameterDescriptor(description=f"{self.description}{unit}",
                                          read_only=self.read_only)
+        if self.optional and self.number:
+            # A range in ROS's own form would refuse the NaN of what is not set.
+            descriptor.additional_constraints = self._constraints()
+            return descriptor
         if self.lower is None and self.upper is None:
             return descriptor
         if isinstance(self.value, int):
@@ -67,6 +90,18 @@ class Entry:
                 from_value=float(-largest if self.lower is None else self.lower),
                 to_value=float(largest if self.upper is None else self.upper))]
         return descriptor
+
+
+    def _constraints(self) -> str:
+        """Return the range in words, and what stands for no number."""
+        lower, upper = (f"{limit:g}" for limit in (
+            -LARGEST if self.lower is None else self.lower,
+            LARGEST if self.upper is None else self.upper))
+        unit = "" if self.unit in ("", "1") else f" {self.unit}"
+        text = f"a number from {lower} to {upper}{unit}; .nan: "
+        if self.name.rpartition(".")[2] in LIMITS:
+            return f"{text}no limit; expected {' <= '.join(LIMITS)}"
+        return f"{text}the rig has none, or it is not known"
 
 
 def parameter_table(settings: Settings, keys: tuple[str, ...]) -> list[Entry]:
@@ -82,10 +117,11 @@ def _collect(name: str, value: Any, field, context: str, entries: list[Entry]) -
     description = (field.description or "") if field is not None else ""
     if isinstance(value, BaseModel):
         for key, inner in type(value).model_fields.items():
-            _collect(f"{name}.{key}", getattr(value, key), inner, description, entries)
+            _collect(f"{name}.{key}", getattr(value, key), inner, description or context, entries)
     elif isinstance(value, dict):
+        words = (field.json_schema_extra or {}).get("entries", {}) if field is not None else {}
         for key, inner in value.items():
-            _collect(f"{name}.{key}", inner, None, description, entries)
+            _collect(f"{name}.{key}", inner, None, words.get(key, description or context), entries)
     elif isinstance(value, tuple):
         entries.append(_entry(name, list(value), field, context))
     else:
@@ -95,15 +131,18 @@ def _collect(name: str, value: Any, field, context: str, entries: list[Entry]) -
 def _entry(name: str, value: Any, field, context: str) -> Entry:
     lower = upper = None
     unit = description = ""
+    kinds: tuple = ()
     if field is not None:
         description = field.description or ""
         unit = (field.json_schema_extra or {}).get("unit", "")
+        kinds = get_args(field.annotation) or (field.annotation,)
         for constraint in field.metadata:
             lower = getattr(constraint, "ge", getattr(constraint, "gt", lower))
             upper = getattr(constraint, "le", getattr(constraint, "lt", upper))
     text = ": ".join(part for part in (context, description) if part)
     return Entry(name, value, text, unit, lower, upper,
-                 not name.startswith(f"{RUNTIME_SECTION}."))
+                 not name.startswith(f"{RUNTIME_SECTION}."),
+                 float in kinds or isinstance(value, float), type(None) in kinds)
 
 
 def overridden(settings: Settings, changes: dict[str, Any], source: str) -> Settings:
@@ -129,6 +168,25 @@ def overridden(settings: Settings, changes: dict[str, Any], source: str) -> Sett
             place = inner
         place[last] = value
     return settings_from_tree(tree, source)
+
+
+def number_of(value: Any, unit: str) -> Any:
+    """Return what was set as a number in ``unit``; what is none stays as it is.
+
+    >>> number_of(5, "Pa"), number_of("9e8", "Pa"), number_of("900 MPa", "Pa")
+    (5.0, 900000000.0, 900000000.0)
+    """
+    if isinstance(value, str):
+        if value.strip().lower() in _UNSET_WORDS:
+            return UNSET
+        try:
+            value = float(value)
+        except ValueError:
+            try:
+                value = to_si(value, unit or "1")
+            except PydanticCustomError:
+                return value
+    return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
 
 
 def settings_of_node(node: Node, settings: Settings, source: str = "ROS parameters") -> Settings:
@@ -167,11 +225,13 @@ def declare(node: Node, settings: Settings, keys: tuple[str, ...],
     """
     table = parameter_table(settings, keys)
     for entry in table:
-        value = Parameter.Type.DOUBLE if entry.value is None else entry.value
-        if entry.value is None and entry.read_only:
-            continue  # a read-only value that is not set could never be shown
-        node.declare_parameter(entry.name, value, entry.descriptor(), ignore_override=True)
+        node.declare_parameter(entry.name, entry.shown, entry.descriptor(), ignore_override=True)
+    units = {entry.name: entry.unit for entry in table if entry.number}
     current = [settings]
+
+    def convert(parameters: list[Parameter]) -> list[Parameter]:
+        return [p if p.name not in units else
+                Parameter(p.name, value=number_of(p.value, units[p.name])) for p in parameters]
 
     def validate(parameters: list[Parameter]) -> SetParametersResult:
         changes = {p.name: p.value for p in parameters if not p.name.startswith(_ROS_OWN)}
@@ -190,5 +250,7 @@ def declare(node: Node, settings: Settings, keys: tuple[str, ...],
             if on_change is not None:
                 on_change(current[0])
 
+    # Before rclpy compares the types: ``ros2 param set`` makes an integer of 5 and a text of 9e8.
+    node.add_pre_set_parameters_callback(convert)
     node.add_on_set_parameters_callback(validate)
     node.add_post_set_parameters_callback(apply)
