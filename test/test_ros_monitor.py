@@ -194,7 +194,7 @@ def test_overrides_are_validated_like_a_config(graph):
     assert (found.rig.mass, found.thresholds.confidence) == (25.0, 3.0)
     for name, value, words in (("rig.mas", 2.0, "did you mean 'mass'"),
                                ("rig.mass", -2.0, "more than 0 in kg"),
-                               ("rig.mass.heavy", 1.0, "no keys of its own"),
+                               ("rig.mass.heavy", 1.0, "expected a number in kg"),
                                ("monitor.namespace", "/other", "__ns:=/other")):
         node = graph.node(f"b{len(graph.nodes)}", "/eha", [Parameter(name, value=value)])
         with pytest.raises(InputError, match=words) as caught:

@@ -23,6 +23,7 @@ from eha_monitor.ros.inputs import Topic, topics_of
 from eha_monitor.ros.messages import findings_of
 from eha_monitor.ros.outputs import LATCHED
 from eha_monitor.ros.parameters import settings_of_node
+from eha_monitor.ros.params_file import with_namespace
 from eha_monitor.ros.subscriptions import TopicInput
 from eha_monitor.settings import Settings, load_settings
 
@@ -136,7 +137,7 @@ def run_dashboard(config: Path | None, ros_args: list[str], port: int,
     if foxglove is not None:
         with _optional("--foxglove", "foxglove"):
             from eha_monitor.ros.foxglove_server import serving_foxglove
-    settings = load_settings(config)
+    settings = with_namespace(load_settings(config), ros_args, "dashboard")
     with (claim(port) as listener, running.ros_session(ros_args),
           running.node("dashboard", settings.monitor.namespace) as node):
         settings = settings_of_node(node, settings)

@@ -19,6 +19,7 @@ from rclpy.parameter import Parameter
 
 from eha_monitor.errors import InputError
 from eha_monitor.settings import Settings, settings_from_tree
+from eha_monitor.settings.load import ROS_OWN
 from eha_monitor.settings.monitor import LIMITS
 from eha_monitor.units import LARGEST, to_si
 
@@ -28,8 +29,7 @@ MONITOR_KEYS = ("rig", "channels", "noise", "stage_one", "stage_two", "discretis
 SIMULATOR_KEYS = ("rig", "channels", "simulation", "effects", "monitor")
 # What may change while the node runs.
 RUNTIME_SECTION = "thresholds"
-# Parameters that rclpy itself declares.
-_ROS_OWN = ("use_sim_time", "qos_overrides", "start_type_description_service")
+_STRETCHES = ("excitation", "test_excitation")
 # A ROS parameter knows no null: this number stands for it, and these words for the number.
 UNSET, _UNSET_WORDS = math.nan, ("nan", ".nan", "null", "none", "~", "")
 
@@ -65,9 +65,7 @@ class Entry:
 
         A parameter without a value would make rclpy answer nothing to whoever asks for all.
         """
-        if self.value is None:
-            return UNSET if self.number else ""
-        return self.value
+        return UNSET if self.value is None and self.number else self.value
 
     def descriptor(self) -> ParameterDescriptor:
         """Return the ROS descriptor."""
@@ -145,15 +143,29 @@ def _entry(name: str, value: Any, field, context: str) -> Entry:
                  float in kinds or isinstance(value, float), type(None) in kinds)
 
 
-def overridden(settings: Settings, changes: dict[str, Any], source: str) -> Settings:
+def overridden(settings: Settings, changes: dict[str, Any], source: str,
+               as_config: bool = False) -> Settings:
     """Return the settings with dotted keys changed; NaN stands for null.
+
+    Parameters
+    ----------
+    as_config : whether the changes count as what the config itself says: beside a limit that is
+        given, a default one that is out of order with it goes, and the numbers of the rig that
+        nobody has given stay known as such.
 
     Raises
     ------
     InputError
         One line that names the key and what was expected.
     """
-    tree = settings.model_dump()
+    tree = settings.model_dump(exclude_unset=as_config)
+    tree["simulation"] = settings.simulation.model_dump()
+    for stretches in _STRETCHES if as_config else ():
+        # A part of a default stretch changes it; whole stretches stand in place of the default.
+        whole = any(name.startswith(f"simulation.{stretches}.") and name.endswith(".kind")
+                    for name in changes)
+        if whole and stretches not in settings.simulation.model_fields_set:
+            tree["simulation"][stretches] = {}
     for name, value in changes.items():
         if isinstance(value, float) and math.isnan(value):
             value = None
@@ -202,8 +214,8 @@ def settings_of_node(node: Node, settings: Settings, source: str = "ROS paramete
     """
     given = {name: parameter.value
              for name, parameter in node.get_parameters_by_prefix("").items()
-             if name.split(".")[0] not in _ROS_OWN}
-    changed = overridden(settings, given, source)
+             if name.split(".")[0] not in ROS_OWN}
+    changed = overridden(settings, given, source, as_config=True)
     if changed.monitor.namespace != settings.monitor.namespace:
         raise InputError(f"{source}: monitor.namespace: expected it in --config, or as a remap "
                          f"'-r __ns:={changed.monitor.namespace}'")
@@ -225,6 +237,8 @@ def declare(node: Node, settings: Settings, keys: tuple[str, ...],
     """
     table = parameter_table(settings, keys)
     for entry in table:
+        if entry.shown is None:
+            continue  # a text that is not set could never be shown
         node.declare_parameter(entry.name, entry.shown, entry.descriptor(), ignore_override=True)
     units = {entry.name: entry.unit for entry in table if entry.number}
     current = [settings]
@@ -234,7 +248,7 @@ def declare(node: Node, settings: Settings, keys: tuple[str, ...],
                 Parameter(p.name, value=number_of(p.value, units[p.name])) for p in parameters]
 
     def validate(parameters: list[Parameter]) -> SetParametersResult:
-        changes = {p.name: p.value for p in parameters if not p.name.startswith(_ROS_OWN)}
+        changes = {p.name: p.value for p in parameters if not p.name.startswith(ROS_OWN)}
         if not changes:
             return SetParametersResult(successful=True)
         try:
@@ -244,7 +258,7 @@ def declare(node: Node, settings: Settings, keys: tuple[str, ...],
         return SetParametersResult(successful=True)
 
     def apply(parameters: list[Parameter]) -> None:
-        changes = {p.name: p.value for p in parameters if not p.name.startswith(_ROS_OWN)}
+        changes = {p.name: p.value for p in parameters if not p.name.startswith(ROS_OWN)}
         if changes:
             current[0] = overridden(current[0], changes, "parameter")
             if on_change is not None:

@@ -18,6 +18,7 @@ from eha_monitor.physics.simulator import Simulator
 from eha_monitor.ros import running
 from eha_monitor.ros.inputs import HELD, Entry, message_class, topics_of
 from eha_monitor.ros.parameters import SIMULATOR_KEYS, declare, settings_of_node
+from eha_monitor.ros.params_file import with_namespace
 from eha_monitor.settings import Settings, load_settings
 
 # Reliable suits subscribers of either kind.
@@ -172,7 +173,7 @@ def run_simulator(config: Path | None, ros_args: list[str], duration: float | No
     InputError
         If the config, a parameter or a ROS argument is wrong.
     """
-    settings = load_settings(config)
+    settings = with_namespace(load_settings(config), ros_args, "simulator")
     with (running.ros_session(ros_args),
           running.node("simulator", settings.monitor.namespace) as node):
         settings = settings_of_node(node, settings)
