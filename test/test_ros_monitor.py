@@ -83,7 +83,7 @@ def test_data_that_stop_make_everything_stale_in_time(graph):
     graph.until(lambda: levels(health[-1])["eha: data"] == DiagnosticStatus.STALE)
     assert time.monotonic() - stopped < 0.4 + 0.5
     assert levels(health[-1])["eha: viscous_damping_high"] == DiagnosticStatus.STALE
-    assert "data stopped: nothing on joint_states" in health[-1].status[0].message
+    assert "data stopped: nothing on /eha/joint_states" in health[-1].status[0].message
     sender.send(300, 200)
     graph.until(lambda: levels(health[-1])["eha: viscous_damping_high"] == DiagnosticStatus.OK)
 
@@ -123,7 +123,7 @@ def test_a_missing_pressure_makes_only_damping_stale(graph):
     graph.until(lambda: len(estimator.rows) == 500)
     by_name = {alarm.name: alarm for alarm in monitor.board.alarms}
     assert by_name["viscous_damping_high"].level == "STALE"
-    assert "p1 (topic pressure/chamber_1)" in by_name["viscous_damping_high"].message
+    assert "p1 (topic /eha/pressure/chamber_1)" in by_name["viscous_damping_high"].message
     assert by_name["bulk_modulus_low"].level == "OK"
 
 

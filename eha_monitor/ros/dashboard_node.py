@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,15 +32,16 @@ FOLLOW_PERIOD, TAKE_PERIOD = 1.0, 0.05  # s
 SHOWN_QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
-def position_topic(settings: Settings, source: str) -> Topic:
+def position_topic(settings: Settings, source: str,
+                   resolve: Callable[[str], str] = str) -> Topic:
     """Return the topic of the measured position, and of its streams only that one."""
-    for topic in topics_of(settings, source):
+    for topic in topics_of(settings, source, resolve):
         for entry in topic.entries:
             position = tuple(pair for pair in entry.channels if pair[0] == "x")
             if position:
                 stream = replace(entry, channels=position,
                                  source=Source(entry.source.name, ("x",), entry.source.held))
-                return Topic(topic.name, (stream,))
+                return Topic(topic.name, (stream,), topic.full_name)
     raise InputError(f"{source}: channels.x: expected the position's topic")
 
 
@@ -62,7 +63,7 @@ class Listener:
     def __init__(self, node: Node, settings: Settings, source: str = "config"):
         self.state = State(settings, time.time)
         name = node.resolve_topic_name
-        measured = position_topic(settings, source)
+        measured = position_topic(settings, source, name)
         self.topics = {"measured": name(measured.name),
                        "estimates": ", ".join(name(f"monitor/{w.section}") for w in WATCHED),
                        "estimated": name("monitor/joint_states"),

@@ -58,8 +58,8 @@ class Monitor:
             from eha_monitor.filters.live import LiveEstimator as estimator_factory
         self.node, self.settings = node, settings
         self.board = AlarmBoard(settings)
-        self._topics = topics_of(settings, source)
-        self._topic_of = {channel: t.name for t in self._topics for e in t.entries
+        self._topics = topics_of(settings, source, node.resolve_topic_name)
+        self._topic_of = {channel: t.full_name for t in self._topics for e in t.entries
                           for channel, _ in e.channels}
         self._estimator = estimator_factory(settings)
         self.keeper = Keeper(node, settings)
@@ -122,7 +122,7 @@ class Monitor:
         self.data.stopped = "the monitor is not active"
         self.board.stale(self._seconds(), self.data.stopped)
         self._publish_health()
-        self._topics = topics_of(self.settings)  # streams without a past
+        self._topics = topics_of(self.settings, resolve=self.node.resolve_topic_name)  # no past
         self._estimator.reset("deactivated")
         self._begin_anew()
 

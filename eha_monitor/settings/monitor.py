@@ -254,3 +254,8 @@ class Settings(Section):
     effects: Annotated[dict[str, dict[str, float | str | list[float]]],
                        BeforeValidator(effects_field)] = Field(
         {}, description="modelled physics beyond the linear model")
+
+    @property
+    def frame_id(self) -> str:
+        """The frame_id of published messages: that of the config, else the rig's name."""
+        return self.monitor.frame_id or self.rig.name
