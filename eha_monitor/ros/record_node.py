@@ -14,6 +14,7 @@ from eha_monitor.health.alarms import WATCHED
 from eha_monitor.recordings.write import BagWriter, TopicType
 from eha_monitor.ros import running
 from eha_monitor.ros.inputs import check_topic, message_class
+from eha_monitor.ros.outputs import ESTIMATES
 from eha_monitor.ros.params_file import with_namespace
 from eha_monitor.settings import Settings, load_settings
 
@@ -32,7 +33,7 @@ def topics_to_record(settings: Settings) -> tuple[str, ...]:
                            if channel.topic)
     outputs = [f"monitor/{watched.section}{end}" for watched in WATCHED
                for end in ("", "_stddev")]
-    return (*inputs, *outputs, "monitor/joint_states", "monitor/health", "/diagnostics")
+    return (*inputs, *outputs, ESTIMATES, "monitor/joint_states", "monitor/health", "/diagnostics")
 
 
 class Recorder:

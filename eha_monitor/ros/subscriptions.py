@@ -40,6 +40,7 @@ class TopicInput:
 
     Attributes
     ----------
+    key : of the topic in the diagnostics: its name in the config, or that of a remap.
     messages : how many came.
     type : of the messages, such as ``sensor_msgs/msg/JointState``; None before it is known.
     waits : whether more were waiting than could be taken the last time.
@@ -47,6 +48,9 @@ class TopicInput:
 
     def __init__(self, node: Node, topic: Topic, qos: QoSProfile = INPUT_QOS):
         self.topic = topic
+        own = f"{node.get_namespace().rstrip('/')}/{topic.name}"
+        self.key = (topic.name if topic.full_name in (own, topic.name) else
+                    topic.full_name).strip("/").replace("/", "_")
         self.messages = 0
         self.type: str | None = None
         self.waits = False
