@@ -19,7 +19,7 @@ FILTER = re.compile(r'\{name=="([^"]+)"\}')
 
 @pytest.fixture
 def published(graph):
-    """Topics of a graph with a monitor fed; of health and estimates: name -> keys of the values."""
+    """Topics of a fed monitor's graph; of health and estimates: name -> keys of the values."""
     _monitor, estimator, sender = start(graph)
     estimator.snapshot = lambda: with_consistency(Recorder.snapshot(estimator))
     heard = listen(graph, DiagnosticArray, "/eha/monitor/health", LATCHED)
