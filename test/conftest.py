@@ -39,10 +39,10 @@ class Graph:
         self.executor = EventsExecutor()
         self.nodes = []
 
-    def node(self, name, namespace="", parameters=()):
+    def node(self, name, namespace="", parameters=(), **options):
         """Make a node as the commands make theirs."""
         made = self._rclpy.node.Node(
-            name, namespace=namespace, parameter_overrides=list(parameters),
+            name, namespace=namespace, parameter_overrides=list(parameters), **options,
             automatically_declare_parameters_from_overrides=True)
         self.executor.add_node(made)
         self.nodes.append(made)

@@ -19,16 +19,20 @@ FILTER = re.compile(r'\{name=="([^"]+)"\}')
 
 @pytest.fixture
 def published(graph):
-    """Topics of the graph with a monitor fed, and its statuses: name -> keys of the values."""
+    """Topics of a fed monitor's graph; of health and estimates: name -> keys of the values."""
     _monitor, estimator, sender = start(graph)
     estimator.snapshot = lambda: with_consistency(Recorder.snapshot(estimator))
     heard = listen(graph, DiagnosticArray, "/eha/monitor/health", LATCHED)
+    estimates = listen(graph, DiagnosticArray, "/eha/monitor/estimates")
     sender.send(0, 100)
-    graph.until(lambda: heard and any(
+    graph.until(lambda: heard and estimates and any(
         pair.key == "innovation_nis" for status in heard[-1].status for pair in status.values))
     topics = {name for name, _ in graph.nodes[0].get_topic_names_and_types()}
-    return topics, {status.name: {pair.key for pair in status.values}
-                    for status in heard[-1].status}
+    return topics, _keys(heard[-1]), _keys(estimates[-1])
+
+
+def _keys(message):
+    return {status.name: {pair.key for pair in status.values} for status in message.status}
 
 
 def with_consistency(snapshot: LiveSnapshot) -> LiveSnapshot:
@@ -37,7 +41,7 @@ def with_consistency(snapshot: LiveSnapshot) -> LiveSnapshot:
 
 
 def test_plotjuggler_layout(published):
-    topics, statuses = published
+    topics, statuses, estimates = published
     root = ElementTree.parse(CONFIG / "plotjuggler_layout.xml").getroot()
     selected = {topic.get("name") for topic in root.iter("topic")}
     assert selected <= topics
@@ -48,15 +52,16 @@ def test_plotjuggler_layout(published):
                      if curve.startswith(name + "/"))
         assert topic in selected
         rest = curve.removeprefix(topic + "/").split("/")
-        if topic == "/eha/monitor/health":
+        if topic in ("/eha/monitor/health", "/eha/monitor/estimates"):
             hardware, name, key = rest
-            assert hardware == "eha" and key in statuses[name], curve
+            known = estimates if topic.endswith("estimates") else statuses
+            assert hardware == "eha" and key in known[name], curve
         else:
-            assert rest in (["data"], ["piston", "position"]), curve
+            assert rest == ["piston", "position"], curve
 
 
 def test_foxglove_layout(published):
-    topics, statuses = published
+    topics, statuses, _ = published
     layout = json.loads((CONFIG / "foxglove_layout.json").read_text(encoding="utf-8"))
     panels = layout["configById"]
     paths = [path["value"] for panel in panels.values() for path in panel.get("paths", ())]
@@ -75,7 +80,7 @@ def test_foxglove_layout(published):
 
 def test_diagnostic_aggregator(published):
     """Every status falls into exactly one group, and each group has as many as it expects."""
-    _, statuses = published
+    _, statuses, _ = published
     text = (CONFIG / "diagnostic_aggregator.yaml").read_text(encoding="utf-8")
     groups = [group for group in YAML(typ="safe").load(text)["/**"]["ros__parameters"].values()
               if isinstance(group, dict)]

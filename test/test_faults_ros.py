@@ -33,7 +33,8 @@ def test_a_publisher_that_offers_too_little_is_named(graph):
     node.create_subscription(Float64, "number", print, LATCHING)
     other.create_publisher(Float64, "number", INPUT_QOS)
     told = graph.until(lambda: clashes(node, "number"))
-    assert told[0].startswith("number: the publisher /eha/giver offers a QoS that cannot be taken")
+    assert told[0].startswith(
+        "/eha/number: the publisher /eha/giver offers a QoS that cannot be taken")
 
 
 class Lost(Recorder):

@@ -115,6 +115,36 @@ def test_stamps_that_jitter_are_read_as_a_whole(tmp_path, monkeypatch):
         np.testing.assert_array_equal(found.channels[name], values)
 
 
+@pytest.mark.parametrize("missing", [slice(0, 0), slice(2500, 2600)], ids=["whole", "gap"])
+def test_joints_in_messages_of_their_own_are_read_as_they_come(tmp_path, monkeypatch, missing):
+    """As the simulator and several drivers publish them: piston and pump on one topic."""
+    given_ = channels_of(6.0)
+    stamps = 10**18 + 10**6 * np.arange(6000)
+    apart = [messages_of({name: given_[name]}, stamps, "/eha")[0] for name in ("x", "omega")]
+    rest = messages_of({name: values for name, values in given_.items()
+                        if name not in ("x", "omega")}, stamps, "/eha")
+    kinds = {one.topic: one.msgtype for one in (*apart, *rest)}
+    left_out = set(range(6000)[missing])
+    with BagWriter(tmp_path / "bag", kinds) as writer:
+        for k, stamp in enumerate(stamps.tolist()):
+            for one in (*apart, *rest):
+                if one is not apart[1] or k not in left_out:
+                    writer.write_raw(one.topic, stamp, one.data[k].tobytes())
+    ways, read_ = [], read._read
+    monkeypatch.setattr(read, "_read", lambda *given, **how: ways.append(how) or read_(
+        *given, **how))
+    monkeypatch.setattr(read, "BATCH_BYTES", 150_000)
+    found = read.read_recording(tmp_path / "bag", settings())
+    assert len(ways) == 1  # no second time, as a whole
+    expected = {name: values.copy() for name, values in given_.items()}
+    expected["omega"][missing] = np.nan
+    for name, values in expected.items():
+        np.testing.assert_array_equal(found.channels[name], values, err_msg=name)
+    at_once = read_(tmp_path / "bag", settings(), streamed=False)
+    same(found, at_once, ("channels", "losses"))
+    assert sorted(found.losses) == sorted(at_once.losses)
+
+
 def test_a_bag_of_several_files_is_one_recording(tmp_path, monkeypatch):
     given_ = channels_of(6.0)
     folder = tmp_path / "night"

@@ -17,7 +17,7 @@ from eha_monitor.cli import cli
 ROOT = Path(__file__).parents[1]
 EXECUTABLES = sorted(path.name for path in (ROOT / "executables").iterdir())
 # `config` prints a file; it is no program that a launch file would start.
-COMMANDS = sorted(set(cli.commands) - {"config"})
+COMMANDS = sorted(cli.commands)
 SOURCES = ["eha_monitor", "executables", "scripts", "config", "launch", "bags", "resource",
            "package.xml", "setup.py", "setup.cfg", "pyproject.toml"]
 

@@ -83,7 +83,7 @@ def test_data_that_stop_make_everything_stale_in_time(graph):
     graph.until(lambda: levels(health[-1])["eha: data"] == DiagnosticStatus.STALE)
     assert time.monotonic() - stopped < 0.4 + 0.5
     assert levels(health[-1])["eha: viscous_damping_high"] == DiagnosticStatus.STALE
-    assert "data stopped: nothing on joint_states" in health[-1].status[0].message
+    assert "data stopped: nothing on /eha/joint_states" in health[-1].status[0].message
     sender.send(300, 200)
     graph.until(lambda: levels(health[-1])["eha: viscous_damping_high"] == DiagnosticStatus.OK)
 
@@ -123,7 +123,7 @@ def test_a_missing_pressure_makes_only_damping_stale(graph):
     graph.until(lambda: len(estimator.rows) == 500)
     by_name = {alarm.name: alarm for alarm in monitor.board.alarms}
     assert by_name["viscous_damping_high"].level == "STALE"
-    assert "p1 (topic pressure/chamber_1)" in by_name["viscous_damping_high"].message
+    assert "p1 (topic /eha/pressure/chamber_1)" in by_name["viscous_damping_high"].message
     assert by_name["bulk_modulus_low"].level == "OK"
 
 
@@ -194,7 +194,7 @@ def test_overrides_are_validated_like_a_config(graph):
     assert (found.rig.mass, found.thresholds.confidence) == (25.0, 3.0)
     for name, value, words in (("rig.mas", 2.0, "did you mean 'mass'"),
                                ("rig.mass", -2.0, "more than 0 in kg"),
-                               ("rig.mass.heavy", 1.0, "no keys of its own"),
+                               ("rig.mass.heavy", 1.0, "expected a number in kg"),
                                ("monitor.namespace", "/other", "__ns:=/other")):
         node = graph.node(f"b{len(graph.nodes)}", "/eha", [Parameter(name, value=value)])
         with pytest.raises(InputError, match=words) as caught:

@@ -91,7 +91,7 @@ def test_simulator_monitor_record_replay(graph, tmp_path):
         graph.until(lambda: len(diagnostics) > 1, PATIENCE)
         assert "published" in end(simulator)
         assert "latency from stamp" in end(monitor, signal.SIGINT)
-        assert "on 11 topics" in end(record, signal.SIGINT)
+        assert "on 12 topics" in end(record, signal.SIGINT)
     found = topics(bag)
     assert found["/eha/joint_states"].count > 500
     assert found["/eha/monitor/health"].count >= 1

@@ -64,7 +64,7 @@ class Stream:
         self.begun: Sources = {}
         self.lanes: dict[str, _Lane] = {}
         self.slow: Sources = {}
-        self.last: dict[TopicReader, int] = {}
+        self.last: dict[tuple[TopicReader, Want], int] = {}
         self.origin = self.end = 0
 
     def take(self) -> None:
@@ -116,10 +116,15 @@ class Stream:
         return round(self.settings.channels[name].delay * 1e9)
 
     def _take(self, reader: TopicReader, names: list[str]) -> None:
-        stamps, columns = self._drained(
-            reader, tuple(dict.fromkeys(self.begun[name][1] for name in names)))
-        if not len(stamps):
-            return
+        for stamps, columns in self._drained(
+                reader, tuple(dict.fromkeys(self.begun[name][1] for name in names))):
+            if len(stamps):
+                self._place(stamps, columns, [
+                    name for name in names if self.begun[name][1] in columns])
+
+    def _place(self, stamps: np.ndarray, columns: dict[Want, np.ndarray], names: list[str]
+               ) -> None:
+        """Put channels that share their stamps on the grid."""
         for name in names:
             channel, lane = self.settings.channels[name], self.lanes[name]
             t = (stamps - self._shift(name) - self.origin) * 1e-9
@@ -141,18 +146,20 @@ class Stream:
             self._append(lane.column, index.astype(np.int64), values)
 
     def _drained(self, reader: TopicReader, wants: tuple[Want, ...]
-                 ) -> tuple[np.ndarray, dict[Want, np.ndarray]]:
+                 ) -> list[tuple[np.ndarray, dict[Want, np.ndarray]]]:
         """Return the stamps and columns that a reader has collected, and empty it."""
         taken = reader.take(wants)
         if taken is None:
             raise NotEvenError
-        stamps, columns = taken
-        if len(stamps):
-            steps = np.diff(stamps, prepend=self.last.get(reader, stamps[0] - 1))
+        for stamps, columns in taken:
+            if not len(stamps):
+                continue
+            before = max(self.last.get((reader, want), int(stamps[0]) - 1) for want in columns)
+            steps = np.diff(stamps, prepend=before)
             if (steps <= 0).any() or steps.max() > LONGEST_GAP_S * 1e9:
                 raise NotEvenError
-            self.last[reader] = int(stamps[-1])
-        return stamps, columns
+            self.last |= {(reader, want): int(stamps[-1]) for want in columns}
+        return taken
 
     @staticmethod
     def _append(column: Column, index: np.ndarray, values: np.ndarray) -> None:

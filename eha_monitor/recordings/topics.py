@@ -168,30 +168,39 @@ class TopicReader:
         return self.taken + sum(len(part) for part in self.logs)
 
     def take(self, wants: tuple[Want, ...]
-             ) -> tuple[np.ndarray, dict[Want, np.ndarray]] | None:
+             ) -> list[tuple[np.ndarray, dict[Want, np.ndarray]]] | None:
         """Return header stamps and the wanted values of what was collected, and forget it.
 
-        None, and nothing is forgotten, where some message lacks one of them or a stamp, or holds
-        a number of the others.
+        Joints that come in messages of their own have stamps of their own, each group an entry
+        of the list.  None, and nothing is forgotten, where some message lacks a stamp, or one
+        of the wanted that comes with others of it, or holds a number that is not wanted.
         """
-        every = (*wants, *STAMP)
         if self.unreadable or not self.stamped or not all(
-                part.all() for want in every for part in self.present[want]):
+                part.all() for want in STAMP for part in self.present[want]):
+            return None
+        groups: dict[bytes, list[Want]] = {}
+        for want in wants:
+            there = np.concatenate([np.empty(0, np.bool_), *self.present[want]])
+            groups.setdefault(there.tobytes(), []).append(want)
+        masks = [np.frombuffer(key, dtype=np.bool_) for key in groups]
+        if not (np.sum(masks, axis=0) == 1).all():
             return None
         others = [want for want in self.wants if want not in wants]
         if any(np.isfinite(part).any() for want in others for part in self.columns[want]):
             return None
-        columns = {want: np.concatenate([np.empty(0), *self.columns[want]]) for want in wants}
         seconds, rest = (np.concatenate([np.empty(0, np.int64), *self.columns[want]])
                          for want in STAMP)
         stamps = seconds * 1_000_000_000 + rest
         if not stamps.all():
             return None
+        found = [(stamps[mask], {
+            want: np.concatenate([np.empty(0), *self.columns[want]])[mask] for want in group})
+            for mask, group in zip(masks, groups.values(), strict=True)]
         self.taken += len(stamps)
         self.logs = []
         for want in self.asked:
             self.columns[want], self.present[want] = [], []
-        return stamps, columns
+        return found
 
     def series(self, want: Want) -> Series | None:
         """Return what was collected, or None where no message held it or all of it is NaN."""

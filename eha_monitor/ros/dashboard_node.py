@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from eha_monitor.ros.inputs import Topic, topics_of
 from eha_monitor.ros.messages import findings_of
 from eha_monitor.ros.outputs import LATCHED
 from eha_monitor.ros.parameters import settings_of_node
+from eha_monitor.ros.params_file import with_namespace
 from eha_monitor.ros.subscriptions import TopicInput
 from eha_monitor.settings import Settings, load_settings
 
@@ -31,15 +32,16 @@ FOLLOW_PERIOD, TAKE_PERIOD = 1.0, 0.05  # s
 SHOWN_QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
-def position_topic(settings: Settings, source: str) -> Topic:
+def position_topic(settings: Settings, source: str,
+                   resolve: Callable[[str], str] = str) -> Topic:
     """Return the topic of the measured position, and of its streams only that one."""
-    for topic in topics_of(settings, source):
+    for topic in topics_of(settings, source, resolve):
         for entry in topic.entries:
             position = tuple(pair for pair in entry.channels if pair[0] == "x")
             if position:
                 stream = replace(entry, channels=position,
                                  source=Source(entry.source.name, ("x",), entry.source.held))
-                return Topic(topic.name, (stream,))
+                return Topic(topic.name, (stream,), topic.full_name)
     raise InputError(f"{source}: channels.x: expected the position's topic")
 
 
@@ -61,7 +63,7 @@ class Listener:
     def __init__(self, node: Node, settings: Settings, source: str = "config"):
         self.state = State(settings, time.time)
         name = node.resolve_topic_name
-        measured = position_topic(settings, source)
+        measured = position_topic(settings, source, name)
         self.topics = {"measured": name(measured.name),
                        "estimates": ", ".join(name(f"monitor/{w.section}") for w in WATCHED),
                        "estimated": name("monitor/joint_states"),
@@ -136,7 +138,7 @@ def run_dashboard(config: Path | None, ros_args: list[str], port: int,
     if foxglove is not None:
         with _optional("--foxglove", "foxglove"):
             from eha_monitor.ros.foxglove_server import serving_foxglove
-    settings = load_settings(config)
+    settings = with_namespace(load_settings(config), ros_args, "dashboard")
     with (claim(port) as listener, running.ros_session(ros_args),
           running.node("dashboard", settings.monitor.namespace) as node):
         settings = settings_of_node(node, settings)

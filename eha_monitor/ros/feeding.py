@@ -22,7 +22,7 @@ def unfed(symbol: str, seen: Mapping[str, int], row_ns: int, inputs: Sequence[To
     row_ns : stamp of the last row, ns.
     """
     limit = settings.monitor.stale_after * 1e9
-    topic_of = {channel: each.topic.name for each in inputs for entry in each.topic.entries
+    topic_of = {channel: each.topic.full_name for each in inputs for entry in each.topic.entries
                 for channel, _ in entry.channels}
     lacking = [[name for name in ("x", *choice) if row_ns - seen.get(name, -limit * 2) > limit]
                for choice in NEEDS.get(symbol, ())]

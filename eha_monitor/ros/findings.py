@@ -7,14 +7,13 @@ from eha_monitor.filters.results import Consistency, Event, ModelStatus, Paramet
 from eha_monitor.health.alarms import ADVICE, WATCHED, AlarmBoard
 from eha_monitor.health.finding import Finding
 from eha_monitor.health.overload import Overload
-from eha_monitor.ros.messages import alarm_finding
+from eha_monitor.ros.messages import ESTIMATE_LEVELS, alarm_finding
 from eha_monitor.settings.monitor import Settings
 
 STAGES = {"one": WATCHED[0], "two": WATCHED[1]}
 # Keys of the values that dashboards plot.
 KEYS = {"B": "viscous_damping_Ns_per_m", "beta_e": "bulk_modulus_Pa"}
 MISMATCH = "model_mismatch"
-_STATUS_LEVEL = {"converged": "OK", "not_excited": "OK", "diverged": "ERROR", "no_data": "STALE"}
 _MODEL_LEVEL = {"consistent": "OK", "mismatch": "WARN"}  # else STALE: it has not been tested
 
 
@@ -149,7 +148,7 @@ def _stage(stage: str, estimate: ParameterEstimate | None, consistency: Consiste
                    "innovation_variance_ratio": consistency.variance_ratio,
                    "innovation_samples": consistency.samples}
     values |= _last(event)
-    level = "STALE" if data.stopped else _STATUS_LEVEL[estimate.status]
+    level = "STALE" if data.stopped else ESTIMATE_LEVELS[estimate.status]
     if level == "ERROR" and estimate.name in data.unsettled:
         level = "WARN"
     return Finding(name, level, data.stopped or estimate.message or estimate.status, values)

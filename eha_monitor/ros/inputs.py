@@ -3,7 +3,7 @@
 import importlib
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,10 +36,17 @@ class Entry:
 
 @dataclass(frozen=True)
 class Topic:
-    """One topic to subscribe to, and the streams it carries."""
+    """One topic to subscribe to, and the streams it carries.
+
+    Attributes
+    ----------
+    name : as the config has it, before any remap.
+    full_name : as it is on the graph, for messages to people.
+    """
 
     name: str
     entries: tuple[Entry, ...]
+    full_name: str
 
     @property
     def default_type(self) -> str | None:
@@ -49,8 +56,14 @@ class Topic:
         return kinds.pop() if len(kinds) == 1 else None
 
 
-def topics_of(settings: Settings, source: str = "config") -> list[Topic]:
+def topics_of(settings: Settings, source: str = "config",
+              resolve: Callable[[str], str] = str) -> list[Topic]:
     """Return the topics of the channel map with their streams.
+
+    Parameters
+    ----------
+    source : name of the config in errors.
+    resolve : name in the config -> full name on the graph, remaps included.
 
     Raises
     ------
@@ -79,11 +92,12 @@ def topics_of(settings: Settings, source: str = "config") -> list[Topic]:
         streams.setdefault(channel.topic, {}).setdefault(key, []).append((name, channel))
     topics = []
     for topic, found in streams.items():
-        entries = [Entry(Source(f"{topic} ({name})" if name else topic,
+        full_name = resolve(topic)
+        entries = [Entry(Source(f"{full_name} ({name})" if name else full_name,
                                 tuple(channel for channel, _ in channels), held),
                          name, delay, tuple(channels))
                    for (name, delay, held), channels in found.items()]
-        topics.append(Topic(topic, tuple(entries)))
+        topics.append(Topic(topic, tuple(entries), full_name))
     return topics
 
 
@@ -138,10 +152,12 @@ class Decoder:
     Attributes
     ----------
     problem : why the last message gave nothing, as a sentence, or None.
+    absent : what came in place of an entry that has messages of its own, as a sentence, or None.
     """
 
     def __init__(self, entry: Entry):
         self.problem: str | None = None
+        self.absent: str | None = None
         self._entry = entry
         self._names: list[str] | None = None
         self._index = 0
@@ -154,8 +170,7 @@ class Decoder:
         if names is not None and names != self._names:
             self._find(names)
         if self._index < 0:
-            self.problem = (f"{self._entry.source.name}: no entry named {self._entry.name!r}, the "
-                            f"message has {', '.join(self._names) or 'none'}")
+            self.problem = self.lacks(self._names)
             return None
         values = tuple([scale * read(message, self._index) + offset
                         for read, scale, offset in self._fields])
@@ -171,6 +186,11 @@ class Decoder:
     def found(self) -> bool:
         """Whether the last message had the entry."""
         return self._index >= 0
+
+    def lacks(self, names: Sequence[str]) -> str:
+        """Return in a sentence that a message with these names has not the entry."""
+        return (f"{self._entry.source.name}: no entry named {self._entry.name!r}, the message has "
+                f"{', '.join(names) or 'none'}")
 
     def _find(self, names: list[str]) -> None:
         self._names = list(names)

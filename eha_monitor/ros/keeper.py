@@ -1,6 +1,7 @@
 """The last minutes of a monitor: kept in memory, saved as a bag on an alarm or on request."""
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from rclpy.clock import Clock, ClockType
@@ -26,10 +27,17 @@ class Keeper:
     ----------
     node : node in the namespace of the topics.
     settings : validated config; ``monitor.buffer_minutes`` = 0 keeps nothing.
+    tell : called when there is news of a bag.
+
+    Attributes
+    ----------
+    last : what came of the last attempt, or None.
+    bags : by name of an alarm, the bag of the moment in which it was raised last; "" while that
+        bag is due.
     """
 
-    def __init__(self, node: Node, settings: Settings):
-        self._node = node
+    def __init__(self, node: Node, settings: Settings, tell: Callable[[], None]):
+        self._node, self._tell = node, tell
         self._from = _RANK.get(settings.monitor.save_on.upper())
         self._before: dict[str, int] = {}
         self._span = 60.0 * settings.monitor.buffer_minutes
@@ -39,6 +47,8 @@ class Keeper:
         self._due: float | None = None  # when the next bag is to be written, s, monotonic
         self._alarm_bag_until = 0.0
         self._asked = False
+        self.bags: dict[str, str] = {}
+        self._written: list[str] = []  # alarms of which the bag is being written
         self.last: Saved | None = None
         self._last_good: Saved | None = None
         self._service = LateTrigger(node, "monitor/save", self._on_request)
@@ -60,7 +70,10 @@ class Keeper:
         for alarm in changes:
             if alarm.level in _RANK and not alarm.not_judged:
                 rank = _RANK[alarm.level]
-                raised |= rank > self._before.get(alarm.name, 0) and rank >= (self._from or 9)
+                if rank > self._before.get(alarm.name, 0) and rank >= (self._from or 9):
+                    raised = True
+                    if self._saver is not None:
+                        self.bags[alarm.name] = ""
                 self._before[alarm.name] = rank
         if raised and self._saver is not None and self._due is None:
             self._due = max(time.monotonic(), self._alarm_bag_until)
@@ -78,9 +91,13 @@ class Keeper:
         if (due or self._asked) and not self._saver.busy:
             if due:
                 self._due, self._alarm_bag_until = None, now + self._span
-            self._asked = False
-            self._service.take_up()
-            self._saver.start()
+            self._start(due)
+
+    def _start(self, due: bool) -> None:
+        self._asked = False
+        self._written = [name for name, bag in self.bags.items() if due and not bag]
+        self._service.take_up()
+        self._saver.start()
 
     @property
     def unsaved(self) -> str | None:
@@ -105,8 +122,7 @@ class Keeper:
             if self._saver.busy:
                 self._take(self._saver.take(wait=True))
             if self._due is not None or self._asked:
-                self._service.take_up()
-                self._saver.start()
+                self._start(self._due is not None)
                 self._take(self._saver.take(wait=True))
         self._node.destroy_service(self._service.service)
 
@@ -121,9 +137,11 @@ class Keeper:
         good = result.problem is None
         if good:
             self._last_good = result
+            self.bags |= {name: str(result.path) for name in self._written}
             self._node.get_logger().info(f"saved {result}")
         else:
             self._node.get_logger().error(str(result))
             if result.count:
                 self._due = time.monotonic() + RETRY_S
         self._service.answer(good, str(result))
+        self._tell()

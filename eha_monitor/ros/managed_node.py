@@ -14,6 +14,7 @@ from eha_monitor.errors import InputError
 from eha_monitor.ros import running
 from eha_monitor.ros.monitor_node import Monitor
 from eha_monitor.ros.parameters import MONITOR_KEYS, declare, settings_of_node
+from eha_monitor.ros.params_file import with_namespace
 from eha_monitor.settings import Settings, load_settings
 
 # Past the first second, when stage two is run and the model is tested.
@@ -222,7 +223,9 @@ def run_monitor(config: Path | None, ros_args: list[str], duration: float | None
     """
     if actuators and config is not None:
         raise InputError("--config: expected either it or --actuator NAME=CONFIG")
-    wanted = actuators_of(actuators) or [(load_settings(config), str(config or "default config"))]
+    wanted = actuators_of(actuators) or [
+        (with_namespace(load_settings(config), ros_args, "monitor"),
+         str(config or "default config"))]
     with running.ros_session(ros_args), ExitStack() as stack:
         nodes = [stack.enter_context(running.made("monitor", ManagedMonitor, *which))
                  for which in wanted]

@@ -1,17 +1,23 @@
 """The one module that fills messages: plain floats, level constants, stamps."""
 
 import math
+from collections.abc import Iterable
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
-from eha_monitor.health.alarms import Alarm
+from eha_monitor.filters.results import ParameterEstimate
+from eha_monitor.health.alarms import WATCHED, Alarm
 from eha_monitor.health.finding import Finding
 
 LEVELS = {"OK": DiagnosticStatus.OK, "WARN": DiagnosticStatus.WARN,
           "ERROR": DiagnosticStatus.ERROR, "STALE": DiagnosticStatus.STALE}
+# How serious it is that a parameter has a status.
+ESTIMATE_LEVELS = {"converged": "OK", "not_excited": "OK", "diverged": "ERROR",
+                   "no_data": "STALE"}
+_SECTIONS = {watched.symbol: watched.section for watched in WATCHED}
 _LEVEL_NAMES = {level: name for name, level in LEVELS.items()}
 
 
@@ -26,12 +32,36 @@ def number(value: float) -> Float64:
     return Float64(data=float(value))
 
 
-def joint_state(time_ns: int, name: str, position: float, velocity: float) -> JointState:
+def joint_state(time_ns: int, name: str, position: float, velocity: float,
+                frame: str = "") -> JointState:
     """Return the estimated state of one joint, m and m/s; an unknown velocity is left out."""
     message = JointState(name=[name], position=[float(position)])
     if math.isfinite(velocity):
         message.velocity = [float(velocity)]
-    message.header.stamp = stamp(time_ns)
+    message.header.stamp, message.header.frame_id = stamp(time_ns), frame
+    return message
+
+
+def estimates(time_ns: int, frame: str, found: Iterable[ParameterEstimate], hardware: str
+              ) -> DiagnosticArray:
+    """Return estimates as one message, each a status with value and standard deviation.
+
+    The numbers are text from which the very float is read again; an estimate without data has
+    none.
+    """
+    statuses = []
+    for estimate in found:
+        there = estimate.status != "no_data"
+        values = {"value": repr(float(estimate.value)), "stddev": repr(float(estimate.stddev))
+                  } if there else {}
+        values |= {"unit": estimate.unit, "status": estimate.status}
+        statuses.append(DiagnosticStatus(
+            level=LEVELS[ESTIMATE_LEVELS[estimate.status]],
+            name=f"{hardware}: {_SECTIONS[estimate.name]}",
+            message=estimate.message or estimate.status, hardware_id=hardware,
+            values=[KeyValue(key=key, value=value) for key, value in values.items()]))
+    message = DiagnosticArray(status=statuses)
+    message.header.stamp, message.header.frame_id = stamp(time_ns), frame
     return message
 
 

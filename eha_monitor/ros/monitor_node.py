@@ -17,7 +17,7 @@ from eha_monitor.filters.rows import RowAligner, Rows
 from eha_monitor.health.alarms import Alarm, AlarmBoard
 from eha_monitor.health.latency import LatencyMeter, ProcessorMeter
 from eha_monitor.health.overload import BEHIND_S
-from eha_monitor.ros import messages
+from eha_monitor.ros.accounts import lost, rates, summary, with_bags
 from eha_monitor.ros.drain import Drain
 from eha_monitor.ros.feeding import unfed
 from eha_monitor.ros.findings import DataState, all_findings
@@ -58,12 +58,12 @@ class Monitor:
             from eha_monitor.filters.live import LiveEstimator as estimator_factory
         self.node, self.settings = node, settings
         self.board = AlarmBoard(settings)
-        self._topics = topics_of(settings, source)
-        self._topic_of = {channel: t.name for t in self._topics for e in t.entries
+        self._topics = topics_of(settings, source, node.resolve_topic_name)
+        self._topic_of = {channel: t.full_name for t in self._topics for e in t.entries
                           for channel, _ in e.channels}
         self._estimator = estimator_factory(settings)
-        self.keeper = Keeper(node, settings)
-        self._outputs = Outputs(node, self.keeper)
+        self.keeper = Keeper(node, settings, self._tell_of_bag)
+        self._outputs = Outputs(node, self.keeper, settings)
         self._reset_service = node.create_service(Trigger, "monitor/reset", self._on_reset)
         self.inputs: list[TopicInput] = []
         self._timers: list[Timer] = []
@@ -118,20 +118,25 @@ class Monitor:
         What the estimator knew is forgotten: the plant moves on unseen.  Thresholds, and the
         minutes in the buffer, stay.
         """
-        self._end_inputs()
-        self.data.stopped = "the monitor is not active"
-        self.board.stale(self._seconds(), self.data.stopped)
-        self._publish_health()
-        self._topics = topics_of(self.settings)  # streams without a past
+        self._stop("the monitor is not active")
+        self._topics = topics_of(self.settings, resolve=self.node.resolve_topic_name)  # no past
         self._estimator.reset("deactivated")
         self._begin_anew()
 
     def close(self) -> None:
-        """End everything on the node, and write the bag that is due."""
-        self._end_inputs()
+        """End everything on the node, after a last health, and write the bag that is due."""
+        if self.active:
+            self._stop("the monitor has ended")
         self.keeper.close()
         self._outputs.close()
         self.node.destroy_service(self._reset_service)
+
+    def _stop(self, reason: str) -> None:
+        """Take no more data, and say so in a last health."""
+        self._end_inputs()
+        self.data.stopped = reason
+        self.board.stale(self._seconds(), reason)
+        self._publish_health()
 
     def _end_inputs(self) -> None:
         for timer in self._timers:
@@ -145,6 +150,8 @@ class Monitor:
         self.settings = settings
         self.board.configure(settings)
         self._judge()
+        if self.active:
+            self._publish_health()
 
     def _work(self) -> None:
         """Take what waits, and do what is due; then others have their turn."""
@@ -322,9 +329,7 @@ class Monitor:
         if self._judged_ns != self._row_ns:
             self._judge()
         snapshot = self._snapshot
-        for symbol, estimate in snapshot.parameters.items():
-            if estimate.status != "no_data":
-                self._outputs.parameter(symbol, estimate.value, estimate.stddev)
+        self._outputs.parameters(self._state_ns(snapshot.state_time_s), snapshot.parameters)
         if snapshot.position == snapshot.position:  # not NaN
             name = self.settings.channels["x"].name or "piston"
             self._outputs.state(self._state_ns(snapshot.state_time_s), name, snapshot.position,
@@ -350,29 +355,31 @@ class Monitor:
 
     def _update_data(self) -> None:
         now = time.monotonic()
-        self.data.unsaved = self.keeper.unsaved
-        values: dict[str, float | int | str] = {"rows": self.aligner.rows}
-        for topic_input in self.inputs:
-            key = topic_input.topic.name.strip("/").replace("/", "_")
-            values[f"rate_{key}_Hz"] = topic_input.rate(now)
+        values = {"rows": self.aligner.rows} | rates(self.inputs, now)
         if self._origin_ns is not None:
             values["first_stamp_ns"] = str(self._origin_ns)
-        values |= self.counts() | {"missing_share_percent": 100.0 * self.load.watch.share,
-                                   "behind_s": self.load.watch.behind}
-        for key, value in self.latency.percentiles().items():
-            values[f"latency_{key}_ms"] = value
-        values["latency_counts_from"] = self.latency.counts_from
-        values["cpu_share_percent"] = 100.0 * self.processor.share()
-        self.data.values = values | self.keeper.values()
+        if {"p1", "p2"} & set(self.settings.channels):
+            values["pressures"] = "absolute, Pa"
+        self.data.values = values | self.counts() | {
+            "missing_share_percent": 100.0 * self.load.watch.share,
+            "behind_s": self.load.watch.behind,
+            **{f"latency_{key}_ms": value for key, value in self.latency.percentiles().items()},
+            "latency_counts_from": self.latency.counts_from,
+            "cpu_share_percent": 100.0 * self.processor.share()} | self._kept()
+
+    def _kept(self) -> dict[str, float | int | str]:
+        self.data.unsaved = self.keeper.unsaved
+        return self.keeper.values()
+
+    def _tell_of_bag(self) -> None:
+        """Name a bag that has been written, or why it could not be, without delay."""
+        self.data.values |= self._kept()
+        if self.active:
+            self._publish_health()
 
     def counts(self) -> dict[str, int]:
         """Return how much was lost or dropped since the start."""
-        sources = self.aligner.sources
-        return {"lost_messages": self.watch.missing,
-                "missing_samples": self.missing_samples,
-                "incomplete_rows": self.aligner.incomplete,
-                "late_or_repeated_stamps": sum(s.late + s.repeated for s in sources),
-                "jumped_stamps": sum(s.jumped for s in sources)}
+        return lost(self.aligner, self.watch, self.missing_samples)
 
     def _publish_health(self, only_changes: bool = False) -> None:
         snapshot = self._snapshot
@@ -384,15 +391,8 @@ class Monitor:
         if only_changes and levels == self._levels:
             return
         self._levels = levels
-        self._outputs.health(messages.diagnostics(self.node.get_clock().now().nanoseconds, found,
-                                                  self.settings.rig.name))
+        self._outputs.health(with_bags(found, self.keeper.bags))
 
     def summary(self) -> str:
         """Return what was processed, lost and how late, in one line."""
-        counts = ", ".join(f"{key.replace('_', ' ')} {value}"
-                           for key, value in self.counts().items())
-        late = self.latency.percentiles()
-        shown = ", ".join(f"{key} {value:.2f} ms" for key, value in late.items())
-        return (f"rows {self.aligner.rows}; {counts}; latency from {self.latency.counts_from} to "
-                f"published {shown or 'not measured'}; "
-                f"CPU share {100 * self.processor.total():.1f} %")
+        return summary(self.aligner.rows, self.counts(), self.latency, self.processor)

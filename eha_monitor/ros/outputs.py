@@ -1,6 +1,7 @@
 """What the monitor publishes; each message is also kept for the bag of the last minutes."""
 
 import time
+from collections.abc import Mapping
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -11,10 +12,15 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
+from eha_monitor.filters.results import ParameterEstimate
 from eha_monitor.health.alarms import WATCHED
+from eha_monitor.health.finding import Finding
 from eha_monitor.ros import messages
 from eha_monitor.ros.keeper import Keeper
 from eha_monitor.ros.quality import clashes
+from eha_monitor.settings import Settings
+
+ESTIMATES = "monitor/estimates"  # each with its deviation, unit and status, in one stamped message
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
                      durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -29,10 +35,12 @@ class Outputs:
     ----------
     node : node in the namespace of the topics.
     keeper : keeps what is published.
+    settings : validated config; names frame and hardware.
     """
 
-    def __init__(self, node: Node, keeper: Keeper):
+    def __init__(self, node: Node, keeper: Keeper, settings: Settings):
         self._node, self._keeper = node, keeper
+        self._frame, self._hardware = settings.frame_id, settings.rig.name
         self._publishers: list[Publisher] = []
         self._topics: list[str] = []
         self._numbers = {}
@@ -40,22 +48,32 @@ class Outputs:
             topic = f"monitor/{watched.section}"
             self._numbers[watched.symbol] = (self._make(Float64, topic),
                                              self._make(Float64, f"{topic}_stddev"))
+        self._estimates = self._make(DiagnosticArray, ESTIMATES)
         self._state = self._make(JointState, "monitor/joint_states")
         self._health = self._make(DiagnosticArray, "monitor/health", LATCHED)
         # The same messages as the health: once in the bag is enough.
         self._diagnostics = self._make(DiagnosticArray, "/diagnostics", kept=False)
 
-    def parameter(self, symbol: str, value: float, stddev: float) -> None:
-        """Publish an estimate, ``B`` in N·s/m or ``beta_e`` in Pa."""
-        for output, number in zip(self._numbers[symbol], (value, stddev), strict=True):
-            self._publish(output, messages.number(number))
+    def parameters(self, time_ns: int, found: Mapping[str, ParameterEstimate]) -> None:
+        """Publish the estimates of the data up to a stamp in ns, those by symbol."""
+        for symbol, estimate in found.items():
+            if estimate.status != "no_data":
+                for output, number in zip(self._numbers[symbol],
+                                          (estimate.value, estimate.stddev), strict=True):
+                    self._publish(output, messages.number(number))
+        self._publish(self._estimates, messages.estimates(
+            time_ns, self._frame, [found[symbol] for symbol in self._numbers if symbol in found],
+            self._hardware))
 
     def state(self, time_ns: int, name: str, position: float, velocity: float) -> None:
         """Publish the estimated motion, m and m/s, at a stamp in ns."""
-        self._publish(self._state, messages.joint_state(time_ns, name, position, velocity))
+        self._publish(self._state, messages.joint_state(
+            time_ns, name, position, velocity, self._frame))
 
-    def health(self, message: DiagnosticArray) -> None:
+    def health(self, findings: list[Finding]) -> None:
         """Publish the health, latched, and as diagnostics."""
+        message = messages.diagnostics(self._node.get_clock().now().nanoseconds, findings,
+                                       self._hardware)
         self._publish(self._health, message)
         self._publish(self._diagnostics, message)
 

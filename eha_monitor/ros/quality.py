@@ -10,7 +10,7 @@ def clashes(node: Node, topic: str) -> list[str]:
     Parameters
     ----------
     node : publishes or subscribes there; the graph tells with what quality.
-    topic : name, relative to the node's namespace.
+    topic : name, relative to the node's namespace; told by its full name, remaps included.
     """
     name = node.resolve_topic_name(topic)
     own = (node.get_name(), node.get_namespace())
@@ -29,7 +29,7 @@ def clashes(node: Node, topic: str) -> list[str]:
                 other = (f"the subscriber {_who(ends[1])} asks for a QoS that is not offered"
                          if own == ends[0] else
                          f"the publisher {_who(ends[0])} offers a QoS that cannot be taken")
-                found.append(f"{topic}: {other}, nothing is delivered: {why}")
+                found.append(f"{name}: {other}, nothing is delivered: {why}")
     return found
 
 

@@ -72,6 +72,11 @@ class RawReader:
             streams.append(values)
         return stamp_ns, streams
 
+    def fits(self, data: bytes) -> bool:
+        """Tell whether a message is of the layout that was read last."""
+        return len(data) == self._length and all(
+            data[place] == content for place, content in self._fixed)
+
     def read_all(self, messages: list[bytes]) -> tuple[np.ndarray, list[np.ndarray]] | None:
         """Return (n,) stamps in ns and the (n, k) values of each stream, as one by one.
 

@@ -14,6 +14,8 @@ from eha_monitor.health.alarms import WATCHED
 from eha_monitor.recordings.write import BagWriter, TopicType
 from eha_monitor.ros import running
 from eha_monitor.ros.inputs import check_topic, message_class
+from eha_monitor.ros.outputs import ESTIMATES
+from eha_monitor.ros.params_file import with_namespace
 from eha_monitor.settings import Settings, load_settings
 
 # Nothing but messages: rmw_fastrtps 8.4 waits for itself forever where an EventsExecutor takes the
@@ -31,7 +33,7 @@ def topics_to_record(settings: Settings) -> tuple[str, ...]:
                            if channel.topic)
     outputs = [f"monitor/{watched.section}{end}" for watched in WATCHED
                for end in ("", "_stddev")]
-    return (*inputs, *outputs, "monitor/joint_states", "monitor/health", "/diagnostics")
+    return (*inputs, *outputs, ESTIMATES, "monitor/joint_states", "monitor/health", "/diagnostics")
 
 
 class Recorder:
@@ -105,7 +107,7 @@ def run_record(out: Path, ros_args: list[str], topics: tuple[str, ...] | None = 
     InputError
         If the bag cannot be written, or the config or a ROS argument is wrong.
     """
-    settings = load_settings(config)
+    settings = with_namespace(load_settings(config), ros_args, "record")
     topics = tuple(topics or topics_to_record(settings))
     for topic in topics:
         check_topic(topic)

@@ -16,6 +16,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from eha_monitor.errors import InputError
+from eha_monitor.ros.params_file import for_rcl
 
 # So often the loop looks up whether it is to end: while nothing comes, signals wait.
 _LOOK_UP = 1.0
@@ -30,7 +31,8 @@ def ros_session(arguments: list[str]) -> Iterator[None]:
 
     Parameters
     ----------
-    arguments : ROS arguments, with or without a leading ``--ros-args``.
+    arguments : ROS arguments, with or without a leading ``--ros-args``; a parameter file may be
+        a config of either form.
 
     Raises
     ------
@@ -40,11 +42,12 @@ def ros_session(arguments: list[str]) -> Iterator[None]:
     arguments = list(arguments)
     if arguments and "--ros-args" not in arguments:
         arguments.insert(0, "--ros-args")
-    with _ros_problem("ROS arguments"):
-        unknown = remove_ros_args(["eha_monitor", *arguments])[1:]
+    # rcl reads the parameter files within this block, and never again.
+    with _ros_problem("ROS arguments"), for_rcl(arguments) as readable:
+        unknown = remove_ros_args(["eha_monitor", *readable])[1:]
         if unknown:
             raise InputError(f"{unknown[0]}: unknown argument, expected options or --ros-args")
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(args=readable, signal_handler_options=SignalHandlerOptions.NO)
     with _signals_noted() as noted:
         try:
             with until_shutdown():

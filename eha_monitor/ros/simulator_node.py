@@ -1,7 +1,6 @@
 """The simulator node: the simulated actuator on the topics of the channel map."""
 
 import gc
-import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from eha_monitor.physics.simulator import Simulator
 from eha_monitor.ros import running
 from eha_monitor.ros.inputs import HELD, Entry, message_class, topics_of
 from eha_monitor.ros.parameters import SIMULATOR_KEYS, declare, settings_of_node
+from eha_monitor.ros.params_file import with_namespace
 from eha_monitor.settings import Settings, load_settings
 
 # Reliable suits subscribers of either kind.
@@ -122,12 +122,13 @@ def _streams(node: Node, settings: Settings, source: str) -> list[_Stream]:
     published = set(settings.simulation.publish)
     if unmapped := sorted(published - set(settings.channels)):
         raise InputError(f"{source}: simulation.publish: {unmapped[0]} has no entry in channels")
+    frame = settings.frame_id
     slow = max(1, round(SLOW_PERIOD / settings.rig.sample_time))
     streams = []
     for topic in topics_of(settings, source):
         if topic.default_type is None:
-            raise InputError(f"{source}: channels on {topic.name}: the simulator publishes the "
-                             "fields position, velocity, effort, fluid_pressure, temperature, "
+            raise InputError(f"{source}: channels on {topic.full_name}: the simulator publishes "
+                             "the fields position, velocity, effort, fluid_pressure, temperature, "
                              "data; one kind to a topic")
         kind = message_class(topic.default_type)
         publisher = None
@@ -137,11 +138,28 @@ def _streams(node: Node, settings: Settings, source: str) -> list[_Stream]:
             if not entries:
                 continue
             publisher = publisher or node.create_publisher(kind, topic.name, OUTPUT_QOS)
-            message = kind()
-            every = slow if all(HELD & {c for c, _ in e.channels} for e in entries) else 1
-            streams.append(_Stream(publisher, message, _places(message, entries, published),
-                                   delay_ns, every, hasattr(message, "header")))
+            for alike in _alike(entries, published) if hasattr(kind(), "name") else [entries]:
+                message = kind()
+                stamped = hasattr(message, "header")
+                if stamped:
+                    message.header.frame_id = frame
+                every = slow if all(HELD & {c for c, _ in e.channels} for e in alike) else 1
+                streams.append(_Stream(publisher, message, _places(message, alike, published),
+                                       delay_ns, every, stamped))
     return streams
+
+
+def _alike(entries: list[Entry], published: set[str]) -> list[list[Entry]]:
+    """Return joints in groups of which the same fields are measured, one group to a message.
+
+    All arrays of a JointState are of one length or empty, so that a joint of which less is
+    measured than of another would have to be filled with what was not measured.
+    """
+    groups: dict[frozenset[str], list[Entry]] = {}
+    for entry in entries:
+        fields = frozenset(c.field for channel, c in entry.channels if channel in published)
+        groups.setdefault(fields, []).append(entry)
+    return list(groups.values())
 
 
 def _places(message: Any, entries: list[Entry], published: set[str]) -> list[tuple]:
@@ -157,7 +175,7 @@ def _places(message: Any, entries: list[Entry], published: set[str]) -> list[tup
             holder, place = message, declared.field
             if named:
                 if not len(getattr(message, declared.field)):
-                    setattr(message, declared.field, [math.nan] * len(entries))
+                    setattr(message, declared.field, [0.0] * len(entries))
                 holder, place = getattr(message, declared.field), row
             places.append((channel, holder, place, declared.scale, declared.offset))
     return places
@@ -172,7 +190,7 @@ def run_simulator(config: Path | None, ros_args: list[str], duration: float | No
     InputError
         If the config, a parameter or a ROS argument is wrong.
     """
-    settings = load_settings(config)
+    settings = with_namespace(load_settings(config), ros_args, "simulator")
     with (running.ros_session(ros_args),
           running.node("simulator", settings.monitor.namespace) as node):
         settings = settings_of_node(node, settings)

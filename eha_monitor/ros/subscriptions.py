@@ -16,7 +16,8 @@ from rclpy.type_support import check_is_valid_msg_type
 
 from eha_monitor.errors import InputError
 from eha_monitor.filters.rows import Batch
-from eha_monitor.ros.inputs import Decoder, Topic, has_stamp, message_class
+from eha_monitor.ros.inputs import Decoder, Entry, Topic, has_stamp, message_class
+from eha_monitor.ros.parts import Part, Parts
 from eha_monitor.ros.quality import clashes
 from eha_monitor.ros.raw import RawReader
 
@@ -39,6 +40,7 @@ class TopicInput:
 
     Attributes
     ----------
+    key : of the topic in the diagnostics: its name in the config, or that of a remap.
     messages : how many came.
     type : of the messages, such as ``sensor_msgs/msg/JointState``; None before it is known.
     waits : whether more were waiting than could be taken the last time.
@@ -46,6 +48,9 @@ class TopicInput:
 
     def __init__(self, node: Node, topic: Topic, qos: QoSProfile = INPUT_QOS):
         self.topic = topic
+        own = f"{node.get_namespace().rstrip('/')}/{topic.name}"
+        self.key = (topic.name if topic.full_name in (own, topic.name) else
+                    topic.full_name).strip("/").replace("/", "_")
         self.messages = 0
         self.type: str | None = None
         self.waits = False
@@ -71,7 +76,7 @@ class TopicInput:
         try:
             kind = message_class(wanted)
         except InputError as problem:
-            self._type_problem = f"{self.topic.name}: {problem}"
+            self._type_problem = f"{self.topic.full_name}: {problem}"
             return
         self.close()
         check_is_valid_msg_type(kind)
@@ -82,6 +87,7 @@ class TopicInput:
         self.type, self._type_problem = wanted, None
         self._kind, self._stamped = kind, has_stamp(kind)
         self._read = RawReader(self.topic, wanted)
+        self._parts = Parts(self.topic, wanted, kind)
 
     def take(self) -> tuple[list[bytes], list[int], int]:
         """Take what waits.
@@ -117,23 +123,35 @@ class TopicInput:
         ----------
         came, now_ns : (n,) when each was received: s, monotonic, and ns on the node's clock.
         """
-        found = self._read.read_all(messages)
+        found = None if self._parts.several else self._read.read_all(messages)
         if found is not None and (not self._stamped or found[0].all()):
             for decoder in self._decoders:
                 decoder.problem = None
             stamps = found[0] if self._stamped else now_ns
             return [Batch(entry.source, stamps - entry.delay_ns, values, came)
                     for entry, values in zip(self.topic.entries, found[1], strict=True)]
-        return self._read_singly(messages, came, now_ns)
+        parts = self._parts.read_all(messages) if self._stamped else None
+        if parts is None:
+            return self._read_singly(messages, came, now_ns)
+        self._note_parts(parts)
+        return [Batch(entry.source, part.stamps - entry.delay_ns, part.values, came[part.places])
+                for entry, part in zip(self.topic.entries, parts, strict=True)]
+
+    def _note_parts(self, parts: list[Part]) -> None:
+        """Note which entries came, and what was there in place of those that did not."""
+        for decoder, part in zip(self._decoders, parts, strict=True):
+            decoder.problem = None
+            decoder.absent = decoder.lacks(part.others) if part.others else None
 
     def _read_singly(self, messages: Sequence[bytes], came: np.ndarray, now_ns: np.ndarray
                      ) -> list[Batch]:
         """Read messages of which some differ from the others, or lack a number."""
         times, taken = [], []
-        streams: list[list[tuple[tuple[float, ...] | None, bool | None]]] = [
+        streams: list[list[tuple[int, tuple[float, ...] | None, bool | None]]] = [
             [] for _ in self._decoders]
+        apart = self._parts.several
         for k, data in enumerate(messages):
-            found = self._read(data)
+            found = None if apart else self._read(data)
             if found is not None:
                 time_ns, values_of = found
                 for decoder in self._decoders:
@@ -148,20 +166,16 @@ class TopicInput:
                 self._zero_stamps += 1
                 if self._zero_stamps == 1:
                     continue
+            for stream, decoder, values in zip(streams, self._decoders, values_of, strict=True):
+                if apart and not decoder.found:  # another message brings it
+                    decoder.problem = None
+                    continue
+                stream.append((len(times), values, None if values is not None else decoder.found))
             times.append(time_ns or int(now_ns[k]))
             taken.append(k)
-            for stream, decoder, values in zip(streams, self._decoders, values_of, strict=True):
-                stream.append((values, None if values is not None else decoder.found))
-        batches = []
-        for entry, stream in zip(self.topic.entries, streams, strict=True):
-            nothing = (np.nan,) * len(entry.channels)
-            lacking = tuple(lacks for _, lacks in stream)
-            batches.append(Batch(
-                entry.source, np.array(times, dtype=np.int64) - entry.delay_ns,
-                np.array([nothing if values is None else values for values, _ in stream],
-                         dtype=float).reshape(-1, len(nothing)), came[taken],
-                None if all(lacks is None for lacks in lacking) else lacking))
-        return batches
+        stamps, came = np.array(times, dtype=np.int64), came[taken]
+        return [_batch(entry, stream, stamps, came)
+                for entry, stream in zip(self.topic.entries, streams, strict=True)]
 
     def close(self) -> None:
         """End the subscription."""
@@ -175,8 +189,8 @@ class TopicInput:
         for decoder, entry in zip(self._decoders, self.topic.entries, strict=True):
             silent = now - entry.source.heard_s > silent_after and not self.waits
             channels = ", ".join(channel for channel, _ in entry.channels)
-            if decoder.problem is not None:
-                found.append(decoder.problem)
+            if decoder.problem is not None or (silent and decoder.absent is not None):
+                found.append(decoder.problem or decoder.absent)
             elif silent and not self.messages:
                 if not OPTIONAL.issuperset(entry.source.channels):
                     found.append(f"{entry.source.name}: nothing received, so no {channels}")
@@ -184,7 +198,7 @@ class TopicInput:
                 found.append(f"{entry.source.name}: nothing new for {silent_after:g} s, "
                              f"so no {channels}")
         if self._zero_stamps > 1:
-            found.append(f"{self.topic.name}: stamps are zero, the time of receipt is taken")
+            found.append(f"{self.topic.full_name}: stamps are zero, the time of receipt is taken")
         return found
 
     def clashes(self) -> list[str]:
@@ -195,3 +209,14 @@ class TopicInput:
         """Return the messages per second since the last call; ``now`` in s, monotonic."""
         (count, since), self._counted = self._counted, (self.messages, now)
         return (self.messages - count) / max(now - since, 1e-9)
+
+
+def _batch(entry: Entry, stream: list[tuple], stamps: np.ndarray, came: np.ndarray) -> Batch:
+    """Return what messages brought of an entry: place, values or None, whether a number lacks."""
+    places, values_of, lacking = zip(*stream, strict=True) if stream else ((), (), ())
+    nothing = (np.nan,) * len(entry.channels)
+    chosen = np.array(places, dtype=int)
+    return Batch(entry.source, stamps[chosen] - entry.delay_ns, np.array(
+        [nothing if values is None else values for values in values_of],
+        dtype=float).reshape(-1, len(nothing)), came[chosen],
+        None if all(lacks is None for lacks in lacking) else lacking)

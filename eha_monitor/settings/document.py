@@ -1,7 +1,7 @@
 """The config as an annotated file: every key with its value, unit, range and description."""
 
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
@@ -52,23 +52,26 @@ def _section(model: BaseModel, indent: int, explain: bool = True) -> Iterator[st
             yield from _comment(about, margin)
             empty = not isinstance(value, BaseModel) and not value
             yield f"{margin}{_UNSET if _unset(value, field) else ''}{key}:{' {}' * empty}"
-            yield from _inside(value, indent + 2, explain)
+            entries = (field.json_schema_extra or {}).get("entries", {})
+            yield from _inside(value, indent + 2, explain, entries)
             if empty and explain:
                 yield from _pattern(field.annotation, margin)
         else:
             yield from _entry(f"{key}: {_scalar(value)}", about, margin, _unset(value, field))
 
 
-def _inside(value: BaseModel | dict, indent: int, explain: bool) -> Iterator[str]:
+def _inside(value: BaseModel | dict, indent: int, explain: bool,
+            entries: Mapping[str, str]) -> Iterator[str]:
+    """Yield the lines of a section or a mapping; ``entries`` says what each entry of one is."""
     if isinstance(value, BaseModel):
         yield from _section(value, indent, explain)
         return
     margin = " " * indent
     for place, (name, item) in enumerate(value.items()):
         if isinstance(item, (BaseModel, dict)):
-            yield f"{margin}{name}:"
+            yield from _entry(f"{name}:", entries.get(name, ""), margin, False)
             # Entries of a mapping have the same keys: the first one explains them for all.
-            yield from _inside(item, indent + 2, explain and place == 0)
+            yield from _inside(item, indent + 2, explain and place == 0, {})
         else:
             yield f"{margin}{name}: {_scalar(item)}"
 

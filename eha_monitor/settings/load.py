@@ -1,6 +1,7 @@
 """Reading a config: ROS parameter file form, one-line errors."""
 
 import difflib
+import math
 import reprlib
 from pathlib import Path
 from typing import get_args
@@ -12,6 +13,10 @@ from eha_monitor.regular import check_regular
 from eha_monitor.settings.monitor import Settings
 
 LARGEST = 1024 * 1024  # bytes of a config
+ROS_PARAMETERS = "ros__parameters"
+# Parameters that rclpy itself declares.
+ROS_OWN = ("use_sim_time", "qos_overrides", "start_type_description_service")
+DEEPEST = 32  # of a node's name
 _WORDS = {
     "greater_than": "expected more than {gt:g}{unit}, got {input}",
     "greater_than_equal": "expected at least {ge:g}{unit}, got {input}",
@@ -28,8 +33,8 @@ _WORDS = {
 def load_settings(path: str | Path | None) -> Settings:
     """Return the settings of a YAML file, or the paper's EHA for None.
 
-    The file has the form of a ROS parameter file (``/**: ros__parameters: ...``); the sections
-    may also stand at the top.
+    The file has the form of a ROS parameter file (``/**: ros__parameters: ...``), whatever the
+    nodes are called; the sections may also stand at the top.
 
     Raises
     ------
@@ -87,20 +92,65 @@ def settings_from_tree(tree, source: str) -> Settings:
         raise InputError(f"{source}: expected a mapping of sections, got {type(tree).__name__}")
     merged: dict = {}
     for node, content in tree.items():
-        if isinstance(content, dict) and "ros__parameters" in content:
-            content = content["ros__parameters"] or {}
-            if not isinstance(content, dict):
-                name = " ".join(str(node).split())[:100]
-                raise InputError(f"{source}: {name}.ros__parameters: expected a mapping")
-            merged.update(content)
-        else:
-            merged[node] = content
-    merged = {k: v for k, v in merged.items() if k != "use_sim_time"}
+        sections = ros_sections({node: content})
+        if not sections:
+            merge(merged, {node: content})
+        for name, parameters in sections:
+            parameters = {} if parameters is None else parameters
+            if not isinstance(parameters, dict):
+                name = " ".join(name.split())[:100]
+                raise InputError(f"{source}: {name}.{ROS_PARAMETERS}: expected a mapping")
+            merge(merged, _from_ros(parameters))
     try:
         return Settings.model_validate(merged)
     except ValidationError as problem:
         line = " ".join(_one_line(problem).split())[:400]  # keys may hold line breaks
         raise InputError(f"{source}: {line}") from None
+
+
+def ros_sections(tree, path: str = "") -> list[tuple[str, object]]:
+    """Return node and parameters of each section of a ROS parameter file; none of another file.
+
+    A section is what stands below ``ros__parameters``; the keys above it are the node's name.
+    """
+    if not isinstance(tree, dict):
+        return []
+    found = []
+    for key, content in tree.items():
+        if key == ROS_PARAMETERS:
+            found.append((path, content))
+        elif path.count("/") < DEEPEST:
+            found += ros_sections(content, f"{path}/{key}".replace("//", "/"))
+    return found
+
+
+def merge(tree: dict, more: dict) -> None:
+    """Put ``more`` into a tree, key by key of each mapping that both have."""
+    for key, value in more.items():
+        if isinstance(value, dict) and isinstance(tree.get(key), dict):
+            merge(tree[key], value)
+        else:
+            tree[key] = value
+
+
+def _from_ros(parameters: dict) -> dict:
+    """Return parameters as a tree: ``rig.mass`` is a key in a section, and NaN stands for null.
+
+    That is what ``ros2 param dump`` writes; the parameters of rclpy itself are left out.
+    """
+    tree: dict = {}
+    for key, value in parameters.items():
+        *path, last = str(key).split(".")
+        if (*path, last)[0] in ROS_OWN:
+            continue
+        if isinstance(value, dict):
+            value = _from_ros(value)
+        elif isinstance(value, float) and math.isnan(value):
+            value = None
+        for part in reversed((*path, last)):
+            value = {part: value}
+        merge(tree, value)
+    return tree
 
 
 def _field(location: tuple):

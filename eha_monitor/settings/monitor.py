@@ -12,6 +12,18 @@ from eha_monitor.units import Si
 CHANNELS = ("x", "v", "x_d", "omega", "omega_d", "p1", "p2", "force", "temperature")
 CHANNEL_UNITS = {"x": "m", "v": "m/s", "x_d": "m", "omega": "rad/s",
                  "omega_d": "rad/s", "p1": "Pa", "p2": "Pa", "force": "N", "temperature": "°C"}
+_ABSOLUTE = "absolute (above vacuum), not gauge; of a gauge sensor: offset 101325"
+CHANNEL_WORDS = {"x": "piston position", "v": "piston velocity", "x_d": "demanded position",
+                 "omega": "pump speed", "omega_d": "demanded pump speed",
+                 "p1": f"pressure of chamber 1, {_ABSOLUTE}",
+                 "p2": f"pressure of chamber 2, {_ABSOLUTE}",
+                 "force": "force that drives the piston, where it is measured",
+                 "temperature": "oil temperature"}
+
+
+def channel_about(name: str) -> str:
+    """Return unit and meaning of a channel, ``[Pa] pressure of chamber 1, absolute ...``."""
+    return f"[{CHANNEL_UNITS[name]}] {CHANNEL_WORDS[name]}"
 
 
 class Channel(Section):
@@ -109,6 +121,24 @@ class Limits(Section):
 LIMITS = ("low_error", "low_warn", "high_warn", "high_error")
 
 
+class DampingLimits(Limits):
+    """Thresholds of the viscous damping."""
+
+    low_error: Si("N·s/m", "below this: ERROR", optional=True) = None
+    low_warn: Si("N·s/m", "below this: WARN", optional=True) = None
+    high_warn: Si("N·s/m", "above this: WARN", optional=True) = None
+    high_error: Si("N·s/m", "above this: ERROR", optional=True) = None
+
+
+class ModulusLimits(Limits):
+    """Thresholds of the effective bulk modulus."""
+
+    low_error: Si("Pa", "below this: ERROR", optional=True) = None
+    low_warn: Si("Pa", "below this: WARN", optional=True) = None
+    high_warn: Si("Pa", "above this: WARN", optional=True) = None
+    high_error: Si("Pa", "above this: ERROR", optional=True) = None
+
+
 class Thresholds(Section):
     """Alarm limits on the two health parameters, in their SI units.
 
@@ -116,10 +146,12 @@ class Thresholds(Section):
     null switches it off.
     """
 
-    viscous_damping: Limits = Field(Limits(low_error=150.0, low_warn=250.0, high_warn=1000.0,
-                                           high_error=1500.0), description="limits on B, N·s/m")
-    bulk_modulus: Limits = Field(Limits(low_error=1.5e8, low_warn=4e8),
-                                 description="limits on the effective bulk modulus, Pa")
+    viscous_damping: DampingLimits = Field(
+        DampingLimits(low_error=150.0, low_warn=250.0, high_warn=1000.0, high_error=1500.0),
+        description="limits on B, N·s/m")
+    bulk_modulus: ModulusLimits = Field(
+        ModulusLimits(low_error=1.5e8, low_warn=4e8),
+        description="limits on the effective bulk modulus, Pa")
     confidence: Si("1", "standard deviations by which a limit must be passed", ge=0) = 2.0
 
     @model_validator(mode="before")
@@ -169,6 +201,8 @@ class Monitor(Section):
     """How the live monitor runs."""
 
     namespace: str = Field("/eha", description="namespace of the topics")
+    frame_id: str = Field("", description="frame_id of the messages that monitor and simulator "
+                          "publish; empty: rig.name")
     publish_rate: Si("Hz", "rate of the estimates, and at least ten times a second that at which "
                      "the topics are drained", gt=0, le=1000) = 10.0
     stale_after: Si("s", "data missing for this long make the health STALE", gt=0) = 1.0
@@ -196,7 +230,8 @@ class Settings(Section):
     simulation: Simulation = Field(Simulation(), description="the simulator")
     channels: Annotated[dict[Literal[CHANNELS], Channel], BeforeValidator(_fill_channels)] = Field(
         DEFAULT_CHANNELS, description="where each channel comes from; what is left out of it, or "
-        "of a channel, keeps its default")
+        "of a channel, keeps its default", json_schema_extra={
+            "entries": {name: channel_about(name) for name in CHANNELS}})
     table: Table = Field(Table(), description="which column of a CSV or MAT file is which "
                          "channel, for import")
     noise: NoiseLevels = Field(NoiseLevels(), description="noise levels for the filters")
@@ -219,3 +254,8 @@ class Settings(Section):
     effects: Annotated[dict[str, dict[str, float | str | list[float]]],
                        BeforeValidator(effects_field)] = Field(
         {}, description="modelled physics beyond the linear model")
+
+    @property
+    def frame_id(self) -> str:
+        """The frame_id of published messages: that of the config, else the rig's name."""
+        return self.monitor.frame_id or self.rig.name
