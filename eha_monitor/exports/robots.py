@@ -138,7 +138,7 @@ def _text(root: ElementTree.Element) -> str:
 
 
 def _number(value: float) -> str:
-    return f"{value:.9g}"
+    return f"{value:.6g}"
 
 
 def _word(name: str) -> str:
