@@ -96,7 +96,7 @@ def _lost(model: Model) -> tuple[str, ...]:
     for name in model.own_terms:
         lost.append(f"{name}: acts as it is written in the config; its numbers are no parameters")
     if model.settings.rig.position_gain is None:
-        drive = [name for name in model.of_balance("drive")]
+        drive = model.of_balance("drive")
         lost.append("rig.position_gain is null: x_d has no effect, pump_speed turns the pump"
                     + (f"; {', '.join(drive)} do not act on it" if drive else ""))
     return tuple(lost)

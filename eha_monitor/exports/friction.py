@@ -135,7 +135,7 @@ def table_velocities(fastest: float) -> np.ndarray:
 
 
 def two_numbers(model: Model, fastest: float) -> TwoNumbers:
-    """Return damping and Coulomb friction of the odd part of the law, for speeds up to ``fastest``.
+    """Return damping and Coulomb friction of the law's odd part, for speeds up to ``fastest``.
 
     Exact where the law is viscous and Coulomb friction; else the least squares over the speeds
     above a tenth of ``fastest``: what only happens at creeping speed must not tilt the rest.

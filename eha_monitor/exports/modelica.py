@@ -92,8 +92,8 @@ def modelica_of(model: Model, units: Mapping[str, str]) -> Exported:
              for name, begin in variables.items()]
     text += ["equation"]
     text += [f"  sum_{name} = {' + '.join(adds[name]) or '0'};" for name in CONTRIBUTIONS]
-    text += [f"  {line};" for line in (*equations, *_balances(), *_drive(w, closed, slow, settings),
-                                       *_sensors(w))]
+    drive = _drive(w, closed, slow, settings)
+    text += [f"  {line};" for line in (*equations, *_balances(), *drive, *_sensors(w))]
     text += [f"end {identifier(settings.rig.name)};", ""]
     return Exported("\n".join(text), lost)
 

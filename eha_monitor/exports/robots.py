@@ -39,8 +39,8 @@ def urdf_of(model: Model, joint: str) -> Exported:
         "mass": law.mass, "inertia": 1e-3 * law.mass}
     ElementTree.SubElement(inertial, "mass", {"value": _number(turning["mass"])})
     ElementTree.SubElement(inertial, "inertia", {
-        **{key: "0" for key in ("ixy", "ixz", "iyz")},
-        **{key: _number(turning["inertia"]) for key in ("ixx", "iyy", "izz")}})
+        **dict.fromkeys(("ixx", "iyy", "izz"), _number(turning["inertia"])),
+        **dict.fromkeys(("ixy", "ixz", "iyz"), "0")})
     one = ElementTree.SubElement(root, "joint", {
         "name": joint, "type": "revolute" if model.rotary else "prismatic"})
     ElementTree.SubElement(one, "parent", {"link": body})
@@ -99,8 +99,8 @@ def _lost(model: Model, law: Law, two: TwoNumbers, held: tuple[str, ...]) -> tup
     speed = "rad/s" if model.rotary else "m/s"
     largest = max(abs(law.force - law.load))
     if two.error > WORTH * largest:
-        lost.append(f"{', '.join(law.by_velocity)}: the joint's damping and friction are their straight "
-                    f"line, off by up to {quantity(two.error, force, 2)} at "
+        lost.append(f"{', '.join(law.by_velocity)}: the joint's damping and friction are their "
+                    f"straight line, off by up to {quantity(two.error, force, 2)} at "
                     f"{quantity(two.at, speed, 2)}")
     at_rest = law.load
     if SPRING in held and SPRING in model.effects:
