@@ -17,6 +17,7 @@ from eha_monitor.compiled import CACHE
 from eha_monitor.errors import InputError
 from eha_monitor.exports.fmu_kernel import NAME
 from eha_monitor.output import write_text
+from eha_monitor.source import source_digest
 
 SOURCES = Path(__file__).parent / "fmu"
 MISSING = ("--fmu: needs a C compiler to link with, and there is neither ziglang nor cc; install "
@@ -64,12 +65,17 @@ def _compiler() -> str | None:
     return shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 
 
+def _kept(end: str) -> Path:
+    """Return where something compiled of exactly this source is kept."""
+    return CACHE / "exports" / f"fmu_kernel-{source_digest(('exports/fmu_kernel.py',))}.{end}"
+
+
 def physics_assembly() -> str:
     """Return the LLVM assembly of the physics, compiled for any processor of this architecture.
 
     In a process of its own: numba takes its processor from the environment, once.
     """
-    kept = CACHE / "exports" / "fmu_kernel.ll"
+    kept = _kept("ll")
     if kept.exists():
         return kept.read_text(encoding="utf-8")
     kept.parent.mkdir(parents=True, exist_ok=True)
@@ -94,7 +100,7 @@ def physics_object(platform: Platform) -> bytes:
 
     What numba makes for Python's sake is left out: nothing of Python is needed to link or run it.
     """
-    kept = CACHE / "exports" / f"fmu_kernel-{platform.folder}.o"
+    kept = _kept(f"{platform.folder}.o")
     if kept.exists():
         return kept.read_bytes()
     import llvmlite.binding as llvm

@@ -8,13 +8,19 @@ of the function, which :mod:`eha_monitor.exports.fmu_build` turns into shared li
 import sys
 from pathlib import Path
 
+import numpy as np
 from numba import carray, types
 
-from eha_monitor.compiled import ANNOUNCER, njit
+from eha_monitor.compiled import ANNOUNCER, literal_unroll, njit
 from eha_monitor.physics import plant
-from eha_monitor.physics.contributions import N_EFFECTS, N_THETA, fill_circuit
+from eha_monitor.physics.contributions import N_EFFECTS, N_THETA
+from eha_monitor.physics.effect import no_circuit
+from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.signals import (
+    LIMITS,
     MAX_MEMORY,
+    MAX_PARAMETERS,
+    N_BASE,
     N_CIRCUIT,
     N_CONTRIBUTIONS,
     N_SIGNALS,
@@ -25,6 +31,10 @@ CIRCUIT, ADVANCE, OUTPUTS = range(3)  # what the function is asked for
 ROWS, KEPT = 8192, 4096  # integration steps of the input that are held; kept when they are full
 N_OUT = 6  # x, v, p1, p2 as the sensors show them, shaft speed, its input
 
+_WITH_CIRCUIT = {i: effect.circuit for i, effect in enumerate(CATALOGUE.values())
+                 if effect.circuit is not no_circuit}
+_CIRCUITS = tuple(_WITH_CIRCUIT.values())
+_AT = np.array(list(_WITH_CIRCUIT))
 _REALS, _WHOLE = types.CPointer(types.float64), types.CPointer(types.int64)
 SIGNATURE = types.void(
     types.int64, *(_REALS,) * 8, _WHOLE, types.int64, _WHOLE, types.int64,
@@ -52,7 +62,17 @@ def kernel(what, y_, theta_, w_, memory_, past_, u_, scratch_, out_, terms_, n_t
     y, theta = carray(y_, (plant.N_STATE,)), carray(theta_, (N_THETA,))
     w, active = carray(w_, (N_CIRCUIT,)), carray(active_, (N_EFFECTS,))
     if what == CIRCUIT:
-        fill_circuit(theta, active, w)
+        # As contributions.circuit_of, which makes an array: here nothing is allocated.
+        w[:] = 0.0
+        for place in LIMITS:
+            w[place] = np.inf
+        count = 0
+        for circuit in literal_unroll(_CIRCUITS):
+            which = _AT[count]
+            count += 1
+            if active[which]:
+                first = N_BASE + which * MAX_PARAMETERS
+                circuit(theta[first : first + MAX_PARAMETERS], w)
         return
     memory, past = carray(memory_, (N_EFFECTS, MAX_MEMORY)), carray(past_, (plant.RING, 4))
     u, places = carray(u_, (ROWS, 4)), carray(places_, (2,))

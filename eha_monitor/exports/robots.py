@@ -73,7 +73,9 @@ def mujoco_of(model: Model, joint: str) -> Exported:
     world = ElementTree.SubElement(root, "worldbody")
     body = ElementTree.SubElement(world, "body", {"name": f"{joint}_link"})
     attributes = {"name": joint, "type": "hinge" if model.rotary else "slide", "axis": "1 0 0",
-                  "damping": _number(two.damping), "frictionloss": _number(two.friction)}
+                  "damping": _number(two.damping), "frictionloss": _number(two.friction),
+                  # MuJoCo's friction is a soft constraint: as hard as the step allows.
+                  "solreffriction": f"{_number(2.0 * model.settings.rig.sample_time)} 1"}
     spring = model.effects.get(SPRING)
     if spring is not None:
         attributes |= {"stiffness": _number(spring["k"]), "springref": _number(spring["x_0"])}

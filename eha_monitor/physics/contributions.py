@@ -139,16 +139,9 @@ def update_memory(s, theta, updates, h, memory):
 def circuit_of(theta, active):
     """Return the constants of drive and sensors, (N_CIRCUIT,), with the active effects."""
     w = np.zeros(N_CIRCUIT)
-    fill_circuit(theta, active, w)
-    return w
-
-
-@njit(forceinline=True, allocates=False)
-def fill_circuit(theta, active, w):
-    """Write the constants of drive and sensors with the active effects into ``w``."""
-    w[:] = 0.0
     for place in LIMITS:
         w[place] = np.inf
     for which in range(N_EFFECTS):
         if active[which] and _HAS_CIRCUIT[which]:
             _circuit(which, theta, w)
+    return w
