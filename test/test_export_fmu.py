@@ -97,6 +97,17 @@ def test_the_fmu_runs_as_the_simulator_does(made, name):
     assert max(errors.values()) < 1e-3, errors
 
 
+def test_a_single_rod_cylinder_too(made):
+    model = model_of({"coulomb_friction": {"F_c": 20.0}}, area_2=3.5e-4, volume_2=5e-5,
+                     sample_time=5e-4)
+    wanted = own_run(model, 2000)
+    with Slave(made(model, "unequal")) as slave:
+        slave.start()
+        assert slave.get("p2")[0] == pytest.approx(2e6 * 5.05 / 3.5)
+        found = slave.run("x_d", demand(model, np.arange(2001) * 5e-4), 5e-4)
+    assert max(apart(found[:, j], wanted[name]) for j, name in enumerate(OUTPUTS)) < 1e-3
+
+
 def test_the_fmu_obeys_the_paper_s_equations(made):
     """Against the exponential of the matrix, which knows nothing of this program's code."""
     model = model_of({}, area_1=5.05e-4)
@@ -165,7 +176,7 @@ def test_parameters_are_tuned_while_it_runs_and_fixed_ones_are_not(made):
         after = slave.get("force", "v")
         assert before[0] == pytest.approx(40.04 + 600.0 * before[1], rel=0.01)
         assert after[0] == pytest.approx(50.04 + 1600.0 * after[1], rel=0.01)
-        with pytest.raises(Exception, match="setReal|Error|status"):
+        with pytest.raises(Exception, match=r"status"):
             slave.set(area_1=1e-3)
 
 
@@ -211,7 +222,7 @@ def test_a_state_is_put_back(made):
 def test_a_crooked_communication_step_is_refused(made):
     with Slave(made(model_of({}), "default")) as slave:
         slave.start()
-        with pytest.raises(Exception, match="doStep|status"):
+        with pytest.raises(Exception, match=r"status"):
             slave.fmu.doStep(0.0, 1.5e-4)
 
 
