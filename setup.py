@@ -71,7 +71,7 @@ setup(
         # The C compiler that links an FMU, for Linux and Windows; 400 MB that nothing else needs.
         "export": ["ziglang"],
         "test": ["casadi", "fmpy", "hypothesis", "mujoco", "playwright", "pymoca", "pytest",
-                 "pytest-timeout", "pytest-xdist", "ruff", "urdf_parser_py", "websockets"],
+                 "pytest-timeout", "pytest-xdist", "ruff", "urdf-parser-py", "websockets"],
         "colcon": ["colcon-bash", "colcon-core", "colcon-output", "colcon-package-selection",
                    "colcon-python-setup-py", "colcon-recursive-crawl", "colcon-ros"],
     },

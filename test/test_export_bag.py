@@ -1,5 +1,7 @@
 """The bag of a diagnosis, read back by rosbags and by mcap."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -102,6 +104,27 @@ def test_balances_as_they_stand_make_a_bag_too(tmp_path):
     found = floats(tmp_path / "out")
     needed = found["/eha/missing/force/needed"][1]
     assert np.sqrt(np.mean(needed**2)) == pytest.approx(40.0, rel=0.15)
+
+
+def test_without_a_model_there_is_no_bag(tmp_path, capsys):
+    (tmp_path / "rest.yaml").write_text(
+        "simulation: {excitation: {rest: {kind: rest, duration: 2.0}}}\n")
+    bag, out = str(tmp_path / "bag"), tmp_path / "out"
+    assert main(["simulate", "--config", str(tmp_path / "rest.yaml"), "--out", bag]) == 0
+    assert main(["diagnose", bag, "--out-bag", str(out)]) == 0
+    assert "not written, there is no model" in capsys.readouterr().out
+    assert not out.exists()
+
+
+@pytest.mark.slow
+def test_diagnose_writes_the_bag(tmp_path, capsys):
+    bundled = Path(__file__).parents[1] / "bags" / "hidden_friction"
+    assert main(["diagnose", str(bundled), "--out-bag", str(tmp_path / "why")]) == 0
+    assert "why: 11.0 s, topics /eha/measured/joint_states" in capsys.readouterr().out
+    found = floats(tmp_path / "why")
+    for part, size in (("needed", 39.3), ("explained", 39.3), ("remaining", 0.0)):
+        rms = np.sqrt(np.mean(found[f"/eha/missing/force/{part}"][1] ** 2))
+        assert rms == pytest.approx(size, abs=0.3)
 
 
 def test_a_place_that_is_taken_is_refused_before_the_work(tmp_path, capsys):

@@ -1,5 +1,6 @@
 """The Windows library of an FMU, run in Wine, against the one for Linux."""
 
+import os
 import shutil
 import subprocess
 import sys
@@ -68,7 +69,7 @@ def test_windows_and_linux_give_the_same_numbers(tmp_path):
     with zipfile.ZipFile(path) as archive:
         archive.extractall(tmp_path)
     guid, answers = read_model_description(str(path)).guid, {}
-    import os
+
 
     kept = str(CACHE.parent / "zig")
     for target, folder, library, runner in (

@@ -87,7 +87,8 @@ def physics_assembly() -> str:
         capture_output=True, text=True)
     try:
         if run.returncode:
-            raise RuntimeError(f"the physics could not be compiled:\n{run.stderr}")
+            last = run.stderr.strip().rsplit("\n", 1)[-1]
+            raise InputError(f"--fmu: the physics could not be compiled: {last[:300]}")
         text = fresh.read_text(encoding="utf-8")
     finally:
         fresh.unlink(missing_ok=True)
@@ -138,6 +139,11 @@ def shared_library(platform: Platform, folder: Path, sources: list[Path]) -> byt
     Parameters
     ----------
     folder : an empty one to work in.
+
+    Raises
+    ------
+    InputError
+        If the compiler fails: a full disk, a broken installation.
     """
     here = folder / platform.folder
     here.mkdir()
@@ -154,7 +160,8 @@ def shared_library(platform: Platform, folder: Path, sources: list[Path]) -> byt
          "-fvisibility=hidden", "-o", str(library), *map(str, sources), str(compiled), "-lm"],
         check=False, env=environment, capture_output=True, text=True, cwd=here)
     if run.returncode:
-        raise RuntimeError(f"{platform.folder}: {run.stderr or run.stdout}")
+        last = (run.stderr or run.stdout).strip().rsplit("\n", 1)[-1]
+        raise InputError(f"--fmu: the compiler failed for {platform.folder}: {last[:300]}")
     return library.read_bytes()
 
 

@@ -30,7 +30,7 @@ typedef struct {
 
 enum { CIRCUIT, ADVANCE, OUTPUTS };
 enum { X_D, SPEED, LOAD, N_INPUTS };
-enum { N_OUTPUTS = 9 }; /* x v p1 p2 omega x_measured p1_measured p2_measured load-free force */
+enum { N_OUTPUTS = 9 }; /* x v p1 p2 omega x_measured p1_measured p2_measured force */
 
 /* numba's own calling convention: what it returns, an exception, the arguments; not 0 is an error */
 extern int eha_kernel(void *returned, void **exception, int64_t what, double *y, double *theta,
