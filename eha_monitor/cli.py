@@ -16,6 +16,7 @@ from eha_monitor import __version__
 from eha_monitor.commands.advise import advise
 from eha_monitor.commands.diagnose import diagnose
 from eha_monitor.commands.estimate import estimate
+from eha_monitor.commands.export import export
 from eha_monitor.commands.files import config, import_table, simulate
 from eha_monitor.commands.live import dashboard, monitor, record, replay, simulator
 from eha_monitor.commands.prove import prove
@@ -50,7 +51,7 @@ def cli(context: click.Context) -> None:
 
 
 for _command in (simulator, monitor, dashboard, replay, record, simulate, estimate, diagnose,
-                 advise, prove, import_table, config):
+                 advise, prove, import_table, export, config):
     cli.add_command(_command)
 
 

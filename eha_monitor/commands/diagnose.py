@@ -10,6 +10,7 @@ import click
 from eha_monitor.archive.find import find_bags, is_archive
 from eha_monitor.commands.archive import Archive, answer_folder, archive_options, refuse
 from eha_monitor.commands.common import Several, check_outputs, config_option, on_terminal
+from eha_monitor.commands.out_bag import check_out_bag, write_out_bag
 from eha_monitor.errors import InputError
 from eha_monitor.output import write_json, write_text
 
@@ -25,6 +26,8 @@ READING = 0.03  # share of the progress bar
               help="Write a self-contained HTML report.")
 @click.option("--write-config", "config_file", type=_PATH, metavar="FILE",
               help="Write the config with the named physics and the rig's numbers in it.")
+@click.option("--out-bag", "out_bag", type=_PATH, metavar="BAG",
+              help="Write measured, modelled and missing signals as a bag (docs/exports.md).")
 @click.option("--held-out", "held_out", type=_PATH, metavar="BAG",
               help="Show the fit on this recording; without it on a part that is kept back.")
 @click.option("--hypothesis", "hypothesis_file", type=_PATH, metavar="FILE|NAME",
@@ -43,9 +46,9 @@ READING = 0.03  # share of the progress bar
               help="Exit with 1 if the model does not fit the recording.")
 @archive_options
 def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
-             report_file: Path | None, config_file: Path | None, held_out: Path | None,
-             hypothesis_file: Path | None, references: tuple[Path, ...], without: tuple[str, ...],
-             exit_code: bool, **asked) -> int:
+             report_file: Path | None, config_file: Path | None, out_bag: Path | None,
+             held_out: Path | None, hypothesis_file: Path | None, references: tuple[Path, ...],
+             without: tuple[str, ...], exit_code: bool, **asked) -> int:
     """Say where BAG and the model differ, what physics was left out, and show the fit improve.
 
     Several BAGs of one rig are explained together.  With --reference the answer is what has
@@ -58,8 +61,8 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
             raise InputError("expected one folder that holds bags, or bags, got "
                              + ", ".join(map(str, bags)))
         refuse(bags[0], json=json_file, report=report_file, write_config=config_file,
-               held_out=held_out, hypothesis=hypothesis_file, reference=references,
-               without=without)
+               out_bag=out_bag, held_out=held_out, hypothesis=hypothesis_file,
+               reference=references, without=without)
         return int(answer_folder("diagnose", bags[0], config, archive) and exit_code)
     references = unfolded(references)
     check_inputs(bags, held_out, references)
@@ -68,6 +71,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
                          "beside it")
     check_outputs({"--json": json_file, "--report": report_file, "--write-config": config_file},
                   (*bags, *references, *((held_out,) if held_out else ())), config)
+    check_out_bag(out_bag, (*bags, *references))
 
     from eha_monitor.commands.diagnosis_answer import (
         answer,
@@ -130,6 +134,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
 
     show(found, [path for path in (json_file, report_file, config_file) if path],
          [finding.finding for finding in findings])
+    write_out_bag(out_bag, found, recordings, settings)
     return int(exit_code and mismatched(found))
 
 

@@ -44,6 +44,11 @@ def load_settings(path: str | Path | None) -> Settings:
     return Settings() if path is None else settings_from_tree(tree_of(path), str(path))
 
 
+def settings_of(text: str, source: str) -> Settings:
+    """Return the settings of a config's text; ``source`` names it in errors."""
+    return settings_from_tree(_parsed(text, Path(source)), source)
+
+
 def tree_of(path: str | Path, what: str = "a config"):
     """Return the tree of a YAML file; ``what`` it is, in errors.
 

@@ -1,0 +1,109 @@
+"""``export``: the identified model in the formats of other programs."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import click
+
+from eha_monitor.commands.common import check_outputs, check_target, working
+from eha_monitor.errors import InputError
+from eha_monitor.output import write_bytes, write_text
+
+_FILE = click.Path(path_type=Path)
+
+
+@click.command()
+@click.argument("config", type=_FILE, metavar="CONFIG")
+@click.option("--fmu", type=_FILE, metavar="FILE.fmu",
+              help="FMU 2.0 for co-simulation: Simulink, OpenModelica, fmpy.")
+@click.option("--fmu-platform", "platforms", multiple=True,
+              type=click.Choice(["linux64", "win64"]),
+              help="Where the FMU is to run, several times if need be; without it all.")
+@click.option("--modelica", type=_FILE, metavar="FILE.mo", help="Modelica text.")
+@click.option("--urdf", type=_FILE, metavar="FILE.urdf",
+              help="A joint with damping and friction.")
+@click.option("--mujoco", type=_FILE, metavar="FILE.xml",
+              help="The same for MuJoCo (MJCF).")
+@click.option("--ros2-control", "ros2_control", type=_FILE, metavar="FILE.yaml",
+              help="Friction feed-forward table, as ROS parameters.")
+@click.option("--joint", default="piston", show_default=True, metavar="NAME",
+              help="Name of the joint in URDF, MuJoCo and ros2_control.")
+@click.option("--recording", "bags", type=_FILE, multiple=True, metavar="BAG",
+              help="What the model was identified from: the table says which velocities it "
+              "covers.")
+def export(config: Path, fmu: Path | None, platforms: tuple[str, ...], modelica: Path | None,
+           urdf: Path | None, mujoco: Path | None, ros2_control: Path | None, joint: str,
+           bags: tuple[Path, ...]) -> None:
+    """Write the model of CONFIG, as `estimate` and `diagnose --write-config` leave it.
+
+    Several formats at once.  What a format cannot hold is told, one line each, and stands in the
+    file as a comment (docs/exports.md).
+    """
+    targets = {"--fmu": fmu, "--modelica": modelica, "--urdf": urdf, "--mujoco": mujoco,
+               "--ros2-control": ros2_control}
+    if not any(targets.values()):
+        raise InputError(f"export: expected a format, one of {', '.join(targets)}")
+    if bags and not ros2_control:
+        raise InputError("--recording: expected --ros2-control beside it")
+    if platforms and not fmu:
+        raise InputError("--fmu-platform: expected --fmu beside it")
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,63}", joint):
+        raise InputError(f"--joint: expected a name of letters, digits and _, got {joint!r}")
+    for target in targets.values():
+        check_target(target)
+    check_outputs(targets, bags, config)
+
+    from eha_monitor.commands.rotary import UNITS
+    from eha_monitor.exports.model import Model
+    from eha_monitor.settings import load_settings
+
+    model = Model(load_settings(config), config.name)
+    units = UNITS if model.rotary else {}
+    makers: dict[str, Callable] = {
+        "--fmu": lambda: _fmu(model, units, platforms),
+        "--modelica": lambda: _modelica(model, units),
+        "--urdf": lambda: _robots().urdf_of(model, joint),
+        "--mujoco": lambda: _robots().mujoco_of(model, joint),
+        "--ros2-control": lambda: _table(model, joint, bags),
+    }
+    # All are made before the first is written: a config that one format refuses writes nothing.
+    made = {}
+    for option, target in targets.items():
+        if target is not None:
+            with working(f"making {target}"):
+                made[option] = makers[option]()
+    for option, exported in made.items():
+        target = targets[option]
+        if isinstance(exported.content, bytes):
+            write_bytes(target, exported.content)
+        else:
+            write_text(target, exported.content)
+        click.echo(f"{target}: written")
+        for line in exported.lost:
+            click.echo(f"  not in it: {line}")
+
+
+def _fmu(model, units, platforms):
+    from eha_monitor.exports.fmu import fmu_of
+
+    return fmu_of(model, units, platforms)
+
+
+def _modelica(model, units):
+    from eha_monitor.exports.modelica import modelica_of
+
+    return modelica_of(model, units)
+
+
+def _robots():
+    from eha_monitor.exports import robots
+
+    return robots
+
+
+def _table(model, joint, bags):
+    from eha_monitor.exports.feedforward import feedforward_of
+    from eha_monitor.recordings.read import read_recording
+
+    return feedforward_of(model, joint, [read_recording(bag, model.settings) for bag in bags])

@@ -1,0 +1,115 @@
+"""The actuator as one compiled function that needs no Python: what an FMU runs.
+
+It is the very equations of :mod:`eha_monitor.physics`, compiled by numba for any processor of the
+architecture; nothing is written down a second time.  Run as a module it writes the LLVM assembly
+of the function, which :mod:`eha_monitor.exports.fmu_build` turns into shared libraries.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from numba import carray, types
+
+from eha_monitor.compiled import ANNOUNCER, literal_unroll, njit
+from eha_monitor.physics import plant
+from eha_monitor.physics.contributions import N_EFFECTS, N_THETA
+from eha_monitor.physics.effect import no_circuit
+from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.signals import (
+    LIMITS,
+    MAX_MEMORY,
+    MAX_PARAMETERS,
+    N_BASE,
+    N_CIRCUIT,
+    N_CONTRIBUTIONS,
+    N_SIGNALS,
+)
+
+NAME = "eha_kernel"
+CIRCUIT, ADVANCE, OUTPUTS = range(3)  # what the function is asked for
+ROWS, KEPT = 8192, 4096  # integration steps of the input that are held; kept when they are full
+N_OUT = 6  # x, v, p1, p2 as the sensors show them, shaft speed, its input
+
+_WITH_CIRCUIT = {i: effect.circuit for i, effect in enumerate(CATALOGUE.values())
+                 if effect.circuit is not no_circuit}
+_CIRCUITS = tuple(_WITH_CIRCUIT.values())
+_AT = np.array(list(_WITH_CIRCUIT))
+_REALS, _WHOLE = types.CPointer(types.float64), types.CPointer(types.int64)
+SIGNATURE = types.void(
+    types.int64, *(_REALS,) * 8, _WHOLE, types.int64, _WHOLE, types.int64,
+    types.CPointer(types.boolean), _WHOLE, *(types.float64,) * 6, types.int64, types.boolean)
+
+
+def kernel(what, y_, theta_, w_, memory_, past_, u_, scratch_, out_, terms_, n_terms, updates_,
+           n_updates, active_, places_, t, h, value, slope, load, load_slope, n, closed):
+    """Set the circuit's constants, take ``n`` integration steps, or say what the sensors show.
+
+    Parameters
+    ----------
+    what : ``CIRCUIT``, ``ADVANCE`` or ``OUTPUTS``.
+    y_, theta_, w_, memory_, past_ : state, parameters, circuit, memory and past of
+        :mod:`eha_monitor.physics.plant`, as pointers.
+    u_ : (ROWS, 4) the input's course, one cubic for each integration step.
+    scratch_ : (N_CONTRIBUTIONS + N_SIGNALS,);  out_ : (N_OUT,) written.
+    terms_, updates_, active_ : the effects that are active.
+    places_ : newest entry of the past, row of the input at the present time.
+    t, h : time since the start and length of a step, s.
+    value, slope : input at ``t`` (x_d in m, or the shaft speed in rad/s) and its rate.
+    load, load_slope : force against positive motion, N, and its rate.
+    n, closed : steps to take; whether the drive closes the loop.
+    """
+    y, theta = carray(y_, (plant.N_STATE,)), carray(theta_, (N_THETA,))
+    w, active = carray(w_, (N_CIRCUIT,)), carray(active_, (N_EFFECTS,))
+    if what == CIRCUIT:
+        # As contributions.circuit_of, which makes an array: here nothing is allocated.
+        w[:] = 0.0
+        for place in LIMITS:
+            w[place] = np.inf
+        count = 0
+        for circuit in literal_unroll(_CIRCUITS):
+            which = _AT[count]
+            count += 1
+            if active[which]:
+                first = N_BASE + which * MAX_PARAMETERS
+                circuit(theta[first : first + MAX_PARAMETERS], w)
+        return
+    memory, past = carray(memory_, (N_EFFECTS, MAX_MEMORY)), carray(past_, (plant.RING, 4))
+    u, places = carray(u_, (ROWS, 4)), carray(places_, (2,))
+    if what == OUTPUTS:
+        out, here = carray(out_, (N_OUT,)), places[1]
+        u[here, 0], u[here, 1], u[here, 2], u[here, 3] = value, slope * h, 0.0, 0.0
+        plant.sense(y, t, h, past, places[0], w, out)
+        given, speed = plant.speed_now(y, u, 1, here, h, 1, closed, theta, w, past, places[0])
+        out[4], out[5] = speed, given
+        return
+    terms, updates = carray(terms_, (n_terms,)), carray(updates_, (n_updates,))
+    scratch = carray(scratch_, (N_CONTRIBUTIONS + N_SIGNALS,))
+    c, s = scratch[:N_CONTRIBUTIONS], scratch[N_CONTRIBUTIONS:]
+    c[:] = 0.0
+    for i in range(n):
+        here = places[1]
+        if here == ROWS - 1:
+            for row in range(KEPT):
+                for column in range(4):
+                    u[row, column] = u[here - KEPT + row, column]
+            here = KEPT
+        u[here, 0], u[here, 1], u[here, 2], u[here, 3] = value + slope * i * h, slope * h, 0.0, 0.0
+        y[plant.Y_FORCE] = load + load_slope * (i + 0.5) * h
+        places[0] = plant.advance(y, t + i * h, h, 1, u, 1, here, closed, theta, terms, updates,
+                                  w, memory, past, places[0], c, s)
+        places[1] = here + 1
+
+
+def assembly() -> tuple[str, str]:
+    """Return the LLVM assembly of the compiled function, and its name in there."""
+    ANNOUNCER.quiet = True
+    made = njit(kernel, cache=False)
+    made.compile(SIGNATURE)
+    name = next(iter(made.overloads.values())).fndesc.mangled_name
+    return made.inspect_llvm(made.signatures[0]), name
+
+
+if __name__ == "__main__":
+    text, mangled = assembly()
+    Path(sys.argv[1]).write_text(f"; {mangled}\n{text}", encoding="utf-8")

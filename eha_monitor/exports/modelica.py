@@ -1,0 +1,286 @@
+"""The identified actuator as Modelica text: its own equations, no library needed."""
+
+import ast
+import re
+from collections.abc import Mapping
+
+import numpy as np
+
+from eha_monitor import __version__
+from eha_monitor.exports.fmu_build import identifier
+from eha_monitor.exports.fmu_description import INPUTS, OUTPUTS, exponents, plain
+from eha_monitor.exports.model import Exported, Model, lost_of_simulation
+from eha_monitor.exports.modelica_effects import EFFECTS, WITHOUT, written
+from eha_monitor.physics.contributions import circuit_of
+from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.excitation import demanded_position
+from eha_monitor.physics.own_term import turns
+from eha_monitor.physics.parameters import BASE_KEYS, theta_of
+from eha_monitor.physics.plant import SHORTEST_LAG
+from eha_monitor.physics.signals import (
+    COMMAND_DELAY,
+    DRIVE_GAIN,
+    DRIVE_LAG,
+    FEEDBACK_DELAY,
+    IN_LOOP,
+    POSITION_DELAY,
+    POSITION_SCALE,
+    PRESSURE_DELAY,
+    PRESSURE_DRIFT_1,
+    PRESSURE_DRIFT_2,
+    PRESSURE_OFFSET_1,
+    PRESSURE_OFFSET_2,
+    PRESSURE_SCALE_1,
+    PRESSURE_SCALE_2,
+    SLEW_LIMIT,
+    SPEED_LIMIT,
+)
+from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.own_terms import slot_for
+from eha_monitor.settings.rig import Rig
+
+CONTRIBUTIONS = ("force", "flow_1", "flow_2", "compliance_1", "compliance_2", "volume_1",
+                 "volume_2", "mass", "speed")
+_OWN = {"force": {"force": ""}, "flow": {"flow_1": "", "flow_2": "-"}, "flow_1": {"flow_1": ""},
+        "flow_2": {"flow_2": ""}, "speed": {"speed": ""}}
+# The other signals are variables of the model.
+_SIGNALS = {"p": "(0.5*(p1 + p2))", "angle": "shaft_angle"}
+_FACTORS = {"none": "", "direction": "*tanh(v/{scale})", "v": "*v/{scale}", "dp": "*dp/{scale}",
+            "omega": "*omega/{scale}"}
+_OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "^"}
+
+
+def modelica_of(model: Model, units: Mapping[str, str]) -> Exported:
+    """Return the Modelica model of a config.
+
+    What cannot be written as an equation is left out, told and named in a comment.
+
+    Parameters
+    ----------
+    units : unit of a linear rig -> that of this one.
+
+    Raises
+    ------
+    InputError
+        If a number of the rig is null.
+    """
+    model.require("a Modelica model", "area_1", "area_2", "volume_1", "volume_2",
+                  "pump_displacement")
+    settings = model.settings
+    closed = settings.rig.position_gain is not None
+    theta, active = theta_of(settings.rig, settings.effects)
+    w = circuit_of(theta, active)
+    slow = closed and (w[DRIVE_LAG] > 0.0 or bool(np.isfinite(w[SLEW_LIMIT])))
+    start = float(demanded_position(settings.simulation.excitation, np.zeros(1))[0])
+    lost = (*(f"{name}: {why}" for name, why in WITHOUT.items() if name in model.effects),
+            *(line for line in lost_of_simulation(model)
+              if not line.startswith("position_quantisation")),
+            *(() if closed else _open_lost(model)))
+    adds: dict[str, list[str]] = {name: [] for name in CONTRIBUTIONS}
+    variables: dict[str, str] = {}
+    equations: list[str] = []
+    for name, values in model.effects.items():
+        if name in EFFECTS:
+            _add_effect(name, values, adds, variables, equations)
+    for name, values in model.own_terms.items():
+        _add_own(name, values, adds, variables, equations)
+        if turns(slot_for(values)):
+            variables["shaft_angle"] = "0"
+            equations = [*equations, "der(shaft_angle) = omega"]
+    text = [f'model {identifier(settings.rig.name)}',
+            f'  "Electrohydraulic actuator, identified by eha_monitor {__version__}"',
+            f"  // from {model.source}", *(f"  // not in this model: {line}" for line in lost)]
+    text += _parameters(model, start, units)
+    text += _ports(closed, slow, units)
+    text += ["protected"]
+    text += [f"  Real {name};" for name in ("dp", *(f"sum_{one}" for one in CONTRIBUTIONS),
+                                            *(("seen", "wanted") if closed else ()))]
+    text += [f"  Real {name}{f'(start = {begin}, fixed = true)' if begin else ''};"
+             for name, begin in variables.items()]
+    text += ["equation"]
+    text += [f"  sum_{name} = {' + '.join(adds[name]) or '0'};" for name in CONTRIBUTIONS]
+    drive = _drive(w, closed, slow, settings)
+    text += [f"  {line};" for line in (*equations, *_balances(), *drive, *_sensors(w))]
+    text += [f"end {identifier(settings.rig.name)};", ""]
+    return Exported("\n".join(text), lost)
+
+
+def _open_lost(model: Model) -> tuple[str, ...]:
+    drive = model.of_balance("drive")
+    return (f"rig.position_gain is null: pump_speed is the input; {', '.join(drive)} do not act "
+            "on it",) if drive else ()
+
+
+def _number(value: float) -> str:
+    return repr(float(value))
+
+
+def _quote(text: str) -> str:
+    return '"' + " ".join(text.replace("\\", "/").replace('"', "'").split()) + '"'
+
+
+def _unit(unit: str, units: Mapping[str, str]) -> str:
+    """Return ``(unit = "N.s/m")``, or nothing where Modelica cannot spell it."""
+    text = plain(units.get(unit, unit))
+    if not text or exponents(text) is None:
+        return ""
+    return f'(unit = "{text.replace("^", "").replace("*", ".")}")'
+
+
+def _parameters(model: Model, start: float, units: Mapping[str, str]) -> list[str]:
+    lines = []
+    for key in BASE_KEYS.values():
+        value = getattr(model.settings.rig, key)
+        if value is not None:
+            info = Rig.model_fields[key]
+            lines.append(f"  parameter Real {key}{_unit(info.json_schema_extra['unit'], units)} = "
+                         f"{_number(value)} {_quote(info.description)};")
+    lines.append(f"  parameter Real x_start{_unit('m', units)} = {_number(start)} "
+                 '"position at the start, at rest";')
+    for name, values in model.effects.items():
+        if name not in EFFECTS:
+            continue
+        text = str(written(name, values))
+        for p in CATALOGUE[name].parameters:
+            if f"{{{p.name}}}" in text:
+                lines.append(f"  parameter Real {name}_{p.name}{_unit(p.unit, units)} = "
+                             f"{_number(values[p.name])} {_quote(p.description)};")
+    for name, values in model.own_terms.items():
+        lines += [f"  parameter Real own_{name}_{key} = {_number(value)};"
+                  for key, value in values.items() if isinstance(value, float)
+                  and key not in ("first", "last")]
+    return lines
+
+
+def _ports(closed: bool, slow: bool, units: Mapping[str, str]) -> list[str]:
+    given = [port for port in INPUTS if port[0] != ("pump_speed" if closed else "x_d")]
+    lines = [f"  input Real {name}{_unit(unit, units)} {_quote(re.split(', with', text)[0])};"
+             for name, unit, text in given]
+    starts = {"x": "x_start", "v": "0", "p1": "charge_pressure",
+              "p2": "charge_pressure*area_1/area_2"} | ({"omega": "0"} if slow else {})
+    for name, unit, text in OUTPUTS:
+        spelt = _unit(unit, units)
+        if name in starts:
+            spelt = f"{spelt[:-1]}, start = {starts[name]}, fixed = true)"
+        lines.append(f"  output Real {name}{spelt} {_quote(text)};")
+    return lines
+
+
+def _add_effect(name: str, values: Mapping[str, float], adds: dict[str, list[str]],
+                variables: dict[str, str], equations: list[str]) -> None:
+    one = written(name, values)
+    places = {p.name: f"{name}_{p.name}" for p in CATALOGUE[name].parameters} | {"self": name}
+    for contribution, expression in one.adds.items():
+        adds[contribution].append(expression.format(**places))
+    starts = {key.format(**places): begin for key, begin in one.variables.items()}
+    variables.update(starts)
+    equations += [line.format(**places) for line in one.equations]
+
+
+def _add_own(name: str, values: dict, adds: dict[str, list[str]], variables: dict[str, str],
+             equations: list[str]) -> None:
+    """Add a term of the rig's own; ``own_`` keeps its names apart from all others."""
+    name = f"own_{name}"
+    if "expression" in values:
+        own = {key for key in values if key not in ("adds", "expression")}
+        text = _translated(ast.parse(values["expression"], mode="eval").body, name, own)
+    else:
+        text = f"({_table(values)}){_FACTORS[values['times']].format(scale=f'{name}_scale')}"
+    variables[f"{name}_value"] = ""
+    equations.append(f"{name}_value = {text}")
+    for contribution, sign in _OWN[values["adds"]].items():
+        adds[contribution].append(f"({sign}{name}_value)")
+
+
+def _translated(node: ast.AST, name: str, own: set[str]) -> str:
+    """Return an expression of a config, which was checked when it was read, as Modelica."""
+    if isinstance(node, ast.Constant):
+        return _number(node.value)
+    if isinstance(node, ast.Name):
+        if node.id in own:
+            return f"{name}_{node.id}"
+        return _number(np.pi) if node.id == "pi" else _SIGNALS.get(node.id, node.id)
+    if isinstance(node, ast.UnaryOp):
+        sign = "-" if isinstance(node.op, ast.USub) else ""
+        return f"({sign}{_translated(node.operand, name, own)})"
+    if isinstance(node, ast.BinOp):
+        left, right = (_translated(one, name, own) for one in (node.left, node.right))
+        if isinstance(node.op, ast.Pow) and right.endswith(".0"):
+            right = right[:-2]  # a whole exponent: a negative base is allowed
+        return f"({left}{_OPERATORS[type(node.op)]}{right})"
+    assert isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+    return f"{node.func.id}({', '.join(_translated(one, name, own) for one in node.args)})"
+
+
+def _table(values: dict) -> str:
+    """Return a table's cubic through its knots, piece by piece; constant beyond its ends."""
+    knots, count = np.asarray(values["values"], dtype=float), len(values["values"])
+    signal = _SIGNALS.get(values["of"], values["of"])
+    width = values["last"] - values["first"]
+    if values["of"] == "angle":  # it goes round
+        first = _number(values["first"])
+        signal = f"({first} + mod({signal} - ({first}), {_number(width)}))"
+        outer = np.concatenate([knots[-1:], knots, knots[:2]])
+        knots, count = np.append(knots, knots[0]), count + 1
+    else:
+        outer = np.concatenate([[2 * knots[0] - knots[1]], knots, [2 * knots[-1] - knots[-2]]])
+    step = width / (count - 1)
+    text = f"if {signal} <= {_number(values['first'])} then {_number(knots[0])}"
+    for i in range(count - 1):
+        a, b, c, d = outer[i : i + 4]
+        cubic = (b, 0.5 * (c - a), 0.5 * (2 * a - 5 * b + 4 * c - d), 0.5 * (3 * (b - c) + d - a))
+        start = values["first"] + i * step
+        f = f"(({signal} - ({_number(start)}))/{_number(step)})"
+        text += (f"\n    elseif {signal} <= {_number(start + step)} then {_number(cubic[0])} + {f}"
+                 f"*(({_number(cubic[1])}) + {f}*(({_number(cubic[2])}) + {f}"
+                 f"*({_number(cubic[3])})))")
+    return f"{text}\n    else {_number(knots[-1])}"
+
+
+def _balances() -> list[str]:
+    """Return the balances of :mod:`eha_monitor.physics.balances`."""
+    crossing = "0.5*(leakage - makeup_conductance)*dp"
+    pumped = "pump_displacement*(omega + sum_speed)"
+    soft = "(volume_{i} + sum_volume_{i})*(1/bulk_modulus + sum_compliance_{i})*der(p{i})"
+    return ["dp = p1 - p2", "force = area_1*p1 - area_2*p2", "der(x) = v",
+            "(mass + sum_mass)*der(v) = force - viscous_damping*v - sum_force - load_force",
+            f"{soft.format(i=1)} = {pumped} - area_1*v - {crossing} "
+            "- makeup_conductance*(p1 - charge_pressure) + sum_flow_1",
+            f"{soft.format(i=2)} = -{pumped}*area_2/area_1 + area_2*v + {crossing} "
+            "- makeup_conductance*(p2 - charge_pressure) + sum_flow_2"]
+
+
+def _late(what: str, delay: float) -> str:
+    return f"delay({what}, {_number(delay)})" if delay > 0.0 else what
+
+
+def _drive(w: np.ndarray, closed: bool, slow: bool, settings: Settings) -> list[str]:
+    if not closed:
+        return ["omega = pump_speed"]
+    seen = _late("x", w[FEEDBACK_DELAY])
+    if w[IN_LOOP] != 0.0 and w[POSITION_SCALE] != 0.0:
+        seen = f"{_number(1.0 + w[POSITION_SCALE])}*{seen}"
+    gain = f"{_number(1.0 + w[DRIVE_GAIN])}*position_gain" if w[DRIVE_GAIN] else "position_gain"
+    wanted = f"{gain}*({_late('x_d', w[COMMAND_DELAY])} - seen)"
+    if np.isfinite(w[SPEED_LIMIT]):
+        limit = _number(w[SPEED_LIMIT])
+        wanted = f"min(max({wanted}, -{limit}), {limit})"
+    lines = [f"seen = {seen}", f"wanted = {wanted}"]
+    if slow:
+        step = settings.rig.sample_time / settings.simulation.substeps
+        rate = f"(wanted - omega)/{_number(max(w[DRIVE_LAG], SHORTEST_LAG * step))}"
+        if np.isfinite(w[SLEW_LIMIT]):
+            slew = _number(w[SLEW_LIMIT])
+            rate = f"min(max({rate}, -{slew}), {slew})"
+        return [*lines, f"der(omega) = {rate}"]
+    return [*lines, "omega = wanted"]
+
+
+def _sensors(w: np.ndarray) -> list[str]:
+    lines = [f"x_measured = {_number(1.0 + w[POSITION_SCALE])}*{_late('x', w[POSITION_DELAY])}"]
+    for p, scale, offset, drift in (("p1", PRESSURE_SCALE_1, PRESSURE_OFFSET_1, PRESSURE_DRIFT_1),
+                                    ("p2", PRESSURE_SCALE_2, PRESSURE_OFFSET_2,
+                                     PRESSURE_DRIFT_2)):
+        lines.append(f"{p}_measured = {_number(1.0 + w[scale])}*{_late(p, w[PRESSURE_DELAY])} + "
+                     f"({_number(w[offset])}) + ({_number(w[drift])})*time")
+    return lines

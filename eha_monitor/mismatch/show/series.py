@@ -1,0 +1,140 @@
+"""A diagnosis as signals over time: measured, modelled, and what each balance lacks.
+
+The model is that of a written config: its effects count as known, B and beta_e are fitted anew.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eha_monitor.breakdown import computing
+from eha_monitor.filters.hold_choice import resolved
+from eha_monitor.mismatch.data.experiment import OUTPUTS, Experiment, Stretch, experiment_of
+from eha_monitor.mismatch.data.inputs import CLOSED, OPEN
+from eha_monitor.mismatch.likelihood.fit import Fit, filtered, spread
+from eha_monitor.mismatch.locate.missing import modelled_flow, modelled_force, modelled_speed
+from eha_monitor.mismatch.locate.terms import unexplained_terms
+from eha_monitor.mismatch.name.nominal import nominal
+from eha_monitor.mismatch.show.balances import SHOWN, needed
+from eha_monitor.physics.contributions import ALL_NAMES
+from eha_monitor.physics.parameters import theta_of
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.monitor import Settings
+
+WINDOW = 0.5  # s that the model runs free before it starts again from the filter's state
+
+
+@dataclass(frozen=True)
+class Lack:
+    """What a balance lacks without the named physics, SI (n,) each; NaN where nothing tells it.
+
+    ``needed`` by the recording, ``explained`` by the named effects, ``remaining`` without a name.
+    """
+
+    needed: np.ndarray
+    explained: np.ndarray
+    remaining: np.ndarray
+
+
+@dataclass(frozen=True)
+class Series:
+    """Signals of a stretch of a recording.
+
+    Attributes
+    ----------
+    source : name of the recording;  start, dt : s.
+    measured, modelled : channel -> (n,) SI;  of the model what it shows running free.
+    lacks : balance (``force`` N, ``flow`` m³/s, ``drive`` rad/s) -> what it lacks.
+    """
+
+    source: str
+    start: float
+    dt: float
+    measured: dict[str, np.ndarray]
+    modelled: dict[str, np.ndarray]
+    lacks: dict[str, Lack]
+
+
+def series_of(recordings: Sequence[Recording], before: Settings, after: Settings) -> list[Series]:
+    """Return the signals of each stretch that the models see.
+
+    Parameters
+    ----------
+    before, after : the config that was diagnosed, and with the named physics in it.
+
+    Raises
+    ------
+    InputError
+        If the recordings hold nothing that a model predicts.
+    """
+    with computing(*(recording.source for recording in recordings)):
+        held, _ = resolved(list(recordings), after)
+        experiment, fit = nominal(experiment_of(list(recordings), held, False))
+        known = theta_of(before.rig, before.effects)[1]
+        named = theta_of(after.rig, after.effects)[1] & ~known
+        names = tuple(ALL_NAMES[i] for i in np.flatnonzero(named))
+        fit = replace(fit, named=tuple(ALL_NAMES[i] for i in np.flatnonzero(known)))
+        bare = replace(fit, active=fit.active & ~named)
+        lacks = (_left_of_balances(experiment, bare, fit) if experiment.inverse
+                 else _unknowns(experiment, bare, fit, names))
+        modelled = [{}] * len(experiment.stretches) if experiment.inverse else spread(
+            lambda stretch: free_everywhere(experiment, fit, stretch), experiment.stretches)
+        return [Series(stretch.source, stretch.start, experiment.dt,
+                       _measured(experiment, stretch), modelled[i],
+                       {balance: rows[i] for balance, rows in lacks.items()})
+                for i, stretch in enumerate(experiment.stretches)]
+
+
+def _measured(experiment: Experiment, stretch: Stretch) -> dict[str, np.ndarray]:
+    found = {name: stretch.z[:, j] for j, name in enumerate(OUTPUTS)
+             if np.isfinite(stretch.z[:, j]).any()}
+    if experiment.mode == CLOSED:
+        found["omega_d" if experiment.wanted_speed else "x_d"] = stretch.u[:, 0]
+    elif experiment.mode == OPEN:
+        found["omega"] = stretch.u[:, 0]
+    else:
+        found["force"] = stretch.u[:, 0]
+    return found
+
+
+def free_everywhere(experiment: Experiment, fit: Fit, stretch: Stretch) -> dict[str, np.ndarray]:
+    """Return what the model shows running free for ``WINDOW`` s at a time, channel -> (n,).
+
+    In two passes, of which each runs free where the other follows the recording.
+    """
+    turn = (np.arange(len(stretch)) // max(2, round(WINDOW / experiment.dt))) % 2 == 0
+    shown = np.full_like(stretch.z, np.nan)
+    for free in (turn, ~turn):
+        e, _ = filtered(experiment, stretch, fit.theta, fit.active, fit.gains, free=free)
+        shown[free] = (stretch.z - e)[free]
+    return {OUTPUTS[j]: shown[:, j] for j in experiment.columns
+            if np.isfinite(shown[:, j]).any()}
+
+
+def _unknowns(experiment: Experiment, bare: Fit, fit: Fit, names: tuple[str, ...]
+              ) -> dict[str, list[Lack]]:
+    """Return what the filter's unknown force, flow and speed and the named effects make."""
+    found: dict[str, list[Lack]] = {}
+    for term in unexplained_terms(experiment, fit):
+        made = []
+        for stretch, track in zip(experiment.stretches, term.tracks, strict=True):
+            if term.balance == "force":
+                made.append(modelled_force(experiment, fit, track, names))
+            elif term.balance == "flow":
+                made.append(modelled_flow(experiment, fit, track, names))
+            else:
+                made.append(modelled_speed(experiment, bare, fit, stretch, track))
+        found[term.balance] = [Lack(left + one, one, left)
+                               for left, one in zip(term.measured, made, strict=True)]
+    return found
+
+
+def _left_of_balances(experiment: Experiment, bare: Fit, fit: Fit) -> dict[str, list[Lack]]:
+    """Return what is left of the balances as they stand, without and with the named effects."""
+    found = {}
+    for balance in SHOWN[: fit.e.shape[1]]:
+        term = needed(experiment, bare, fit, balance)
+        found[balance] = [Lack(whole, made, whole - made)
+                          for whole, made in zip(term.measured, term.modelled, strict=True)]
+    return found
