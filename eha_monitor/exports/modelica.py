@@ -84,7 +84,7 @@ def modelica_of(model: Model, units: Mapping[str, str]) -> Exported:
             _add_effect(name, values, adds, variables, equations)
     for name, values in model.own_terms.items():
         _add_own(name, values, adds, variables, equations)
-        if turns(slot_for(values)):
+        if turns(slot_for(values)) and "shaft_angle" not in variables:
             variables["shaft_angle"] = "0"
             equations = [*equations, "der(shaft_angle) = omega"]
     text = [f'model {identifier(settings.rig.name)}',
@@ -219,7 +219,8 @@ def _table(values: dict) -> str:
     width = values["last"] - values["first"]
     if values["of"] == "angle":  # it goes round
         first = _number(values["first"])
-        signal = f"({first} + mod({signal} - ({first}), {_number(width)}))"
+        whole = f"floor(({signal} - ({first}))/{_number(width)})"
+        signal = f"({signal} - {_number(width)}*{whole})"
         outer = np.concatenate([knots[-1:], knots, knots[:2]])
         knots, count = np.append(knots, knots[0]), count + 1
     else:
