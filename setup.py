@@ -68,8 +68,8 @@ setup(
         "archive": ["pyarrow"],
         # Its option --scheduler.
         "dask": ["distributed"],
-        "test": ["hypothesis", "playwright", "pytest", "pytest-timeout", "pytest-xdist", "ruff",
-                 "websockets"],
+        "test": ["griffelib", "hypothesis", "ipykernel", "nbclient", "nbformat", "playwright",
+                 "pytest", "pytest-timeout", "pytest-xdist", "ruff", "websockets"],
         "colcon": ["colcon-bash", "colcon-core", "colcon-output", "colcon-package-selection",
                    "colcon-python-setup-py", "colcon-recursive-crawl", "colcon-ros"],
     },

@@ -60,9 +60,9 @@ def advise(recordings: Several, config: Config | str | os.PathLike | dict | None
 
     Examples
     --------
-    >>> a = em.advise("bags/hidden_friction", check=False)
-    >>> a.named
-    ('coulomb_friction',)
+    >>> a = em.advise(rub, em.Config(), check=False)  # the recording of diagnose
+    >>> a.named, a.motion.words
+    (('coulomb_friction',), 'a sine of 20 Hz')
     """
     with calling():
         given = several(recordings, "recordings")

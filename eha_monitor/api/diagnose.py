@@ -71,7 +71,11 @@ def diagnose(recordings: Several, config: Config | str | os.PathLike | dict | No
 
     Examples
     --------
-    >>> d = em.diagnose("bags/hidden_friction")
+    >>> sine = {"kind": "sine", "amplitude": "20 mm", "frequency": "1 Hz", "duration": "2 s"}
+    >>> rubbing = em.Config(effects={"coulomb_friction": {"F_c": "40 N"}},
+    ...                     simulation={"excitation": {"sine": sine}})
+    >>> rub = em.simulate(rubbing, seed=1)
+    >>> d = em.diagnose(rub, em.Config())  # the config of the healthy rig
     >>> d.verdict, [effect.name for effect in d.effects]
     ('mismatch', ['coulomb_friction'])
     >>> d.effects[0].statement

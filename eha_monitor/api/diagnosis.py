@@ -182,8 +182,8 @@ class Diagnosis(Record):
 
         Examples
         --------
-        >>> float(d.to_frame("values").loc["coulomb_friction", "value"].round(1))
-        40.0
+        >>> d.to_frame("values").set_index("symbol").loc["F_c", "value"].round(1)
+        np.float64(40.0)
         """
         return chosen(table, {
             "effects": lambda: frame_of(map(asdict, self.effects), _EFFECT, "name"),
@@ -244,8 +244,8 @@ class Diagnosis(Record):
 
         Examples
         --------
-        >>> d.completed().effects["coulomb_friction"].keys()
-        dict_keys(['F_c', 'v_s'])
+        >>> round(d.completed().effects["coulomb_friction"]["F_c"])
+        40
         """
         return Config.of(completed(self.inner, self.config.settings)[0])
 
@@ -286,7 +286,7 @@ class Diagnosis(Record):
                  for one in self.rig_data]
         rows += [["learned", "", term.size, term.statement] for term in self.learned]
         rows += [["changed", "", one.what, one.statement] for one in self.changes]
-        rows += [[SYMBOLS.get(name, name), "", "before → after",
+        rows += [[f"{SYMBOLS.get(name, name)}, before → after", "", "",
                   f"{value_words(self.before.get(name))} → {value_words(self.after.get(name))}"]
                  for name in dict.fromkeys((*self.before, *self.after))]
         return (f"{listed(self.bags)}: {self.verdict}", self.message,

@@ -12,7 +12,7 @@ from eha_monitor.api.calls import calling
 from eha_monitor.api.config import Config, path_of
 from eha_monitor.api.record import ReadOnly, Record, chosen, read_only
 from eha_monitor.errors import InputError
-from eha_monitor.quantity import number
+from eha_monitor.quantity import number, quantity
 from eha_monitor.recordings.columns import blocks
 from eha_monitor.recordings.recording import CHANNELS
 from eha_monitor.recordings.recording import Recording as Inner
@@ -101,7 +101,7 @@ class Recording(Record):
 
     def __setstate__(self, state: dict) -> None:
         object.__setattr__(self, "config", state["config"])
-        object.__setattr__(self, "kind", state["kind"])
+        object.__setattr__(self, "kind", state.get("kind", ""))
         self._show(state["inner"])
 
     @classmethod
@@ -282,12 +282,13 @@ class Recording(Record):
 
     def _short(self):
         facts = self.to_dict()["channels"]
-        rows = [[name, one["unit"], str(one["samples"]), number(one["least"]),
-                 number(one["largest"])] for name, one in facts.items()]
+        rows = [[name, str(one["samples"]), *(quantity(one[key], one["unit"])
+                                              for key in ("least", "largest"))]
+                for name, one in facts.items()]
         return (self.source or "recording",
                 f"{number(self.duration)} s, {len(self)} samples at "
                 f"{number(1.0 / self.sample_time)} Hz",
-                ("channel", "unit", "samples", "least", "largest"), rows,
+                ("channel", "samples", "least", "largest"), rows,
                 tuple(f"lost: {loss}" for loss in self.losses))
 
 

@@ -57,7 +57,7 @@ def simulate(config: Config | str | os.PathLike | dict | None = None, *,
     --------
     >>> healthy = em.simulate({"rig": {"viscous_damping": 600}}, duration=2.0, seed=1)
     >>> len(healthy), healthy.channels["x"].max().round(3)
-    (2000, np.float64(0.04))
+    (2000, np.float64(0.036))
     """
     with calling():
         config = config_of(config)
