@@ -28,6 +28,7 @@ def figures(notebook) -> dict:
     return json.loads(notebook.cells[-1].outputs[0].text)
 
 
+@pytest.mark.timeout(300)
 def test_the_notebook_executes_to_the_figures_that_it_shows():
     nbformat = pytest.importorskip("nbformat", reason="nbformat is not installed (extra test)")
     from make_notebook import NOTEBOOK, executed
