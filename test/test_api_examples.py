@@ -23,7 +23,8 @@ def documented(name: str) -> list[tuple[str, str]]:
     shown = [(name, inspect.getdoc(found) or "")]
     if inspect.isclass(found):
         shown += [(f"{name}.{part}", inspect.getdoc(getattr(found, part)) or "")
-                  for part in vars(found) if not part.startswith("_")]
+                  for part in vars(found) if not part.startswith("_")
+                  and part not in getattr(found, "__dataclass_fields__", ())]
     return shown
 
 
@@ -137,5 +138,6 @@ def test_advice_is_frozen_shown_and_drawn(examples):
     assert time.max() == pytest.approx(a.motion.duration, rel=0.01)
     excited = em.simulate(a.excitation(), duration=0.5)
     assert abs(excited.channels["x_d"]).max() == pytest.approx(abs(x_d).max() * 1e-3, rel=0.02)
-    for table in ("visible_from", "parameters", "confusions", "doubts", "considered"):
+    for table in ("visible_from", "parameters", "doubts", "considered"):
         assert len(a.to_frame(table)), table
+    assert "correlation" in a.to_frame("confusions").columns  # also where there is none

@@ -90,7 +90,7 @@ class Config(Record):
         Examples
         --------
         >>> em.Config.load("config/air_ingress.yaml").simulation.faults["air"].parameter
-        'bulk_modulus'
+        'entrained_air.alpha'
         """
         with calling():
             place = path_of(path, "a config")
