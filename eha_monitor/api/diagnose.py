@@ -71,7 +71,7 @@ def diagnose(recordings: Several, config: Config | str | os.PathLike | dict | No
 
     Examples
     --------
-    >>> sine = {"kind": "sine", "amplitude": "20 mm", "frequency": "1 Hz", "duration": "1 s"}
+    >>> sine = {"kind": "sine", "amplitude": "20 mm", "frequency": "1 Hz", "duration": "2 s"}
     >>> rubbing = em.Config(effects={"coulomb_friction": {"F_c": "40 N"}},
     ...                     simulation={"excitation": {"sine": sine}})
     >>> rub = em.simulate(rubbing, seed=1)
