@@ -12,7 +12,6 @@ The reference is docs/api.md.
 """
 
 import os
-from typing import TYPE_CHECKING
 
 # The matrices here are small and the filters run one to a core: more BLAS threads only spin
 # (17.5 against 10.4 s of processor time for a diagnosis).  Numpy reads this when it is imported.
@@ -23,6 +22,7 @@ os.environ.setdefault("NUMBA_OPT", "2")
 
 __version__ = "0.1.0"
 
+TYPE_CHECKING = False  # as typing's, whose import takes three times as long as all of this
 if TYPE_CHECKING:
     from eha_monitor.api.advise import Advice, advise
     from eha_monitor.api.config import Config
