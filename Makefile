@@ -21,7 +21,7 @@ export ROS_DOMAIN_ID := $(shell echo $$(( $$$$ % 90 + 10 )))
 export ROS_LOG_DIR ?= $(CURDIR)/out/ros_log
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint bench figures proof lock clean
+.PHONY: help setup demo test lint bench figures reference notebook proof lock clean
 
 help:
 	@echo "make demo    simulator and monitor live, a replay, an HTML report (under 2 minutes)"
@@ -30,6 +30,8 @@ help:
 	@echo "make lint    ruff"
 	@echo "make bench   benchmarks, with their tables"
 	@echo "make figures the tables of README and docs, of what the benchmarks recorded"
+	@echo "make reference docs/api.md, of the docstrings"
+	@echo "make notebook  docs/notebook.ipynb, executed anew"
 	@echo "make proof   the concealed-effect trial"
 	@echo "make lock    requirements.lock anew from setup.py (needs uv)"
 	@echo "make clean   remove .venv and everything built"
@@ -69,6 +71,12 @@ bench: setup
 
 figures: setup
 	@$(PYTHON) benchmarks/tables.py
+
+reference: setup
+	@$(PYTHON) scripts/make_api_reference.py
+
+notebook: setup
+	@$(PYTHON) scripts/make_notebook.py
 
 proof: setup
 	@$(PYTHON) -m eha_monitor prove

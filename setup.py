@@ -27,7 +27,8 @@ setup(
     description="Condition monitor for electrohydraulic actuators",
     license="Apache-2.0",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["reports/templates/*", "dashboard/*.css", "exports/fmu/*.c"]},
+    package_data={NAME: ["py.typed", "reports/templates/*", "dashboard/*.css",
+                         "exports/fmu/*.c"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -70,8 +71,9 @@ setup(
         "dask": ["distributed"],
         # The C compiler that links an FMU, for Linux and Windows; 400 MB that nothing else needs.
         "export": ["ziglang"],
-        "test": ["casadi", "fmpy", "hypothesis", "mujoco", "playwright", "pymoca", "pytest",
-                 "pytest-timeout", "pytest-xdist", "ruff", "urdf-parser-py", "websockets"],
+        "test": ["casadi", "fmpy", "griffelib", "hypothesis", "ipykernel", "mujoco", "nbclient",
+                 "nbformat", "playwright", "pymoca", "pytest", "pytest-timeout", "pytest-xdist",
+                 "ruff", "urdf-parser-py", "websockets"],
         "colcon": ["colcon-bash", "colcon-core", "colcon-output", "colcon-package-selection",
                    "colcon-python-setup-py", "colcon-recursive-crawl", "colcon-ros"],
     },

@@ -28,9 +28,13 @@ FORBIDDEN = {
                 "eha_monitor.reports", "eha_monitor.commands"),
     "archive": ("rclpy", "eha_monitor.ros", "eha_monitor.mismatch", "eha_monitor.reports",
                 "eha_monitor.commands"),
+    "api": ("rclpy", "click", "eha_monitor.ros", "eha_monitor.commands", "eha_monitor.prove",
+            "eha_monitor.concealed", "eha_monitor.dashboard"),
     "dashboard": ("rclpy", "eha_monitor.ros", "eha_monitor.commands", "eha_monitor.recordings",
                   "eha_monitor.mismatch"),
 }
+# Who may use the Python interface: the package's own face, and the commands.
+USES_API = {"__init__.py", "api", "commands"}
 # The rooms of the diagnosis, in the order in which a recording goes through them: each may use
 # those before it.  Files that stand in no room tie them together; ``diagnosis`` holds records.
 ROOMS = ("data", "likelihood", "name", "locate", "show", "learn", "compare", "advise")
@@ -66,6 +70,12 @@ def test_rooms_import_only_what_they_may(path):
     if relative.parts[0] != "ros" and str(relative) not in MAY_ASK_FOR_ROS:
         for package in ROS_PACKAGES:
             assert not uses(names, package), "ROS is imported only in eha_monitor/ros/"
+
+
+def test_only_the_commands_use_the_python_interface():
+    users = {path.relative_to(PACKAGE).parts[0] for path in FILES
+             if uses(imported(path), "eha_monitor.api")}
+    assert users == USES_API
 
 
 @pytest.mark.parametrize("room", ROOMS)

@@ -12,11 +12,11 @@ from archive_tools import killed_by_three
 from diagnosis_tools import coulomb, everything
 from test_reports import Page
 
+from eha_monitor.api import diagnosis_answer
 from eha_monitor.archive.columns import COLUMNS
 from eha_monitor.archive.find import find_bags, is_archive, stamp_of
 from eha_monitor.archive.run import DIED, on_this_machine
 from eha_monitor.cli import main
-from eha_monitor.commands import diagnosis_answer
 from eha_monitor.commands.archive_row import Task, diagnosis_columns, estimate_columns, row_of
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.write import write_recording

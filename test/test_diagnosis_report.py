@@ -9,9 +9,9 @@ import pytest
 from diagnosis_tools import ALL, CHARGE, MASS, NAN, coulomb, damping, everything, wrong_number
 from test_reports import Page
 
-from eha_monitor.commands.diagnosis_answer import answer, mismatched, written_config
+from eha_monitor.api.diagnosis_answer import answer, mismatched, written_config
+from eha_monitor.api.rotary import of_rig
 from eha_monitor.commands.diagnosis_table import show
-from eha_monitor.commands.rotary import of_rig
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import (
     Agreement,

@@ -163,7 +163,7 @@ def test_a_free_run_is_the_simulator_s(effects, tmp_path):
         x = np.array(sample(x, *np.transpose(given)))[:, 0]
     assert n == 6 if effects is SEVERAL else "shaft_angle" in made.names
     rows, wanted = np.array(rows), own_run(model, samples)
-    for name in ("x", "v", "p1", "p2", "omega"):
+    for name in ({"x", "v", "p1", "p2", "omega"} & set(made.names)):
         found = rows[:, made.names.index(name)]
         apart = np.abs(found - wanted[name]).max() / np.ptp(wanted[name])
         assert apart < 1e-3, (name, apart)

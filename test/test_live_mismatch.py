@@ -4,7 +4,7 @@ import pytest
 from rig_tools import BETA, CHIRP, MULTISINE, SINE, TRIANGLE, settings, simulated
 from test_live_estimator import Stream, rows_of
 
-from eha_monitor.commands.answer import answer, judged
+from eha_monitor.api.answer import answer, judged
 from eha_monitor.filters.pipeline import estimate
 from eha_monitor.health.alarms import AlarmBoard
 

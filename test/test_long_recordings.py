@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from rig_tools import SINE, TRIANGLE, settings, simulated
 
-from eha_monitor.commands.answer import judged
+from eha_monitor.api.answer import judged
 from eha_monitor.filters.observability import observability
 from eha_monitor.filters.pipeline import estimate_held
 from eha_monitor.mismatch.data.experiment import experiment_of

@@ -1,16 +1,14 @@
 """``advise``: what a recording can and cannot tell apart, and the cheapest motion that would."""
 
-from dataclasses import asdict
 from io import StringIO
 from pathlib import Path
 
 import click
 
 from eha_monitor.commands.common import check_outputs, config_option
-from eha_monitor.commands.diagnose import READING, check_inputs, progress_bar
+from eha_monitor.commands.diagnose import progress_bar
 from eha_monitor.output import write_json, write_text
 
-SCHEMA = "eha_monitor/advice/1"
 _PATH = click.Path(path_type=Path)
 
 
@@ -29,86 +27,38 @@ def advise(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
     The motion keeps within the travel and the pump speed of BAG.  Its gain is predicted, then
     checked in simulation.
     """
-    check_inputs(bags, None)
+    from eha_monitor.api.advice_answer import written_excitation
+    from eha_monitor.api.advise import advise as run
+    from eha_monitor.api.config import config_of
+    from eha_monitor.api.read import distinct
+
+    distinct(bags)
     check_outputs({"--json": json_file, "--write-excitation": excitation_file}, bags, config)
-
-    from eha_monitor.commands.plausible import checked, finding_tree
-    from eha_monitor.commands.rotary import of_rig
-    from eha_monitor.compiled import load_runtime
-    from eha_monitor.mismatch.advise.advice import advise as run
-    from eha_monitor.recordings.read import read_recording
-    from eha_monitor.settings import load_settings
-
-    settings = load_settings(config)
+    given = config_of(config)
     with progress_bar() as told:
-        told("reading", 0.0)
-        load_runtime()
-        recordings = [read_recording(bag, settings) for bag in bags]
-        findings = checked(recordings, settings)
-        naming, found = run(recordings, settings, check,
-                            lambda text, share: told(text, READING + (1 - READING) * share))
+        found = run(bags, given, check=check, progress=told)
+    motion = found.inner.motion
     if json_file:
-        write_json(json_file, of_rig(answer(bags, naming, found), settings.rig.motion)
-                   | {"channels": finding_tree(findings)})
-    if excitation_file and found.motion is not None:
-        write_text(excitation_file, written_excitation(found.motion, settings, bags))
-    show(bags, naming, found, settings.rig.motion)
-    for finding in findings:
+        write_json(json_file, found.to_dict())
+    if excitation_file and motion is not None:
+        write_text(excitation_file, written_excitation(motion, given.settings, bags))
+    show(bags, found.named, found.inner, given.rig.motion)
+    for finding in found.channels:
         click.echo(f"note: {finding.finding}")
     for path in (json_file, excitation_file):
-        if path is not None and (path is json_file or found.motion is not None):
+        if path is not None and (path is json_file or motion is not None):
             click.echo(f"written: {path}")
         elif path is not None:
             click.echo(f"{path}: not written, there is no motion to propose")
 
 
-def answer(bags: tuple[Path, ...], naming, found) -> dict:
-    """Return the JSON tree; NaN becomes null."""
-    from eha_monitor.commands.answer import finite
-    from eha_monitor.mismatch.advise.motions import excitation_tree
-    from eha_monitor.mismatch.advise.words import motion_sentence, sentences
-
-    motion = found.motion
-    return finite({
-        "schema": SCHEMA, "bag": ", ".join(map(str, bags)), "named": naming.after.named,
-        "advice": sentences(found),
-        "parameters": [asdict(one) for one in found.known],
-        "plateaus": found.plateaus,
-        "confusions": [asdict(one) for one in found.confusions],
-        "visible_from": [asdict(one) for one in found.sights],
-        "groups": found.groups,
-        "doubts": [asdict(one) for one in found.doubts],
-        "motion": None if motion is None else {
-            "name": motion.name, "words": motion_sentence(motion), "duration_s": motion.duration,
-            "excitation": excitation_tree(motion)},
-        "considered": [{"name": one.motion.name, "duration_s": one.motion.duration,
-                        "log_units": one.gains} for one in found.tried],
-        "checks": [asdict(one) for one in found.checks],
-    })
-
-
-def written_excitation(motion, settings, bags: tuple[Path, ...]) -> str:
-    """Return the config with the motion as its ``simulation.excitation``, an annotated file."""
-    from eha_monitor.mismatch.advise.motions import excitation_tree
-    from eha_monitor.mismatch.advise.words import motion_sentence
-    from eha_monitor.settings.document import annotated
-    from eha_monitor.settings.load import settings_from_tree
-
-    tree = settings.model_dump()
-    tree["simulation"]["excitation"] = excitation_tree(motion)
-    given = ", ".join(map(str, bags))
-    title = " ".join(f"Written by advise of {given}: its simulation.excitation is "
-                     f"{motion_sentence(motion)}.".split())
-    return annotated(settings_from_tree(tree, "advice"), title)
-
-
-def show(bags: tuple[Path, ...], naming, found, motion: str) -> None:
+def show(bags: tuple[Path, ...], effects: tuple[str, ...], found, motion: str) -> None:
     """Print what the recording tells, what it leaves open, and the motion as YAML."""
     from rich.markup import escape
     from rich.table import Table
     from ruamel.yaml import YAML
 
-    from eha_monitor.commands.rotary import of_rig
+    from eha_monitor.api.rotary import of_rig
     from eha_monitor.commands.table import PIPE_WIDTH, PipeConsole
     from eha_monitor.mismatch.advise.motions import excitation_tree
     from eha_monitor.mismatch.advise.words import doubt_words, sentences
@@ -119,12 +69,12 @@ def show(bags: tuple[Path, ...], naming, found, motion: str) -> None:
     console = PipeConsole(highlight=False)
     if not console.is_terminal:
         console = PipeConsole(highlight=False, width=PIPE_WIDTH)
-    named = listed([effect_words(name) for name in naming.after.named]) or "nothing"
+    named = listed([effect_words(name) for name in effects]) or "nothing"
     console.print(escape(f"{', '.join(map(str, bags))}: named beside B and βe: {named}"))
     table = Table("parameter", "value", "variance inflation", "most correlated with", box=None,
                   header_style="bold", padding=(0, 2, 0, 0))
     for one in found.known:
-        if one.name in ("B", "beta_e") or one.name.partition(".")[0] in naming.after.named:
+        if one.name in ("B", "beta_e") or one.name.partition(".")[0] in effects:
             table.add_row(SYMBOLS.get(one.name, one.name),
                           with_uncertainty(one.value, one.stddev, of_rig(one, motion).unit),
                           number(one.inflation, 3),

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from eha_monitor.api.answer import answer, finite, judged
 from eha_monitor.archive.columns import PARAMETERS
 from eha_monitor.archive.store import iso_time
-from eha_monitor.commands.answer import answer, finite, judged
-from eha_monitor.commands.common import refuse_short
 from eha_monitor.errors import InputError
 from eha_monitor.health.alarms import SEVERITY, Alarm
 from eha_monitor.source import source_digest
@@ -24,11 +23,11 @@ if TYPE_CHECKING:
 # What has a part in an answer, and in the row that is made of it.
 _ROOMS = {
     "estimate": ("physics", "filters", "recordings", "settings", "health", "plausibility",
-                 "commands/answer.py", "commands/plausible.py", "commands/archive_row.py",
+                 "api/answer.py", "api/plausible.py", "api/estimate.py", "commands/archive_row.py",
                  "quantity.py"),
     "diagnose": ("physics", "filters", "recordings", "settings", "health", "mismatch",
-                 "plausibility", "commands/answer.py", "commands/plausible.py",
-                 "commands/diagnosis_answer.py", "commands/rotary.py", "commands/archive_row.py",
+                 "plausibility", "api/answer.py", "api/plausible.py", "api/estimate.py",
+                 "api/diagnosis_answer.py", "api/rotary.py", "commands/archive_row.py",
                  "quantity.py", "words.py"),
 }
 _EFFECT = ("name", "balance", "size", "statement", "probability", "log_evidence",
@@ -77,7 +76,8 @@ def error_row(task: Task, error: str) -> dict:
 
 
 def _fill(row: dict, task: Task) -> None:
-    from eha_monitor.commands.plausible import checked
+    from eha_monitor.api.estimate import refuse_short
+    from eha_monitor.api.plausible import checked
     from eha_monitor.compiled import load_runtime
     from eha_monitor.filters.pipeline import estimate
     from eha_monitor.recordings.read import read_recording
@@ -92,8 +92,8 @@ def _fill(row: dict, task: Task) -> None:
     alarms, history = judged(found)
     row.update(estimate_columns(answer(found, alarms, history)), **_at_reference(found))
     if task.command == "diagnose":
-        from eha_monitor.commands.diagnosis_answer import answer as diagnosis_answer
-        from eha_monitor.commands.rotary import of_rig
+        from eha_monitor.api.diagnosis_answer import answer as diagnosis_answer
+        from eha_monitor.api.rotary import of_rig
         from eha_monitor.mismatch.diagnose import diagnose
 
         diagnosis = of_rig(diagnose([recording], task.settings), task.settings.rig.motion)

@@ -2,17 +2,13 @@
 
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from eha_monitor.errors import InputError
-
-if TYPE_CHECKING:
-    from eha_monitor.recordings.recording import Recording
 
 config_option = click.option(
     "--config", "config", type=click.Path(path_type=Path), metavar="FILE",
@@ -57,29 +53,21 @@ def on_terminal() -> bool:
 
 
 @contextmanager
-def working(what: str) -> Iterator[None]:
-    """Show on a terminal that something of unknown length is going on."""
+def working(what: str) -> Iterator[Callable[[str], None]]:
+    """Show on a terminal that something of unknown length is going on; yields ``told(what)``."""
     if not on_terminal():
-        yield
+        yield lambda what: None
         return
     from rich.console import Console
+    from rich.markup import escape
 
-    with Console(stderr=True).status(what):
-        yield
+    with Console(stderr=True).status(escape(what)) as status:
+        yield lambda what: status.update(escape(what))
 
 
 def end_as_on_interrupt() -> None:
     """Let SIGTERM end a run as Ctrl-C does: it must take its processes with it."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-
-
-def refuse_short(recording: "Recording") -> None:
-    """Refuse a recording that is shorter than any answer needs."""
-    from eha_monitor.recordings.recording import SHORTEST_S
-
-    if recording.duration < SHORTEST_S:
-        raise InputError(f"{recording.source}: expected a recording of at least {SHORTEST_S:g} s, "
-                         f"found {recording.duration:.3g} s")
 
 
 def check_target(path: Path | None, bag: Path | None = None) -> None:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import click
 
-from eha_monitor.archive.find import find_bags, is_archive
 from eha_monitor.commands.archive import Archive, answer_folder, archive_options, refuse
 from eha_monitor.commands.common import Several, check_outputs, config_option, on_terminal
 from eha_monitor.commands.out_bag import check_out_bag, write_out_bag
@@ -15,7 +14,6 @@ from eha_monitor.errors import InputError
 from eha_monitor.output import write_json, write_text
 
 _PATH = click.Path(path_type=Path)
-READING = 0.03  # share of the progress bar
 
 
 @click.command(cls=Several)
@@ -64,99 +62,45 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
                out_bag=out_bag, held_out=held_out, hypothesis=hypothesis_file,
                reference=references, without=without)
         return int(answer_folder("diagnose", bags[0], config, archive) and exit_code)
-    references = unfolded(references)
-    check_inputs(bags, held_out, references)
+    from eha_monitor.api.config import config_of
+    from eha_monitor.api.diagnose import bags_of, known_effects
+    from eha_monitor.api.diagnose import diagnose as run
+    from eha_monitor.api.diagnosis_answer import refusal, written_config
+    from eha_monitor.api.plausible import finding_tree
+    from eha_monitor.api.read import distinct
+    from eha_monitor.commands.refused import refusing
+    from eha_monitor.settings.hypothesis import load_hypothesis
+
+    references = tuple(bag for one in references for bag in bags_of(one))
+    distinct(bags, held_out, references, "--held-out")
     if references and (held_out or hypothesis_file or without):
         raise InputError("--reference: expected neither --held-out, --hypothesis nor --without "
                          "beside it")
     check_outputs({"--json": json_file, "--report": report_file, "--write-config": config_file},
                   (*bags, *references, *((held_out,) if held_out else ())), config)
     check_out_bag(out_bag, (*bags, *references))
-
-    from eha_monitor.commands.diagnosis_answer import (
-        answer,
-        mismatched,
-        refusal,
-        written_config,
-    )
-    from eha_monitor.commands.plausible import checked, finding_tree
-    from eha_monitor.commands.rotary import of_rig
-    from eha_monitor.compiled import load_runtime
-    from eha_monitor.mismatch.compare.compared import compared
-    from eha_monitor.mismatch.diagnose import diagnose as run
-    from eha_monitor.physics.effects import CATALOGUE
-    from eha_monitor.recordings.read import read_recording
-    from eha_monitor.settings import load_settings
-    from eha_monitor.settings.hypothesis import load_hypothesis
-
-    unknown = [name for name in without if name not in CATALOGUE]
-    if unknown:
-        raise InputError(f"--without: {unknown[0]}: expected an effect of the catalogue, "
-                         f"e.g. {', '.join(sorted(CATALOGUE)[:3])}")
-    settings = load_settings(config)
+    known_effects(without, "--without")
+    given = config_of(config)
     hypothesis = load_hypothesis(hypothesis_file) if hypothesis_file else None
-    with progress_bar() as told:
-        told("reading", 0.0)
-        load_runtime()
-        recordings = [read_recording(bag, settings) for bag in bags]
-        unseen = read_recording(held_out, settings) if held_out else None
-        healthy = [read_recording(bag, settings) for bag in references]
-
-        def refused(findings, message: str) -> None:
-            if json_file:
-                write_json(json_file, refusal(bags, message, finding_tree(findings)))
-
-        told("asking whether recording and config belong together", READING)
-        findings = checked([*recordings, *([unseen] if unseen else []), *healthy], settings,
-                           config, config_file, refused)
-
-        def further(text: str, share: float) -> None:
-            told(text, READING + (1 - READING) * share)
-
-        found = compared(recordings, healthy, settings, further) if healthy else run(
-            recordings, settings, unseen, further, hypothesis, without)
-        found = of_rig(found, settings.rig.motion)
-        findings = (*findings, *found.channels)
+    with progress_bar() as told, refusing(
+            given, config, json_file, config_file, lambda problem: refusal(
+            bags, str(problem), finding_tree(problem.channels))):
+        found = run(bags, given, held_out=held_out, references=references, hypothesis=hypothesis,
+                    without=without, progress=told)
     if json_file:
-        write_json(json_file, answer(found) | {"channels": finding_tree(findings)})
+        write_json(json_file, found.to_dict())
     if config_file:
-        write_text(config_file, written_config(found, settings, config))
+        write_text(config_file, written_config(found.inner, given.settings, config))
     if report_file:
-        from eha_monitor.reports.diagnosis_report import write_diagnosis_report
-
-        losses = [f"{recording.source}: {loss}" for recording in recordings
-                  for loss in recording.losses] + [finding.finding for finding in findings]
-        write_diagnosis_report(report_file, found, settings, losses,
-                               command_line(bags, config, held_out, hypothesis_file,
-                                            references, without))
+        found.report(report_file, command=command_line(bags, config, held_out, hypothesis_file,
+                                                       references, without))
 
     from eha_monitor.commands.diagnosis_table import show
 
-    show(found, [path for path in (json_file, report_file, config_file) if path],
-         [finding.finding for finding in findings])
-    write_out_bag(out_bag, found, recordings, settings)
-    return int(exit_code and mismatched(found))
-
-
-def unfolded(references: tuple[Path, ...]) -> tuple[Path, ...]:
-    """Return references with the bags of each folder of bags."""
-    found: list[Path] = []
-    for one in references:
-        found += [place.path for place in find_bags(one) if not place.problem] if is_archive(
-            one) else [one]
-    return tuple(found)
-
-
-def check_inputs(bags: tuple[Path, ...], held_out: Path | None,
-                 references: tuple[Path, ...] = ()) -> None:
-    """Refuse a bag that is given twice: what was fitted is no longer unseen."""
-    places = [bag.resolve() for bag in (*bags, *references)]
-    for bag, place in zip((*bags, *references), places, strict=True):
-        if places.count(place) > 1:
-            raise InputError(f"{bag}: is given twice, expected different recordings")
-    if held_out is not None and held_out.resolve() in places:
-        raise InputError(f"{held_out}: --held-out names a bag that is fitted, expected one that "
-                         "is not")
+    show(found.inner, [path for path in (json_file, report_file, config_file) if path],
+         [finding.finding for finding in found.channels])
+    write_out_bag(out_bag, found.inner, bags, given.settings)
+    return int(exit_code and not found.healthy)
 
 
 def command_line(bags: tuple[Path, ...], config: Path | None, held_out: Path | None,

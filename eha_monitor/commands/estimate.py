@@ -1,18 +1,11 @@
 """``estimate``: the monitor's pipeline on a bag, as fast as it goes."""
 
-import time
-from dataclasses import replace
 from pathlib import Path
 
 import click
 
 from eha_monitor.commands.archive import Archive, answer_folder, archive_options, refuse
-from eha_monitor.commands.common import (
-    check_outputs,
-    config_option,
-    refuse_short,
-    working,
-)
+from eha_monitor.commands.common import check_outputs, config_option, working
 from eha_monitor.output import write_json, write_text
 
 
@@ -42,48 +35,29 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
     check_outputs({"--json": json_file, "--report": report_file, "--write-config": config_file},
                   (bag,), config)
 
-    from eha_monitor.commands.answer import answer, judged, refusal, unhealthy
-    from eha_monitor.commands.plausible import checked, corrected_config, finding_tree
-    from eha_monitor.compiled import load_runtime
-    from eha_monitor.filters.observability import observability
-    from eha_monitor.filters.pipeline import estimate as run
-    from eha_monitor.recordings.read import read_recording
-    from eha_monitor.settings import load_settings
+    from eha_monitor.api.answer import refusal
+    from eha_monitor.api.config import config_of
+    from eha_monitor.api.estimate import estimate as run
+    from eha_monitor.api.plausible import corrected_config, finding_tree
+    from eha_monitor.commands.refused import refusing
 
-    settings = load_settings(config)
-    load_runtime()
-    started = time.perf_counter()
-    with working(f"reading {bag}"):
-        recording = read_recording(bag, settings)
-
-    def refused(findings, message: str) -> None:
-        if json_file:
-            write_json(json_file, refusal(recording, message, finding_tree(findings)))
-
-    findings = checked([recording], settings, config, config_file, refused)
-    refuse_short(recording)  # a clock that runs wrong has been told before
-    with working("estimating"):
-        found = run(recording, settings)
-        findings = (*findings, *found.channels)
-        alarms, history = judged(found)
-    # What a user waits for: the bag is read within this time.
-    found = replace(found, wall_s=time.perf_counter() - started, warnings=(
-        *found.warnings, *(finding.finding for finding in findings)))
+    given = config_of(config)
+    with refusing(given, config, json_file, config_file, lambda problem: refusal(
+            problem.recordings[0], str(problem), finding_tree(problem.channels))), working(
+            f"reading {bag}") as told:
+        found = run(bag, given, progress=lambda text, share: told(text))
     if json_file or report_file:
         with working("asking what each combination of channels could tell"):
-            observable = observability(found)
+            found.observability  # noqa: B018  computed when it is asked for
     if json_file:
-        write_json(json_file, answer(found, alarms, history, observable)
-                   | {"channels": finding_tree(findings)})
-    if config_file and any(finding.correction for finding in findings):
-        write_text(config_file, corrected_config(findings, settings, config))
+        write_json(json_file, found.to_dict())
+    if config_file and any(finding.correction for finding in found.channels):
+        write_text(config_file, corrected_config(found.channels, given.settings, config))
     if report_file:
-        from eha_monitor.reports.estimate_report import write_estimate_report
-
         with working(f"drawing {report_file}"):
-            write_estimate_report(report_file, found, alarms, history, observable)
+            found.report(report_file)
 
     from eha_monitor.commands.table import show
 
-    show(found, alarms, [path for path in (json_file, report_file) if path])
-    return int(exit_code and unhealthy(found, alarms))
+    show(found.inner, found.alarms, [path for path in (json_file, report_file) if path])
+    return int(exit_code and not found.healthy)

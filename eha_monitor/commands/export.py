@@ -54,7 +54,7 @@ def export(config: Path, fmu: Path | None, platforms: tuple[str, ...], modelica:
         check_target(target)
     check_outputs(targets, bags, config)
 
-    from eha_monitor.commands.rotary import UNITS
+    from eha_monitor.api.rotary import UNITS
     from eha_monitor.exports.model import Model
     from eha_monitor.settings import load_settings
 

@@ -1,15 +1,10 @@
 """Commands that write a file: ``simulate``, ``import`` and ``config``."""
 
-from collections.abc import Iterator
-from itertools import chain
 from pathlib import Path
 
 import click
 
-from eha_monitor.commands.common import check_new, config_option, on_terminal, working
-
-_BATCH_S = 1.0  # simulated between two moves of the progress bar
-_START_NS = 1_000_000_000  # always the same, and not zero, which ROS takes for "no time"
+from eha_monitor.commands.common import check_new, config_option, working
 
 
 @click.command()
@@ -24,39 +19,16 @@ _START_NS = 1_000_000_000  # always the same, and not zero, which ROS takes for 
 def simulate(out: Path, config: Path | None, seed: int | None, duration: float | None,
              plain: bool, overwrite: bool) -> None:
     """Write the simulated EHA straight to a bag, as fast as it goes."""
-    from eha_monitor.physics.excitation import total_duration
-    from eha_monitor.physics.simulator import Simulator
-    from eha_monitor.recordings.write import ChannelWriter
-    from eha_monitor.settings import load_settings
+    from eha_monitor.api.config import config_of
+    from eha_monitor.api.simulate import simulate_bag
+    from eha_monitor.commands.diagnose import progress_bar
 
     check_new(out, overwrite)  # before the work, not after it
-    settings = load_settings(config)
-    plant = Simulator(settings, seed, source=str(config or "config"))
-    seconds = duration or total_duration(settings.simulation.excitation)
-    samples = max(1, round(seconds / plant.dt))
-    parts = _simulated(plant, samples)
-    first = next(parts)
-    with ChannelWriter(out, tuple(first), plant.dt, settings.monitor.namespace,
-                       compression="none" if plain else "zstd", overwrite=overwrite,
-                       start_ns=_START_NS) as writer:
-        for part in chain((first,), parts):
-            writer.write(part)
-    click.echo(f"{out}: {samples * plant.dt:g} s, {samples} samples, channels {', '.join(first)}")
-
-
-def _simulated(plant, samples: int) -> Iterator[dict]:
-    """Run the plant, with a progress bar on a terminal; yields channel -> (m,)."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    batch = max(1, round(_BATCH_S / plant.dt))
-    with Progress(console=Console(stderr=True), disable=not on_terminal(),
-                  transient=True) as progress:
-        task = progress.add_task("simulating", total=samples)
-        while plant.samples < samples:
-            count = min(batch, samples - plant.samples)
-            yield plant.advance(count)
-            progress.advance(task, count)
+    with progress_bar() as told:
+        made = simulate_bag(out, config_of(config), duration=duration, seed=seed, plain=plain,
+                            overwrite=overwrite, progress=told)
+    click.echo(f"{out}: {made.duration:g} s, {made.samples} samples, "
+               f"channels {', '.join(made.channels)}")
 
 
 @click.command("import")

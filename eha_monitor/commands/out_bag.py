@@ -20,19 +20,21 @@ def check_out_bag(place: Path | None, bags: Sequence[Path]) -> None:
     check_new(place, False)
 
 
-def write_out_bag(place: Path | None, found, recordings, settings) -> None:
+def write_out_bag(place: Path | None, found, bags: Sequence[Path], settings) -> None:
     """Write the bag of a diagnosis, and say what is in it; nothing without a place."""
     if place is None:
         return
     if found.verdict == "insufficient_data":
         click.echo(f"{place}: not written, there is no model: {found.message}")
         return
-    from eha_monitor.commands.diagnosis_answer import written_config
+    from eha_monitor.api.diagnosis_answer import written_config
     from eha_monitor.exports.diagnosis_bag import write_diagnosis_bag
     from eha_monitor.mismatch.show.series import series_of
+    from eha_monitor.recordings.read import read_recording
     from eha_monitor.settings.load import settings_of
 
     named = settings_of(written_config(found, settings, None), "the diagnosed config")
+    recordings = [read_recording(bag, settings) for bag in bags]
     series = series_of(recordings, settings, named)
     topics = write_diagnosis_bag(place, series, recordings, settings.monitor.namespace)
     seconds = sum(len(next(iter(one.measured.values()))) * one.dt for one in series)

@@ -37,8 +37,7 @@ SCHEMA = "eha_monitor/proof/1"
 PACKAGE = Path(__file__).parents[1]
 # What has a part in an answer.
 ROOMS = ("physics", "filters", "mismatch", "recordings", "settings", "plausibility",
-         "commands/diagnose.py", "commands/plausible.py", "commands/diagnosis_answer.py",
-         "commands/rotary.py", "prove/blind.py", "prove/warm.py", "words.py")
+         "api", "commands/diagnose.py", "prove/blind.py", "prove/warm.py", "words.py")
 FEW = 4  # cases that are made without processes of their own
 KEEP = ("same", "all", "none")
 

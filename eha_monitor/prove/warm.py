@@ -23,7 +23,8 @@ import warnings
 from collections.abc import Callable
 
 # Rooms that are loaded whole: what the commands load only when they are asked.
-ROOMS = ("commands", "mismatch", "plausibility", "filters", "physics", "recordings", "settings")
+ROOMS = ("commands", "api", "mismatch", "plausibility", "filters", "physics", "recordings",
+         "settings")
 MOST_WORDS = 100_000  # bytes of a complaint that are kept
 
 

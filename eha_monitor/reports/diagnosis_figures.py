@@ -4,6 +4,7 @@ import textwrap
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from eha_monitor.mismatch.diagnosis import (
     Agreement,
@@ -79,6 +80,11 @@ def _contrast(curve: Curve) -> float:
 
 
 def curve_picture(found: Diagnosis, curve: Curve, large: bool = False) -> Picture:
+    """Return :func:`curve_figure` as a picture of a page."""
+    return picture(*curve_figure(found, curve, large))
+
+
+def curve_figure(found: Diagnosis, curve: Curve, large: bool = False) -> tuple[Figure, str]:
     """Draw the missing term against one quantity: dots measured, a line modelled."""
     figure, (axis,) = _figure(LARGE if large else SMALL)
     order = np.argsort(curve.x)
@@ -115,12 +121,17 @@ def curve_picture(found: Diagnosis, curve: Curve, large: bool = False) -> Pictur
     axis.margins(x=0.02)
     axis.set_xlabel(f"{axis_words(curve.against)}{_bracket(across.unit)}")
     axis.set_ylabel(f"{MISSING.get(curve.balance, curve.balance)}{_bracket(scale.unit)}")
-    return picture(figure, f"{MISSING.get(curve.balance, curve.balance)} against "
-                           f"{curve.against.replace('_', ' ')}: measured"
-                           f"{' and modelled' if with_line else ''}")
+    return figure, (f"{MISSING.get(curve.balance, curve.balance)} against "
+                    f"{curve.against.replace('_', ' ')}: measured"
+                    f"{' and modelled' if with_line else ''}")
 
 
 def learned_picture(term: LearnedTerm) -> Picture:
+    """Return :func:`learned_figure` as a picture of a page."""
+    return picture(*learned_figure(term))
+
+
+def learned_figure(term: LearnedTerm) -> tuple[Figure, str]:
     """Draw a learned curve with its band, what was measured of it, and its best formula."""
     figure, (axis,) = _figure(LARGE)
     shown = [term.curve, *([term.formula_curve] if np.isfinite(term.formula_curve).all() else [])]
@@ -145,8 +156,8 @@ def learned_picture(term: LearnedTerm) -> Picture:
     name = axis_words(term.of[0])
     axis.set_xlabel(f"{name}{_bracket(across.unit)}")
     axis.set_ylabel(f"{learned_words(term)}{_bracket(scale.unit)}")
-    return picture(figure, f"{learned_words(term)} against {name}: measured, learned, and the "
-                           "formula")
+    return figure, (f"{learned_words(term)} against {name}: measured, learned, and the "
+                    "formula")
 
 
 def learned_words(term: LearnedTerm) -> str:
@@ -160,6 +171,12 @@ def learned_words(term: LearnedTerm) -> str:
 
 
 def overlay_picture(overlay: Overlay, with_after: bool = True) -> Picture | None:
+    """Return :func:`overlay_figure` as a picture of a page."""
+    made = overlay_figure(overlay, with_after)
+    return None if made is None else picture(*made)
+
+
+def overlay_figure(overlay: Overlay, with_after: bool = True) -> tuple[Figure, str] | None:
     """Draw a signal with both models running free, and below what remains of it."""
     known = np.isfinite(overlay.measured) & np.isfinite(overlay.time)
     if known.sum() < 2:
@@ -191,11 +208,18 @@ def overlay_picture(overlay: Overlay, with_after: bool = True) -> Picture | None
     bottom.set_ylabel(f"measured − model{_bracket(error_scale.unit)}")
     bottom.axhline(0.0, color=INK, linewidth=0.8, zorder=1)
     bottom.set_xlabel(f"time, {unit}")
-    return picture(figure, f"{words}: measured and simulated by both models, and their errors")
+    return figure, f"{words}: measured and simulated by both models, and their errors"
 
 
 def agreement_picture(name: str, parts: tuple[Agreement, ...], before: Value | None,
                       after: Value | None) -> Picture | None:
+    """Return :func:`agreement_figure` as a picture of a page."""
+    made = agreement_figure(name, parts, before, after)
+    return None if made is None else picture(*made)
+
+
+def agreement_figure(name: str, parts: tuple[Agreement, ...], before: Value | None,
+                     after: Value | None) -> tuple[Figure, str] | None:
     """Draw one parameter as each part of the record gives it, with error bars of one sigma."""
     rows = [(part.part.replace("_", " "), part.before.get(name), part.after.get(name))
             for part in parts] + [("whole record", before, after)]
@@ -228,8 +252,8 @@ def agreement_picture(name: str, parts: tuple[Agreement, ...], before: Value | N
     axis.set_xlim(low - margin, high + margin)
     axis.set_xlabel(f"{NAMES.get(name, name)} {SYMBOLS.get(name, name)}{_bracket(scale.unit)}")
     _legend(axis, True)
-    return picture(figure, f"{NAMES.get(name, name)} from each part of the record, before and "
-                           "after modelling")
+    return figure, (f"{NAMES.get(name, name)} from each part of the record, before and after "
+                    "modelling")
 
 
 def _drawable(value: Value | None) -> bool:

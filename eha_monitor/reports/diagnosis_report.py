@@ -68,7 +68,7 @@ def write_diagnosis_report(path: str | Path, found: Diagnosis, settings: Setting
 def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] = (),
                    command: str = "") -> str:
     """Return the report as HTML text."""
-    found = _presentable(found)
+    found = presentable(found)
     name = listed([Path(bag).name or bag for bag in found.bags]) or settings.rig.name
     kind = words.head_of(found)[0]
     curves = telling(found)
@@ -179,7 +179,7 @@ def _flow_text(values: dict) -> str:
     return "{" + ", ".join(f"{key}: {text(value)}" for key, value in values.items()) + "}"
 
 
-def _presentable(found: Diagnosis) -> Diagnosis:
+def presentable(found: Diagnosis) -> Diagnosis:
     """Return the diagnosis with NaN for sizes that no picture can show, spreads positive."""
     curves = tuple(replace(curve, x=_tame(curve.x), measured=_tame(curve.measured),
                            spread=np.abs(_tame(curve.spread)), modelled=_tame(curve.modelled))

@@ -67,11 +67,20 @@ class Block:
     notes: tuple[str, ...] = field(default=())
 
 
+class Drawing(Figure):
+    """A figure that a notebook shows, whether or not pyplot is there to do it."""
+
+    def _repr_png_(self) -> tuple[bytes, dict[str, int]]:
+        """Return the picture at twice its size, and its size in CSS pixels."""
+        width, height = (self.get_size_inches() * _PIXELS_PER_INCH).round().astype(int)
+        return _png(self), {"width": int(width), "height": int(height)}
+
+
 def new_figure(rows: int = 1, ratios: tuple[float, ...] | None = None, height: int = HEIGHT,
                share: bool = True) -> tuple[Figure, list[Axes]]:
     """Return a figure of ``rows`` axes one above the other, by default on one time axis."""
     with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=(WIDTH / _PIXELS_PER_INCH, height / _PIXELS_PER_INCH),
+        figure = Drawing(figsize=(WIDTH / _PIXELS_PER_INCH, height / _PIXELS_PER_INCH),
                         dpi=_PIXELS_PER_INCH)
         FigureCanvasAgg(figure)
         grid = figure.subplots(rows, 1, sharex=share, squeeze=False,
@@ -87,8 +96,8 @@ def new_figure(rows: int = 1, ratios: tuple[float, ...] | None = None, height: i
     return figure, axes
 
 
-def _arrange(figure: Figure) -> None:
-    """Give each axes its place, with room for legend, ticks and labels.
+def arranged(figure: Figure) -> Figure:
+    """Return the figure with each axes in its place, with room for legend, ticks and labels.
 
     Constrained layout does the same by drawing everything once more, which would be a third of
     the time of a report; and here the axes of all pictures of a page line up.
@@ -115,6 +124,7 @@ def _arrange(figure: Figure) -> None:
         axis.yaxis.set_label_coords(-(left - middle) / (width - left - 14), 0.5)
         axis.yaxis.label.set_verticalalignment("center")
         top -= under
+    return figure
 
 
 def _thin_ticks(axis: Axes, width: float) -> None:
@@ -128,14 +138,18 @@ def _thin_ticks(axis: Axes, width: float) -> None:
 
 def picture(figure: Figure, alt: str) -> Picture:
     """Render a figure at twice its CSS size, lossless, and embed it."""
-    _arrange(figure)
+    arranged(figure)
     width, height = (figure.get_size_inches() * _PIXELS_PER_INCH).round().astype(int)
+    data = base64.b64encode(_png(figure)).decode("ascii")
+    return Picture(f"data:image/png;base64,{data}", int(width), int(height), alt)
+
+
+def _png(figure: Figure) -> bytes:
     memory = io.BytesIO()
     with matplotlib.rc_context(_STYLE):
         figure.savefig(memory, format="png", dpi=2 * _PIXELS_PER_INCH,
                        pil_kwargs={"compress_level": 6})
-    data = base64.b64encode(memory.getvalue()).decode("ascii")
-    return Picture(f"data:image/png;base64,{data}", int(width), int(height), alt)
+    return memory.getvalue()
 
 
 def draw(axis: Axes, time: np.ndarray, values: np.ndarray, **style) -> None:

@@ -47,7 +47,7 @@ def write_estimate_report(path: str | Path, estimate: Estimate, alarms: tuple[Al
 def estimate_page(estimate: Estimate, alarms: tuple[Alarm, ...], history: tuple[Alarm, ...],
                   observability: "ObservabilityTable | None" = None) -> str:
     """Return the report as HTML text."""
-    estimate = _presentable(estimate)
+    estimate = presentable(estimate)
     recording = estimate.recording
     name = Path(recording.source).name or estimate.settings.rig.name
     return render(
@@ -77,7 +77,7 @@ def estimate_page(estimate: Estimate, alarms: tuple[Alarm, ...], history: tuple[
     )
 
 
-def _presentable(estimate: Estimate) -> Estimate:
+def presentable(estimate: Estimate) -> Estimate:
     """Return the estimate with NaN for infinities and for sizes that no picture can show."""
     recording = replace(estimate.recording, channels={
         name: _tame(values) for name, values in estimate.recording.channels.items()})

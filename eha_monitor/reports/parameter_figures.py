@@ -1,18 +1,23 @@
 """B and beta_e as they converge, with their band and the alarm limits."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from eha_monitor.filters.results import Estimate, StageResult
 from eha_monitor.quantity import SYMBOLS, quantity
 from eha_monitor.reports.axes import axis_scale, stated, time_scale
 from eha_monitor.reports.drawing import (
     ERROR_LINE,
+    HEIGHT,
     INK,
     STAGE_ONE,
     STAGE_TWO,
     WARN_LINE,
     Block,
+    arranged,
     draw,
     legend_above,
     new_figure,
@@ -29,9 +34,7 @@ _LIMITS = (("low_error", "ERROR below"), ("low_warn", "WARN below"),
 
 def parameter_block(estimate: Estimate, name: str) -> Block:
     """Return the convergence of ``B`` or ``beta_e``: all of it with the limits, and its end."""
-    stage, limits, colour = {
-        "B": (estimate.stage_one, estimate.settings.thresholds.viscous_damping, STAGE_ONE),
-        "beta_e": (estimate.stage_two, estimate.settings.thresholds.bulk_modulus, STAGE_TWO)}[name]
+    stage, limits, colour = _stage_of(estimate, name)
     key, title = f"parameter-{name}", f"{NAMES[name].capitalize()} {SYMBOLS[name]}"
     value = stage.value
     if not len(value) or not np.isfinite(value).any():
@@ -62,6 +65,29 @@ def parameter_block(estimate: Estimate, name: str) -> Block:
                      "carried by the viscosity law before it is judged; the curve shows B as "
                      "it is.")
     return Block(key, title, tuple(pictures), tuple(notes))
+
+
+def parameter_figure(estimate: Estimate, names: Sequence[str]) -> Figure | None:
+    """Draw ``B``, ``beta_e`` or both over the whole record; None where neither has a curve."""
+    shown = [name for name in names
+             if np.isfinite(_stage_of(estimate, name)[0].value).any()]
+    if not shown:
+        return None
+    figure, axes = new_figure(len(shown), height=HEIGHT - 100 if len(shown) == 1 else 560)
+    for axis, name in zip(axes, shown, strict=True):
+        stage, limits, colour = _stage_of(estimate, name)
+        lines, (low, high) = limits_of(limits), core_range(stage, 0.4)
+        near = [limit for limit, _ in lines if is_near(limit, low, high)]
+        draw_parameter(axis, stage, name, slice(None), (min([low, *near]), max([high, *near])),
+                       lines, colour, "whole record" if name == shown[-1] else "")
+    return arranged(figure)
+
+
+def _stage_of(estimate: Estimate, name: str) -> tuple[StageResult, Limits, str]:
+    """Return the stage, the limits and the colour of ``B`` or ``beta_e``."""
+    return {
+        "B": (estimate.stage_one, estimate.settings.thresholds.viscous_damping, STAGE_ONE),
+        "beta_e": (estimate.stage_two, estimate.settings.thresholds.bulk_modulus, STAGE_TWO)}[name]
 
 
 def core_range(stage: StageResult, from_share: float) -> tuple[float, float]:
@@ -103,13 +129,30 @@ def _settled(stage: StageResult) -> int:
 
 def _picture(stage: StageResult, name: str, part: slice, view: tuple[float, float],
              lines: list[tuple[float, str]], colour: str, words: str):
-    """Draw the curve, its band and the limits that fall into ``view``."""
+    """Return :func:`draw_parameter` as a picture of a page."""
+    figure, (axis,) = new_figure()
+    draw_parameter(axis, stage, name, part, view, lines, colour, words)
+    last = stage.value[np.isfinite(stage.value)][-1]
+    return picture(figure, f"{NAMES[name]} against time with its one-sigma band and limits, "
+                           f"{words}; last value {quantity(last, stage.estimate.unit)}")
+
+
+def draw_parameter(axis: Axes, stage: StageResult, name: str, part: slice,
+                   view: tuple[float, float], lines: list[tuple[float, str]], colour: str,
+                   words: str) -> None:
+    """Draw the curve, its band and the limits that fall into ``view``.
+
+    Parameters
+    ----------
+    part : of the record; ``words`` say which, "" without a label of the time.
+    view : least and largest value that are to be seen, SI.
+    lines : limit, SI, and its words.
+    """
     whole = stage.time
     clock = time_scale(float(whole[-1] - whole[0]))
     scale = axis_scale(max(map(abs, view)), stage.estimate.unit)
     t, value = whole[part] * clock.factor, stage.value[part] * scale.factor
     spread = stated(stage.value[part], stage.stddev[part]) * scale.factor
-    figure, (axis,) = new_figure()
     pad_limits(axis, view[0] * scale.factor, view[1] * scale.factor, 0.12)
     bottom, top = axis.get_ylim()
     band_t, lower = envelope(t, np.clip(value - spread, bottom - 9 * (top - bottom), None), 400)
@@ -122,12 +165,10 @@ def _picture(stage: StageResult, name: str, part: slice, view: tuple[float, floa
     draw_limits(axis, value, lines, scale.factor, stage.estimate.unit)
     if len(t) > 1 and t[-1] > t[0]:
         axis.set_xlim(t[0], t[-1])
-    axis.set_xlabel(f"time, {clock.unit} — {words}", color=INK)
+    if words:
+        axis.set_xlabel(f"time, {clock.unit} — {words}", color=INK)
     axis.set_ylabel(f"{SYMBOLS[name]}, {scale.unit}")
     legend_above(axis)
-    last = stage.value[np.isfinite(stage.value)][-1]
-    return picture(figure, f"{NAMES[name]} against time with its one-sigma band and limits, "
-                           f"{words}; last value {quantity(last, stage.estimate.unit)}")
 
 
 def draw_limits(axis: Axes, value: np.ndarray, lines: list[tuple[float, str]], factor: float,

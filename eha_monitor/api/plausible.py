@@ -1,14 +1,15 @@
-"""What every command does with a recording that contradicts its config: refuse, and say how."""
+"""What becomes of a recording that contradicts its config: refused, with what would mend it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from eha_monitor import __version__
-from eha_monitor.commands.answer import finite
+from eha_monitor.api.answer import finite
+from eha_monitor.api.config import Config
 from eha_monitor.errors import InputError
-from eha_monitor.output import write_text
 from eha_monitor.plausibility.corrections import corrected
 from eha_monitor.plausibility.judge import plausibility_of
 from eha_monitor.recordings.finding import ChannelFinding
@@ -18,23 +19,48 @@ from eha_monitor.settings.monitor import Settings
 
 TIME = ("time",)
 WAY_OUT = "implausible: warn in the config answers all the same"
+OFFER = f"--write-config FILE writes the config corrected; {WAY_OUT}"
 
 
-def checked(recordings: Sequence[Recording], settings: Settings, config: Path | None = None,
-            config_file: Path | None = None,
-            refused: Callable[[tuple[ChannelFinding, ...], str], None] | None = None
-            ) -> tuple[ChannelFinding, ...]:
+class ImplausibleError(InputError):
+    """A recording whose channels contradict its config, so that no answer would mean anything.
+
+    Attributes
+    ----------
+    channels : tuple of ChannelFinding
+        What the channels say: finding, kind, channels, correction.
+    corrected : Config or None
+        The config with the signs, units and channels that the recording says; None where no
+        change of the config would mend it.
+    reason : str
+        What contradicts, without the ways out of it.
+    """
+
+    def __init__(self, reason: str, channels: tuple[ChannelFinding, ...],
+                 corrected: Config | None = None, way: str = OFFER,
+                 recordings: Sequence[Recording] = ()):
+        super().__init__(f"{reason} ({way})")
+        self.reason, self.channels, self.corrected, self.way = reason, channels, corrected, way
+        self.recordings = tuple(recordings)  # all that were asked; not kept in a pickle
+
+    def __reduce__(self):
+        return partial(type(self), way=self.way), (self.reason, self.channels, self.corrected)
+
+    def instead(self, way: str) -> "ImplausibleError":
+        """Return it with another way out."""
+        return type(self)(self.reason, self.channels, self.corrected, way, self.recordings)
+
+
+def checked(recordings: Sequence[Recording], settings: Settings) -> tuple[ChannelFinding, ...]:
     """Return what the recordings' channels say about the config, where an answer is possible.
 
     Parameters
     ----------
     recordings : of one rig; each is asked by itself.
-    config, config_file : the config that was read, and where to write it corrected, or None.
-    refused : told the findings and the message before the refusal, e.g. to write JSON.
 
     Raises
     ------
-    InputError
+    ImplausibleError
         If no answer would be meaningful (exit status 2).
     """
     found: dict[str, ChannelFinding] = {}
@@ -49,15 +75,10 @@ def checked(recordings: Sequence[Recording], settings: Settings, config: Path | 
     findings = tuple(found.values())
     if not blocking or settings.implausible == "warn":
         return findings
-    written = config_file is not None and any(finding.correction for finding in findings)
-    if written:
-        write_text(config_file, corrected_config(findings, settings, config))
-    way = (f"the corrected config is in {config_file}" if written else
-           f"--write-config FILE writes the config corrected; {WAY_OUT}")
-    message = f"{'; '.join(blocking)} ({way})"
-    if refused is not None:
-        refused(findings, message)
-    raise InputError(message)
+    mended = None
+    if any(finding.correction for finding in findings):
+        mended = Config.of(corrected(settings, findings))
+    raise ImplausibleError("; ".join(blocking), findings, mended, recordings=recordings)
 
 
 def finding_tree(findings: Sequence[ChannelFinding]) -> list[dict[str, Any]]:

@@ -6,7 +6,7 @@ from pathlib import Path
 from textwrap import wrap
 
 from eha_monitor import __version__
-from eha_monitor.commands.answer import finite
+from eha_monitor.api.answer import finite
 from eha_monitor.mismatch.diagnosis import Change, Diagnosis, LearnedTerm, NamedEffect, Value
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import NOTE, with_uncertainty
@@ -130,14 +130,19 @@ def _values(values: dict[str, Value]) -> dict:
     return {name: asdict(value) for name, value in values.items()}
 
 
-def written_config(found: Diagnosis, settings: Settings, source: Path | None) -> str:
-    """Return the given config completed with what was found, as an annotated file.
+def completed(found: Diagnosis, settings: Settings) -> tuple[Settings, list[str], list[str]]:
+    """Return the given config completed with what was found.
 
     ``effects`` is what the diagnosis says, and numbers of the rig that it contradicts become the
     found ones.  B and beta_e of the rig become the fitted ones: ``simulator`` then makes what was
     recorded, and the filters start where the rig is.  Nothing else is changed, thresholds and
     priors included: whether the rig is healthy is not for a fit to say.  Where neither names nor
     a learned term explain the mismatch, the config stays as it was.
+
+    Returns
+    -------
+    settings : completed.
+    changed : what is different, in words; ``missing`` what was found and cannot stand in it.
     """
     tree = settings.model_dump()
     changed, missing = [], []
@@ -153,13 +158,19 @@ def written_config(found: Diagnosis, settings: Settings, source: Path | None) ->
                 tree["rig"][key] = rounded(value.value)
                 shown = with_uncertainty(value.value, value.stddev, value.unit)
                 changed.append(f"rig.{key}: {shown}")
+    return settings_from_tree(tree, "diagnosis"), changed, missing
+
+
+def written_config(found: Diagnosis, settings: Settings, source: Path | None) -> str:
+    """Return the config of :func:`completed` as an annotated file that says what was changed."""
+    made, changed, missing = completed(found, settings)
     given = f"Completes {source.name}." if source else "Completes the paper's EHA."
     lines = [" ".join(line.split()) for line in (
         f"Written by eha_monitor {__version__}, diagnose of {', '.join(found.bags)}.", given)]
     lines += ["Set by it:", *_indented(changed), *wrap(NOTE, _WIDTH)] if changed else [
         f"Nothing is changed in it: the verdict is {found.verdict}."]
     lines += ["Found, and not in it:", *_indented(missing)] if missing else []
-    return annotated(settings_from_tree(tree, "diagnosis"), "\n".join(lines))
+    return annotated(made, "\n".join(lines))
 
 
 def _indented(points: list[str]) -> list[str]:

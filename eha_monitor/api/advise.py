@@ -1,0 +1,228 @@
+"""``advise`` in Python: what a recording leaves open, and the cheapest motion that settles it."""
+
+import os
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from eha_monitor.api.advice_answer import answer, excited
+from eha_monitor.api.calls import Progress, calling, reporter
+from eha_monitor.api.config import Config
+from eha_monitor.api.plausible import checked, finding_tree
+from eha_monitor.api.read import Several, config_for, distinct, recordings_of, several
+from eha_monitor.api.record import Record, chosen, frame_of, read_only
+from eha_monitor.api.rotary import of_rig
+from eha_monitor.compiled import load_runtime
+from eha_monitor.mismatch.advise.advice import advise as run
+from eha_monitor.mismatch.advise.motions import Motion
+from eha_monitor.mismatch.advise.separate import Advice as Inner
+from eha_monitor.mismatch.advise.separate import Doubt
+from eha_monitor.mismatch.advise.tells import Confusion, Known, Sight
+from eha_monitor.mismatch.advise.words import motion_sentence, sentences
+from eha_monitor.quantity import SYMBOLS, number, with_uncertainty
+from eha_monitor.recordings.finding import ChannelFinding
+from eha_monitor.words import effect_words, listed
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+READING = 0.03  # share of the progress
+
+
+def advise(recordings: Several, config: Config | str | os.PathLike | dict | None = None, *,
+           check: bool = True, progress: Progress = False) -> "Advice":
+    """Say what recordings can and cannot tell apart, and which motion would, cheaply.
+
+    Parameters
+    ----------
+    recordings : Recording, path, or list of them
+        Of one rig; paths are read with the config.
+    config : Config, path, mapping or None
+        The rig; without it what the first recording was read or simulated with, and of a path
+        the paper's EHA.
+    check : bool
+        Put the proposed motion to a simulation with noise.
+    progress : bool or callable
+        True: a line on the standard error; a function is told (text, share from 0 to 1).
+
+    Returns
+    -------
+    Advice
+        The answer of the command ``advise``.
+
+    Raises
+    ------
+    InputError
+        One line: what is wrong with a recording or the config, or that nothing moves.
+    ImplausibleError
+        If a recording's channels contradict the config (signs, units, swapped channels).
+
+    Examples
+    --------
+    >>> a = em.advise(rub, em.Config(), check=False)  # the recording of diagnose
+    >>> a.named, a.motion.words
+    (('coulomb_friction',), 'a sine of 20 Hz')
+    """
+    with calling():
+        given = several(recordings, "recordings")
+        config = config_for(recordings, config, "recordings")
+        distinct(given)
+        say = reporter(progress)
+        say("reading", 0.0)
+        load_runtime()
+        read = recordings_of(given, config, "recordings")
+        channels = checked(read, config.settings)
+        naming, found = run(read, config.settings, bool(check), lambda text, share: say(
+            text, READING + (1 - READING) * share))
+        say("advised", 1.0)
+    return Advice(found, config, tuple(one.source for one in read), naming.after.named, channels)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Advice(Record):
+    """What :func:`advise` found; SI, of a rig that turns in rad and N·m.
+
+    Attributes
+    ----------
+    config : Config
+        What it was made with.
+    bags : tuple of str
+        What the recordings are called.
+    named : tuple of str
+        Effects that stand in the model beside B and beta_e.
+    channels : tuple of ChannelFinding
+        What the channels say of the config where it may be wrong.
+    """
+
+    inner: Inner
+    config: Config
+    bags: tuple[str, ...]
+    named: tuple[str, ...]
+    channels: tuple[ChannelFinding, ...]
+
+    @cached_property
+    def _shown(self) -> Inner:
+        return read_only(of_rig(self.inner, self.config.rig.motion))
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What the recording tells and leaves open, and what to record, in sentences."""
+        return tuple(of_rig(sentences(self.inner), self.config.rig.motion))
+
+    @property
+    def parameters(self) -> tuple[Known, ...]:
+        """The fitted parameters, and with what each is confused most; :class:`Known`."""
+        return self._shown.known
+
+    @property
+    def confusions(self) -> tuple[Confusion, ...]:
+        """B or beta_e and an effect that take one another's part; :class:`Confusion`."""
+        return self._shown.confusions
+
+    @property
+    def visible_from(self) -> tuple[Sight, ...]:
+        """From which size on each effect shows in this recording; :class:`Sight`."""
+        return self._shown.sights
+
+    @property
+    def doubts(self) -> tuple[Doubt, ...]:
+        """Questions that the recording leaves open; :class:`Doubt`."""
+        return self._shown.doubts
+
+    @property
+    def motion(self) -> Motion | None:
+        """The cheapest motion that settles them: name, words, segments, duration (s); or None."""
+        return self._shown.motion
+
+    def excitation(self) -> Config | None:
+        """Return the config with the proposed motion, as ``--write-excitation`` does.
+
+        Returns
+        -------
+        Config or None
+            ``simulate`` runs the motion; None where none is proposed.
+        """
+        return None if self.inner.motion is None else Config.of(
+            excited(self.inner.motion, self.config.settings))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the answer as JSON's plain types.
+
+        Returns
+        -------
+        dict
+            What ``eha-monitor advise --json`` writes (schema ``eha_monitor/advice/1``).
+
+        Examples
+        --------
+        >>> a.to_dict()["schema"]
+        'eha_monitor/advice/1'
+        """
+        return of_rig(answer(self.bags, self.named, self.inner), self.config.rig.motion) | {
+            "channels": finding_tree(self.channels)}
+
+    def to_frame(self, table: str = "visible_from") -> "pandas.DataFrame":
+        """Return a table of the answer.
+
+        Parameters
+        ----------
+        table : str
+            ``visible_from`` (a row for each effect), ``parameters``, ``confusions``, ``doubts``
+            or ``considered`` (the motions that were tried, with log units for each doubt).
+
+        Returns
+        -------
+        pandas.DataFrame
+            SI units.
+
+        Raises
+        ------
+        InputError
+            If there is no such table.
+
+        Examples
+        --------
+        >>> a.to_frame("parameters").index[:2].tolist()
+        ['B', 'beta_e']
+        """
+        return chosen(table, {
+            "visible_from": lambda: frame_of(
+                map(asdict, self.visible_from),
+                ("effect", "symbol", "unit", "matters", "visible", "gain", "shifts"), "effect"),
+            "parameters": lambda: frame_of(
+                map(asdict, self.parameters),
+                ("name", "value", "stddev", "unit", "inflation", "correlation", "most_with"),
+                "name"),
+            "confusions": lambda: frame_of(
+                map(asdict, self.confusions), tuple(Confusion.__dataclass_fields__), "parameter"),
+            "doubts": lambda: frame_of(
+                map(asdict, self.doubts), tuple(Doubt.__dataclass_fields__), "effect"),
+            "considered": lambda: frame_of(
+                ({"name": one.motion.name, "duration_s": one.motion.duration,
+                  "log_units": one.gains} for one in self._shown.tried),
+                ("name", "duration_s", "log_units"), "name")}, "table")()
+
+    def plot(self) -> "Figure":
+        """Draw the proposed motion: demanded position against time.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            A notebook shows it; without a motion it says so.
+        """
+        from eha_monitor.reports.single_figures import motion_figure
+
+        return motion_figure(None if self.motion is None else (
+            self.motion.segments, motion_sentence(self.motion)), self.config.rig.motion)
+
+    def _short(self):
+        health = [one for one in self.parameters if one.name in ("B", "beta_e")
+                  or one.name.partition(".")[0] in self.named]
+        rows = [[SYMBOLS.get(one.name, one.name),
+                 with_uncertainty(one.value, one.stddev, one.unit), number(one.inflation, 3),
+                 f"{one.most_with} ({number(one.correlation, 3)})"] for one in health]
+        return (listed(self.bags), "named beside B and βe: " + (
+            listed([effect_words(name) for name in self.named]) or "nothing"),
+            ("parameter", "value", "variance inflation", "most correlated with"), rows,
+            self.sentences)

@@ -1,0 +1,327 @@
+"""``estimate`` in Python: B and the bulk modulus of a recording, judged against the thresholds."""
+
+import os
+import time
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from eha_monitor.api.answer import answer, judged, unhealthy
+from eha_monitor.api.calls import Progress, calling, reporter
+from eha_monitor.api.config import Config, path_of
+from eha_monitor.api.plausible import checked, finding_tree
+from eha_monitor.api.read import Given, config_for, recordings_of
+from eha_monitor.api.record import Record, chosen, frame_of, read_only
+from eha_monitor.api.recording import Recording
+from eha_monitor.compiled import load_runtime
+from eha_monitor.errors import InputError
+from eha_monitor.filters.observability import ObservabilityTable, observability
+from eha_monitor.filters.pipeline import estimate as run
+from eha_monitor.filters.results import Estimate as Inner
+from eha_monitor.filters.results import (
+    Event,
+    JointResult,
+    ModelStatus,
+    ParameterEstimate,
+    StageResult,
+)
+from eha_monitor.health.alarms import Alarm
+from eha_monitor.quantity import SYMBOLS
+from eha_monitor.recordings.finding import ChannelFinding
+from eha_monitor.recordings.recording import SHORTEST_S
+from eha_monitor.recordings.recording import Recording as InnerRecording
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+
+def estimate(recording: Given, config: Config | str | os.PathLike | dict | None = None, *,
+             progress: Progress = False) -> "Estimate":
+    """Estimate B and the effective bulk modulus, and judge them against the thresholds.
+
+    Parameters
+    ----------
+    recording : Recording or path
+        What was recorded; a path is read with the config.
+    config : Config, path, mapping or None
+        The rig and how to judge it; without it what the recording was read or simulated with,
+        and of a path the paper's EHA.
+    progress : bool or callable
+        True: a line on the standard error; a function is told (text, share from 0 to 1).
+
+    Returns
+    -------
+    Estimate
+        The answer of the command ``estimate``.
+
+    Raises
+    ------
+    InputError
+        One line: what is wrong with recording or config.
+    ImplausibleError
+        If the recording's channels contradict the config (signs, units, swapped channels).
+
+    Examples
+    --------
+    >>> e = em.estimate("bags/air_ingress")
+    >>> e.parameters["B"].shown, e.parameters["B"].status
+    ('599.8 ± 0.2 N·s/m', 'converged')
+    >>> [alarm.name for alarm in e.alarms if alarm.level == "WARN"]
+    ['bulk_modulus_low']
+    """
+    with calling():
+        say, config = reporter(progress), config_for(recording, config, "recording")
+        load_runtime()
+        started = time.perf_counter()
+        say(f"reading {_named(recording)}", 0.0)
+        found, *others = recordings_of(recording, config, "recording")
+        if others:
+            raise InputError(f"recording: expected one, got {1 + len(others)}: "
+                             "[em.estimate(one) for one in ...]")
+        channels = checked([found], config.settings)
+        refuse_short(found)  # a clock that runs wrong has been told before
+        say("estimating", 0.2)
+        inner = run(found, config.settings)
+        channels = (*channels, *inner.channels)
+        alarms, history = judged(inner)
+        # What a user waits for: the file is read within this time.
+        inner = replace(inner, wall_s=time.perf_counter() - started, warnings=(
+            *inner.warnings, *(finding.finding for finding in channels)))
+        say("estimated", 1.0)
+    return Estimate(inner, config, alarms, history, channels)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Estimate(Record):
+    """What :func:`estimate` found in one recording; B in N·s/m, beta_e in Pa.
+
+    Attributes
+    ----------
+    config : Config
+        What it was made with.
+    alarms : tuple of Alarm
+        Each alarm at the end of the recording: name, level, message, time_s.
+    alarm_history : tuple of Alarm
+        Every change of a level, in order of time.
+    channels : tuple of ChannelFinding
+        What the channels say of the config where it may be wrong, or of the hold of the demand.
+    """
+
+    inner: Inner
+    config: Config
+    alarms: tuple[Alarm, ...]
+    alarm_history: tuple[Alarm, ...]
+    channels: tuple[ChannelFinding, ...]
+
+    def __getstate__(self) -> dict:
+        return {key: value for key, value in self.__dict__.items() if key != "_shown"}
+
+    @cached_property
+    def _shown(self) -> Inner:
+        return read_only(self.inner)
+
+    @cached_property
+    def observability(self) -> ObservabilityTable:
+        """Which combination of channels would tell B, beta_e and leakage, and how well.
+
+        Relative standard deviations (Cramér-Rao bound); computed when first asked for.
+        """
+        with calling():
+            return observability(self.inner)
+
+    @property
+    def recording(self) -> Recording:
+        """What was recorded."""
+        return Recording.of(self.inner.recording, self.config)
+
+    @property
+    def parameters(self) -> dict[str, ParameterEstimate]:
+        """``B`` of stage one, ``beta_e`` of stage two: value, stddev, unit, status, message."""
+        return read_only(self._shown.parameters)
+
+    @property
+    def joint(self) -> JointResult | None:
+        """B, beta_e and leakage L at once, of pressures and pump speed; None without them."""
+        return self._shown.joint
+
+    @property
+    def model(self) -> ModelStatus:
+        """Whether the model explains the recording: status, message, mismatches."""
+        return self._shown.model
+
+    @property
+    def stage_one(self) -> StageResult:
+        """Stage one over time: time, value and stddev of B, states, innovations; (n,) each."""
+        return self._shown.stage_one
+
+    @property
+    def stage_two(self) -> StageResult:
+        """Stage two over time: time, value and stddev of beta_e, states, innovations."""
+        return self._shown.stage_two
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What the stages did: converged, saw a change, were reset."""
+        return self._shown.events
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences on what limits the answer."""
+        return self._shown.warnings
+
+    @property
+    def healthy(self) -> bool:
+        """Whether no alarm stands and the model fits: exit status 0 with ``--exit-code``."""
+        return not unhealthy(self.inner, self.alarms)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the answer as JSON's plain types.
+
+        Returns
+        -------
+        dict
+            What ``eha-monitor estimate --json`` writes (schema ``eha_monitor/estimate/1``).
+
+        Examples
+        --------
+        >>> e.to_dict()["schema"]
+        'eha_monitor/estimate/1'
+        """
+        return answer(self.inner, self.alarms, self.alarm_history, self.observability) | {
+            "channels": finding_tree(self.channels)}
+
+    def to_frame(self, table: str = "parameters") -> "pandas.DataFrame":
+        """Return a table of the answer.
+
+        Parameters
+        ----------
+        table : str
+            ``parameters`` (a row for each estimator and parameter), ``course`` (B and beta_e
+            with their standard deviations as they converge, index ``time_s``), ``alarms``,
+            ``alarm_history`` or ``events``.
+
+        Returns
+        -------
+        pandas.DataFrame
+            SI units.
+
+        Raises
+        ------
+        InputError
+            If there is no such table.
+
+        Examples
+        --------
+        >>> list(e.to_frame().index)
+        ['B', 'beta_e', 'B', 'beta_e', 'L']
+        >>> list(e.to_frame("course").columns)
+        ['B', 'B_stddev', 'beta_e', 'beta_e_stddev']
+        """
+        return chosen(table, {
+            "parameters": self._parameters, "course": self._course,
+            "alarms": lambda: _alarms(self.alarms),
+            "alarm_history": lambda: _alarms(self.alarm_history),
+            "events": lambda: frame_of(map(asdict, self.events),
+                                       ("time_s", "stage", "message"))}, "table")()
+
+    def plot(self, what: str = "parameters") -> "Figure":
+        """Draw B and beta_e as they converge, with their band and the alarm limits.
+
+        Parameters
+        ----------
+        what : str
+            ``parameters`` (both), ``B`` or ``beta_e``.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            A notebook shows it; ``figure.savefig("estimate.png")`` keeps it.
+
+        Raises
+        ------
+        InputError
+            If there is no such picture.
+        """
+        from eha_monitor.reports.single_figures import estimate_figure
+
+        names = chosen(what, {"parameters": lambda: ("B", "beta_e"), "B": lambda: ("B",),
+                              "beta_e": lambda: ("beta_e",)}, "what")()
+        return estimate_figure(self.inner, names)
+
+    def report(self, path: str | os.PathLike) -> Path:
+        """Write the self-contained HTML report of ``eha-monitor estimate --report``.
+
+        Parameters
+        ----------
+        path : str or path
+            The file; it is replaced when the new one is complete.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        InputError
+            If it cannot be written.
+        """
+        from eha_monitor.reports.estimate_report import write_estimate_report
+
+        with calling():
+            place = path_of(path, "a file to write")
+            write_estimate_report(place, self.inner, self.alarms, self.alarm_history,
+                                  self.observability)
+            return place
+
+    def _parameters(self) -> "pandas.DataFrame":
+        return frame_of(({"parameter": p.name, "estimator": estimator, "value": p.value,
+                          "stddev": p.stddev, "unit": p.unit, "status": p.status,
+                          "message": p.message} for estimator, p in self._rows()),
+                        ("parameter", "estimator", "value", "stddev", "unit", "status",
+                         "message"), "parameter")
+
+    def _course(self) -> "pandas.DataFrame":
+        import pandas
+
+        columns = {}
+        for name, stage in (("B", self.stage_one), ("beta_e", self.stage_two)):
+            for column, values in ((name, stage.value), (f"{name}_stddev", stage.stddev)):
+                index = pandas.Index(stage.time, name="time_s", dtype=float)
+                columns[column] = pandas.Series(values, index, dtype=float)
+        return pandas.DataFrame(columns).rename_axis("time_s")
+
+    def _rows(self) -> list[tuple[str, ParameterEstimate]]:
+        """Return every parameter with the estimator that it is of."""
+        rows = [(f"stage {stage.stage}", stage.estimate)
+                for stage in (self.stage_one, self.stage_two)]
+        return rows + ([] if self.joint is None else [
+            ("joint", parameter) for parameter in self.joint.parameters.values()])
+
+    def _short(self):
+        rows = [[estimator, SYMBOLS.get(p.name, p.name), p.shown, p.status]
+                for estimator, p in self._rows()]
+        rows += [["alarm", alarm.name, alarm.message, alarm.word] for alarm in self.alarms
+                 if alarm.level != "OK"]
+        return (self.inner.recording.source or "recording",
+                f"model: {self.model.status}: {self.model.message}",
+                ("estimator", "parameter", "value", "status"), rows,
+                tuple(f"lost: {loss}" for loss in self.inner.recording.losses)
+                + tuple(f"note: {warning}" for warning in self.warnings))
+
+
+def refuse_short(recording: InnerRecording) -> None:
+    """Refuse a recording that is shorter than any answer needs."""
+    if recording.duration < SHORTEST_S:
+        raise InputError(f"{recording.source}: expected a recording of at least {SHORTEST_S:g} s, "
+                         f"found {recording.duration:.3g} s")
+
+
+def _alarms(alarms: tuple[Alarm, ...]) -> "pandas.DataFrame":
+    return frame_of(map(asdict, alarms), ("name", "level", "message", "time_s"))
+
+
+def _named(recording: Any) -> str:
+    return recording.source if isinstance(recording, Recording) else str(recording)

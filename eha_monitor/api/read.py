@@ -1,0 +1,165 @@
+"""Files to recordings: a bag, a CSV or a MAT file; and what the functions are given as one."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from eha_monitor.api.calls import calling
+from eha_monitor.api.config import Config, config_of, path_of
+from eha_monitor.api.recording import Recording
+from eha_monitor.archive.find import find_bags, is_archive
+from eha_monitor.errors import InputError
+from eha_monitor.recordings.importing import read_table
+from eha_monitor.recordings.read import read_recording
+from eha_monitor.recordings.recording import Recording as Inner
+
+Given = Recording | str | os.PathLike
+Several = Given | Sequence[Given]
+TABLES = (".csv", ".tsv", ".txt", ".dat", ".mat", ".csv.gz", ".txt.gz")
+_SHOWN = 3  # bags of a folder that an error names
+# What of a config decides how a file becomes channels, by the kind of the file.
+_READING = {"table": ("table",), "bag": ("channels",)}
+
+
+def read(path: str | os.PathLike, config: Config | str | os.PathLike | dict | None = None
+         ) -> Recording:
+    """Read a recording.
+
+    Parameters
+    ----------
+    path : str or path
+        A rosbag2 bag (folder or .mcap file, whole or cut off), or a CSV or MAT file for which
+        the config has a ``table`` section.  ``~`` is the home folder.
+    config : Config, path, mapping or None
+        Its ``channels`` say which topic is which channel, its ``table`` which column, its
+        ``rig.sample_time`` the grid; without it the paper's.
+
+    Returns
+    -------
+    Recording
+        Channels on one time grid, SI.
+
+    Raises
+    ------
+    InputError
+        One line: what is not there or cannot be read, and what was expected.
+
+    Examples
+    --------
+    >>> r = em.read("bags/hidden_friction")
+    >>> r.duration, list(r.channels)
+    (11.0, ['x', 'x_d', 'omega', 'p1', 'p2'])
+    >>> em.read("bags/hiden_friction")
+    Traceback (most recent call last):
+        ...
+    eha_monitor.errors.InputError: bags/hiden_friction: no such bag
+    """
+    if isinstance(path, Recording):
+        raise InputError(f"read: expected a path, got a recording of {path.source or 'arrays'}")
+    with calling():
+        config = config_of(config)
+        place = path_of(path, "a bag, a CSV or a MAT file")
+        kind = "table" if _is_table(place) else "bag"
+        return Recording.of(inner_of(place, config), config, kind)
+
+
+def _is_table(path: Path) -> bool:
+    return path.name.lower().endswith(TABLES) and not path.is_dir()
+
+
+def inner_of(path: Path, config: Config) -> Inner:
+    """Return what a file holds; a folder of bags is refused, with the names of some."""
+    if _is_table(path):
+        return read_table(path, config.settings, map_source=config.source or "config")
+    if is_archive(path):
+        names = [place.name for place in find_bags(path) if not place.problem]
+        more = ", ..." if len(names) > _SHOWN else ""
+        raise InputError(f"{path}: expected one bag, found a folder of {len(names)}: "
+                         f"{', '.join(names[:_SHOWN])}{more}")
+    return read_recording(path, config.settings)
+
+
+def recordings_of(given: Several, config: Config, name: str) -> list[Inner]:
+    """Return the inner recordings of an argument: paths are read, recordings are taken.
+
+    Parameters
+    ----------
+    name : of the argument, for the error.
+
+    Raises
+    ------
+    InputError
+        If there is none, or one was read with channels that the config maps otherwise.
+    """
+    return [inner_of(one, config) if isinstance(one, Path) else _fitting(one, config)
+            for one in several(given, name)]
+
+
+def several(given: Several, name: str) -> tuple[Recording | Path, ...]:
+    """Return what an argument names, as recordings and paths."""
+    many = given if isinstance(given, (list, tuple)) else (given,)
+    for one in many:
+        if not isinstance(one, (Recording, str, os.PathLike)):
+            raise InputError(f"{name}: expected an em.Recording, a path, or a list of them, got "
+                             f"{type(one).__name__}; arrays: em.Recording({{'x': x}}, "
+                             "sample_time=1e-3)")
+    if not many:
+        raise InputError(f"{name}: expected at least one recording")
+    return tuple(one if isinstance(one, Recording) else path_of(one, "a recording")
+                 for one in many)
+
+
+def config_for(given: Several, config: Any, name: str) -> Config:
+    """Return the config of a call: what is given, or what the first recording was read with."""
+    if config is None:
+        first = several(given, name)[0]
+        return first.config or Config() if isinstance(first, Recording) else Config()
+    return config_of(config)
+
+
+def source_of(given: Recording | Path) -> str:
+    """Return what errors call a recording."""
+    return given.source or "recording" if isinstance(given, Recording) else str(given)
+
+
+def distinct(recordings: Sequence[Recording | Path], held_out: Recording | Path | None = None,
+             references: Sequence[Recording | Path] = (), option: str = "held_out") -> None:
+    """Refuse a recording that is given twice, or fitted and kept back at once.
+
+    Parameters
+    ----------
+    option : what the caller calls the recording that is kept back.
+
+    Raises
+    ------
+    InputError
+        Naming the recording.
+    """
+    places = [_place(one) for one in (*recordings, *references)]
+    for one, place in zip((*recordings, *references), places, strict=True):
+        if places.count(place) > 1:
+            raise InputError(f"{source_of(one)}: is given twice, expected different recordings")
+    if held_out is not None and _place(held_out) in places:
+        raise InputError(f"{source_of(held_out)}: {option} names a bag that is fitted, expected "
+                         "one that is not")
+
+
+def _place(one: Recording | Path) -> Any:
+    """Return what tells a recording from others: where it lies, or itself."""
+    return id(one) if isinstance(one, Recording) else one.resolve()
+
+
+def _fitting(recording: Recording, config: Config) -> Inner:
+    """Return the inner recording, if it was read as the config would have it read."""
+    first, now = recording.config, config.settings
+    for key in _READING.get(recording.kind, ()):
+        if first is not None and getattr(first.settings, key) != getattr(now, key):
+            raise InputError(f"{source_of(recording)}: was read with another section {key} than "
+                             "that of the config: expected em.read(path, config)")
+    step, said = recording.sample_time, now.rig.sample_time
+    if abs(step - said) > 1e-6 * said:
+        raise InputError(f"{source_of(recording)}: has a row every {step:g} s, and the config "
+                         f"says rig.sample_time {said:g} s: expected em.read(path, config), or a "
+                         f"config with sample_time {step:g} s")
+    return recording.inner
