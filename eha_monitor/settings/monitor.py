@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
+from eha_monitor.settings.measured import Measured, check_unit
 from eha_monitor.settings.rig import Rig, SensorNoise, Simulation, effects_field
 from eha_monitor.settings.section import Section
 from eha_monitor.settings.table import Table
@@ -14,16 +15,18 @@ CHANNEL_UNITS = {"x": "m", "v": "m/s", "x_d": "m", "omega": "rad/s",
                  "omega_d": "rad/s", "p1": "Pa", "p2": "Pa", "force": "N", "temperature": "°C"}
 
 
-class Channel(Section):
-    """Where a channel comes from: SI value = scale * raw + offset, taken ``delay`` earlier."""
+class Channel(Section, Measured):
+    """Where a channel comes from: scale * raw + offset is in ``unit``, taken ``delay`` earlier."""
 
     topic: str = Field("", description="topic (relative names get the namespace) or, for an "
                        "import, unused")
     name: str = Field("", description="entry of a JointState, or column of an imported table")
     field: str = Field("", description="message field, e.g. position, velocity, effort, "
                        "fluid_pressure, temperature, data")
-    scale: float = Field(1.0, allow_inf_nan=False, description="SI units per raw unit, not 0")
-    offset: float = Field(0.0, allow_inf_nan=False, description="SI value at raw zero")
+    unit: str = Field("", description="unit of scale * raw + offset, such as mm, rpm, bar, bar "
+                      "gauge; empty: SI")
+    scale: float = Field(1.0, allow_inf_nan=False, description="of unit, per raw unit, not 0")
+    offset: float = Field(0.0, allow_inf_nan=False, description="in unit, at raw zero")
     delay: Si("s", "how late the stamp is against the quantity") = 0.0
 
     @field_validator("scale")
@@ -219,3 +222,15 @@ class Settings(Section):
     effects: Annotated[dict[str, dict[str, float | str | list[float]]],
                        BeforeValidator(effects_field)] = Field(
         {}, description="modelled physics beyond the linear model")
+
+    @model_validator(mode="after")
+    def _units_of_the_channels(self):
+        rotary = self.rig.motion == "rotary"
+        for section, entries in (("table.columns", self.table.columns),
+                                 ("channels", self.channels)):
+            for name, entry in entries.items():
+                try:
+                    check_unit(name, entry.unit, rotary)
+                except ValueError as problem:
+                    raise ValueError(f"{section}.{name}.unit: {problem}") from None
+        return self
