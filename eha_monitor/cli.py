@@ -17,6 +17,7 @@ from eha_monitor.commands.advise import advise
 from eha_monitor.commands.diagnose import diagnose
 from eha_monitor.commands.estimate import estimate
 from eha_monitor.commands.files import config, import_table, simulate
+from eha_monitor.commands.init import init
 from eha_monitor.commands.live import dashboard, monitor, record, replay, simulator
 from eha_monitor.commands.prove import prove
 from eha_monitor.errors import InputError
@@ -49,7 +50,7 @@ def cli(context: click.Context) -> None:
                                "expected no --ros-args")
 
 
-for _command in (simulator, monitor, dashboard, replay, record, simulate, estimate, diagnose,
+for _command in (init, simulator, monitor, dashboard, replay, record, simulate, estimate, diagnose,
                  advise, prove, import_table, config):
     cli.add_command(_command)
 

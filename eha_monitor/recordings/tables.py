@@ -52,7 +52,7 @@ def _csv(path: Path, table: Table, wanted: list[str]) -> dict[str, np.ndarray]:
         delimiter = _delimiter(lines)
     named = table.header == "present" or (
         table.header == "auto" and not any(_is_number(cell)
-                                           for cell in _cells(lines[0], delimiter)))
+                                           for cell in parted_cells(lines[0], delimiter)))
     separator = r"\s+" if delimiter == " " else delimiter
     try:
         frame = pandas.read_csv(
@@ -115,13 +115,19 @@ def _head(path: Path) -> bytes:
         raise InputError(f"{path}: cannot read file: {problem}") from problem
 
 
-def first_lines(path: Path, encoding: str, skip: int = 0, most: int = 20) -> list[str]:
-    """Return the first lines that hold something; the file may be packed with gzip."""
+def first_lines(path: Path, encoding: str, skip: int = 0, most: int = 20,
+                blank: bool = False) -> list[str]:
+    """Return the first lines that hold something, or all of them with ``blank``.
+
+    The file may be packed with gzip.
+    """
     text = _head(path).decode(encoding, errors="replace").lstrip("\ufeff")
     if "\0" in text:
         raise InputError(f"{path}: expected a CSV file, got binary data")
-    text = "\n".join(text.splitlines()[skip:])
-    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    lines = text.splitlines()[skip:]
+    if blank:
+        return lines[:most]
+    lines = [line for line in lines if line.strip() and not line.startswith("#")]
     if not lines:
         raise InputError(f"{path}: expected a CSV file, found no rows")
     return lines[:most]
@@ -130,13 +136,14 @@ def first_lines(path: Path, encoding: str, skip: int = 0, most: int = 20) -> lis
 def _delimiter(lines: list[str]) -> str:
     """Return what splits the lines into equally many cells: tab, semicolon, comma or space."""
     for delimiter in ("\t", ";", ",", " "):
-        counts = {len(_cells(line, delimiter)) for line in (lines[:-1] or lines)}
+        counts = {len(parted_cells(line, delimiter)) for line in (lines[:-1] or lines)}
         if min(counts) > 1 and (len(counts) == 1 or delimiter in "\t;"):
             return delimiter
     return ","
 
 
-def _cells(line: str, delimiter: str) -> list[str]:
+def parted_cells(line: str, delimiter: str) -> list[str]:
+    """Return the cells of a line."""
     return line.split() if delimiter == " " else next(csv.reader([line], delimiter=delimiter), [])
 
 
@@ -150,7 +157,7 @@ def _is_number(cell: str) -> bool:
 
 def _mat(path: Path, wanted: list[str]) -> dict[str, np.ndarray]:
     """Read the wanted variables, and nothing else: a few bytes may unpack to gigabytes."""
-    shapes = _variables(path)
+    shapes = variables_of(path)
     names = {}
     for name in wanted:
         match = _SLICE.fullmatch(name)
@@ -176,7 +183,7 @@ def _mat(path: Path, wanted: list[str]) -> dict[str, np.ndarray]:
     return found
 
 
-def _variables(path: Path) -> dict[str, tuple[int, ...]]:
+def variables_of(path: Path) -> dict[str, tuple[int, ...]]:
     """Return the variables of a MAT file with their shapes; their numbers are not read."""
     from scipy.io import whosmat
 

@@ -60,10 +60,10 @@ def tree_of(path: str | Path, what: str = "a config"):
                          f"{problem.strerror}") from problem
     except UnicodeDecodeError as problem:
         raise InputError(f"{path}: expected UTF-8 text") from problem
-    return _parsed(text, path)
+    return text_tree(text, path)
 
 
-def _parsed(text: str, path: Path):
+def text_tree(text: str, path: Path | str):
     """Return the tree of a YAML text; whatever the parser raises is one line with the file."""
     from ruamel.yaml import YAML  # YAML 1.2, where 6e8 is a number
     from ruamel.yaml.error import YAMLError
