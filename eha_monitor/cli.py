@@ -20,6 +20,7 @@ from eha_monitor.commands.files import config, import_table, simulate
 from eha_monitor.commands.init import init
 from eha_monitor.commands.live import dashboard, monitor, record, replay, simulator
 from eha_monitor.commands.prove import prove
+from eha_monitor.commands.thresholds import thresholds
 from eha_monitor.errors import InputError
 
 # Those that know what to do with ROS arguments.
@@ -51,7 +52,7 @@ def cli(context: click.Context) -> None:
 
 
 for _command in (init, simulator, monitor, dashboard, replay, record, simulate, estimate, diagnose,
-                 advise, prove, import_table, config):
+                 advise, prove, import_table, thresholds, config):
     cli.add_command(_command)
 
 

@@ -24,7 +24,8 @@ KNOWN = {
               "deg/s": (np.pi / 180, 0), "rad/s": (1, 0)},
     "p1": {"bar": (1e5, 0), "bar gauge": (1e5, 101_325), "barg": (1e5, 101_325),
            "bar(g)": (1e5, 101_325), "bara": (1e5, 0), "MPa": (1e6, 0), "kPa": (1e3, 0),
-           "psi": (6894.757293168, 0), "psig": (6894.757293168, 101_325), "PSI": (6894.757293168, 0),
+           "psi": (6894.757293168, 0), "psig": (6894.757293168, 101_325),
+           "PSI": (6894.757293168, 0),
            "kgf/cm²": (98_066.5, 0), "mbar": (100, 0), "BAR": (1e5, 0)},
     "force": {"kN": (1e3, 0), "N": (1, 0), "kgf": (9.80665, 0), "lbf": (4.4482216152605, 0)},
     "temperature": {"degC": (1, 0), "°C": (1, 0), "K": (1, -273.15),
@@ -63,7 +64,8 @@ def test_a_unit_of_another_quantity_is_refused_in_one_line(section, channel, cas
         config(section, **{channel: entry})
         return
     place = re.escape("table.columns" if section == "table" else "channels")
-    with pytest.raises(InputError, match=rf"^my_rig\.yaml: {place}\.{channel}\.unit: expected a") as e:
+    said = rf"^my_rig\.yaml: {place}\.{channel}\.unit: expected a"
+    with pytest.raises(InputError, match=said) as e:
         config(section, **{channel: entry})
     assert "\n" not in str(e.value)
 
@@ -92,7 +94,8 @@ def test_an_angle_is_the_position_of_a_rig_that_turns():
         config(rotary=True, x={"column": "c", "unit": "mm"})
     with pytest.raises(InputError, match="expected a length such as mm, got 'deg'"):
         config(x={"column": "c", "unit": "deg"})
-    assert config(rotary=True, force={"column": "c", "unit": "Nm"}).table.columns["force"].gain == 1
+    torque = config(rotary=True, force={"column": "c", "unit": "Nm"}).table.columns["force"]
+    assert torque.gain == 1
     assert set(ROTARY) == set(LINEAR)
 
 
@@ -108,7 +111,8 @@ def test_a_table_in_units(tmp_path: Path):
                             np.full(2000, 19.0), np.arange(2000) % 7 - 3.0])
     file = tmp_path / "a.csv"
     np.savetxt(file, rows, delimiter=",", header="t,x,p,n", comments="")
-    got = read_table(file, settings_from_tree({"table": {"time": "t", "time_scale": "1 ms", "columns": {
+    got = read_table(file, settings_from_tree({"table": {
+        "time": "t", "time_scale": "1 ms", "columns": {
         "x": {"column": "x", "unit": "mm"},
         "p1": {"column": "p", "unit": "bar gauge"},
         "omega": {"column": "n", "unit": "rpm", "scale": 100, "negative_scale": 50}}}}, "m"))
@@ -142,7 +146,7 @@ def test_umlauts_in_every_encoding_of_windows(tmp_path, encoding):
 def test_dates_and_times_of_day_over_midnight(tmp_path, form):
     import datetime
 
-    start = datetime.datetime(2026, 11, 23, 23, 59, 59, 500_000)  # noqa: DTZ001
+    start = datetime.datetime(2026, 11, 23, 23, 59, 59, 500_000)
     lines = ["Zeit;Öl µm"] + [f"{(start + datetime.timedelta(milliseconds=k)).strftime(form)};{k}"
                               for k in range(900)]
     file = tmp_path / "a.csv"

@@ -107,8 +107,9 @@ def _tell(draft) -> None:
         table.add_row(name, guess.candidate.shown.replace("[", r"\["),
                       guess.full or f"{scale}{guess.unit}", guess.why.replace("[", r"\["))
     console.print(table)
-    for one in draft.map.unused:
-        console.print(f"not used: {one.shown}", markup=False)
+    if draft.map.unused:
+        console.print(f"not used: {', '.join(one.shown for one in draft.map.unused)}",
+                      markup=False)
     if draft.asked:
         console.print("still to be told (ASK in the file):", markup=False)
         for key, question in draft.asked:
@@ -154,11 +155,9 @@ def _next(file: Path, out: Path, draft, bag: bool) -> None:
     click.echo(f"written: {out}" + (f", {len(draft.asked)} values marked ASK" if draft.asked
                                     else ""))
     click.echo("next:")
-    if bag:
-        click.echo(f"  eha-monitor estimate {name} --config {config} --report my_report.html")
-    else:
+    if not bag:
         click.echo(f"  eha-monitor import {recording} --map {config} --out {name}")
-        click.echo(f"  eha-monitor estimate {name} --config {config} --report my_report.html")
+    click.echo(f"  eha-monitor estimate {name} --config {config} --report my_report.html")
     click.echo(f"  eha-monitor diagnose {name} --config {config} --report why.html")
     if bag:
         click.echo(f"  eha-monitor thresholds --from {name} --config {config} "

@@ -19,8 +19,8 @@ SHEET = {"bore": ("m", "bore of the cylinder"), "rod": ("m", "diameter of the ro
 RODS = ("1", "2")
 _NULL = ("null", "none", "-")
 _CHANNEL_KEYS = ("column", "unit", "scale", "offset", "full")
-_FULL = re.compile(r"^(?:(?P<raw>[-+\d.e]+)\s*=\s*)?(?P<value>[-+\d.]+(?:e[-+]?\d+)?)\s*(?P<unit>\S.*)$",
-                   re.IGNORECASE)
+_FULL = re.compile(r"^(?:(?P<raw>[-+\d.e]+)\s*=\s*)?(?P<value>[-+\d.]+(?:e[-+]?\d+)?)"
+                   r"\s*(?P<unit>\S.*)$", re.IGNORECASE)
 
 
 @dataclass(frozen=True)

@@ -112,7 +112,9 @@ def _with(name: str, guess: Guess, keys: dict[str, str], rotary: bool) -> Guess:
         guess = replace(guess, unit=unit, scale=scale, full="", sure=True,
                         why=f"answered: {keys['full']} at full scale")
     if "unit" in keys:
-        unit = keys["unit"] if name != "time" or keys["unit"][:1].isdigit() else f"1 {keys['unit']}"
+        unit = keys["unit"]
+        if name == "time" and not unit[:1].isdigit():
+            unit = f"1 {unit}"
         guess = replace(guess, unit=unit, full="", sure=True, why="answered")
     if numbers:
         guess = replace(guess, **numbers, full="", sure=True, why="answered")

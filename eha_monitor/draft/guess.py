@@ -6,10 +6,12 @@ import numpy as np
 
 from eha_monitor.draft.sources import Candidate, Source
 from eha_monitor.draft.values import is_rate_of, is_time, leads, likely_unit, steps_of, time_unit
-from eha_monitor.draft.words import words_of
+from eha_monitor.draft.words import ANGLES, plain, words_of
+from eha_monitor.settings.table import CHANNEL_NAMES
 
-ACTUAL = ("ist", "act", "actual", "meas", "measured", "real", "mesure", "medida", "fbk", "feedback",
-          "gemessen", "effettiva")
+HOTTEST = 700.0  # of a temperature in any unit; more are counts
+ACTUAL = ("ist", "act", "actual", "meas", "measured", "real", "mesure", "medida", "fbk",
+          "feedback", "gemessen", "effettiva")
 _UNITS_OF = {"x": "position", "x_d": "position", "v": "velocity", "omega": "turning",
              "omega_d": "turning", "p1": "pressure", "p2": "pressure", "force": "force",
              "temperature": "temperature"}
@@ -63,14 +65,14 @@ def guessed(source: Source, chosen: dict[str, str] | None = None) -> Map:
     left = [one for one in source.candidates if one not in named.values()]
     time = named.pop("time", None) or _time(source, left)
     left = [one for one in left if one is not time]
-    rotary = any(one.header.kind in ("angle", "torque") for one in left) and not any(
+    rotary = any(_turns(one) for one in left) and not any(
         one.header.kind == "position" for one in left)
     found = dict(named)
     for channel, one, why in (*_pressures(left), *_others(left, time, source)):
         if channel not in found and one not in named.values():
             found[channel] = (one, why)
     channels = {}
-    for channel, entry in found.items():
+    for channel, entry in sorted(found.items(), key=lambda one: CHANNEL_NAMES.index(one[0])):
         one, why = entry if isinstance(entry, tuple) else (entry, "answered")
         channels[channel] = _in_unit(channel, one, why, rotary, source.bag)
     used = [guess.candidate for guess in channels.values()]
@@ -99,6 +101,11 @@ def _time(source: Source, left: list[Candidate]) -> Candidate | None:
     even = [one for one in going if _even(one.values)]
     # A name beats dates, and dates beat a column that merely counts on.
     return next(iter([*named, *dated, *even]), None)
+
+
+def _turns(one: Candidate) -> bool:
+    return one.header.kind in ("angle", "torque") or (
+        one.header.quantity == "position" and any(part in plain(one.shown) for part in ANGLES))
 
 
 def _even(values: np.ndarray) -> bool:
@@ -161,7 +168,8 @@ def _others(left: list[Candidate], time: Candidate | None, source: Source
                 name = {"omega": "omega_d"}.get(name, "")
             if name and name not in [channel for channel, *_ in found]:
                 found.append((name, one, "header"))
-        elif quantity == "temperature" and "temperature" not in [c for c, *_ in found]:
+        elif quantity == "temperature" and "temperature" not in [c for c, *_ in found] and (
+                np.nanmax(np.abs(one.values)) < HOTTEST):
             found.append(("temperature", one, "header"))
     return found
 
@@ -189,7 +197,9 @@ def _in_unit(channel: str, one: Candidate, why: str, rotary: bool, bag: bool) ->
     if rotary:
         quantity = {"position": "angle", "velocity": "turning", "force": "torque"}.get(
             quantity, quantity)
-    if bag and len(one.place) > 2 or bag and one.place.get("field") != "data":
+    if bag and (len(one.place) > 2 or one.place.get("field") != "data"):
         return Guess(one, "", f"{told}; SI, as the message type says")
     unit, values = likely_unit(quantity, one.values)
-    return Guess(one, unit, f"{told}; unit guessed from {values}")
+    if quantity == "turning" and {"w", "omega", "wd"} & set(words_of(one.shown)):
+        unit, values = "rad/s", "its symbol"
+    return Guess(one, unit, f"{told}; {unit} guessed from {values}")

@@ -86,7 +86,8 @@ def _with_names(delimiter: str, start: int, rows: list[list[str]]) -> Layout:
     named = [place for place in head if place not in units] or head[:1]
     names = rows[named[0]]
     row = next((rows[place] for place in units if place != named[0]), blank)
-    return Layout(delimiter, named[0], True, tuple(cell.strip().lstrip("\ufeff") for cell in names),
+    return Layout(delimiter, named[0], True,
+                  tuple(cell.strip().lstrip("\ufeff") for cell in names),
                   tuple(cell.strip() for cell in row))
 
 

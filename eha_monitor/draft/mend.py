@@ -11,7 +11,8 @@ from eha_monitor.settings.monitor import Settings
 # Units that a column may be in, by its channel; a factor that is none of them becomes a scale.
 UNITS = {"x": ("m", "mm", "cm", "um", "inch"), "x_d": ("m", "mm", "cm", "um", "inch"),
          "v": ("m/s", "mm/s", "cm/s", "m/min"),
-         "omega": ("rad/s", "rpm", "rev/s", "deg/s"), "omega_d": ("rad/s", "rpm", "rev/s", "deg/s"),
+         "omega": ("rad/s", "rpm", "rev/s", "deg/s"),
+         "omega_d": ("rad/s", "rpm", "rev/s", "deg/s"),
          "p1": ("Pa", "bar", "kPa", "MPa", "psi", "mbar"),
          "p2": ("Pa", "bar", "kPa", "MPa", "psi", "mbar"), "force": ("N", "kN", "kgf", "daN")}
 TIMES = {1e-3: "1 ms", 1.0: "1 s", 1e-6: "1 us", 1e-9: "1 ns", 60.0: "1 min"}
@@ -53,7 +54,7 @@ def _one(found: Map, finding: ChannelFinding, settings: Settings) -> Map | None:
     for name in names:
         guess = found.channels[name]
         if finding.kind == "offset":
-            if guess.sure and "gauge" in guess.unit or not guess.unit:
+            if not guess.unit or (guess.sure and "gauge" in guess.unit):
                 return None
             found = found.with_channel(name, replace(
                 guess, unit=f"{guess.unit} gauge", why=_told(finding)))

@@ -130,8 +130,8 @@ def _volumes(answers: Answers, *areas: Entry) -> list[Entry]:
                 "; the lines' oil is left out, --set rig.line_volume='10 cm^3'")
             found.append(Entry(key, number(own * stroke / 2 + line), words, not line))
         else:
-            found.append(Entry(key, "null", "oil of chamber " + key[-1] + " and its line at x = 0, "
-                               "such as 68.5 cm^3, or the stroke; without it no beta_e", True))
+            found.append(Entry(key, "null", "oil of chamber " + key[-1] + " and its line at x = "
+                               "0, such as 68.5 cm^3, or the stroke; without it no beta_e", True))
     return found
 
 

@@ -70,7 +70,8 @@ def _csv(path: Path) -> Source:
     found = read_columns(path, table, columns)
     for column in [one for one in columns if not _holds(found[one])][:DATES]:
         dated = read_columns(path, table.model_copy(update={"time": column}), [column])[column]
-        found[column] = dated if dated.dtype.kind == "M" else found[column]
+        if dated.dtype.kind == "M" and _holds(dated):
+            found[column] = dated
     rows = max(len(values) for values in found.values())
     return Source(path, False, tuple(
         Candidate({"column": column}, name or f"column {column}", read(name, unit), values)
@@ -79,7 +80,8 @@ def _csv(path: Path) -> Source:
 
 
 def _holds(values: np.ndarray) -> bool:
-    return bool(values.dtype.kind == "M" or np.isfinite(values).any())
+    known = ~np.isnat(values) if values.dtype.kind == "M" else np.isfinite(values)
+    return bool(known.any())
 
 
 def _mat(path: Path) -> Source:

@@ -44,6 +44,12 @@ def draft_text(source: Source, found: Map, rig: list[Entry], checks: list[str]) 
     if found.unused:
         names = ", ".join(dumps(one.shown, ensure_ascii=False) for one in found.unused)
         lines.append(f"{margin}# not used: {names}")
+    lines += [_line("thresholds:", "none yet: eha-monitor thresholds --from HEALTHY proposes some",
+                    True),
+              "  viscous_damping: {low_error: null, low_warn: null, high_warn: null, "
+              "high_error: null}",
+              "  bulk_modulus: {low_error: null, low_warn: null, high_warn: null, "
+              "high_error: null}"]
     return "\n".join(lines) + "\n"
 
 
@@ -72,8 +78,7 @@ def _channel(name: str, guess: Guess, margin: str) -> list[str]:
     parts += [f"unit: {_scalar(guess.unit)}"] if guess.unit else []
     parts += [f"scale: {number(guess.scale)}"] if guess.scale != 1.0 else []
     parts += [f"offset: {number(guess.offset)}"] if guess.offset else []
-    why = guess.why if guess.sure or "guessed" in guess.why or not guess.unit else guess.why
-    return [_line(f"{margin}{name}: {{{', '.join(parts)}}}", why)]
+    return [_line(f"{margin}{name}: {{{', '.join(parts)}}}", guess.why)]
 
 
 def _scalar(value: str | int) -> str:

@@ -1,4 +1,4 @@
-"""What headers call the quantities of an actuator, in English, German, French, Spanish, Italian."""
+"""What headers call the quantities of an actuator, in five languages of Europe."""
 
 import re
 import unicodedata
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from eha_monitor.settings.measured import unit_of
 
 # Quantity -> parts of long words, and whole short words.
+ANGLES = ("angle", "angulo", "winkel", "angolo", "rotation")
 _LONG = {
     "time": ("time", "zeit", "tiempo", "datum", "uhrz", "heure", "fecha", "timestamp", "epoch"),
     "pressure": ("druck", "press", "presion", "port"),
@@ -16,10 +17,10 @@ _LONG = {
     "force": ("force", "kraft", "fuerza", "forza", "loadcell", "effort", "torque", "moment",
               "couple"),
     "position": ("posit", "posic", "posiz", "weg", "lage", "hub", "course", "deplac", "desplaz",
-                 "carrera", "stroke", "displac", "encoder", "geber", "lvdt", "travel"),
+                 "carrera", "stroke", "displac", "encoder", "geber", "lvdt", "travel", *ANGLES),
 }
 _SHORT = {
-    "time": ("t", "temps", "ms", "sec", "hora", "ts", "tempo"), "pressure": ("p", "pr"),
+    "time": ("t", "temps", "ms", "sec", "hora", "ts", "tempo"), "pressure": ("p", "pr", "pg"),
     "temperature": (), "turning": ("n", "w", "rps"), "velocity": ("v", "vel", "xdot", "dx", "vx"),
     "force": ("f", "tq", "fz", "fx", "load", "par"),
     "position": ("x", "s", "pos", "y", "q", "qm", "xact", "xist", "xmeas"),
@@ -28,12 +29,13 @@ DEMAND_LONG = ("soll", "setpoint", "command", "demand", "desired", "target", "re
                "consign", "referenc", "vorgabe", "richiest", "ordre")
 DEMAND_SHORT = ("set", "sp", "ref", "d", "des", "dem", "cmd", "tgt", "xd", "xref", "xsoll", "qg",
                 "wd", "nd", "r")
-_TURNS = ("pump", "pumpe", "motor", "pompe", "bomba", "moteur", "pompa", "motore", "shaft", "welle")
+_TURNS = ("pump", "pumpe", "motor", "pompe", "bomba", "moteur", "pompa", "motore", "shaft",
+          "welle")
 NOT_MEASURED = ("current", "strom", "voltage", "spannung", "power", "leistung", "status", "error",
-                "fehler", "flow", "durchfluss", "volumenstrom", "valve", "ventil", "accel", "alarm",
-                "erreur", "debit", "courant", "corriente", "caudal")
-_ONE = ("a", "1", "k", "ka", "kolben", "kolbenseite", "boden", "cap", "blind", "bore", "fond", "base",
-        "left", "links", "gauche", "piston")
+                "fehler", "flow", "durchfluss", "volumenstrom", "valve", "ventil", "accel",
+                "alarm", "erreur", "debit", "courant", "corriente", "caudal")
+_ONE = ("a", "1", "k", "ka", "kolben", "kolbenseite", "boden", "cap", "blind", "bore", "fond",
+        "base", "left", "links", "gauche", "piston")
 _TWO = ("b", "2", "st", "stange", "stangenseite", "ringseite", "ring", "rod", "tige", "vastago",
         "annulus", "annular", "right", "rechts", "droite", "stelo")
 _OTHER_PRESSURE = ("supply", "tank", "system", "speise", "versorg", "reservoir", "charge",
@@ -42,15 +44,15 @@ _OTHER_SHORT = ("ps", "pt", "p0", "dp", "t", "0")
 _SHARES = {"%": "share", "percent": "share", "prozent": "share", "pct": "share"}
 _COUNTS = ("counts", "count", "raw", "inc", "digits", "digit", "adc", "lsb", "inkremente", "cnt",
            "roh", "rohwert")
-_TIMES = {"s": "s", "sec": "s", "sek": "s", "ms": "ms", "us": "us", "µs": "us", "μs": "us", "ns": "ns",
-          "min": "min", "h": "hour"}
+_TIMES = {"s": "s", "sec": "s", "sek": "s", "ms": "ms", "us": "us", "µs": "us", "μs": "us",
+          "ns": "ns", "min": "min", "h": "hour"}
 # What a last word of a name without brackets may be as a unit; single letters are not.
-_TRAILING = {"mm", "cm", "um", "µm", "bar", "mbar", "barg", "bara", "psi", "psig", "kpa", "mpa", "pa",
-             "rpm", "upm", "kn", "deg", "degc", "ms", "us", "ns", "rads", "percent", "pct", "mmps",
+_TRAILING = {"mm", "cm", "um", "µm", "bar", "mbar", "barg", "bara", "psi", "psig", "kpa", "mpa",
+             "pa", "rpm", "upm", "kn", "deg", "degc", "ms", "us", "ns", "rads", "percent", "pct", "mmps",
              "counts", "raw", "sek", "inch"}
 _SAID = {"rads": "rad/s", "mpa": "MPa", "kpa": "kPa", "pa": "Pa", "kn": "kN", "mmps": "mm/s",
-         "upm": "rpm", "degc": "degC", "1/min": "rpm", "u/min": "rpm", "min-1": "rpm", "tr/min": "rpm",
-         "min^-1": "rpm", "barg": "bar gauge", "psig": "psi gauge", "bar(g)": "bar gauge",
+         "upm": "rpm", "degc": "degC", "1/min": "rpm", "u/min": "rpm", "min-1": "rpm",
+         "tr/min": "rpm", "min^-1": "rpm", "barg": "bar gauge", "psig": "psi gauge", "bar(g)": "bar gauge",
          "°c": "degC", "c": "degC", "nm": "N*m", "zoll": "inch", "bar": "bar", "mm": "mm"}
 _KINDS = {"meter": "position", "meter / second": "velocity", "radian / second": "turning",
           "radian": "angle", "kilogram / meter / second ** 2": "pressure",
@@ -140,7 +142,7 @@ def read(name: str, unit: str = "") -> Header:
         own, kind = (given, of) if of else (own, kind)
     words = words_of(bare)
     joined = "".join(words)
-    if own == "counts" or not kind and any(word in _COUNTS for word in words):
+    if own == "counts" or (not kind and any(word in _COUNTS for word in words)):
         own, kind = "counts", "counts"
     demand = any(part in joined for part in DEMAND_LONG) or any(
         word in DEMAND_SHORT for word in words)
@@ -161,7 +163,7 @@ def _quantity(words: list[str]) -> str:
         return "time"
     for quantity, parts in _LONG.items():
         if any(part in joined for part in parts):
-            # A pump's speed is of its shaft, whatever it is called; "velocity" alone is the piston's.
+            # A pump's speed is of its shaft, whatever it is called; "velocity" is the piston's.
             if quantity == "velocity" and any(part in joined for part in _TURNS):
                 return "turning"
             return quantity

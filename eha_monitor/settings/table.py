@@ -47,7 +47,8 @@ class Table(Section):
         "auto", description="between the cells of a CSV")
     header: Literal["auto", "present", "absent"] = Field(
         "auto", description="whether the first row of a CSV names the columns")
-    skip_rows: int = Field(0, ge=0, le=100_000, description="lines of a CSV above the row of names")
+    skip_rows: int = Field(0, ge=0, le=100_000,
+                           description="lines of a CSV above the row of names")
     time: Annotated[str, BeforeValidator(_name)] = Field(
         "", description="column of the time; without it, rows follow at rig.sample_time")
     time_scale: Si("s", "seconds per unit of the time column", gt=0) = 1.0
