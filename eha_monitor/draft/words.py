@@ -48,11 +48,13 @@ _TIMES = {"s": "s", "sec": "s", "sek": "s", "ms": "ms", "us": "us", "µs": "us",
           "ns": "ns", "min": "min", "h": "hour"}
 # What a last word of a name without brackets may be as a unit; single letters are not.
 _TRAILING = {"mm", "cm", "um", "µm", "bar", "mbar", "barg", "bara", "psi", "psig", "kpa", "mpa",
-             "pa", "rpm", "upm", "kn", "deg", "degc", "ms", "us", "ns", "rads", "percent", "pct", "mmps",
+             "pa", "rpm", "upm", "kn", "deg", "degc", "ms", "us", "ns", "rads", "percent",
+             "pct", "mmps",
              "counts", "raw", "sek", "inch"}
 _SAID = {"rads": "rad/s", "mpa": "MPa", "kpa": "kPa", "pa": "Pa", "kn": "kN", "mmps": "mm/s",
          "upm": "rpm", "degc": "degC", "1/min": "rpm", "u/min": "rpm", "min-1": "rpm",
-         "tr/min": "rpm", "min^-1": "rpm", "barg": "bar gauge", "psig": "psi gauge", "bar(g)": "bar gauge",
+         "tr/min": "rpm", "min^-1": "rpm", "barg": "bar gauge", "psig": "psi gauge",
+         "bar(g)": "bar gauge",
          "°c": "degC", "c": "degC", "nm": "N*m", "zoll": "inch", "bar": "bar", "mm": "mm"}
 _KINDS = {"meter": "position", "meter / second": "velocity", "radian / second": "turning",
           "radian": "angle", "kilogram / meter / second ** 2": "pressure",
