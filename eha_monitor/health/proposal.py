@@ -1,10 +1,10 @@
 """Thresholds from healthy recordings, and the false alarms that they imply.
 
 A low limit L raises an alarm in a recording where value + c·stddev stays below L for the hold
-time; so each recording has a lowest limit that raises none, its *extreme*, and a high one
-likewise.  The logarithms of the extremes of n healthy recordings are taken as normal; the extreme of another
-healthy recording then lies below mean − t·s·√(1 + 1/n) with the probability of Student's t with
-n − 1 degrees of freedom (a prediction interval for one further observation: Hahn and Meeker,
+time; so each recording has a lowest limit that raises none, its *extreme*, and a high one likewise.
+The logarithms of the extremes of n healthy recordings are taken as normal; the extreme of another
+healthy recording then lies below mean - t·s·√(1 + 1/n) with the probability of Student's t with
+n - 1 degrees of freedom (a prediction interval for one further observation: Hahn and Meeker,
 Statistical Intervals, 2nd ed., ch. 4).  It holds both spreads: within a recording (noise, wander)
 and between recordings.
 """
