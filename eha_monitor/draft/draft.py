@@ -58,7 +58,7 @@ def drafted(source: Source, answers: Answers) -> Draft:
         if recording is None:
             return Draft(text, found, settings, None, _open(found, entries), Plausibility(),
                          problem)
-        judged = plausibility_of(recording, settings)
+        judged = plausibility_of(recording, _told_alone(settings, entries))
         better, checks = mended(found, judged.findings, settings)
         if better is found:
             break
@@ -84,6 +84,20 @@ def _read(source: Source, found: Map, answers: Answers, checks: list[str]
     entries = rig_entries(answers, seen_in(recording), found.rotary, name)
     settings, text = _made(source, found, entries, checks)
     return settings, text, entries, recording, ""
+
+
+def _told_alone(settings: Settings, entries: list[Entry]) -> Settings:
+    """Return the settings without the numbers that nobody has told: these bind no recording.
+
+    What was computed from the recording agrees with any unit, and tells nothing of it.
+    """
+    tree = settings.model_dump(exclude_unset=True)
+    for entry in entries:
+        if entry.value != "null" and entry.ask:
+            tree["rig"].pop(entry.key)
+        elif entry.key == "position_gain" and entry.why.startswith("values"):
+            tree["rig"][entry.key] = None
+    return settings_from_tree(tree, "the draft")
 
 
 def _made(source: Source, found: Map, entries: list[Entry], checks: list[str]

@@ -117,6 +117,9 @@ def kind_of(unit: str) -> tuple[str, str]:
 
 def parted(name: str) -> tuple[str, str, str]:
     """Return a header's name without its unit, the unit as a map takes it, and its quantity."""
+    first, _, last = name.strip().rpartition(" ")
+    if first and "/" in last and kind_of(last)[1]:  # mm/s is no second
+        return (first.strip(), *kind_of(last))
     for pattern in (_BRACKETS, _AFTER):
         match = pattern.search(name)
         if match:
@@ -124,7 +127,8 @@ def parted(name: str) -> tuple[str, str, str]:
             if kind:
                 return name[:match.start()].strip(" _-"), unit, kind
     words = re.split(r"[\s_.\-]+", name.strip())
-    if words and (words[-1].casefold() in _TRAILING or words[-1] == "%"):
+    if words and (words[-1].casefold() in _TRAILING or words[-1] == "%") and (
+            len(words) > 1 or words[0] not in ("pA", "pa", "PA", "in")):
         unit, kind = kind_of(words[-1])
         if kind:
             rest = " ".join(words[:-1])

@@ -1,7 +1,7 @@
 """Thresholds from healthy recordings, and the false alarms that they imply.
 
 A low limit L raises an alarm in a recording where value + c·stddev stays below L for the hold
-time; so each recording has a lowest limit that raises none, its *extreme*, and a high one likewise.
+time; so each recording has a limit that just raises none, its *extreme*, and a high one likewise.
 The logarithms of the extremes of n healthy recordings are taken as normal; the extreme of another
 healthy recording then lies below mean - t·s·√(1 + 1/n) with the probability of Student's t with
 n - 1 degrees of freedom (a prediction interval for one further observation: Hahn and Meeker,
@@ -23,6 +23,7 @@ ERROR_SHARE = 0.1  # of the WARN rate, the rate of an ERROR
 SIDES = {"B": ("low", "high"), "beta_e": ("low",)}
 SECTIONS = {"B": "viscous_damping", "beta_e": "bulk_modulus"}
 NOMINAL = {"B": 600.0, "beta_e": 6e8}  # of the paper, which its limits are set around
+FARTHEST = math.log(1e3)  # a limit that lies farther off is none
 WIDE = 3.0  # times the mean: a limit farther off needs more recordings
 
 
@@ -106,7 +107,7 @@ def healthy_of(source: str, symbol: str, time: np.ndarray, series: ParameterSeri
     value, stddev = value * factor, stddev * factor
     limits = getattr(settings.thresholds, SECTIONS[symbol])
     margin = settings.thresholds.confidence * stddev
-    window = min(max(1, math.ceil(limits.hold_time * JUDGE_RATE)) + 1, len(index))
+    window = min(math.ceil(limits.hold_time * JUDGE_RATE - 1e-6) + 1, len(index))
     upper = np.where(known, value + margin, np.inf)
     lower = np.where(known, value - margin, -np.inf)
     view = np.lib.stride_tricks.sliding_window_view
@@ -149,7 +150,8 @@ def _limit(symbol: str, side: str, level: str, healthy: list[Healthy], rate: flo
         return Limit(key, mean * paper / NOMINAL[symbol], math.nan, paper / NOMINAL[symbol])
     middle, spread = _extremes(side, healthy)
     wanted = rate * (ERROR_SHARE if level == "error" else 1.0)
-    value = math.exp(middle + sign * _t(wanted, n) * spread)
+    reach = min(max(sign * _t(wanted, n) * spread, -FARTHEST), FARTHEST)
+    value = math.exp(middle + reach)
     # An ERROR lies farther out than a WARN in any case.
     nearest = mean * (1.0 + sign * least * (1.5 if level == "error" else 1.0))
     value = min(value, nearest) if sign < 0 else max(value, nearest)
@@ -167,22 +169,23 @@ def _extremes(side: str, healthy: list[Healthy]) -> tuple[float, float]:
 
 def implied(side: str, healthy: list[Healthy], limit: float) -> float:
     """Return the share of healthy recordings that would raise an alarm at a limit."""
-    from scipy.stats import t
+    from scipy.special import stdtr
 
     middle, spread = _extremes(side, healthy)
     away = (middle - math.log(limit)) * (1.0 if side == "low" else -1.0) / spread
-    return float(t.sf(away, len(healthy) - 1))
+    return float(stdtr(len(healthy) - 1, -away))
 
 
 def _t(rate: float, n: int) -> float:
-    from scipy.stats import t
+    """Return the distance in Student's distribution beyond which lies a share ``rate``."""
+    from scipy.special import stdtrit
 
-    return float(t.isf(rate, n - 1))
+    return -float(stdtrit(n - 1, rate))
 
 
 def _unlike(healthy: list[Healthy]) -> tuple[tuple[str, float], ...]:
     """Return the recordings that are no likely draw of what the others are drawn from."""
-    from scipy.stats import t
+    from scipy.special import stdtr
 
     logs, n = np.log([one.value for one in healthy]), len(healthy)
     if n < 3:
@@ -192,7 +195,7 @@ def _unlike(healthy: list[Healthy]) -> tuple[tuple[str, float], ...]:
         rest = np.delete(logs, place)
         spread = math.sqrt(max(float(rest.var(ddof=1)), (one.stddev / one.value) ** 2)
                            * (1.0 + 1.0 / (n - 1)))
-        chance = n * 2.0 * float(t.sf(abs(logs[place] - rest.mean()) / spread, n - 2))
+        chance = n * 2.0 * float(stdtr(n - 2, -abs(logs[place] - rest.mean()) / spread))
         if chance < UNLIKE:
             found.append((one.source, chance))
     return tuple(found)
