@@ -24,6 +24,8 @@ FORBIDDEN = {
                  "eha_monitor.concealed", "eha_monitor.reports"),
     "prove": ("rclpy", "eha_monitor.ros", "eha_monitor.commands", "eha_monitor.reports"),
     "reports": ("rclpy", "eha_monitor.ros", "eha_monitor.commands"),
+    "draft": ("rclpy", "eha_monitor.ros", "eha_monitor.filters", "eha_monitor.mismatch",
+              "eha_monitor.reports", "eha_monitor.commands", "eha_monitor.health"),
     "archive": ("rclpy", "eha_monitor.ros", "eha_monitor.mismatch", "eha_monitor.reports",
                 "eha_monitor.commands"),
     "dashboard": ("rclpy", "eha_monitor.ros", "eha_monitor.commands", "eha_monitor.recordings",

@@ -89,7 +89,8 @@ def test_a_mismatch_is_named(bags, tmp_path, capsys):
     bag = tmp_path / "dry"
     assert main(["simulate", "--out", str(bag), "--config", str(config), "--duration", "4"]) == 0
     assert main(["thresholds", "--from", *bags[:3], str(bag)]) == 0
-    assert "dry: the model does not fit this recording" in " ".join(capsys.readouterr().out.split())
+    out = " ".join(capsys.readouterr().out.split())
+    assert "dry: the model does not fit this recording" in out
 
 
 @pytest.mark.parametrize(("words", "said"), [

@@ -127,6 +127,27 @@ def test_pumps_are_sold_in_cubic_centimetres_a_revolution():
     assert rig.pump_displacement == pytest.approx(1.6e-6 / (2 * np.pi))
 
 
+def test_a_bag_in_units_reads_as_in_si(tmp_path):
+    from eha_monitor.cli import main
+    from eha_monitor.recordings.read import read_recording
+    from eha_monitor.ros.inputs import topics_of
+
+    bag = tmp_path / "bag"
+    assert main(["simulate", "--out", str(bag), "--duration", "1"]) == 0
+    si = read_recording(bag, settings_from_tree({}, "m"))
+    # The same numbers, said in other units: x in m is 1000 mm, p in Pa is 1e-5 bar.
+    units = config("channels", x={"unit": "mm", "scale": 1e3},
+                   p1={"unit": "bar gauge", "scale": 1e-5, "offset": -1.01325},
+                   omega={"unit": "rpm", "scale": 30 / np.pi})
+    got = read_recording(bag, units)
+    for name in ("x", "p1", "omega"):
+        np.testing.assert_allclose(got.channels[name], si.channels[name], rtol=1e-9, atol=1e-9)
+    live = {name: channel for topic in topics_of(units, "m") for entry in topic.entries
+            for name, channel in entry.channels}
+    assert live["x"].gain == pytest.approx(1.0)
+    assert live["p1"].zero == pytest.approx(0.0, abs=1e-6)
+
+
 # --- what else a logger writes -------------------------------------------------------------------
 MAP = {"table": {"time": "Zeit", "columns": {"x": {"column": "Öl µm", "unit": "µm"}}}}
 

@@ -58,8 +58,8 @@ def drafted(source: Source, answers: Answers) -> Draft:
         if recording is None:
             return Draft(text, found, settings, None, _open(found, entries), Plausibility(),
                          problem)
-        judged = plausibility_of(recording, _told_alone(settings, entries))
-        better, checks = mended(found, judged.findings, settings)
+        told = _told_alone(settings, entries)
+        better, checks = mended(found, plausibility_of(recording, told).findings, told)
         if better is found:
             break
         found = better

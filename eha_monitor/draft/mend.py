@@ -54,6 +54,10 @@ def _one(found: Map, finding: ChannelFinding, settings: Settings) -> Map | None:
     for name in names:
         guess = found.channels[name]
         if finding.kind == "offset":
+            # Against a charge pressure that nobody has told it says nothing.
+            if "charge pressure" in finding.finding and (
+                    "charge_pressure" not in settings.rig.model_fields_set):
+                return found
             if not guess.unit or (guess.sure and "gauge" in guess.unit):
                 return None
             found = found.with_channel(name, replace(
