@@ -18,8 +18,10 @@ from eha_monitor.commands.diagnose import diagnose
 from eha_monitor.commands.estimate import estimate
 from eha_monitor.commands.export import export
 from eha_monitor.commands.files import config, import_table, simulate
+from eha_monitor.commands.init import init
 from eha_monitor.commands.live import dashboard, monitor, record, replay, simulator
 from eha_monitor.commands.prove import prove
+from eha_monitor.commands.thresholds import thresholds
 from eha_monitor.errors import InputError
 
 # Those that know what to do with ROS arguments.
@@ -50,8 +52,8 @@ def cli(context: click.Context) -> None:
                                "expected no --ros-args")
 
 
-for _command in (simulator, monitor, dashboard, replay, record, simulate, estimate, diagnose,
-                 advise, prove, import_table, export, config):
+for _command in (init, simulator, monitor, dashboard, replay, record, simulate, estimate, diagnose,
+                 advise, prove, import_table, thresholds, export, config):
     cli.add_command(_command)
 
 

@@ -1,5 +1,6 @@
 """Numbers with units in configs: SI inside, ``"20 kg"`` or a plain SI number outside."""
 
+import re
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field
@@ -10,6 +11,7 @@ _PINT = {"1": "dimensionless", "N·s/m": "N*s/m", "m³": "m**3", "m²": "m**2",
          "m³/rad": "m**3/rad", "m³/(s·Pa)": "m**3/s/Pa", "rad/(s·m)": "rad/s/m",
          "°C": "degC", "1/K": "1/kelvin", "m/s²": "m/s**2"}
 
+_REV = re.compile(r"(?<=/)\s*rev\b")  # as pumps are sold: 1.6 cm^3/rev
 
 LARGEST = 1e18  # no quantity of a rig in SI units is larger; squares stay finite
 
@@ -32,6 +34,7 @@ def to_si(value: Any, unit: str) -> Any:
     import pint  # slow to import, and needed only where a config writes units
 
     registry = pint.get_application_registry()
+    value = _REV.sub("revolution", value)
     try:
         quantity = registry.Quantity(value)
         return float(quantity.to(_PINT.get(unit, unit)).magnitude)

@@ -26,6 +26,8 @@ FORBIDDEN = {
     "reports": ("rclpy", "eha_monitor.ros", "eha_monitor.commands"),
     "exports": ("rclpy", "eha_monitor.ros", "eha_monitor.filters", "eha_monitor.health",
                 "eha_monitor.reports", "eha_monitor.commands"),
+    "draft": ("rclpy", "eha_monitor.ros", "eha_monitor.filters", "eha_monitor.mismatch",
+              "eha_monitor.reports", "eha_monitor.commands", "eha_monitor.health"),
     "archive": ("rclpy", "eha_monitor.ros", "eha_monitor.mismatch", "eha_monitor.reports",
                 "eha_monitor.commands"),
     "api": ("rclpy", "click", "eha_monitor.ros", "eha_monitor.commands", "eha_monitor.prove",

@@ -9,7 +9,7 @@ import pytest
 
 from eha_monitor.cli import cli, main
 from eha_monitor.physics.simulator import Simulator
-from eha_monitor.settings import Settings
+from eha_monitor.settings import Settings, load_settings
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -18,13 +18,21 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 def test_five_steps_from_csv_to_estimate(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path("my_rig.yaml").write_text(re.search(r"```yaml\n(.*?)```", README, re.DOTALL)[1])
     seen = Simulator(Settings(), seed=1).advance(12_000)
     columns = {"time_ms": np.arange(12_000.0), "position_mm": seen["x"] * 1e3,
                "setpoint_mm": seen["x_d"] * 1e3, "pump_rpm": seen["omega"] * 30 / np.pi,
                "p_a_bar": seen["p1"] * 1e-5, "p_b_bar": seen["p2"] * 1e-5}
     np.savetxt("my_recording.csv", np.column_stack(list(columns.values())), delimiter=",",
                header=",".join(columns), comments="", fmt="%.9g")
+    init = re.findall(r"^    eha-monitor (init .*)$", README, re.MULTILINE)
+    assert len(init) == 1
+    assert main(init[0].split()) == 0
+    drafted = load_settings("my_rig.yaml").table
+    Path("my_rig.yaml").write_text(re.search(r"```yaml\n(.*?)```", README, re.DOTALL)[1])
+    # The draft and what the README writes by hand read the file alike.
+    by_hand = load_settings("my_rig.yaml").table
+    assert {name: (one.column, one.gain) for name, one in drafted.columns.items()} == {
+        name: (one.column, one.gain) for name, one in by_hand.columns.items()}
     steps = re.findall(r"^    eha-monitor (import .*|estimate .*)$", README, re.MULTILINE)
     assert len(steps) == 2
     for step in steps:

@@ -21,18 +21,22 @@ SCHEMA = "eha_monitor/estimate/1"
 def judged(found: Estimate) -> tuple[tuple[Alarm, ...], tuple[Alarm, ...]]:
     """Return the alarms at the end of the recording, and every change of a level."""
     recording = found.recording
+    temperature = recording.get("temperature") if recording.has("temperature") else None
+    measured = recording.get("x") if recording.has("x") else None
+    return judge_series(found.settings, time_of(recording), series_of(found), temperature,
+                        measured, found.model.tainted)
+
+
+def series_of(found: Estimate) -> dict[str, ParameterSeries]:
+    """Return each parameter as it converged, as the alarms judge it."""
     stages = {"B": found.stage_one, "beta_e": found.stage_two}
     first, second = found.settings.stage_one, found.settings.stage_two
     priors = {"B": (first.prior, first.prior_stddev),
               "beta_e": (second.prior, second.prior_stddev, second.largest)}
-    series = {name: ParameterSeries(
+    return {name: ParameterSeries(
         stage.estimate, stage.value, stage.stddev,
         lambda value, stddev, prior=priors[name]: converged_where(value, stddev, *prior))
         for name, stage in stages.items()}
-    temperature = recording.get("temperature") if recording.has("temperature") else None
-    measured = recording.get("x") if recording.has("x") else None
-    return judge_series(found.settings, time_of(recording), series, temperature, measured,
-                        found.model.tainted)
 
 
 def unhealthy(found: Estimate, alarms: tuple[Alarm, ...]) -> bool:

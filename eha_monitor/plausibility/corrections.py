@@ -31,8 +31,9 @@ def correction_of(mistake: Mistake, settings: Settings) -> dict[str, Any]:
         channel = settings.channels.get(role)
         if channel is not None:
             found.setdefault("channels", {})[role] = {
-                "scale": rounded(channel.scale * factor),
-                "offset": rounded(channel.offset * factor)}
+                **({"unit": ""} if channel.unit else {}),
+                "scale": rounded(channel.gain * factor),
+                "offset": rounded(channel.zero * factor)}
     for key, factor in mistake.numbers.items():
         found.setdefault("rig", {})[key] = rounded(getattr(settings.rig, key) * factor)
     return found

@@ -13,9 +13,9 @@ from eha_monitor.plausibility.reading import Reading, Source
 from eha_monitor.plausibility.relations import Check, checks, unexplained
 from eha_monitor.recordings.finding import ChannelFinding
 from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.measured import ATMOSPHERE, unit_of
 from eha_monitor.settings.monitor import Settings
 
-ATMOSPHERE = 101_325.0  # Pa
 ROLES = ("x", "v", "x_d", "omega", "p1", "p2", "force")
 NUMBERS = ("area_1", "area_2", "volume_1", "volume_2", "mass", "viscous_damping",
            "pump_displacement", "position_gain", "sample_time")
@@ -229,7 +229,8 @@ def gauge(moments: Moments, settings: Settings) -> tuple[ChannelFinding, ...]:
                f"the charge pressure of {rig.charge_pressure / 1e5:.2f} bar")
     if not why:
         return ()
-    channels = {name: {"offset": settings.channels[name].offset + ATMOSPHERE}
+    channels = {name: {"offset": settings.channels[name].offset
+                       + ATMOSPHERE / unit_of(settings.channels[name].unit).factor}
                 for name in ("p1", "p2") if name in settings.channels}
     return (ChannelFinding(
         f"p1 and p2 look like gauge pressures, not absolute ones: {why}", "offset", ("p1", "p2"),

@@ -63,13 +63,12 @@ def read_table(file: str | Path, settings: Settings, *, map_source: str = "confi
         raise InputError(f"{path}: expected rows of numbers, found none")
     losses: list[str] = []
     if table.time:
-        time = cells[table.time] * table.time_scale
-        good = np.isfinite(time) & (np.abs(time) < 2**31)
+        stamps, good = _stamps(cells[table.time], table.time_scale)
         if not good.any():
-            raise InputError(f"{path}: column '{table.time}' holds no time in seconds")
+            raise InputError(f"{path}: column '{table.time}' holds no time in seconds, no date "
+                             "and no time of day")
         if not good.all():
             losses.append(f"{int(np.sum(~good))} of {rows} rows have no time and are left out")
-        stamps = np.round(np.where(good, time, 0.0) * 1e9).astype(np.int64)
     else:
         good = np.ones(rows, dtype=bool)
         stamps = np.round(np.arange(rows) * settings.rig.sample_time * 1e9).astype(np.int64)
@@ -81,8 +80,7 @@ def read_table(file: str | Path, settings: Settings, *, map_source: str = "confi
     for name, column in table.columns.items():
         with np.errstate(over="ignore", invalid="ignore"):
             raw = cells[column.column][good][order]
-            below = column.scale if column.negative_scale is None else column.negative_scale
-            values = np.where(raw < 0, below, column.scale) * raw + column.offset
+            values = np.where(raw < 0, column.negative_gain, column.gain) * raw + column.zero
         if not np.isfinite(values).any():
             losses.append(f"{name}: column '{column.column}' holds no number")
             continue
@@ -91,6 +89,16 @@ def read_table(file: str | Path, settings: Settings, *, map_source: str = "confi
     if not series:
         raise InputError(f"{path}: expected numbers in columns {', '.join(wanted)}, found none")
     return align(series, settings, source=str(path), losses=losses)
+
+
+def _stamps(cells: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return (n,) int64 ns of a time column, and (n,) bool where it holds a time."""
+    if cells.dtype.kind == "M":
+        good = ~np.isnat(cells)
+        return np.where(good, cells.astype(np.int64), 0), good
+    time = cells * scale
+    good = np.isfinite(time) & (np.abs(time) < 2**31)
+    return np.round(np.where(good, time, 0.0) * 1e9).astype(np.int64), good
 
 
 def _order_of_time(stamps: np.ndarray) -> tuple[np.ndarray, str]:

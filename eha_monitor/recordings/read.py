@@ -224,7 +224,7 @@ class _Collector:
             channel, series = self.channels_wanted[name], reader.series(want)
             shift = round(channel.delay * 1e9)
             with np.errstate(over="ignore", invalid="ignore"):
-                values = channel.scale * series.values + channel.offset
+                values = channel.gain * series.values + channel.zero
             made[name] = (Series(series.stamp_ns - shift, series.log_ns, values,
                                  series.stamped), reader.topic)
         return made

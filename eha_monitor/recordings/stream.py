@@ -136,7 +136,7 @@ class Stream:
             if (lane.off > OUTLIERS * lane.count or (np.diff(index) <= 0).any()):
                 raise NotEvenError
             with np.errstate(over="ignore", invalid="ignore"):
-                values = channel.scale * columns[self.begun[name][1]] + channel.offset
+                values = channel.gain * columns[self.begun[name][1]] + channel.zero
             missing = int(np.count_nonzero(np.isnan(values)))
             if np.count_nonzero(np.abs(values) <= LARGEST[name]) + missing < len(values):
                 raise NotEvenError  # no measurement: how many there are in all decides
@@ -225,7 +225,7 @@ class Stream:
             return None
         channel = self.settings.channels[name]
         with np.errstate(over="ignore", invalid="ignore"):
-            values = channel.scale * series.values + channel.offset
+            values = channel.gain * series.values + channel.zero
         return whole.within_range(
             replace(series, stamp_ns=series.stamp_ns - self._shift(name), values=values),
             name, reader.topic, source, said)

@@ -1,5 +1,6 @@
 """Cells of CSV and MAT files as arrays of numbers."""
 
+import codecs
 import csv
 import gzip
 import math
@@ -11,16 +12,21 @@ from pathlib import Path
 import numpy as np
 
 from eha_monitor.errors import InputError
+from eha_monitor.recordings.clock_times import stamps_of
 from eha_monitor.regular import check_regular
 from eha_monitor.settings.table import Table
 
 DELIMITERS = {"tab": "\t", "space": " "}
 MOST_CELLS = 100_000_000  # of the wanted variables of a MAT file, 800 MB
+MOST_HEAD = 5  # rows below the names that may hold units, ranges, remarks
+NO_NUMBER = ("nan", "n/a", "na", "null", "none", "inf", "-inf", "-nan", "+inf", "#n/a")
 _SLICE = re.compile(r"(\w+)(?:\[\s*:\s*,\s*(\d+)\s*\])?")
 
 
 def read_columns(path: Path, table: Table, wanted: list[str]) -> dict[str, np.ndarray]:
     """Return the wanted columns, name -> (n,) float64; a cell that is no number is NaN.
+
+    A column ``table.time`` of dates or times of day is (n,) datetime64[ns], NaT where it is none.
 
     Raises
     ------
@@ -39,19 +45,21 @@ def read_columns(path: Path, table: Table, wanted: list[str]) -> dict[str, np.nd
 def _csv(path: Path, table: Table, wanted: list[str]) -> dict[str, np.ndarray]:
     import pandas
 
-    lines = _first_lines(path)
+    encoding = encoding_of(path)
+    lines = first_lines(path, encoding, table.skip_rows)
     delimiter = DELIMITERS.get(table.delimiter, table.delimiter)
     if delimiter == "auto":
         delimiter = _delimiter(lines)
     named = table.header == "present" or (
         table.header == "auto" and not any(_is_number(cell)
-                                           for cell in _cells(lines[0], delimiter)))
+                                           for cell in parted_cells(lines[0], delimiter)))
     separator = r"\s+" if delimiter == " " else delimiter
     try:
         frame = pandas.read_csv(
             path, sep=separator, header=0 if named else None, comment="#", dtype=str,
             skip_blank_lines=True, skipinitialspace=True, encoding_errors="replace",
-            compression="infer", on_bad_lines="skip", index_col=False, na_filter=False)
+            encoding=encoding, skiprows=table.skip_rows, compression="infer",
+            on_bad_lines="skip", index_col=False, na_filter=False)
     except (OSError, ValueError, EOFError, zlib.error) as problem:  # pandas' are ValueErrors
         what = " ".join(str(problem).split())[:120]
         raise InputError(f"{path}: expected a CSV file: {what}") from problem
@@ -67,37 +75,75 @@ def _csv(path: Path, table: Table, wanted: list[str]) -> dict[str, np.ndarray]:
                      else f"{len(names)} columns without names, 0 to {len(names) - 1}")
             raise InputError(f"{path}: column '{name}' not found, the file has {there}")
         cells = frame.iloc[:, place].str.strip()
-        if delimiter != ",":  # a decimal comma
-            cells = cells.str.replace(",", ".", regex=False)
-        found[name] = pandas.to_numeric(cells, errors="coerce").to_numpy(dtype=float)
-    return found
+        # A comma within a cell is a decimal one: a comma between cells is not in them.
+        numbers = pandas.to_numeric(cells.str.replace(",", ".", regex=False), errors="coerce")
+        found[name] = numbers.to_numpy(dtype=float)
+        if name == table.time and numbers.isna().all():
+            found[name] = stamps_of(cells)
+    return _below_the_head(found, frame)
 
 
-def _first_lines(path: Path) -> list[str]:
-    """Return the first lines that hold something; the file may be packed with gzip."""
+def _below_the_head(found: dict[str, np.ndarray], frame) -> dict[str, np.ndarray]:
+    """Leave out rows below the names that hold words and no number, such as a row of units."""
+    numbers = np.logical_or.reduce([np.isfinite(values) if values.dtype.kind == "f"
+                                    else ~np.isnat(values) for values in found.values()])
+    first = int(np.argmax(numbers)) if numbers.any() else 0
+    if not first or first > MOST_HEAD or not frame.iloc[:first].map(
+            lambda cell: any(map(str.isalpha, cell)) and cell.casefold() not in NO_NUMBER
+            ).any(axis=1).all():
+        return found
+    return {name: values[first:] for name, values in found.items()}
+
+
+def encoding_of(path: Path) -> str:
+    """Return how the text of a file is written: by its mark, else UTF-8, else Windows' Latin."""
+    head = _head(path)
+    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return "utf-16"
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(head)  # the last letter may be cut
+    except UnicodeDecodeError:
+        return "cp1252" if b"\0" not in head else "utf-8"
+    return "utf-8"
+
+
+def _head(path: Path) -> bytes:
     try:
         with (gzip.open(path) if path.suffix == ".gz" else path.open("rb")) as file:
-            text = file.read(65536).decode("utf-8", errors="replace").lstrip("\ufeff")
+            return file.read(65536)
     except (OSError, EOFError, zlib.error) as problem:
         raise InputError(f"{path}: cannot read file: {problem}") from problem
+
+
+def first_lines(path: Path, encoding: str, skip: int = 0, most: int = 20,
+                blank: bool = False) -> list[str]:
+    """Return the first lines that hold something, or all of them with ``blank``.
+
+    The file may be packed with gzip.
+    """
+    text = _head(path).decode(encoding, errors="replace").lstrip("\ufeff")
     if "\0" in text:
         raise InputError(f"{path}: expected a CSV file, got binary data")
-    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    lines = text.splitlines()[skip:]
+    if blank:
+        return lines[:most]
+    lines = [line for line in lines if line.strip() and not line.startswith("#")]
     if not lines:
         raise InputError(f"{path}: expected a CSV file, found no rows")
-    return lines[:20]
+    return lines[:most]
 
 
 def _delimiter(lines: list[str]) -> str:
     """Return what splits the lines into equally many cells: tab, semicolon, comma or space."""
     for delimiter in ("\t", ";", ",", " "):
-        counts = {len(_cells(line, delimiter)) for line in (lines[:-1] or lines)}
+        counts = {len(parted_cells(line, delimiter)) for line in (lines[:-1] or lines)}
         if min(counts) > 1 and (len(counts) == 1 or delimiter in "\t;"):
             return delimiter
     return ","
 
 
-def _cells(line: str, delimiter: str) -> list[str]:
+def parted_cells(line: str, delimiter: str) -> list[str]:
+    """Return the cells of a line."""
     return line.split() if delimiter == " " else next(csv.reader([line], delimiter=delimiter), [])
 
 
@@ -111,7 +157,7 @@ def _is_number(cell: str) -> bool:
 
 def _mat(path: Path, wanted: list[str]) -> dict[str, np.ndarray]:
     """Read the wanted variables, and nothing else: a few bytes may unpack to gigabytes."""
-    shapes = _variables(path)
+    shapes = variables_of(path)
     names = {}
     for name in wanted:
         match = _SLICE.fullmatch(name)
@@ -137,7 +183,7 @@ def _mat(path: Path, wanted: list[str]) -> dict[str, np.ndarray]:
     return found
 
 
-def _variables(path: Path) -> dict[str, tuple[int, ...]]:
+def variables_of(path: Path) -> dict[str, tuple[int, ...]]:
     """Return the variables of a MAT file with their shapes; their numbers are not read."""
     from scipy.io import whosmat
 

@@ -161,7 +161,7 @@ class Decoder:
         self._entry = entry
         self._names: list[str] | None = None
         self._index = 0
-        self._fields = [(_reader(channel.field), channel.scale, channel.offset)
+        self._fields = [(_reader(channel.field), channel.gain, channel.zero)
                         for _, channel in entry.channels]
 
     def __call__(self, message: Any) -> tuple[float, ...] | None:

@@ -31,7 +31,7 @@ class RawReader:
         self._types = get_typestore(Stores.ROS2_JAZZY).fielddefs
         self._type = type_name
         self._stamped = type_name in self._types and has_stamp(self._types, type_name)
-        self._wants = [[(Want(channel.field, entry.name), channel.scale, channel.offset)
+        self._wants = [[(Want(channel.field, entry.name), channel.gain, channel.zero)
                         for _, channel in entry.channels] for entry in topic.entries]
         self._length, self._complete = -1, False
         self._fixed: list[tuple[slice, bytes]] = []

@@ -177,7 +177,7 @@ def _places(message: Any, entries: list[Entry], published: set[str]) -> list[tup
                 if not len(getattr(message, declared.field)):
                     setattr(message, declared.field, [0.0] * len(entries))
                 holder, place = getattr(message, declared.field), row
-            places.append((channel, holder, place, declared.scale, declared.offset))
+            places.append((channel, holder, place, declared.gain, declared.zero))
     return places
 
 

@@ -40,8 +40,12 @@ def annotated(settings: Settings, title: str = "") -> str:
     return "\n".join(lines) + "\n"
 
 
-def _section(model: BaseModel, indent: int, explain: bool = True) -> Iterator[str]:
-    """Yield the lines of a section; ``explain`` puts a comment on each key."""
+def _section(model: BaseModel, indent: int, explain: bool = True,
+             usual: BaseModel | None = None) -> Iterator[str]:
+    """Yield the lines of a section; ``explain`` puts a comment on each key.
+
+    ``usual`` is what the section is where it is left out: a null that differs from it must stand.
+    """
     margin = " " * indent
     for place, (key, field) in enumerate(type(model).model_fields.items()):
         value = getattr(model, key)
@@ -53,18 +57,19 @@ def _section(model: BaseModel, indent: int, explain: bool = True) -> Iterator[st
             empty = not isinstance(value, BaseModel) and not value
             yield f"{margin}{_UNSET if _unset(value, field) else ''}{key}:{' {}' * empty}"
             entries = (field.json_schema_extra or {}).get("entries", {})
-            yield from _inside(value, indent + 2, explain, entries)
+            yield from _inside(value, indent + 2, explain, entries, field.default)
             if empty and explain:
                 yield from _pattern(field.annotation, margin)
         else:
-            yield from _entry(f"{key}: {_scalar(value)}", about, margin, _unset(value, field))
+            unset = _unset(value, field) and getattr(usual, key, value) == value
+            yield from _entry(f"{key}: {_scalar(value)}", about, margin, unset)
 
 
-def _inside(value: BaseModel | dict, indent: int, explain: bool,
-            entries: Mapping[str, str]) -> Iterator[str]:
+def _inside(value: BaseModel | dict, indent: int, explain: bool, entries: Mapping[str, str],
+            usual=None) -> Iterator[str]:
     """Yield the lines of a section or a mapping; ``entries`` says what each entry of one is."""
     if isinstance(value, BaseModel):
-        yield from _section(value, indent, explain)
+        yield from _section(value, indent, explain, usual)
         return
     margin = " " * indent
     for place, (name, item) in enumerate(value.items()):

@@ -46,7 +46,7 @@ def load_settings(path: str | Path | None) -> Settings:
 
 def settings_of(text: str, source: str) -> Settings:
     """Return the settings of a config's text; ``source`` names it in errors."""
-    return settings_from_tree(_parsed(text, Path(source)), source)
+    return settings_from_tree(text_tree(text, source), source)
 
 
 def tree_of(path: str | Path, what: str = "a config"):
@@ -70,10 +70,10 @@ def tree_of(path: str | Path, what: str = "a config"):
                          f"{problem.strerror}") from problem
     except UnicodeDecodeError as problem:
         raise InputError(f"{path}: expected UTF-8 text") from problem
-    return _parsed(text, path)
+    return text_tree(text, path)
 
 
-def _parsed(text: str, path: Path):
+def text_tree(text: str, path: Path | str):
     """Return the tree of a YAML text; whatever the parser raises is one line with the file."""
     from ruamel.yaml import YAML  # YAML 1.2, where 6e8 is a number
     from ruamel.yaml.error import YAMLError

@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
+from eha_monitor.settings.measured import Measured, check_unit
 from eha_monitor.settings.rig import Rig, SensorNoise, Simulation, effects_field
 from eha_monitor.settings.section import Section
 from eha_monitor.settings.table import Table
@@ -12,7 +13,7 @@ from eha_monitor.units import Si
 CHANNELS = ("x", "v", "x_d", "omega", "omega_d", "p1", "p2", "force", "temperature")
 CHANNEL_UNITS = {"x": "m", "v": "m/s", "x_d": "m", "omega": "rad/s",
                  "omega_d": "rad/s", "p1": "Pa", "p2": "Pa", "force": "N", "temperature": "°C"}
-_ABSOLUTE = "absolute (above vacuum), not gauge; of a gauge sensor: offset 101325"
+_ABSOLUTE = "absolute (above vacuum), not gauge; of a gauge sensor: unit bar gauge"
 CHANNEL_WORDS = {"x": "piston position", "v": "piston velocity", "x_d": "demanded position",
                  "omega": "pump speed", "omega_d": "demanded pump speed",
                  "p1": f"pressure of chamber 1, {_ABSOLUTE}",
@@ -26,16 +27,18 @@ def channel_about(name: str) -> str:
     return f"[{CHANNEL_UNITS[name]}] {CHANNEL_WORDS[name]}"
 
 
-class Channel(Section):
-    """Where a channel comes from: SI value = scale * raw + offset, taken ``delay`` earlier."""
+class Channel(Section, Measured):
+    """Where a channel comes from: scale * raw + offset is in ``unit``, taken ``delay`` earlier."""
 
     topic: str = Field("", description="topic (relative names get the namespace) or, for an "
                        "import, unused")
     name: str = Field("", description="entry of a JointState, or column of an imported table")
     field: str = Field("", description="message field, e.g. position, velocity, effort, "
                        "fluid_pressure, temperature, data")
-    scale: float = Field(1.0, allow_inf_nan=False, description="SI units per raw unit, not 0")
-    offset: float = Field(0.0, allow_inf_nan=False, description="SI value at raw zero")
+    unit: str = Field("", description="unit of scale * raw + offset, such as mm, rpm, bar, bar "
+                      "gauge; empty: SI")
+    scale: float = Field(1.0, allow_inf_nan=False, description="of unit, per raw unit, not 0")
+    offset: float = Field(0.0, allow_inf_nan=False, description="in unit, at raw zero")
     delay: Si("s", "how late the stamp is against the quantity") = 0.0
 
     @field_validator("scale")
@@ -259,3 +262,15 @@ class Settings(Section):
     def frame_id(self) -> str:
         """The frame_id of published messages: that of the config, else the rig's name."""
         return self.monitor.frame_id or self.rig.name
+
+    @model_validator(mode="after")
+    def _units_of_the_channels(self):
+        rotary = self.rig.motion == "rotary"
+        for section, entries in (("table.columns", self.table.columns),
+                                 ("channels", self.channels)):
+            for name, entry in entries.items():
+                try:
+                    check_unit(name, entry.unit, rotary)
+                except ValueError as problem:
+                    raise ValueError(f"{section}.{name}.unit: {problem}") from None
+        return self

@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
 
+from eha_monitor.settings.measured import Measured, unit_of
 from eha_monitor.settings.section import Section
 from eha_monitor.units import Si
 
@@ -15,17 +16,26 @@ def _name(value):
     return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
 
 
-class Column(Section):
-    """One column of a table: SI value = scale * cell + offset, taken ``delay`` earlier."""
+class Column(Section, Measured):
+    """One column of a table: scale * cell + offset is in ``unit``, taken ``delay`` earlier."""
 
     column: Annotated[str, BeforeValidator(_name)] = Field(
         min_length=1, description="CSV: name or index from 0; MAT: variable, or variable[:,k]")
-    scale: float = Field(1.0, allow_inf_nan=False, description="SI units per unit of the file")
-    offset: float = Field(0.0, allow_inf_nan=False, description="SI value at zero of the file")
+    unit: str = Field("", description="unit of the cells, such as mm, rpm, bar, bar gauge; "
+                      "empty: SI")
+    scale: float = Field(1.0, allow_inf_nan=False, description="of unit, per unit of the file")
+    offset: float = Field(0.0, allow_inf_nan=False, description="in unit, at zero of the file")
     negative_scale: float | None = Field(
         None, allow_inf_nan=False, description="scale of cells below zero, where it is another: "
         "a pump whose valves turn it from one area of the piston to the other")
     delay: Si("s", "how late the row is against the quantity") = 0.0
+
+    @property
+    def negative_gain(self) -> float:
+        """SI units per unit of the file, of cells below zero."""
+        if self.negative_scale is None:
+            return self.gain
+        return unit_of(self.unit).factor * self.negative_scale
 
 
 class Table(Section):
@@ -37,6 +47,8 @@ class Table(Section):
         "auto", description="between the cells of a CSV")
     header: Literal["auto", "present", "absent"] = Field(
         "auto", description="whether the first row of a CSV names the columns")
+    skip_rows: int = Field(0, ge=0, le=100_000,
+                           description="lines of a CSV above the row of names")
     time: Annotated[str, BeforeValidator(_name)] = Field(
         "", description="column of the time; without it, rows follow at rig.sample_time")
     time_scale: Si("s", "seconds per unit of the time column", gt=0) = 1.0

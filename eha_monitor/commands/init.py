@@ -1,0 +1,164 @@
+"""``init``: a first config for a recording that nobody has described, and the first answer."""
+
+import shlex
+import sys
+from pathlib import Path
+
+import click
+
+from eha_monitor.commands.common import check_target, working
+from eha_monitor.errors import InputError
+from eha_monitor.output import write_text
+
+# What a person at the terminal is asked, in this order; the rest stays as the draft has it.
+QUESTIONS = (
+    ("bore", "bore of the cylinder, such as 50 mm"), ("rod", "diameter of its rod, such as 28 mm"),
+    ("rods", "rod on 1 or on 2 sides"), ("stroke", "stroke, such as 200 mm"),
+    ("line_volume", "oil in the line to one chamber, such as 10 cm^3"),
+    ("mass", "moving mass, such as 20 kg"),
+    ("pump_displacement", "pump displacement, such as 1.6 cm^3/rev"),
+    ("charge_pressure", "absolute pressure of the make-up source, such as 20 bar"),
+    ("leakage", "leakage coefficient in m³/(s·Pa), such as 5e-13"),
+)
+# Key of the config -> questions that answer it.
+_ANSWERS = {"area_1": ("bore",), "area_2": ("rod", "rods"), "volume_1": ("stroke", "line_volume"),
+            "volume_2": ("stroke", "line_volume")}
+
+
+@click.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path), default=Path("my_rig.yaml"),
+              show_default=True, metavar="FILE.yaml", help="The config to write.")
+@click.option("--set", "given", multiple=True, metavar="KEY=VALUE",
+              help="An answer: rig.area_1='5.05 cm^2', rig.bore='50 mm', x.column='Weg [mm]', "
+              "p1.unit='bar gauge', x.full='80 mm' (at 100 %); several times.")
+@click.option("--yes", is_flag=True, help="Ask nothing: what is not known stays marked ASK.")
+@click.option("--overwrite", is_flag=True, help="Replace a config that is there already.")
+def init(file: Path, out: Path, given: tuple[str, ...], yes: bool, overwrite: bool) -> None:
+    """Draft a config for FILE (CSV, MAT or bag), check it, and run the first estimate.
+
+    Columns, units and time are guessed from header and values; what cannot be guessed is asked
+    for on a terminal, and is marked ASK in the config elsewhere.
+    """
+    from eha_monitor.draft.answers import answers_of
+    from eha_monitor.draft.draft import drafted
+    from eha_monitor.draft.sources import source_of
+
+    answers = answers_of(given)
+    check_target(out, file)
+    if out.exists() and not overwrite:
+        raise InputError(f"{out}: is there already, expected a new file, or --overwrite")
+    with working(f"reading {file}"):
+        source = source_of(file)
+        draft = drafted(source, answers)
+    if sys.stdin.isatty() and not yes and draft.asked:
+        answers = _asked(draft.asked, answers, given)
+        draft = drafted(source, answers)
+    write_text(out, draft.text)
+    _tell(draft)
+    _first_estimate(draft)
+    _next(file, out, draft, source.bag)
+
+
+def _asked(asked, answers, given):
+    """Ask at the terminal for what is open; an empty answer leaves it open."""
+    from eha_monitor.draft.answers import answers_of
+
+    wanted = []
+    for key, question in asked:
+        name = key.removeprefix("rig.")
+        if key.endswith((".full", ".column")):
+            wanted.append((key, question))
+            continue
+        wanted += [(part, words) for part in _ANSWERS.get(name, (name,))
+                   for of, words in QUESTIONS if of == part]
+    said = list(given)
+    click.echo("Enter leaves a question open.", err=True)
+    for key, question in dict.fromkeys(wanted):
+        if key.removeprefix("rig.") in answers.rig:
+            continue
+        while True:
+            text = click.prompt(question, default="", show_default=False, err=True).strip()
+            try:
+                if text:
+                    answers_of((*said, f"{key}={text}"))
+                    said.append(f"{key}={text}")
+                break
+            except InputError as problem:
+                click.echo(str(problem), err=True)
+    return answers_of(tuple(said))
+
+
+def _tell(draft) -> None:
+    """Print which column became which channel, and what the recording says against it."""
+    from rich.table import Table
+
+    from eha_monitor.commands.table import PIPE_WIDTH, PipeConsole
+
+    console = PipeConsole(highlight=False)
+    if not console.is_terminal:
+        console = PipeConsole(highlight=False, width=PIPE_WIDTH)
+    table = Table("channel", "column", "unit", "where from", box=None, header_style="bold",
+                  padding=(0, 2, 0, 0))
+    rows = ([("time", draft.map.time)] if draft.map.time else []) + list(
+        draft.map.channels.items())
+    for name, guess in rows:
+        scale = "" if guess.scale == 1.0 else f"{guess.scale:g} "
+        table.add_row(name, guess.candidate.shown.replace("[", r"\["),
+                      guess.full or f"{scale}{guess.unit}", guess.why.replace("[", r"\["))
+    console.print(table)
+    if draft.map.unused:
+        console.print(f"not used: {', '.join(one.shown for one in draft.map.unused)}",
+                      markup=False)
+    if draft.asked:
+        console.print("still to be told (ASK in the file):", markup=False)
+        for key, question in draft.asked:
+            console.print(f"  {key}: {question}", markup=False)
+    for finding in draft.judged.findings:
+        console.print(f"check: {finding.finding}", markup=False)
+
+
+def _first_estimate(draft) -> None:
+    """Run the first estimate where the draft can be read, and say why where it cannot."""
+    from eha_monitor.recordings.recording import SHORTEST_S
+
+    if draft.recording is None:
+        click.echo(f"no estimate yet: {draft.problem}")
+        return
+    if draft.judged.blocking:
+        click.echo("no estimate yet: recording and config contradict each other, see check above")
+        return
+    if draft.recording.duration < SHORTEST_S:
+        click.echo(f"no estimate yet: the recording is {draft.recording.duration:.3g} s long, "
+                   f"expected at least {SHORTEST_S:g} s; is the unit of the time right?")
+        return
+    from eha_monitor.api.answer import judged
+    from eha_monitor.commands.table import show
+    from eha_monitor.compiled import load_runtime
+    from eha_monitor.filters.pipeline import estimate
+
+    load_runtime()
+    try:
+        with working("estimating"):
+            found = estimate(draft.recording, draft.settings)
+            alarms, _ = judged(found)
+    except InputError as problem:
+        click.echo(f"no estimate yet: {problem}")
+        return
+    show(found, alarms, [])
+
+
+def _next(file: Path, out: Path, draft, bag: bool) -> None:
+    """Print the next three commands."""
+    config, recording = shlex.quote(str(out)), shlex.quote(str(file))
+    name = "my_bag" if not bag else recording
+    click.echo(f"written: {out}" + (f", {len(draft.asked)} values marked ASK" if draft.asked
+                                    else ""))
+    click.echo("next:")
+    if not bag:
+        click.echo(f"  eha-monitor import {recording} --map {config} --out {name}")
+    click.echo(f"  eha-monitor estimate {name} --config {config} --report my_report.html")
+    click.echo(f"  eha-monitor diagnose {name} --config {config} --report why.html")
+    if bag:
+        click.echo(f"  eha-monitor thresholds --from {name} --config {config} "
+                   "--write-config judged.yaml")

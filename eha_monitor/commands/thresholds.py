@@ -1,0 +1,192 @@
+"""``thresholds``: limits for the config from recordings of the healthy machine."""
+
+import math
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from eha_monitor.commands.common import (
+    Several,
+    check_outputs,
+    config_option,
+    working,
+)
+from eha_monitor.errors import InputError
+from eha_monitor.output import write_json, write_text
+
+SCHEMA = "eha_monitor/thresholds/1"
+
+
+class _From(Several):
+    """Takes all words behind ``--from``."""
+
+    several = ("--from",)
+
+
+@click.command(cls=_From)
+@click.option("--from", "bags", required=True, multiple=True, type=click.Path(path_type=Path),
+              metavar="HEALTHY ...", help="Recordings of the healthy machine, five or more.")
+@config_option
+@click.option("--rate", type=click.FloatRange(0, 0.5, min_open=True), default=0.01,
+              show_default=True, help="Share of healthy recordings that may raise a WARN; an "
+              "ERROR a tenth of it.")
+@click.option("--least", type=click.FloatRange(0, 0.6), default=0.1, show_default=True,
+              help="No WARN limit lies nearer to the mean than by this share of it.")
+@click.option("--json", "json_file", type=click.Path(path_type=Path), metavar="FILE",
+              help="Write the answer as JSON.")
+@click.option("--write-config", "config_file", type=click.Path(path_type=Path), metavar="FILE",
+              help="Write the config with these thresholds.")
+def thresholds(bags: tuple[Path, ...], config: Path | None, rate: float, least: float,
+               json_file: Path | None, config_file: Path | None) -> None:
+    """Propose alarm limits from healthy recordings, with the false alarms that they imply."""
+    check_outputs({"--json": json_file, "--write-config": config_file}, bags, config)
+    twice = [bag for place, bag in enumerate(bags)
+             if bag.resolve() in [other.resolve() for other in bags[:place]]]
+    if twice:
+        raise InputError(f"--from {twice[0]}: is given twice, expected different recordings")
+
+    from eha_monitor.health.proposal import proposed
+    from eha_monitor.settings import load_settings
+
+    settings = load_settings(config)
+    healthy, told, seconds = _healthy(bags, settings, config)
+    if not any(healthy.values()):
+        raise InputError(f"{bags[0]}: expected at least one recording in which B or βe converges; "
+                         + "; ".join(told))
+    proposals = [proposed(symbol, found, rate, least)
+                 for symbol, found in healthy.items() if found]
+    _show(proposals, told, seconds, settings)
+    if json_file:
+        write_json(json_file, _tree(proposals, told, seconds))
+        click.echo(f"written: {json_file}")
+    if config_file:
+        write_text(config_file, _config(proposals, settings, config, seconds))
+        click.echo(f"written: {config_file}")
+
+
+def _healthy(bags, settings, config):
+    """Return symbol -> what each recording says of it, sentences, and the usual length in s."""
+    import numpy as np
+
+    from eha_monitor.api.answer import series_of
+    from eha_monitor.api.estimate import refuse_short
+    from eha_monitor.api.plausible import checked
+    from eha_monitor.compiled import load_runtime
+    from eha_monitor.filters.pieces import time_of
+    from eha_monitor.filters.pipeline import estimate
+    from eha_monitor.health.proposal import healthy_of
+    from eha_monitor.recordings.read import read_recording
+
+    load_runtime()
+    found, told, seconds = {"B": [], "beta_e": []}, [], []
+    for bag in bags:
+        with working(f"estimating {bag}"):
+            recording = read_recording(bag, settings)
+            checked([recording], settings)
+            refuse_short(recording)
+            answer = estimate(recording, settings)
+        seconds.append(recording.duration)
+        warmth = recording.get("temperature") if recording.has("temperature") else None
+        for symbol, series in series_of(answer).items():
+            one = healthy_of(str(bag), symbol, time_of(recording), series, settings, warmth)
+            if one is None:
+                told.append(f"{bag}: {symbol} is left out: "
+                            f"{series.final.message or series.final.status}")
+            else:
+                found[symbol].append(one)
+        if answer.model.status == "mismatch":
+            told.append(f"{bag}: the model does not fit this recording, so that its values carry "
+                        f"the model's error; `eha-monitor diagnose` says what is missing "
+                        f"({answer.model.message})")
+    return found, told, float(np.median(seconds))
+
+
+def _show(proposals, told, seconds, settings) -> None:
+    from rich.table import Table
+
+    from eha_monitor.commands.table import PIPE_WIDTH, PipeConsole
+    from eha_monitor.filters.status import units_of
+    from eha_monitor.quantity import SYMBOLS, quantity
+
+    console = PipeConsole(highlight=False)
+    if not console.is_terminal:
+        console = PipeConsole(highlight=False, width=PIPE_WIDTH)
+    units = units_of(settings.rig.motion)
+    table = Table("limit", "value", "of the mean", "false alarms", box=None, header_style="bold",
+                  padding=(0, 2, 0, 0))
+    for one in proposals:
+        for limit in one.limits:
+            table.add_row(f"{SYMBOLS.get(one.symbol, one.symbol)} {limit.key}",
+                          quantity(limit.value, units[one.symbol], 4), f"{limit.factor:.3g}",
+                          _rate(limit.rate))
+    for one in proposals:
+        between = ("not known from one recording" if math.isnan(one.between)
+                   else f"{one.between:.2%}")
+        console.print(f"{SYMBOLS.get(one.symbol, one.symbol)}: {len(one.healthy)} recording"
+                      f"{'s' * (len(one.healthy) > 1)}, mean "
+                      f"{quantity(one.mean, units[one.symbol], 4)}, spread within a recording "
+                      f"{one.within:.2%}, between recordings {between}", markup=False)
+    console.print(table)
+    for sentence in _sentences(proposals, told, seconds):
+        console.print(sentence, markup=False)
+
+
+def _rate(rate: float) -> str:
+    if math.isnan(rate):
+        return "not known"
+    return f"{rate:.2%} of recordings" if rate >= 1e-4 else "less than 0.01 % of recordings"
+
+
+def _sentences(proposals, told, seconds) -> list[str]:
+    """Return what a person must know before the limits are used."""
+    from eha_monitor.quantity import SYMBOLS
+
+    said = [*told]
+    for one in proposals:
+        name, n = SYMBOLS.get(one.symbol, one.symbol), len(one.healthy)
+        said += [f"{source}: {name} is unlike the other recordings (chance {chance:.1g}): is the "
+                 "machine healthy in it? Leave it out if it is not"
+                 for source, chance in one.unlike]
+        if n == 1:
+            said.append(f"{name}: one recording cannot tell how much healthy recordings differ "
+                        "(temperature, load, motion), and so no rate of false alarms: the limits "
+                        "are the paper's, in proportion to this value. Record four more, on other "
+                        "days")
+        elif one.more:
+            said.append(f"{name}: {n} recordings make wide limits; {one.more} or so of this "
+                        "spread would bring them within a factor of 3")
+        elif n < 5:
+            said.append(f"{name}: {n} recordings say little about others; five or more, on other "
+                        "days and oil temperatures, say more")
+    said.append(f"Rates are of one further healthy recording of about {seconds:.0f} s, made as "
+                "these were; what none of these has seen (another oil, another load) is in none "
+                "of them.")
+    return said
+
+
+def _tree(proposals, told, seconds) -> dict:
+    from eha_monitor.api.answer import finite
+
+    return finite({"schema": SCHEMA, "recording_s": seconds, "notes": _sentences(
+        proposals, told, seconds), "proposals": {one.symbol: asdict(one) for one in proposals}})
+
+
+def _config(proposals, settings, config, seconds: float) -> str:
+    from eha_monitor import __version__
+    from eha_monitor.health.proposal import thresholds_tree
+    from eha_monitor.settings.document import annotated
+    from eha_monitor.settings.load import settings_from_tree
+
+    tree = settings.model_dump(exclude_unset=True)
+    given = settings.thresholds.model_dump()
+    for section, limits in thresholds_tree(proposals).items():
+        given[section] = given[section] | limits
+    changed = settings_from_tree(tree | {"thresholds": given}, "the proposal")
+    lines = [f"Written by eha_monitor {__version__}: thresholds from healthy recordings for "
+             f"{config.name if config else 'the paper EHA'}."]
+    for one in proposals:
+        rates = ", ".join(f"{limit.key} {_rate(limit.rate)}" for limit in one.limits)
+        lines.append(f"  {one.symbol}: {len(one.healthy)} recordings of about {seconds:.0f} s; "
+                     f"false alarms: {rates}")
+    return annotated(changed, "\n".join(lines))

@@ -1,0 +1,205 @@
+"""Which column is which channel, in which unit, and why."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eha_monitor.draft.sources import Candidate, Source
+from eha_monitor.draft.values import is_rate_of, is_time, leads, likely_unit, steps_of, time_unit
+from eha_monitor.draft.words import ANGLES, plain, words_of
+from eha_monitor.settings.table import CHANNEL_NAMES
+
+HOTTEST = 700.0  # of a temperature in any unit; more are counts
+ACTUAL = ("ist", "act", "actual", "meas", "measured", "real", "mesure", "medida", "fbk",
+          "feedback", "gemessen", "effettiva")
+_UNITS_OF = {"x": "position", "x_d": "position", "v": "velocity", "omega": "turning",
+             "omega_d": "turning", "p1": "pressure", "p2": "pressure", "force": "force",
+             "temperature": "temperature"}
+
+
+@dataclass(frozen=True)
+class Guess:
+    """A channel of the draft.
+
+    Attributes
+    ----------
+    unit, scale, offset : as the map takes them; ``unit`` is of the time ``1 ms`` and so on.
+    why : where column and unit come from, as the end of a line.
+    sure : the header names the unit, or somebody has answered: values do not overrule it.
+    full : ``share`` or ``counts`` where nothing can be read before somebody says how much is all.
+    """
+
+    candidate: Candidate
+    unit: str
+    why: str
+    scale: float = 1.0
+    offset: float = 0.0
+    sure: bool = False
+    full: str = ""
+
+
+@dataclass(frozen=True)
+class Map:
+    """What was guessed: the time, the channels, what nobody uses."""
+
+    time: Guess | None
+    channels: dict[str, Guess]
+    unused: tuple[Candidate, ...]
+    rotary: bool = False
+
+    def with_channel(self, name: str, guess: Guess) -> "Map":
+        """Return the map with another channel."""
+        return replace(self, channels={**self.channels, name: guess})
+
+
+def guessed(source: Source, chosen: dict[str, str] | None = None) -> Map:
+    """Return which column is which channel.
+
+    Parameters
+    ----------
+    source : the recording.
+    chosen : channel or ``time`` -> column that somebody has named.
+    """
+    chosen = chosen or {}
+    named = {name: _named(source, column) for name, column in chosen.items()}
+    left = [one for one in source.candidates if one not in named.values()]
+    time = named.pop("time", None) or _time(source, left)
+    left = [one for one in left if one is not time]
+    rotary = any(_turns(one) for one in left) and not any(
+        one.header.kind == "position" for one in left)
+    found = dict(named)
+    for channel, one, why in (*_pressures(left), *_others(left, time, source)):
+        if channel not in found and one not in named.values():
+            found[channel] = (one, why)
+    channels = {}
+    for channel, entry in sorted(found.items(), key=lambda one: CHANNEL_NAMES.index(one[0])):
+        one, why = entry if isinstance(entry, tuple) else (entry, "answered")
+        channels[channel] = _in_unit(channel, one, why, rotary, source.bag)
+    used = [guess.candidate for guess in channels.values()]
+    unused = tuple(one for one in source.candidates if one is not time
+                   and not any(one is other for other in used))
+    return Map(_time_guess(time, source.bag), channels, unused, rotary)
+
+
+def _named(source: Source, column: str) -> Candidate:
+    from eha_monitor.errors import InputError
+
+    for one in source.candidates:
+        if column in (one.shown, one.place.get("column"), one.place.get("topic")):
+            return one
+    raise InputError(f"{source.path}: column '{column}' not found, the file has "
+                     f"{', '.join(one.shown for one in source.candidates)}")
+
+
+def _time(source: Source, left: list[Candidate]) -> Candidate | None:
+    if source.bag:
+        return None
+    going = [one for one in left if is_time(one.values)]
+    dated = [one for one in going if one.values.dtype.kind == "M"]
+    named = [one for one in going if one.header.quantity == "time" or "".join(
+        words_of(one.shown)) == "xvalue"]
+    even = [one for one in going if _even(one.values)]
+    # A name beats dates, and dates beat a column that merely counts on.
+    return next(iter([*named, *dated, *even]), None)
+
+
+def _turns(one: Candidate) -> bool:
+    return one.header.kind in ("angle", "torque") or (
+        one.header.quantity == "position" and any(part in plain(one.shown) for part in ANGLES))
+
+
+def _even(values: np.ndarray) -> bool:
+    steps = steps_of(values)
+    step = np.median(steps)
+    return bool(step > 0 and np.mean(np.abs(steps - step) < 0.2 * step) > 0.9)
+
+
+def _time_guess(one: Candidate | None, bag: bool) -> Guess | None:
+    if one is None or bag:
+        return None
+    if one.values.dtype.kind == "M":
+        return Guess(one, "", "values: dates or times of day", sure=True)
+    if one.header.kind == "time":
+        return Guess(one, f"1 {one.header.unit}", f"header: '{one.shown}'", sure=True)
+    if words_of(one.shown) in (["ms"], ["t", "ms"]):
+        return Guess(one, "1 ms", f"header: '{one.shown}'", sure=True)
+    unit, why = time_unit(one.values)
+    return Guess(one, unit, why)
+
+
+def _pressures(left: list[Candidate]) -> list[tuple[str, Candidate, str]]:
+    """Return the chambers' pressures: by their marks, else in the order of the columns."""
+    all_ = [one for one in left if one.header.quantity == "pressure" and one.header.chamber >= 0
+            and not one.header.demand]
+    marked = {chamber: [one for one in all_ if one.header.chamber == chamber]
+              for chamber in (1, 2)}
+    free = [one for one in all_ if not one.header.chamber]
+    first, second = (marked[chamber][0] if marked[chamber] else None for chamber in (1, 2))
+    why = "header"
+    if first is None and second is None and len(free) == 2:
+        (first, second), why = free, "header, in the order of the columns"
+    elif (first is None) != (second is None) and len(free) == 1:
+        first, second = first or free[0], second or free[0]
+    return [(channel, one, why) for channel, one in (("p1", first), ("p2", second)) if one]
+
+
+def _others(left: list[Candidate], time: Candidate | None, source: Source
+            ) -> list[tuple[str, Candidate, str]]:
+    found = []
+    positions = [one for one in left if one.header.quantity == "position" and _moves(one)]
+    demanded = [one for one in positions if one.header.demand]
+    measured = sorted((one for one in positions if not one.header.demand),
+                      key=lambda one: not set(words_of(one.shown)) & set(ACTUAL))
+    why = "header"
+    if not demanded and len(measured) > 1:
+        one, other = measured[:2]
+        ahead = leads(one.values, other.values)
+        measured, demanded = ([other], [one]) if ahead else ([one], [other])
+        why = "values: one of the two positions is ahead of the other"
+    found += [("x", one, why) for one in measured[:1]] + [("x_d", one, why)
+                                                          for one in demanded[:1]]
+    for one in left:
+        quantity, header = one.header.quantity, one.header
+        if quantity == "velocity" and not header.kind and not source.bag:
+            quantity = "velocity" if _is_rate(one, measured[:1], time) else "turning"
+        if quantity in ("turning", "velocity", "force"):
+            name = {"turning": "omega", "velocity": "v", "force": "force"}[quantity]
+            if header.demand:
+                name = {"omega": "omega_d"}.get(name, "")
+            if name and name not in [channel for channel, *_ in found]:
+                found.append((name, one, "header"))
+        elif quantity == "temperature" and "temperature" not in [c for c, *_ in found] and (
+                np.nanmax(np.abs(one.values)) < HOTTEST):
+            found.append(("temperature", one, "header"))
+    return found
+
+
+def _moves(one: Candidate) -> bool:
+    return one.values.dtype.kind == "f" and bool(np.nanmax(one.values) > np.nanmin(one.values))
+
+
+def _is_rate(one: Candidate, positions: list[Candidate], time: Candidate | None) -> bool:
+    if not positions or time is None or time.values.dtype.kind == "M":
+        return False
+    scale = {"1 ms": 1e-3, "1 us": 1e-6}.get(_time_guess(time, False).unit, 1.0)
+    return is_rate_of(one.values, positions[0].values,
+                      scale * float(np.median(steps_of(time.values))))
+
+
+def _in_unit(channel: str, one: Candidate, why: str, rotary: bool, bag: bool) -> Guess:
+    header = one.header
+    told = f"{why}: '{one.shown}'" if why == "header" else why
+    if header.kind in ("share", "counts"):
+        return Guess(one, "", told, full=header.kind)
+    if header.kind:
+        return Guess(one, header.unit, told, sure=True)
+    quantity = _UNITS_OF[channel]
+    if rotary:
+        quantity = {"position": "angle", "velocity": "turning", "force": "torque"}.get(
+            quantity, quantity)
+    if bag and (len(one.place) > 2 or one.place.get("field") != "data"):
+        return Guess(one, "", f"{told}; SI, as the message type says")
+    unit, values = likely_unit(quantity, one.values)
+    if quantity == "turning" and {"w", "omega", "wd"} & set(words_of(one.shown)):
+        unit, values = "rad/s", "its symbol"
+    return Guess(one, unit, f"{told}; {unit} guessed from {values}")

@@ -1,0 +1,172 @@
+"""The columns of a CSV, a MAT file or a bag, whichever comes, as candidates for channels."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from eha_monitor.draft.layout import layout_of
+from eha_monitor.draft.words import Header, read
+from eha_monitor.errors import InputError
+from eha_monitor.recordings.tables import read_columns, variables_of
+from eha_monitor.settings.table import Table
+
+MOST_MESSAGES = 20_000  # of a topic, to guess from
+DATES = 3  # columns without numbers that may be dates
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A column that may be a channel.
+
+    Attributes
+    ----------
+    place : keys of the map that name it: ``column``, or ``topic``, ``name`` and ``field``.
+    shown : as people know it.
+    header : what its name says.
+    values : (n,) float64, or datetime64[ns] of dates; as recorded.
+    """
+
+    place: dict[str, str]
+    shown: str
+    header: Header
+    values: np.ndarray
+
+
+@dataclass(frozen=True)
+class Source:
+    """What is to be described: its columns, and the keys of ``table`` that read it."""
+
+    path: Path
+    bag: bool
+    candidates: tuple[Candidate, ...]
+    table: dict[str, str | int] = field(default_factory=dict)
+
+
+def source_of(path: Path) -> Source:
+    """Return the columns of a recording.
+
+    Raises
+    ------
+    InputError
+        If it is none that can be read.
+    """
+    if not path.exists():
+        raise InputError(f"{path}: expected a CSV file, a MAT file or a bag, found nothing")
+    if path.is_dir() or path.name.endswith((".mcap", ".mcap.zstd")):
+        return _bag(path)
+    return _mat(path) if path.suffix.lower() == ".mat" else _csv(path)
+
+
+def _csv(path: Path) -> Source:
+    layout = layout_of(path)
+    keys = {"kind": "csv", "delimiter": layout.delimiter,
+            "header": "present" if layout.named else "absent",
+            **({"skip_rows": layout.skip_rows} if layout.skip_rows else {})}
+    table = Table(**keys)
+    # A name that stands twice, none, or one that is a number is named by its place.
+    columns = [name if layout.named and name and layout.names.count(name) == 1
+               and not name.isdigit() else str(place) for place, name in enumerate(layout.names)]
+    found = read_columns(path, table, columns)
+    for column in [one for one in columns if not _holds(found[one])][:DATES]:
+        dated = read_columns(path, table.model_copy(update={"time": column}), [column])[column]
+        if dated.dtype.kind == "M" and _holds(dated):
+            found[column] = dated
+    rows = max(len(values) for values in found.values())
+    return Source(path, False, tuple(
+        Candidate({"column": column}, name or f"column {column}", read(name, unit), values)
+        for column, name, unit in zip(columns, layout.names, layout.units, strict=True)
+        if _holds(values := found[column]) and len(values) == rows), keys)
+
+
+def _holds(values: np.ndarray) -> bool:
+    known = ~np.isnat(values) if values.dtype.kind == "M" else np.isfinite(values)
+    return bool(known.any())
+
+
+def _mat(path: Path) -> Source:
+    found = []
+    columns: list[str] = []
+    for name, shape in variables_of(path).items():
+        if len(shape) == 2 and min(shape) == 1 and max(shape) > 1:
+            columns.append(name)
+        elif len(shape) == 2 and 1 < shape[1] <= 50 < shape[0]:
+            columns += [f"{name}[:,{k}]" for k in range(shape[1])]
+    for column in columns:
+        try:
+            values = read_columns(path, Table(kind="mat"), [column])[column]
+        except InputError:  # text, complex numbers
+            continue
+        found.append(Candidate({"column": column}, column, read(column), values))
+    if not found:
+        raise InputError(f"{path}: expected variables with numbers, found none")
+    rows = max(len(one.values) for one in found)
+    return Source(path, False, tuple(one for one in found if len(one.values) == rows),
+                  {"kind": "mat"})
+
+
+def _bag(path: Path) -> Source:
+    from rosbags.typesys.store import Typestore
+
+    from eha_monitor.recordings.bag import iter_raw, topics
+    from eha_monitor.recordings.topics import UNREADABLE, types_of
+
+    stores, taken, numbers = {}, {}, {}
+    for topic, described in topics(path).items():
+        try:
+            store = Typestore()
+            store.register(types_of(described.msgtype, described.encoding,
+                                    described.definition.encode()))
+            stores[topic] = (store, described.msgtype)
+        except (*UNREADABLE, ValueError):
+            continue
+    for topic, _, _, raw in iter_raw(path):
+        if topic not in stores or taken.get(topic, 0) >= MOST_MESSAGES:
+            continue
+        store, msgtype = stores[topic]
+        try:
+            message = store.deserialize_cdr(raw, msgtype)
+        except UNREADABLE:
+            continue
+        taken[topic] = taken.get(topic, 0) + 1
+        for name, where, value in _leaves(message, ""):
+            numbers.setdefault((topic, name, where), []).append(value)
+    found = []
+    for (topic, name, where), values in numbers.items():
+        column = np.array(values, dtype=float)
+        if np.isfinite(column).any():
+            place = {"topic": topic} | ({"name": name} if name else {}) | {"field": where}
+            shown = " ".join(part for part in (topic, name, where) if part)
+            found.append(Candidate(place, shown, _of_message(topic, name, where), column))
+    if not found:
+        raise InputError(f"{path}: expected messages with numbers, found none")
+    return Source(path, True, tuple(found))
+
+
+def _of_message(topic: str, name: str, where: str) -> Header:
+    """Return what topic, joint and field say; units of standard messages are SI."""
+    unit = {"position": "", "fluid_pressure": "Pa", "temperature": "degC"}.get(where, "")
+    last = topic.rsplit("/", 2)[-2:]
+    return read(" ".join((*last, name, "" if where == "data" else where)), unit)
+
+
+def _leaves(message, prefix: str):
+    """Yield (joint name, field, number) of a message, without its header."""
+    names = getattr(message, "name", None)
+    for key in getattr(message, "__dataclass_fields__", {}):
+        value = getattr(message, key)
+        where = f"{prefix}{key}"
+        if key in ("header", "__msgtype__", "name", "variance") or "covariance" in key:
+            continue
+        if isinstance(value, (bool, str)):
+            continue
+        if isinstance(value, (int, float, np.number)):
+            yield "", where, float(value)
+        elif isinstance(value, np.ndarray) and value.ndim == 1 and value.dtype.kind in "iuf":
+            if names is not None and len(names) == len(value):
+                yield from ((str(name), where, float(one))
+                            for name, one in zip(names, value, strict=True))
+            elif len(value) <= 16:
+                yield from (("", f"{where}[{k}]", float(one)) for k, one in enumerate(value))
+        elif hasattr(value, "__dataclass_fields__"):
+            yield from _leaves(value, f"{where}.")

@@ -1,0 +1,148 @@
+"""The unit in which a recorded channel comes: ``unit: mm``, ``bar``, ``bar gauge``, ``rpm``.
+
+SI value = factor * (scale * raw + offset) + zero.  ``factor`` and ``zero`` are the unit's;
+``scale`` and ``offset`` make of the raw number a number in that unit, so that a transducer's
+sheet ("4095 counts are 250 bar") is written as it stands.  Without a unit they give SI.
+"""
+
+import re
+from dataclasses import dataclass
+from functools import cache
+
+ATMOSPHERE = 101_325.0  # Pa; what a gauge pressure is counted from
+
+# Spellings of headers and data sheets, in several languages, for pint.  "1/min" of a shaft are
+# revolutions, which pint would take for radians.
+_SPELT = {
+    "revolution/minute": ("rpm", "1/min", "min-1", "min^-1", "u/min", "upm", "umin", "r/min",
+                          "rev/min", "tr/min", "t/min", "giri/min"),
+    "revolution/second": ("rps", "rev/s", "u/s", "r/s", "tr/s"),
+    "degree": ("°", "deg", "degree", "degrees", "grad", "grd"),
+    "degree/second": ("°/s", "deg/s", "grad/s"),
+    "degC": ("°c", "c", "degc", "celsius", "grad c"), "degF": ("°f", "f", "degf"),
+    "micrometer": ("µm", "μm", "um", "micron", "microns"),
+    "inch": ("in", "inch", "inches", '"', "zoll"),
+    "newton*meter": ("nm", "n·m", "n.m", "n m", "n*m"),
+    "kgf/centimeter**2": ("kp/cm2", "kp/cm²", "kgf/cm2", "kgf/cm²", "kg/cm2", "kg/cm²"),
+    "kgf": ("kp", "kgf"),
+    "millimeter": ("mm",), "centimeter": ("cm",), "meter": ("m",), "bar": ("bar",),
+    "millibar": ("mbar",), "psi": ("psi",), "kilopascal": ("kpa",), "hectopascal": ("hpa",),
+    "pascal": ("pa",), "newton": ("n",), "kilonewton": ("kn",), "millimeter/second": ("mm/s",),
+    "meter/second": ("m/s",), "radian/second": ("rad/s",), "radian": ("rad",),
+}
+_ALIASES = {word: unit for unit, words in _SPELT.items() for word in words}
+_PRESSURES = ("bar", "millibar", "psi", "pascal", "hectopascal", "kilopascal", "megapascal",
+              "kgf/centimeter**2")
+# What differs by a capital alone stands as it is written: MPa is no mPa.
+_EXACT = {"MPa": "megapascal", "mPa": "millipascal", "Nm": "newton*meter", "nm": "nanometer",
+          "kNm": "kilonewton*meter", "mNm": "millinewton*meter", "K": "kelvin"}
+_OVER = re.compile(r"^(?P<unit>.*?[^\s_(])[\s_]*\(?(?P<over>gauge|g|rel|relative|ü|absolute|abs|"
+                   r"a)\)?$")
+_WORD = re.compile(r"[A-Za-zµμΩ°][\w°*/^(). -]*")
+_GAUGE = ("gauge", "g", "rel", "relative", "ü")
+_SHARES = ("%", "percent", "per cent", "count", "counts", "ppm")
+# Quantity -> a unit of it for pint, an example for people.
+_LENGTH, _SPEED = ("meter", "a length such as mm"), ("meter/second", "a speed such as mm/s")
+_TURNING = ("radian/second", "a speed of rotation such as rpm")
+_ANGLE = ("radian", "an angle such as deg")
+LINEAR = {"x": _LENGTH, "x_d": _LENGTH, "v": _SPEED, "omega": _TURNING, "omega_d": _TURNING,
+          "p1": ("pascal", "a pressure such as bar or bar gauge"),
+          "p2": ("pascal", "a pressure such as bar or bar gauge"),
+          "force": ("newton", "a force such as kN"),
+          "temperature": ("degC", "a temperature such as degC")}
+ROTARY = LINEAR | {"x": _ANGLE, "x_d": _ANGLE, "v": _TURNING,
+                   "force": ("newton*meter", "a torque such as N*m")}
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit: SI value = factor * number + zero; ``si`` is pint's name of the SI unit."""
+
+    factor: float
+    zero: float
+    si: str
+
+
+NO_UNIT = Unit(1.0, 0.0, "")
+
+
+@cache
+def unit_of(text: str) -> Unit:
+    """Return what a unit makes of its numbers; "" leaves them as they are.
+
+    Raises
+    ------
+    ValueError
+        If it is no unit, or one that is read in two ways.
+    """
+    if not text:
+        return NO_UNIT
+    import pint  # slow to import, and needed only where a map names units
+
+    registry = pint.get_application_registry()
+    if text.strip().casefold() in _SHARES:
+        raise ValueError("a share of something has no unit: name the unit of the full scale, and "
+                         "put the full scale over the raw number there into scale")
+    if text.strip() in ("Hz", "1/s", "s-1", "s^-1"):
+        raise ValueError(f"{text!r} may be revolutions or radians: write rev/s or rad/s")
+    name, zero = _parted(text.strip())
+    try:
+        if not _WORD.fullmatch(name):
+            raise ValueError("pint would leave out what it does not know")
+        two = [registry.Quantity(number, name) for number in (0.0, 1.0)]
+        si = "degC" if two[0].check("[temperature]") else str(two[1].to_base_units().units)
+        low, high = (float(one.to(si).magnitude) for one in two)
+    except Exception as problem:  # pint raises a dozen kinds, all of them the user's value
+        raise ValueError(f"no unit that is known: {text!r}") from problem
+    return Unit(high - low, low + zero, si)
+
+
+def _parted(text: str) -> tuple[str, float]:
+    """Return pint's name of a unit, and what a gauge pressure in it begins at, Pa."""
+    known = _EXACT.get(text) or _ALIASES.get(text.casefold())
+    if known:
+        return known, 0.0
+    match = _OVER.match(text)
+    if match:
+        unit = _EXACT.get(match["unit"]) or _ALIASES.get(match["unit"].casefold())
+        if unit in _PRESSURES:
+            return unit, ATMOSPHERE if match["over"] in _GAUGE else 0.0
+    return text.replace("·", "*").replace("²", "**2").replace("³", "**3"), 0.0
+
+
+def check_unit(channel: str, unit: str, rotary: bool) -> None:
+    """Refuse a unit that is none of this channel's quantity.
+
+    Raises
+    ------
+    ValueError
+        With what was expected.
+    """
+    if not unit:
+        return
+    import pint
+
+    wanted, words = (ROTARY if rotary else LINEAR)[channel]
+    try:
+        found = unit_of(unit)
+    except ValueError as problem:
+        raise ValueError(f"expected {words}, got {unit!r}: {problem}") from None
+    registry = pint.get_application_registry()
+    own = registry.Quantity(1.0, wanted)
+    if not registry.Quantity(1.0, found.si).check(own.dimensionality):
+        raise ValueError(f"expected {words}, got {unit!r}")
+
+
+class Measured:
+    """A channel with ``unit``, ``scale`` and ``offset``: SI value = gain * raw + zero."""
+
+    @property
+    def gain(self) -> float:
+        """SI units per raw unit."""
+        return unit_of(self.unit).factor * self.scale if self.unit else self.scale
+
+    @property
+    def zero(self) -> float:
+        """SI value at raw zero."""
+        unit = unit_of(self.unit)
+        return unit.factor * self.offset + unit.zero if self.unit else self.offset

@@ -1,0 +1,436 @@
+"""`init`: what it makes of headers, files and answers, and what operators get wrong."""
+
+import os
+import pty
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from eha_monitor.cli import main
+from eha_monitor.draft.answers import answers_of, full_scale
+from eha_monitor.draft.layout import layout_of
+from eha_monitor.draft.words import read
+from eha_monitor.errors import InputError
+from eha_monitor.physics.simulator import Simulator
+from eha_monitor.settings import Settings, load_settings
+
+ROOT = Path(__file__).parents[1]
+SEEN = Simulator(Settings(), seed=1).advance(6_000)
+TIME = np.arange(6_000) * 1e-3
+SHEET = (
+    "area_1=5.05 cm^2",
+    "area_2=5.05 cm^2",
+    "volume_1=68.5 cm^3",
+    "volume_2=68.5 cm^3",
+    "mass=20 kg",
+    "pump_displacement=1.6925e-7",
+    "charge_pressure=20 bar",
+)
+
+HEADERS = [  # header, unit of the map, quantity, demand, chamber
+    ("Kolbenweg [mm]", "mm", "position", False, 0),
+    ("Sollweg [mm]", "mm", "position", True, 0),
+    ("pos_mm", "mm", "position", False, 0),
+    ("setpoint_mm", "mm", "position", True, 0),
+    ("Course (mm)", "mm", "position", False, 0),
+    ("Consigne (mm)", "mm", "position", True, 0),
+    ("Posición [mm]", "mm", "position", False, 0),
+    ("Consigna [mm]", "mm", "position", True, 0),
+    ("Weg / mm", "mm", "position", False, 0),
+    ("Weg in mm", "mm", "position", False, 0),
+    ("x/mm", "mm", "position", False, 0),
+    ("xd", "", "position", True, 0),
+    ("Druck A [bar]", "bar", "pressure", False, 1),
+    ("p_B [bar]", "bar", "pressure", False, 2),
+    ("pA", "", "pressure", False, 1),
+    ("P2", "", "pressure", False, 2),
+    ("p_head_bar", "bar", "pressure", False, 0),
+    ("Rod pressure (bar)", "bar", "pressure", False, 2),
+    ("Druck Stangenseite", "", "pressure", False, 2),
+    ("Presión 1 (psi)", "psi", "pressure", False, 1),
+    ("pressure_a_psig", "psi gauge", "pressure", False, 1),
+    ("p1 (barg)", "bar gauge", "pressure", False, 1),
+    ("Supply pressure [bar]", "bar", "pressure", False, -1),
+    ("p_tank", "", "pressure", False, -1),
+    ("Pumpendrehzahl [1/min]", "rpm", "turning", False, 0),
+    ("n_rpm", "rpm", "turning", False, 0),
+    ("Vitesse pompe (tr/min)", "rpm", "turning", False, 0),
+    ("motor speed", "", "turning", False, 0),
+    ("Drehzahl Soll [U/min]", "rpm", "turning", True, 0),
+    ("Pump speed %", "%", "turning", False, 0),
+    ("Geschwindigkeit mm/s", "mm/s", "velocity", False, 0),
+    ("Kraft [kN]", "kN", "force", False, 0),
+    ("Fuerza (N)", "N", "force", False, 0),
+    ("Torque [Nm]", "N*m", "force", False, 0),
+    ("Öltemperatur [°C]", "degC", "temperature", False, 0),
+    ("Zeit [ms]", "ms", "time", False, 0),
+    ("Temps (s)", "s", "time", False, 0),
+    ("t_s", "s", "time", False, 0),
+    ("Tiempo", "", "time", False, 0),
+    ("I_motor", "", "", False, 0),
+    ("status", "", "", False, 0),
+    ("Position error [mm]", "mm", "", False, 0),
+    ("Winkel [°]", "°", "position", False, 0),
+    ("pA_raw", "counts", "pressure", False, 1),
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "quantity", "demand", "chamber"), HEADERS, ids=[one[0] for one in HEADERS]
+)
+def test_headers(name, unit, quantity, demand, chamber):
+    found = read(name)
+    assert (found.unit, found.quantity, found.chamber) == (unit, quantity, chamber)
+    assert found.demand == demand or not quantity
+
+
+@given(name=st.text(max_size=30))
+@settings(max_examples=300, deadline=None)
+def test_any_header_is_read(name):
+    assert read(name).chamber in (-1, 0, 1, 2)
+
+
+def table(path, columns, separator=";", decimal=".", encoding="utf-8", head=()):
+    rows = [*head, separator.join(columns)]
+    rows += [
+        separator.join(f"{value:.9g}" for value in row).replace(".", decimal)
+        for row in zip(*columns.values(), strict=True)
+    ]
+    path.write_text("\n".join(rows) + "\n", encoding=encoding)
+    return path
+
+
+def german(path, **changed):
+    columns = {
+        "Zeit [ms]": TIME * 1e3,
+        "Weg [mm]": SEEN["x"] * 1e3,
+        "Sollweg [mm]": SEEN["x_d"] * 1e3,
+        "Drehzahl [1/min]": SEEN["omega"] * 30 / np.pi,
+        "Druck A [bar]": SEEN["p1"] * 1e-5,
+        "Druck B [bar]": SEEN["p2"] * 1e-5,
+    } | changed
+    return table(path, columns, decimal=",", encoding="cp1252")
+
+
+def sets(*answers):
+    return [word for answer in answers for word in ("--set", answer)]
+
+
+def init(capsys, *words):
+    status = main(["init", *map(str, words)])
+    out, err = capsys.readouterr()
+    return status, out, err
+
+
+def test_a_german_file_with_a_data_sheet(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    status, out, _ = init(capsys, german(tmp_path / "a.csv"), "--yes", *sets(*SHEET))
+    assert status == 0
+    b, beta = (
+        re.search(rf"stage {stage} +\S+ +([\d.]+) ± \S+ \S+ +converged", out)
+        for stage in ("one", "two")
+    )
+    assert float(b[1]) == pytest.approx(600, rel=0.01)
+    assert float(beta[1]) == pytest.approx(600, rel=0.02)
+    # The three commands that it names do what they say.
+    steps = re.findall(r"^  eha-monitor (.*)$", out, re.MULTILINE)
+    assert [step.split()[0] for step in steps] == ["import", "estimate", "diagnose"]
+    for step in steps[:2]:
+        assert main(step.split()) == 0
+    text = Path("my_rig.yaml").read_text(encoding="utf-8")
+    body = [
+        line
+        for line in text.splitlines()
+        if re.match(r"  \w", line)
+        and not line.startswith("  columns")
+        and "_damping" not in line
+        and "_modulus" not in line
+    ]
+    assert all("#" in line for line in body), "every value says where it comes from"
+    assert load_settings("my_rig.yaml").thresholds.viscous_damping.high_warn is None
+
+
+def test_geometry_is_never_made_up(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    status, out, _ = init(capsys, german(tmp_path / "a.csv"), "--yes")
+    assert status == 0
+    rig = load_settings("my_rig.yaml").rig
+    assert (rig.area_1, rig.area_2, rig.volume_1, rig.volume_2, rig.pump_displacement) == (
+        None,
+    ) * 5
+    assert "needs rig.area_1" in out
+    text = Path("my_rig.yaml").read_text(encoding="utf-8")
+    assert len(re.findall("# ASK: ", text)) >= 9
+    assert "mass: 20.0" in text
+    assert re.search(r"mass: 20.0 +# ASK: .*default of the paper", text)
+
+
+@pytest.mark.parametrize("wrong", ["swapped", "sign"])
+def test_hoses_and_signs_are_seen_in_the_recording(tmp_path, capsys, monkeypatch, wrong):
+    monkeypatch.chdir(tmp_path)
+    changed = (
+        {"Druck A [bar]": SEEN["p2"] * 1e-5, "Druck B [bar]": SEEN["p1"] * 1e-5}
+        if (wrong == "swapped")
+        else {"Drehzahl [1/min]": -SEEN["omega"] * 30 / np.pi}
+    )
+    status, out, _ = init(capsys, german(tmp_path / "a.csv", **changed), "--yes", *sets(*SHEET))
+    assert status == 0
+    columns = load_settings("my_rig.yaml").table.columns
+    if wrong == "swapped":
+        assert (columns["p1"].column, columns["p2"].column) == ("Druck B [bar]", "Druck A [bar]")
+        assert "look swapped" in Path("my_rig.yaml").read_text(encoding="utf-8")
+    else:
+        assert columns["omega"].gain == pytest.approx(-np.pi / 30)
+    assert re.search(r"stage one +B +(599|600)", out)
+
+
+def test_units_without_a_header_come_from_the_values(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    file = table(
+        tmp_path / "a.csv",
+        {
+            "t": TIME,
+            "x": SEEN["x"] * 1e3,
+            "xd": SEEN["x_d"] * 1e3,
+            "speed": SEEN["omega"] * 30 / np.pi,
+            "p1": SEEN["p1"],
+            "p2": SEEN["p2"],
+        },
+        ",",
+    )
+    assert init(capsys, file, "--yes", *sets(*SHEET))[0] == 0
+    columns = load_settings("my_rig.yaml").table.columns
+    assert [columns[name].unit for name in ("x", "x_d", "omega", "p1")] == [
+        "mm",
+        "mm",
+        "rpm",
+        "Pa",
+    ]
+
+
+def test_a_wrong_unit_in_the_header_is_asked_about_and_not_changed(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    file = table(
+        tmp_path / "a.csv",
+        {
+            "t [s]": TIME,
+            "x [mm]": SEEN["x"] * 1e3,
+            "xd [mm]": SEEN["x_d"] * 1e3,
+            "n [1/min]": SEEN["omega"] * 30 / np.pi,
+            "p1 [bar]": SEEN["p1"] * 1e-3,
+            "p2 [bar]": SEEN["p2"] * 1e-3,
+        },
+        ",",
+    )
+    status, out, _ = init(capsys, file, "--yes", *sets(*SHEET))
+    assert status == 0
+    assert load_settings("my_rig.yaml").table.columns["p1"].unit == "bar"
+    assert "check: p1 and p2 look" in out
+    assert "no estimate yet" in out
+    assert "# ASK: p1 and p2 look" in Path("my_rig.yaml").read_text(encoding="utf-8")
+
+
+def test_the_pump_speed_of_a_rig_whose_geometry_is_known_decides_its_unit(
+    tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    file = table(
+        tmp_path / "a.csv",
+        {
+            "t": TIME,
+            "x": SEEN["x"],
+            "xd": SEEN["x_d"],
+            "pump speed": SEEN["omega"],
+            "p1": SEEN["p1"],
+            "p2": SEEN["p2"],
+        },
+        ",",
+    )
+    assert init(capsys, file, "--yes", *sets(*SHEET))[0] == 0
+    assert load_settings("my_rig.yaml").table.columns["omega"].gain == pytest.approx(1.0, rel=1e-3)
+
+
+def test_per_cent_waits_for_its_full_scale(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    file = german(tmp_path / "a.csv", **{"Weg [%]": 50 + SEEN["x"] * 1e3, "Weg [mm]": 0 * TIME})
+    file.write_text(file.read_text("cp1252").replace("Weg [mm];", "Nichts;", 1), "cp1252")
+    status, out, _ = init(capsys, file, "--yes", *sets(*SHEET))
+    assert status == 0
+    assert "x.full" in out
+    assert "x" not in load_settings("my_rig.yaml").table.columns
+    assert init(capsys, file, "--yes", "--overwrite", *sets(*SHEET, "x.full=100 mm"))[0] == 0
+    assert load_settings("my_rig.yaml").table.columns["x"].gain == pytest.approx(1e-3)
+
+
+def test_a_bag(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    status, out, _ = init(capsys, ROOT / "bags" / "air_ingress", "--yes", *sets(*SHEET))
+    assert status == 0
+    assert set(load_settings("my_rig.yaml").channels) >= {"x", "x_d"}
+    assert re.search(r"stage one +B +[56]\d\d", out)
+    assert main(["estimate", str(ROOT / "bags" / "air_ingress"), "--config", "my_rig.yaml"]) == 0
+
+
+def test_a_mat_file_without_names(tmp_path, capsys, monkeypatch):
+    from scipy.io import savemat
+
+    monkeypatch.chdir(tmp_path)
+    savemat(
+        "a.mat",
+        {
+            "data": np.column_stack([TIME, SEEN["x"] * 1e3, SEEN["p1"], SEEN["p2"]]),
+            "note": "hello",
+        },
+    )
+    status, out, _ = init(
+        capsys,
+        "a.mat",
+        "--yes",
+        *sets(
+            *SHEET, "x.column=data[:,1]", "x.unit=mm", "p1.column=data[:,2]", "p2.column=data[:,3]"
+        ),
+    )
+    assert status == 0
+    assert re.search(r"stage one +B +(59|60)\d", out)
+
+
+def test_bore_rod_and_stroke():
+    from eha_monitor.draft.rig import Seen, rig_entries
+
+    found = {
+        one.key: one
+        for one in rig_entries(
+            answers_of(("bore=40 mm", "rod=25 mm", "stroke=160 mm", "rig.line_volume=40 cm^3")),
+            Seen(1e-3),
+            False,
+            "a",
+        )
+    }
+    assert float(found["area_1"].value) == pytest.approx(np.pi / 4 * 0.04**2, rel=1e-5)
+    assert float(found["area_2"].value) == pytest.approx(
+        np.pi / 4 * (0.04**2 - 0.025**2), rel=1e-5
+    )
+    assert float(found["volume_1"].value) == pytest.approx(
+        np.pi / 4 * 0.04**2 * 0.08 + 40e-6, rel=1e-5
+    )
+    both = {
+        one.key: one
+        for one in rig_entries(
+            answers_of(("bore=40 mm", "rod=25 mm", "rods=2")), Seen(1e-3), False, "a"
+        )
+    }
+    assert both["area_1"].value == both["area_2"].value == found["area_2"].value
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        ("area_1", "expected KEY=VALUE"),
+        ("area_1=", "expected KEY=VALUE"),
+        ("rig.aera_1=5 cm^2", "did you mean rig.area_1"),
+        ("area_1=5 cm", "expected piston area"),
+        ("area_1=-5 cm^2", "expected at least 0"),
+        ("bore=40 bar", "expected bore of the cylinder in m"),
+        ("rods=3", "expected 1 or 2"),
+        ("x.colum=a", "expected x.column or unit"),
+        ("x.unit=bar", "expected a length such as mm"),
+        ("x.full=much", "such as"),
+        ("x.column=nowhere", "column 'nowhere' not found, the file has"),
+        ("force.unit=kN", "no column was found for it"),
+        ("x.scale=abc", "expected"),
+        ("mass=nan", "at least 0"),
+    ],
+)
+def test_a_bad_answer_is_one_line(tmp_path, capsys, answer, said):
+    file = german(tmp_path / "a.csv")
+    status, _, err = init(capsys, file, "--out", tmp_path / "r.yaml", "--yes", "--set", answer)
+    assert status == 2
+    assert said in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "r.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "rows of numbers"),
+        (b"hello\nworld\n", "rows of numbers"),
+        (b"\0\1\2\3" * 50, "binary"),
+        (b"a,b\n1,x\n", "rows of numbers|expected"),
+    ],
+)
+def test_a_file_of_no_use_is_one_line(tmp_path, capsys, content, said):
+    file = tmp_path / "a.csv"
+    file.write_bytes(content)
+    status, out, err = init(capsys, file, "--out", tmp_path / "r.yaml", "--yes")
+    if status == 0:
+        assert "no estimate yet" in out
+        return
+    assert status == 2
+    assert re.search(said, err)
+    assert err.count("\n") == 1
+
+
+def test_nothing_is_overwritten(tmp_path, capsys):
+    out = tmp_path / "r.yaml"
+    out.write_text("mine")
+    status, _, err = init(capsys, german(tmp_path / "a.csv"), "--out", out)
+    assert status == 2
+    assert "--overwrite" in err
+    assert out.read_text() == "mine"
+
+
+def test_full_scales():
+    assert full_scale("x", "80 mm", "share") == ("mm", 0.8)
+    assert full_scale("p1", "27648 = 250 bar", "counts") == ("bar", pytest.approx(250 / 27648))
+    with pytest.raises(InputError, match="27648 = 250 bar"):
+        full_scale("p1", "250 bar", "counts")
+
+
+def test_a_header_block_with_units_below(tmp_path):
+    file = tmp_path / "a.lvm"
+    file.write_text(
+        "LabVIEW Measurement\nWriter\t2\n***End_of_Header***\n\nX_Value\tPos\tComment\n"
+        "s\tmm\t\n" + "".join(f"{k}\t{k}.5\t\n" for k in range(9))
+    )
+    found = layout_of(file)
+    assert (found.delimiter, found.skip_rows, found.names[:2]) == ("tab", 4, ("X_Value", "Pos"))
+    assert found.units[:2] == ("s", "mm")
+
+
+def test_a_person_at_a_terminal_is_asked(tmp_path):
+    file = german(tmp_path / "a.csv")
+    leader, follower = pty.openpty()
+    process = subprocess.Popen(
+        [
+            sys.executable,
+            "-m",
+            "eha_monitor",
+            "init",
+            str(file),
+            "--out",
+            str(tmp_path / "r.yaml"),
+        ],
+        stdin=follower,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+    )
+    # bore (first nonsense), rod, rods, stroke, lines, mass, pump, leakage: as asked, in order.
+    os.write(leader, b"forty\n40 mm\n25 mm\n2\n100 mm\n20 cm^3\n\n\n\n\n\n")
+    _, err = process.communicate(timeout=60)
+    os.close(leader)
+    os.close(follower)
+    assert process.returncode == 0, err
+    assert "expected bore of the cylinder" in err
+    rig = load_settings(tmp_path / "r.yaml").rig
+    assert rig.area_1 == pytest.approx(np.pi / 4 * (0.04**2 - 0.025**2), rel=1e-4)
+    assert rig.volume_2 == pytest.approx(rig.area_1 * 0.05 + 20e-6, rel=1e-4)
+    assert "ASK" in (tmp_path / "r.yaml").read_text()

@@ -1,0 +1,179 @@
+"""`thresholds`: limits from healthy recordings, and what they imply."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from eha_monitor.api.answer import series_of
+from eha_monitor.cli import main
+from eha_monitor.filters.pipeline import estimate
+from eha_monitor.filters.results import ParameterEstimate
+from eha_monitor.health.proposal import Healthy, healthy_of, implied, proposed, thresholds_tree
+from eha_monitor.health.series import ParameterSeries, judge_series
+from eha_monitor.recordings.read import read_recording
+from eha_monitor.settings import Settings, load_settings, settings_from_tree
+
+RATE = 0.05
+TRUTH = (570, 590, 600, 612, 630)
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory):
+    """Return five healthy bags of 3 s and one of a machine with double damping."""
+    folder = tmp_path_factory.mktemp("healthy")
+    made = []
+    for place, damping in enumerate((*TRUTH, 1200)):
+        config = folder / f"{place}.yaml"
+        config.write_text(f"rig: {{viscous_damping: {damping}}}\n")
+        bag = folder / f"bag_{place}"
+        assert main(["simulate", "--out", str(bag), "--config", str(config), "--seed", str(place),
+                     "--duration", "3"]) == 0
+        made.append(str(bag))
+    return made
+
+
+def drawn(values, noise=1e-3):
+    return [Healthy(str(k), v, noise * v, v, v) for k, v in enumerate(values)]
+
+
+def test_five_recordings(bags, tmp_path, capsys):
+    config, answer = tmp_path / "judged.yaml", tmp_path / "a.json"
+    assert main(["thresholds", "--from", *bags[:5], "--write-config", str(config), "--json",
+                 str(answer)]) == 0
+    out = capsys.readouterr().out
+    limits = load_settings(config).thresholds.viscous_damping
+    # By hand: mean and Student's t of the logarithms, 4 degrees of freedom.
+    logs = np.log(TRUTH)
+    reach = 3.747 * logs.std(ddof=1) * np.sqrt(1.2)  # one-sided 1 %
+    assert limits.low_warn == pytest.approx(min(np.exp(logs.mean() - reach), 540), rel=0.01)
+    assert limits.high_warn == pytest.approx(np.exp(logs.mean() + reach), rel=0.01)
+    assert re.search(r"B: 5 recordings, mean 600(\.\d)? N·s/m", out)
+    tree = json.loads(answer.read_text())
+    rates = {one["key"]: one["rate"] for one in tree["proposals"]["B"]["limits"]}
+    assert rates["low_warn"] == pytest.approx(0.01, rel=0.01)
+    assert rates["low_error"] == pytest.approx(0.001, rel=0.01)
+    # None of the healthy ones raises an alarm with what they propose; the worn one does.
+    assert main(["estimate", bags[0], "--config", str(config), "--exit-code"]) == 0
+    assert main(["estimate", bags[5], "--config", str(config), "--exit-code"]) == 1
+
+
+def test_a_recording_unlike_the_others_is_named(bags, capsys):
+    assert main(["thresholds", "--from", *bags]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert re.search(r"bag_5: B is unlike the other recordings", out)
+    assert not re.search(r"bag_[0-4]: B is unlike", out)
+
+
+def test_one_recording_says_what_it_cannot_know(bags, tmp_path, capsys):
+    config = tmp_path / "one.yaml"
+    assert main(["thresholds", "--from", bags[2], "--write-config", str(config)]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "one recording cannot tell how much healthy recordings differ" in out
+    assert "not known" in out
+    limits = load_settings(config).thresholds.viscous_damping
+    assert limits.high_warn == pytest.approx(1000, rel=0.01)
+
+
+def test_two_recordings_are_wide_and_say_so(bags, capsys):
+    assert main(["thresholds", "--from", *bags[:2], "--rate", "0.01"]) == 0
+    assert "2 recordings make wide limits" in capsys.readouterr().out
+
+
+def test_a_mismatch_is_named(bags, tmp_path, capsys):
+    config = tmp_path / "dry.yaml"
+    config.write_text("effects: {coulomb_friction: {F_c: 40}}\n")
+    bag = tmp_path / "dry"
+    assert main(["simulate", "--out", str(bag), "--config", str(config), "--duration", "4"]) == 0
+    assert main(["thresholds", "--from", *bags[:3], str(bag)]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "dry: the model does not fit this recording" in out
+
+
+@pytest.mark.parametrize(("words", "said"), [
+    (["--from", "nowhere"], "no such bag"),
+    (["--from", "BAG", "BAG"], "is given twice"),
+    (["--from", "BAG", "--rate", "0.9"], "--rate"),
+    ([], "--from"),
+])
+def test_bad_usage_is_one_line(bags, capsys, words, said):
+    assert main(["thresholds", *(bags[0] if word == "BAG" else word for word in words)]) == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert err.count("\n") == 1
+
+
+def test_a_null_limit_stays_null_in_a_written_config(tmp_path):
+    from eha_monitor.settings.document import annotated
+
+    nothing = {"low_error": None, "low_warn": None}
+    given = settings_from_tree({"thresholds": {"bulk_modulus": nothing}}, "a")
+    file = tmp_path / "a.yaml"
+    file.write_text(annotated(given), encoding="utf-8")
+    assert load_settings(file).thresholds == given.thresholds
+
+
+@pytest.mark.parametrize("count", [2, 3, 10])
+@pytest.mark.parametrize("log", [False, True])
+def test_the_stated_rate_holds(count, log):
+    """4000 draws: a share of 5 % is known to 0.35 % (one standard deviation)."""
+    rng = np.random.default_rng([count, log])
+    raised = 0
+    for _ in range(2000):
+        draw = rng.normal(0, 0.05, count + 1)
+        values = np.exp(draw) if log else 1 + draw
+        found = proposed("B", drawn(values[:-1]), RATE, 0.0)
+        limits = {one.key: one.value for one in found.limits}
+        raised += (values[-1] < limits["low_warn"]) + (values[-1] > limits["high_warn"])
+    assert raised / 4000 == pytest.approx(RATE, abs=0.014)
+
+
+@given(values=st.lists(st.floats(1, 1e4), min_size=1, max_size=8), noise=st.floats(1e-5, 0.2),
+       rate=st.floats(1e-4, 0.4), least=st.floats(0, 0.5))
+@settings(max_examples=150, deadline=None)
+def test_limits_are_in_order_and_their_rates_as_asked(values, noise, rate, least):
+    found = proposed("B", drawn(values, noise), rate, least)
+    section = thresholds_tree([found])["viscous_damping"]
+    order = [section[key] for key in ("low_error", "low_warn", "high_warn", "high_error")]
+    assert order == sorted(order)
+    assert 0 < order[1] <= found.mean * (1 - least) * 1.001 if len(values) > 1 else order[1] > 0
+    for one in found.limits:
+        if len(values) > 1:
+            wanted = rate * (0.1 if "error" in one.key else 1)
+            # Unless it would lie a thousand times off: the rate is then what it is.
+            assert one.rate <= wanted * 1.001 or not 0.002 < one.factor < 500
+            assert one.rate == implied(one.key.split("_")[0], drawn(values, noise), one.value)
+        else:
+            assert np.isnan(one.rate)
+
+
+@given(seed=st.integers(0, 10_000), hold=st.sampled_from([0.0, 0.3, 1.0]))
+@settings(max_examples=40, deadline=None)
+def test_the_extreme_is_where_the_alarm_begins(seed, hold):
+    """An oracle apart: the alarms' own judge raises just beyond the extreme and not before."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(300) * 0.1
+    value = 600 * np.exp(np.cumsum(rng.normal(0, 3e-4, 300)))
+    series = ParameterSeries(ParameterEstimate("B", value[-1], 1.0, "N·s/m", "converged"), value,
+                             np.full(300, 1.0), np.ones(300, bool))
+    tree = {"viscous_damping": {"hold_time": hold, "low_error": None, "high_warn": None,
+                                "high_error": None}}
+    config = settings_from_tree({"thresholds": tree}, "a")
+    extreme = healthy_of("a", "B", time, series, config).low
+    for factor, expected in ((0.9999, False), (1.0001, True)):
+        tree["viscous_damping"]["low_warn"] = extreme * factor
+        _, history = judge_series(settings_from_tree({"thresholds": tree}, "a"), time,
+                                  {"B": series})
+        raised = any(one.raised for one in history if one.name == "viscous_damping_low")
+        # A value that has just moved is on trial for some seconds: fewer alarms, never more.
+        assert raised <= expected
+
+
+def test_extremes_of_a_bag_lie_about_its_value(bags):
+    found = estimate(read_recording(bags[2], Settings()), Settings())
+    one = healthy_of("a", "B", found.recording.time, series_of(found)["B"], Settings())
+    assert 0.9 * one.value < one.low < one.value + 3 * one.stddev
+    assert one.value - 3 * one.stddev < one.high < 1.1 * one.value
