@@ -42,7 +42,8 @@ setup: $(VENV)/.package
 $(VENV)/.lock: $(LOCK)
 	@PYTHON3="$(PYTHON3)" sh scripts/make_venv.sh $(VENV)
 	@echo "installing the locked packages into $(VENV) (a minute or two, once) ..."
-	@$(PIP) --require-hashes --no-compile -r $(LOCK)  # bytecode is made below, beside the model
+	@# Bytecode is made below, beside the model.  The lock is complete, so nothing is resolved again.
+	@$(PIP) --require-hashes --no-deps --no-compile -r $(LOCK)
 	@touch $@
 
 $(VENV)/.package: $(VENV)/.lock $(INSTALLED)
@@ -83,10 +84,14 @@ proof: setup
 	@for file in $(TRIALS); do echo "== $$file"; $(PYTHON) $$file || exit 1; done
 	@$(PYTHON) -m pytest -m slow
 
-# The lock names no index, so it installs from whichever index pip is configured for.
+# The lock names no index, so it installs from whichever index pip is configured for.  fmpy asks for
+# lark, and ROS for lark-parser, its former name with the same module: one of them is installed.
+lock: export OVERRIDES := lark ; sys_platform == 'none'
 lock:
+	@mkdir -p out && echo "$$OVERRIDES" > out/overrides.txt
 	uv pip compile --quiet setup.py --extra ros --extra dashboard --extra foxglove \
-		--extra archive --extra dask --extra test --extra colcon --universal \
+		--extra archive --extra dask --extra export --extra test --extra colcon --universal \
+		--overrides out/overrides.txt \
 		--python-version 3.11 --generate-hashes --no-emit-index-url \
 		--custom-compile-command "make lock" --output-file $(LOCK)
 
