@@ -9,12 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eha_monitor.archive.columns import PARAMETERS
+from eha_monitor.archive.columns import INDICATORS, PARAMETERS
 from eha_monitor.archive.store import iso_time
 from eha_monitor.commands.answer import answer, finite, judged
 from eha_monitor.commands.common import refuse_short
+from eha_monitor.commands.indicators import of_diagnosis, of_estimate
 from eha_monitor.errors import InputError
 from eha_monitor.health.alarms import SEVERITY, Alarm
+from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.source import source_digest
 
 if TYPE_CHECKING:
@@ -24,12 +26,12 @@ if TYPE_CHECKING:
 # What has a part in an answer, and in the row that is made of it.
 _ROOMS = {
     "estimate": ("physics", "filters", "recordings", "settings", "health", "plausibility",
-                 "commands/answer.py", "commands/plausible.py", "commands/archive_row.py",
-                 "quantity.py"),
+                 "indicators", "commands/answer.py", "commands/plausible.py",
+                 "commands/archive_row.py", "commands/indicators.py", "quantity.py"),
     "diagnose": ("physics", "filters", "recordings", "settings", "health", "mismatch",
-                 "plausibility", "commands/answer.py", "commands/plausible.py",
-                 "commands/diagnosis_answer.py", "commands/rotary.py", "commands/archive_row.py",
-                 "quantity.py", "words.py"),
+                 "plausibility", "indicators", "commands/indicators.py", "commands/answer.py",
+                 "commands/plausible.py", "commands/diagnosis_answer.py", "commands/rotary.py",
+                 "commands/archive_row.py", "quantity.py", "words.py"),
 }
 _EFFECT = ("name", "balance", "size", "statement", "probability", "log_evidence",
            "intervals_s", "indistinguishable_from")
@@ -98,6 +100,20 @@ def _fill(row: dict, task: Task) -> None:
 
         diagnosis = of_rig(diagnose([recording], task.settings), task.settings.rig.motion)
         row.update(diagnosis_columns(diagnosis_answer(diagnosis)))
+        row.update(indicator_columns(of_diagnosis(diagnosis, [recording], task.settings)))
+    else:
+        row.update(indicator_columns(of_estimate(found)))
+
+
+def indicator_columns(indicators: tuple[Indicator, ...]) -> dict:
+    """Return the columns of the indicators of health."""
+    told = {one.name: one for one in indicators}
+    row: dict = {}
+    for column, name in INDICATORS.items():
+        one = told[name]
+        row |= {column: one.value, f"{column}_stddev": one.stddev, f"{column}_noise": one.noise,
+                f"{column}_status": one.status}
+    return row
 
 
 def estimate_columns(tree: dict) -> dict:

@@ -75,6 +75,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
         refusal,
         written_config,
     )
+    from eha_monitor.commands.indicators import of_diagnosis, trees
     from eha_monitor.commands.plausible import checked, finding_tree
     from eha_monitor.commands.rotary import of_rig
     from eha_monitor.compiled import load_runtime
@@ -113,8 +114,10 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
             recordings, settings, unseen, further, hypothesis, without)
         found = of_rig(found, settings.rig.motion)
         findings = (*findings, *found.channels)
+    indicators = of_diagnosis(found, recordings, settings)
     if json_file:
-        write_json(json_file, answer(found) | {"channels": finding_tree(findings)})
+        write_json(json_file, answer(found) | {"channels": finding_tree(findings),
+                                               "indicators": trees(indicators)})
     if config_file:
         write_text(config_file, written_config(found, settings, config))
     if report_file:
@@ -124,12 +127,12 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
                   for loss in recording.losses] + [finding.finding for finding in findings]
         write_diagnosis_report(report_file, found, settings, losses,
                                command_line(bags, config, held_out, hypothesis_file,
-                                            references, without))
+                                            references, without), indicators)
 
     from eha_monitor.commands.diagnosis_table import show
 
     show(found, [path for path in (json_file, report_file, config_file) if path],
-         [finding.finding for finding in findings])
+         [finding.finding for finding in findings], indicators)
     return int(exit_code and mismatched(found))
 
 

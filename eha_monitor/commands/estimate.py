@@ -43,6 +43,7 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
                   (bag,), config)
 
     from eha_monitor.commands.answer import answer, judged, refusal, unhealthy
+    from eha_monitor.commands.indicators import of_estimate, trees
     from eha_monitor.commands.plausible import checked, corrected_config, finding_tree
     from eha_monitor.compiled import load_runtime
     from eha_monitor.filters.observability import observability
@@ -72,18 +73,19 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
     if json_file or report_file:
         with working("asking what each combination of channels could tell"):
             observable = observability(found)
+    indicators = of_estimate(found)
     if json_file:
         write_json(json_file, answer(found, alarms, history, observable)
-                   | {"channels": finding_tree(findings)})
+                   | {"channels": finding_tree(findings), "indicators": trees(indicators)})
     if config_file and any(finding.correction for finding in findings):
         write_text(config_file, corrected_config(findings, settings, config))
     if report_file:
         from eha_monitor.reports.estimate_report import write_estimate_report
 
         with working(f"drawing {report_file}"):
-            write_estimate_report(report_file, found, alarms, history, observable)
+            write_estimate_report(report_file, found, alarms, history, observable, indicators)
 
     from eha_monitor.commands.table import show
 
-    show(found, alarms, [path for path in (json_file, report_file) if path])
+    show(found, alarms, [path for path in (json_file, report_file) if path], indicators)
     return int(exit_code and unhealthy(found, alarms))
