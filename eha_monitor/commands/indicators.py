@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from eha_monitor.indicators.indicator import NEEDS, NONE, TOLD, Indicator
+from eha_monitor.indicators.indicator import NEEDS, NONE, NOT_LOOKED_FOR, TOLD, Indicator
 from eha_monitor.words import listed
 
 if TYPE_CHECKING:
@@ -41,13 +41,17 @@ def trees(indicators: Sequence[Indicator]) -> list[dict]:
 
 def show(console: Console, indicators: Sequence[Indicator]) -> None:
     """Print those that are told, why others are not, and which keys are missing."""
-    shown = [one for one in indicators if one.status not in (NEEDS, NONE)]
+    shown = [one for one in indicators if one.status not in (NEEDS, NONE)
+             and one.message != NOT_LOOKED_FOR]
     if any(one.status == TOLD for one in shown):
         table = Table("indicator", "value", "conditions, or why there is none", box=None,
                       header_style="bold", padding=(0, 2, 0, 0))
         for one in shown:
             table.add_row(one.words, one.shown, escape(one.message))
         console.print(table)
+    if others := [one.words for one in indicators if one.message == NOT_LOOKED_FOR
+                 and one.name != "friction_share"]:
+        console.print(escape(f"`diagnose` looks for {listed(others)}"), style="dim")
     missing = dict.fromkeys(key for one in indicators for key in one.missing)
     if missing:
         lacking = listed([one.words for one in indicators if one.status == NEEDS])

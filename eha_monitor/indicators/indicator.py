@@ -18,6 +18,8 @@ UNITS = {"leakage": (6e7, "mL/min"), "free_air": (100.0, "%"), "friction_share":
          "pump_efficiency": (100.0, "%"), "drive_lag": (1e3, "ms")}
 TOLD, NONE, UNKNOWN, NEEDS = "told", "none_named", "cannot_be_told", "needs_config"
 
+NOT_LOOKED_FOR = "`diagnose` looks for it, `estimate` does not"
+
 
 @dataclass(frozen=True)
 class Indicator:

@@ -9,6 +9,7 @@ import numpy as np
 from eha_monitor.indicators.indicator import (
     NEEDS,
     NONE,
+    NOT_LOOKED_FOR,
     TOLD,
     UNITS,
     UNKNOWN,
@@ -34,7 +35,6 @@ from eha_monitor.words import effect_words, listed
 CLEAR = 2.0  # standard deviations from nothing: what is less is not told
 SIDE = 1.96  # standard deviations of the bound that is told in its place
 SLOW, FAST = 1.0, 1.4  # polytropic exponent of air that keeps, and of air that loses, no heat
-ASK = "`diagnose` looks for it, `estimate` does not"
 LAWS = {
     "leakage": "flow that the pump must give to hold the rated pressure with the rod blocked, "
     "all paths together (piston, pump, make-up): laminar part over the viscosity, orifice part "
@@ -200,7 +200,7 @@ def _not_looked_for(name: str, found: Evidence, effects: tuple[str, ...], words:
                     channels: tuple[str, ...], unit: str = "") -> Indicator | None:
     """Return why an indicator that only a named effect makes is not there, or None."""
     if not found.diagnosed:
-        return _unknown(name, ASK, unit)
+        return _unknown(name, NOT_LOOKED_FOR, unit)
     if found.named(*effects):
         return None
     if assumed := [effect for effect in effects if effect in found.assumed]:
