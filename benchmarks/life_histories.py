@@ -145,9 +145,8 @@ def follow(one: Life) -> dict:
             asked.pop(0)
         series.add(float(t), float(value), float(stddev))
         # Healthy ones have no end: whether growth was ever told is all there is to ask.
-        if not found["ends"] and np.isinf(found["first"]):
-            if series.forecast().status in (TOLD, BEYOND):
-                found["first"] = t
+        if not found["ends"] and series.certain:
+            found["first"] = min(found["first"], t)
     for share in ASKED[len(ASKED) - len(asked):]:
         found["told"][share] = series.forecast()
     found["end"] = one.end

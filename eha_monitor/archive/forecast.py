@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from eha_monitor.archive.wear import CERTAIN, FIRST, Tracker
+from eha_monitor.archive.wear import FIRST, Tracker, z_of
 
 LEAST = 6  # values before which nothing is told
 SAMPLES = 4000
@@ -75,6 +75,11 @@ class Series:
         for time, value, stddev in self._early:
             self.add(time, value, stddev)
 
+    @property
+    def certain(self) -> bool:
+        """Whether growth is told, for the last or for an earlier value since the last jump."""
+        return self._tracker is not None and self._tracker.certain
+
     def forecast(self, seed: int = 0) -> Forecast:
         """Return what is known now."""
         tracker = self._tracker
@@ -86,8 +91,8 @@ class Series:
         if share @ bank.level >= 1.0:
             return Forecast(BEYOND, self.limit, tracker.time, tracker.time, tracker.time, odds,
                             jumps)
-        if odds < CERTAIN or tracker.active < 0.5:
-            return Forecast(STEADY if odds < 1.0 or odds >= CERTAIN else NOT_YET, self.limit, odds=odds, jumps=jumps)
+        if not tracker.certain or tracker.active < 0.5:
+            return Forecast(STEADY if odds < 1.0 or tracker.certain else NOT_YET, self.limit, odds=odds, jumps=jumps)
         passage = first_passage(tracker, share, np.random.default_rng(seed))
         early, middle, late = np.quantile(passage, TAILS, method="inverted_cdf")
         return Forecast(TOLD, self.limit, float(early), float(middle), float(late), odds, jumps)
@@ -113,5 +118,5 @@ def first_passage(tracker: Tracker, share: np.ndarray, rng: np.random.Generator)
     g = chosen.part(grows)
     clock = rng.wald(way[grows] / (gain[grows] * g.way),
                      np.square(way[grows] / (g.diffusion * g.way)))
-    found[grows] = g.onset + g.tau * (g.clock + clock) ** (1.0 / g.shape)
+    found[grows] = g.onset + g.tau * z_of(g.clock + clock, g.shape)
     return found

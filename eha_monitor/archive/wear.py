@@ -3,11 +3,12 @@
 A health number does one of two things between recordings: it stays (``rest``), or it grows
 towards its limit (``growth``).  In units in which it is 0 at first and 1 at the limit,
 
-    growth:  x(t) = x(o) + g A Lambda(t) + s A W(Lambda(t)),  Lambda(t) = ((t - o)/tau)^b
+    growth:  x(t) = x(o) + g A Lambda(t) + s A W(Lambda(t)),
+    Lambda(t) = z^b  or  (exp(k z) - 1)/(exp(k) - 1),  z = (t - o)/tau
 
 is a Wiener process with drift in transformed time (Whitmore, Schenkelberg 1997): o is its onset, A
-the way from there to the limit, tau the time that it needs on average, b its shape (1 steady,
-above 1 accelerating, below 1 slowing down), s the diffusion.  At every recording it may begin,
+the way from there to the limit, tau the time that it needs on average, b or k its shape (b = 1
+steady, above accelerating, below slowing down; k for wear that feeds on itself), s the diffusion.  At every recording it may begin,
 begin anew with other numbers, or end; and the level may jump (a repair, new oil), after which
 everything begins anew.  What is measured is x plus white noise of a size that is found as well;
 now and then a value is an outlier.
@@ -24,12 +25,14 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 
 CERTAIN = 200.0  # odds from which growth is told: at most 0.5 % of healthy machines ever see it
-BEGINS, ANEW, ENDS, JUMPS = 1 / 100, 1 / 100, 1 / 200, 1 / 200  # a recording
+BEGINS, ANEW, ENDS, JUMPS = 1 / 100, 1 / 100, 1 / 200, 1 / 500  # a recording
 OUTLIER = 0.02  # share of values that are none
 LEVEL = 0.7  # standard deviation of the level at first and after a jump, of the way to the limit
 TAUS = np.geomspace(10.0, 3000.0, 24)  # times the usual time between two recordings
-SHAPES = np.array([0.5, 1.0, 1.5, 2.0, 3.0, 5.0])
-GAIN = np.array([0.2, 0.2, 0.25, 0.3, 0.35, 0.4])  # standard deviation of g: fills the grid's gaps
+# b of each power law, and -k of each exponential.
+SHAPES = np.array([0.5, 1.0, 1.5, 2.0, 3.0, 5.0, -2.0, -3.5, -5.0])
+# Standard deviation of g: it fills the gaps of the grid.
+GAIN = np.array([0.2, 0.2, 0.25, 0.3, 0.35, 0.4, 0.25, 0.3, 0.35])
 DIFFUSIONS = np.array([0.02, 0.1, 0.3])
 NOISES = np.geomspace(0.25, 8.0, 6)  # times what the first differences show
 FIRST = 8  # values whose differences tell roughly how large the noise is
@@ -84,8 +87,22 @@ def resting(weight, level, var_l, noise, path, grown: bool = False) -> Bank:
 
 _TAU, _SHAPE, _DIFFUSION = (one.ravel() for one in np.meshgrid(TAUS, SHAPES, DIFFUSIONS,
                                                                 indexing="ij"))
-_GAIN = np.interp(_SHAPE, SHAPES, GAIN)
+_GAIN = np.meshgrid(TAUS, GAIN, DIFFUSIONS, indexing="ij")[1].ravel()
 _EACH = -np.log(len(_TAU))
+
+
+def clock_of(z: np.ndarray, shape: np.ndarray) -> np.ndarray:
+    """Return Lambda at z = (t - o)/tau >= 0; a negative ``shape`` is -k."""
+    k = np.where(shape < 0.0, -shape, 1.0)
+    power = z ** np.where(shape < 0.0, 1.0, shape)
+    return np.where(shape < 0.0, np.expm1(np.minimum(k * z, 300.0)) / np.expm1(k), power)
+
+
+def z_of(clock: np.ndarray, shape: np.ndarray) -> np.ndarray:
+    """Return z = (t - o)/tau at which Lambda is ``clock``; the inverse of :func:`clock_of`."""
+    k = np.where(shape < 0.0, -shape, 1.0)
+    power = clock ** (1.0 / np.where(shape < 0.0, 1.0, shape))
+    return np.where(shape < 0.0, np.log1p(clock * np.expm1(k)) / k, power)
 
 
 def logsum(values: np.ndarray) -> float:
@@ -104,6 +121,12 @@ class Tracker:
     ----------
     unit : usual time between two recordings, s.
     scale : noise that the first differences show, in units of the way to the limit.
+
+    Attributes
+    ----------
+    certain : the odds have reached ``CERTAIN``, and have not fallen below one since: the bound
+        on false alarms holds for their largest value, so what was certain once stays so until a
+        jump (a repair) is more likely than not.
     """
 
     unit: float
@@ -111,6 +134,7 @@ class Tracker:
     bank: Bank = None
     time: float = np.nan
     count: int = 0
+    certain: bool = False
     paths: list = field(default_factory=lambda: [()])
 
     def add(self, time: float, value: float, stddev: float) -> None:
@@ -133,6 +157,8 @@ class Tracker:
         self._correct(value, stddev)
         self._prune()
         self.time, self.count = time, self.count + 1
+        odds = self.odds
+        self.certain = odds >= CERTAIN or (self.certain and odds >= 1.0)
 
     @property
     def odds(self) -> float:
@@ -196,7 +222,7 @@ class Tracker:
     def _advance(self, time: float) -> None:
         bank = self.bank
         g = bank.grows
-        clock = ((time - bank.onset[g]) / bank.tau[g]) ** bank.shape[g]
+        clock = clock_of((time - bank.onset[g]) / bank.tau[g], bank.shape[g])
         step = bank.way[g] * (clock - bank.clock[g])
         bank.level[g] += step * bank.gain[g]
         bank.var_l[g] += (2.0 * step * bank.cov[g] + step**2 * bank.var_g[g]
