@@ -36,8 +36,10 @@ COVERED, WARNED, FALSE = (0.85, 0.95), 0.95, 0.005
 
 @dataclass(frozen=True)
 class Life:
-    """One machine: ``time`` (n,) s, ``value``, ``stddev`` (n,); ``end`` when the truth passes the
-    limit, s, or inf; ``begin`` the last repair, or the start.
+    """One machine.
+
+    ``time`` (n,) s, ``value``, ``stddev`` (n,); ``end`` is when the truth passes the limit, s, or
+    inf; ``begin`` the last repair, or the start.
     """
 
     kind: str

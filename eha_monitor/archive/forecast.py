@@ -1,13 +1,15 @@
 """The time to the limit, as a distribution, from the values of a series so far."""
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
 from eha_monitor.archive.wear import FIRST, Tracker, z_of
 
-LEAST = 6  # values before which nothing is told
 SAMPLES = 4000
+SHORT = 0.02  # of the limit: a shorter way to it is none
+MOST = 400  # values, the last ones: a filter bank takes about a millisecond for each
 TAILS = (0.05, 0.5, 0.95)
 TOLD, BEYOND, NOT_YET, STEADY, NO_LIMIT = (
     "told", "beyond", "cannot_be_told_yet", "no_growth", "no_limit")
@@ -43,10 +45,12 @@ class Series:
     Parameters
     ----------
     limit : in the unit of the values.
+    above : values above the limit are too large; otherwise those below are too small.
     """
 
-    def __init__(self, limit: float):
+    def __init__(self, limit: float, above: bool = True):
         self.limit = limit
+        self._side = 1.0 if above else -1.0
         self._early: list[tuple[float, float, float]] = []
         self._tracker: Tracker | None = None
         self._start = self._way = np.nan
@@ -63,12 +67,13 @@ class Series:
 
     def _begin(self) -> None:
         times, values, stddevs = np.array(self._early).T
-        self._start = float(np.median(values))
-        self._way = self.limit - self._start
-        if self._way == 0.0:
-            return
-        size = abs(self._way)
         rough = float(np.median(np.abs(np.diff(values)))) / 0.954  # of a normal deviate, times √2
+        self._start = float(np.median(values))
+        least = max(4.0 * rough, SHORT * abs(self.limit)) or 1.0
+        if self._side * (self.limit - self._start) < least:  # it began at its limit or beyond
+            self._start = self.limit - self._side * least
+        self._way = self.limit - self._start
+        size = abs(self._way)
         scale = max(rough, 0.2 * float(np.median(stddevs)), 1e-4 * size) / size
         unit = float(np.median(np.diff(times))) or 1.0
         self._tracker = Tracker(unit, scale)
@@ -92,10 +97,58 @@ class Series:
             return Forecast(BEYOND, self.limit, tracker.time, tracker.time, tracker.time, odds,
                             jumps)
         if not tracker.certain or tracker.active < 0.5:
-            return Forecast(STEADY if odds < 1.0 or tracker.certain else NOT_YET, self.limit, odds=odds, jumps=jumps)
+            status = STEADY if odds < 1.0 or tracker.certain else NOT_YET
+            return Forecast(status, self.limit, odds=odds, jumps=jumps)
         passage = first_passage(tracker, share, np.random.default_rng(seed))
         early, middle, late = np.quantile(passage, TAILS, method="inverted_cdf")
         return Forecast(TOLD, self.limit, float(early), float(middle), float(late), odds, jumps)
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What a series says of its past and future.
+
+    Attributes
+    ----------
+    jumps : times of the first values after a jump, s since the epoch.
+    forecasts : one for each limit.
+    """
+
+    jumps: tuple[float, ...] = ()
+    forecasts: tuple[Forecast, ...] = ()
+
+
+@lru_cache(maxsize=64)
+def _looked_at(table: bytes, limit: float, above: bool) -> Forecast:
+    series = Series(limit, above)
+    for time, value, stddev in np.frombuffer(table).reshape(-1, 3)[-MOST:]:
+        series.add(float(time), float(value), float(stddev))
+    return series.forecast()
+
+
+def outlook(time: np.ndarray, value: np.ndarray, stddev: np.ndarray,
+            limits: tuple[float | None, float | None]) -> Outlook:
+    """Return jumps and the time to each limit of a series.
+
+    Parameters
+    ----------
+    time : (n,) s since the epoch, in order; ``value``, ``stddev`` : (n,) in one unit.
+    limits : that it must stay above, and below; None for none.  Without any, jumps alone are
+        looked for.
+    """
+    good = np.isfinite(time) & np.isfinite(value)
+    table = np.column_stack([time, value, np.nan_to_num(stddev, nan=0.0, posinf=0.0)])[good]
+    packed = np.ascontiguousarray(table, dtype=float).tobytes()
+    found = [_looked_at(packed, float(limit), above)
+             for limit, above in zip(limits, (False, True), strict=True) if limit is not None]
+    if found:
+        # The nearer limit is the finer measure of a jump.
+        latest = float(np.median(table[-3:, 1])) if len(table) else 0.0
+        return Outlook(min(found, key=lambda one: abs(one.limit - latest)).jumps, tuple(found))
+    if not len(table):
+        return Outlook()
+    far = float(np.max(table[:, 1]) + 3.0 * np.ptp(table[:, 1]))  # no limit: a way to measure by
+    return Outlook(_looked_at(packed, far, True).jumps, (Forecast(NO_LIMIT),))
 
 
 def first_passage(tracker: Tracker, share: np.ndarray, rng: np.random.Generator) -> np.ndarray:

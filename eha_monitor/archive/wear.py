@@ -8,10 +8,10 @@ towards its limit (``growth``).  In units in which it is 0 at first and 1 at the
 
 is a Wiener process with drift in transformed time (Whitmore, Schenkelberg 1997): o is its onset, A
 the way from there to the limit, tau the time that it needs on average, b or k its shape (b = 1
-steady, above accelerating, below slowing down; k for wear that feeds on itself), s the diffusion.  At every recording it may begin,
-begin anew with other numbers, or end; and the level may jump (a repair, new oil), after which
-everything begins anew.  What is measured is x plus white noise of a size that is found as well;
-now and then a value is an outlier.
+steady, above accelerating, below slowing down; k for wear that feeds on itself), s the diffusion.
+At every recording it may begin, begin anew with other numbers, or end; and the level may jump (a
+repair, new oil), after which everything begins anew.  What is measured is x plus white noise of a
+size that is found as well; now and then a value is an outlier.
 
 Each hypothesis (onset, tau, b, s, size of the noise) is a Kalman filter with the level and g as
 its state, all of them in one bank, weighted by their evidence (as Adams, MacKay 2007 do it for
@@ -80,9 +80,10 @@ class Bank:
 
 def resting(weight, level, var_l, noise, path, grown: bool = False) -> Bank:
     """Return hypotheses that rest; arrays (k,)."""
-    zero = np.zeros(len(weight))
-    return Bank(weight, np.zeros(len(weight), dtype=bool), np.full(len(weight), grown), level, zero, var_l, zero, zero, zero,
-                zero + 1.0, zero + 1.0, zero, zero + 1.0, zero, noise, path)
+    size = len(weight)
+    zero = np.zeros(size)
+    return Bank(weight, np.zeros(size, dtype=bool), np.full(size, grown), level, zero, var_l, zero,
+                zero, zero, zero + 1.0, zero + 1.0, zero, zero + 1.0, zero, noise, path)
 
 
 _TAU, _SHAPE, _DIFFUSION = (one.ravel() for one in np.meshgrid(TAUS, SHAPES, DIFFUSIONS,

@@ -132,7 +132,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
     from eha_monitor.commands.diagnosis_table import show
 
     show(found, [path for path in (json_file, report_file, config_file) if path],
-         [finding.finding for finding in findings], indicators)
+         [finding.finding for finding in findings], indicators, settings)
     return int(exit_code and mismatched(found))
 
 

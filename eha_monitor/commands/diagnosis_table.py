@@ -30,6 +30,7 @@ from eha_monitor.reports.diagnosis_words import (
     value_words,
     windows_words,
 )
+from eha_monitor.settings import Settings
 from eha_monitor.words import effect_words, listed
 
 RIVAL_FORMULA = 20.0  # log units: a formula that is worse by more is not worth a line
@@ -37,7 +38,7 @@ _COLOURS = {"ok": "green", "warn": "yellow", "error": "red", "unknown": "dim"}
 
 
 def show(found: Diagnosis, written: list[Path], notes: list[str] = (),
-         indicators: tuple[Indicator, ...] = ()) -> None:
+         indicators: tuple[Indicator, ...] = (), settings: Settings | None = None) -> None:
     """Print wrong numbers of the rig, verdict, place, effects, parameters, indicators, proof."""
     console = PipeConsole(highlight=False)
     if not console.is_terminal:
@@ -67,7 +68,8 @@ def show(found: Diagnosis, written: list[Path], notes: list[str] = (),
         console.print(_learned(found))
     if found.before or found.after:
         console.print(_parameters(found))
-    show_indicators(console, indicators)
+    if settings is not None:
+        show_indicators(console, indicators, settings)
     if found.signals:
         console.print(_fit(found))
     for finding in found.rig_within:

@@ -39,15 +39,18 @@ def trees(indicators: Sequence[Indicator]) -> list[dict]:
     return [one.tree() for one in indicators]
 
 
-def show(console: Console, indicators: Sequence[Indicator]) -> None:
+def show(console: Console, indicators: Sequence[Indicator], settings: "Settings") -> None:
     """Print those that are told, why others are not, and which keys are missing."""
+    from eha_monitor.indicators.limits import passed
+
     shown = [one for one in indicators if one.status not in (NEEDS, NONE)
              and one.message != NOT_LOOKED_FOR]
     if any(one.status == TOLD for one in shown):
         table = Table("indicator", "value", "conditions, or why there is none", box=None,
                       header_style="bold", padding=(0, 2, 0, 0))
         for one in shown:
-            table.add_row(one.words, one.shown, escape(one.message))
+            limit = "[red]beyond its limit[/], " if passed(one, settings) else ""
+            table.add_row(one.words, one.shown, limit + escape(one.message))
         console.print(table)
     if others := [one.words for one in indicators if one.message == NOT_LOOKED_FOR
                  and one.name != "friction_share"]:

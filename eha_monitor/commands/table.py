@@ -44,7 +44,7 @@ def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path],
     for parameter in found.parameters.values():
         if parameter.message:
             console.print(escape(parameter.message))
-    show_indicators(console, indicators)
+    show_indicators(console, indicators, found.settings)
     console.print(_alarms(alarms))
     console.print(f"model: {_coloured(found.model.status)}: {escape(found.model.message)}")
     for title, sentences in (("lost", recording.losses), ("note", found.warnings)):

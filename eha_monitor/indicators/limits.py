@@ -1,6 +1,6 @@
 """The limits of parameters and indicators, in the unit in which each is shown."""
 
-from eha_monitor.indicators.indicator import UNITS
+from eha_monitor.indicators.indicator import TOLD, UNITS, Indicator
 from eha_monitor.settings.monitor import Settings
 
 WORST = {"B": "viscous_damping", "beta_e": "bulk_modulus"}
@@ -31,3 +31,12 @@ def limits_of_indicator(name: str, settings: Settings) -> tuple[float | None, fl
         return None, limit * settings.health.rated_pressure * min(areas)
     shown = limit * UNITS[name][0]
     return (shown, None) if name == "pump_efficiency" else (None, shown)
+
+
+def passed(one: Indicator, settings: Settings) -> bool:
+    """Tell whether a value lies beyond its limit by ``thresholds.confidence`` of its stddev."""
+    low, high = limits_of_indicator(one.name, settings)
+    margin = settings.thresholds.confidence * one.stddev
+    return one.status == TOLD and (
+        (low is not None and one.value < low - margin)
+        or (high is not None and one.value > high + margin))

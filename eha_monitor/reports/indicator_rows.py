@@ -4,14 +4,14 @@ from collections.abc import Sequence
 from typing import Any
 
 from eha_monitor.indicators.indicator import TOLD, Indicator
-from eha_monitor.indicators.limits import limits_of_indicator
+from eha_monitor.indicators.limits import limits_of_indicator, passed
 from eha_monitor.quantity import number
 from eha_monitor.settings.monitor import Settings
 
 
 def indicator_rows(indicators: Sequence[Indicator], settings: Settings) -> list[dict[str, Any]]:
     """Return one row for each indicator, with its limits in words."""
-    return [{"words": one.words, "shown": one.shown, "unit": one.unit, "message": one.message,
+    return [{"passed": passed(one, settings), "words": one.words, "shown": one.shown, "unit": one.unit, "message": one.message,
              "law": one.law, "limit": limit_words(one, settings),
              "value": one.value if one.status == TOLD else None,
              "stddev": one.stddev if one.status == TOLD else None} for one in indicators]
