@@ -1,6 +1,7 @@
 """Whether the time to a limit is what it is said to be: simulated lives of leak, air and friction.
 
-    python benchmarks/life_histories.py [--seed 1] [--lives 500] [--healthy 1000] [--record]
+    python benchmarks/life_histories.py [--seed 1] [--lives 500] [--healthy 1000]
+                                        [--keep lives.jsonl] [--record]
 
 Each life is a health number over irregular recordings with noise that is partly known, outliers,
 missing recordings and a long pause: linear, accelerating, running in and growing later, a random
@@ -12,11 +13,16 @@ recording by recording (:mod:`eha_monitor.archive.forecast`).  Measured:
 - warned: share of the lives in which the growth is told at 80 % of the life;
 - false alarms: share of healthy lives in which growth is ever told (500 lives hold about 80
   healthy ones; ``--healthy`` more are run for this figure alone).
+
+Four minutes of a core; with ``--keep`` a run that was ended goes on where it was.
 """
 
 import argparse
+import json
+import math
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import record
 
@@ -143,16 +149,41 @@ def follow(one: Life) -> dict:
     for t, value, stddev in zip(one.time, one.value, one.stddev, strict=True):
         while asked and t > asked[0]:
             share = ASKED[len(ASKED) - len(asked)]
-            found["told"][share] = series.forecast()
+            found["told"][share] = said(series)
             asked.pop(0)
         series.add(float(t), float(value), float(stddev))
         # Healthy ones have no end: whether growth was ever told is all there is to ask.
         if not found["ends"] and series.certain:
             found["first"] = min(found["first"], t)
     for share in ASKED[len(ASKED) - len(asked):]:
-        found["told"][share] = series.forecast()
+        found["told"][share] = said(series)
     found["end"] = one.end
     found["life"] = span
+    return found
+
+
+def said(series: Series) -> list:
+    """Return status, early and late end of what is told now."""
+    now = series.forecast()
+    return [now.status, now.early, now.late]
+
+
+def followed(seed: int, lives: int, healthy: int, keep: Path | None) -> list[dict]:
+    """Return the lives, each with a generator of its own; those that ``keep`` has are read."""
+    kinds = [KINDS[i % len(KINDS)] for i in range(lives)] + ["healthy"] * healthy
+    known: dict = {}
+    if keep is not None and keep.exists():
+        known = {tuple(one["key"]): one for one in map(json.loads, keep.open())}
+    found = []
+    for i, kind in enumerate(kinds):
+        key = (seed, i, kind)
+        if key not in known:
+            one = follow(life(kind, np.random.default_rng([seed, i])))
+            known[key] = json.loads(json.dumps(one | {"key": key}))
+            if keep is not None:
+                with keep.open("a") as file:
+                    file.write(json.dumps(known[key]) + "\n")
+        found.append(known[key])
     return found
 
 
@@ -162,16 +193,15 @@ def summary(lives: list[dict]) -> dict:
     for one in lives:
         if not one["ends"]:
             continue
-        hits = [bool(told.early <= one["end"] <= told.late)
-                for told in one["told"].values() if told.status == TOLD]
+        told = [(early, late) for status, early, late in one["told"].values() if status == TOLD]
+        hits = [early <= one["end"] <= late for early, late in told]
         inside += hits
-        width += [(told.late - told.early) / one["life"]
-                  for told in one["told"].values() if told.status == TOLD]
-        warned.append(one["told"][AHEAD].status in (TOLD, BEYOND))
+        width += [(late - early) / one["life"] for early, late in told]
+        warned.append(one["told"][str(AHEAD)][0] in (TOLD, BEYOND))
         kind = by_kind.setdefault(one["kind"], ([], []))
         kind[0].extend(hits)
         kind[1].append(warned[-1])
-    healthy = [np.isfinite(one["first"]) for one in lives if one["kind"] == "healthy"]
+    healthy = [math.isfinite(one["first"]) for one in lives if one["kind"] == "healthy"]
     return {"coverage": np.mean(inside), "asked": len(inside), "width": np.median(width),
             "warned": np.mean(warned), "ended": len(warned), "false": np.mean(healthy),
             "healthy": len(healthy),
@@ -185,13 +215,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--lives", type=int, default=500)
     parser.add_argument("--healthy", type=int, default=1000)
+    parser.add_argument("--keep", type=Path, metavar="FILE", help="results so far")
     record.add_option(parser)
     given = parser.parse_args()
-    rng = np.random.default_rng(given.seed)
     started = time.perf_counter()
-    lives = [follow(life(KINDS[i % len(KINDS)], rng)) for i in range(given.lives)]
-    more = [follow(life("healthy", rng)) for _ in range(given.healthy)]
-    found = summary(lives + more)
+    found = summary(followed(given.seed, given.lives, given.healthy, given.keep))
     wall = time.perf_counter() - started
     print(f"90 % intervals hold the truth: {found['coverage']:.1%} of {found['asked']} "
           f"(asked {COVERED[0]:.0%} to {COVERED[1]:.0%}); median width {found['width']:.1%} of "
@@ -217,7 +245,7 @@ def main() -> None:
                         f"{kind}_warned": record.spread(100 * warn, "%"),
                         f"{kind}_lives": record.spread(lives_)}
         record.write("life_histories", figures, ("eha_monitor/archive/wear.py",
-                                                 "eha_monitor/archive/forecast.py"))
+                                                 "eha_monitor/archive/forecast.py"), "commit")
 
 
 if __name__ == "__main__":

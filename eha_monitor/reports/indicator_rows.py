@@ -11,8 +11,9 @@ from eha_monitor.settings.monitor import Settings
 
 def indicator_rows(indicators: Sequence[Indicator], settings: Settings) -> list[dict[str, Any]]:
     """Return one row for each indicator, with its limits in words."""
-    return [{"passed": passed(one, settings), "words": one.words, "shown": one.shown, "unit": one.unit, "message": one.message,
-             "law": one.law, "limit": limit_words(one, settings),
+    return [{"words": one.words, "shown": one.shown, "unit": one.unit, "message": one.message,
+             "law": one.law, "passed": passed(one, settings),
+             "limit": limit_words(one, settings),
              "value": one.value if one.status == TOLD else None,
              "stddev": one.stddev if one.status == TOLD else None} for one in indicators]
 
