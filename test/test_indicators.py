@@ -21,7 +21,7 @@ from eha_monitor.indicators.laws import (
     moved,
     volumetric_efficiency,
 )
-from eha_monitor.indicators.limits import limits_of_indicator
+from eha_monitor.indicators.limits import limits_of_indicator, passed
 from eha_monitor.indicators.told import indicators
 from eha_monitor.mismatch.diagnosis import Diagnosis, Fitted, Location, NamedEffect, Value
 from eha_monitor.physics.balances import rates
@@ -301,3 +301,12 @@ def test_estimate_tells_the_air_of_the_bundled_bag(tmp_path, capsys):
     assert "indicators" in page.ids
     assert any(value == pytest.approx(air["value"]) for value in page.values)
     assert "below 2 %" in page.text
+
+
+def test_a_limit_is_passed_beyond_the_uncertainty_only():
+    settings = settings_with({**RATED, "leakage_limit": "200 mL/min",
+                              "pump_efficiency_limit": 0.94})
+    for stddev, beyond in ((1e-15, True), (1e-13, False)):
+        found = evidence_of({"leakage": 5e-13}, {"leakage": stddev})  # 210 mL/min
+        assert passed(of(found, settings, "leakage"), settings) is beyond
+        assert passed(of(found, settings, "pump_efficiency"), settings) is beyond

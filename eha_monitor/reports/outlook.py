@@ -36,7 +36,7 @@ def forecast_words(one: Forecast, found: History) -> str:
         if not math.isfinite(one.early):
             return f"{name} grows, but not towards {limit} within any time that can be told."
         late = f"{day(one.late)}" if _near(one.late, now) else "no end that can be told"
-        middle = (f", as likely before as after {day(one.middle)} ({span(one.middle - now)})"
+        middle = (f", median {day(one.middle)} ({span(one.middle - now)})"
                   if _near(one.middle, now) else "")
         return (f"{name} reaches {limit} between {day(one.early)} and {late} "
                 f"(90 % interval){middle}.")
@@ -67,7 +67,7 @@ def draw_outlook(axis: Axes, found: History, factor: float) -> None:
                   solid_capstyle="butt", label="limit reached, 90 % interval")
         if one.middle / DAY < right:
             axis.plot([one.middle / DAY], [height], marker="D", markersize=6, color=ERROR_LINE,
-                      linestyle="", label="as likely before as after")
+                      linestyle="", label="median")
 
 
 def told_of(found: History) -> list[Forecast]:
