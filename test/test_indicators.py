@@ -235,7 +235,9 @@ def test_a_diagnosis_gives_its_joint_covariance():
     ({"viscosity": {"grade": 46}}, "grade and at_100 together"),
     ({"viscosity": {"grade": 6.8, "at_100": 46}}, "at_100 below grade"),
     ({"health": {"rated_pressure": "14 kg"}}, "health.rated_pressure: expected a number in Pa"),
-    ({"health": {"rated_pressure": -1}}, "health.rated_pressure: expected more than 0 in Pa"),
+    ({"health": {"rated_pressure": 140}}, "expected at least 100000 in Pa, got 140"),  # bar
+    ({"health": {"rated_speed": 3000}}, "expected at most 2500 in rad/s, got 3000"),  # rpm
+    ({"health": {"air_free_modulus": 600}}, "expected at least 1e.07 in Pa, got 600"),  # MPa
     ({"health": {"polytropic_exponent": 2}}, "at most 1.67"),
     ({"health": {"air_limit": 2}}, "unknown key, did you mean 'free_air_limit'"),
     ({"health": {"free_air_limit": 2}}, "at most 1"),

@@ -14,16 +14,16 @@ class Health(Section):
 
     rated_pressure: Si("Pa", "pressure difference across the piston at which leakage, efficiency "
                        "and stall force are told: rated pressure, or that of the relief valve",
-                       gt=0, optional=True) = None
+                       ge=1e5, optional=True) = None
     rated_speed: Si("rad/s", "speed of the pump at which its efficiency is told", gt=0,
-                    optional=True) = None
+                    le=2500, optional=True) = None
     oil_temperature: Si("°C", "oil temperature of recordings without the channel temperature",
                         ge=-60, le=200, optional=True) = None
     oil_temperature_stddev: Si("K", "how well the oil temperature is known, measured or given, "
                                "one standard deviation", ge=0, le=50) = 2.0
     air_free_modulus: Si("Pa", "effective bulk modulus without free air, hoses and walls "
                          "included: of a healthy recording just after bleeding, or of the oil",
-                         gt=0, optional=True) = None
+                         ge=1e7, optional=True) = None
     air_free_tolerance: float = Field(
         0.1, ge=0.0, le=1.0, description="how well it is known, relative, one standard deviation")
     air_pressure: Si("Pa", "absolute pressure at which the volume of the free air is told",
