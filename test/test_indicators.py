@@ -12,6 +12,7 @@ from test_reports import Page
 
 from eha_monitor.cli import main
 from eha_monitor.errors import InputError
+from eha_monitor.indicators.assemble import indicators
 from eha_monitor.indicators.found import evidence
 from eha_monitor.indicators.indicator import NAMES, Evidence, propagated
 from eha_monitor.indicators.laws import (
@@ -22,7 +23,6 @@ from eha_monitor.indicators.laws import (
     volumetric_efficiency,
 )
 from eha_monitor.indicators.limits import limits_of_indicator, passed
-from eha_monitor.indicators.told import indicators
 from eha_monitor.mismatch.diagnosis import Diagnosis, Fitted, Location, NamedEffect, Value
 from eha_monitor.physics.balances import rates
 from eha_monitor.physics.effects.entrained_air import compliance
@@ -147,7 +147,7 @@ def test_standard_deviations_are_those_of_monte_carlo():
                "pump_efficiency": 100 * (1 - flow / (settings.rig.pump_displacement * 300.0)),
                "free_air": 100 * factor * (1 / drawn["beta_e"] - 1 / oil)}
     for name, sample in samples.items():
-        assert told[name].status == "told", name
+        assert told[name].status == "available", name
         assert told[name].stddev == pytest.approx(np.std(sample), rel=0.08), name
         assert told[name].value == pytest.approx(np.mean(sample), rel=0.03), name
     # What all recordings share is no noise from one to the next: the modulus, the exponent.
@@ -173,7 +173,7 @@ def test_a_missing_key_is_named_and_nothing_is_guessed():
     assert told["pump_efficiency"].missing == ("health.rated_pressure", "health.rated_speed")
     assert told["free_air"].missing == ("health.air_free_modulus",)
     assert all(told[name].tree()["value"] is None for name in ("leakage", "free_air"))
-    assert told["damping"].status == "told"
+    assert told["damping"].status == "available"
     assert "unknown temperature" in told["damping"].message
 
 

@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from eha_monitor.indicators.indicator import NEEDS, NONE, NOT_LOOKED_FOR, TOLD, Indicator
+from eha_monitor.indicators.indicator import AVAILABLE, NEEDS, NONE, NOT_LOOKED_FOR, Indicator
 from eha_monitor.words import listed
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def of_estimate(found: "Estimate") -> tuple[Indicator, ...]:
     """Return the indicators of an estimate."""
     from eha_monitor.indicators import found as evidence
-    from eha_monitor.indicators.told import indicators
+    from eha_monitor.indicators.assemble import indicators
 
     return indicators(evidence.of_estimate(found), found.settings)
 
@@ -29,7 +29,7 @@ def of_diagnosis(found: "Diagnosis", recordings: list["Recording"], settings: "S
                  ) -> tuple[Indicator, ...]:
     """Return the indicators of a diagnosis."""
     from eha_monitor.indicators import diagnosed
-    from eha_monitor.indicators.told import indicators
+    from eha_monitor.indicators.assemble import indicators
 
     return indicators(diagnosed.of_diagnosis(found, recordings, settings), settings)
 
@@ -45,7 +45,7 @@ def show(console: Console, indicators: Sequence[Indicator], settings: "Settings"
 
     shown = [one for one in indicators if one.status not in (NEEDS, NONE)
              and one.message != NOT_LOOKED_FOR]
-    if any(one.status == TOLD for one in shown):
+    if any(one.status == AVAILABLE for one in shown):
         table = Table("indicator", "value", "conditions, or why there is none", box=None,
                       header_style="bold", padding=(0, 2, 0, 0))
         for one in shown:

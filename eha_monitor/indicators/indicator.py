@@ -16,7 +16,7 @@ WORDS = {"leakage": "internal leakage", "free_air": "free air", "damping": "visc
 # Factor from SI, and the unit that people act on; damping and friction have the rig's own.
 UNITS = {"leakage": (6e7, "mL/min"), "free_air": (100.0, "%"), "friction_share": (100.0, "%"),
          "pump_efficiency": (100.0, "%"), "drive_lag": (1e3, "ms")}
-TOLD, NONE, UNKNOWN, NEEDS = "told", "none_named", "cannot_be_told", "needs_config"
+AVAILABLE, NONE, UNKNOWN, NEEDS = "available", "none_named", "cannot_be_told", "needs_config"
 
 NOT_LOOKED_FOR = "`diagnose` looks for it, `estimate` does not"
 
@@ -32,7 +32,7 @@ class Indicator:
         without being told by itself: a trend over many recordings may tell what one cannot.
     noise : the part of ``stddev`` that differs from one recording to the next; the rest (an
         air-free modulus, an exponent) is the same in all of one rig.
-    status : ``told``, ``none_named`` (the recording shows none), ``cannot_be_told``, or
+    status : ``available``, ``none_named`` (the recording shows none), ``cannot_be_told``, or
         ``needs_config``, with the missing keys in ``missing``.
     message : the conditions it holds at, or the reason why it is not told.
     law : equation and its limits, in a sentence.
@@ -59,13 +59,13 @@ class Indicator:
     @property
     def shown(self) -> str:
         """The value as people read it, a dash where it is not told."""
-        if self.status != TOLD:
+        if self.status != AVAILABLE:
             return "—"
         return f"{' ± '.join(rounded(self.value, self.stddev))} {self.unit}"
 
     def tree(self) -> dict:
         """Return what stands in a JSON answer; value and stddev only where they are told."""
-        told = self.status == TOLD
+        told = self.status == AVAILABLE
         return {"name": self.name, "words": self.words, "value": self.value if told else None,
                 "stddev": self.stddev if told else None, "noise": self.noise if told else None,
                 "unit": self.unit, "status": self.status, "message": self.message,

@@ -1,6 +1,6 @@
 """The limits of parameters and indicators, in the unit in which each is shown."""
 
-from eha_monitor.indicators.indicator import TOLD, UNITS, Indicator
+from eha_monitor.indicators.indicator import AVAILABLE, UNITS, Indicator
 from eha_monitor.settings.monitor import Settings
 
 WORST = {"B": "viscous_damping", "beta_e": "bulk_modulus"}
@@ -37,6 +37,6 @@ def passed(one: Indicator, settings: Settings) -> bool:
     """Tell whether a value lies beyond its limit by ``thresholds.confidence`` of its stddev."""
     low, high = limits_of_indicator(one.name, settings)
     margin = settings.thresholds.confidence * one.stddev
-    return one.status == TOLD and (
+    return one.status == AVAILABLE and (
         (low is not None and one.value < low - margin)
         or (high is not None and one.value > high + margin))

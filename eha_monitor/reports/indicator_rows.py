@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from eha_monitor.indicators.indicator import TOLD, Indicator
+from eha_monitor.indicators.indicator import AVAILABLE, Indicator
 from eha_monitor.indicators.limits import limits_of_indicator, passed
 from eha_monitor.quantity import number
 from eha_monitor.settings.monitor import Settings
@@ -14,8 +14,8 @@ def indicator_rows(indicators: Sequence[Indicator], settings: Settings) -> list[
     return [{"words": one.words, "shown": one.shown, "unit": one.unit, "message": one.message,
              "law": one.law, "passed": passed(one, settings),
              "limit": limit_words(one, settings),
-             "value": one.value if one.status == TOLD else None,
-             "stddev": one.stddev if one.status == TOLD else None} for one in indicators]
+             "value": one.value if one.status == AVAILABLE else None,
+             "stddev": one.stddev if one.status == AVAILABLE else None} for one in indicators]
 
 
 def limit_words(one: Indicator, settings: Settings) -> str:

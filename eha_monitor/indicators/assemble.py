@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from eha_monitor.indicators.indicator import (
+    AVAILABLE,
     NEEDS,
     NONE,
     NOT_LOOKED_FOR,
-    TOLD,
     UNITS,
     UNKNOWN,
     Evidence,
@@ -63,7 +63,7 @@ def indicators(found: Evidence, settings: Settings) -> tuple[Indicator, ...]:
 
 def _doubted(made: Indicator, parameter: str, found: Evidence) -> Indicator:
     """Return an indicator with what speaks against the parameter that it is made of."""
-    if made.status != TOLD or parameter not in found.doubts:
+    if made.status != AVAILABLE or parameter not in found.doubts:
         return made
     return replace(made, message=f"{made.message}; in doubt: {found.doubts[parameter]}")
 
@@ -170,7 +170,7 @@ def _friction(found: Evidence, settings: Settings) -> Indicator:
 
 
 def _friction_share(friction: Indicator, settings: Settings) -> Indicator:
-    if friction.status != TOLD:
+    if friction.status != AVAILABLE:
         return replace(friction, name="friction_share", unit="%", law=LAWS["friction_share"])
     missing = [key for key, value in (("health.rated_pressure", settings.health.rated_pressure),
                                       ("rig.area_1", settings.rig.area_1),
@@ -180,7 +180,7 @@ def _friction_share(friction: Indicator, settings: Settings) -> Indicator:
     stall = settings.health.rated_pressure * min(settings.rig.area_1, settings.rig.area_2)
     share = 100.0 / stall
     return Indicator("friction_share", share * friction.value, share * friction.stddev,
-                     share * friction.noise, "%", TOLD,
+                     share * friction.noise, "%", AVAILABLE,
                      f"of {quantity(stall, friction.unit, 3)} at "
                      f"{quantity(settings.health.rated_pressure, 'Pa', 3)}",
                      LAWS["friction_share"])
@@ -231,7 +231,7 @@ def _made(name: str, function: Callable[[Values], float], values: Values, covari
         return Indicator(name, value, stddev, noise, unit, UNKNOWN,
                          f"too uncertain: below {number(below, 2)} {unit} {message}", LAWS[name],
                          below=below)
-    return Indicator(name, value, stddev, noise, unit, TOLD, message, LAWS[name])
+    return Indicator(name, value, stddev, noise, unit, AVAILABLE, message, LAWS[name])
 
 
 def _unknown(name: str, why: str, unit: str = "") -> Indicator:
