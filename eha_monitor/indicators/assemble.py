@@ -27,7 +27,7 @@ from eha_monitor.indicators.laws import (
     moved,
     volumetric_efficiency,
 )
-from eha_monitor.physics.oil import viscosity_ratio
+from eha_monitor.indicators.oil import viscosity_ratio
 from eha_monitor.quantity import number, quantity
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import effect_words, listed
