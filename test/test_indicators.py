@@ -12,8 +12,9 @@ from test_reports import Page
 
 from eha_monitor.cli import main
 from eha_monitor.errors import InputError
+from eha_monitor.filters.pipeline import estimate
 from eha_monitor.indicators.assemble import indicators
-from eha_monitor.indicators.found import evidence
+from eha_monitor.indicators.found import evidence, of_estimate
 from eha_monitor.indicators.indicator import NAMES, Evidence, propagated
 from eha_monitor.indicators.laws import (
     dry_friction,
@@ -29,6 +30,7 @@ from eha_monitor.physics.balances import rates
 from eha_monitor.physics.effects.entrained_air import compliance
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.physics.signals import N_CONTRIBUTIONS
+from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import Settings, settings_from_tree
 
@@ -312,3 +314,21 @@ def test_a_limit_is_passed_beyond_the_uncertainty_only():
         found = evidence_of({"leakage": 5e-13}, {"leakage": stddev})  # 210 mL/min
         assert passed(of(found, settings, "leakage"), settings) is beyond
         assert passed(of(found, settings, "pump_efficiency"), settings) is beyond
+
+
+def test_air_is_that_of_the_joint_estimator_where_the_leakage_leads_stage_two_astray():
+    """Five times the config's leakage: stage two does not fit, and the air is still known."""
+    rig = {"leakage": 2.5e-12, "bulk_modulus": 4e8}
+    motion = {"m": {"kind": "multisine", "duration": 4.0, "amplitude": 0.01, "frequency": 0.5,
+                    "frequency_end": 15.0, "components": 12}}
+    made = settings_from_tree({"rig": rig, "simulation": {"excitation": motion}}, "test")
+    recording = Recording(1e-3, Simulator(made, seed=3).advance(4000))
+    settings = settings_with({**RATED, "air_free_modulus": 6e8, "air_free_tolerance": 0.01,
+                              "polytropic_exponent": 1.0})
+    found = estimate(recording, settings)
+    assert "beta_e" in found.model.tainted or found.stage_two.estimate.status != "converged"
+    told = {one.name: one for one in indicators(of_estimate(found), settings)}
+    truth = 100 * (1 / 4e8 - 1 / 6e8) * np.mean((recording.channels["p1"]) ** 2) / 101325.0
+    assert not told["free_air"].doubtful
+    assert told["free_air"].value == pytest.approx(truth, rel=0.1)
+    assert told["leakage"].value == pytest.approx(0.5 * 2.5e-12 * 14e6 * 6e7, rel=0.05)

@@ -52,7 +52,8 @@ def _of_indicator(name: str, indicator: str) -> tuple[Column, ...]:
         Column(f"{name}_stddev", "number", "its standard deviation"),
         Column(f"{name}_noise", "number", "the part of it that differs from one recording to "
                "the next"),
-        Column(f"{name}_status", "text", "available, none_named, cannot_be_told or needs_config"),
+        Column(f"{name}_status", "text", "available, in_doubt, none_named, cannot_be_told or "
+               "needs_config"),
     )
 
 

@@ -101,7 +101,9 @@ def _made(name: str, unit: str, time: np.ndarray, value: np.ndarray, stddev: np.
           reliable: np.ndarray, usable: np.ndarray, undated: int, at_reference: bool,
           limits: tuple[float | None, float | None]) -> History:
     """Return a history with its jumps, its forecasts and the line since the last jump."""
-    seen = outlook(time[usable], value[usable], stddev[usable], limits)
+    # Values that a mismatch taints tell of change; when a limit is reached they do not.
+    tainted = bool((usable & ~reliable).any())
+    seen = Outlook() if tainted else outlook(time[usable], value[usable], stddev[usable], limits)
     lately = usable & (time >= max(seen.jumps, default=-np.inf))
     return History(name, unit, time, value, stddev, reliable, usable,
                    trend(time[lately], value[lately], stddev[lately]), undated, at_reference, seen)
@@ -118,8 +120,7 @@ def _of_indicator(rows: Sequence[dict], name: str, made_with: str, unit: str,
     stddev = np.array([np.nan if row.get(f"{column}_noise") is None else row[f"{column}_noise"]
                        for row in dated], dtype=float)
     current = np.array([row["made_with"] == made_with for row in dated], dtype=bool)
-    doubtful = np.array([name == "free_air" and bool(row.get("beta_e_doubt")) for row in dated],
-                        dtype=bool)
+    doubtful = np.array([row.get(f"{column}_status") == "in_doubt" for row in dated], dtype=bool)
     reliable = current & ~doubtful
     usable = reliable if reliable.sum() >= LEAST else current
     return _made(name, unit, time, value, stddev, reliable, usable,

@@ -112,7 +112,7 @@ def indicator_columns(indicators: tuple[Indicator, ...]) -> dict:
     for column, name in INDICATORS.items():
         one = told[name]
         row |= {column: one.value, f"{column}_stddev": one.stddev, f"{column}_noise": one.noise,
-                f"{column}_status": one.status}
+                f"{column}_status": "in_doubt" if one.doubtful else one.status}
     return row
 
 

@@ -65,7 +65,8 @@ def _doubted(made: Indicator, parameter: str, found: Evidence) -> Indicator:
     """Return an indicator with what speaks against the parameter that it is made of."""
     if made.status != AVAILABLE or parameter not in found.doubts:
         return made
-    return replace(made, message=f"{made.message}; in doubt: {found.doubts[parameter]}")
+    return replace(made, doubtful=True,
+                   message=f"{made.message}; in doubt: {found.doubts[parameter]}")
 
 
 def _leakage(found: Evidence, settings: Settings) -> Indicator:

@@ -18,9 +18,16 @@ NO_JOINT = ("the leakage is not estimated: it needs x, p1, p2 and omega, and a c
 def of_estimate(found: Estimate) -> Evidence:
     """Return the evidence of an estimate: what converged, after the last change of a stage."""
     values, variances, why = {}, [], {}
-    parameters = dict(found.parameters)
+    parameters, doubts = dict(found.parameters), found.model.tainted
     if found.joint is not None:
         parameters["leakage"] = found.joint.parameters["L"]
+        # Stage two takes the config's leakage for true: where another one leads it astray, the
+        # joint estimator, which has the leakage among its unknowns, knows beta_e.
+        stiffness = found.joint.parameters["beta_e"]
+        if (("beta_e" in doubts or parameters["beta_e"].status != "converged")
+                and found.joint.fits and stiffness.status == "converged"):
+            parameters["beta_e"] = stiffness
+            doubts = {name: taint for name, taint in doubts.items() if name != "beta_e"}
     else:
         why["leakage"] = NO_JOINT
     for name, one in parameters.items():
@@ -34,7 +41,7 @@ def of_estimate(found: Estimate) -> Evidence:
     made = evidence([found.recording], found.settings, values, np.diag(variances), why,
                     since=since)
     return replace(made, doubts={name: taint.reason
-                                 for name, taint in found.model.tainted.items()})
+                                 for name, taint in doubts.items()})
 
 
 def evidence(recordings: list[Recording], settings: Settings, values: Mapping[str, float],

@@ -36,6 +36,7 @@ class Indicator:
         ``needs_config``, with the missing keys in ``missing``.
     message : the conditions it holds at, or the reason why it is not told.
     law : equation and its limits, in a sentence.
+    doubtful : what it is made of is tainted by a model that does not fit; ``message`` says why.
     below : where it is not told, what it is below (above, of the efficiency) with 97.5 %; NaN
         where that is not known.
     """
@@ -50,6 +51,7 @@ class Indicator:
     law: str
     missing: tuple[str, ...] = ()
     below: float = math.nan
+    doubtful: bool = False
 
     @property
     def words(self) -> str:

@@ -87,8 +87,10 @@ def trend_words(found: History) -> str:
     """Return what the line says, in one or two sentences."""
     line = found.line
     if line is None:
-        return (f"No trend: it needs {LEAST} values at different times that converged, "
-                f"{int(found.usable.sum())} there.")
+        name = SYMBOLS.get(found.name) or WORDS[found.name]
+        lately = int((found.usable & (found.time >= found.since)).sum())
+        return (f"No trend of {name}: it needs {LEAST} values at different times that converged, "
+                f"{lately} there{' since the last step' if found.outlook.jumps else ''}.")
     slope, spread = MONTH * line.slope, MONTH * line.slope_stddev
     words = (f"Trend of {SYMBOLS.get(found.name) or WORDS[found.name]}: "
              f"{'+' if slope > 0 else ''}{with_uncertainty(slope, spread, found.unit)} per 30 "
