@@ -9,7 +9,7 @@ from pydantic_core import PydanticCustomError
 # Spelling for pint of the units that the configs name.
 _PINT = {"1": "dimensionless", "N·s/m": "N*s/m", "m³": "m**3", "m²": "m**2",
          "m³/rad": "m**3/rad", "m³/(s·Pa)": "m**3/s/Pa", "rad/(s·m)": "rad/s/m",
-         "°C": "degC", "1/K": "1/kelvin", "m/s²": "m/s**2"}
+         "°C": "degC", "1/K": "1/kelvin", "m/s²": "m/s**2", "m³/s": "m**3/s", "mm²/s": "mm**2/s"}
 
 _REV = re.compile(r"(?<=/)\s*rev\b")  # as pumps are sold: 1.6 cm^3/rev
 

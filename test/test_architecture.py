@@ -19,6 +19,8 @@ FORBIDDEN = {
     "health": ("rclpy", "eha_monitor.ros", "eha_monitor.mismatch", "eha_monitor.reports"),
     "plausibility": ("rclpy", "eha_monitor.ros", "eha_monitor.filters", "eha_monitor.mismatch",
                      "eha_monitor.reports", "eha_monitor.commands", "eha_monitor.health"),
+    "indicators": ("rclpy", "eha_monitor.ros", "eha_monitor.reports", "eha_monitor.commands",
+                   "eha_monitor.archive"),
     "recordings": ("rclpy", "eha_monitor.ros", "eha_monitor.filters", "eha_monitor.mismatch"),
     "mismatch": ("rclpy", "eha_monitor.ros", "eha_monitor.commands", "eha_monitor.prove",
                  "eha_monitor.concealed", "eha_monitor.reports"),

@@ -8,6 +8,7 @@ from typing import Any
 from eha_monitor.api.calls import Progress, calling, reporter
 from eha_monitor.api.config import Config, path_of
 from eha_monitor.api.diagnosis import Diagnosis
+from eha_monitor.api.indicators import of_diagnosis
 from eha_monitor.api.plausible import checked
 from eha_monitor.api.read import (
     Given,
@@ -110,7 +111,8 @@ def diagnose(recordings: Several, config: Config | str | os.PathLike | dict | No
         found = of_rig(found, config.rig.motion)
         say("diagnosed", 1.0)
     return Diagnosis(found, config, (*channels, *found.channels), tuple(
-        f"{one.source}: {loss}" for one in read for loss in one.losses))
+        f"{one.source}: {loss}" for one in read for loss in one.losses),
+        of_diagnosis(found, read, config.settings))
 
 
 def known_effects(names: str | Sequence[str], option: str) -> tuple[str, ...]:

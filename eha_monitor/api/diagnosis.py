@@ -10,8 +10,10 @@ from eha_monitor.api.answer import finite
 from eha_monitor.api.calls import calling
 from eha_monitor.api.config import Config, path_of
 from eha_monitor.api.diagnosis_answer import answer, completed
+from eha_monitor.api.indicators import trees
 from eha_monitor.api.plausible import finding_tree
 from eha_monitor.api.record import Record, chosen, frame_of, read_only
+from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.mismatch.diagnosis import (
     Change,
     LearnedTerm,
@@ -54,12 +56,15 @@ class Diagnosis(Record):
         What the channels say of the config where it may be wrong, or of the hold of the demand.
     losses : tuple of str
         Sentences about what was lost in reading the recordings.
+    indicators : tuple of Indicator
+        Health in units to act on, leakage to drive lag; told, or why not (docs/health.md).
     """
 
     inner: Inner
     config: Config
     channels: tuple[ChannelFinding, ...]
     losses: tuple[str, ...] = ()
+    indicators: tuple[Indicator, ...] = ()
 
     def __post_init__(self):
         object.__setattr__(self, "inner", read_only(self.inner))
@@ -157,7 +162,8 @@ class Diagnosis(Record):
         >>> d.to_dict()["effects"][0]["name"]
         'coulomb_friction'
         """
-        return answer(self.inner) | {"channels": finding_tree(self.channels)}
+        return answer(self.inner) | {"channels": finding_tree(self.channels),
+                                     "indicators": trees(self.indicators)}
 
     def to_frame(self, table: str = "effects") -> "pandas.DataFrame":
         """Return a table of the answer.
@@ -274,7 +280,8 @@ class Diagnosis(Record):
         with calling():
             place = path_of(path, "a file to write")
             write_diagnosis_report(place, self.inner, self.config.settings, [
-                *self.losses, *(finding.finding for finding in self.channels)], command)
+                *self.losses, *(finding.finding for finding in self.channels)], command,
+                self.indicators)
             return place
 
     def _short(self):

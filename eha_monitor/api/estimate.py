@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from eha_monitor.api.answer import answer, judged, unhealthy
 from eha_monitor.api.calls import Progress, calling, reporter
 from eha_monitor.api.config import Config, path_of
+from eha_monitor.api.indicators import of_estimate
 from eha_monitor.api.plausible import checked, finding_tree
 from eha_monitor.api.read import Given, config_for, recordings_of
 from eha_monitor.api.record import Record, chosen, frame_of, read_only
@@ -27,6 +28,7 @@ from eha_monitor.filters.results import (
     StageResult,
 )
 from eha_monitor.health.alarms import Alarm
+from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.quantity import SYMBOLS
 from eha_monitor.recordings.finding import ChannelFinding
 from eha_monitor.recordings.recording import SHORTEST_S
@@ -131,6 +133,11 @@ class Estimate(Record):
         with calling():
             return observability(self.inner)
 
+    @cached_property
+    def indicators(self) -> tuple[Indicator, ...]:
+        """Health in units to act on, leakage to drive lag; told, or why not (docs/health.md)."""
+        return of_estimate(self.inner)
+
     @property
     def recording(self) -> Recording:
         """What was recorded."""
@@ -190,7 +197,7 @@ class Estimate(Record):
         'eha_monitor/estimate/1'
         """
         return answer(self.inner, self.alarms, self.alarm_history, self.observability) | {
-            "channels": finding_tree(self.channels)}
+            "channels": finding_tree(self.channels), "indicators": trees(self.indicators)}
 
     def to_frame(self, table: str = "parameters") -> "pandas.DataFrame":
         """Return a table of the answer.
@@ -273,7 +280,7 @@ class Estimate(Record):
         with calling():
             place = path_of(path, "a file to write")
             write_estimate_report(place, self.inner, self.alarms, self.alarm_history,
-                                  self.observability)
+                                  self.observability, self.indicators)
             return place
 
     def _parameters(self) -> "pandas.DataFrame":

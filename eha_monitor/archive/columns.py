@@ -2,9 +2,15 @@
 
 from dataclasses import dataclass
 
+from eha_monitor.indicators.indicator import WORDS
+
 SCHEMA = "eha_monitor/archive/1"
 PARAMETERS = ("B", "beta_e")
 COMMANDS = ("estimate", "diagnose")
+# Column -> indicator of the health (:mod:`eha_monitor.indicators`), whose unit it ends with.
+INDICATORS = {"leakage_mL_min": "leakage", "free_air_percent": "free_air",
+              "friction_N": "friction", "pump_efficiency_percent": "pump_efficiency",
+              "drive_lag_ms": "drive_lag"}
 
 
 @dataclass(frozen=True)
@@ -39,6 +45,18 @@ def _of_diagnosis(name: str) -> tuple[Column, ...]:
         for end, words in (("", said), ("_stddev", "its standard deviation")))
 
 
+def _of_indicator(name: str, indicator: str) -> tuple[Column, ...]:
+    return (
+        Column(name, "number", f"{WORDS[indicator]} at the conditions of the config's `health`; "
+               "also where a single recording is too uncertain to tell it"),
+        Column(f"{name}_stddev", "number", "its standard deviation"),
+        Column(f"{name}_noise", "number", "the part of it that differs from one recording to "
+               "the next"),
+        Column(f"{name}_status", "text", "available, in_doubt, none_named, cannot_be_told or "
+               "needs_config"),
+    )
+
+
 COLUMNS = (
     Column("bag", "text", "path of the bag below the folder"),
     Column("start", "time", "first sample by the stamps of the messages, UTC; empty where "
@@ -51,6 +69,8 @@ COLUMNS = (
     Column("B_reference", "number", "B at `viscosity.reference_temperature`, where the "
            "temperature is measured"),
     Column("B_reference_stddev", "number", "its standard deviation"),
+    *(column for name, indicator in INDICATORS.items()
+      for column in _of_indicator(name, indicator)),
     Column("alarm", "text", "worst level of the four alarms at the end of the recording: OK, "
            "STALE, not judged, WARN, ERROR"),
     Column("viscous_damping_high", "text", "level of this alarm"),

@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eha_monitor.api.answer import answer, finite, judged
-from eha_monitor.archive.columns import PARAMETERS
+from eha_monitor.archive.columns import INDICATORS, PARAMETERS
 from eha_monitor.archive.store import iso_time
 from eha_monitor.errors import InputError
 from eha_monitor.health.alarms import SEVERITY, Alarm
+from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.source import source_digest
 
 if TYPE_CHECKING:
@@ -23,12 +24,12 @@ if TYPE_CHECKING:
 # What has a part in an answer, and in the row that is made of it.
 _ROOMS = {
     "estimate": ("physics", "filters", "recordings", "settings", "health", "plausibility",
-                 "api/answer.py", "api/plausible.py", "api/estimate.py", "commands/archive_row.py",
-                 "quantity.py"),
+                 "indicators", "api/answer.py", "api/plausible.py", "api/estimate.py",
+                 "api/indicators.py", "commands/archive_row.py", "quantity.py"),
     "diagnose": ("physics", "filters", "recordings", "settings", "health", "mismatch",
-                 "plausibility", "api/answer.py", "api/plausible.py", "api/estimate.py",
-                 "api/diagnosis_answer.py", "api/rotary.py", "commands/archive_row.py",
-                 "quantity.py", "words.py"),
+                 "plausibility", "indicators", "api/answer.py", "api/plausible.py",
+                 "api/estimate.py", "api/diagnosis_answer.py", "api/indicators.py",
+                 "api/rotary.py", "commands/archive_row.py", "quantity.py", "words.py"),
 }
 _EFFECT = ("name", "balance", "size", "statement", "probability", "log_evidence",
            "intervals_s", "indistinguishable_from")
@@ -77,6 +78,7 @@ def error_row(task: Task, error: str) -> dict:
 
 def _fill(row: dict, task: Task) -> None:
     from eha_monitor.api.estimate import refuse_short
+    from eha_monitor.api.indicators import of_diagnosis, of_estimate
     from eha_monitor.api.plausible import checked
     from eha_monitor.compiled import load_runtime
     from eha_monitor.filters.pipeline import estimate
@@ -98,6 +100,20 @@ def _fill(row: dict, task: Task) -> None:
 
         diagnosis = of_rig(diagnose([recording], task.settings), task.settings.rig.motion)
         row.update(diagnosis_columns(diagnosis_answer(diagnosis)))
+        row.update(indicator_columns(of_diagnosis(diagnosis, [recording], task.settings)))
+    else:
+        row.update(indicator_columns(of_estimate(found)))
+
+
+def indicator_columns(indicators: tuple[Indicator, ...]) -> dict:
+    """Return the columns of the indicators of health."""
+    told = {one.name: one for one in indicators}
+    row: dict = {}
+    for column, name in INDICATORS.items():
+        one = told[name]
+        row |= {column: one.value, f"{column}_stddev": one.stddev, f"{column}_noise": one.noise,
+                f"{column}_status": "in_doubt" if one.doubtful else one.status}
+    return row
 
 
 def estimate_columns(tree: dict) -> dict:

@@ -6,13 +6,12 @@ from pathlib import Path
 from rich.markup import escape
 from rich.table import Table
 
-from eha_monitor.archive.columns import PARAMETERS
-from eha_monitor.archive.history import history
 from eha_monitor.commands.table import PIPE_WIDTH, PipeConsole
 from eha_monitor.health.alarms import NOT_JUDGED
 from eha_monitor.quantity import NOTE
 from eha_monitor.reports.archive_figures import trend_words
-from eha_monitor.reports.archive_report import phrases, summary_words
+from eha_monitor.reports.archive_report import histories_of, phrases, summary_words
+from eha_monitor.reports.outlook import outlook_words
 from eha_monitor.settings import Settings
 
 MOST = 20  # recordings shown; all are in the table
@@ -50,8 +49,8 @@ def show(rows: Sequence[dict], command: str, settings: Settings, made_with: str,
         console.print(table)
         if len(looked) > MOST:
             console.print(f"and {len(looked) - MOST} more")
-    for name in PARAMETERS:
-        console.print(escape(trend_words(history(rows, name, command, made_with))))
+    for one in histories_of(rows, command, made_with, settings):
+        console.print(escape(" ".join(filter(None, (trend_words(one), outlook_words(one))))))
     console.print(NOTE, style="dim")
     for path in written:
         console.print(f"written: {escape(str(path))}", soft_wrap=True)

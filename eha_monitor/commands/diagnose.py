@@ -98,7 +98,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
     from eha_monitor.commands.diagnosis_table import show
 
     show(found.inner, [path for path in (json_file, report_file, config_file) if path],
-         [finding.finding for finding in found.channels])
+         [finding.finding for finding in found.channels], found.indicators, given.settings)
     write_out_bag(out_bag, found.inner, bags, given.settings)
     return int(exit_code and not found.healthy)
 

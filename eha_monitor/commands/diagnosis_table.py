@@ -7,7 +7,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from eha_monitor.commands.indicators import show as show_indicators
 from eha_monitor.commands.table import PIPE_WIDTH, PipeConsole
+from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.mismatch.diagnosis import Diagnosis
 from eha_monitor.quantity import DIAGNOSED, SYMBOLS, number
 from eha_monitor.reports.diagnosis_words import (
@@ -28,14 +30,16 @@ from eha_monitor.reports.diagnosis_words import (
     value_words,
     windows_words,
 )
+from eha_monitor.settings import Settings
 from eha_monitor.words import effect_words, listed
 
 RIVAL_FORMULA = 20.0  # log units: a formula that is worse by more is not worth a line
 _COLOURS = {"ok": "green", "warn": "yellow", "error": "red", "unknown": "dim"}
 
 
-def show(found: Diagnosis, written: list[Path], notes: list[str] = ()) -> None:
-    """Print wrong numbers of the rig, verdict, place, effects, parameters, proof, ``notes``."""
+def show(found: Diagnosis, written: list[Path], notes: list[str] = (),
+         indicators: tuple[Indicator, ...] = (), settings: Settings | None = None) -> None:
+    """Print wrong numbers of the rig, verdict, place, effects, parameters, indicators, proof."""
     console = PipeConsole(highlight=False)
     if not console.is_terminal:
         console = PipeConsole(highlight=False, width=PIPE_WIDTH)
@@ -64,6 +68,8 @@ def show(found: Diagnosis, written: list[Path], notes: list[str] = ()) -> None:
         console.print(_learned(found))
     if found.before or found.after:
         console.print(_parameters(found))
+    if settings is not None:
+        show_indicators(console, indicators, settings)
     if found.signals:
         console.print(_fit(found))
     for finding in found.rig_within:

@@ -59,5 +59,6 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
 
     from eha_monitor.commands.table import show
 
-    show(found.inner, found.alarms, [path for path in (json_file, report_file) if path])
+    show(found.inner, found.alarms, [path for path in (json_file, report_file) if path],
+         found.indicators)
     return int(exit_code and not found.healthy)

@@ -7,8 +7,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from eha_monitor.commands.indicators import show as show_indicators
 from eha_monitor.filters.results import Estimate
 from eha_monitor.health.alarms import NOT_JUDGED, Alarm
+from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.quantity import NOTE, SYMBOLS
 
 _COLOURS = {"OK": "green", "WARN": "yellow", "ERROR": "red", "STALE": "dim", NOT_JUDGED: "cyan",
@@ -26,8 +28,9 @@ class PipeConsole(Console):
         raise BrokenPipeError
 
 
-def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path]) -> None:
-    """Print parameters, alarms, model status, losses and events."""
+def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path],
+         indicators: tuple[Indicator, ...] = ()) -> None:
+    """Print parameters, indicators, alarms, model status, losses and events."""
     console = PipeConsole(highlight=False, soft_wrap=False)
     if not console.is_terminal:
         console = PipeConsole(highlight=False, width=PIPE_WIDTH)
@@ -41,6 +44,7 @@ def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path]) -> Non
     for parameter in found.parameters.values():
         if parameter.message:
             console.print(escape(parameter.message))
+    show_indicators(console, indicators, found.settings)
     console.print(_alarms(alarms))
     console.print(f"model: {_coloured(found.model.status)}: {escape(found.model.message)}")
     for title, sentences in (("lost", recording.losses), ("note", found.warnings)):

@@ -27,6 +27,7 @@ from eha_monitor.health.judge import (
     doubt_of,
 )
 from eha_monitor.health.rebase import Rebase
+from eha_monitor.indicators.oil import viscosity_ratio
 from eha_monitor.quantity import quantity, share, with_uncertainty
 from eha_monitor.settings.monitor import Settings, Viscosity
 
@@ -262,6 +263,6 @@ class AlarmBoard:
 
 
 def viscosity_factor(viscosity: Viscosity, temperature: float) -> float:
-    """Return B at the reference temperature over B at ``temperature`` (°C), Reynolds law."""
-    exponent = viscosity.coefficient * (temperature - viscosity.reference_temperature)
-    return math.exp(min(max(exponent, -50.0), 50.0))  # finite for any sensor reading
+    """Return B at the reference temperature over B at ``temperature`` (°C)."""
+    return viscosity_ratio(temperature, viscosity.reference_temperature, viscosity.coefficient,
+                           viscosity.grade, viscosity.at_100)

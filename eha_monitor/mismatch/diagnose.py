@@ -38,6 +38,7 @@ from eha_monitor.mismatch.show import held_out as show
 from eha_monitor.mismatch.show.changed import change_words, changed_between
 from eha_monitor.mismatch.show.model import (
     config_effects,
+    fitted_of,
     health_sentences,
     in_doubt,
     quantised,
@@ -288,7 +289,8 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         duration_s=duration, wall_s=time.perf_counter() - started, pieces=pieces,
         probability={"consistent": naming.consistent, "unexplained": naming.unexplained},
         rig_data=wrong, rig_within=within,
-        learned=(told.term,) if told is not None and told.term is not None else ())
+        learned=(told.term,) if told is not None and told.term is not None else (),
+        fitted=fitted_of(after))
 
 
 def beside_own(experiment: Experiment, naming: Naming, told: Told) -> Naming:

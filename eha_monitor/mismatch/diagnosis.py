@@ -234,6 +234,21 @@ class Change:
 
 
 @dataclass(frozen=True)
+class Fitted:
+    """Every number that the last model was fitted with, and how they hang together.
+
+    Attributes
+    ----------
+    names : ``B``, ``beta_e``, ``rig.<key>``, ``<effect>.<parameter>``.
+    values : (k,) SI; ``covariance`` : (k, k), the tolerances of the rig numbers in it.
+    """
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    covariance: np.ndarray
+
+
+@dataclass(frozen=True)
 class Window:
     """A part of a recording, s."""
 
@@ -267,6 +282,7 @@ class Diagnosis:
         unseen data; ``after`` and ``signals`` are then of it.
     references : healthy recordings that it was compared with, or none; ``changes`` against them.
     looked_s : of a long recording the models saw so many seconds; 0 where they saw all of it.
+    fitted : all numbers behind ``after`` with their joint covariance; None where there are none.
     """
 
     bags: tuple[str, ...]
@@ -298,3 +314,4 @@ class Diagnosis:
     learned: tuple[LearnedTerm, ...] = ()
     references: tuple[str, ...] = ()
     changes: tuple[Change, ...] = ()
+    fitted: Fitted | None = None

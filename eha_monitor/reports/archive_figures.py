@@ -1,4 +1,4 @@
-"""B and beta_e of many recordings against the date, with their limits and the line."""
+"""A health number of many recordings against the date: limits, steps, line, time to the limit."""
 
 from datetime import UTC, datetime
 
@@ -7,6 +7,8 @@ import numpy as np
 
 from eha_monitor.archive.history import History
 from eha_monitor.archive.trend import LEAST, MONTH
+from eha_monitor.indicators.indicator import WORDS
+from eha_monitor.indicators.limits import limits_of_indicator
 from eha_monitor.quantity import SYMBOLS, number, quantity, with_uncertainty
 from eha_monitor.reports.axes import axis_scale, stated
 from eha_monitor.reports.drawing import (
@@ -20,6 +22,7 @@ from eha_monitor.reports.drawing import (
     pad_limits,
     picture,
 )
+from eha_monitor.reports.outlook import draw_outlook, horizon, outlook_words
 from eha_monitor.reports.parameter_figures import (
     NAMES,
     draw_limits,
@@ -30,26 +33,26 @@ from eha_monitor.settings.monitor import Settings
 
 _DAY = 86400.0  # s
 _ENLARGED = 0.4  # share of the picture with the limits below which the values get one of their own
+WHOLE = "with the limits"
+INDICATOR = "#007A5A"
 _SOON = 60.0  # s that a picture of a single recording spans
 
 
 def history_block(found: History, settings: Settings) -> Block:
     """Return the picture of one parameter over time, with what it says in sentences."""
-    title = f"{NAMES[found.name].capitalize()} {SYMBOLS[found.name]}"
+    title = title_of(found.name)
     if found.at_reference:
         title += f" at {settings.viscosity.reference_temperature:g} °C"
     if not len(found.time):
         reason = ("the stamps of the recordings are no calendar time" if found.undated
                   else "no recording tells a value")
         return Block(f"history-{found.name}", title, notes=(f"No picture: {reason}.",))
-    thresholds = settings.thresholds
-    lines = limits_of({"B": thresholds.viscous_damping,
-                       "beta_e": thresholds.bulk_modulus}[found.name])
+    lines = lines_of(found.name, settings)
     low, high = _range(found, everything=True)
     near = [limit for limit, _ in lines if is_near(limit, low, high)]
     view = (min([low, *near]), max([high, *near]))
-    notes = [trend_words(found)]
-    pictures = [_picture(found, view, lines, "with the limits")]
+    notes = [*filter(None, (trend_words(found), outlook_words(found)))]
+    pictures = [_picture(found, view, lines, WHOLE)]
     close = _range(found, everything=False)
     if close[1] - close[0] < _ENLARGED * (view[1] - view[0]):
         pictures.append(_picture(found, close, lines, "enlarged"))
@@ -63,14 +66,33 @@ def history_block(found: History, settings: Settings) -> Block:
                  notes=tuple(notes))
 
 
+def title_of(name: str) -> str:
+    """Return the heading of a parameter or an indicator."""
+    return (f"{NAMES[name].capitalize()} {SYMBOLS[name]}" if name in NAMES and name != "L"
+            else WORDS[name][0].upper() + WORDS[name][1:])
+
+
+def lines_of(name: str, settings: Settings) -> list[tuple[float, str]]:
+    """Return the limits to draw, each with its words."""
+    sections = {"B": settings.thresholds.viscous_damping,
+                "beta_e": settings.thresholds.bulk_modulus}
+    if name in sections:
+        return limits_of(sections[name])
+    low, high = limits_of_indicator(name, settings)
+    return [(limit, words) for limit, words in ((low, "limit, below"), (high, "limit, above"))
+            if limit is not None]
+
+
 def trend_words(found: History) -> str:
     """Return what the line says, in one or two sentences."""
     line = found.line
     if line is None:
-        return (f"No trend: it needs {LEAST} values at different times that converged, "
-                f"{int(found.usable.sum())} there.")
+        name = SYMBOLS.get(found.name) or WORDS[found.name]
+        lately = int((found.usable & (found.time >= found.since)).sum())
+        return (f"No trend of {name}: it needs {LEAST} values at different times that converged, "
+                f"{lately} there{' since the last step' if found.outlook.jumps else ''}.")
     slope, spread = MONTH * line.slope, MONTH * line.slope_stddev
-    words = (f"Trend of {SYMBOLS[found.name]}: "
+    words = (f"Trend of {SYMBOLS.get(found.name) or WORDS[found.name]}: "
              f"{'+' if slope > 0 else ''}{with_uncertainty(slope, spread, found.unit)} per 30 "
              f"days, through {line.count} recordings")
     if line.level:
@@ -104,15 +126,16 @@ def _range(found: History, everything: bool) -> tuple[float, float]:
 def _picture(found: History, view: tuple[float, float], lines: list[tuple[float, str]],
              which: str) -> Picture:
     """Draw the values, their bars and the line, with the limits that fall into ``view``."""
-    colour = {"B": STAGE_ONE, "beta_e": STAGE_TWO}[found.name]
+    colour = {"B": STAGE_ONE, "beta_e": STAGE_TWO}.get(found.name, INDICATOR)
     scale = axis_scale(max(map(abs, view)), found.unit)
     days, value = found.time / _DAY, found.value * scale.factor
     spread = stated(found.value, np.nan_to_num(found.stddev, posinf=0.0)) * scale.factor
     figure, (axis,) = new_figure()
     pad_limits(axis, view[0] * scale.factor, view[1] * scale.factor, 0.12)
     bottom, top = axis.get_ylim()
-    margin = 0.04 * (days[-1] - days[0]) or _SOON / _DAY
-    axis.set_xlim(days[0] - margin, days[-1] + margin)
+    last = horizon(found) / _DAY if which == WHOLE else days[-1]
+    margin = 0.04 * (last - days[0]) or _SOON / _DAY
+    axis.set_xlim(days[0] - margin, last + margin)
     if found.line is not None:
         _draw_line(axis, found, scale.factor)
     for chosen, face, words in ((found.reliable, colour, "value ± 1σ"),
@@ -130,6 +153,7 @@ def _picture(found: History, view: tuple[float, float], lines: list[tuple[float,
                       markerfacecolor="white", clip_on=False,
                       label=f"beyond the picture ({int(outside.sum())})")
     draw_limits(axis, value, lines, scale.factor, found.unit)
+    draw_outlook(axis, found, scale.factor)
     axis.set_ylim(bottom, top)
     locator = matplotlib.dates.AutoDateLocator(minticks=3, maxticks=7)
     axis.xaxis.set_major_locator(locator)
@@ -140,14 +164,14 @@ def _picture(found: History, view: tuple[float, float], lines: list[tuple[float,
                    for at in (found.time[0], found.time[-1]))
     dates = f"{first} to {last}" if first != last else first
     axis.set_xlabel(f"{dates}, UTC — {which}", color=INK)
-    axis.set_ylabel(f"{SYMBOLS[found.name]}, {scale.unit}")
+    axis.set_ylabel(f"{SYMBOLS.get(found.name) or WORDS[found.name]}, {scale.unit}")
     legend_above(axis)
-    return picture(figure, f"{NAMES[found.name]} of {len(value)} recordings against the date, "
-                           f"{which}; {trend_words(found)}")
+    return picture(figure, f"{title_of(found.name)} of {len(value)} recordings against the "
+                           f"date, {which}; {trend_words(found)} {outlook_words(found)}".rstrip())
 
 
 def _draw_line(axis, found: History, factor: float) -> None:
-    used = found.time[found.usable]
+    used = found.time[found.usable & (found.time >= found.since)]
     time = np.linspace(used[0], used[-1], 60)
     line, stddev = found.line.at(time)
     axis.fill_between(time / _DAY, (line - stddev) * factor, (line + stddev) * factor,

@@ -5,8 +5,8 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from eha_monitor.archive.columns import PARAMETERS
-from eha_monitor.archive.history import history
+from eha_monitor.archive.columns import INDICATORS, PARAMETERS
+from eha_monitor.archive.history import History, history
 from eha_monitor.health.alarms import NOT_JUDGED
 from eha_monitor.mismatch.diagnosis import Value
 from eha_monitor.output import write_text
@@ -53,11 +53,19 @@ def archive_page(rows: Sequence[dict], command: str, settings: Settings, folder:
         "archive.html.j2", title=f"EHA monitor: {command} of {name}", name=name,
         heading=heading(rows, command, settings), summary=summary_words(rows, command),
         kind=_kind(rows), diagnosed=command == "diagnose",
-        histories=[history_block(history(rows, name, command, made_with), settings)
-                   for name in PARAMETERS],
+        histories=[history_block(one, settings)
+                   for one in histories_of(rows, command, made_with, settings)],
         effects=effect_counts(rows), rows=cells,
         broken=[row for row in cells if row["error"]],
         command=f"eha-monitor {command} {shlex.quote(str(folder))}/BAG --report BAG.html")
+
+
+def histories_of(rows: Sequence[dict], command: str, made_with: str, settings: Settings
+                 ) -> list[History]:
+    """Return the histories of B and beta_e, and of the indicators that any recording tells."""
+    found = [history(rows, name, command, made_with, settings)
+             for name in (*PARAMETERS, *INDICATORS.values())]
+    return [one for one in found if one.name in PARAMETERS or len(one.time)]
 
 
 def heading(rows: Sequence[dict], command: str, settings: Settings) -> list[tuple[str, str]]:

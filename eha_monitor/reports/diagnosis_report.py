@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.mismatch.diagnosis import (
     Change,
     Considered,
@@ -31,6 +32,7 @@ from eha_monitor.reports.diagnosis_figures import (
     telling,
 )
 from eha_monitor.reports.drawing import Block, Picture
+from eha_monitor.reports.indicator_rows import indicator_rows
 from eha_monitor.reports.page import render
 from eha_monitor.reports.parameter_figures import NAMES
 from eha_monitor.reports.tables import config_sections
@@ -46,7 +48,8 @@ _MOST_OPEN = 6  # rows of a table of rivals that are shown without a click
 
 
 def write_diagnosis_report(path: str | Path, found: Diagnosis, settings: Settings,
-                           losses: Sequence[str] = (), command: str = "") -> None:
+                           losses: Sequence[str] = (), command: str = "",
+                           indicators: Sequence[Indicator] = ()) -> None:
     """Write the report of a diagnosis as a single HTML file.
 
     Parameters
@@ -56,17 +59,18 @@ def write_diagnosis_report(path: str | Path, found: Diagnosis, settings: Setting
     settings : the config it was made with.
     losses : sentences about what was lost in reading the recordings.
     command : the command that makes the same answer again.
+    indicators : of the health, told or not.
 
     Raises
     ------
     InputError
         If ``path`` cannot be written.
     """
-    write_text(path, diagnosis_page(found, settings, losses, command))
+    write_text(path, diagnosis_page(found, settings, losses, command, indicators))
 
 
 def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] = (),
-                   command: str = "") -> str:
+                   command: str = "", indicators: Sequence[Indicator] = ()) -> str:
     """Return the report as HTML text."""
     found = presentable(found)
     name = listed([Path(bag).name or bag for bag in found.bags]) or settings.rig.name
@@ -92,6 +96,7 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
         hero_words=_learned_note(found.learned[0]) if found.learned else
         _curve_note(found, curves[0]) if curves else "",
         summary=_summary(found),
+        indicators=indicator_rows(indicators, settings),
         health=[words.sentence(text) for text in found.health],
         learned=[_learned(term) for term in found.learned],
         changes=[_change(one) for one in found.changes],

@@ -8,9 +8,11 @@ import numpy as np
 
 from eha_monitor.filters.results import Estimate
 from eha_monitor.health.alarms import Alarm
+from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.output import write_text
 from eha_monitor.reports import tables
 from eha_monitor.reports.alarm_timeline import alarm_timeline
+from eha_monitor.reports.indicator_rows import indicator_rows
 from eha_monitor.reports.innovation_figures import innovation_block
 from eha_monitor.reports.motion_figures import motion_blocks
 from eha_monitor.reports.page import render
@@ -25,7 +27,8 @@ _LARGEST = 1e60  # SI; beyond it squares and matplotlib's own sums overflow
 
 def write_estimate_report(path: str | Path, estimate: Estimate, alarms: tuple[Alarm, ...],
                           history: tuple[Alarm, ...],
-                          observability: "ObservabilityTable | None" = None) -> None:
+                          observability: "ObservabilityTable | None" = None,
+                          indicators: tuple[Indicator, ...] = ()) -> None:
     """Write the report of one recording as a single HTML file.
 
     Parameters
@@ -35,17 +38,19 @@ def write_estimate_report(path: str | Path, estimate: Estimate, alarms: tuple[Al
     alarms : state of each alarm at the end of the recording.
     history : every change of a level, in order of time.
     observability : standard deviations that each combination of channels would reach, or None.
+    indicators : of the health, told or not.
 
     Raises
     ------
     InputError
         If ``path`` cannot be written.
     """
-    write_text(path, estimate_page(estimate, alarms, history, observability))
+    write_text(path, estimate_page(estimate, alarms, history, observability, indicators))
 
 
 def estimate_page(estimate: Estimate, alarms: tuple[Alarm, ...], history: tuple[Alarm, ...],
-                  observability: "ObservabilityTable | None" = None) -> str:
+                  observability: "ObservabilityTable | None" = None,
+                  indicators: tuple[Indicator, ...] = ()) -> str:
     """Return the report as HTML text."""
     estimate = presentable(estimate)
     recording = estimate.recording
@@ -58,6 +63,7 @@ def estimate_page(estimate: Estimate, alarms: tuple[Alarm, ...], history: tuple[
         verdict=verdict(estimate, alarms),
         parameters=tables.parameter_rows(estimate),
         model=estimate.model,
+        indicators=indicator_rows(indicators, estimate.settings),
         warnings=estimate.warnings,
         losses=recording.losses,
         motion=motion_blocks(estimate),

@@ -187,11 +187,11 @@ def draw_limits(axis: Axes, value: np.ndarray, lines: list[tuple[float, str]], f
         place = limit * factor
         if not bottom < place < top:
             continue
-        line = ERROR_LINE if label.startswith("ERROR") else WARN_LINE
+        line = WARN_LINE if label.startswith("WARN") else ERROR_LINE
         axis.axhline(place, color=line, linewidth=1.3,
                      linestyle=(0, (2, 2)) if line == ERROR_LINE else (0, (6, 3)))
         # Labels stand apart where a WARN and an ERROR limit lie close together.
-        above = label in ("WARN below", "ERROR above")
+        above = label in ("WARN below", "ERROR above", "limit, above")
         height = (place - bottom) / (top - bottom) + (0.025 if above else -0.025)
         if any(abs(height - other) < 0.045 for other in taken):
             continue

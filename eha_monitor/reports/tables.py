@@ -120,7 +120,8 @@ def seconds(time_s: float) -> str:
 def config_sections(settings: Settings) -> list[dict[str, Any]]:
     """Return the values of the config that shaped this estimate, in words, section by section."""
     found = []
-    for key in ("rig", "noise", "stage_one", "stage_two", "thresholds", "viscosity"):
+    for key in ("rig", "noise", "stage_one", "stage_two", "thresholds", "viscosity",
+                "health"):
         about = Settings.model_fields[key].description or ""
         found.append({"name": key, "title": f"{_plain(key).capitalize()}: {about}",
                       "rows": list(_config_rows(getattr(settings, key)))})

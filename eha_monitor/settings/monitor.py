@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
+from eha_monitor.settings.health import Health
 from eha_monitor.settings.measured import Measured, check_unit
 from eha_monitor.settings.rig import Rig, SensorNoise, Simulation, effects_field
 from eha_monitor.settings.section import Section
@@ -186,13 +187,28 @@ def _with_defaults(section: dict, defaults: Limits) -> dict:
 
 
 class Viscosity(Section):
-    """Viscosity law by which B is carried to the reference temperature.
+    """Viscosity law by which B and laminar leakage are carried to the reference temperature.
 
     B(T) = B(T_ref) exp(-k (T - T_ref)), the Reynolds law; k about 0.03 1/K for mineral oil.
+    With both viscosities of the oil's data sheet, Walther's law (ASTM D341) in its place.
     """
 
-    reference_temperature: Si("°C", "temperature at which the thresholds of B hold") = 40.0
-    coefficient: Si("1/K", "relative fall of the viscosity with temperature, k", ge=0) = 0.03
+    reference_temperature: Si("°C", "temperature at which the thresholds of B hold, and to which "
+                              "leakage is carried", ge=-40, le=200) = 40.0
+    coefficient: Si("1/K", "relative fall of the viscosity with temperature, k; not used where "
+                    "grade and at_100 are given", ge=0) = 0.03
+    grade: Si("mm²/s", "kinematic viscosity of the oil at 40 °C: the number of its ISO VG, or "
+              "that of its data sheet", ge=2, le=5000, optional=True) = None
+    at_100: Si("mm²/s", "kinematic viscosity of the oil at 100 °C, of its data sheet",
+               ge=1, le=500, optional=True) = None
+
+    @model_validator(mode="after")
+    def _two_points(self):
+        if (self.grade is None) != (self.at_100 is None):
+            raise ValueError("expected grade and at_100 together: the law goes through both")
+        if self.grade is not None and self.at_100 >= self.grade:
+            raise ValueError("expected at_100 below grade: oil is thinner when it is warm")
+        return self
 
 
 def _off(given):
@@ -252,7 +268,10 @@ class Settings(Section):
         "refuse", description="what becomes of a recording whose channels contradict this config "
         "(signs, units, swapped channels): refuse it, or answer with a warning")
     thresholds: Thresholds = Field(Thresholds(), description="alarm limits")
-    viscosity: Viscosity = Field(Viscosity(), description="temperature compensation of B")
+    viscosity: Viscosity = Field(Viscosity(), description="temperature compensation of B and of "
+                                 "leakage")
+    health: Health = Field(Health(), description="what the indicators of health are told at, and "
+                           "their limits (docs/health.md, docs/limits.md)")
     monitor: Monitor = Field(Monitor(), description="the live monitor")
     effects: Annotated[dict[str, dict[str, float | str | list[float]]],
                        BeforeValidator(effects_field)] = Field(

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.diagnosis import Agreement, NamedEffect, Value
+from eha_monitor.mismatch.diagnosis import Agreement, Fitted, NamedEffect, Value
 from eha_monitor.mismatch.likelihood.fit import Fit, sensitivities, step_of, whitener
 from eha_monitor.mismatch.name.base import TIMING
 from eha_monitor.physics.effects import CATALOGUE
@@ -35,6 +35,15 @@ def values_of(experiment: Experiment, fit: Fit) -> dict[str, Value]:
     if "beta_e" in known:
         found["beta_e"] = Value(fit.value("beta_e"), fit.stddev("beta_e"), "Pa")
     return found
+
+
+def fitted_of(fit: Fit) -> Fitted:
+    """Return all fitted numbers with their joint covariance, in SI."""
+    names = tuple(f.name for f in fit.free)
+    values = np.array([fit.value(name) for name in names])
+    scale = np.array([abs(value) if f.log else 1.0
+                      for f, value in zip(fit.free, values, strict=True)])
+    return Fitted(names, values, fit.covariance * np.outer(scale, scale))
 
 
 def stated_stddev(experiment: Experiment, fit: Fit, key: str) -> float:

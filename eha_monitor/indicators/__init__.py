@@ -1,0 +1,1 @@
+"""Health in the units a maintenance engineer acts on; laws and limits: docs/health.md."""

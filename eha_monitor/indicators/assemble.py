@@ -1,0 +1,286 @@
+"""From what was found and the config to the indicators."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from eha_monitor.indicators.indicator import (
+    AVAILABLE,
+    NEEDS,
+    NONE,
+    NOT_LOOKED_FOR,
+    UNITS,
+    UNKNOWN,
+    Evidence,
+    Indicator,
+    propagated,
+)
+from eha_monitor.indicators.laws import (
+    DRY,
+    LEAKS,
+    LOSSES,
+    dry_friction,
+    free_air,
+    leakage_flow,
+    moved,
+    volumetric_efficiency,
+)
+from eha_monitor.indicators.oil import viscosity_ratio
+from eha_monitor.quantity import number, quantity
+from eha_monitor.settings.monitor import Settings
+from eha_monitor.words import effect_words, listed
+
+CLEAR = 2.0  # standard deviations from nothing: what is less is not told
+SIDE = 1.96  # standard deviations of the bound that is told in its place
+SLOW, FAST = 1.0, 1.4  # polytropic exponent of air that keeps, and of air that loses, no heat
+LAWS = {
+    "leakage": "flow that the pump must give to hold the rated pressure with the rod blocked, "
+    "all paths together (piston, pump, make-up): laminar part over the viscosity, orifice part "
+    "with the root of the pressure; not seen: what leaks at pressures far from those recorded",
+    "free_air": "1/βe = 1/β_oil + (α/(n p)) (p_atm/p)^(1/n): polytropic air beside the oil; all "
+    "softness beyond the air-free modulus counts as air, also a hose; dissolved air is not seen",
+    "damping": "B goes as the viscosity (laminar shear); the part that is seal friction does not",
+    "friction": "largest dry friction (breakaway, the worse direction) of the named effects; "
+    "viscous friction is in B",
+    "friction_share": "the same over the rated pressure times the smaller piston area",
+    "pump_efficiency": "flow into the load over D_p ω of the config at rated speed and pressure; "
+    "every leak counts as the pump's, so a leaking piston seal lowers it too",
+    "drive_lag": "time constant plus dead time from speed command to speed",
+}
+Values = Mapping[str, float]
+
+
+def indicators(found: Evidence, settings: Settings) -> tuple[Indicator, ...]:
+    """Return every indicator, told or not, in the order of ``NAMES``."""
+    friction = _friction(found, settings)
+    return (_leakage(found, settings), _doubted(_free_air(found, settings), "beta_e", found),
+            _doubted(_damping(found, settings), "B", found), friction,
+            _friction_share(friction, settings), _efficiency(found, settings),
+            _drive_lag(found, settings))
+
+
+def _doubted(made: Indicator, parameter: str, found: Evidence) -> Indicator:
+    """Return an indicator with what speaks against the parameter that it is made of."""
+    if made.status != AVAILABLE or parameter not in found.doubts:
+        return made
+    return replace(made, doubtful=True,
+                   message=f"{made.message}; in doubt: {found.doubts[parameter]}")
+
+
+def _leakage(found: Evidence, settings: Settings) -> Indicator:
+    pressure = settings.health.rated_pressure
+    if pressure is None:
+        return _needs("leakage", "health.rated_pressure")
+    if "leakage" not in found.values:
+        return _unknown("leakage", found.why.get("leakage", "the recording does not tell it"))
+    names = ("leakage", *_parameters(found, LEAKS))
+    at = f"at {quantity(pressure, 'Pa', 3)}{_temperature_words(found, settings)}"
+
+    def flow(values: Values) -> float:
+        return leakage_flow(values, pressure, _thinner(values, settings))
+
+    return _made("leakage", flow, *_with_temperature(found, settings, names), (), at)
+
+
+def _efficiency(found: Evidence, settings: Settings) -> Indicator:
+    health, rig = settings.health, settings.rig
+    missing = [key for key, value in (("health.rated_pressure", health.rated_pressure),
+                                      ("health.rated_speed", health.rated_speed),
+                                      ("rig.pump_displacement", rig.pump_displacement))
+               if value is None]
+    if missing:
+        return _needs("pump_efficiency", *missing)
+    if "leakage" not in found.values:
+        return _unknown("pump_efficiency",
+                        found.why.get("leakage", "the recording does not tell the leakage"))
+    names = ("leakage", "pump_displacement", *_parameters(found, LEAKS + LOSSES))
+
+    def efficiency(values: Values) -> float:
+        return volumetric_efficiency(values, rig.pump_displacement, health.rated_speed,
+                                     health.rated_pressure, _thinner(values, settings))
+
+    at = (f"at {quantity(health.rated_pressure, 'Pa', 3)}, {health.rated_speed:.4g} rad/s"
+          f"{_temperature_words(found, settings)}")
+    return _made("pump_efficiency", efficiency, *_with_temperature(found, settings, names), (), at)
+
+
+def _damping(found: Evidence, settings: Settings) -> Indicator:
+    unit = "N·m·s/rad" if settings.rig.motion == "rotary" else "N·s/m"
+    if "B" not in found.values:
+        return _unknown("damping", found.why.get("B", "the recording does not tell it"), unit)
+
+    def damping(values: Values) -> float:
+        return values["B"] / _thinner(values, settings)
+
+    at = (_temperature_words(found, settings).removeprefix(", at ").join(("at ", ""))
+          if found.temperature is not None else "at the unknown temperature of the oil: "
+          "health.oil_temperature is not set and no channel measures it")
+    return _made("damping", damping, *_with_temperature(found, settings, ("B",)), (), at, unit)
+
+
+def _free_air(found: Evidence, settings: Settings) -> Indicator:
+    health = settings.health
+    at = f"at {quantity(health.air_pressure, 'Pa', 4)} absolute"
+    if "entrained_air.alpha" in found.values:
+        values, covariance = found.part("entrained_air.alpha")
+        exponent = found.values.get("entrained_air.n", FAST)
+        return _made("free_air", lambda v: moved(v["entrained_air.alpha"], health.air_pressure,
+                                                 exponent), values, covariance, (),
+                     f"{at}, named by the diagnosis")
+    if health.air_free_modulus is None:
+        return _needs("free_air", "health.air_free_modulus")
+    if "beta_e" not in found.values:
+        return _unknown("free_air", found.why.get("beta_e", "the recording does not tell βe"))
+    if not len(found.pressures):
+        return _unknown("free_air", "the pressure is unknown: p1 and p2 are not recorded")
+    values, covariance = found.part("beta_e")
+    values["oil"] = health.air_free_modulus
+    values["n"] = health.polytropic_exponent or 0.5 * (SLOW + FAST)
+    spread = [health.air_free_tolerance * health.air_free_modulus,
+              0.0 if health.polytropic_exponent else (FAST - SLOW) / math.sqrt(12.0)]
+    covariance = _wider(covariance, spread)
+    pressures = found.pressures
+
+    def share(v: Values) -> float:
+        return free_air(max(v["beta_e"], 1.0), max(v["oil"], 1.0), max(v["n"], SLOW), pressures,
+                        health.air_pressure)
+
+    made = _made("free_air", share, values, covariance, ("oil", "n"),
+                 f"{at}, from βe at {quantity(float(np.mean(pressures)), 'Pa', 3)} on average")
+    if made.status == UNKNOWN:
+        return replace(made, message="βe is not clearly below the air-free modulus; "
+                       f"below {number(made.below, 2)} % {at}")
+    return made
+
+
+def _friction(found: Evidence, settings: Settings) -> Indicator:
+    unit = "N·m" if settings.rig.motion == "rotary" else "N"
+    none = _not_looked_for("friction", found, DRY, "dry friction", ("x",), unit)
+    if none is not None:
+        return none
+    total = (2.0 * float(np.mean(found.pressures)) if len(found.pressures)
+             else 2.0 * settings.rig.charge_pressure)
+    values, covariance = found.part(*_parameters(found, DRY))
+    named = [effect_words(name) for name in found.named(*DRY)]
+    at = listed(named)
+    if "pressure_friction" in found.named(*DRY):
+        at += f", at p₁ + p₂ = {quantity(total, 'Pa', 3)}"
+    return _made("friction", lambda v: dry_friction(v, total), values, covariance, (), at, unit)
+
+
+def _friction_share(friction: Indicator, settings: Settings) -> Indicator:
+    if friction.status != AVAILABLE:
+        return replace(friction, name="friction_share", unit="%", law=LAWS["friction_share"])
+    missing = [key for key, value in (("health.rated_pressure", settings.health.rated_pressure),
+                                      ("rig.area_1", settings.rig.area_1),
+                                      ("rig.area_2", settings.rig.area_2)) if value is None]
+    if missing:
+        return _needs("friction_share", *missing)
+    stall = settings.health.rated_pressure * min(settings.rig.area_1, settings.rig.area_2)
+    share = 100.0 / stall
+    return Indicator("friction_share", share * friction.value, share * friction.stddev,
+                     share * friction.noise, "%", AVAILABLE,
+                     f"of {quantity(stall, friction.unit, 3)} at "
+                     f"{quantity(settings.health.rated_pressure, 'Pa', 3)}",
+                     LAWS["friction_share"])
+
+
+def _drive_lag(found: Evidence, settings: Settings) -> Indicator:
+    effects = ("drive_lag", "command_delay")
+    none = _not_looked_for("drive_lag", found, effects, "lag of the drive", ("x_d", "omega"))
+    if none is not None:
+        return none
+    values, covariance = found.part("drive_lag.tau", "command_delay.T")
+    at = listed([effect_words(name) for name in found.named(*effects)])
+    return _made("drive_lag", lambda v: sum(v.values()), values, covariance, (), at)
+
+
+def _not_looked_for(name: str, found: Evidence, effects: tuple[str, ...], words: str,
+                    channels: tuple[str, ...], unit: str = "") -> Indicator | None:
+    """Return why an indicator that only a named effect makes is not there, or None."""
+    if not found.diagnosed:
+        return _unknown(name, NOT_LOOKED_FOR, unit)
+    if found.named(*effects):
+        return None
+    if assumed := [effect for effect in effects if effect in found.assumed]:
+        return _unknown(name, f"{listed([effect_words(one) for one in assumed])} is in the "
+                        "config and so taken as known, not measured", unit)
+    if lost := [channel for channel in channels if channel not in found.channels]:
+        return _unknown(name, f"{listed(lost)} not recorded", unit)
+    if not found.settled:
+        return _unknown(name, "the diagnosis does not explain the recording", unit)
+    return Indicator(name, math.nan, math.nan, math.nan, unit or UNITS[name][1], NONE,
+                     f"the recording shows no {words}", LAWS[name])
+
+
+def _made(name: str, function: Callable[[Values], float], values: Values, covariance: np.ndarray,
+          common: tuple[str, ...], message: str, unit: str = "") -> Indicator:
+    """Return an indicator from its law; ``common`` values are the same in every recording."""
+    factor, unit = (1.0, unit) if unit else UNITS[name]
+    value, stddev = propagated(function, values, covariance)
+    places = [i for i, one in enumerate(values) if one in common]
+    random = covariance.copy()
+    random[places, :] = random[:, places] = 0.0
+    noise = propagated(function, values, random)[1]
+    value, stddev, noise = factor * value, factor * stddev, factor * noise
+    if not (math.isfinite(value) and math.isfinite(stddev)):
+        return _unknown(name, "its law gives no finite number here", unit)
+    if value <= CLEAR * stddev:
+        below = max(value, 0.0) + SIDE * stddev
+        return Indicator(name, value, stddev, noise, unit, UNKNOWN,
+                         f"too uncertain: below {number(below, 2)} {unit} {message}", LAWS[name],
+                         below=below)
+    return Indicator(name, value, stddev, noise, unit, AVAILABLE, message, LAWS[name])
+
+
+def _unknown(name: str, why: str, unit: str = "") -> Indicator:
+    return Indicator(name, math.nan, math.nan, math.nan, unit or UNITS[name][1], UNKNOWN, why,
+                     LAWS[name])
+
+
+def _needs(name: str, *keys: str) -> Indicator:
+    return Indicator(name, math.nan, math.nan, math.nan, UNITS[name][1], NEEDS,
+                     f"set {listed(keys)} in the config", LAWS[name], keys)
+
+
+def _parameters(found: Evidence, effects: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(name for name in found.values if name.partition(".")[0] in effects)
+
+
+def _with_temperature(found: Evidence, settings: Settings, names: tuple[str, ...]
+                      ) -> tuple[dict[str, float], np.ndarray]:
+    """Return values with the oil's temperature among them, where it is known."""
+    values, covariance = found.part(*names)
+    if found.temperature is None:
+        return values, covariance
+    values["temperature"] = found.temperature
+    return values, _wider(covariance, [settings.health.oil_temperature_stddev])
+
+
+def _wider(covariance: np.ndarray, spread: list[float]) -> np.ndarray:
+    """Return a covariance with further numbers, independent of all others."""
+    size = len(covariance)
+    whole = np.zeros((size + len(spread), size + len(spread)))
+    whole[:size, :size] = covariance
+    whole[range(size, size + len(spread)), range(size, size + len(spread))] = np.square(spread)
+    return whole
+
+
+def _thinner(values: Values, settings: Settings) -> float:
+    """Return the viscosity at the recording's temperature over that at the reference."""
+    if "temperature" not in values:
+        return 1.0
+    law = settings.viscosity
+    return 1.0 / viscosity_ratio(values["temperature"], law.reference_temperature,
+                                 law.coefficient, law.grade, law.at_100)
+
+
+def _temperature_words(found: Evidence, settings: Settings) -> str:
+    if found.temperature is None:
+        return ", at the unknown temperature of the oil"
+    law = "Walther's law" if settings.viscosity.grade else "the Reynolds law"
+    given = "measured" if found.measured else "config"
+    return (f", at {settings.viscosity.reference_temperature:g} °C by {law} from "
+            f"{found.temperature:.1f} °C ({given})")

@@ -1,0 +1,104 @@
+"""The laws by which what was found becomes indicators; SI in, SI out."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from eha_monitor.physics.effects.entrained_air import P_ATM, compliance
+
+_UNIT_AIR = getattr(compliance, "py_func", compliance)
+LEAKS = ("cross_port_leakage", "turbulent_leakage", "leakage_offset")
+LOSSES = ("pump_flow_gain", "pump_volumetric_loss")
+DRY = ("coulomb_friction", "stribeck_friction", "presliding_friction", "asymmetric_friction",
+       "pressure_friction")
+
+
+def leakage_flow(found: Mapping[str, float], pressure: float, thinner: float = 1.0) -> float:
+    """Return the flow that holds a pressure difference with the rod blocked, m³/s.
+
+    Q = (C_T/2 + L) dp mu/mu_ref + c dp/(dp² + dp_0²)^¼ + Q_0 tanh(dp/dp_e): the laminar part
+    (Merritt 1967, Eq. 6-38) goes as one over the viscosity, the orifice's and the constant one
+    do not.
+
+    Parameters
+    ----------
+    found : ``leakage`` and parameters of :data:`LEAKS`; what is absent is none.
+    pressure : dp, Pa.
+    thinner : dynamic viscosity at the recording's temperature over that at the reference.
+    """
+    laminar = 0.5 * found.get("leakage", 0.0) + found.get("cross_port_leakage.L", 0.0)
+    flow = thinner * laminar * pressure
+    if "turbulent_leakage.c" in found:
+        small = found.get("turbulent_leakage.dp_0", 0.0)
+        flow += found["turbulent_leakage.c"] * pressure / (pressure**2 + small**2) ** 0.25
+    if "leakage_offset.Q_0" in found:
+        edge = max(found.get("leakage_offset.dp_e", 0.0), 1.0)
+        flow += found["leakage_offset.Q_0"] * math.tanh(pressure / edge)
+    return flow
+
+
+def volumetric_efficiency(found: Mapping[str, float], displacement: float, speed: float,
+                          pressure: float, thinner: float = 1.0) -> float:
+    """Return the flow into a load at a pressure difference over D_p omega of the config.
+
+    eta = (D/D_p)(1 + k_gain)(1 - k_loss dp) - Q_leak/(D_p omega)  (Merritt 1967, Sec. 4-3), with
+    every leak counted as the pump's: between the same two ports nothing tells them apart.
+
+    Parameters
+    ----------
+    found : as for :func:`leakage_flow`, and ``pump_displacement`` D as the recording tells it.
+    displacement : D_p of the config, m³/rad; ``speed`` in rad/s.
+    """
+    given = found.get("pump_displacement", displacement) / displacement
+    given *= 1.0 + found.get("pump_flow_gain.k", 0.0)
+    given *= 1.0 - found.get("pump_volumetric_loss.k", 0.0) * pressure
+    return given - leakage_flow(found, pressure, thinner) / (displacement * speed)
+
+
+def dry_friction(found: Mapping[str, float], pressures: float) -> float:
+    """Return the dry friction at its largest (breakaway, the worse direction), N.
+
+    Parameters
+    ----------
+    found : parameters of :data:`DRY`.
+    pressures : p1 + p2, Pa.
+    """
+    force = sum(found.get(f"{effect}.F_c", 0.0) for effect in DRY)
+    force += found.get("stribeck_friction.F_d", 0.0) + abs(found.get("asymmetric_friction.dF",
+                                                                     0.0))
+    return force + found.get("pressure_friction.mu", 0.0) * pressures
+
+
+def air_compliance(pressures: np.ndarray, exponent: float) -> float:
+    """Return what a volume share of one of free air at ``P_ATM`` adds to 1/beta_e, 1/Pa.
+
+    Mean of (1/(n p)) (p_atm/p)^(1/n) over the pressures that the recording shows.
+
+    Parameters
+    ----------
+    pressures : (m,) absolute, Pa.
+    """
+    return float(np.mean([_UNIT_AIR(float(p), 1.0, exponent) for p in pressures]))
+
+
+def free_air(modulus: float, air_free: float, exponent: float, pressures: np.ndarray,
+             at: float = P_ATM) -> float:
+    """Return the volume share of free air at the absolute pressure ``at``.
+
+    1/beta_e = 1/beta_oil + (alpha/(n p)) (p_atm/p)^(1/n): oil and air in parallel (Wood 1930 for
+    the isothermal mixture; polytropic: Yu, Chen, Lu 1994; Gholizadeh, Burton, Schoenau 2011),
+    for alpha well below one.
+
+    Parameters
+    ----------
+    modulus, air_free : beta_e as found and as it is without free air, Pa.
+    exponent : n of the air.
+    """
+    share = (1.0 / modulus - 1.0 / air_free) / air_compliance(pressures, exponent)
+    return moved(share, at, exponent)
+
+
+def moved(share: float, at: float, exponent: float) -> float:
+    """Return a share of air at ``P_ATM`` as that at the absolute pressure ``at``."""
+    return share * (P_ATM / at) ** (1.0 / exponent)
