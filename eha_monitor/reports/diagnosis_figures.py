@@ -117,7 +117,8 @@ def curve_picture(found: Diagnosis, curve: Curve, large: bool = False) -> Pictur
     axis.set_ylabel(f"{MISSING.get(curve.balance, curve.balance)}{_bracket(scale.unit)}")
     return picture(figure, f"{MISSING.get(curve.balance, curve.balance)} against "
                            f"{curve.against.replace('_', ' ')}: measured"
-                           f"{' and modelled' if with_line else ''}")
+                           f"{' and modelled' if with_line else ''}",
+                   across.factor if curve.against == "time" else None)
 
 
 def learned_picture(term: LearnedTerm) -> Picture:
@@ -179,8 +180,11 @@ def overlay_picture(overlay: Overlay, with_after: bool = True) -> Picture | None
     low, high, _ = robust_range(errors)
     error_scale = axis_scale(max(abs(low), abs(high)), overlay.unit)
     for (name, values, colour), error in zip(models, errors, strict=True):
-        draw(top, t, values * scale.factor, color=colour, linewidth=1.3, label=f"model {name}")
-        draw(bottom, t, error * error_scale.factor, color=colour, linewidth=1.1)
+        dashes = "--" if with_after and name == "before" else "-"  # told apart in grey, too
+        draw(top, t, values * scale.factor, color=colour, linewidth=1.3, linestyle=dashes,
+             label=f"model {name}")
+        draw(bottom, t, error * error_scale.factor, color=colour, linewidth=1.1,
+             linestyle=dashes)
     _legend(top, True)
     low, high, _ = robust_range([overlay.measured, *(values for _, values, _ in models)])
     pad_limits(top, low * scale.factor, high * scale.factor)
@@ -191,7 +195,8 @@ def overlay_picture(overlay: Overlay, with_after: bool = True) -> Picture | None
     bottom.set_ylabel(f"measured − model{_bracket(error_scale.unit)}")
     bottom.axhline(0.0, color=INK, linewidth=0.8, zorder=1)
     bottom.set_xlabel(f"time, {unit}")
-    return picture(figure, f"{words}: measured and simulated by both models, and their errors")
+    return picture(figure, f"{words}: measured and simulated by both models, and their errors",
+                   clock.factor if clock.unit != "ms" else 1.0, "unseen")
 
 
 def agreement_picture(name: str, parts: tuple[Agreement, ...], before: Value | None,
@@ -207,12 +212,12 @@ def agreement_picture(name: str, parts: tuple[Agreement, ...], before: Value | N
     ends = [end for value in known for end in (value.value, *_ends(value, known))]
     scale = axis_scale(max(map(abs, ends)), known[0].unit)
     for place, (_, *pair) in enumerate(reversed(rows)):
-        for value, colour, shift, label in ((pair[0], BEFORE, 0.14, "before"),
-                                            (pair[1], AFTER, -0.14, "after")):
+        for value, colour, shift, label, marker in ((pair[0], BEFORE, 0.14, "before", "s"),
+                                                    (pair[1], AFTER, -0.14, "after", "o")):
             if not _drawable(value):
                 continue
             low, high = _ends(value, known)
-            axis.errorbar(value.value * scale.factor, place + shift, color=colour, marker="o",
+            axis.errorbar(value.value * scale.factor, place + shift, color=colour, marker=marker,
                           xerr=[[(value.value - low) * scale.factor],
                                 [(high - value.value) * scale.factor]], markersize=6,
                           linewidth=2, capsize=4, linestyle="",

@@ -127,7 +127,8 @@ def _picture(stage: StageResult, name: str, part: slice, view: tuple[float, floa
     legend_above(axis)
     last = stage.value[np.isfinite(stage.value)][-1]
     return picture(figure, f"{NAMES[name]} against time with its one-sigma band and limits, "
-                           f"{words}; last value {quantity(last, stage.estimate.unit)}")
+                           f"{words}; last value {quantity(last, stage.estimate.unit)}",
+                   clock.factor, "" if part.start else "record")
 
 
 def draw_limits(axis: Axes, value: np.ndarray, lines: list[tuple[float, str]], factor: float,
