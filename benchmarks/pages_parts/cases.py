@@ -36,7 +36,7 @@ SUSPECTED = SPOT | {"name": "worn_spot", "parameters": {
     "x_0": {"start": 0.0, "lower": -0.03, "upper": 0.03, "unit": "m"},
     "w": {"start": 3e-3, "lower": 1e-4, "upper": 0.05, "unit": "m"}},
     "sentence": "the cylinder is worn at {x_0}: the seal grips with up to {F}"}
-HEALTHY = 5  # references of a comparison
+HEALTHY, REAL = 5, 16  # references of a comparison, simulated and real
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,8 @@ def valve(folder: Folder) -> tuple | None:
     if not files:
         return None
     settings = load_settings(ROOT / "config" / "flo_tork.yaml")
-    free = [read_table(file, settings) for file in files if file.name.startswith("unit_5")]
+    free = [read_table(file, settings) for file in files
+            if file.name.startswith("unit_5")][:REAL]
     loaded = next(file for file in files if file.name.startswith("unit_1"))
     found = compared([read_table(loaded, settings)], free, settings)
     return of_rig(found, settings.rig.motion), settings

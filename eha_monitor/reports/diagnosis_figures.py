@@ -160,7 +160,8 @@ def learned_words(term: LearnedTerm) -> str:
     return f"{what} for each unit of {'Δp' if term.of[1] == 'dp' else 'v'}"
 
 
-def overlay_picture(overlay: Overlay, with_after: bool = True) -> Picture | None:
+def overlay_picture(overlay: Overlay, with_after: bool = True,
+                    names: tuple[str, str] = ("model before", "model after")) -> Picture | None:
     """Draw a signal with both models running free, and below what remains of it."""
     known = np.isfinite(overlay.measured) & np.isfinite(overlay.time)
     if known.sum() < 2:
@@ -170,8 +171,8 @@ def overlay_picture(overlay: Overlay, with_after: bool = True) -> Picture | None
     # A time of day tells nobody where in the recording it is; seconds since its start do.
     t = overlay.time * (clock.factor if clock.unit != "ms" else 1.0)
     unit = clock.unit if clock.unit != "ms" else "s"
-    models = [("before", overlay.before, BEFORE)]
-    models += [("after", overlay.after, AFTER)] if with_after else []
+    models = [(names[0] if with_after else "model", overlay.before, BEFORE)]
+    models += [(names[1], overlay.after, AFTER)] if with_after else []
     figure, (top, bottom) = _figure((LARGE[0], LARGE[1] + 40), rows=2, ratios=(1.0, 1.0))
     scale = scale_of(overlay.measured, overlay.unit)
     draw(top, t, overlay.measured * scale.factor, color=SEEN, linewidth=3.2, label="measured",
@@ -180,9 +181,9 @@ def overlay_picture(overlay: Overlay, with_after: bool = True) -> Picture | None
     low, high, _ = robust_range(errors)
     error_scale = axis_scale(max(abs(low), abs(high)), overlay.unit)
     for (name, values, colour), error in zip(models, errors, strict=True):
-        dashes = "--" if with_after and name == "before" else "-"  # told apart in grey, too
+        dashes = "--" if with_after and values is overlay.before else "-"  # told apart in grey, too
         draw(top, t, values * scale.factor, color=colour, linewidth=1.3, linestyle=dashes,
-             label=f"model {name}")
+             label=name)
         draw(bottom, t, error * error_scale.factor, color=colour, linewidth=1.1,
              linestyle=dashes)
     _legend(top, True)
@@ -196,7 +197,7 @@ def overlay_picture(overlay: Overlay, with_after: bool = True) -> Picture | None
     bottom.axhline(0.0, color=INK, linewidth=0.8, zorder=1)
     bottom.set_xlabel(f"time, {unit}")
     return picture(figure, f"{words}: measured and simulated by both models, and their errors",
-                   clock.factor if clock.unit != "ms" else 1.0, "unseen")
+                   clock.factor if clock.unit != "ms" else 1.0, f"{start:.4g} to {stop:.4g} s")
 
 
 def agreement_picture(name: str, parts: tuple[Agreement, ...], before: Value | None,

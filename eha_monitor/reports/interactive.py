@@ -12,13 +12,14 @@ from typing import Any
 import matplotlib.dates
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import to_hex, to_rgba
 from matplotlib.container import BarContainer, ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
-from matplotlib.ticker import FixedFormatter
+from matplotlib.ticker import FixedFormatter, FixedLocator, ScalarFormatter
 from matplotlib.transforms import Transform
 
 _DASHES = {"-": "solid", "--": "dash", ":": "dot", "-.": "dashdot"}
@@ -26,6 +27,7 @@ _MARKERS = {"o": "circle", "s": "square", "X": "x", "D": "diamond", "^": "triang
             "v": "triangle-down"}
 _DAY = 86_400_000.0  # ms; matplotlib counts days, plotly milliseconds
 _GAP, _GAP_WITH_LABEL = 0.07, 0.22  # between subplots, share of the height
+_LETTER, _PIXELS = 9.5, 96  # of an axis' title, pixels with the room about it; of an inch
 _FINEST = 2e-5  # share of the range below which a rounding cannot be seen
 
 
@@ -46,7 +48,11 @@ def chart(figure: Figure, clock: float | None = None) -> dict[str, Any]:
     layout: dict[str, Any] = {"shapes": [], "annotations": []}
     data: list[dict[str, Any]] = []
     for place, (axis, domain) in enumerate(zip(figure.axes, _domains(figure), strict=True), 1):
-        _Panel(axis, place, layout, data).read(domain, figure.axes[0])
+        _Panel(axis, place, layout, data).read(domain)
+        height = (domain[1] - domain[0]) * figure.get_size_inches()[1] * _PIXELS
+        title = layout[f"yaxis{place if place > 1 else ''}"]["title"]
+        if len(title["text"]) * _LETTER > height:
+            title["text"] = title["text"].replace(", ", ",<br>")
     _name_the_nameless(data)
     return {"data": data, "layout": layout, "clock": clock,
             "dates": _is_date(figure.axes[0])}
@@ -80,19 +86,22 @@ class _Panel:
     def __init__(self, axis: Axes, place: int, layout: dict, data: list):
         self.axis, self.layout, self.data = axis, layout, data
         number = "" if place == 1 else str(place)
-        self.x, self.y = f"x{number}", f"y{number}"
-        self.x_key, self.y_key = f"xaxis{number}", f"yaxis{number}"
+        # On one axis of time the cursor goes through all of them.
+        first = axis.figure.axes[0]
+        self.shared = axis is not first and axis.get_shared_x_axes().joined(axis, first)
+        own = "" if self.shared else number
+        self.x, self.y = f"x{own}", f"y{number}"
+        self.x_key, self.y_key = f"xaxis{own}", f"yaxis{number}"
         self.legend = f"legend{number}"
         self.dates = _is_date(axis)
-        self.rows = isinstance(axis.yaxis.get_major_formatter(), FixedFormatter)
+        self.rows = _has_words(axis.yaxis)
         words, _, unit = axis.get_ylabel().replace("\n", " ").rpartition(", ")
         self.words, self.unit = (words, unit) if words else (unit, "")
 
-    def read(self, domain: tuple[float, float], first: Axes) -> None:
+    def read(self, domain: tuple[float, float]) -> None:
         """Read the axes."""
         axis = self.axis
-        shared = axis is not first and axis.get_shared_x_axes().joined(axis, first)
-        self.layout[self.x_key] = self._scale("x", self.y) | ({"matches": "x"} if shared else {})
+        self.layout[self.x_key] = self._scale("x", self.y)  # the lowest has the words
         self.layout[self.y_key] = self._scale("y", self.x) | {"domain": list(domain)}
         self.layout[self.legend] = {"y": round(domain[1] + 0.01, 4)}
         apart = set()  # what belongs to error bars or bars
@@ -125,14 +134,16 @@ class _Panel:
             limits = np.log10(limits)
         found: dict[str, Any] = {"anchor": anchor, "title": {
             "text": side.get_label_text().replace("\n", "<br>")}}
-        if which == "x" and not side.get_label_text() and len(self.axis.figure.axes) > 1:
-            found["showticklabels"] = False  # those of the axes below it
+        if which == "x" and not self.rows:
+            unit = side.get_label_text().partition(" — ")[0].rpartition(", ")[2]
+            found["unifiedhovertitle"] = {"text": f"%{{x:.6~g}} {unit}" if ", " in
+                                          side.get_label_text() and not self.dates else "%{x}"}
         if which == "x" and self.dates:
             limits = limits * _DAY
             found["type"] = "date"
         elif log:
-            found |= {"type": "log", "dtick": 1 if limits[1] - limits[0] > 2 else "D2"}
-        if isinstance(side.get_major_formatter(), FixedFormatter):
+            found["type"] = "log"
+        if log or _has_words(side):
             places = side.get_majorticklocs()
             found |= {"tickvals": [float(one) for one in places],
                       "ticktext": side.get_major_formatter().format_ticks(places)}
@@ -145,10 +156,11 @@ class _Panel:
         if self.dates:
             x = np.asarray(x, dtype=float) * _DAY
         named = bool(label) and not label.startswith("_")
+        again = any(one["legend"] == self.legend and one["name"] == label for one in self.data)
         group = to_hex(to_rgba(colour), keep_alpha=False)
         made = {"type": "scatter", "x": numbers(x, exact=self.dates), "y": numbers(y),
                 "xaxis": self.x, "yaxis": self.y, "legend": self.legend,
-                "legendgroup": group, "showlegend": named, "name": label if named else "",
+                "legendgroup": group, "showlegend": named and not again, "name": label if named else "",
                 "axis_words": self.words, "hovertemplate": self._hover()} | more
         self.data.append(made)
         return made
@@ -310,6 +322,14 @@ def numbers(values: np.ndarray, exact: bool = False) -> dict[str, str]:
     with np.errstate(over="ignore"):
         raw = values.astype("<f4" if short else "<f8")
     return {"dtype": "f4" if short else "f8", "bdata": base64.b64encode(raw).decode("ascii")}
+
+
+def _has_words(side: Axis) -> bool:
+    """Tell whether the ticks are rows with names, not a scale."""
+    shown = side.get_major_formatter()
+    return isinstance(shown, FixedFormatter) or (
+        isinstance(side.get_major_locator(), FixedLocator)
+        and not isinstance(shown, ScalarFormatter))
 
 
 def _is_date(axis: Axes) -> bool:

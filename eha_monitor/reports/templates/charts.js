@@ -55,6 +55,7 @@
       paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", autosize: true,
       margin: {l: narrow ? 48 : 62, r: 14, t: 26, b: 44},
       hovermode: rows ? "closest" : "x unified", hoversubplots: "axis", hoverdistance: 40,
+      modebar: {bgcolor: "rgba(0,0,0,0)", color: "#98a2ab", activecolor: ink},
       hoverlabel: {bgcolor: paper, bordercolor: grid, font: {size: 12, color: ink},
         namelength: 34},
       // A finger that drags scrolls the page; the buttons above the chart zoom.
@@ -62,7 +63,7 @@
   };
 
   const CONFIG = {responsive: true, displaylogo: false, doubleClick: "reset", scrollZoom: false,
-    modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
+    modeBarButtons: [["zoom2d", "pan2d"], ["zoomIn2d", "zoomOut2d", "resetScale2d"], ["toImage"]],
     displayModeBar: finger ? true : "hover", toImageButtonOptions: {scale: 2}};
 
   const near = box => {
@@ -71,6 +72,13 @@
   };
 
   const rangeOf = plot => plot.layout.xaxis.range.map(Number);
+
+  // As if the mouse stood there; the last argument keeps it from being told as a movement.
+  const hover = (plot, share) => {
+    const target = plot.querySelector(".nsewdrag"), box = target.getBoundingClientRect();
+    Plotly.Fx.hover(plot, {target, clientX: box.left + share * box.width,
+      clientY: box.top + 0.5 * box.height}, target.dataset.subplot, true);
+  };
 
   // The same moment in every chart on the screen.
   const point = (from, moment) => {
@@ -83,7 +91,7 @@
           if (box === from || !one.plot || !one.clock || !near(box)) continue;
           const [low, high] = rangeOf(one.plot), at = moment * one.clock;
           const inside = moment !== null && at >= low && at <= high;
-          if (inside) Plotly.Fx.hover(one.plot, {xval: at}, one.subplots);
+          if (inside) hover(one.plot, (at - low) / (high - low));
           else Plotly.Fx.unhover(one.plot);
         }
       } finally { busy = false; }
@@ -121,17 +129,17 @@
       box.classList.add("live");
       one.clock = spec.clock;
       const layout = layoutOf(spec, box);
-      one.subplots = Object.keys(layout).filter(key => key.startsWith("yaxis")).map(
-        key => `x${key.slice(5)}y${key.slice(5)}`);
       await Plotly.newPlot(plot, spec.data, layout, CONFIG);
       one.plot = plot;
       if (one.range) follow(one);
+      else one.range = one.clock ? rangeOf(plot).map(end => end / one.clock) : null;
       if (!one.clock) return;
       plot.on("plotly_hover", event => point(box, event.points[0].x / one.clock));
       plot.on("plotly_unhover", () => point(box, null));
       plot.on("plotly_relayout", () => {
         const range = rangeOf(plot).map(end => end / one.clock);
-        if (`${range}` === `${one.range}`) return;
+        const moved = Math.max(...range.map((end, i) => Math.abs(end - one.range[i])));
+        if (moved <= 1e-6 * Math.abs(range[1] - range[0])) return;
         one.range = range;
         stretch(box, range);
       });
