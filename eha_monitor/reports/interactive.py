@@ -146,7 +146,8 @@ class _Panel:
         if log or _has_words(side):
             places = side.get_majorticklocs()
             found |= {"tickvals": [float(one) for one in places],
-                      "ticktext": side.get_major_formatter().format_ticks(places)}
+                      "ticktext": [f"{at:g}" if "$" in text else text for at, text in zip(
+                          places, side.get_major_formatter().format_ticks(places), strict=True)]}
         found["range"] = [float(f"{one:.8g}") if not found.get("type") == "date" else one
                           for one in limits.tolist()]
         return found

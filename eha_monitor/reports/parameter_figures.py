@@ -19,7 +19,7 @@ from eha_monitor.reports.drawing import (
     pad_limits,
     picture,
 )
-from eha_monitor.reports.traces import envelope
+from eha_monitor.reports.traces import band_envelope
 from eha_monitor.settings.monitor import Limits
 
 NAMES = {"B": "viscous damping", "beta_e": "effective bulk modulus", "L": "leakage"}
@@ -112,9 +112,10 @@ def _picture(stage: StageResult, name: str, part: slice, view: tuple[float, floa
     figure, (axis,) = new_figure()
     pad_limits(axis, view[0] * scale.factor, view[1] * scale.factor, 0.12)
     bottom, top = axis.get_ylim()
-    band_t, lower = envelope(t, np.clip(value - spread, bottom - 9 * (top - bottom), None), 400)
-    also_t, upper = envelope(t, np.clip(value + spread, None, top + 9 * (top - bottom)), 400)
-    if len(band_t) == len(also_t) and len(band_t):
+    band_t, lower, upper = band_envelope(
+        t, np.clip(value - spread, bottom - 9 * (top - bottom), None),
+        np.clip(value + spread, None, top + 9 * (top - bottom)))
+    if len(band_t):
         thin = 2 * np.nanmedian(spread) < 0.006 * (top - bottom)
         axis.fill_between(band_t, lower, upper, color=colour, alpha=0.22, linewidth=0,
                           label="± 1σ (mostly thinner than the line)" if thin else "± 1σ")
@@ -149,7 +150,7 @@ def draw_limits(axis: Axes, value: np.ndarray, lines: list[tuple[float, str]], f
             continue
         line = ERROR_LINE if label.startswith("ERROR") else WARN_LINE
         axis.axhline(place, color=line, linewidth=1.3,
-                     linestyle=(0, (2, 2)) if line == ERROR_LINE else (0, (6, 3)))
+                     linestyle=":" if line == ERROR_LINE else "--")
         # Labels stand apart where a WARN and an ERROR limit lie close together.
         above = label in ("WARN below", "ERROR above")
         height = (place - bottom) / (top - bottom) + (0.025 if above else -0.025)

@@ -40,6 +40,32 @@ def envelope(time: np.ndarray, values: np.ndarray, bins: int = 1500
     return np.insert(t, breaks, t[breaks - 1]), np.insert(v, breaks, np.nan)
 
 
+def band_envelope(time: np.ndarray, lower: np.ndarray, upper: np.ndarray, bins: int = 400
+                  ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return two points per bin between which a band is as wide as it is anywhere in the bin.
+
+    Parameters
+    ----------
+    time : (n,) rising.
+    lower, upper : (n,) NaN where there is no band; a gap in it stays one, as in :func:`envelope`.
+    bins : columns of the picture.
+    """
+    index = np.flatnonzero(np.isfinite(lower) & np.isfinite(upper))
+    if not index.size:
+        return np.empty(0), np.empty(0), np.empty(0)
+    steps = np.diff(index)
+    gap_after = steps > 3 * np.median(steps) if steps.size else np.zeros(0, dtype=bool)
+    column = (index * bins) // len(lower)
+    starts = np.flatnonzero(np.r_[True, (np.diff(column) > 0) | gap_after])
+    ends = np.r_[starts[1:], len(index)] - 1
+    t = np.column_stack([time[index[starts]], time[index[ends]]]).ravel()
+    low = np.repeat(np.minimum.reduceat(lower[index], starts), 2)
+    high = np.repeat(np.maximum.reduceat(upper[index], starts), 2)
+    breaks = 2 * (np.flatnonzero(gap_after[ends[:-1]]) + 1)
+    return tuple(np.insert(values, breaks, fill) for values, fill in (
+        (t, t[breaks - 1]), (low, np.nan), (high, np.nan)))
+
+
 def _first_of(values: np.ndarray, starts: np.ndarray, extreme: np.ufunc) -> np.ndarray:
     """Return of each part of (n,) values the place of its extreme, the first if there are more."""
     counts = np.diff(np.r_[starts, len(values)])

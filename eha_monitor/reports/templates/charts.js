@@ -31,6 +31,12 @@
   const colours = text => dark.matches ? Object.entries(NIGHT).reduce(
     (made, [from, to]) => made.replaceAll(from, to), text) : text;
 
+  // Words of an axis on as many lines as they need.
+  const wrapped = (text, letters) => text.split("<br>").map(line => line.split(" ").reduce(
+    ([done, last], word) => last && last.length + word.length >= letters
+      ? [done + last + "<br>", word] : [done, last ? `${last} ${word}` : word], ["", ""]).join("")
+  ).join("<br>");
+
   const side = (axis, ink, grid) => Object.assign(axis, {
     gridcolor: grid, linecolor: "#98a2ab", zeroline: false, ticks: "outside", ticklen: 4,
     tickcolor: "#98a2ab", automargin: true, hoverformat: axis.type === "date" ? null : ".5~g",
@@ -48,6 +54,7 @@
         orientation: "h", traceorder: "normal", tracegroupgap: 0, x: 0, xanchor: "left", yanchor: "bottom", bgcolor: "rgba(0,0,0,0)",
         font: {size: 12.5}});
     }
+    layout.xaxis.title.text = wrapped(layout.xaxis.title.text, box.clientWidth / (rows ? 17 : 10));
     for (const shape of layout.shapes) if (shape.showlegend) shape.legendgroup = shape.name;
     const narrow = box.clientWidth < 520;
     return Object.assign(layout, {
