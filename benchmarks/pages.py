@@ -5,7 +5,7 @@
 Answers are kept in OUT/work, so that a change of a page is seen again within a minute; ``--redo``
 makes them anew (five to ten minutes).  OUT/NAME.html is the page, OUT/NAME-1280.png and
 NAME-400.png show it as a browser does, NAME-print.pdf as a printer does, and OUT/index.html all of
-them.  The table says how large each page is, how long it took to draw, and what its browser
+them; ``--images`` also takes those of docs/images anew.  The table says how large each page is, how long it took to draw, and what its browser
 complained of.
 """
 
@@ -24,6 +24,9 @@ from eha_monitor.compiled import load_runtime
 from eha_monitor.output import write_text
 
 ROOT = Path(__file__).parents[1]
+# Page -> picture of the docs, and the elements with which it begins and ends.
+IMAGES = {"diagnosis_mismatch": ("diagnosis.png", "#verdict", "#hero"),
+          "estimate_air": ("report.png", "h1", "#parameter-beta_e")}
 
 
 def main() -> None:
@@ -33,6 +36,7 @@ def main() -> None:
     options.add_argument("--only", nargs="+", default=list(CASES), choices=list(CASES))
     options.add_argument("--redo", action="store_true", help="make the answers anew")
     options.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
+    options.add_argument("--images", action="store_true", help="docs/images of pages, too")
     asked = options.parse_args()
     if asked.redo:
         shutil.rmtree(asked.out / "work", ignore_errors=True)
@@ -55,6 +59,9 @@ def main() -> None:
                           str(text.count("data:image/png")), str(seen.charts),
                           "; ".join(seen.complaints) or "none")
             shown.append(name)
+            if asked.images and name in IMAGES:
+                picture, first, last = IMAGES[name]
+                browser.clip(page, first, last, ROOT / "docs" / "images" / picture)
     write_text(asked.out / "index.html", "<!DOCTYPE html><title>Pages</title>" + "".join(
         f'<h2><a href="{n}.html">{n}</a> (<a href="{n}-print.pdf">print</a>)</h2>'
         f'<img src="{n}-1280.png" width="640" alt=""> <img src="{n}-400.png" width="200" alt="">'

@@ -34,6 +34,18 @@ class Browser:
         self._browser.close()
         self._playwright.stop()
 
+    def clip(self, page: Path, first: str, last: str, picture: Path) -> None:
+        """Take the picture of a page from one of its elements to another, for the docs."""
+        opened = self._browser.new_page(viewport={"width": WIDTHS[0], "height": 900})
+        opened.goto(page.resolve().as_uri())
+        opened.evaluate("() => window.allCharts()")
+        opened.evaluate("() => document.querySelector('.contents').style.position = 'static'")
+        ends = [opened.locator(one).first.bounding_box() for one in (first, last)]
+        top, bottom = ends[0]["y"] - 8, ends[1]["y"] + ends[1]["height"] + 8
+        opened.screenshot(path=picture, full_page=True, clip={
+            "x": 10, "y": max(top, 0), "width": WIDTHS[0] - 20, "height": bottom - max(top, 0)})
+        opened.close()
+
     def look(self, page: Path) -> Seen:
         """Take the pictures of a page beside it."""
         complaints: list[str] = []

@@ -1,7 +1,7 @@
 """What the pages are about: recordings made here, and the answers to them."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from eha_monitor.commands.answer import judged
@@ -68,7 +68,12 @@ def estimated(recording: Recording, settings) -> tuple:
 
 def bundled(name: str) -> Callable:
     """Return the maker of the estimate of a bundled bag."""
-    return lambda folder: estimated(read_recording(ROOT / "bags" / name, PAPER), PAPER)
+    return lambda folder: estimated(from_bags(name), PAPER)
+
+
+def from_bags(name: str) -> Recording:
+    """Return a bundled recording, under the name that everybody knows it by."""
+    return replace(read_recording(ROOT / "bags" / name, PAPER), source=f"bags/{name}")
 
 
 def long_one(_: Folder) -> tuple:
@@ -95,8 +100,7 @@ def missing(tree: dict, name: str, hypothesis: bool = False) -> Callable:
 
 def hidden(_: Folder) -> tuple:
     """Diagnose the bundled recording of the README."""
-    recording = read_recording(ROOT / "bags" / "hidden_friction", PAPER)
-    return diagnose([recording], PAPER), PAPER
+    return diagnose([from_bags("hidden_friction")], PAPER), PAPER
 
 
 def against_healthy(tree: dict, name: str) -> Callable:

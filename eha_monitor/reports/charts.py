@@ -1,8 +1,8 @@
 """The script that makes a page's pictures interactive: plotly.js, packed into the page.
 
 It comes from the Python package ``plotly``, of which nothing is imported.  Packed (gzip, base64)
-it takes 2 MB instead of 5; a browser unpacks it in a few hundredths of a second.  Where the package
-is missing, pages hold the pictures alone.
+it takes 2 MB instead of 5; a browser unpacks it in a few hundredths of a second.  Where the
+package is missing, pages hold the pictures alone.
 """
 
 import base64

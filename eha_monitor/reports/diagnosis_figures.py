@@ -181,7 +181,7 @@ def overlay_picture(overlay: Overlay, with_after: bool = True,
     low, high, _ = robust_range(errors)
     error_scale = axis_scale(max(abs(low), abs(high)), overlay.unit)
     for (name, values, colour), error in zip(models, errors, strict=True):
-        dashes = "--" if with_after and values is overlay.before else "-"  # told apart in grey, too
+        dashes = "--" if with_after and values is overlay.before else "-"
         draw(top, t, values * scale.factor, color=colour, linewidth=1.3, linestyle=dashes,
              label=name)
         draw(bottom, t, error * error_scale.factor, color=colour, linewidth=1.1,

@@ -7,6 +7,7 @@ The picture that matplotlib makes of it stays in the page, for a printer and wit
 
 import base64
 import json
+import math
 from typing import Any
 
 import matplotlib.dates
@@ -40,7 +41,8 @@ def chart_json(figure: Figure, clock: float | None = None) -> str:
     clock : units of the x axis for each second of the recording where that axis is its time;
         charts with a clock share a cursor, and those of one stretch their zoom.
     """
-    return json.dumps(chart(figure, clock), separators=(",", ":"), ensure_ascii=False)
+    return json.dumps(_finite(chart(figure, clock)), separators=(",", ":"), ensure_ascii=False,
+                      allow_nan=False)
 
 
 def chart(figure: Figure, clock: float | None = None) -> dict[str, Any]:
@@ -56,6 +58,15 @@ def chart(figure: Figure, clock: float | None = None) -> dict[str, Any]:
     _name_the_nameless(data)
     return {"data": data, "layout": layout, "clock": clock,
             "dates": _is_date(figure.axes[0])}
+
+
+def _finite(tree: Any) -> Any:
+    """Return a tree with null for each number that JSON does not know."""
+    if isinstance(tree, dict):
+        return {key: _finite(value) for key, value in tree.items()}
+    if isinstance(tree, list):
+        return [_finite(value) for value in tree]
+    return None if isinstance(tree, float) and not math.isfinite(tree) else tree
 
 
 def _domains(figure: Figure) -> list[tuple[float, float]]:
@@ -148,7 +159,7 @@ class _Panel:
             found |= {"tickvals": [float(one) for one in places],
                       "ticktext": [f"{at:g}" if "$" in text else text for at, text in zip(
                           places, side.get_major_formatter().format_ticks(places), strict=True)]}
-        found["range"] = [float(f"{one:.8g}") if not found.get("type") == "date" else one
+        found["range"] = [float(f"{one:.8g}") if found.get("type") != "date" else one
                           for one in limits.tolist()]
         return found
 
@@ -161,8 +172,9 @@ class _Panel:
         group = to_hex(to_rgba(colour), keep_alpha=False)
         made = {"type": "scatter", "x": numbers(x, exact=self.dates), "y": numbers(y),
                 "xaxis": self.x, "yaxis": self.y, "legend": self.legend,
-                "legendgroup": group, "showlegend": named and not again, "name": label if named else "",
-                "axis_words": self.words, "hovertemplate": self._hover()} | more
+                "legendgroup": group, "showlegend": named and not again,
+                "name": label if named else "", "axis_words": self.words,
+                "hovertemplate": self._hover()} | more
         self.data.append(made)
         return made
 
