@@ -5,8 +5,8 @@
 Answers are kept in OUT/work, so that a change of a page is seen again within a minute; ``--redo``
 makes them anew (five to ten minutes).  OUT/NAME.html is the page, OUT/NAME-1280.png and
 NAME-400.png show it as a browser does, NAME-print.pdf as a printer does, and OUT/index.html all of
-them; ``--images`` also takes those of docs/images anew.  The table says how large each page is, how
-long it took to draw, and what its browser complained of.
+them; ``--images`` also takes those of docs/images anew.  The table says how large each page is,
+how long it took to draw, and what its browser complained of.
 """
 
 import argparse
