@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -151,13 +152,36 @@ def test_other_programs_read_the_table(answered):
     assert set(table.columns) | {"bag"} == {c.name for c in COLUMNS if c.only != "diagnose"}
 
 
+def test_a_row_leads_to_the_report_of_its_recording(folder, tmp_path, capsys):
+    few, out = tmp_path / "few", tmp_path / "table"
+    shutil.copytree(folder / "october", few / "a #1")
+    assert main(["estimate", str(few), "--out", str(out), "--jobs", "2"]) == 0
+    page = Page((out / "estimate.html").read_text(encoding="utf-8"))
+    assert "--reports" in page.text and not (out / "estimate_reports").exists()
+    # Rows that have none are made again; the address is one that a browser finds.
+    assert main(["estimate", str(few), "--out", str(out), "--jobs", "2", "--reports"]) == 0
+    page = Page((out / "estimate.html").read_text(encoding="utf-8"))
+    led = [r for r in page.references if r.startswith("estimate_reports/")]
+    assert len(led) == 2 and all("%20%23" in one for one in led)
+    for one in led:
+        report = Page((out / unquote(one)).read_text(encoding="utf-8"))
+        assert "parameters" in report.ids and "a #1" in report.text
+    # One that is older than its row is another answer's.
+    store = Store(out, "estimate", few)
+    row = next(iter(rows_of(out).values()))
+    os.utime(store.report_of(row["bag"]), (1, 1))
+    assert not store.has_report(row)
+    assert store.report_of("../../x").resolve().is_relative_to(out.resolve())
+    assert "--reports is for a folder" in complaint(
+        capsys, "estimate", folder / "october/n0", "--reports")
+
+
 def test_page_shows_trends_and_what_is_broken(answered):
     page = Page((answered / "estimate.html").read_text(encoding="utf-8"))
     assert page.ids >= {"summary", "history-B", "history-beta_e", "broken", "recordings"}
     assert "through 4 recordings" in page.text
     assert "the file is empty" in page.text
-    assert "script" not in page.tags
-    assert not [one for one in page.references if not one.startswith("data:")]
+    assert not [one for one in page.references if not one.startswith(("data:", "#"))]
 
 
 def test_a_second_run_does_only_what_is_new(folder, answered, tmp_path, monkeypatch, capsys):

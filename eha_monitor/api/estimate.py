@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from eha_monitor.api.answer import answer, judged, unhealthy
 from eha_monitor.api.calls import Progress, calling, reporter
 from eha_monitor.api.config import Config, path_of
-from eha_monitor.api.indicators import of_estimate
+from eha_monitor.api.indicators import of_estimate, trees
 from eha_monitor.api.plausible import checked, finding_tree
 from eha_monitor.api.read import Given, config_for, recordings_of
 from eha_monitor.api.record import Record, chosen, frame_of, read_only

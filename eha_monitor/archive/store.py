@@ -2,6 +2,7 @@
 
     OUT/estimate.parquet     the table
     OUT/estimate.html        the page (made by the command)
+    OUT/estimate_reports/    the report of each bag, if they are asked for
     OUT/.estimate.journal    rows that are not in the table yet, one JSON text a line
     OUT/.estimate.lock       held by the run that writes
 
@@ -15,6 +16,7 @@ import os
 from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
+from urllib.parse import quote
 
 from eha_monitor.archive.columns import SCHEMA, Column, columns_of
 from eha_monitor.errors import InputError
@@ -79,6 +81,25 @@ class Store:
         """Take a row in, at once on disk; it replaces that of the same bag."""
         self.rows[row["bag"]] = row
         self._line(row)
+
+    def report_of(self, bag: str) -> Path:
+        """Return where the report of a bag lies, if there is one; never outside the folder."""
+        parts = [part if part not in ("", ".", "..") else "_" for part in bag.split("/")]
+        return self._out.joinpath(f"{self._command}_reports", *parts[:-1], f"{parts[-1]}.html")
+
+    def has_report(self, row: dict) -> bool:
+        """Tell whether the report of a row is there and of the same answer."""
+        try:
+            written = self.report_of(row["bag"]).stat().st_mtime_ns
+            begun = nanoseconds_of(row["answered"]) - 1e9 * (1.0 + (row.get("wall_s") or 0.0))
+        except (OSError, ValueError, TypeError, KeyError):
+            return False
+        return written >= begun
+
+    def reports(self) -> dict[str, str]:
+        """Return bag -> address of its report, as the page writes it."""
+        return {name: quote(str(self.report_of(name).relative_to(self._out)))
+                for name, row in self.rows.items() if self.has_report(row)}
 
     def write(self) -> None:
         """Write the table whole; the journal has then done its work."""

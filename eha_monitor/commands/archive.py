@@ -29,10 +29,11 @@ class Archive:
     jobs: int | None = None
     scheduler: str | None = None
     keep: str | None = None
+    reports: bool | None = None
 
     def covers(self, bag: Path) -> bool:
         """Tell whether ``bag`` is a folder of bags; refuse these options for a single one."""
-        given = [f"--{name}" for name in ("out", "jobs", "scheduler", "keep")
+        given = [f"--{name}" for name in ("out", "jobs", "scheduler", "keep", "reports")
                  if getattr(self, name) is not None]
         if is_archive(bag, wanted=bool(given)):
             if self.jobs is not None and self.scheduler is not None:
@@ -56,6 +57,9 @@ def archive_options(function: Callable) -> Callable:
                          help="Of a folder of bags: processes at a time; all cores by default."),
             click.option("--scheduler", metavar="ADDRESS", help="Of a folder of bags: answer on "
                          "the Dask cluster whose scheduler is there, e.g. tcp://host:8786."),
+            click.option("--reports", is_flag=True, default=None,
+                         help="Of a folder of bags: also the report of each bag, to which its row "
+                         "on the page leads."),
             click.option("--keep", type=click.Choice(("same", "all", "none")), default=None,
                          help="Of a folder of bags: which rows of unchanged bags stay: those of "
                          "this config and source of the program (same, by default), all, or "
@@ -92,7 +96,7 @@ def answer_folder(command: str, folder: Path, config: Path | None, asked: Archiv
             connected(asked.scheduler, command))
         store = open_ones.enter_context(Store(asked.out or OUT, command, folder))
         todo, failed = plan(store, find_bags(folder), command, settings, made_with,
-                            asked.keep or "same")
+                            asked.keep or "same", bool(asked.reports))
         for row in failed:
             store.add(row)
         try:
@@ -103,7 +107,7 @@ def answer_folder(command: str, folder: Path, config: Path | None, asked: Archiv
             from eha_monitor.reports.archive_report import write_archive_report
 
             write_archive_report(store.page, list(store.rows.values()), command, settings,
-                                 folder, made_with)
+                                 folder, made_with, store.reports())
     from eha_monitor.commands.archive_table import show, unhealthy
 
     rows = list(store.rows.values())
@@ -127,12 +131,13 @@ def digest_of(command: str, settings: "Settings") -> str:
 
 
 def plan(store: "Store", places: list[Place], command: str, settings: "Settings",
-         made_with: str, keep: str) -> tuple[list["Task"], list[dict]]:
+         made_with: str, keep: str, reports: bool = False) -> tuple[list["Task"], list[dict]]:
     """Return the bags that are to be answered, and rows of those that cannot even be looked at.
 
     A row stays where the bag's files have the same names, sizes and times, and config, options
     and source are the same.  A bag that was moved keeps its row.  Rows of bags that are no
-    longer there stay, marked as gone: nobody could make them again.
+    longer there stay, marked as gone: nobody could make them again.  With ``reports`` a row that
+    has none is made again, and its report with it.
     """
     from eha_monitor.commands.archive_row import Task, error_row
 
@@ -146,7 +151,8 @@ def plan(store: "Store", places: list[Place], command: str, settings: "Settings"
             stamp = stamp_of(place.path) if not problem else ""
         except OSError as reason:
             stamp, problem = "", f"{place.path}: cannot read bag: {reason.strerror}"
-        task = Task(place.name, place.path, command, settings, stamp, made_with)
+        task = Task(place.name, place.path, command, settings, stamp, made_with,
+                    store.report_of(place.name).absolute() if reports else None)
         if problem:
             failed.append(error_row(task, problem))
             continue
@@ -154,7 +160,9 @@ def plan(store: "Store", places: list[Place], command: str, settings: "Settings"
         row = store.rows.get(place.name)
         if row is None or row["stamp"] != stamp:
             row = by_stamp.get(stamp)
-        if row is None or keep == "none" or (keep == "same" and row["made_with"] != made_with):
+        lacks = reports and row is not None and not row.get("error") and not store.has_report(row)
+        if row is None or lacks or keep == "none" or (
+                keep == "same" and row["made_with"] != made_with):
             todo.append(task)
         elif row["bag"] != place.name or row.get("gone"):
             store.add(row | {"bag": place.name, "gone": False})

@@ -19,6 +19,8 @@ from eha_monitor.source import source_digest
 
 if TYPE_CHECKING:
     from eha_monitor.filters.results import Estimate
+    from eha_monitor.mismatch.diagnosis import Diagnosis
+    from eha_monitor.recordings.recording import Recording
     from eha_monitor.settings import Settings
 
 # What has a part in an answer, and in the row that is made of it.
@@ -39,7 +41,10 @@ _ONE = threading.Lock()  # a worker of a cluster may have threads, and the filte
 
 @dataclass(frozen=True)
 class Task:
-    """What a process needs to make a row: name in the table, path, and how to answer."""
+    """What a process needs to make a row: name in the table, path, and how to answer.
+
+    ``report`` is the page of this bag, to be written beside the row; None for none.
+    """
 
     name: str
     path: Path
@@ -47,6 +52,7 @@ class Task:
     settings: "Settings"
     stamp: str
     made_with: str
+    report: Path | None = None
 
 
 def source_of(command: str) -> str:
@@ -100,9 +106,31 @@ def _fill(row: dict, task: Task) -> None:
 
         diagnosis = of_rig(diagnose([recording], task.settings), task.settings.rig.motion)
         row.update(diagnosis_columns(diagnosis_answer(diagnosis)))
-        row.update(indicator_columns(of_diagnosis(diagnosis, [recording], task.settings)))
+        indicators = of_diagnosis(diagnosis, [recording], task.settings)
     else:
-        row.update(indicator_columns(of_estimate(found)))
+        indicators = of_estimate(found)
+    row.update(indicator_columns(indicators))
+    if task.report is not None:
+        task.report.parent.mkdir(parents=True, exist_ok=True)
+        if task.command == "diagnose":
+            _diagnosis_report(task, recording, diagnosis, indicators)
+        else:
+            from eha_monitor.filters.observability import observability
+            from eha_monitor.reports.estimate_report import write_estimate_report
+
+            write_estimate_report(task.report, found, alarms, history, observability(found),
+                                  indicators)
+
+
+def _diagnosis_report(task: Task, recording: "Recording", diagnosis: "Diagnosis",
+                      indicators: tuple[Indicator, ...]) -> None:
+    """Write the page that ``diagnose`` writes of this bag alone."""
+    from eha_monitor.reports.diagnosis_report import write_diagnosis_report
+
+    losses = [f"{recording.source}: {loss}" for loss in recording.losses]
+    write_diagnosis_report(task.report, diagnosis, task.settings,
+                           losses + [finding.finding for finding in diagnosis.channels],
+                           indicators=indicators)
 
 
 def indicator_columns(indicators: tuple[Indicator, ...]) -> dict:

@@ -2,7 +2,7 @@
 
 import shlex
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from eha_monitor.archive.columns import INDICATORS, PARAMETERS
@@ -23,7 +23,8 @@ _FITS = {"consistent": "consistent", "mismatch": "mismatch", "unexplained": "mis
 
 
 def write_archive_report(path: str | Path, rows: Sequence[dict], command: str,
-                         settings: Settings, folder: Path, made_with: str) -> None:
+                         settings: Settings, folder: Path, made_with: str,
+                         reports: Mapping[str, str] | None = None) -> None:
     """Write the page of a table as a single HTML file.
 
     Parameters
@@ -34,20 +35,23 @@ def write_archive_report(path: str | Path, rows: Sequence[dict], command: str,
     settings : its thresholds are drawn.
     folder : of the bags.
     made_with : digest of what the rows are made with now; others are marked as older.
+    reports : bag -> address of its report, seen from the page.
 
     Raises
     ------
     InputError
         If ``path`` cannot be written.
     """
-    write_text(path, archive_page(rows, command, settings, folder, made_with))
+    write_text(path, archive_page(rows, command, settings, folder, made_with, reports))
 
 
 def archive_page(rows: Sequence[dict], command: str, settings: Settings, folder: Path,
-                 made_with: str) -> str:
+                 made_with: str, reports: Mapping[str, str] | None = None) -> str:
     """Return the page as HTML text."""
+    reports = reports or {}
     shown = sorted(rows, key=lambda row: (row.get("start") or "", row["bag"]), reverse=True)
-    cells = [_row(row, command, made_with) for row in shown]
+    cells = [_row(row, command, made_with) | {"report": reports.get(row["bag"], "")}
+             for row in shown]
     name = folder.resolve().name or str(folder)  # of "." too
     return render(
         "archive.html.j2", title=f"EHA monitor: {command} of {name}", name=name,
@@ -56,6 +60,7 @@ def archive_page(rows: Sequence[dict], command: str, settings: Settings, folder:
         histories=[history_block(one, settings)
                    for one in histories_of(rows, command, made_with, settings)],
         effects=effect_counts(rows), rows=cells,
+        linked=any(row["report"] for row in cells),
         broken=[row for row in cells if row["error"]],
         command=f"eha-monitor {command} {shlex.quote(str(folder))}/BAG --report BAG.html")
 

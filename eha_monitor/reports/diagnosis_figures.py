@@ -40,7 +40,8 @@ _SYMBOL_OF = {"velocity": "velocity v", "position": "position x", "omega": "pump
               "pump_speed": "pump speed ω", "pressure_difference": "pressure difference Δp",
               "time": "time", "x": "position x", "v": "velocity v",
               "dp": "pressure difference Δp", "p": "mean pressure p", "p1": "pressure p₁",
-              "p2": "pressure p₂"}
+              "p2": "pressure p₂", "angle": "angle of the shaft θ"}
+FACTORS = {"dp": "Δp", "v": "v", "omega": "ω"}
 # In steady motion pump and piston go together; a force hangs on the piston.
 _INDIRECT, _STAND_IN = ("force", "pump_speed"), 0.5
 _MOST_BARS = 70  # points with a bar each; more get a band
@@ -84,7 +85,8 @@ def curve_picture(found: Diagnosis, curve: Curve, large: bool = False) -> Pictur
     return picture(*curve_figure(found, curve, large))
 
 
-def curve_figure(found: Diagnosis, curve: Curve, large: bool = False) -> tuple[Figure, str]:
+def curve_figure(found: Diagnosis, curve: Curve, large: bool = False
+                 ) -> tuple[Figure, str, float | None]:
     """Draw the missing term against one quantity: dots measured, a line modelled."""
     figure, (axis,) = _figure(LARGE if large else SMALL)
     order = np.argsort(curve.x)
@@ -123,7 +125,8 @@ def curve_figure(found: Diagnosis, curve: Curve, large: bool = False) -> tuple[F
     axis.set_ylabel(f"{MISSING.get(curve.balance, curve.balance)}{_bracket(scale.unit)}")
     return figure, (f"{MISSING.get(curve.balance, curve.balance)} against "
                     f"{curve.against.replace('_', ' ')}: measured"
-                    f"{' and modelled' if with_line else ''}")
+                    f"{' and modelled' if with_line else ''}"), (
+                        across.factor if curve.against == "time" else None)
 
 
 def learned_picture(term: LearnedTerm) -> Picture:
@@ -167,16 +170,19 @@ def learned_words(term: LearnedTerm) -> str:
         return what
     if term.unit in ("N", "m³/s", "rad/s"):
         return f"{what} against motion"
-    return f"{what} for each unit of {'Δp' if term.of[1] == 'dp' else 'v'}"
+    return f"{what} for each unit of {FACTORS[term.of[1]]}"
 
 
-def overlay_picture(overlay: Overlay, with_after: bool = True) -> Picture | None:
+def overlay_picture(overlay: Overlay, with_after: bool = True,
+                    names: tuple[str, str] = ("model before", "model after")) -> Picture | None:
     """Return :func:`overlay_figure` as a picture of a page."""
-    made = overlay_figure(overlay, with_after)
+    made = overlay_figure(overlay, with_after, names)
     return None if made is None else picture(*made)
 
 
-def overlay_figure(overlay: Overlay, with_after: bool = True) -> tuple[Figure, str] | None:
+def overlay_figure(overlay: Overlay, with_after: bool = True,
+                   names: tuple[str, str] = ("model before", "model after")
+                   ) -> tuple[Figure, str, float, str] | None:
     """Draw a signal with both models running free, and below what remains of it."""
     known = np.isfinite(overlay.measured) & np.isfinite(overlay.time)
     if known.sum() < 2:
@@ -186,8 +192,8 @@ def overlay_figure(overlay: Overlay, with_after: bool = True) -> tuple[Figure, s
     # A time of day tells nobody where in the recording it is; seconds since its start do.
     t = overlay.time * (clock.factor if clock.unit != "ms" else 1.0)
     unit = clock.unit if clock.unit != "ms" else "s"
-    models = [("before", overlay.before, BEFORE)]
-    models += [("after", overlay.after, AFTER)] if with_after else []
+    models = [(names[0] if with_after else "model", overlay.before, BEFORE)]
+    models += [(names[1], overlay.after, AFTER)] if with_after else []
     figure, (top, bottom) = _figure((LARGE[0], LARGE[1] + 40), rows=2, ratios=(1.0, 1.0))
     scale = scale_of(overlay.measured, overlay.unit)
     draw(top, t, overlay.measured * scale.factor, color=SEEN, linewidth=3.2, label="measured",
@@ -196,8 +202,11 @@ def overlay_figure(overlay: Overlay, with_after: bool = True) -> tuple[Figure, s
     low, high, _ = robust_range(errors)
     error_scale = axis_scale(max(abs(low), abs(high)), overlay.unit)
     for (name, values, colour), error in zip(models, errors, strict=True):
-        draw(top, t, values * scale.factor, color=colour, linewidth=1.3, label=f"model {name}")
-        draw(bottom, t, error * error_scale.factor, color=colour, linewidth=1.1)
+        dashes = "--" if with_after and values is overlay.before else "-"
+        draw(top, t, values * scale.factor, color=colour, linewidth=1.3, linestyle=dashes,
+             label=name)
+        draw(bottom, t, error * error_scale.factor, color=colour, linewidth=1.1,
+             linestyle=dashes)
     _legend(top, True)
     low, high, _ = robust_range([overlay.measured, *(values for _, values, _ in models)])
     pad_limits(top, low * scale.factor, high * scale.factor)
@@ -208,7 +217,8 @@ def overlay_figure(overlay: Overlay, with_after: bool = True) -> tuple[Figure, s
     bottom.set_ylabel(f"measured − model{_bracket(error_scale.unit)}")
     bottom.axhline(0.0, color=INK, linewidth=0.8, zorder=1)
     bottom.set_xlabel(f"time, {unit}")
-    return figure, f"{words}: measured and simulated by both models, and their errors"
+    return (figure, f"{words}: measured and simulated by both models, and their errors",
+            clock.factor if clock.unit != "ms" else 1.0, f"{start:.4g} to {stop:.4g} s")
 
 
 def agreement_picture(name: str, parts: tuple[Agreement, ...], before: Value | None,
@@ -231,12 +241,12 @@ def agreement_figure(name: str, parts: tuple[Agreement, ...], before: Value | No
     ends = [end for value in known for end in (value.value, *_ends(value, known))]
     scale = axis_scale(max(map(abs, ends)), known[0].unit)
     for place, (_, *pair) in enumerate(reversed(rows)):
-        for value, colour, shift, label in ((pair[0], BEFORE, 0.14, "before"),
-                                            (pair[1], AFTER, -0.14, "after")):
+        for value, colour, shift, label, marker in ((pair[0], BEFORE, 0.14, "before", "s"),
+                                                    (pair[1], AFTER, -0.14, "after", "o")):
             if not _drawable(value):
                 continue
             low, high = _ends(value, known)
-            axis.errorbar(value.value * scale.factor, place + shift, color=colour, marker="o",
+            axis.errorbar(value.value * scale.factor, place + shift, color=colour, marker=marker,
                           xerr=[[(value.value - low) * scale.factor],
                                 [(high - value.value) * scale.factor]], markersize=6,
                           linewidth=2, capsize=4, linestyle="",

@@ -357,7 +357,8 @@ def _memory(ratio: float) -> str:
 
 
 def _overlays(found: Diagnosis) -> list[Picture]:
-    made = [overlay_picture(overlay, _compared(found)) for overlay in found.overlays]
+    names = ("healthy model", "model now") if found.references else ("model before", "model after")
+    made = [overlay_picture(overlay, _compared(found), names) for overlay in found.overlays]
     return [one for one in made if one is not None]
 
 

@@ -91,7 +91,7 @@ def _over_time(stage: StageResult, z: np.ndarray, colour: str) -> Picture:
     if len(t) > 1:
         bottom.set_xlim(t[0], t[-1])
     return picture(figure, f"standardised innovations of stage {stage.stage} against time, "
-                           "and their running RMS")
+                           "and their running RMS", clock.factor, "record")
 
 
 def _memory(stage: StageResult, z: np.ndarray, colour: str, dt: float) -> Picture | None:

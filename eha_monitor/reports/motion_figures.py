@@ -129,7 +129,8 @@ def _part(estimate, part, window, curves, residuals, name, unit, scale) -> Pictu
         axes[-1].set_xlim(t[0], t[-1])
     axes[-1].set_xlabel(f"time, {clock.unit} — {words}")
     return picture(figure, f"{name} against time, {words}: "
-                           + ", ".join(curve.label for curve in curves))
+                           + ", ".join(curve.label for curve in curves),
+                   clock.factor, "record" if whole else "part")
 
 
 def _draw_residuals(axis, t, curves, unit) -> None:

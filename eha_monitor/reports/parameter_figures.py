@@ -24,7 +24,7 @@ from eha_monitor.reports.drawing import (
     pad_limits,
     picture,
 )
-from eha_monitor.reports.traces import envelope
+from eha_monitor.reports.traces import band_envelope
 from eha_monitor.settings.monitor import Limits
 
 NAMES = {"B": "viscous damping", "beta_e": "effective bulk modulus", "L": "leakage"}
@@ -134,7 +134,8 @@ def _picture(stage: StageResult, name: str, part: slice, view: tuple[float, floa
     draw_parameter(axis, stage, name, part, view, lines, colour, words)
     last = stage.value[np.isfinite(stage.value)][-1]
     return picture(figure, f"{NAMES[name]} against time with its one-sigma band and limits, "
-                           f"{words}; last value {quantity(last, stage.estimate.unit)}")
+                           f"{words}; last value {quantity(last, stage.estimate.unit)}",
+                   time_scale(float(stage.time[-1] - stage.time[0])).factor, "" if part.start else "record")
 
 
 def draw_parameter(axis: Axes, stage: StageResult, name: str, part: slice,
@@ -155,9 +156,10 @@ def draw_parameter(axis: Axes, stage: StageResult, name: str, part: slice,
     spread = stated(stage.value[part], stage.stddev[part]) * scale.factor
     pad_limits(axis, view[0] * scale.factor, view[1] * scale.factor, 0.12)
     bottom, top = axis.get_ylim()
-    band_t, lower = envelope(t, np.clip(value - spread, bottom - 9 * (top - bottom), None), 400)
-    also_t, upper = envelope(t, np.clip(value + spread, None, top + 9 * (top - bottom)), 400)
-    if len(band_t) == len(also_t) and len(band_t):
+    band_t, lower, upper = band_envelope(
+        t, np.clip(value - spread, bottom - 9 * (top - bottom), None),
+        np.clip(value + spread, None, top + 9 * (top - bottom)))
+    if len(band_t):
         thin = 2 * np.nanmedian(spread) < 0.006 * (top - bottom)
         axis.fill_between(band_t, lower, upper, color=colour, alpha=0.22, linewidth=0,
                           label="± 1σ (mostly thinner than the line)" if thin else "± 1σ")
@@ -189,7 +191,7 @@ def draw_limits(axis: Axes, value: np.ndarray, lines: list[tuple[float, str]], f
             continue
         line = WARN_LINE if label.startswith("WARN") else ERROR_LINE
         axis.axhline(place, color=line, linewidth=1.3,
-                     linestyle=(0, (2, 2)) if line == ERROR_LINE else (0, (6, 3)))
+                     linestyle=":" if line == ERROR_LINE else "--")
         # Labels stand apart where a WARN and an ERROR limit lie close together.
         above = label in ("WARN below", "ERROR above", "limit, above")
         height = (place - bottom) / (top - bottom) + (0.025 if above else -0.025)

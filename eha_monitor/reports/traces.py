@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 
-def envelope(time: np.ndarray, values: np.ndarray, bins: int = 1000
+def envelope(time: np.ndarray, values: np.ndarray, bins: int = 1500
              ) -> tuple[np.ndarray, np.ndarray]:
-    """Return at most a few points per bin that draw the same line: peaks and gaps survive.
+    """Return at most four samples per bin that draw the same line: peaks and gaps survive.
 
-    Each bin keeps its first, lowest, highest and last sample, which is what a line drawn
-    through all of them would show at that width.  A gap longer than three times the usual
+    Each bin keeps its first, lowest, highest and last sample where they are, which is what a line
+    drawn through all of them would show at that width.  A gap longer than three times the usual
     spacing of the finite samples becomes a NaN; shorter ones are joined, so that a channel
     slower than the grid is still a line.
 
@@ -33,13 +33,44 @@ def envelope(time: np.ndarray, values: np.ndarray, bins: int = 1000
     column = (index * bins) // len(values)
     starts = np.flatnonzero(np.r_[True, (np.diff(column) > 0) | gap_after])
     ends = np.r_[starts[1:], len(index)] - 1
-    middle = 0.5 * (t[starts] + t[ends])
-    gap = np.r_[gap_after[ends[:-1]], False]
-    out_t = np.column_stack([t[starts], middle, middle, t[ends], t[ends]])
-    out_v = np.column_stack([v[starts], np.minimum.reduceat(v, starts),
-                             np.maximum.reduceat(v, starts), v[ends],
-                             np.where(gap, np.nan, v[ends])])
-    return out_t.ravel(), out_v.ravel()
+    kept = np.unique(np.concatenate([starts, ends, _first_of(v, starts, np.minimum),
+                                     _first_of(v, starts, np.maximum)]))
+    breaks = np.flatnonzero(np.r_[gap_after, False][kept]) + 1
+    t, v = t[kept], v[kept]
+    return np.insert(t, breaks, t[breaks - 1]), np.insert(v, breaks, np.nan)
+
+
+def band_envelope(time: np.ndarray, lower: np.ndarray, upper: np.ndarray, bins: int = 400
+                  ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return two points per bin between which a band is as wide as it is anywhere in the bin.
+
+    Parameters
+    ----------
+    time : (n,) rising.
+    lower, upper : (n,) NaN where there is no band; a gap in it stays one, as in :func:`envelope`.
+    bins : columns of the picture.
+    """
+    index = np.flatnonzero(np.isfinite(lower) & np.isfinite(upper))
+    if not index.size:
+        return np.empty(0), np.empty(0), np.empty(0)
+    steps = np.diff(index)
+    gap_after = steps > 3 * np.median(steps) if steps.size else np.zeros(0, dtype=bool)
+    column = (index * bins) // len(lower)
+    starts = np.flatnonzero(np.r_[True, (np.diff(column) > 0) | gap_after])
+    ends = np.r_[starts[1:], len(index)] - 1
+    t = np.column_stack([time[index[starts]], time[index[ends]]]).ravel()
+    low = np.repeat(np.minimum.reduceat(lower[index], starts), 2)
+    high = np.repeat(np.maximum.reduceat(upper[index], starts), 2)
+    breaks = 2 * (np.flatnonzero(gap_after[ends[:-1]]) + 1)
+    return tuple(np.insert(values, breaks, fill) for values, fill in (
+        (t, t[breaks - 1]), (low, np.nan), (high, np.nan)))
+
+
+def _first_of(values: np.ndarray, starts: np.ndarray, extreme: np.ufunc) -> np.ndarray:
+    """Return of each part of (n,) values the place of its extreme, the first if there are more."""
+    counts = np.diff(np.r_[starts, len(values)])
+    places = np.flatnonzero(values == np.repeat(extreme.reduceat(values, starts), counts))
+    return places[np.searchsorted(places, starts)]
 
 
 @dataclass(frozen=True)
