@@ -133,9 +133,10 @@ def _picture(stage: StageResult, name: str, part: slice, view: tuple[float, floa
     figure, (axis,) = new_figure()
     draw_parameter(axis, stage, name, part, view, lines, colour, words)
     last = stage.value[np.isfinite(stage.value)][-1]
+    clock = time_scale(float(stage.time[-1] - stage.time[0]))
     return picture(figure, f"{NAMES[name]} against time with its one-sigma band and limits, "
                            f"{words}; last value {quantity(last, stage.estimate.unit)}",
-                   time_scale(float(stage.time[-1] - stage.time[0])).factor, "" if part.start else "record")
+                   clock.factor, "" if part.start else "record")
 
 
 def draw_parameter(axis: Axes, stage: StageResult, name: str, part: slice,
