@@ -91,7 +91,7 @@ def test_an_effect_is_what_it_contains_where_its_own_sizes_are_neutral(name):
 def test_a_corrected_position_bends_no_seal(name, by):
     """Reversal and a start of sliding, the same a little further along."""
     theta, active = theta_of(settings().rig, {name: VALUES[name]})
-    terms, updates, places = with_term(active), with_update(active), with_place(active)
+    terms, updates, places = with_term(active), with_update(active, theta), with_place(active)
     memory, c = new_memory(), np.zeros((2, s.N_CONTRIBUTIONS))
     for k in range(20):
         update_memory(signal_row(v=-0.01, x=-1e-6 * k), theta, updates, 1e-4, memory)
@@ -115,7 +115,7 @@ def test_only_friction_remembers_a_place_and_families_are_of_one_balance():
 
 def test_what_changes_the_pump_and_remembers_is_a_resonance():
     """Stage two follows the pump without memory; a line's is a state of its own."""
-    remembering = with_update(np.ones(N_EFFECTS, dtype=np.bool_))
+    remembering = with_update(np.ones(N_EFFECTS, dtype=np.bool_), np.zeros(N_THETA))
     assert {NAMES[i] for i in remembering if speaks_of(i, np.zeros(N_THETA), "SPEED")} == {
         name for name, effect in CATALOGUE.items() if effect.resonant}
 

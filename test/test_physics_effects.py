@@ -237,7 +237,7 @@ def test_all_terms_stay_finite_whatever_the_signals(numbers, past, h):
     for _ in range(2):
         add_contributions(row, theta, with_term(active), memory, c)
         assert np.isfinite(c).all()
-        update_memory(row, theta, with_update(active), h, memory)
+        update_memory(row, theta, with_update(active, theta), h, memory)
         assert np.isfinite(memory).all()
 
 

@@ -83,8 +83,7 @@ def test_a_recording_that_begins_elsewhere_finds_its_own_angle():
     recording, first = run.recording(seed=1), 1237
     later = replace(recording, channels={
         name: values[first:] for name, values in recording.channels.items()})
-    turned = run.truth[:, s.OMEGA]
-    angle = 1e-3 * np.sum(0.5 * (turned[1 : first + 1] + turned[:first]))
+    angle = run.truth[first, s.ANGLE]
     experiment = at_its_angle(experiment_of([later], run.config))
     found = experiment.theta[slot_of(len(NAMES)).start + o.PHASE]
     assert np.cos(7.0 * (found - angle)) > np.cos(0.3)

@@ -23,7 +23,6 @@ from eha_monitor.physics.contributions import (
     with_update,
 )
 from eha_monitor.physics.signals import (
-    ANGLE,
     COMMAND_DELAY,
     DRIVE_LAG,
     FEEDBACK_DELAY,
@@ -294,7 +293,7 @@ def run(y, t0, dt, steps, u, pieces, lead, theta, active, memory, past, last, ou
     u, pieces, lead : demanded position (:func:`input_at`), the first sample at place ``lead``.
     theta : (n, N_THETA) or (1, N_THETA) parameters for each sample, or one row for all.
     memory, past, last : of the effects and of the motion, carried on.
-    out : (n, N_SIGNALS) written: the true signals.
+    out : (n, N_SIGNALS) written: the true signals, but for the shaft's angle.
     shown : (n, N_OUTPUTS) written: x, v, p1, p2, omega as the sensors show them, without noise.
 
     Returns
@@ -316,7 +315,6 @@ def run(y, t0, dt, steps, u, pieces, lead, theta, active, memory, past, last, ou
         out[k, X], out[k, V], out[k, P1], out[k, P2] = y[Y_X], y[Y_V], y[Y_P1], y[Y_P2]
         out[k, OMEGA] = omega
         out[k, X_D] = piece_at(u, (lead + k) * pieces, 0.0)
-        out[k, ANGLE] = math.nan  # in the memory of the term that reads it
         sense(y, t, dt / steps, past, last, w, shown[k])
         shown[k, 4] = omega
         last = advance(y, t, dt, steps, u, pieces, lead + k, True, row, terms, updates, w, memory,

@@ -38,6 +38,7 @@ class Simulator:
             start, charge, charge * settings.rig.area_1 / settings.rig.area_2)
         self._past, self._last = plant.new_past(self.y), 0
         self._memory = new_memory()
+        self._shaft = np.nan, 0.0  # speed rad/s and angle rad at the last sample
         self._tests: list[float] = []  # when each test excitation began, s
 
     @property
@@ -76,7 +77,16 @@ class Simulator:
         self._last = plant.run(self.y, self.time, self.dt, substeps, u, substeps, lead, theta,
                                self.active, self._memory, self._past, self._last, out, shown)
         self.samples += n
+        out[:, signals.ANGLE] = self._turned(out[:, signals.OMEGA])
         return out, shown
+
+    def _turned(self, omega: np.ndarray) -> np.ndarray:
+        """Return what the shaft has turned since the start, rad (n,), by the trapezoidal rule."""
+        before, angle = self._shaft
+        steps = 0.5 * self.dt * (omega + np.concatenate([[before], omega[:-1]]))
+        found = angle + np.cumsum(np.nan_to_num(steps))
+        self._shaft = float(omega[-1]), float(found[-1])
+        return found
 
     def _command(self, first: int, n: int, pieces: int) -> np.ndarray:
         """Return x_d from sample ``first`` on as parabolas, (n*pieces, 4)."""
