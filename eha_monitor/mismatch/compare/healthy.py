@@ -168,7 +168,7 @@ def healthy_of(references: list[Recording], settings: Settings) -> Healthy:
     InputError
         If there are too few to tell how healthy runs differ, or they do not move.
     """
-    joint = experiment_of(references, settings, hold_out=False)
+    joint = experiment_of(references, settings, hold_out=False, each=True)
     parts = [joint.only(tuple(stretch for stretch in joint.stretches
                               if stretch.source == recording.source))
              for recording in references]

@@ -19,7 +19,7 @@ from eha_monitor.mismatch.data.inputs import (
 )
 from eha_monitor.mismatch.data.stops import between_stops
 from eha_monitor.mismatch.data.stretch import BURN_IN, Stretch
-from eha_monitor.mismatch.data.windows import Rows, windows_of
+from eha_monitor.mismatch.data.windows import Rows, windows_of, windows_of_each
 from eha_monitor.physics.effect import Ranges
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.physics.plant import N_OUTPUTS
@@ -107,10 +107,12 @@ class Experiment:
 
 
 def experiment_of(recordings: list[Recording], settings: Settings,
-                  hold_out: bool = True, without: tuple[str, ...] = ()) -> Experiment:
+                  hold_out: bool = True, without: tuple[str, ...] = (),
+                  each: bool = False) -> Experiment:
     """Make the experiment of one or more recordings of a rig.
 
-    Of long ones it holds the windows that tell most.  Effects ``without`` are not considered.
+    Of long ones it holds the windows that tell most, of ``each`` some or of all together.  Effects
+    ``without`` are not considered.
 
     Raises
     ------
@@ -128,7 +130,7 @@ def experiment_of(recordings: list[Recording], settings: Settings,
         if abs(recording.sample_time - first.sample_time) > 1e-6 * first.sample_time:
             raise InputError(f"{recording.source}: expected the sample time of {first.source}, "
                              f"{first.sample_time:g} s, got {recording.sample_time:g} s")
-    chosen = windows_of(recordings, settings)
+    chosen = (windows_of_each if each else windows_of)(recordings, settings)
     for number, recording in enumerate(recordings):
         noise = noise_levels(sample_of(recording), settings.noise)
         names = [name for name in recording.channels if recording.has(name)]

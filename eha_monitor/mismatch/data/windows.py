@@ -7,7 +7,7 @@ one by one whose log det together is the largest (D-optimal, greedy).  Of these 
 themselves take their pick (:mod:`name.telling`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -47,7 +47,7 @@ def windows_of(recordings: list[Recording], settings: Settings, most: int = LOOK
     for number, recording in enumerate(recordings):
         for first in range(0, len(recording), size):
             last = min(first + size, len(recording))
-            if last - first >= size // 2:
+            if last - first >= min(size // 2, len(recording)):
                 windows.append(Rows(number, first, last))
                 told.append(told_by(rows_of(recording, first, last), settings))
     names = sorted(set().union(*told))
@@ -65,6 +65,18 @@ def windows_of(recordings: list[Recording], settings: Settings, most: int = LOOK
         whole = whole + grams[best]
         samples += windows[best].last - windows[best].first
     return [windows[i] for i in sorted(chosen)]
+
+
+def windows_of_each(recordings: list[Recording], settings: Settings) -> list[Rows] | None:
+    """Return the windows of recordings that are compared with one another: each has its share."""
+    most = max(WINDOW, LOOKED // len(recordings))
+    found, cut = [], False
+    for number, recording in enumerate(recordings):
+        windows = windows_of([recording], settings, most)
+        cut |= windows is not None
+        found += [Rows(number, 0, len(recording))] if windows is None else [
+            replace(one, recording=number) for one in windows]
+    return found if cut else None
 
 
 def told_by(window: Recording, settings: Settings) -> dict[str, np.ndarray]:
