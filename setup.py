@@ -61,7 +61,7 @@ setup(
         # An apt installation of ROS has no distributions of these names, so they are optional.
         "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy[fastrtps]"],
         # The page of the `dashboard` command; nothing else needs a web server.
-        "dashboard": ["fastapi", "nicegui", "uvicorn"],
+        "dashboard": ["fastapi", "nicegui", "prometheus-client", "uvicorn"],
         # Its option --foxglove.
         "foxglove": ["foxglove-sdk"],
         # The table of a folder of bags; 170 MB that nothing else needs.
