@@ -15,7 +15,7 @@ _BAND = "rgba(21, 101, 192, 0.18)"
 _LIMIT_COLOURS = {"WARN": "#b26a00", "ERROR": "#b3261e"}
 _STAGE_COLOURS = ("#1565c0", "#00695c")
 _STAGE_WORDS = ("stage one", "stage two")
-_MARGIN = 0.08
+_MARGIN = 0.13
 _OFF_THE_LINE = (5, 8)  # of a line's label along and across it, pixels
 # The time axis is at least this long; it grows to the whole span as the history does, s.
 _LEAST_SPAN = 30.0

@@ -131,12 +131,12 @@ class Detail:
                 picture = button("PNG", "residual-png")
             self._model_status = self._build_alarm(MISMATCH, "", "model")
             tagged(self._model_status, "model-status")
-            with ui.element("div").classes("row head-row"):
+            with ui.element("div").classes("line names"):
                 for title in ("innovations of", "size (NIS)", "drift (variance ratio)", "samples"):
                     ui.label(title)
             self._innovations = {}
             for stage in STAGES:
-                with ui.element("div").classes("row"):
+                with ui.element("div").classes("line"):
                     ui.label(words.plain_name(stage))
                     self._innovations[stage] = [
                         text("", "", f"{stage}-{key}") for key in ("nis", "variance", "samples")]

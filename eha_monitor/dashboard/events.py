@@ -7,11 +7,13 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import islice
 
 from eha_monitor.health.alarms import ALARM_NAMES, NOT_JUDGED
 from eha_monitor.health.finding import Finding
 
 MISMATCH = "model_mismatch"
+QUALITY = "data quality"
 # What a person can acknowledge.
 ACKNOWLEDGED = (*ALARM_NAMES, MISMATCH)
 # So many events are kept; the oldest go first.
@@ -26,7 +28,8 @@ class Change:
 
     Attributes
     ----------
-    kind : ``alarm``, ``model``, ``reset``, ``data``, ``bag``, ``monitor`` or ``acknowledged``.
+    kind : ``alarm``, ``acknowledged``, ``model``, ``reset``, ``bag``, ``monitor``, ``data`` (they
+        stop, come, or are refused) or ``data quality`` (a warning about the samples, and its end).
     level : the word of the level that it has now, "" where it has none.
     text : a sentence.
     """
@@ -63,10 +66,11 @@ class EventLog:
             self.count += 1
             self._events.append(Event(change.kind, change.level, change.text, time_s, actuator))
 
-    def latest(self, most: int = MOST) -> list[Event]:
-        """Return the last events, the newest first."""
+    def latest(self, most: int = MOST, without: str = "") -> list[Event]:
+        """Return the last events, the newest first, without those of one kind."""
         with self._lock:
-            return list(self._events)[:-most - 1:-1]
+            return list(islice((event for event in reversed(self._events)
+                                if event.kind != without), most))
 
     def csv(self) -> str:
         """Return all events as CSV, the oldest first; times in UTC."""
@@ -82,8 +86,12 @@ def utc(time_s: float) -> str:
 
 
 def csv_text(rows: list[tuple]) -> str:
-    """Return rows as CSV.  A text that a spreadsheet would take for a formula gets a quote."""
+    """Return rows as CSV, with the mark of UTF-8 that spreadsheets look for.
+
+    A text that a spreadsheet would take for a formula gets a quote before it.
+    """
     out = io.StringIO()
+    out.write("\ufeff")
     csv.writer(out, lineterminator="\r\n").writerows(
         [f"'{cell}" if isinstance(cell, str) and cell[:1] in ("=", "+", "-", "@") else cell
          for cell in row] for row in rows)
@@ -106,19 +114,20 @@ def _alarm(old: Finding | None, new: Finding) -> Iterator[Change]:
     name = new.name.replace("_", " ").capitalize()
     words = f"{name}: {was} → {new.word}" if was else f"{name}: {new.word} when first heard"
     yield Change("model" if new.name == MISMATCH else "alarm", new.word,
-                 f"{words}; {new.message}" if new.message else words)
+                 "; ".join(filter(None, (words, new.message.removeprefix(f"{NOT_JUDGED}: ")))))
 
 
 def _data(old: Finding | None, new: Finding) -> Iterator[Change]:
     if old is None or old.level != new.level:
-        yield Change("data", new.level, new.message)
+        levels = {new.level, old.level if old else "STALE"}
+        yield Change(QUALITY if levels == {"OK", "WARN"} else "data", new.level, new.message)
     if old is None:
         return  # an event or a bag of before the dashboard: its time is not known
     # A bag that is replayed in a loop gives the same event at the same time again.
     keys = ("last_event", "last_event_s", "jumped_stamps")
     if any(new.values.get(key) != old.values.get(key) for key in keys) and (
             text := str(new.values.get("last_event", ""))):
-        yield Change("reset" if text.startswith("estimates reset") else "data", "", text)
+        yield Change("reset" if text.startswith("estimates reset") else QUALITY, "", text)
     bag = str(new.values.get("last_bag", ""))
     if bag and bag != old.values.get("last_bag"):
         yield Change("bag", "", f"bag saved: {bag}")

@@ -46,11 +46,17 @@ def token_for(loopback: bool, given: str | None) -> tuple[str | None, bool]:
     return given, False
 
 
-def names_of(host: str) -> frozenset[str]:
-    """Return the names that a machine goes by, in small letters, those of loopback included."""
-    own = socket.gethostname().lower()
-    return frozenset({"127.0.0.1", "localhost", "::1", host.lower(), own, f"{own}.local",
-                      socket.getfqdn().lower()})
+def names_of(host: str, loopback: bool) -> frozenset[str]:
+    """Return the names to answer to, in small letters: those of loopback, and ``host`` itself.
+
+    Beyond loopback the machine's own name counts as well.  DNS is not asked: on a rig without
+    one that takes seconds.
+    """
+    names = {"127.0.0.1", "localhost", "::1", host.lower()}
+    if not loopback:
+        own = socket.gethostname().lower()
+        names |= {own, f"{own}.local"}
+    return frozenset(names)
 
 
 class Guard:

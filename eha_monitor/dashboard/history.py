@@ -53,14 +53,17 @@ class LongHistory:
     """
 
     def __init__(self, span: float, every: float, gap: float, long_span: float, stretch: float):
-        self.gap, self.stretch = gap, stretch
-        self._dense = History(span, every, gap)
+        self.span, self.every, self.stretch = span, every, stretch
+        self.gap = max(gap, 2.5 * every)
+        self._dense: deque[Row] = deque(maxlen=math.ceil(span / every) + 1)
         self._old: deque[list[Row]] = deque(maxlen=math.ceil(long_span / stretch) + 1)
 
     def add(self, time_s: float, *values: float) -> None:
         """Keep a row; ``time_s`` on a clock that never jumps."""
-        self._dense.add(time_s, *values)
         row = (time_s, *values)
+        # Slots that lie fixed in time: series that come together are kept together.
+        if not self._dense or time_s // self.every != self._dense[-1][0] // self.every:
+            self._dense.append(row)
         if self._old and time_s // self.stretch == self._old[-1][0][0] // self.stretch:
             self._old[-1] = _extremes([*self._old[-1], row])
         else:
@@ -68,15 +71,14 @@ class LongHistory:
 
     def rows(self, since: float = -math.inf) -> list[Row]:
         """Return the rows from ``since`` on; a row of NaN stands where data were missing."""
-        dense = [row for row in self._dense.rows() if row[0] >= since]
+        dense = [row for row in self._dense if row[0] >= since]
+        if self._dense and since >= self._dense[0][0]:
+            return _with_gaps(dense, self.gap)
         first = dense[0][0] if dense else math.inf
-        if not self._old or since >= self._dense_since():
-            return dense
         old = [row for rows in self._old for row in rows if since <= row[0] < first]
-        return [*_with_gaps(old, max(self.gap, 2.5 * self.stretch)), *dense]
-
-    def _dense_since(self) -> float:
-        return next((row[0] for row in self._dense.rows()), math.inf)
+        # With the first dense one: between the two may be a gap as well.
+        older = _with_gaps([*old, *dense[:1]], max(self.gap, 2.5 * self.stretch))
+        return [*older[:-1], *_with_gaps(dense, self.gap)] if dense else older
 
 
 def thinned(rows: list[Row], most: int) -> list[Row]:

@@ -10,7 +10,7 @@ from eha_monitor.dashboard import words
 from eha_monitor.dashboard.actuators import Actuator
 from eha_monitor.dashboard.detail import Detail
 from eha_monitor.dashboard.elements import SCRIPT, Level, button, heading, tagged, text
-from eha_monitor.dashboard.events import EventLog
+from eha_monitor.dashboard.events import QUALITY, EventLog
 from eha_monitor.dashboard.span import CHOICES, Span
 from eha_monitor.dashboard.state import View
 from eha_monitor.health.alarms import WATCHED
@@ -35,8 +35,9 @@ class Page:
         self.shown, self.log, self.span = shown, log, Span()
         asked = ui.context.client.request.query_params.get("actuator", "")
         self.chosen = asked if asked in shown else next(iter(shown))
-        self._logged = -1
+        self._logged = (-1, "")
         self._title = ""
+        ui.colors(primary="#0d4f86")
         ui.add_css(STYLE.read_text(encoding="utf-8"))
         ui.add_body_html(SCRIPT)
         with ui.element("main").classes("page"):
@@ -122,6 +123,9 @@ class Page:
         with ui.element("section").classes("card wide"):
             with ui.element("div").classes("title"):
                 heading("h2", "Events")
+                ui.element("div").classes("grow")
+                self._quality = tagged(ui.checkbox("with warnings about the samples").props("dense"),
+                                       "quality")
                 with tagged(ui.element("a").classes("plain"), "events-csv").props(
                         'href="/events.csv" download'):
                     ui.label("CSV of all events")
@@ -181,21 +185,22 @@ class Page:
             ui.page_title(title)
 
     def _refresh_log(self) -> None:
-        if self.log.count == self._logged:
+        without = "" if self._quality.value else QUALITY
+        if (self.log.count, without) == self._logged:
             return
-        self._logged = self.log.count
+        self._logged = self.log.count, without
+        found = self.log.latest(without=without)
         self._events.clear()
         with self._events:
-            for event in self.log.latest(_EVENTS):
+            for event in found[:_EVENTS]:
                 with ui.element("div").classes("event"):
                     text(words.clock_text(event.time_s), "time")
                     text(f"{event.actuator}: {event.kind}" if len(self.shown) > 1
                          else event.kind, "kind")
-                    text(event.text, "message")
-        more = self._logged - _EVENTS
-        self._older.set_text("Nothing has happened since this page's node was started."
-                             if not self._logged else
-                             f"{more} older ones are in the file." if more > 0 else "")
+                    text(event.text, "message").props('tabindex=0')
+        more = len(found) - _EVENTS
+        self._older.set_text(f"{more} older ones are in the file." if more > 0 else "" if found else
+                             "Nothing has changed since the dashboard was started.")
 
 
 def _overall(view: View) -> tuple[str, str]:
