@@ -124,8 +124,8 @@ class Page:
             with ui.element("div").classes("title"):
                 heading("h2", "Events")
                 ui.element("div").classes("grow")
-                self._quality = tagged(ui.checkbox("with warnings about the samples").props("dense"),
-                                       "quality")
+                quality = ui.checkbox("with warnings about the samples").props("dense")
+                self._quality = tagged(quality, "quality")
                 with tagged(ui.element("a").classes("plain"), "events-csv").props(
                         'href="/events.csv" download'):
                     ui.label("CSV of all events")
@@ -197,10 +197,10 @@ class Page:
                     text(words.clock_text(event.time_s), "time")
                     text(f"{event.actuator}: {event.kind}" if len(self.shown) > 1
                          else event.kind, "kind")
-                    text(event.text, "message").props('tabindex=0')
+                    text(event.text, "message").props("tabindex=0")
         more = len(found) - _EVENTS
-        self._older.set_text(f"{more} older ones are in the file." if more > 0 else "" if found else
-                             "Nothing has changed since the dashboard was started.")
+        nothing = "" if found else "Nothing has changed since the dashboard was started."
+        self._older.set_text(f"{more} older ones are in the file." if more > 0 else nothing)
 
 
 def _overall(view: View) -> tuple[str, str]:

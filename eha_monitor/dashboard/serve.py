@@ -126,8 +126,9 @@ def serving(shown: dict[str, Actuator], log: EventLog, door: Door,
     if metrics is not None:
         app.add_api_route("/metrics", lambda: metrics(
             {name: each.state for name, each in shown.items()}), response_class=Response)
-    app.add_middleware(Guard, names=names_of(door.host, door.loopback), any_address=not door.loopback,
-                       token=door.token, cookie=f"eha_monitor_{door.port}")
+    app.add_middleware(Guard, names=names_of(door.host, door.loopback),
+                       any_address=not door.loopback, token=door.token,
+                       cookie=f"eha_monitor_{door.port}")
     ui.run_with(app, root=lambda: Page(shown, log), title="Actuator health", favicon=_ICON,
                 tailwind=False, show_welcome_message=False, binding_refresh_interval=None)
     server = uvicorn.Server(uvicorn.Config(app, log_config=None, log_level="warning",
