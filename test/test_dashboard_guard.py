@@ -133,6 +133,6 @@ def test_a_given_token_is_asked_for_on_loopback_too_and_not_printed(monkeypatch)
         address = process.stdout.readline().removeprefix("dashboard: ").strip()
         assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", address)
         assert ask(address, "")[0] == 401
-        assert ask(address, "metrics", Authorization="Bearer correct-horse-battery")[0] != 401
+        assert ask(address, "metrics", Authorization="Bearer correct-horse-battery")[0] == 404
         assert ask(address, "?token=correct-horse-battery")[0] == 303
         end(process)

@@ -123,9 +123,10 @@ def serving(shown: dict[str, Actuator], log: EventLog, door: Door,
     # No page of FastAPI's own: those load their scripts from the internet.
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
     _add_downloads(app, shown, log)
-    if metrics is not None:
-        app.add_api_route("/metrics", lambda: metrics(
-            {name: each.state for name, each in shown.items()}), response_class=Response)
+    states = {name: each.state for name, each in shown.items()}
+    absent = Response("start the dashboard with --metrics\n", 404, media_type="text/plain")
+    app.add_api_route("/metrics", lambda: metrics(states) if metrics else absent,
+                      response_class=Response)
     app.add_middleware(Guard, names=names_of(door.host, door.loopback),
                        any_address=not door.loopback, token=door.token,
                        cookie=f"eha_monitor_{door.port}")
