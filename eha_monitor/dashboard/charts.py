@@ -13,7 +13,7 @@ from eha_monitor.quantity import FLOOR, Scale
 _INK, _LINE, _MEASURED = "#37474f", "#1565c0", "#6d4c41"
 _BAND = "rgba(21, 101, 192, 0.18)"
 _LIMIT_COLOURS = {"WARN": "#b26a00", "ERROR": "#b3261e"}
-_STAGE_COLOURS = ("#1565c0", "#00695c")
+_STAGE_COLOURS = ("#1565c0", "#b34700")  # apart for every kind of colour vision
 _STAGE_WORDS = ("stage one", "stage two")
 _MARGIN = 0.13
 _OFF_THE_LINE = (5, 8)  # of a line's label along and across it, pixels

@@ -101,6 +101,7 @@ class Page:
             self._back = button("Follow the data again", "back",
                                 lambda: self._choose_span(self.span.choice))
             self._zoomed = text("", "note", "zoomed")
+            self._hint = text("drag over a chart to look closer", "note mouse")
             ui.element("div").classes("grow")
             with tagged(ui.element("a").classes("plain"), "csv") as self._csv:
                 ui.label("CSV of the charts")
@@ -116,6 +117,7 @@ class Page:
         self._back.set_visibility(zoom is not None)
         self._zoomed.set_text("" if zoom is None else " to ".join(
             words.clock_text(each) for each in zoom) + ", held")
+        self._hint.set_visibility(zoom is None)
         self._csv.props(f'href="/estimates.csv?{self.span.query(self.chosen)}" download')
         self.detail.draw_charts()
 
@@ -195,8 +197,9 @@ class Page:
             for event in found[:_EVENTS]:
                 with ui.element("div").classes("event"):
                     text(words.clock_text(event.time_s), "time")
-                    text(f"{event.actuator}: {event.kind}" if len(self.shown) > 1
-                         else event.kind, "kind")
+                    sign = words.SIGNS.get(event.level, "")
+                    whose = f"{event.actuator}: " if len(self.shown) > 1 else ""
+                    text(f"{sign} {whose}{event.kind}".strip(), "kind")
                     text(event.text, "message").props("tabindex=0")
         more = len(found) - _EVENTS
         nothing = "" if found else "Nothing has changed since the dashboard was started."

@@ -26,6 +26,8 @@ HEALTH_STALE_AFTER = 3.0
 STAGES = ("stage_one", "stage_two")
 # A clock that was set goes at least so far at once; less is what it is steered by, s.
 CLOCK_SET = 0.5
+# A reset that is told twice within this time is one, s.
+SAME_RESET = 2.5
 # Keys of the innovations in the statuses of the stages.
 NIS, VARIANCE_RATIO, SAMPLES = ("innovation_nis", "innovation_variance_ratio",
                                 "innovation_samples")
@@ -97,6 +99,7 @@ class State:
         self._offset = math.inf
         self._acknowledged: dict[str, Acknowledgement] = {}
         self._heard = False
+        self._reset_told = ("", -math.inf)
         self._lock = threading.Lock()
         self._values = {w.symbol: _Number() for w in WATCHED}
         self._stddevs = {w.symbol: _Number() for w in WATCHED}
@@ -159,7 +162,8 @@ class State:
                 self._tell(Change("monitor", "OK", "the monitor is heard again"))
             self._heard = True
             for change in changes(before, self._findings):
-                self._tell(change)
+                if change.kind != "reset" or self._is_new(change.text, now):
+                    self._tell(change)
             self._drop_acknowledgements()
             for stage in STAGES:
                 finding = self._findings.get(stage)
@@ -201,6 +205,11 @@ class State:
             if finding is not None and (finding.word == "OK" or (finding.raised and SEVERITY.index(
                     finding.word) > SEVERITY.index(given.level))):
                 del self._acknowledged[name]
+
+    def _is_new(self, text: str, now: float) -> bool:
+        """Tell whether a reset is another one: its event and its count may come apart."""
+        told, self._reset_told = self._reset_told, (text, now)
+        return told[0] != text or now - told[1] > SAME_RESET
 
     def _tell(self, change: Change) -> None:
         self.log.add(self._wall_clock(), self.name, change)

@@ -233,7 +233,8 @@ def silence_text(view: View, settings: Settings, topics: dict[str, str]) -> str:
     if "health" in silent:
         parts.append("the monitor is not heard")
     elif finding is not None and finding.level == "STALE":
-        parts.append(f"the monitor says: {finding.message}")
+        # The first reason; the others stand with the data, below.
+        parts.append(f"the monitor says: {finding.message.partition('; ')[0]}")
     return "; ".join(parts)
 
 
