@@ -93,6 +93,8 @@ def test_three_actuators_from_alarm_to_acknowledgement(graph, browser, address):
 
     # Acknowledged it stays, quiet; it asks again after it has cleared.
     page.get_by_test_id(f"{HIGH}-acknowledge").click()
+    page.get_by_test_id("confirm").click()
+    page.get_by_text("expected a name").wait_for()
     page.get_by_test_id("who").fill("Ada <b>")
     page.get_by_test_id("confirm").click()
     graph.until(lambda: "acknowledged by Ada <b>, " in eyes.read(f"{HIGH}-acknowledged"))

@@ -14,10 +14,10 @@ _LOCAL = ("127.0.0.1", "::1", "")
 def who_is(name: str, address: str) -> str:
     """Return how a person is written down: the name, and the machine if it is another one.
 
-    >>> who_is(" Ada ", "127.0.0.1"), who_is("", "10.0.0.7")
-    ('Ada', 'no name (10.0.0.7)')
+    >>> who_is(" Ada ", "127.0.0.1"), who_is("Ada", "10.0.0.7")
+    ('Ada', 'Ada (10.0.0.7)')
     """
-    name = " ".join(name.split())[:_LONGEST] or "no name"
+    name = " ".join(name.split())[:_LONGEST]
     return name if address in _LOCAL else f"{name} ({address})"
 
 
@@ -34,9 +34,12 @@ async def ask_for_acknowledgement(state: State, alarm: str) -> None:
             f"maxlength={_LONGEST} autofocus"), "who")
 
         def acknowledge() -> None:
+            if not (name.value or "").strip():
+                name.error = "expected a name, for those who look here later"
+                return
             ui.run_javascript(f"localStorage.setItem('{_KEY}', "
                               f"document.querySelector('[data-testid=who]').value)")
-            state.acknowledge([alarm], who_is(name.value or "", client.ip or ""))
+            state.acknowledge([alarm], who_is(name.value, client.ip or ""))
             dialog.close()
 
         name.on("keydown.enter", acknowledge)
