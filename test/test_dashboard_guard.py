@@ -25,7 +25,8 @@ class NoRedirect(urllib.request.HTTPRedirectHandler):
 @pytest.fixture(scope="module")
 def served():
     """The command on all addresses; gives its own address and the token that it made."""
-    with command("dashboard", "--host", "0.0.0.0", "--port", 0, "--metrics") as process:
+    with command("dashboard", "--host", "0.0.0.0", "--port", 0, "--metrics",
+                 "--name", "Proxy.example") as process:
         line = process.stdout.readline()
         found = re.fullmatch(r"dashboard: http://([^/:]+):(\d+)/\?token=([\w-]{32})\n", line)
         assert found, line or process.stderr.read()
@@ -90,6 +91,19 @@ def test_names_are_checked_beyond_loopback_too(served):
     for name in (socket.gethostname(), "192.0.2.7", "[2001:db8::1]", "localhost"):
         assert ask(address, "/events.csv", Host=f"{name}:{port}", **key)[0] == 200, name
     assert ask(address, "/events.csv", Origin="http://evil.example", **key)[0] == 403
+    # As a reverse proxy with TLS hands it on.
+    proxied = {"Host": "proxy.example", "Origin": "https://proxy.example"}
+    assert ask(address, "/events.csv", **proxied, **key)[0] == 200
+    assert ask(address, "/events.csv", **proxied)[0] == 401
+
+
+def test_a_name_beside_those_of_loopback_asks_for_a_token():
+    from eha_monitor.dashboard.serve import claim
+
+    for names, asked in (((), False), (("proxy.example",), True)):
+        door = claim(0, names=names)
+        door.listener.close()
+        assert door.loopback and door.made is asked and (door.token is not None) is asked
 
 
 def test_a_person_without_the_token_is_told_what_to_do(served, browser):  # noqa: F811

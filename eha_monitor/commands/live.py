@@ -53,6 +53,9 @@ def monitor(ros_args: list[str], config: Path | None, actuators: tuple[str, ...]
               help="Ask for this token, 16 signs at least; better in the environment variable "
               "EHA_MONITOR_TOKEN, as others see a command line. Without it one is made and "
               "printed where --host is not loopback.")
+@click.option("--name", "names", multiple=True, metavar="HOSTNAME",
+              help="Answer to this host name as well, as that of a reverse proxy; may be given "
+              "again. A token is asked for then.")
 @click.option("--metrics", is_flag=True, help="Serve Prometheus metrics on /metrics as well.")
 @click.option("--foxglove", type=click.IntRange(0, 65535), metavar="PORT",
               help="Serve the topics on a Foxglove WebSocket on loopback as well; usual is 8765.")

@@ -46,13 +46,13 @@ def token_for(loopback: bool, given: str | None) -> tuple[str | None, bool]:
     return given, False
 
 
-def names_of(host: str, loopback: bool) -> frozenset[str]:
-    """Return the names to answer to, in small letters: those of loopback, and ``host`` itself.
+def names_of(host: str, loopback: bool, more: tuple[str, ...] = ()) -> frozenset[str]:
+    """Return the names to answer to, in small letters: those of loopback, ``host`` and ``more``.
 
     Beyond loopback the machine's own name counts as well.  DNS is not asked: on a rig without
     one that takes seconds.
     """
-    names = {"127.0.0.1", "localhost", "::1", host.lower()}
+    names = {"127.0.0.1", "localhost", "::1", host.lower(), *(name.lower() for name in more)}
     if not loopback:
         own = socket.gethostname().lower()
         names |= {own, f"{own}.local"}

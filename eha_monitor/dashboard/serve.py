@@ -41,6 +41,7 @@ class Door:
     loopback : whether nobody but this machine reaches it.
     token : asked of everyone, or None.
     made : whether the token was made here, so that it must be told.
+    names : further names to answer to, as those of a reverse proxy.
     """
 
     listener: socket.socket
@@ -48,6 +49,7 @@ class Door:
     loopback: bool
     token: str | None
     made: bool
+    names: tuple[str, ...] = ()
 
     @property
     def port(self) -> int:
@@ -66,10 +68,12 @@ class Door:
         return f"http://{host}:{self.port}/{token}"
 
 
-def claim(port: int, host: str = HOST, token: str | None = None) -> Door:
+def claim(port: int, host: str = HOST, token: str | None = None,
+          names: tuple[str, ...] = ()) -> Door:
     """Return a listening socket and who may come in; port 0 takes any that is free.
 
-    On another address than loopback a token is asked for; one is made where none is given.
+    On another address than loopback, or under other names, a token is asked for; one is made
+    where none is given.
 
     Raises
     ------
@@ -84,7 +88,7 @@ def claim(port: int, host: str = HOST, token: str | None = None) -> Door:
         raise InputError(f"--host {host}: no such address ({problem}), expected one of this "
                          "machine, or 0.0.0.0 for all of them") from problem
     loopback = ipaddress.ip_address(place[0].partition("%")[0]).is_loopback
-    token, made = token_for(loopback, token)
+    token, made = token_for(loopback and not names, token)
     listener = socket.socket(family, socket.SOCK_STREAM)
     # Else a port stays taken for a minute after the last dashboard.
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -99,7 +103,7 @@ def claim(port: int, host: str = HOST, token: str | None = None) -> Door:
                              "of this machine, or 0.0.0.0 for all of them") from problem
         raise InputError(f"--port {port}: cannot serve on {host}:{port} ({reason}), expected a "
                          "free port") from problem
-    return Door(listener, host, loopback, token, made)
+    return Door(listener, host, loopback, token, made, names)
 
 
 def metrics_text() -> Callable:
@@ -127,7 +131,7 @@ def serving(shown: dict[str, Actuator], log: EventLog, door: Door,
     absent = Response("start the dashboard with --metrics\n", 404, media_type="text/plain")
     app.add_api_route("/metrics", lambda: metrics(states) if metrics else absent,
                       response_class=Response)
-    app.add_middleware(Guard, names=names_of(door.host, door.loopback),
+    app.add_middleware(Guard, names=names_of(door.host, door.loopback, door.names),
                        any_address=not door.loopback, token=door.token,
                        cookie=f"eha_monitor_{door.port}")
     ui.run_with(app, root=lambda: Page(shown, log), title="Actuator health", favicon=_ICON,

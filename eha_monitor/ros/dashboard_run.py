@@ -23,6 +23,7 @@ class Served:
     token : asked of everyone; None asks for none on loopback, and makes one elsewhere.
     metrics : whether ``/metrics`` is there.
     foxglove : port of a Foxglove WebSocket on loopback, or None for none.
+    names : further host names to answer to; a token is asked for then.
     """
 
     port: int
@@ -30,6 +31,7 @@ class Served:
     token: str | None = None
     metrics: bool = False
     foxglove: int | None = None
+    names: tuple[str, ...] = ()
 
 
 @contextlib.contextmanager
@@ -72,7 +74,7 @@ def run_dashboard(config: Path | None, ros_args: list[str], served: Served,
     wanted = actuators_of(actuators) or [(load_settings(config), str(config or "default config"))]
     log, shown, nodes = EventLog(), {}, []
     with contextlib.ExitStack() as open_:
-        door = claim(served.port, served.host, served.token)
+        door = claim(served.port, served.host, served.token, served.names)
         open_.callback(door.listener.close)
         open_.enter_context(running.ros_session(ros_args))
         for settings, source in wanted:
