@@ -40,17 +40,31 @@ def monitor(ros_args: list[str], config: Path | None, actuators: tuple[str, ...]
 
 @click.command()
 @config_option
+@click.option("--actuator", "actuators", multiple=True, metavar="NAME=CONFIG",
+              help="Show the actuator of the namespace /NAME, as `monitor --actuator` runs it; "
+              "may be given again: one page for all.")
 @duration_option
 @click.option("--port", type=click.IntRange(0, 65535), default=8050, show_default=True,
-              help="Port on 127.0.0.1; 0 takes any that is free.")
+              help="Port of the page; 0 takes any that is free.")
+@click.option("--host", default="127.0.0.1", show_default=True, metavar="ADDRESS",
+              help="Address to serve on; 0.0.0.0 is every one of this machine. On any but "
+              "loopback a token is asked for.")
+@click.option("--token", envvar="EHA_MONITOR_TOKEN", metavar="TOKEN",
+              help="Ask for this token, 16 signs at least; better in the environment variable "
+              "EHA_MONITOR_TOKEN, as others see a command line. Without it one is made and "
+              "printed where --host is not loopback.")
+@click.option("--name", "names", multiple=True, metavar="HOSTNAME",
+              help="Answer to this host name as well, as that of a reverse proxy; may be given "
+              "again. A token is asked for then.")
+@click.option("--metrics", is_flag=True, help="Serve Prometheus metrics on /metrics as well.")
 @click.option("--foxglove", type=click.IntRange(0, 65535), metavar="PORT",
-              help="Serve the topics on a Foxglove WebSocket as well; usual is 8765.")
+              help="Serve the topics on a Foxglove WebSocket on loopback as well; usual is 8765.")
 @click.pass_obj
-def dashboard(ros_args: list[str], config: Path | None, duration: float | None,
-              port: int, foxglove: int | None) -> int:
-    """Serve a live page on loopback: estimates, alarms, residual, the actuator moving."""
-    return ros_module("dashboard_node").run_dashboard(config, ros_args, port, duration,
-                                                      foxglove)
+def dashboard(ros_args: list[str], config: Path | None, actuators: tuple[str, ...],
+              duration: float | None, **served) -> int:
+    """Serve a live page: estimates, alarms, events, residual, the actuator moving."""
+    module = ros_module("dashboard_run")
+    return module.run_dashboard(config, ros_args, module.Served(**served), duration, actuators)
 
 
 @click.command()

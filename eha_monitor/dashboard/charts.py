@@ -1,20 +1,21 @@
 """The charts as ECharts options: the frame once, then only what moves."""
 
 import math
+import time
 from collections.abc import Iterable
 
 import numpy as np
 
 from eha_monitor.dashboard.history import Row
-from eha_monitor.dashboard.state import ESTIMATES_SPAN, POSITION_SPAN, STAGES
+from eha_monitor.dashboard.state import POSITION_SPAN, STAGES
 from eha_monitor.quantity import FLOOR, Scale
 
 _INK, _LINE, _MEASURED = "#37474f", "#1565c0", "#6d4c41"
 _BAND = "rgba(21, 101, 192, 0.18)"
 _LIMIT_COLOURS = {"WARN": "#b26a00", "ERROR": "#b3261e"}
-_STAGE_COLOURS = ("#1565c0", "#00695c")
+_STAGE_COLOURS = ("#1565c0", "#b34700")  # apart for every kind of colour vision
 _STAGE_WORDS = ("stage one", "stage two")
-_MARGIN = 0.08
+_MARGIN = 0.13
 _OFF_THE_LINE = (5, 8)  # of a line's label along and across it, pixels
 # The time axis is at least this long; it grows to the whole span as the history does, s.
 _LEAST_SPAN = 30.0
@@ -27,6 +28,8 @@ def _frame(time_axis: dict, value_name: str, series: list[dict], legend: list,
     """Return what all charts have in common; nothing in it is animated."""
     return {
         "animation": False,
+        # One clock everywhere on the page, the rig's: times are handed over as those of its zone.
+        "useUTC": True,
         "textStyle": {"color": _INK},
         "grid": {"left": 22, "right": 52, "top": 42, "bottom": 6, "containLabel": True},
         "legend": {"data": legend, "top": 0, "left": 0, "itemWidth": 26, "itemHeight": 8,
@@ -37,6 +40,36 @@ def _frame(time_axis: dict, value_name: str, series: list[dict], legend: list,
                   "nameTextStyle": {"align": "left"}, "nameGap": 8, "position": "right",
                   "axisLabel": {"showMinLabel": False, "showMaxLabel": False}},
         "series": series}
+
+
+def _zoomable(frame: dict) -> dict:
+    """Return a frame in which a stretch of time is chosen by dragging, without its buttons."""
+    unseen = {"zoom": "path://M0,0", "back": "path://M0,0"}
+    frame["toolbox"] = {"itemSize": 1, "showTitle": False, "right": 0, "top": 0,
+                        "feature": {"dataZoom": {"yAxisIndex": "none", "icon": unseen,
+                                                 "filterMode": "none"}}}
+    return frame
+
+
+def zone_s() -> int:
+    """Return how far the rig's zone is ahead of UTC, s."""
+    return time.localtime().tm_gmtoff
+
+
+def _milliseconds(time_s: float, zone: int) -> int:
+    return round(1e3 * (time_s + zone))
+
+
+def ends_of(first: float, now: float, span: float | None) -> tuple[float, float]:
+    """Return the ends of a time axis, s: the last ``span`` s, as far as there is data.
+
+    Parameters
+    ----------
+    first : time of the oldest row, s; infinite where there is none.
+    span : s, or None for all there is.
+    """
+    oldest = min(first, now - _LEAST_SPAN)
+    return (oldest if span is None else max(oldest, now - span)), now
 
 
 def _time_of_day() -> dict:
@@ -61,26 +94,27 @@ def estimate_frame(scale: Scale) -> dict:
         _line("value", "estimate", _LINE),
         _line("limits", "", _INK)]
     legend = ["estimate", {"name": "±1σ", "icon": "rect", "itemStyle": {"opacity": 1}}]
-    return _frame(_time_of_day(), scale.unit, series, legend)
+    return _zoomable(_frame(_time_of_day(), scale.unit, series, legend))
 
 
 def estimate_data(rows: list[Row], limits: list[tuple[str, str, float]], scale: Scale,
-                  now: float) -> dict:
+                  ends: tuple[float, float]) -> dict:
     """Return what moves in the chart of an estimate.
 
     Parameters
     ----------
     rows : (time of day s, value, stddev), SI.
     limits : side (``low``, ``high``), degree and SI value of each threshold.
-    now : time of day, the right end of the axis, s.
+    ends : of the time axis, time of day, s.
     """
+    zone = zone_s()
     marks = [_limit_mark(side, degree, limit * scale.factor) for side, degree, limit in limits]
-    values = [(1e3 * t, value * scale.factor,
+    values = [(_milliseconds(t, zone), value * scale.factor,
                scale.factor * max(stddev, FLOOR * abs(value))) for t, value, stddev in rows]
     sure = [v for _, v, s in values if s < _UNSURE * abs(v)]
     low, high = value_range(sure, (mark["yAxis"] for mark in marks))
     return {
-        "xAxis": _time_range(rows, now),
+        "xAxis": _time_range(ends, zone),
         "yAxis": {"min": low, "max": high},
         "series": [
             {"id": "lower", "data": [[t, _round(v - s)] for t, v, s in values]},
@@ -100,10 +134,8 @@ def _limit_mark(side: str, degree: str, limit: float) -> dict:
             "lineStyle": {"color": colour, "type": "dashed" if degree == "WARN" else "solid"}}
 
 
-def _time_range(rows: list[Row], now: float) -> dict:
-    """Return the ends of the time axis, ms: from the oldest row, within bounds."""
-    first = min(rows[0][0] if rows else now, now - _LEAST_SPAN)
-    return {"min": round(1e3 * max(first, now - ESTIMATES_SPAN)), "max": round(1e3 * now)}
+def _time_range(ends: tuple[float, float], zone: int) -> dict:
+    return {"min": _milliseconds(ends[0], zone), "max": _milliseconds(ends[1], zone)}
 
 
 def value_range(values: list[float], limits: Iterable[float]) -> tuple[float, float]:
@@ -141,19 +173,20 @@ def residual_frame() -> dict:
     frame = _frame(_time_of_day(), "", series, [s["name"] for s in series], "log")
     frame["grid"]["top"] = 62  # the legend takes two lines on a phone
     frame["yAxis"]["axisLabel"] = {}  # the ends are powers of ten
-    return frame
+    return _zoomable(frame)
 
 
-def residual_data(histories: dict[str, list[Row]], now: float) -> dict:
+def residual_data(histories: dict[str, list[Row]], ends: tuple[float, float]) -> dict:
     """Return what moves in the chart of the innovations; rows (time of day s, NIS, ratio)."""
-    series, largest, least = [], 10.0, 0.1
+    series, largest, least, zone = [], 10.0, 0.1, zone_s()
     for stage, rows in histories.items():
         for place, key in ((1, "nis"), (2, "variance")):
-            data = [[1e3 * row[0], _round(row[place]) if row[place] > 0 else None] for row in rows]
+            data = [[_milliseconds(row[0], zone), _round(row[place]) if row[place] > 0 else None]
+                    for row in rows]
             numbers = [v for _, v in data if v]
             largest, least = max([largest, *numbers]), min([least, *numbers])
             series.append({"id": f"{stage}_{key}", "data": data})
-    return {"xAxis": _time_range(min(histories.values(), key=_first), now),
+    return {"xAxis": _time_range(ends, zone),
             "yAxis": {"min": 10.0 ** math.floor(math.log10(least)),
                       "max": 10.0 ** math.ceil(math.log10(largest))},
             "series": series}
@@ -175,10 +208,6 @@ def position_data(histories: dict[str, list[Row]], scale: Scale) -> dict:
     return {"series": [
         {"id": name, "data": [[_round(t - last), _round(x * scale.factor)] for t, x in rows]}
         for name, rows in histories.items()]}
-
-
-def _first(rows: list[Row]) -> float:
-    return rows[0][0] if rows else math.inf
 
 
 def _round(value: float) -> float | None:

@@ -2,6 +2,7 @@
 
 import math
 from collections import deque
+from itertools import groupby
 
 Row = tuple[float, ...]
 
@@ -35,14 +36,77 @@ class History:
 
         Where data were missing stands a row of NaN, at which a line breaks.
         """
-        kept: list[Row] = []
         if not self._rows:
-            return kept
+            return []
         oldest = (self._rows[-1][0] if now is None else now) - self.span
-        for row in self._rows:
-            if row[0] < oldest:
-                continue
-            if kept and row[0] - kept[-1][0] > self.gap:
-                kept.append((0.5 * (kept[-1][0] + row[0]), *[math.nan] * (len(row) - 1)))
-            kept.append(row)
-        return kept
+        return _with_gaps([row for row in self._rows if row[0] >= oldest], self.gap)
+
+
+class LongHistory:
+    """The last minutes densely, and what was before them as extremes of longer stretches.
+
+    Parameters
+    ----------
+    span, every, gap : of the dense part, see :class:`History`, s.
+    long_span : how long the extremes are kept, s.
+    stretch : of each such stretch the rows with the least and the largest value are kept, s.
+    """
+
+    def __init__(self, span: float, every: float, gap: float, long_span: float, stretch: float):
+        self.span, self.every, self.stretch = span, every, stretch
+        self.gap = max(gap, 2.5 * every)
+        self._dense: deque[Row] = deque(maxlen=math.ceil(span / every) + 1)
+        self._old: deque[list[Row]] = deque(maxlen=math.ceil(long_span / stretch) + 1)
+
+    def add(self, time_s: float, *values: float) -> None:
+        """Keep a row; ``time_s`` on a clock that never jumps."""
+        row = (time_s, *values)
+        # Slots that lie fixed in time: series that come together are kept together.
+        if not self._dense or time_s // self.every != self._dense[-1][0] // self.every:
+            self._dense.append(row)
+        if self._old and time_s // self.stretch == self._old[-1][0][0] // self.stretch:
+            self._old[-1] = _extremes([*self._old[-1], row])
+        else:
+            self._old.append([row])
+
+    def rows(self, since: float = -math.inf) -> list[Row]:
+        """Return the rows from ``since`` on; a row of NaN stands where data were missing."""
+        dense = [row for row in self._dense if row[0] >= since]
+        if self._dense and since >= self._dense[0][0]:
+            return _with_gaps(dense, self.gap)
+        first = dense[0][0] if dense else math.inf
+        old = [row for rows in self._old for row in rows if since <= row[0] < first]
+        # With the first dense one: between the two may be a gap as well.
+        older = _with_gaps([*old, *dense[:1]], max(self.gap, 2.5 * self.stretch))
+        return [*older[:-1], *_with_gaps(dense, self.gap)] if dense else older
+
+
+def thinned(rows: list[Row], most: int) -> list[Row]:
+    """Return about ``most`` rows at the most: of each stretch those of least and largest value.
+
+    Rows of NaN, the gaps, all stay.  The stretches lie fixed in time, so that a chart that is
+    drawn anew each second does not flicker.
+    """
+    if len(rows) <= most:
+        return rows
+    step = 2.0 * (rows[-1][0] - rows[0][0]) / most
+    kept: list[Row] = []
+    for _, group in groupby(rows, key=lambda row: (row[0] // step, math.isnan(row[1]))):
+        members = list(group)
+        kept += members if math.isnan(members[0][1]) else _extremes(members)
+    return kept
+
+
+def _extremes(rows: list[Row]) -> list[Row]:
+    """Return the rows of least and of largest value, in the order of time."""
+    low, high = min(rows, key=lambda row: row[1]), max(rows, key=lambda row: row[1])
+    return [low] if low is high else sorted((low, high))
+
+
+def _with_gaps(rows: list[Row], gap: float) -> list[Row]:
+    kept: list[Row] = []
+    for row in rows:
+        if kept and row[0] - kept[-1][0] > gap:
+            kept.append((0.5 * (kept[-1][0] + row[0]), *[math.nan] * (len(row) - 1)))
+        kept.append(row)
+    return kept

@@ -1,51 +1,25 @@
-"""The page: built once for each browser, then kept up to date from the state."""
+"""The page: built once for each browser, then kept up to date from the states."""
 
-import math
 import time
 from pathlib import Path
+from urllib.parse import urlencode
 
 from nicegui import ui
 
-from eha_monitor.dashboard import actuator, charts, words
-from eha_monitor.dashboard.state import STAGES, State, View, alarms
-from eha_monitor.health.alarms import ALARM_NAMES, WATCHED
-from eha_monitor.quantity import NOTE, SYMBOLS, readable
+from eha_monitor.dashboard import words
+from eha_monitor.dashboard.actuators import Actuator
+from eha_monitor.dashboard.detail import Detail
+from eha_monitor.dashboard.elements import SCRIPT, Level, button, heading, tagged, text
+from eha_monitor.dashboard.events import QUALITY, EventLog
+from eha_monitor.dashboard.span import CHOICES, Span
+from eha_monitor.dashboard.state import View
+from eha_monitor.health.alarms import WATCHED
 
 STYLE = Path(__file__).with_name("page.css")
 # How often numbers and words are looked up, and how often the charts are drawn, s.
 REFRESH_PERIOD, POSITION_PERIOD, CHART_PERIOD = 0.2, 0.5, 1.0
-# Where the scale of the drawing shrinks: not at each pause of the motion.
-_SHRINK = 4.0
-
-
-def _tagged(element: ui.element, key: str) -> ui.element:
-    """Give an element a name that stays, for tests and for whoever reads the page by program."""
-    return element.props(f'data-testid="{key}"')
-
-
-def _text(text: str = "", classes: str = "", key: str = "") -> ui.label:
-    made = ui.label(text).classes(classes)
-    return _tagged(made, key) if key else made
-
-
-def _heading(rank: str, text: str) -> None:
-    with ui.element(rank):
-        ui.html(text, sanitize=False, tag="span")
-
-
-class _Level:
-    """A sign, a word and a colour."""
-
-    def __init__(self, key: str):
-        self._label = _text("", "level", key)
-        self._shown = ("", "")
-
-    def show(self, level: str, text: str = "") -> None:
-        text = text or words.level_text(level)
-        if (level, text) != self._shown:
-            self._shown = level, text
-            self._label.set_text(text)
-            self._label.classes(replace=f"level level-{level.lower().replace(' ', '-')}")
+# Events on the page; all that are kept are in the file.
+_EVENTS = 12
 
 
 class Page:
@@ -53,158 +27,185 @@ class Page:
 
     Parameters
     ----------
-    state : what is shown.
-    topics : full names of the topics, by the keys of ``View.silence`` that are looked at.
+    shown : the actuators by name.
+    log : the events of all of them.
     """
 
-    def __init__(self, state: State, topics: dict[str, str]):
-        self.state, self.topics = state, topics
-        self._scales = words.scales(state.settings)
-        self._unit = "rad" if state.settings.rig.motion == "rotary" else "m"
-        self._half = 0.0
+    def __init__(self, shown: dict[str, Actuator], log: EventLog):
+        self.shown, self.log, self.span = shown, log, Span()
+        asked = ui.context.client.request.query_params.get("actuator", "")
+        self.chosen = asked if asked in shown else next(iter(shown))
+        self._logged = (-1, "")
+        self._title = ""
+        ui.colors(primary="#0d4f86")
         ui.add_css(STYLE.read_text(encoding="utf-8"))
+        ui.add_body_html(SCRIPT)
         with ui.element("main").classes("page"):
             self._build_head()
-            self._figures = {w.symbol: self._build_estimate(w.symbol, w.words) for w in WATCHED}
-            self._build_alarms()
-            self._build_actuator()
-            self._build_model()
-        self.refresh()
-        self.draw_position()
-        self.draw_charts()
+            self._tiles = {name: self._build_tile(name) for name in shown}
+            self._build_controls()
+            with ui.element("div").classes("cards wide") as self._cards:
+                pass
+            self._build_log()
+        self._build_detail()
         ui.timer(REFRESH_PERIOD, self.refresh, immediate=False)
-        ui.timer(POSITION_PERIOD, self.draw_position, immediate=True)
-        ui.timer(CHART_PERIOD, self.draw_charts, immediate=True)
+        ui.timer(POSITION_PERIOD, lambda: self.detail.draw_position(), immediate=True)
+        ui.timer(CHART_PERIOD, lambda: self.detail.draw_charts(), immediate=True)
+
+    def choose(self, name: str) -> None:
+        """Show another actuator in full."""
+        if name == self.chosen:
+            return
+        self.chosen = name
+        ui.navigate.history.replace(f"/?{urlencode({'actuator': name})}")
+        self._build_detail()
+
+    def _build_detail(self) -> None:
+        self._cards.clear()
+        with self._cards:
+            self.detail = Detail(self.shown[self.chosen], self.span, self._follow_span)
+        self._follow_span()
+        self.refresh()
+        self.detail.draw_position()
 
     def _build_head(self) -> None:
         with ui.element("header").classes("head wide"):
-            _heading("h1", "Actuator health")
-            self._rig = _text("", "note", "rig")
+            self._name = tagged(heading("h1", ""), "name")
+            self._overall = Level("overall")
             ui.element("div").classes("grow")
-            self._overall = _Level("overall")
-        self._banner = _text("", "banner wide", "silence").props('role="alert"')
+            self._live = Level("live")
+        self._where = text("", "note wide", "rig")
+        self._banner = text("", "banner wide", "silence").props('role="alert"')
+        with ui.element("nav").classes("tiles wide") as self._strip:
+            pass
 
-    def _build_estimate(self, symbol: str, title: str) -> dict:
-        with ui.element("section").classes("card") as card:
-            _heading("h2", f"{title.capitalize()} {SYMBOLS[symbol]}")
-            with ui.element("div").classes("figure"):
-                parts = {part: _text("", part, f"{symbol}-{part}")
-                         for part in ("value", "stddev", "unit", "status")}
-            chart = ui.echart(charts.estimate_frame(self._scales[symbol])).classes("chart")
-        return {"card": card, "chart": chart, **parts}
+    def _build_tile(self, name: str) -> tuple:
+        """Make the short form of an actuator, by which it is chosen."""
+        with self._strip, ui.element("button").classes("tile") as tile:
+            tagged(tile, f"tile-{name}")
+            tile.on("click", lambda: self.choose(name))
+            with ui.element("div").classes("title"):
+                text(name, "name")
+                level = Level(f"tile-{name}-level")
+            numbers = [text("", "number") for _ in WATCHED]
+            last = text("", "note")
+        self._strip.set_visibility(len(self.shown) > 1)
+        return tile, level, numbers, last
 
-    def _build_alarms(self) -> None:
-        self._alarms = {}
-        with ui.element("section").classes("card"):
-            _heading("h2", "Alarms")
-            for name in ALARM_NAMES:
-                with ui.element("div").classes("alarm"):
-                    level = _Level(f"{name}-level")
-                    _text(words.plain_name(name), "name")
-                    self._alarms[name] = (level, _text("", "message", f"{name}-message"))
+    def _build_controls(self) -> None:
+        with ui.element("div").classes("controls wide"):
+            text("Charts show", "note")
+            self._range = tagged(ui.toggle(list(CHOICES), value=self.span.choice,
+                                           on_change=lambda event: self._choose_span(event.value)
+                                           ).props("no-caps unelevated dense"), "range")
+            self._back = button("Follow the data again", "back",
+                                lambda: self._choose_span(self.span.choice))
+            self._zoomed = text("", "note", "zoomed")
+            self._hint = text("drag over a chart to look closer", "note mouse")
+            ui.element("div").classes("grow")
+            with tagged(ui.element("a").classes("plain"), "csv") as self._csv:
+                ui.label("CSV of the charts")
 
-    def _build_actuator(self) -> None:
-        with ui.element("section").classes("card"):
-            _heading("h2", "Actuator")
-            with ui.element("div").classes("actuator") as self._drawing_box:
-                _tagged(self._drawing_box, "actuator")
-                self._drawing = ui.html("", sanitize=False)
-            with ui.element("div").classes("positions"):
-                self._positions = [_text("", "", key) for key in
-                                   ("measured", "estimated", "difference")]
-            self._position_scale = readable(0.02, self._unit)
-            self._position_chart = ui.echart(
-                charts.position_frame(self._position_scale)).classes("chart")
+    def _choose_span(self, choice: str) -> None:
+        self.span.choose(choice)
+        self.detail.reset_zoom()
+        self._follow_span()
 
-    def _build_model(self) -> None:
+    def _follow_span(self) -> None:
+        """Bring charts and controls to the chosen stretch of time."""
+        zoom = self.span.zoom
+        self._back.set_visibility(zoom is not None)
+        self._zoomed.set_text("" if zoom is None else " to ".join(
+            words.clock_text(each) for each in zoom) + ", held")
+        self._hint.set_visibility(zoom is None)
+        self._csv.props(f'href="/estimates.csv?{self.span.query(self.chosen)}" download')
+        self.detail.draw_charts()
+
+    def _build_log(self) -> None:
         with ui.element("section").classes("card wide"):
-            _heading("h2", "Model and residual")
-            with ui.element("div").classes("alarm"):
-                self._model = _Level("model-level")
-                self._model_status = _text("", "name", "model-status")
-                self._model_message = _text("", "message", "model-message")
-            with ui.element("div").classes("row title"):
-                for title in ("innovations of", "size (NIS)", "drift (variance ratio)", "samples"):
-                    ui.label(title)
-            self._innovations = {}
-            for stage in STAGES:
-                with ui.element("div").classes("row"):
-                    ui.label(words.plain_name(stage))
-                    self._innovations[stage] = [
-                        _text("", "", f"{stage}-{key}") for key in ("nis", "variance", "samples")]
-            _text("Both are 1 where the model explains the data; what is judged is whether they "
-                  "stay near it.", "note")
-            self._residual_chart = ui.echart(charts.residual_frame()).classes("chart")
-            self._data = _text("", "note", "data")
-            _text(NOTE, "note", "plus-minus")
+            with ui.element("div").classes("title"):
+                heading("h2", "Events")
+                ui.element("div").classes("grow")
+                quality = ui.checkbox("with warnings about the samples").props("dense")
+                self._quality = tagged(quality, "quality")
+                with tagged(ui.element("a").classes("plain"), "events-csv").props(
+                        'href="/events.csv" download'):
+                    ui.label("CSV of all events")
+            self._events = tagged(ui.element("div").classes("events"), "events")
+            self._older = text("", "note")
 
     def refresh(self) -> None:
-        """Bring numbers, words and the piston up to date."""
-        view = self.state.view(time.monotonic())
-        silence = words.silence_text(view, self.state.settings, self.topics)
+        """Bring everything but the charts up to date."""
+        now = time.monotonic()
+        views = {name: each.state.view(now) for name, each in self.shown.items()}
+        self._refresh_head(views[self.chosen])
+        for name, view in views.items():
+            self._refresh_tile(name, view)
+        self.detail.refresh(views[self.chosen])
+        self._refresh_title(views)
+        self._refresh_log()
+
+    def _refresh_head(self, view: View) -> None:
+        shown = self.shown[self.chosen]
+        silence = words.silence_text(view, shown.state.settings, shown.topics)
         self._banner.set_text(silence)
         self._banner.set_visibility(bool(silence))
-        self._rig.set_text(f"rig {view.hardware}")
-        self._overall.show(*words.overall(view))
-        for alarm in alarms(view):
-            level, message = self._alarms[alarm.name]
-            level.show(alarm.word)
-            message.set_text(alarm.message)
-        for watched in WATCHED:
-            self._refresh_estimate(view, watched.symbol)
-        self._refresh_model(view)
-        self._refresh_actuator(view)
+        self._name.set_text(f"Actuator {shown.name}")
+        live, last = words.last_data(view, time.time())
+        self._live.show("OK" if live else "STALE", "● live" if live else "◌ no data")
+        rig = f"rig {view.hardware}, " if view.hardware != shown.name else ""
+        self._where.set_text(f"{rig}{last}, namespace {shown.namespace}, "
+                             f"ROS domain {shown.domain}")
+        self._overall.show(*_overall(view), quiet=words.quiet(view))
 
-    def _refresh_estimate(self, view: View, symbol: str) -> None:
-        figure = self._figures[symbol]
-        number = words.shown(view.value[symbol], view.stddev[symbol], self._scales[symbol])
-        for part in ("value", "stddev", "unit"):
-            figure[part].set_text(getattr(number, part))
-        stage = next(s for s, w in zip(STAGES, WATCHED, strict=True) if w.symbol == symbol)
-        figure["status"].set_text(words.stage_status(view, stage))
-        monitor = self.state.settings.monitor
-        old = monitor.stale_after + 1.0 / monitor.publish_rate < view.silence[symbol] < math.inf
-        if old != ("old" in figure["card"].classes):
-            figure["card"].classes(**{"add" if old else "remove": "old"})
+    def _refresh_tile(self, name: str, view: View) -> None:
+        tile, level, numbers, last = self._tiles[name]
+        if len(self.shown) < 2:
+            return
+        level.show(*words.overall(view), quiet=words.quiet(view))
+        scales = words.scales(self.shown[name].state.settings)
+        for watched, label in zip(WATCHED, numbers, strict=True):
+            symbol = watched.symbol
+            number = words.shown(view.value[symbol], view.stddev[symbol], scales[symbol])
+            label.set_text(words.short(symbol, number))
+        asks = len(words.waiting(view))
+        last.set_text(f"{asks} to acknowledge" if asks else
+                      words.last_data(view, time.time())[1].partition(", stamped")[0])
+        here = name == self.chosen
+        if here != ("chosen" in tile.classes):
+            tile.classes(**{"add" if here else "remove": "chosen"})
+            tile.props(f'aria-pressed="{"true" if here else "false"}"')
 
-    def _refresh_model(self, view: View) -> None:
-        found = view.findings.get("model_mismatch")
-        self._model.show(found.word if found else "STALE")
-        self._model_status.set_text(words.model_status(view))
-        self._model_message.set_text(found.message if found else "nothing heard yet")
-        for stage, labels in self._innovations.items():
-            for label, text in zip(labels, words.innovation_texts(view, stage), strict=True):
-                label.set_text(text)
-        self._data.set_text(words.data_text(view))
+    def _refresh_title(self, views: dict[str, View]) -> None:
+        """Say in the browser's tab what is worst and whether it asks for somebody."""
+        asks = sum(len(words.waiting(view)) for view in views.values())
+        worst = max((words.overall(view)[0] for view in views.values()), key=words.rank)
+        title = (f"({asks}) " if asks else "") + f"{words.level_text(worst)}: " + (
+            self.chosen if len(views) == 1 else f"{len(views)} actuators")
+        if title != self._title:
+            self._title = title
+            ui.page_title(title)
 
-    def _refresh_actuator(self, view: View) -> None:
-        texts = words.position_texts(view, self._position_scale)
-        for label, text in zip(self._positions, texts, strict=True):
-            label.set_text(text)
-        if self._half:
-            self._drawing_box.style(
-                f"--measured: {actuator.place(view.measured, self._half)}; "
-                f"--estimated: {actuator.place(view.estimated, self._half)}")
-
-    def draw_position(self) -> None:
-        """Bring the chart of the position up to date, and the scale of the drawing."""
-        rows = {name: self.state.history(name) for name in ("measured", "estimated")}
-        half = actuator.half_range([row[1] for history in rows.values() for row in history])
-        if half > self._half or half * _SHRINK < self._half:
-            self._half = half
-            self._drawing.set_content(actuator.drawing(half, self._unit))
-        _put(self._position_chart, charts.position_data(rows, self._position_scale))
-
-    def draw_charts(self) -> None:
-        """Bring the charts of the last minutes up to date."""
-        now = time.time()
-        for symbol, figure in self._figures.items():
-            _put(figure["chart"], charts.estimate_data(
-                self.state.history(symbol), self.state.limits(symbol), self._scales[symbol], now))
-        _put(self._residual_chart, charts.residual_data(
-            {stage: self.state.history(stage) for stage in STAGES}, now))
+    def _refresh_log(self) -> None:
+        without = "" if self._quality.value else QUALITY
+        if (self.log.count, without) == self._logged:
+            return
+        self._logged = self.log.count, without
+        found = self.log.latest(without=without)
+        self._events.clear()
+        with self._events:
+            for event in found[:_EVENTS]:
+                with ui.element("div").classes("event"):
+                    text(words.clock_text(event.time_s), "time")
+                    sign = words.SIGNS.get(event.level, "")
+                    whose = f"{event.actuator}: " if len(self.shown) > 1 else ""
+                    text(f"{sign} {whose}{event.kind}".strip(), "kind")
+                    text(event.text, "message").props("tabindex=0")
+        more = len(found) - _EVENTS
+        nothing = "" if found else "Nothing has changed since the dashboard was started."
+        self._older.set_text(f"{more} older ones are in the file." if more > 0 else nothing)
 
 
-def _put(chart: ui.echart, data: dict) -> None:
-    """Hand a chart what has moved, without sending its frame again."""
-    chart.run_chart_method("setOption", data)
+def _overall(view: View) -> tuple[str, str]:
+    level, content = words.overall(view)
+    return level, content + (", acknowledged" if words.quiet(view) else "")

@@ -6,13 +6,16 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
-from eha_monitor.dashboard.history import History, Row
-from eha_monitor.health.alarms import ALARM_NAMES, WATCHED
+from eha_monitor.dashboard.events import ACKNOWLEDGED, Change, EventLog, changes
+from eha_monitor.dashboard.history import History, LongHistory, Row
+from eha_monitor.health.alarms import ALARM_NAMES, SEVERITY, WATCHED
 from eha_monitor.health.finding import Finding
 from eha_monitor.settings import Settings
 
 # How long and how densely things are kept, s.
-ESTIMATES_SPAN, ESTIMATES_EVERY = 300.0, 0.5
+ESTIMATES_SPAN, ESTIMATES_EVERY = 1800.0, 0.5
+# Before that, the extremes of each minute.
+LONG_SPAN, STRETCH = 86_400.0, 60.0
 POSITION_SPAN, POSITION_EVERY = 15.0, 0.04
 # Measured positions among which the one of an estimate's stamp is looked for.
 RECENT = 1000
@@ -21,6 +24,10 @@ PAIR_HOLDS = 0.5
 # Health comes once a second; after this without it, what it said counts no more, s.
 HEALTH_STALE_AFTER = 3.0
 STAGES = ("stage_one", "stage_two")
+# A clock that was set goes at least so far at once; less is what it is steered by, s.
+CLOCK_SET = 0.5
+# A reset that is told twice within this time is one, s.
+SAME_RESET = 2.5
 # Keys of the innovations in the statuses of the stages.
 NIS, VARIANCE_RATIO, SAMPLES = ("innovation_nis", "innovation_variance_ratio",
                                 "innovation_samples")
@@ -32,6 +39,15 @@ class _Number:
 
     value: float = math.nan
     came: float = -math.inf
+
+
+@dataclass(frozen=True)
+class Acknowledgement:
+    """Who acknowledged an alarm, when (time of day, s since the epoch) and at which level."""
+
+    who: str
+    time_s: float
+    level: str
 
 
 @dataclass(frozen=True)
@@ -47,6 +63,8 @@ class View:
     hardware : the rig's name as the monitor gives it, or that of the config.
     silence : s since the last value of each symbol, of any (``estimates``), of each position
         and of the health; infinite where none has come.
+    acknowledged : by the name of the alarm, what of it has been acknowledged.
+    stamp : of the last measured position, s; NaN where none has come.
     """
 
     value: dict[str, float]
@@ -57,6 +75,8 @@ class View:
     findings: dict[str, Finding]
     hardware: str
     silence: dict[str, float] = field(default_factory=dict)
+    acknowledged: dict[str, Acknowledgement] = field(default_factory=dict)
+    stamp: float = math.nan
 
 
 class State:
@@ -68,10 +88,18 @@ class State:
     ----------
     settings : config: limits until the monitor's own are heard, and when data count as stopped.
     wall_clock : gives the time of day, s since the epoch.
+    log : takes what changes; without it nobody is told.
     """
 
-    def __init__(self, settings: Settings, wall_clock: Callable[[], float]):
+    def __init__(self, settings: Settings, wall_clock: Callable[[], float],
+                 log: EventLog | None = None):
         self.settings, self._wall_clock = settings, wall_clock
+        self.name = settings.rig.name
+        self.log = log or EventLog()
+        self._offset = math.inf
+        self._acknowledged: dict[str, Acknowledgement] = {}
+        self._heard = False
+        self._reset_told = ("", -math.inf)
         self._lock = threading.Lock()
         self._values = {w.symbol: _Number() for w in WATCHED}
         self._stddevs = {w.symbol: _Number() for w in WATCHED}
@@ -84,10 +112,11 @@ class State:
         self._hardware = settings.rig.name
         gap = settings.monitor.stale_after
         self._histories = {
-            **{w.symbol: History(ESTIMATES_SPAN, ESTIMATES_EVERY, gap) for w in WATCHED},
+            **{w.symbol: LongHistory(ESTIMATES_SPAN, ESTIMATES_EVERY, gap, LONG_SPAN, STRETCH)
+               for w in WATCHED},
             **{name: History(POSITION_SPAN, POSITION_EVERY, gap) for name in self._positions},
-            **{stage: History(ESTIMATES_SPAN, ESTIMATES_EVERY, HEALTH_STALE_AFTER)
-               for stage in STAGES}}
+            **{stage: LongHistory(ESTIMATES_SPAN, ESTIMATES_EVERY, HEALTH_STALE_AFTER, LONG_SPAN,
+                                  STRETCH) for stage in STAGES}}
 
     def take_value(self, symbol: str, value: float, now: float) -> None:
         """Take an estimate of ``B`` or ``beta_e``, SI; ``now`` in s, monotonic."""
@@ -100,7 +129,7 @@ class State:
             self._stddevs[symbol] = _Number(stddev, now)
             value = self._values[symbol].value
             if math.isfinite(value) and math.isfinite(stddev):
-                self._histories[symbol].add(self._wall_clock(), value, stddev)
+                self._histories[symbol].add(now, value, stddev)
 
     def take_position(self, which: str, time_s: float, position: float, now: float) -> None:
         """Take the ``measured`` or ``estimated`` position, m, with its own stamp, s."""
@@ -127,14 +156,73 @@ class State:
         """Take the health as it was published."""
         with self._lock:
             self._hardware = hardware or self._hardware
-            self._findings = {finding.name: finding for finding in findings}
+            before, self._findings = self._findings, {f.name: f for f in findings}
             self._health_came = now
+            if before and not self._heard:
+                self._tell(Change("monitor", "OK", "the monitor is heard again"))
+            self._heard = True
+            for change in changes(before, self._findings):
+                if change.kind != "reset" or self._is_new(change.text, now):
+                    self._tell(change)
+            self._drop_acknowledgements()
             for stage in STAGES:
                 finding = self._findings.get(stage)
                 if finding is not None and finding.level != "STALE":
                     row = (_number(finding, NIS), _number(finding, VARIANCE_RATIO))
                     if any(math.isfinite(value) for value in row):
-                        self._histories[stage].add(self._wall_clock(), *row)
+                        self._histories[stage].add(now, *row)
+
+    def watch(self, now: float) -> None:
+        """Log that the monitor has gone silent; to be called each second, ``now`` monotonic."""
+        with self._lock:
+            if self._heard and now - self._health_came > HEALTH_STALE_AFTER:
+                self._heard = False
+                self._tell(Change("monitor", "STALE",
+                                  f"the monitor is not heard for {HEALTH_STALE_AFTER:g} s"))
+
+    def acknowledge(self, names: Iterable[str], who: str) -> list[str]:
+        """Acknowledge those of the named alarms that are raised; returns which those were.
+
+        An acknowledgement lasts until the alarm is OK again, or is raised to a higher level.
+        """
+        done = []
+        with self._lock:
+            for name in names:
+                finding = self._findings.get(name)
+                if name not in ACKNOWLEDGED or finding is None or not finding.raised or (
+                        name in self._acknowledged):
+                    continue
+                self._acknowledged[name] = Acknowledgement(who, self._wall_clock(), finding.word)
+                self._tell(Change("acknowledged", finding.word,
+                                  f"{name.replace('_', ' ').capitalize()}: {finding.word} "
+                                  f"acknowledged by {who}"))
+                done.append(name)
+        return done
+
+    def _drop_acknowledgements(self) -> None:
+        for name, given in list(self._acknowledged.items()):
+            finding = self._findings.get(name)
+            if finding is not None and (finding.word == "OK" or (finding.raised and SEVERITY.index(
+                    finding.word) > SEVERITY.index(given.level))):
+                del self._acknowledged[name]
+
+    def _is_new(self, text: str, now: float) -> bool:
+        """Tell whether a reset is another one: its event and its count may come apart."""
+        told, self._reset_told = self._reset_told, (text, now)
+        return told[0] != text or now - told[1] > SAME_RESET
+
+    def _tell(self, change: Change) -> None:
+        self.log.add(self._wall_clock(), self.name, change)
+
+    def time_of_day(self, monotonic: float, now: float) -> float:
+        """Return the time of day of a monotonic time; both are of the same moment ``now``.
+
+        A clock that is steered does not move what was drawn; one that was set moves all of it.
+        """
+        offset = self._wall_clock() - now
+        if abs(offset - self._offset) > CLOCK_SET:
+            self._offset = offset
+        return monotonic + self._offset
 
     def view(self, now: float) -> View:
         """Return the present state; ``now`` in s, monotonic."""
@@ -153,17 +241,29 @@ class State:
             return View({s: n.value for s, n in self._values.items()},
                         {s: n.value for s, n in self._stddevs.items()},
                         measured, estimated, pair is not None, dict(findings), self._hardware,
-                        silence)
+                        silence, dict(self._acknowledged),
+                        self._recent[-1][0] if self._recent else math.nan)
 
-    def history(self, name: str) -> list[Row]:
-        """Return the rows of a symbol, a stage or a position.
+    def history(self, name: str, now: float, since: float = -math.inf) -> list[Row]:
+        """Return the rows of a symbol or a stage.
 
         Symbols: (time of day s, value, stddev); stages: (time of day s, normalised innovation
-        squared, variance ratio); ``measured`` and ``estimated``: (stamp s, position).
+        squared, variance ratio).
+
+        Parameters
+        ----------
+        now : s, monotonic.
+        since : time of day of the oldest row, s.
         """
+        shift = self.time_of_day(0.0, now)
         with self._lock:
-            history = self._histories[name]
-            return history.rows(None if name in self._positions else self._wall_clock())
+            rows = self._histories[name].rows(since - shift)
+        return [(row[0] + shift, *row[1:]) for row in rows]
+
+    def positions(self) -> dict[str, list[Row]]:
+        """Return the rows (stamp s, position) of ``measured`` and ``estimated``."""
+        with self._lock:
+            return {name: self._histories[name].rows() for name in self._positions}
 
     def limits(self, symbol: str) -> list[tuple[str, str, float]]:
         """Return the thresholds of a parameter: (``low`` or ``high``, ``WARN`` or ``ERROR``, SI).

@@ -4,6 +4,7 @@ import math
 import time
 from dataclasses import dataclass
 
+from eha_monitor.dashboard.events import ACKNOWLEDGED
 from eha_monitor.dashboard.state import (
     HEALTH_STALE_AFTER,
     NIS,
@@ -15,7 +16,7 @@ from eha_monitor.dashboard.state import (
 from eha_monitor.filters.status import units_of
 from eha_monitor.health.alarms import NOT_JUDGED, SEVERITY
 from eha_monitor.health.finding import Finding
-from eha_monitor.quantity import Scale, number, readable, with_uncertainty
+from eha_monitor.quantity import SYMBOLS, Scale, number, readable, with_uncertainty
 from eha_monitor.settings import Settings
 
 # A level has a sign and a word, so that it is told without its colour.
@@ -27,6 +28,8 @@ _DATA = {"rows": "{} rows so far", "rate_joint_states_Hz": "{} messages a second
          "cpu_share_percent": "{} % of a processor"}
 # A thousandth of the units in which positions are shown.
 _FINE = {"mm": "µm", "mrad": "µrad"}
+# Data count as live up to this age, and stamps as of another time beyond this distance, s.
+LIVE_WITHIN, STAMPS_DIFFER = 2.0, 5.0
 _STATUS_WORDS = {"not_excited": "not excited", "no_data": "no data"}
 
 
@@ -99,6 +102,75 @@ def overall(view: View) -> tuple[str, str]:
     return level, level_text(level) + (f", {left} of {len(listed)} not judged" if left else "")
 
 
+def rank(level: str) -> int:
+    """Return how much a level counts; without data counts more than fine, less than a warning."""
+    return SEVERITY.index(level)
+
+
+def short(symbol: str, number: Shown) -> str:
+    """Return an estimate in one line: B 600.1 ± 2.3 N·s/m."""
+    return " ".join(part for part in (SYMBOLS[symbol], number.value, number.stddev, number.unit)
+                    if part)
+
+
+def waiting(view: View) -> list[str]:
+    """Return the names of what is raised and has not been acknowledged."""
+    return [name for name in ACKNOWLEDGED if name in view.findings
+            and view.findings[name].raised and name not in view.acknowledged]
+
+
+def quiet(view: View) -> bool:
+    """Tell whether something is raised and all of that has been acknowledged."""
+    raised = any(view.findings[name].raised for name in ACKNOWLEDGED if name in view.findings)
+    return raised and not waiting(view)
+
+
+def acknowledged_text(view: View, name: str) -> str:
+    """Return who acknowledged an alarm and when, or nothing."""
+    given = view.acknowledged.get(name)
+    return f"acknowledged by {given.who}, {clock_text(given.time_s)}" if given else ""
+
+
+def clock_text(time_s: float) -> str:
+    """Return a time of day of this machine's zone, with the date where that is not today."""
+    then = time.localtime(time_s)
+    today = time.strftime("%Y-%m-%d", then) == time.strftime("%Y-%m-%d")
+    return time.strftime("%H:%M:%S" if today else "%Y-%m-%d %H:%M:%S", then)
+
+
+def last_data(view: View, now: float) -> tuple[bool, str]:
+    """Return whether data come, and when the last ones came.
+
+    Parameters
+    ----------
+    now : time of day, s since the epoch.
+    """
+    age = min(view.silence["measured"], view.silence["estimates"])
+    if math.isinf(age):
+        return False, "no data yet"
+    text = f"last data {clock_text(now - age)} {time.strftime('%Z')}"
+    if age >= 1.0:
+        text += f" ({duration_text(age)} ago)"
+    if math.isfinite(view.stamp) and abs(now - age - view.stamp) > STAMPS_DIFFER:
+        stamped = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(view.stamp))
+        text += f", stamped {stamped} (a replay, or clocks that differ)"
+    return age <= LIVE_WITHIN, text
+
+
+def duration_text(seconds: float) -> str:
+    """Return a duration in its two largest units.
+
+    >>> duration_text(8.2), duration_text(200), duration_text(93_000)
+    ('8 s', '3 min 20 s', '1 d 1 h')
+    """
+    whole = int(seconds)
+    parts = [(whole // 86_400, "d"), (whole // 3600 % 24, "h"), (whole // 60 % 60, "min"),
+             (whole % 60, "s")]
+    first = next((k for k, (count, _) in enumerate(parts) if count), 3)
+    return " ".join(f"{count} {unit}" for count, unit in parts[first:first + 2]
+                    if count or first == 3)
+
+
 def stage_status(view: View, stage: str) -> str:
     """Return the status of a parameter in words: converged, not excited, ..."""
     finding = view.findings.get(stage)
@@ -152,8 +224,8 @@ def silence_text(view: View, settings: Settings, topics: dict[str, str]) -> str:
     stopped = {name: age for name, age in silent.items() if math.isfinite(age)}
     if stopped:
         age = max(stopped.values())
-        since = time.strftime("%H:%M:%S", time.localtime(time.time() - age))
-        parts.append(f"No data since {since} ({age:.0f} s): nothing on "
+        since = clock_text(time.time() - age)
+        parts.append(f"No data since {since} ({duration_text(age)}): nothing on "
                      f"{', '.join(topics[name] for name in stopped)}")
     if never:
         parts.append(f"{'no' if parts else 'No'} data yet on {', '.join(never)}")
@@ -161,7 +233,8 @@ def silence_text(view: View, settings: Settings, topics: dict[str, str]) -> str:
     if "health" in silent:
         parts.append("the monitor is not heard")
     elif finding is not None and finding.level == "STALE":
-        parts.append(f"the monitor says: {finding.message}")
+        # The first reason; the others stand with the data, below.
+        parts.append(f"the monitor says: {finding.message.partition('; ')[0]}")
     return "; ".join(parts)
 
 

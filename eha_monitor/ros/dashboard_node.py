@@ -1,10 +1,8 @@
-"""The dashboard node: the topics of rig and monitor into a page on loopback."""
+"""The dashboard node: the topics of rig and monitor into the state that a page shows."""
 
-import contextlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -13,19 +11,18 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
 
+from eha_monitor.dashboard.events import ACKNOWLEDGED, EventLog
 from eha_monitor.dashboard.state import State
 from eha_monitor.errors import InputError
 from eha_monitor.filters.rows import Source
 from eha_monitor.health.alarms import WATCHED
-from eha_monitor.ros import running
 from eha_monitor.ros.inputs import Topic, topics_of
 from eha_monitor.ros.messages import findings_of
 from eha_monitor.ros.outputs import LATCHED
-from eha_monitor.ros.parameters import settings_of_node
-from eha_monitor.ros.params_file import with_namespace
 from eha_monitor.ros.subscriptions import TopicInput
-from eha_monitor.settings import Settings, load_settings
+from eha_monitor.settings import Settings
 
 FOLLOW_PERIOD, TAKE_PERIOD = 1.0, 0.05  # s
 # What is shown may miss samples, and must not be late: the newest of each turn are enough.
@@ -53,6 +50,7 @@ class Listener:
     node : node in the namespace of the topics.
     settings : validated config.
     source : name of the config in errors.
+    log : takes what changes.
 
     Attributes
     ----------
@@ -60,8 +58,9 @@ class Listener:
     topics : full names of the topics, by the keys of ``View.silence``.
     """
 
-    def __init__(self, node: Node, settings: Settings, source: str = "config"):
-        self.state = State(settings, time.time)
+    def __init__(self, node: Node, settings: Settings, source: str = "config",
+                 log: EventLog | None = None):
+        self.state = State(settings, time.time, log)
         name = node.resolve_topic_name
         measured = position_topic(settings, source, name)
         self.topics = {"measured": name(measured.name),
@@ -71,6 +70,7 @@ class Listener:
         self._node = node
         self.measured = TopicInput(node, measured, qos=SHOWN_QOS)
         for period, work in ((FOLLOW_PERIOD, self.measured.follow_graph),
+                             (FOLLOW_PERIOD, lambda: self.state.watch(time.monotonic())),
                              (TAKE_PERIOD, self._take_measured)):
             node.create_timer(period, work, clock=Clock(clock_type=ClockType.STEADY_TIME))
         for watched in WATCHED:
@@ -82,6 +82,7 @@ class Listener:
                         take(symbol, message.data, time.monotonic()), 10)
         node.create_subscription(JointState, "monitor/joint_states", self._take_estimated, 10)
         node.create_subscription(DiagnosticArray, "monitor/health", self._take_health, LATCHED)
+        node.create_service(Trigger, "dashboard/acknowledge", self._on_acknowledge)
 
     def close(self) -> None:
         """End the subscription that is not the node's own."""
@@ -103,52 +104,16 @@ class Listener:
             self.state.take_position("estimated", stamp.sec + stamp.nanosec * 1e-9,
                                      message.position[0], time.monotonic())
 
+    def _on_acknowledge(self, request, response):
+        """Acknowledge what is raised; a service does not tell who calls it."""
+        done = self.state.acknowledge(ACKNOWLEDGED, "a ROS service call")
+        response.success = bool(done)
+        response.message = (f"acknowledged: {', '.join(done)}" if done else
+                            "nothing is raised that has not been acknowledged")
+        return response
+
     def _take_health(self, message: DiagnosticArray) -> None:
         hardware = message.status[0].hardware_id if message.status else ""
         self.state.take_findings(hardware, findings_of(message), time.monotonic())
 
 
-@contextlib.contextmanager
-def _optional(what: str, extra: str) -> Iterator[None]:
-    """Say in one line which extra is missing, where an import inside the block fails."""
-    try:
-        yield
-    except ImportError as problem:
-        if (problem.name or "").startswith("eha_monitor"):
-            raise  # a defect of ours is no missing package
-        raise InputError(f"{what}: {problem}; install eha_monitor[{extra}]") from problem
-
-
-def run_dashboard(config: Path | None, ros_args: list[str], port: int,
-                  duration: float | None = None, foxglove: int | None = None) -> int:
-    """Serve the page until a signal or for ``duration`` s; returns the exit status.
-
-    Parameters
-    ----------
-    port : of the page, on loopback.
-    foxglove : port of a Foxglove WebSocket, or None for none.
-
-    Raises
-    ------
-    InputError
-        If the port is taken, or the config, a parameter or a ROS argument is wrong.
-    """
-    with _optional("dashboard", "dashboard"):
-        from eha_monitor.dashboard.serve import claim, serving
-    if foxglove is not None:
-        with _optional("--foxglove", "foxglove"):
-            from eha_monitor.ros.foxglove_server import serving_foxglove
-    settings = with_namespace(load_settings(config), ros_args, "dashboard")
-    with (claim(port) as listener, running.ros_session(ros_args),
-          running.node("dashboard", settings.monitor.namespace) as node):
-        settings = settings_of_node(node, settings)
-        heard = Listener(node, settings, source=str(config or "default config"))
-        with contextlib.ExitStack() as open_:
-            open_.callback(heard.close)
-            if foxglove is not None:
-                socket_ = open_.enter_context(serving_foxglove(node, settings, foxglove))
-                print(f"foxglove: {socket_}", flush=True)
-            page = open_.enter_context(serving(heard.state, heard.topics, listener))
-            print(f"dashboard: {page}", flush=True)
-            running.spin(node, duration)
-    return 0

@@ -37,8 +37,12 @@ class _Channels:
 
 
 @contextlib.contextmanager
-def serving_foxglove(node: Node, settings: Settings, port: int) -> Iterator[str]:
-    """Serve inputs and outputs of the monitor for the time of a block; gives the address.
+def serving_foxglove(nodes: list[tuple[Node, Settings]], port: int) -> Iterator[str]:
+    """Serve inputs and outputs of the monitors for the time of a block; gives the address.
+
+    Parameters
+    ----------
+    nodes : of each actuator the node in its namespace, and its config.
 
     Raises
     ------
@@ -52,7 +56,12 @@ def serving_foxglove(node: Node, settings: Settings, port: int) -> Iterator[str]
         raise InputError(f"--foxglove {port}: cannot serve on {HOST}:{port} ({problem}), expected "
                          "a free port") from problem
     try:
-        Recorder(node, _Channels(), topics_to_record(settings))
+        channels = _Channels()
+        told: set[str] = set()  # a topic of several, as /diagnostics, is offered once
+        for node, settings in nodes:
+            names = [node.resolve_topic_name(name) for name in topics_to_record(settings)]
+            Recorder(node, channels, tuple(name for name in names if name not in told))
+            told.update(names)
         yield f"ws://{HOST}:{server.port}"
     finally:
         server.stop()

@@ -1,0 +1,234 @@
+"""The part of the page that shows one actuator in full."""
+
+import json
+import math
+import time
+from collections.abc import Callable
+
+from nicegui import ui
+
+from eha_monitor.dashboard import actuator, charts, words
+from eha_monitor.dashboard.acknowledge import ask_for_acknowledgement
+from eha_monitor.dashboard.actuators import Actuator
+from eha_monitor.dashboard.elements import Level, button, heading, tagged, text
+from eha_monitor.dashboard.events import MISMATCH
+from eha_monitor.dashboard.history import thinned
+from eha_monitor.dashboard.span import Span
+from eha_monitor.dashboard.state import STAGES, View, alarms
+from eha_monitor.health.alarms import ALARM_NAMES, WATCHED
+from eha_monitor.quantity import NOTE, SYMBOLS, readable
+
+# Where the scale of the drawing shrinks: not at each pause of the motion.
+_SHRINK = 4.0
+# Rows of a line: more than a chart has pixels are not sent.
+_MOST_ROWS = 700
+
+
+class Detail:
+    """Builds the cards of an actuator into the current NiceGUI context and keeps them up to date.
+
+    Parameters
+    ----------
+    shown : the actuator.
+    span : which time the charts show.
+    on_zoom : called when a stretch of time has been dragged on a chart.
+    """
+
+    def __init__(self, shown: Actuator, span: Span, on_zoom: Callable[[], None]):
+        self.shown, self.state, self.span, self._on_zoom = shown, shown.state, span, on_zoom
+        self._scales = words.scales(self.state.settings)
+        self._unit = "rad" if self.state.settings.rig.motion == "rotary" else "m"
+        self._half = 0.0
+        self._figures = {w.symbol: self._build_estimate(w.symbol, w.words) for w in WATCHED}
+        self._alarms: dict[str, tuple] = {}
+        self._build_alarms()
+        self._build_actuator()
+        self._build_model()
+
+    def _build_estimate(self, symbol: str, title: str) -> dict:
+        name = f"{title.capitalize()} {SYMBOLS[symbol]}"
+        with ui.element("section").classes("card") as card:
+            with ui.element("div").classes("title"):
+                heading("h2", name)
+                picture = button("PNG", f"{symbol}-png")
+            with ui.element("div").classes("figure"):
+                parts = {part: text("", part, f"{symbol}-{part}")
+                         for part in ("value", "stddev", "unit", "status")}
+            chart = self._chart(charts.estimate_frame(self._scales[symbol]), name, picture)
+        return {"card": card, "chart": chart, **parts}
+
+    def _chart(self, frame: dict, name: str, picture: ui.button) -> ui.echart:
+        """Make a chart of the last minutes: dragged on it is a stretch of time."""
+        chart = ui.echart(frame).classes("chart")
+        chart.on("chart:datazoom", lambda event: self._dragged(event.args), args=["batch"])
+        ui.timer(0.2, lambda: ui.run_javascript(f"ehaDrag({chart.id})"), once=True)
+        picture.on_click(lambda: self._save_picture(chart, name))
+        return chart
+
+    def _dragged(self, told: dict) -> None:
+        batch = (told or {}).get("batch") or [{}]
+        first, last = (_seconds(batch[0].get(key)) for key in ("startValue", "endValue"))
+        zone = charts.zone_s()
+        if self.span.drag(first - zone, last - zone):
+            self.reset_zoom()
+            self._on_zoom()
+
+    def reset_zoom(self) -> None:
+        """Let each chart show the whole of its axis: the axis itself is what was chosen."""
+        whole = {"type": "dataZoom", "start": 0, "end": 100}
+        for chart in self._timed_charts():
+            chart.run_chart_method("dispatchAction", whole)
+
+    def _timed_charts(self) -> list[ui.echart]:
+        return [*(figure["chart"] for figure in self._figures.values()), self._residual_chart]
+
+    def _save_picture(self, chart: ui.echart, name: str) -> None:
+        now = time.strftime("%Y-%m-%d %H:%M:%S %Z")
+        title = f"{self.shown.name}: {name}"
+        file = f"{self.shown.name}_{name.replace(' ', '_')}_{time.strftime('%Y%m%dT%H%M%S')}.png"
+        ui.run_javascript("ehaPicture(" + ", ".join(
+            [str(chart.id), *(_literal(each) for each in (title, f"saved {now}", file))]) + ")")
+
+    def _build_alarms(self) -> None:
+        with ui.element("section").classes("card"):
+            heading("h2", "Alarms")
+            for name in ALARM_NAMES:
+                self._build_alarm(name, words.plain_name(name))
+
+    def _build_alarm(self, name: str, title: str, key: str = "") -> ui.label:
+        key = key or name
+        with ui.element("div").classes("alarm"):
+            level = Level(f"{key}-level")
+            label = text(title, "name")
+            message = text("", "message", f"{key}-message")
+            given = text("", "message by", f"{key}-acknowledged")
+            with ui.element("div").classes("answer") as answer:
+                button("Acknowledge", f"{key}-acknowledge",
+                       lambda: ask_for_acknowledgement(self.state, name))
+        self._alarms[name] = level, message, given, answer
+        return label
+
+    def _build_actuator(self) -> None:
+        with ui.element("section").classes("card"):
+            with ui.element("div").classes("title"):
+                heading("h2", "Position, the last 15 s")
+                picture = button("PNG", "position-png")
+            with ui.element("div").classes("actuator") as self._drawing_box:
+                tagged(self._drawing_box, "actuator")
+                self._drawing = ui.html("", sanitize=False)
+            with ui.element("div").classes("positions"):
+                self._positions = [text("", "", key) for key in
+                                   ("measured", "estimated", "difference")]
+            self._position_scale = readable(0.02, self._unit)
+            self._position_chart = ui.echart(
+                charts.position_frame(self._position_scale)).classes("chart")
+            picture.on_click(lambda: self._save_picture(self._position_chart, "Position"))
+
+    def _build_model(self) -> None:
+        with ui.element("section").classes("card wide"):
+            with ui.element("div").classes("title"):
+                heading("h2", "Model and residual")
+                picture = button("PNG", "residual-png")
+            self._model_status = self._build_alarm(MISMATCH, "", "model")
+            tagged(self._model_status, "model-status")
+            with ui.element("div").classes("line names"):
+                for title in ("innovations of", "size (NIS)", "drift (variance ratio)", "samples"):
+                    ui.label(title)
+            self._innovations = {}
+            for stage in STAGES:
+                with ui.element("div").classes("line"):
+                    ui.label(words.plain_name(stage))
+                    self._innovations[stage] = [
+                        text("", "", f"{stage}-{key}") for key in ("nis", "variance", "samples")]
+            text("Both are 1 where the model explains the data; what is judged is whether they "
+                 "stay near it.", "note")
+            self._residual_chart = self._chart(charts.residual_frame(), "Innovations", picture)
+            self._data = text("", "note", "data")
+            text(NOTE, "note", "plus-minus")
+
+    def refresh(self, view: View) -> None:
+        """Bring numbers, words and the piston up to date."""
+        for alarm in alarms(view):
+            self._refresh_alarm(view, alarm.name, alarm.word, alarm.message)
+        for stage, watched in zip(STAGES, WATCHED, strict=True):
+            self._refresh_estimate(view, watched.symbol, stage)
+        found = view.findings.get(MISMATCH)
+        self._refresh_alarm(view, MISMATCH, found.word if found else "STALE",
+                            found.message if found else "nothing heard yet")
+        self._model_status.set_text(words.model_status(view))
+        for stage, labels in self._innovations.items():
+            for label, content in zip(labels, words.innovation_texts(view, stage), strict=True):
+                label.set_text(content)
+        self._data.set_text(words.data_text(view))
+        self._refresh_actuator(view)
+
+    def _refresh_alarm(self, view: View, name: str, word: str, content: str) -> None:
+        level, message, given, answer = self._alarms[name]
+        level.show(word, quiet=name in view.acknowledged)
+        message.set_text(content)
+        by = words.acknowledged_text(view, name)
+        given.set_text(by)
+        given.set_visibility(bool(by))
+        answer.set_visibility(name in words.waiting(view))
+
+    def _refresh_estimate(self, view: View, symbol: str, stage: str) -> None:
+        figure = self._figures[symbol]
+        number = words.shown(view.value[symbol], view.stddev[symbol], self._scales[symbol])
+        for part in ("value", "stddev", "unit"):
+            figure[part].set_text(getattr(number, part))
+        figure["status"].set_text(words.stage_status(view, stage))
+        monitor = self.state.settings.monitor
+        old = monitor.stale_after + 1.0 / monitor.publish_rate < view.silence[symbol] < math.inf
+        if old != ("old" in figure["card"].classes):
+            figure["card"].classes(**{"add" if old else "remove": "old"})
+
+    def _refresh_actuator(self, view: View) -> None:
+        texts = words.position_texts(view, self._position_scale)
+        for label, content in zip(self._positions, texts, strict=True):
+            label.set_text(content)
+        if self._half:
+            self._drawing_box.style(
+                f"--measured: {actuator.place(view.measured, self._half)}; "
+                f"--estimated: {actuator.place(view.estimated, self._half)}")
+
+    def draw_position(self) -> None:
+        """Bring the chart of the position up to date, and the scale of the drawing."""
+        rows = self.state.positions()
+        half = actuator.half_range([row[1] for history in rows.values() for row in history])
+        if half > self._half or half * _SHRINK < self._half:
+            self._half = half
+            self._drawing.set_content(actuator.drawing(half, self._unit))
+        _put(self._position_chart, charts.position_data(rows, self._position_scale))
+
+    def draw_charts(self) -> None:
+        """Bring the charts of the chosen time up to date."""
+        now = time.monotonic()
+        today = self.state.time_of_day(now, now)
+        since = self.span.since(today)
+        until = math.inf if self.span.zoom is None else self.span.zoom[1]
+        rows = {name: thinned([row for row in self.state.history(name, now, since)
+                               if row[0] <= until], _MOST_ROWS)
+                for name in (*self._figures, *STAGES)}
+        first = min((each[0][0] for each in rows.values() if each), default=math.inf)
+        ends = self.span.zoom or charts.ends_of(first, today, today - since if math.isfinite(
+            since) else None)
+        for symbol, figure in self._figures.items():
+            _put(figure["chart"], charts.estimate_data(
+                rows[symbol], self.state.limits(symbol), self._scales[symbol], ends))
+        _put(self._residual_chart, charts.residual_data({s: rows[s] for s in STAGES}, ends))
+
+
+def _put(chart: ui.echart, data: dict) -> None:
+    """Hand a chart what has moved, without sending its frame again."""
+    chart.run_chart_method("setOption", data)
+
+
+def _seconds(milliseconds: object) -> float:
+    """Return what a browser told as s; NaN where that is no number."""
+    number = isinstance(milliseconds, int | float) and not isinstance(milliseconds, bool)
+    return 1e-3 * milliseconds if number else math.nan
+
+
+def _literal(content: str) -> str:
+    """Return a text as JavaScript writes it."""
+    return json.dumps(content).replace("<", "\\u003c")

@@ -1,0 +1,133 @@
+"""The event log: what changed, when, on which actuator."""
+
+import csv
+import io
+import threading
+from collections import deque
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from itertools import islice
+
+from eha_monitor.health.alarms import ALARM_NAMES, NOT_JUDGED
+from eha_monitor.health.finding import Finding
+
+MISMATCH = "model_mismatch"
+QUALITY = "data quality"
+# What a person can acknowledge.
+ACKNOWLEDGED = (*ALARM_NAMES, MISMATCH)
+# So many events are kept; the oldest go first.
+MOST = 5000
+# In these an alarm is worth an entry of its own; that data began or stopped is one of `data`.
+_TOLD = ("WARN", "ERROR", NOT_JUDGED)
+
+
+@dataclass(frozen=True)
+class Change:
+    """Something that changed from one health message to the next.
+
+    Attributes
+    ----------
+    kind : ``alarm``, ``acknowledged``, ``model``, ``reset``, ``bag``, ``monitor``, ``data`` (they
+        stop, come, or are refused) or ``data quality`` (a warning about the samples, and its end).
+    level : the word of the level that it has now, "" where it has none.
+    text : a sentence.
+    """
+
+    kind: str
+    level: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Event(Change):
+    """A change with its time of day (s since the epoch) and its actuator."""
+
+    time_s: float
+    actuator: str
+
+
+class EventLog:
+    """The events of all actuators, in the order in which they came; a bounded number is kept.
+
+    Attributes
+    ----------
+    count : of all events that ever came.
+    """
+
+    def __init__(self):
+        self.count = 0
+        self._events: deque[Event] = deque(maxlen=MOST)
+        self._lock = threading.Lock()
+
+    def add(self, time_s: float, actuator: str, change: Change) -> None:
+        """Keep a change; ``time_s`` since the epoch."""
+        with self._lock:
+            self.count += 1
+            self._events.append(Event(change.kind, change.level, change.text, time_s, actuator))
+
+    def latest(self, most: int = MOST, without: str = "") -> list[Event]:
+        """Return the last events, the newest first, without those of one kind."""
+        with self._lock:
+            return list(islice((event for event in reversed(self._events)
+                                if event.kind != without), most))
+
+    def csv(self) -> str:
+        """Return all events as CSV, the oldest first; times in UTC."""
+        rows = [("time_utc", "actuator", "kind", "level", "text")]
+        rows += [(utc(event.time_s), event.actuator, event.kind, event.level, event.text)
+                 for event in reversed(self.latest())]
+        return csv_text(rows)
+
+
+def utc(time_s: float) -> str:
+    """Return a time since the epoch as ISO 8601 in UTC, to the millisecond."""
+    return datetime.fromtimestamp(time_s, UTC).isoformat(timespec="milliseconds")
+
+
+def csv_text(rows: list[tuple]) -> str:
+    """Return rows as CSV, with the mark of UTF-8 that spreadsheets look for.
+
+    A text that a spreadsheet would take for a formula gets a quote before it.
+    """
+    out = io.StringIO()
+    out.write("\ufeff")
+    csv.writer(out, lineterminator="\r\n").writerows(
+        [f"'{cell}" if isinstance(cell, str) and cell[:1] in ("=", "+", "-", "@") else cell
+         for cell in row] for row in rows)
+    return out.getvalue()
+
+
+def changes(before: Mapping[str, Finding], after: Mapping[str, Finding]) -> Iterator[Change]:
+    """Give what changed between two health messages; ``before`` is empty for the first one."""
+    for name in ACKNOWLEDGED:
+        if name in after:
+            yield from _alarm(before.get(name), after[name])
+    if "data" in after:
+        yield from _data(before.get("data"), after["data"])
+
+
+def _alarm(old: Finding | None, new: Finding) -> Iterator[Change]:
+    was = old.word if old is not None else ""
+    if was == new.word or not {was, new.word}.intersection(_TOLD):
+        return
+    name = new.name.replace("_", " ").capitalize()
+    words = f"{name}: {was} → {new.word}" if was else f"{name}: {new.word} when first heard"
+    yield Change("model" if new.name == MISMATCH else "alarm", new.word,
+                 "; ".join(filter(None, (words, new.message.removeprefix(f"{NOT_JUDGED}: ")))))
+
+
+def _data(old: Finding | None, new: Finding) -> Iterator[Change]:
+    if old is None or old.level != new.level:
+        levels = {new.level, old.level if old else "STALE"}
+        yield Change(QUALITY if levels == {"OK", "WARN"} else "data", new.level, new.message)
+    if old is None:
+        return  # an event or a bag of before the dashboard: its time is not known
+    # A bag that is replayed in a loop gives the same event at the same time again.
+    keys = ("last_event", "last_event_s", "jumped_stamps")
+    if any(new.values.get(key) != old.values.get(key) for key in keys) and (
+            text := str(new.values.get("last_event", ""))):
+        yield Change("reset" if text.startswith("estimates reset") else QUALITY, "", text)
+    bag = str(new.values.get("last_bag", ""))
+    if bag and bag != old.values.get("last_bag"):
+        yield Change("bag", "", f"bag saved: {bag}")
