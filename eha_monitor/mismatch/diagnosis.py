@@ -143,7 +143,7 @@ class LearnedTerm:
     unit, against_unit : of the curve and of its signal.
     x, curve, band : (n,) the curve and its standard deviation; nothing is known beyond its ends.
     at, measured, spread : (k,) the same from the recording, bin by bin.
-    formula : where one explains the recording better than the curve does, else empty; ``shape``
+    formula : where one explains as much as the curve, to 5 %, else empty; ``shape``
         its name.
     rivals : other formulas and by how many log units each is worse than the formula that is told,
         or else than the curve.

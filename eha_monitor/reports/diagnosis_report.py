@@ -230,7 +230,7 @@ def _curve_note(found: Diagnosis, curve: Curve) -> str:
 
 
 def _learned_note(term: LearnedTerm) -> str:
-    formula = ("Dashed: the formula, which explains the recording better than the curve does."
+    formula = ("Dashed: the formula, which explains as much as the curve to within 5 %."
                if term.formula else "Dashed: the best formula; the curve explains more."
                if term.rivals else "")
     return ("Dots: what the recording shows and the model lacks. Blue: what was learned from the "
