@@ -62,7 +62,7 @@ def test_doubtful_values_do_not_bend_the_line():
     assert not found.doubtful
     block = history_block(found, Settings())
     assert block.pictures
-    assert "none that stands out" in block.notes[0]
+    assert "not significant" in block.notes[0]
 
 
 def test_where_all_are_tainted_their_change_is_told():
@@ -70,7 +70,7 @@ def test_where_all_are_tainted_their_change_is_told():
     found = history(rows, "B", "estimate", "now")
     assert found.doubtful
     assert MONTH * found.line.slope == pytest.approx(30.0)
-    assert "tells of change only" in trend_words(found)
+    assert "shows changes only" in trend_words(found)
 
 
 def test_measured_temperatures_make_it_the_reference():

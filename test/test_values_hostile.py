@@ -107,7 +107,8 @@ def test_a_few_wild_values_are_left_out_and_told(recording, tmp_path):
     read = read_recording(raw_bag(tmp_path / "bag", channels), Settings())
     for found in (read, Recording(1e-3, channels)):
         assert np.isnan(found.channels["p1"][[500, 501, 900]]).all()
-        assert any("p1: 3 of 3000 values are no measurement (1e+40 Pa at t = 0.500 s" in loss
+        assert any("p1: 3 of 3000 values are not valid measurements (1e+40 Pa at t = 0.500 "
+                   "s" in loss
                    for loss in found.losses)
         assert any("x: 1 of 3000 values are infinite" in loss for loss in found.losses)
     assert estimate(read, settings()).parameters["B"].value == pytest.approx(600.0, rel=0.02)
@@ -225,4 +226,5 @@ def test_live_a_value_that_no_sensor_shows_is_left_out_and_named():
     assert [row for _, row, _ in watch.take(rows)] == [
         {"x": 1e-3, "p1": 2e6}, {"p1": 2e6}, {"p1": 2e6}]
     watch.look(1.0)
-    assert watch.sentences(1.0) == ["x: inf m is no measurement (beyond ±1e+09 m), left out"]
+    assert watch.sentences(1.0) == ["x: inf m is not a valid measurement (beyond ±1e+09 m), left "
+                                    "out"]

@@ -132,8 +132,8 @@ class Page:
                     ui.label(words.plain_name(stage))
                     self._innovations[stage] = [
                         _text("", "", f"{stage}-{key}") for key in ("nis", "variance", "samples")]
-            _text("Both are 1 where the model explains the data; what is judged is whether they "
-                  "stay near it.", "note")
+            _text("Both are 1 if the model fits the data; the model is judged by whether they "
+                  "stay near 1.", "note")
             self._residual_chart = ui.echart(charts.residual_frame()).classes("chart")
             self._data = _text("", "note", "data")
             _text(NOTE, "note", "plus-minus")
@@ -171,7 +171,7 @@ class Page:
         found = view.findings.get("model_mismatch")
         self._model.show(found.word if found else "STALE")
         self._model_status.set_text(words.model_status(view))
-        self._model_message.set_text(found.message if found else "nothing heard yet")
+        self._model_message.set_text(found.message if found else "nothing received yet")
         for stage, labels in self._innovations.items():
             for label, text in zip(labels, words.innovation_texts(view, stage), strict=True):
                 label.set_text(text)
