@@ -75,7 +75,7 @@ def test_sections_follow_what_is_there(html):
     assert not {"effects", "overlays", "parts", "config-effects"} & unexplained
     partly = Page(page_of(ALL["partly"]()))
     assert "effects" in partly.ids and "config-effects" not in partly.ids
-    assert "What would explain a part of it" in partly.text
+    assert "Effects that would explain a part of it" in partly.text
     assert not {"curve", "where", "fit", "effects"} & Page(page_of(ALL["insufficient"]())).ids
     assert not {"where", "effects"} & Page(page_of(ALL["consistent"]())).ids
 
