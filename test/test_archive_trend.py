@@ -89,7 +89,7 @@ def test_stamps_that_are_no_calendar_time_are_told():
     assert found.undated == 1
     assert "needs 3 values" in trend_words(found)
     alone = history(rows[:1], "B", "estimate", "now")
-    assert "no calendar time" in history_block(alone, Settings()).notes[0]
+    assert "not calendar times" in history_block(alone, Settings()).notes[0]
     nothing = history([{"bag": "a", "made_with": "now", "error": "broken"}], "beta_e",
                       "estimate", "now")
     assert "no recording tells a value" in history_block(nothing, Settings()).notes[0]

@@ -214,7 +214,7 @@ def test_config_without_a_name_stays_as_it_was(name, tmp_path):
     file = tmp_path / "named.yaml"
     file.write_text(written_config(ALL[name](), given, None))
     assert load_settings(file) == given
-    assert "Nothing is changed" in file.read_text()
+    assert "No key is changed" in file.read_text()
 
 
 def test_table_for_a_person(capsys, tmp_path):
@@ -274,7 +274,8 @@ def test_config_takes_the_found_numbers_and_tells_what_it_cannot_hold(tmp_path):
     assert read.rig.tolerance == Settings().rig.tolerance
     head = " ".join(file.read_text().split("/**:")[0].replace("#", "").split())
     assert "rig.charge_pressure: 300.0 ± 2.0 kPa, was 2000 kPa (99 %)" in head
-    assert ("not in it: intermittent_load: F = −95.2 ± 1.6 N at 3.2–5.1, 8.0–9.4, 17.2–21.0 s; "
+    assert ("not in this config: intermittent_load: F = −95.2 ± 1.6 N at 3.2–5.1, 8.0–9.4, "
+            "17.2–21.0 s; "
             "a config contains only permanent effects") in head
 
 
@@ -332,7 +333,7 @@ def test_report_that_cannot_be_written(tmp_path):
 def test_a_long_recording_says_on_which_windows_its_effects_were_named():
     found = replace(coulomb(), named_on=(Window("bag", 8.0, 16.0), Window("bag", 32.0, 40.0)))
     said = windows_words(found)
-    assert "on the 16 s that tell most (8 to 16 s and 32 to 40 s)" in said
+    assert "on the most informative 16 s (8 to 16 s and 32 to 40 s)" in said
     assert said in diagnosis_page(found, Settings())
     assert windows_words(coulomb()) == ""
     assert answer(found)["named_on"] == [

@@ -300,7 +300,7 @@ def test_estimate_tells_the_air_of_the_bundled_bag(tmp_path, capsys):
         100 * (1 - truth / full), abs=3 * told["pump_efficiency"]["stddev"])
     out = capsys.readouterr().out
     assert "mL/min" in out
-    assert "`diagnose` looks for dry friction and drive lag" in out
+    assert "run `diagnose` for dry friction and drive lag" in out
     page = Page(report.read_text(encoding="utf-8"))
     assert "indicators" in page.ids
     assert any(value == pytest.approx(air["value"]) for value in page.values)

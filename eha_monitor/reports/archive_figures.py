@@ -59,7 +59,7 @@ def history_block(found: History, settings: Settings) -> Block:
     far = [f"{words} {quantity(limit, found.unit)}" for limit, words in lines
            if limit not in near]
     if far:
-        notes.append(f"Outside the plot:  {', '.join(far)}.")
+        notes.append(f"Outside the plot: {', '.join(far)}.")
     if found.undated:
         notes.append(f"{found.undated} more with stamps that are not calendar times: not shown.")
     return Block(f"history-{found.name}", title, pictures=tuple(pictures),

@@ -88,7 +88,7 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
         message=words.message_words(found, probable=True),
         wrong=[_rig(finding, settings.rig.tolerance) for finding in found.rig_data],
         within=[_rig(finding, settings.rig.tolerance) for finding in found.rig_within],
-        doubts=[f"In this recording {effect_words(effect.name)} is indistinguishable from  "
+        doubts=[f"In this recording {effect_words(effect.name)} is indistinguishable from "
                 f"{_rivals(effect.indistinguishable_from)}." for effect in found.effects
                 if effect.indistinguishable_from],
         hero=learned_picture(found.learned[0]) if found.learned else

@@ -47,7 +47,7 @@ def parameter_block(estimate: Estimate, name: str) -> Block:
     near = [limit for limit, _ in lines if is_near(limit, low, high)]
     far = [f"{words} {quantity(limit, unit)}" for limit, words in lines if limit not in near]
     if far:
-        notes.append(f"Outside the plot:  {', '.join(far)}.")
+        notes.append(f"Outside the plot: {', '.join(far)}.")
     view = (min([low, *near]), max([high, *near]))
     margin = 0.08 * (view[1] - view[0])
     early = value[np.isfinite(value)]
