@@ -63,7 +63,7 @@ def test_a_simulation_that_ran_away_is_one_line(recording, tmp_path, capfd, comm
     bag = raw_bag(tmp_path / "bag", run_away(recording))
     assert main([command[0], bag, *command[1:]]) == 2
     err = capfd.readouterr().err
-    assert err.count("\n") == 1 and bag in err and "p1 runs away: " in err, err
+    assert err.count("\n") == 1 and bag in err and "p1 is out of range: " in err, err
     assert "at t = 1.515 s" in err and "Pa" in err, err
 
 
@@ -75,7 +75,7 @@ def test_of_an_archive_it_is_a_row_with_its_error(recording, tmp_path, capfd):
     raw_bag(folder / "good", recording.channels)
     assert main(["estimate", str(folder), "--out", str(tmp_path / "out"), "--jobs", "1"]) == 0
     said = capfd.readouterr()
-    assert "p1 runs away" in said.out and "Traceback" not in said.err
+    assert "p1 is out of range" in said.out and "Traceback" not in said.err
 
 
 def test_imported_it_is_one_line(tmp_path, capfd):
@@ -88,7 +88,7 @@ def test_imported_it_is_one_line(tmp_path, capfd):
     assert main(["import", str(table), "--map", str(tmp_path / "map.yaml"), "--out",
                  str(out)]) == 2
     err = capfd.readouterr().err
-    assert err.count("\n") == 1 and "a.csv: p1 runs away" in err and not out.exists(), err
+    assert err.count("\n") == 1 and "a.csv: p1 is out of range" in err and not out.exists(), err
 
 
 @pytest.mark.parametrize("key", ["scale", "offset"])
