@@ -15,7 +15,7 @@ _PATH = click.Path(path_type=Path)
 @click.command()
 @click.argument("bags", type=_PATH, nargs=-1, required=True, metavar="BAG [BAG ...]")
 @config_option
-@click.option("--json", "json_file", type=_PATH, metavar="FILE", help="Write the answer as JSON.")
+@click.option("--json", "json_file", type=_PATH, metavar="FILE", help="Write the result as JSON.")
 @click.option("--write-excitation", "excitation_file", type=_PATH, metavar="FILE",
               help="Write the config with the proposed motion, for simulator and simulate.")
 @click.option("--check/--no-check", default=True,

@@ -19,7 +19,7 @@ _PATH = click.Path(path_type=Path)
 @click.command(cls=Several)
 @click.argument("bags", type=_PATH, nargs=-1, required=True, metavar="BAG [BAG ...]")
 @config_option
-@click.option("--json", "json_file", type=_PATH, metavar="FILE", help="Write the answer as JSON.")
+@click.option("--json", "json_file", type=_PATH, metavar="FILE", help="Write the result as JSON.")
 @click.option("--report", "report_file", type=_PATH, metavar="FILE.html",
               help="Write a self-contained HTML report.")
 @click.option("--write-config", "config_file", type=_PATH, metavar="FILE",

@@ -13,7 +13,7 @@ from eha_monitor.output import write_json, write_text
 @click.argument("bag", type=click.Path(path_type=Path))
 @config_option
 @click.option("--json", "json_file", type=click.Path(path_type=Path), metavar="FILE",
-              help="Write the answer as JSON.")
+              help="Write the result as JSON.")
 @click.option("--report", "report_file", type=click.Path(path_type=Path), metavar="FILE.html",
               help="Write a self-contained HTML report.")
 @click.option("--write-config", "config_file", type=click.Path(path_type=Path), metavar="FILE",

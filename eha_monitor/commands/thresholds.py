@@ -34,7 +34,7 @@ class _From(Several):
 @click.option("--least", type=click.FloatRange(0, 0.6), default=0.1, show_default=True,
               help="Smallest distance of a WARN limit from the mean, as a fraction of the mean.")
 @click.option("--json", "json_file", type=click.Path(path_type=Path), metavar="FILE",
-              help="Write the answer as JSON.")
+              help="Write the result as JSON.")
 @click.option("--write-config", "config_file", type=click.Path(path_type=Path), metavar="FILE",
               help="Write the config with these thresholds.")
 def thresholds(bags: tuple[Path, ...], config: Path | None, rate: float, least: float,

@@ -39,8 +39,8 @@ REGIMES = {
 }
 BALANCES = {"force": "force balance", "flow": "flow balance", "drive": "drive",
             "sensor": "sensors"}
-DATA = {"held_out": "a part of the recording that the fit has not seen",
-        "held_out_bag": "another recording, which the fit has not seen"}
+DATA = {"held_out": "a held-out part of the recording",
+        "held_out_bag": "another recording, not used in the fit"}
 _MOST_INTERVALS = 6
 
 

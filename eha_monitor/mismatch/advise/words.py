@@ -88,9 +88,9 @@ def confusion_words(c: Confusion, advice: Advice) -> str:
     if c.inflation > HARDLY:
         text += ": nearly indistinguishable in this recording"
     shift = amount(share * abs(c.shift), unit)
-    return (f"{text}; without the {size} of it that was found, {parameter} would be off by "
+    return (f"{text}; omitting the identified {size} would bias {parameter} by "
             f"{shift}" if c.named else
-            f"{text}; {size} of it, left out, would put {parameter} off by {shift}")
+            f"{text}; omitting {size} of it would bias {parameter} by {shift}")
 
 
 def known_words(one: Known) -> str:
