@@ -92,4 +92,4 @@ def test_stamps_that_are_no_calendar_time_are_told():
     assert "not calendar times" in history_block(alone, Settings()).notes[0]
     nothing = history([{"bag": "a", "made_with": "now", "error": "broken"}], "beta_e",
                       "estimate", "now")
-    assert "no recording tells a value" in history_block(nothing, Settings()).notes[0]
+    assert "no recording gives a value" in history_block(nothing, Settings()).notes[0]
