@@ -328,7 +328,7 @@ def test_rebasing_waits_until_the_value_has_settled_and_starts_anew_with_each_mi
     assert "not judged" in high(board).message
     doubtful(board, [1300.0] * 220, start=31.0)
     # No value without mismatch was ever seen: the nominal 600 N·s/m stands for it.
-    assert "for 600 N·s/m before" in high(board).message
+    assert "relative to 600 N·s/m before" in high(board).message
     later = {"B": Taint("again", 50.0)}
     doubtful(board, [1400.0] * 10, later, start=50.0)
     assert "not judged" in high(board).message

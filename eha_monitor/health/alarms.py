@@ -221,7 +221,7 @@ class AlarmBoard:
         if kind == "unjudged":
             return f"not judged: {rest[0]}"
         if kind == "held":
-            return f"{RAISED[judge.raised]} kept, not judged now: {rest[0]}"
+            return f"{RAISED[judge.raised]} held, not judged now: {rest[0]}"
         if kind == "stale":
             before = f" (was {RAISED[rest[1]]} before)" if rest[1] else ""
             return f"no judgement: {rest[0]}{before}"
