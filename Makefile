@@ -31,7 +31,7 @@ help:
 	@echo "make bench   benchmarks, with their tables"
 	@echo "make figures the tables of README and docs, of what the benchmarks recorded"
 	@echo "make reference docs/api.md, of the docstrings"
-	@echo "make notebook  docs/notebook.ipynb, executed anew"
+	@echo "make notebook  docs/notebook.ipynb, executed again"
 	@echo "make proof   the concealed-effect trial"
 	@echo "make lock    requirements.lock anew from setup.py (needs uv)"
 	@echo "make clean   remove .venv and everything built"

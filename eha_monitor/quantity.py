@@ -14,12 +14,13 @@ from dataclasses import dataclass
 from decimal import Decimal
 
 FLOOR = 3e-4  # of the value; no ± is written smaller
-NOTE = (f"± is one standard deviation of what the noise leaves uncertain, written as "
-        f"{100 * FLOOR:g} % of the value where it is less. An error of the configured rig numbers "
-        "comes on top: areas that are 10 % off put B 10 % off, volumes or a mass 10 % off βe.")
-DIAGNOSED = ("± is one standard deviation of what the noise and the tolerances of the configured "
-             "rig numbers (rig.tolerance) leave uncertain, written as "
-             f"{100 * FLOOR:g} % of the value where it is less.")
+NOTE = (f"± is one standard deviation due to noise, shown as at least "
+        f"{100 * FLOOR:g} % of the value. Errors of the configured rig data add "
+        f"to it: areas that are 10 % off bias B by 10 %, volumes or a mass 10 % off bias βe by "
+        f"10 %.")
+DIAGNOSED = ("± is one standard deviation due to noise and the tolerances of the configured rig "
+             "data (rig.tolerance), shown as at least "
+             f"{100 * FLOOR:g} % of the value.")
 SYMBOLS = {"B": "B", "beta_e": "βe", "L": "C_T"}  # of the estimated parameters
 
 # Prefix and the size from which it is written.  Large ones come late: 9000 N·s/m, 12 kN·s/m.

@@ -165,7 +165,7 @@ def pair() -> Diagnosis:
     one = coulomb()
     second = NamedEffect(
         "pump_dead_zone", "flow",
-        "below 8.1 rad/s the pump gives no flow, and above it that much less",
+        "the pump delivers no flow below 8.1 rad/s, and the same speed is lost above it",
         {"omega_0": Value(8.1, 0.2, "rad/s")}, 611.0,
         ("leakage_offset", "cross_port_leakage"), "Q = D_p (|omega| - omega_0)+ sgn omega",
         "Let the pump creep and see from which speed on the piston follows.", "0.8 l/min",

@@ -192,7 +192,7 @@ def test_without_areas_it_says_what_is_missing(plain):
     bare = replace(experiment, settings=experiment.settings.model_copy(update={"rig": rig}))
     found = advise.advice(bare, fit, {})
     assert not found.plannable and found.motion is None and not found.tried
-    assert "too little to plan a motion" in " ".join(advise.sentences(found))
+    assert "lacks the areas or the pump data" in " ".join(advise.sentences(found))
 
 
 @given(st.floats(1e-9, 1e9))

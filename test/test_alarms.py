@@ -219,8 +219,8 @@ def test_a_tainted_value_raises_nothing_and_says_why():
     assert high(board).level == "WARN"  # as it stands it is beyond the limit: it must be seen
     assert high(board).message == (
         "not judged: viscous damping 1600.0 ± 1.0 N·s/m, but the model does not fit since t = "
-        "1.0 s (force balance or a sensor), which may have moved it by any amount; `eha-monitor "
-        "diagnose` on a recording says what is missing")
+        "1.0 s (force balance or a sensor), which may have moved it by any amount; run "
+        "`eha-monitor diagnose` on a recording to identify the cause")
     assert board.alarms[3].message.endswith("is above the WARN limit of 400 MPa")  # not beta_e
     assert drive(board, [1600.0] * 20, start=6.0)[-1] == "ERROR"  # it fits again
 
@@ -313,7 +313,7 @@ def test_rebased_an_alarm_still_tells_of_wear():
     settled = round(11.0 / STEP)
     assert set(doubtful(board, [1300.0] * settled)) == {"not judged", "OK"}
     # 700 of it is the mismatch.
-    assert ("read by its change from 1300 N·s/m, where it settled, for 600 N·s/m before"
+    assert ("judged by its change from 1300 N·s/m, where it settled, relative to 600 N·s/m before"
             in high(board).message)
     assert set(doubtful(board, [1690.0] * 40, start=12.0)) == {"OK"}
     assert doubtful(board, [1710.0] * 20, start=14.0)[-1] == "WARN"
@@ -328,7 +328,7 @@ def test_rebasing_waits_until_the_value_has_settled_and_starts_anew_with_each_mi
     assert "not judged" in high(board).message
     doubtful(board, [1300.0] * 220, start=31.0)
     # No value without mismatch was ever seen: the nominal 600 N·s/m stands for it.
-    assert "for 600 N·s/m before" in high(board).message
+    assert "relative to 600 N·s/m before" in high(board).message
     later = {"B": Taint("again", 50.0)}
     doubtful(board, [1400.0] * 10, later, start=50.0)
     assert "not judged" in high(board).message

@@ -105,7 +105,8 @@ def test_nan_infinite_and_absurd_values():
     assert np.isnan(recording.channels["x"][[3, 7, 9, 11, 12]]).all()
     assert recording.losses[:3] == (
         f"x: 3 of {N} values are NaN", f"x: 1 of {N} values are infinite, left out",
-        f"x: 1 of {N} values are no measurement (-1e+305 m at t = 0.012 s, beyond ±1e+09 m), "
+        f"x: 1 of {N} values are not valid measurements (-1e+305 m at t = 0.012 s, beyond ±1e+09 "
+        f"m), "
         "left out")
 
 
@@ -143,7 +144,7 @@ def test_own_sample_time_beats_the_config():
     t = np.arange(N) * 1.02e-3
     recording = of(t, wave(t))
     assert recording.sample_time == pytest.approx(1.02e-3, rel=1e-9)
-    assert "the stamps say a sample time of 1.02 ms" in recording.losses[0]
+    assert "the stamps give a sample time of 1.02 ms" in recording.losses[0]
     assert np.isfinite(recording.channels["x"]).all()
 
 

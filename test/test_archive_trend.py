@@ -62,7 +62,7 @@ def test_doubtful_values_do_not_bend_the_line():
     assert not found.doubtful
     block = history_block(found, Settings())
     assert block.pictures
-    assert "none that stands out" in block.notes[0]
+    assert "not significant" in block.notes[0]
 
 
 def test_where_all_are_tainted_their_change_is_told():
@@ -70,7 +70,7 @@ def test_where_all_are_tainted_their_change_is_told():
     found = history(rows, "B", "estimate", "now")
     assert found.doubtful
     assert MONTH * found.line.slope == pytest.approx(30.0)
-    assert "tells of change only" in trend_words(found)
+    assert "shows changes only" in trend_words(found)
 
 
 def test_measured_temperatures_make_it_the_reference():
@@ -89,7 +89,7 @@ def test_stamps_that_are_no_calendar_time_are_told():
     assert found.undated == 1
     assert "needs 3 values" in trend_words(found)
     alone = history(rows[:1], "B", "estimate", "now")
-    assert "no calendar time" in history_block(alone, Settings()).notes[0]
+    assert "not calendar times" in history_block(alone, Settings()).notes[0]
     nothing = history([{"bag": "a", "made_with": "now", "error": "broken"}], "beta_e",
                       "estimate", "now")
-    assert "no recording tells a value" in history_block(nothing, Settings()).notes[0]
+    assert "no recording gives a value" in history_block(nothing, Settings()).notes[0]

@@ -161,7 +161,7 @@ def test_numbers_equal_the_topics_and_a_reload_loses_nothing(graph, browser, add
         assert again[2] == lines[2] and len(lines[2][0]) > 20  # measured and estimated position
 
         end(monitor)
-        graph.until(lambda: "the monitor is not heard" in eyes.read("silence"))
+        graph.until(lambda: "nothing is received from the monitor" in eyes.read("silence"))
         assert not [url for url in eyes.loaded
                     if not url.startswith((address, address.replace("http", "ws"), "data:"))]
         eyes.page.set_viewport_size(PHONE)
@@ -212,8 +212,8 @@ def test_an_alarm_shows_within_a_second_and_does_not_outlive_the_monitor(graph, 
     # Nobody runs the monitor's callbacks any more: a green light must not stay.
     eyes.page.wait_for_function(
         f"document.querySelector('[data-testid={key}]').innerText == '◌ STALE'", timeout=10_000)
-    assert eyes.read("viscous_damping_high-message").startswith("last heard OK: ")
-    assert "the monitor is not heard" in eyes.read("silence")
+    assert eyes.read("viscous_damping_high-message").startswith("last received OK: ")
+    assert "nothing is received from the monitor" in eyes.read("silence")
 
 
 def test_a_taken_port_is_one_line_and_status_2():

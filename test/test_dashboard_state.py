@@ -98,7 +98,7 @@ def test_alarms_that_are_no_longer_heard_are_stale(state):
     assert words.worst(list(by_name.values())) == "ERROR"
     by_name = {alarm.name: alarm for alarm in alarms(state.view(14.0))}
     assert by_name["bulk_modulus_low"].level == "STALE"
-    assert by_name["bulk_modulus_low"].message == "last heard ERROR: too soft"
+    assert by_name["bulk_modulus_low"].message == "last received ERROR: too soft"
 
 
 def heard(state, data, **levels):
@@ -158,7 +158,7 @@ def test_silence_says_which_topic_and_since_when(state):
     assert "(2 s): nothing on /eha/joint_states, /eha/monitor/viscous_damping" in told
     assert "health" not in told
     assert words.silence_text(state.view(14.0), settings, TOPICS).endswith(
-        "/eha/monitor/health; the monitor is not heard")
+        "/eha/monitor/health; nothing is received from the monitor")
 
 
 @pytest.mark.parametrize(("value", "stddev", "scale", "shown"), [

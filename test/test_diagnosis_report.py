@@ -75,7 +75,7 @@ def test_sections_follow_what_is_there(html):
     assert not {"effects", "overlays", "parts", "config-effects"} & unexplained
     partly = Page(page_of(ALL["partly"]()))
     assert "effects" in partly.ids and "config-effects" not in partly.ids
-    assert "What would explain a part of it" in partly.text
+    assert "Effects that would explain a part of it" in partly.text
     assert not {"curve", "where", "fit", "effects"} & Page(page_of(ALL["insufficient"]())).ids
     assert not {"where", "effects"} & Page(page_of(ALL["consistent"]())).ids
 
@@ -84,8 +84,8 @@ def test_page_says_what_was_found(html):
     text = Page(html).text
     for words in ("40.03 ± 0.08 N", "1412 ± 9 N·s/m", "601.2 ± 1.1 N·s/m", "97 %",
                   "where the motion reverses", "presliding friction", "41 µm", "2.1 µm",
-                  "Push the depressurised rod", "Mismatch, and what it is (>99 %)",
-                  "Probability that", "cannot be told from presliding friction",
+                  "Push the depressurised rod", "Mismatch identified (>99 %)",
+                  "Probability that", "is indistinguishable from presliding friction",
                   COMMAND, "12 samples came twice", "F_c: 40.03"):
         assert words in text, words
 
@@ -214,13 +214,13 @@ def test_config_without_a_name_stays_as_it_was(name, tmp_path):
     file = tmp_path / "named.yaml"
     file.write_text(written_config(ALL[name](), given, None))
     assert load_settings(file) == given
-    assert "Nothing is changed" in file.read_text()
+    assert "No key is changed" in file.read_text()
 
 
 def test_table_for_a_person(capsys, tmp_path):
     show(ALL["pair"](), [tmp_path / "report.html"])
     out = " ".join(capsys.readouterr().out.split())
-    for words in ("Mismatch, and what it is (>99 %): The force balance lacks",
+    for words in ("Mismatch identified (>99 %): The force balance lacks",
                   "coulomb_friction >99 %", "pump_dead_zone 91 %",
                   "F_c = 40.03 ± 0.08 N", "presliding friction", "1412 ± 9 N·s/m",
                   "where the motion reverses", "41 µm", "99.7 %", "B read 1412 N·s/m",
@@ -242,23 +242,23 @@ def test_a_wrong_number_of_the_rig_is_read_first(capsys):
             "effect-intermittent_load"} <= page.ids
     assert html.index('id="wrong-numbers"') < html.index('id="verdict"')
     for words in (f"{CHARGE.statement} (99 %)", f"{MASS.statement} (71 %)",
-                  "In this recording mass cannot be told from added mass",
-                  "9.5 tolerances", "± 20 %", "Mismatch, and what it is (94 %)", "(86 %)", "91 %",
+                  "In this recording mass is indistinguishable from added mass",
+                  "9.5 tolerances", "± 20 %", "Mismatch identified (94 %)", "(86 %)", "91 %",
                   "It acts at 3.2–5.1, 8.0–9.4, 17.2–21.0 s", "not in it: intermittent load"):
         assert words in page.text, words
     assert page.text.count(CHARGE.statement) == 1  # not again in the message
     show(everything(), [])
     lines = capsys.readouterr().out.splitlines()
     assert lines[1].endswith(f"{CHARGE.statement} (99 %)")
-    assert lines[3].endswith("mass cannot be told from added mass")
-    assert lines[4].startswith("Mismatch, and what it is (94 %): A load of −95 N")
+    assert lines[3].endswith("mass is indistinguishable from added mass")
+    assert lines[4].startswith("Mismatch identified (94 %): A load of −95 N")
     assert any(line.startswith("intermittent_load acts at 3.2–5.1") for line in lines)
 
 
 def test_a_wrong_number_alone_is_the_whole_answer(capsys):
     show(wrong_number(), [])
     out = capsys.readouterr().out
-    assert "The numbers of the rig explain the mismatch, and nothing is left out (98 %)\n" in out
+    assert "Wrong rig data explain the mismatch; no effect is missing (98 %)\n" in out
     assert "left out  " not in out  # no empty table of effects
     page = Page(page_of(wrong_number()))
     assert "effects" not in page.ids and "config-effects" in page.ids
@@ -274,8 +274,9 @@ def test_config_takes_the_found_numbers_and_tells_what_it_cannot_hold(tmp_path):
     assert read.rig.tolerance == Settings().rig.tolerance
     head = " ".join(file.read_text().split("/**:")[0].replace("#", "").split())
     assert "rig.charge_pressure: 300.0 ± 2.0 kPa, was 2000 kPa (99 %)" in head
-    assert ("not in it: intermittent_load: F = −95.2 ± 1.6 N at 3.2–5.1, 8.0–9.4, 17.2–21.0 s; "
-            "a config holds only what acts all the time") in head
+    assert ("not in this config: intermittent_load: F = −95.2 ± 1.6 N at 3.2–5.1, 8.0–9.4, "
+            "17.2–21.0 s; "
+            "a config contains only permanent effects") in head
 
 
 @pytest.mark.parametrize(("found", "written", "words"), [
@@ -332,7 +333,7 @@ def test_report_that_cannot_be_written(tmp_path):
 def test_a_long_recording_says_on_which_windows_its_effects_were_named():
     found = replace(coulomb(), named_on=(Window("bag", 8.0, 16.0), Window("bag", 32.0, 40.0)))
     said = windows_words(found)
-    assert "on the 16 s that tell most (8 to 16 s and 32 to 40 s)" in said
+    assert "on the most informative 16 s (8 to 16 s and 32 to 40 s)" in said
     assert said in diagnosis_page(found, Settings())
     assert windows_words(coulomb()) == ""
     assert answer(found)["named_on"] == [

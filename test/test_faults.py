@@ -141,7 +141,7 @@ def test_what_comes_late_is_named_whatever_the_clock_of_the_stamps(rate):
         return [((sent - k) / rate, values)]
     told = rig.send(2000, hold, rate=rate)
     assert re.search(r"gauge: messages come 0\.[23]\d s later after their stamp", told), told
-    assert "gauge: " in told and "rows went without it" in told
+    assert "gauge: " in told and "rows were processed without it" in told
 
 
 def test_a_quantised_slow_or_resting_sensor_is_not_frozen():
@@ -200,7 +200,7 @@ def test_a_channel_that_is_wrong_from_the_start_begins_it_anew(rows):
     made.push(rows[100:400])
     made.live.withdraw("p2", rows[101][0])
     made.look()
-    assert made.told("p2 has been wrong since the start")
+    assert made.told("p2 has been invalid since the start")
     end = made.push(rows[400:2000])
     assert end.parameters["B"].value == pytest.approx(600.0, rel=0.01)
 

@@ -192,10 +192,10 @@ def test_no_data_has_no_number():
 def test_a_status_says_in_units_and_per_cent_what_the_motion_told():
     """Not "5.99998e+08 ± 3e+04 Pa, 7.4 nats gained on the prior"."""
     found = judge_parameter("beta_e", 5.99998e8, 3e4, "Pa", 5e8, 1e9)
-    assert found.message == "βe = 600.0 ± 0.2 MPa: the motion tells it to ± 0.03 %"
+    assert found.message == "βe = 600.0 ± 0.2 MPa, identified to ± 0.03 %"
     assert (found.value, found.stddev) == (5.99998e8, 3e4)  # the JSON has every digit
     weak = judge_parameter("B", 540.0, 90.0, "N·s/m", 500.0, 100.0)
     assert weak.status == "not_excited" and weak.message == (
-        "the motion tells too little about B: 540 ± 90 N·s/m with it, 500 ± 100 N·s/m without")
+        "too little motion to identify B: 540 ± 90 N·s/m, prior 500 ± 100 N·s/m")
     lost = judge_parameter("beta_e", -5e8, 1e6, "Pa", 5e8, 1e9)
     assert "βe went to −500 MPa, which is not physical" in lost.message

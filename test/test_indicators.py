@@ -202,7 +202,7 @@ def test_friction_is_told_by_a_diagnosis_only_and_none_is_no_zero():
     assert "not measured" in assumed.message
     lost = of(evidence_of({}, diagnosed=True, settled=False, channels=("x",)), settings,
               "friction")
-    assert "does not explain" in lost.message
+    assert "does not fit" in lost.message
     share = of(evidence_of({"coulomb_friction.F_c": 70.7}, {"coulomb_friction.F_c": 7.07},
                            diagnosed=True), settings, "friction_share")
     assert share.value == pytest.approx(1.0)  # of 14 MPa times 5.05 cm²
@@ -300,7 +300,7 @@ def test_estimate_tells_the_air_of_the_bundled_bag(tmp_path, capsys):
         100 * (1 - truth / full), abs=3 * told["pump_efficiency"]["stddev"])
     out = capsys.readouterr().out
     assert "mL/min" in out
-    assert "`diagnose` looks for dry friction and drive lag" in out
+    assert "run `diagnose` for dry friction and drive lag" in out
     page = Page(report.read_text(encoding="utf-8"))
     assert "indicators" in page.ids
     assert any(value == pytest.approx(air["value"]) for value in page.values)

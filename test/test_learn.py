@@ -179,9 +179,9 @@ def test_json_page_and_config_tell_a_learned_term(formula):
     assert tree["alternatives"] == ["2 N", "a <b> & c"] and tree["covered"] == [-0.01, 0.01]
     assert len(tree["x"]) == len(tree["curve"]) == len(tree["band"]) == 21
     page = diagnosis_page(found, Settings())
-    assert "What was learned of it" in page and "a &lt;b&gt; &amp; c" in page
+    assert "Learned term</h2>" in page and "a &lt;b&gt; &amp; c" in page
     assert "learned_force: {adds: force, expression: " in page.replace("&#34;", '"')
-    assert "Not in the catalogue, and learned from the recording" in head_words(found)
+    assert "Effect not in the catalogue, learned from the recording" in head_words(found)
     written = written_config(found, Settings(), None)
     kept = settings_from_tree(YAML(typ="safe").load(written), "written").effects["learned_force"]
     assert kept == one.entry

@@ -138,9 +138,9 @@ def test_parameter_vector_has_one_place_for_each_value():
 @pytest.mark.parametrize(("name", "values", "sentence"), [
     ("position_delay", {"T": 3e-3}, "the recorded position is 3 ms late"),
     ("relief_valve", {"p_c": 5e6, "k": 1e-11}, "a relief valve opens at 5 MPa between the "
-     "chambers and passes 600 ml/(min·MPa) of the pressure beyond"),
-    ("pressure_offset", {"b_1": 2e4, "b_2": -1.5e3}, "the pressure sensors read +20 kPa (chamber "
-     "1) and −1.5 kPa (chamber 2) too much"),
+     "chambers and passes 600 ml/(min·MPa) of pressure beyond that"),
+    ("pressure_offset", {"b_1": 2e4, "b_2": -1.5e3}, "the pressure sensors have zero errors of "
+     "+20 kPa (chamber 1) and −1.5 kPa (chamber 2)"),
     ("pump_flow_gain", {"k": -0.05}, "the pump gives −5 % flow at every speed, against the "
      "configured displacement"),
     ("drive_saturation", {"omega_max": 250.0, "slew": math.inf},

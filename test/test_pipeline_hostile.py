@@ -69,7 +69,7 @@ def test_without_pressures_stage_two_takes_the_nominal_damping_and_says_so(recor
     assert beta.status == "converged" and beta.value == pytest.approx(BETA, rel=0.02)
     full = estimate(recording, settings()).parameters["beta_e"]
     assert beta.stddev > 10 * full.stddev  # B is known to 100 N·s/m only
-    assert any("gives no B (no_data)" in event.message for event in found.events)
+    assert any("provides no B (no_data)" in event.message for event in found.events)
     wrong = estimate(without(recording, "p1", "p2"), settings(rig={"viscous_damping": 700.0}))
     beta = wrong.parameters["beta_e"]
     assert abs(beta.value - BETA) < 3 * beta.stddev

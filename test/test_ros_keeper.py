@@ -47,7 +47,7 @@ def test_reset_begins_the_estimators_anew(graph):
     graph.until(lambda: len(estimator.rows) == 100)
     answer = Caller(graph).trigger("/eha/monitor/reset")
     assert answer.success and "estimators reset" in answer.message
-    assert estimator.resets == ["asked for by the service monitor/reset"]
+    assert estimator.resets == ["requested by the service monitor/reset"]
     sender.send(100, 100)
     graph.until(lambda: len(estimator.rows) == 200)
     assert estimator.rows[100][0] == 0.0

@@ -100,7 +100,7 @@ def diagnose(recordings: Several, config: Config | str | os.PathLike | dict | No
         load_runtime()
         read, kept, references = (recordings_of(part, config, "recordings") if part else []
                                   for part in (given, unseen, healthy))
-        say("asking whether recording and config belong together", READING)
+        say("checking that recording and config match", READING)
         channels = checked([*read, *kept, *references], config.settings)
 
         def further(text: str, share: float) -> None:

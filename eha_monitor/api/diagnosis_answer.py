@@ -164,12 +164,12 @@ def completed(found: Diagnosis, settings: Settings) -> tuple[Settings, list[str]
 def written_config(found: Diagnosis, settings: Settings, source: Path | None) -> str:
     """Return the config of :func:`completed` as an annotated file that says what was changed."""
     made, changed, missing = completed(found, settings)
-    given = f"Completes {source.name}." if source else "Completes the paper's EHA."
+    given = f"Completes {source.name}." if source else "Based on the paper's EHA."
     lines = [" ".join(line.split()) for line in (
         f"Written by eha_monitor {__version__}, diagnose of {', '.join(found.bags)}.", given)]
-    lines += ["Set by it:", *_indented(changed), *wrap(NOTE, _WIDTH)] if changed else [
-        f"Nothing is changed in it: the verdict is {found.verdict}."]
-    lines += ["Found, and not in it:", *_indented(missing)] if missing else []
+    lines += ["Changed keys:", *_indented(changed), *wrap(NOTE, _WIDTH)] if changed else [
+        f"No key is changed: the verdict is {found.verdict}."]
+    lines += ["Found, but not in this config:", *_indented(missing)] if missing else []
     return annotated(made, "\n".join(lines))
 
 
@@ -210,7 +210,7 @@ def _named_physics(found: Diagnosis, tree: dict, missing: list[str]) -> list[str
                               for name, value in effect.parameters.items())
             when = interval_words(effect.intervals_s)
             missing.append(f"{effect.name}: {sizes}{f' at {when}' if when else ''}; a config "
-                           "holds only what acts all the time")
+                           f"contains only permanent effects")
     names = [effect.name for effect in found.effects if effect.name in tree["effects"]]
     lines = [f"effects: {', '.join(names)}"] if names else []
     return lines + [f"effects, learned: {term.statement}" for term in found.learned]

@@ -18,7 +18,7 @@ from eha_monitor.settings.document import annotated
 from eha_monitor.settings.monitor import Settings
 
 TIME = ("time",)
-WAY_OUT = "implausible: warn in the config answers all the same"
+WAY_OUT = "implausible: warn in the config continues with a warning"
 OFFER = f"--write-config FILE writes the config corrected; {WAY_OUT}"
 
 

@@ -28,12 +28,11 @@ class Column:
 
 def _of_parameter(name: str) -> tuple[Column, ...]:
     return (
-        Column(name, "number", f"{name}, SI, as `estimate` says it"),
+        Column(name, "number", f"{name}, SI, as `estimate` reports it"),
         Column(f"{name}_stddev", "number", "its standard deviation"),
         Column(f"{name}_unit", "text", "unit of both"),
         Column(f"{name}_status", "text", "converged, not_excited, diverged or no_data"),
-        Column(f"{name}_doubt", "text", "why a mismatch of the model taints it; empty where "
-               "none does"),
+        Column(f"{name}_doubt", "text", "why a model mismatch biases it; empty if none does"),
     )
 
 
@@ -48,7 +47,7 @@ def _of_diagnosis(name: str) -> tuple[Column, ...]:
 def _of_indicator(name: str, indicator: str) -> tuple[Column, ...]:
     return (
         Column(name, "number", f"{WORDS[indicator]} at the conditions of the config's `health`; "
-               "also where a single recording is too uncertain to tell it"),
+               "also where a single recording is too uncertain to report it"),
         Column(f"{name}_stddev", "number", "its standard deviation"),
         Column(f"{name}_noise", "number", "the part of it that differs from one recording to "
                "the next"),
@@ -77,7 +76,7 @@ COLUMNS = (
     Column("viscous_damping_low", "text", "level of this alarm"),
     Column("bulk_modulus_high", "text", "level of this alarm"),
     Column("bulk_modulus_low", "text", "level of this alarm"),
-    Column("alarm_message", "text", "what the worst alarm says"),
+    Column("alarm_message", "text", "message of the worst alarm"),
     Column("model", "text", "consistent, mismatch or not_judged"),
     Column("model_balance", "text", "what the mismatch points to"),
     Column("model_message", "text", "the same in a sentence"),
@@ -85,10 +84,10 @@ COLUMNS = (
     Column("verdict_message", "text", "the same in a sentence", "diagnose"),
     *(Column(f"balance_{name}", "number", f"share of the {name} in the disagreement",
              "diagnose") for name in ("force", "flow", "drive", "sensor")),
-    Column("regime", "text", "where they disagree", "diagnose"),
+    Column("regime", "text", "in which regime they disagree", "diagnose"),
     *(Column(f"probability_{name}", "number", f"probability that {words}, 0 to 1", "diagnose")
       for name, words in (("consistent", "nothing is missing"),
-                          ("unexplained", "something without a name is missing"))),
+                          ("unexplained", "an unidentified effect is missing"))),
     Column("rig_data", "rig", "numbers of the rig that the recording contradicts: key, "
            "configured, value, stddev, unit, probability, statement, indistinguishable_from",
            "diagnose"),
@@ -98,9 +97,9 @@ COLUMNS = (
     *_of_diagnosis("B"),
     *_of_diagnosis("beta_e"),
     Column("losses", "text", "what was lost or repaired in reading"),
-    Column("error", "text", "why there is no answer; empty where there is one"),
-    Column("wall_s", "number", "how long the answer took"),
-    Column("answered", "time", "when it was given, UTC"),
+    Column("error", "text", "why processing failed; empty where it did not"),
+    Column("wall_s", "number", "processing time"),
+    Column("answered", "time", "time of processing, UTC"),
     Column("gone", "flag", "the bag is no longer in the folder"),
     Column("stamp", "text", "digest of names, sizes and times of the bag's files"),
     Column("made_with", "text", "digest of config, options and source of the program"),

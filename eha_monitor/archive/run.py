@@ -17,7 +17,7 @@ from typing import Any
 
 from eha_monitor.errors import InputError
 
-DIED = "the process that read it was killed (by the system, for want of memory?)"
+DIED = "the process that read it was killed (by the system, out of memory?)"
 PATIENCE = 5.0  # s in which a scheduler must answer
 Answers = Iterator[tuple[Any, Any, str]]
 
@@ -171,8 +171,8 @@ class Cluster:
                     reason = " ".join(str(problem).split())[:300]
                     yield futures[future], None, f"{type(problem).__name__}: {reason}"
                 else:
-                    raise InputError(f"--scheduler {self.address}: lost the cluster; what was "
-                                     "answered is kept, start again to go on")
+                    raise InputError(f"--scheduler {self.address}: lost the cluster; finished "
+                                     f"results are kept, start again to resume")
                 future.release()
         finally:
             if self.client.status == "running":

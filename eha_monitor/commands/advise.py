@@ -15,14 +15,14 @@ _PATH = click.Path(path_type=Path)
 @click.command()
 @click.argument("bags", type=_PATH, nargs=-1, required=True, metavar="BAG [BAG ...]")
 @config_option
-@click.option("--json", "json_file", type=_PATH, metavar="FILE", help="Write the answer as JSON.")
+@click.option("--json", "json_file", type=_PATH, metavar="FILE", help="Write the result as JSON.")
 @click.option("--write-excitation", "excitation_file", type=_PATH, metavar="FILE",
               help="Write the config with the proposed motion, for simulator and simulate.")
 @click.option("--check/--no-check", default=True,
-              help="Put the proposed motion to a simulation with noise.")
+              help="Test the proposed motion in a simulation with noise.")
 def advise(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
            excitation_file: Path | None, check: bool) -> None:
-    """Say what BAG can and cannot tell apart, and which motion would, as cheaply as possible.
+    """Report which effects BAG can and cannot distinguish, and the shortest motion that would.
 
     The motion keeps within the travel and the pump speed of BAG.  Its gain is predicted, then
     checked in simulation.
@@ -49,7 +49,7 @@ def advise(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
         if path is not None and (path is json_file or motion is not None):
             click.echo(f"written: {path}")
         elif path is not None:
-            click.echo(f"{path}: not written, there is no motion to propose")
+            click.echo(f"{path}: not written, no motion is proposed")
 
 
 def show(bags: tuple[Path, ...], effects: tuple[str, ...], found, motion: str) -> None:

@@ -37,8 +37,8 @@ class Archive:
                  if getattr(self, name) is not None]
         if is_archive(bag, wanted=bool(given)):
             if self.jobs is not None and self.scheduler is not None:
-                raise InputError("--jobs: with --scheduler the cluster says how many bags are "
-                                 "answered at a time, expected one of the two")
+                raise InputError("--jobs: with --scheduler the cluster sets how many bags are "
+                                 "processed at a time, expected one of the two")
             return True
         if given and bag.exists():
             kind = "a folder without bags" if bag.is_dir() and not any(
@@ -51,19 +51,19 @@ def archive_options(function: Callable) -> Callable:
     """Add the options that only a folder of bags has use for."""
     for option in reversed((
             click.option("--out", type=click.Path(path_type=Path, file_okay=False),
-                         metavar="DIR", help="Of a folder of bags: where the table goes; "
-                         "archive/ here without it."),
+                         metavar="DIR", help="For a folder of bags: folder of the table; "
+                                 "default: archive/ in the current folder."),
             click.option("--jobs", type=click.IntRange(1, 1024), default=None,
-                         help="Of a folder of bags: processes at a time; all cores by default."),
-            click.option("--scheduler", metavar="ADDRESS", help="Of a folder of bags: answer on "
-                         "the Dask cluster whose scheduler is there, e.g. tcp://host:8786."),
+                         help="For a folder of bags: number of processes; default: all cores."),
+            click.option("--scheduler", metavar="ADDRESS", help="For a folder of bags: process "
+                         "them on the Dask cluster with this scheduler, e.g. tcp://host:8786."),
             click.option("--reports", is_flag=True, default=None,
-                         help="Of a folder of bags: also the report of each bag, to which its row "
-                         "on the page leads."),
+                         help="For a folder of bags: also write the report of each bag, linked "
+                              "from its row."),
             click.option("--keep", type=click.Choice(("same", "all", "none")), default=None,
-                         help="Of a folder of bags: which rows of unchanged bags stay: those of "
-                         "this config and source of the program (same, by default), all, or "
-                         "none."))):
+                         help="For a folder of bags: which rows of unchanged bags are kept: "
+                              "those made with this config and program source (same, the "
+                              "default), all, or none."))):
         function = option(function)
     return function
 
@@ -217,4 +217,4 @@ def work(store: "Store", todo: list["Task"], cluster: "Cluster | None", jobs: in
             store.add(row)
             broken += bool(row.get("error"))
             told(f"{done} of {len(todo)} bags" + (
-                f", {broken} without an answer" if broken else ""), done / len(todo))
+                f", {broken} failed" if broken else ""), done / len(todo))

@@ -31,9 +31,9 @@ def show(rows: Sequence[dict], command: str, settings: Settings, made_with: str,
     if not console.is_terminal:
         console = PipeConsole(highlight=False, width=PIPE_WIDTH)
     gone = sum(bool(row.get("gone")) for row in rows)
-    console.print(f"{escape(str(folder))}: {len(rows) - gone} bags, {answered} answered now, "
-                  f"{len(rows) - gone - answered} as before"
-                  + (f"; {gone} more that are no longer there" if gone else ""))
+    console.print(f"{escape(str(folder))}: {len(rows) - gone} bags, {answered} processed now, "
+                  f"{len(rows) - gone - answered} unchanged"
+                  + (f"; {gone} more no longer in the folder" if gone else ""))
     console.print(escape(summary_words(rows, command)))
     newest = sorted(rows, key=lambda row: (bool(row.get("error")), row.get("start") or "",
                                            row["bag"]), reverse=True)

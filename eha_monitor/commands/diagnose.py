@@ -19,27 +19,27 @@ _PATH = click.Path(path_type=Path)
 @click.command(cls=Several)
 @click.argument("bags", type=_PATH, nargs=-1, required=True, metavar="BAG [BAG ...]")
 @config_option
-@click.option("--json", "json_file", type=_PATH, metavar="FILE", help="Write the answer as JSON.")
+@click.option("--json", "json_file", type=_PATH, metavar="FILE", help="Write the result as JSON.")
 @click.option("--report", "report_file", type=_PATH, metavar="FILE.html",
               help="Write a self-contained HTML report.")
 @click.option("--write-config", "config_file", type=_PATH, metavar="FILE",
-              help="Write the config with the named physics and the rig's numbers in it.")
+              help="Write the config with the identified effects and corrected rig data.")
 @click.option("--out-bag", "out_bag", type=_PATH, metavar="BAG",
               help="Write measured, modelled and missing signals as a bag (docs/exports.md).")
 @click.option("--held-out", "held_out", type=_PATH, metavar="BAG",
-              help="Show the fit on this recording; without it on a part that is kept back.")
+              help="Show the fit on this recording; default: on a held-out part of BAG.")
 @click.option("--hypothesis", "hypothesis_file", type=_PATH, metavar="FILE|NAME",
-              help="Your own suspicion, a file or the name of an installed one: an expression "
-              "whose parameters are fitted and ranked beside the catalogue (docs/effects.md).")
+              help="Your own hypothesis, a file or the name of an installed one: an expression "
+                   "whose parameters are fitted and which is ranked with the catalogue "
+                   "(docs/effects.md).")
 @click.option("--reference", "references", type=_PATH, multiple=True,
               metavar="HEALTHY [HEALTHY ...]",
-              help="Healthy recordings of the machine, or a folder of them: say what has changed "
-              "against these.  Give BAG before it.")
+              help="Healthy recordings of the machine, or a folder of them: report what has "
+                   "changed from these. Give BAG before it.")
 @click.option("--without", multiple=True, metavar="EFFECT [EFFECT ...]",
-              help="Entries of the catalogue that this rig cannot have, or for a trial: they are "
-              "not considered.")
+              help="Effects of the catalogue to exclude, such as those that this rig cannot have.")
 @click.option("--calibration/--no-calibration", hidden=True, expose_value=False,
-              help="Does nothing; it chose how a threshold was set that there is no more.")
+              help="No effect; kept for compatibility.")
 @click.option("--exit-code", is_flag=True,
               help="Exit with 1 if the model does not fit the recording.")
 @archive_options
@@ -47,11 +47,11 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
              report_file: Path | None, config_file: Path | None, out_bag: Path | None,
              held_out: Path | None, hypothesis_file: Path | None, references: tuple[Path, ...],
              without: tuple[str, ...], exit_code: bool, **asked) -> int:
-    """Say where BAG and the model differ, what physics was left out, and show the fit improve.
+    """Locate where BAG and the model differ, identify the missing effects, show the better fit.
 
-    Several BAGs of one rig are explained together.  With --reference the answer is what has
-    changed against healthy recordings, or that nothing has.  Where BAG is a folder that holds
-    bags, each is explained by itself, into one table with trends over time.
+    Several BAGs of one rig are diagnosed together. With --reference the result is what has
+    changed from healthy recordings, or that nothing has. If BAG is a folder of bags, each is
+    diagnosed separately, into one table with trends over time.
     """
     archive = Archive(**asked)
     if any(archive.covers(bag) for bag in bags):

@@ -45,11 +45,11 @@ def show(found: Diagnosis, written: list[Path], notes: list[str] = (),
         console = PipeConsole(highlight=False, width=PIPE_WIDTH)
     kind = head_of(found)[0]
     console.print(f"{escape(', '.join(found.bags))}: {number(found.duration_s)} s "
-                  f"(answered in {found.wall_s:.1f} s)")
+                  f"(computed in {found.wall_s:.1f} s)")
     for finding in found.rig_data:  # first of all: what follows rests on them
-        console.print(f"[bold yellow]wrong number of the rig[/]: {escape(rig_words(finding))}")
+        console.print(f"[bold yellow]wrong rig data[/]: {escape(rig_words(finding))}")
         if finding.indistinguishable_from:
-            console.print(escape(f"  in this recording {finding.key} cannot be told from "
+            console.print(escape(f"  in this recording {finding.key} is indistinguishable from "
                                  f"{_rivals(finding.indistinguishable_from)}"))
     console.print(f"[bold {_COLOURS[kind]}]{escape(head_words(found))}[/]: "
                   f"{escape(message_words(found))}".rstrip(": "))
@@ -73,7 +73,7 @@ def show(found: Diagnosis, written: list[Path], notes: list[str] = (),
     if found.signals:
         console.print(_fit(found))
     for finding in found.rig_within:
-        console.print(f"[yellow]number of the rig[/]: {escape(finding.statement)}")
+        console.print(f"[yellow]rig data[/]: {escape(finding.statement)}")
     for title, sentences in (("health", found.health), ("advice", found.advice),
                              ("note", notes)):
         for text in sentences:
@@ -126,7 +126,8 @@ def _learned(found: Diagnosis) -> Table:
                   for shown, behind in term.rivals if behind < RIVAL_FORMULA]
         table.add_row(f"missing {term.balance}", ", ".join(term.of), term.size,
                       percent(term.removed),
-                      escape("\n".join([term.formula or "none as good as the curve", *rivals])))
+                      escape("\n".join([term.formula or "none fits as well as the curve",
+                                         *rivals])))
     return table
 
 
@@ -150,7 +151,7 @@ def _fit(found: Diagnosis) -> Table:
         share = removed(fit)
         table.add_row(escape(name.replace("_", " ")), *cells,
                       percent(share) if math.isfinite(share) else "—")
-    how = "free run" if "position" in found.signals else "what is left of each balance below 5 Hz"
+    how = "free run" if "position" in found.signals else "residual of each balance below 5 Hz"
     table.caption = f"root mean square, {how}; on {DATA.get(found.data, found.data)}"
     table.caption_justify = "left"
     return table

@@ -13,20 +13,20 @@ from eha_monitor.output import write_json, write_text
 @click.argument("bag", type=click.Path(path_type=Path))
 @config_option
 @click.option("--json", "json_file", type=click.Path(path_type=Path), metavar="FILE",
-              help="Write the answer as JSON.")
+              help="Write the result as JSON.")
 @click.option("--report", "report_file", type=click.Path(path_type=Path), metavar="FILE.html",
               help="Write a self-contained HTML report.")
 @click.option("--write-config", "config_file", type=click.Path(path_type=Path), metavar="FILE",
-              help="Write the config with the signs, units and channels corrected that the "
-              "recording contradicts; nothing is written where it contradicts none.")
+              help="Write the config with signs, units and channels corrected where the "
+                   "recording contradicts them; not written if there is no contradiction.")
 @click.option("--exit-code", is_flag=True,
-              help="Exit with 1 if an alarm stands or the model does not fit.")
+              help="Exit with 1 if an alarm is active or the model does not fit.")
 @archive_options
 def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file: Path | None,
              config_file: Path | None, exit_code: bool, **asked) -> int:
-    """Estimate B and the bulk modulus from BAG, and judge them against the thresholds.
+    """Estimate B and the bulk modulus from BAG and check them against the thresholds.
 
-    Where BAG is a folder that holds bags, all of them, into one table with trends over time.
+    If BAG is a folder of bags, process all of them into one table with trends over time.
     """
     archive = Archive(**asked)
     if archive.covers(bag):
@@ -47,7 +47,7 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
             f"reading {bag}") as told:
         found = run(bag, given, progress=lambda text, share: told(text))
     if json_file or report_file:
-        with working("asking what each combination of channels could tell"):
+        with working("computing what each combination of channels could identify"):
             found.observability  # noqa: B018  computed when it is asked for
     if json_file:
         write_json(json_file, found.to_dict())

@@ -19,7 +19,7 @@ _FILE = click.Path(path_type=Path)
               help="FMU 2.0 for co-simulation: Simulink, OpenModelica, fmpy.")
 @click.option("--fmu-platform", "platforms", multiple=True,
               type=click.Choice(["linux64", "win64"]),
-              help="Where the FMU is to run, several times if need be; without it all.")
+              help="Platform of the FMU, may be given several times; default: all.")
 @click.option("--modelica", type=_FILE, metavar="FILE.mo", help="Modelica text.")
 @click.option("--urdf", type=_FILE, metavar="FILE.urdf",
               help="A joint with damping and friction.")
@@ -30,15 +30,15 @@ _FILE = click.Path(path_type=Path)
 @click.option("--joint", default="piston", show_default=True, metavar="NAME",
               help="Name of the joint in URDF, MuJoCo and ros2_control.")
 @click.option("--recording", "bags", type=_FILE, multiple=True, metavar="BAG",
-              help="What the model was identified from: the table says which velocities it "
-              "covers.")
+              help="Recording that the model was identified from: the table marks the velocities "
+                   "it covers.")
 def export(config: Path, fmu: Path | None, platforms: tuple[str, ...], modelica: Path | None,
            urdf: Path | None, mujoco: Path | None, ros2_control: Path | None, joint: str,
            bags: tuple[Path, ...]) -> None:
-    """Write the model of CONFIG, as `estimate` and `diagnose --write-config` leave it.
+    """Write the model of CONFIG, such as `estimate` or `diagnose --write-config` writes.
 
-    Several formats at once.  What a format cannot hold is told, one line each, and stands in the
-    file as a comment (docs/exports.md).
+    Several formats at once.  What a format cannot represent is listed, one line each, and
+    written into the file as a comment (docs/exports.md).
     """
     targets = {"--fmu": fmu, "--modelica": modelica, "--urdf": urdf, "--mujoco": mujoco,
                "--ros2-control": ros2_control}

@@ -13,12 +13,12 @@ from eha_monitor.commands.common import check_new, config_option, working
 @config_option
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the sensor noise.")
 @click.option("--duration", type=click.FloatRange(min=0, min_open=True), metavar="SECONDS",
-              help="Length; without it, until the motion of the config repeats.")
+              help="Length; default: one period of the config's motion.")
 @click.option("--plain", is_flag=True, help="Do not compress.")
-@click.option("--overwrite", is_flag=True, help="Replace a bag that is there already.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing bag.")
 def simulate(out: Path, config: Path | None, seed: int | None, duration: float | None,
              plain: bool, overwrite: bool) -> None:
-    """Write the simulated EHA straight to a bag, as fast as it goes."""
+    """Write the simulated EHA directly to a bag, as fast as possible."""
     from eha_monitor.api.config import config_of
     from eha_monitor.api.simulate import simulate_bag
     from eha_monitor.commands.diagnose import progress_bar
@@ -37,9 +37,9 @@ def simulate(out: Path, config: Path | None, seed: int | None, duration: float |
               metavar="MAP.yaml", help="Which column is which channel, in which unit.")
 @click.option("--out", required=True, type=click.Path(path_type=Path), metavar="BAG",
               help="Folder of the new bag, or a single .mcap file.")
-@click.option("--overwrite", is_flag=True, help="Replace a bag that is there already.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing bag.")
 def import_table(file: Path, map_file: Path, out: Path, overwrite: bool) -> None:
-    """Turn a CSV or MAT FILE into a bag through a channel map."""
+    """Convert a CSV or MAT FILE to a bag, using a channel map."""
     from eha_monitor.plausibility.judge import plausibility_of
     from eha_monitor.recordings.importing import import_file
     from eha_monitor.settings import load_settings

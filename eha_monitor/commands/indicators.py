@@ -21,7 +21,7 @@ def show(console: Console, indicators: Sequence[Indicator], settings: "Settings"
     shown = [one for one in indicators if one.status not in (NEEDS, NONE)
              and one.message != NOT_LOOKED_FOR]
     if any(one.status == AVAILABLE for one in shown):
-        table = Table("indicator", "value", "conditions, or why there is none", box=None,
+        table = Table("indicator", "value", "conditions, or why there is no value", box=None,
                       header_style="bold", padding=(0, 2, 0, 0))
         for one in shown:
             limit = "[red]beyond its limit[/], " if passed(one, settings) else ""
@@ -29,9 +29,10 @@ def show(console: Console, indicators: Sequence[Indicator], settings: "Settings"
         console.print(table)
     if others := [one.words for one in indicators if one.message == NOT_LOOKED_FOR
                  and one.name != "friction_share"]:
-        console.print(escape(f"`diagnose` looks for {listed(others)}"), style="dim")
+        console.print(escape(f"run `diagnose` for {listed(others)}"), style="dim")
     missing = dict.fromkeys(key for one in indicators for key in one.missing)
     if missing:
         lacking = listed([one.words for one in indicators if one.status == NEEDS])
-        console.print(escape(f"not told: {lacking}; set {listed(list(missing))} in the config "
+        console.print(escape(f"not computed: {lacking}; set {listed(list(missing))} in the "
+                             f"config "
                              "(docs/health.md)"), style="dim")

@@ -30,15 +30,15 @@ _ANSWERS = {"area_1": ("bore",), "area_2": ("rod", "rods"), "volume_1": ("stroke
 @click.option("--out", type=click.Path(path_type=Path), default=Path("my_rig.yaml"),
               show_default=True, metavar="FILE.yaml", help="The config to write.")
 @click.option("--set", "given", multiple=True, metavar="KEY=VALUE",
-              help="An answer: rig.area_1='5.05 cm^2', rig.bore='50 mm', x.column='Weg [mm]', "
+              help="A value: rig.area_1='5.05 cm^2', rig.bore='50 mm', x.column='Weg [mm]', "
               "p1.unit='bar gauge', x.full='80 mm' (at 100 %); several times.")
-@click.option("--yes", is_flag=True, help="Ask nothing: what is not known stays marked ASK.")
-@click.option("--overwrite", is_flag=True, help="Replace a config that is there already.")
+@click.option("--yes", is_flag=True, help="Ask nothing: unknown values stay marked ASK.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing config.")
 def init(file: Path, out: Path, given: tuple[str, ...], yes: bool, overwrite: bool) -> None:
     """Draft a config for FILE (CSV, MAT or bag), check it, and run the first estimate.
 
     Columns, units and time are guessed from header and values; what cannot be guessed is asked
-    for on a terminal, and is marked ASK in the config elsewhere.
+    for on a terminal; otherwise it is marked ASK in the config.
     """
     from eha_monitor.draft.answers import answers_of
     from eha_monitor.draft.draft import drafted
@@ -47,7 +47,7 @@ def init(file: Path, out: Path, given: tuple[str, ...], yes: bool, overwrite: bo
     answers = answers_of(given)
     check_target(out, file)
     if out.exists() and not overwrite:
-        raise InputError(f"{out}: is there already, expected a new file, or --overwrite")
+        raise InputError(f"{out}: exists already, expected a new file, or --overwrite")
     with working(f"reading {file}"):
         source = source_of(file)
         draft = drafted(source, answers)
@@ -73,7 +73,7 @@ def _asked(asked, answers, given):
         wanted += [(part, words) for part in _ANSWERS.get(name, (name,))
                    for of, words in QUESTIONS if of == part]
     said = list(given)
-    click.echo("Enter leaves a question open.", err=True)
+    click.echo("Press Enter to skip a question.", err=True)
     for key, question in dict.fromkeys(wanted):
         if key.removeprefix("rig.") in answers.rig:
             continue
@@ -111,7 +111,7 @@ def _tell(draft) -> None:
         console.print(f"not used: {', '.join(one.shown for one in draft.map.unused)}",
                       markup=False)
     if draft.asked:
-        console.print("still to be told (ASK in the file):", markup=False)
+        console.print("missing values (ASK in the file):", markup=False)
         for key, question in draft.asked:
             console.print(f"  {key}: {question}", markup=False)
     for finding in draft.judged.findings:

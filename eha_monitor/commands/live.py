@@ -9,7 +9,7 @@ from eha_monitor.commands.common import config_option, ros_module
 _SECONDS = click.FloatRange(min=0, min_open=True)
 
 duration_option = click.option("--duration", type=_SECONDS, metavar="SECONDS",
-                               help="Stop by itself after this time.")
+                               help="Stop after this time.")
 
 
 @click.command()
@@ -26,10 +26,10 @@ def simulator(ros_args: list[str], config: Path | None, duration: float | None,
 @click.command()
 @config_option
 @click.option("--actuator", "actuators", multiple=True, metavar="NAME=CONFIG",
-              help="Monitor an actuator under the namespace /NAME, its config beside it; may be "
-              "given again: one process for all.")
+              help="Monitor an actuator with this config under the namespace /NAME; repeat for "
+                   "several actuators in one process.")
 @click.option("--inactive", is_flag=True,
-              help="Wait for the transition 'activate' of a managed node.")
+              help="Start inactive and wait for the lifecycle transition 'activate'.")
 @duration_option
 @click.pass_obj
 def monitor(ros_args: list[str], config: Path | None, actuators: tuple[str, ...], inactive: bool,
@@ -70,11 +70,11 @@ def dashboard(ros_args: list[str], config: Path | None, actuators: tuple[str, ..
 @click.command()
 @click.argument("bag", type=click.Path(path_type=Path))
 @click.option("--rate", type=click.FloatRange(min=0, min_open=True), default=1.0,
-              show_default=True, help="Times real time.")
+              show_default=True, help="Playback speed relative to real time.")
 @click.option("--clock/--no-clock", default=True, show_default=True,
               help="Publish /clock from the bag's own time.")
-@click.option("--loop", is_flag=True, help="Start again at the end.")
-@click.option("--start-paused", is_flag=True, help="Wait for the resume service.")
+@click.option("--loop", is_flag=True, help="Repeat from the start at the end.")
+@click.option("--start-paused", is_flag=True, help="Start paused; wait for the resume service.")
 @click.pass_obj
 def replay(ros_args: list[str], bag: Path, rate: float, clock: bool, loop: bool,
            start_paused: bool) -> int:
@@ -86,7 +86,7 @@ def replay(ros_args: list[str], bag: Path, rate: float, clock: bool, loop: bool,
 @click.option("--out", required=True, type=click.Path(path_type=Path), metavar="BAG",
               help="Folder of the new bag.")
 @click.option("--topic", "topics", multiple=True, metavar="TOPIC",
-              help="Record this topic; may be given again.  Without it: those of the config.")
+              help="Record this topic; may be repeated. Default: the topics of the config.")
 @config_option
 @duration_option
 @click.pass_obj

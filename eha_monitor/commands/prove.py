@@ -16,7 +16,8 @@ DRAWS = 200
 @click.command()
 @config_option
 @click.option("--ground", type=click.Choice(GROUNDS), default="draws", show_default=True,
-              help="What is tried: draws of the independent plant; the published McMaster plant "
+              help="Source of the test cases: draws of the independent plant; the published "
+                   "McMaster plant "
               "in its three states; recordings of a fluid-power simulator (--data); the paper's "
               "triangle with Coulomb friction and a second recording as advised.")
 @click.option("--cases", type=click.IntRange(1, 10000), default=None,
@@ -32,29 +33,30 @@ DRAWS = 200
               help="Put the result into a Markdown file, between its two result marks.")
 @click.option("--draw", type=click.Choice(("mixed", "ladder", "outside")), default="mixed",
               show_default=True, help="Sets of 0 to 3 effects on all rigs and motions; single "
-              "effects over a ladder of strengths, for a detection curve of each; or what the "
-              "catalogue has no name for.")
+              "effects over a ladder of strengths, for a detection curve of each; or effects "
+              "that are not in the catalogue.")
 @click.option("--rig", type=click.Choice(("exact", "within", "beyond", "mixed")), default="mixed",
               show_default=True, help="What the nominal configs say of the rig: the truth; each "
               "number off by one tolerance (standard deviation); one number off by 3 to 10 of "
               "them; or 40 %, 40 % and 20 % of these.")
 @click.option("--work", type=_PATH, metavar="DIR",
-              help="Folder of recordings, key and answers; by default out/proof/... here. A trial "
-              "that was interrupted goes on.")
+              help="Folder of recordings, key and answers; by default out/proof/... here. An "
+                   "interrupted trial is resumed.")
 @click.option("--keep", type=click.Choice(("same", "all", "none")), default="same",
-              show_default=True, help="Which answers of an earlier run stay: those of this very "
+              show_default=True, help="Which results of an earlier run are kept: those of this "
+                                      "very "
               "source of the program, all, or none.")
 @click.option("--oracle/--no-oracle", default=False,
-              help="Also fit each case with a model that is told the effects: the best that can "
-              "be reached, and the evidence there is (half as long again).")
+              help="Also fit each case with a model that is given the true effects: the best "
+                   "achievable result and the available evidence (takes half as long again).")
 @click.option("--jobs", type=click.IntRange(1, 1024), default=None,
               help="Processes at a time; all cores by default.")
 @click.option("--calibration/--no-calibration", hidden=True, expose_value=False,
-              help="Does nothing, as in diagnose.")
+              help="No effect, as in diagnose.")
 def prove(config: Path | None, ground: str, cases: int | None, data: Path | None, seed: int,
           json_file: Path | None, report_file: Path | None, text_file: Path | None, draw: str,
           rig: str, work: Path | None, keep: str, oracle: bool, jobs: int | None) -> int:
-    """Conceal effects in recordings, seal the key, diagnose blindly, open the key and score.
+    """Conceal effects in recordings, seal the key, diagnose blind, open the key and score.
 
     The key's SHA-256 is printed before any recording is read.  With a config all cases are on its
     rig; without one, on the paper's and others about it.

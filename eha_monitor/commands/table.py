@@ -39,7 +39,7 @@ def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path],
     speed = f", {faster:.0f}x real time" if faster >= 1.0 else ""
     console.print(f"{escape(recording.source)}: {recording.duration:.3f} s, {len(recording)} "
                   f"samples, channels {', '.join(recording.channels)}"
-                  f" (answered in {found.wall_s:.2f} s{speed})")
+                  f" (computed in {found.wall_s:.2f} s{speed})")
     console.print(_parameters(found))
     for parameter in found.parameters.values():
         if parameter.message:

@@ -32,14 +32,14 @@ class _From(Several):
               show_default=True, help="Share of healthy recordings that may raise a WARN; an "
               "ERROR a tenth of it.")
 @click.option("--least", type=click.FloatRange(0, 0.6), default=0.1, show_default=True,
-              help="No WARN limit lies nearer to the mean than by this share of it.")
+              help="Smallest distance of a WARN limit from the mean, as a fraction of the mean.")
 @click.option("--json", "json_file", type=click.Path(path_type=Path), metavar="FILE",
-              help="Write the answer as JSON.")
+              help="Write the result as JSON.")
 @click.option("--write-config", "config_file", type=click.Path(path_type=Path), metavar="FILE",
               help="Write the config with these thresholds.")
 def thresholds(bags: tuple[Path, ...], config: Path | None, rate: float, least: float,
                json_file: Path | None, config_file: Path | None) -> None:
-    """Propose alarm limits from healthy recordings, with the false alarms that they imply."""
+    """Propose alarm limits from healthy recordings, with the false-alarm rate that they imply."""
     check_outputs({"--json": json_file, "--write-config": config_file}, bags, config)
     twice = [bag for place, bag in enumerate(bags)
              if bag.resolve() in [other.resolve() for other in bags[:place]]]
@@ -96,8 +96,8 @@ def _healthy(bags, settings, config):
             else:
                 found[symbol].append(one)
         if answer.model.status == "mismatch":
-            told.append(f"{bag}: the model does not fit this recording, so that its values carry "
-                        f"the model's error; `eha-monitor diagnose` says what is missing "
+            told.append(f"{bag}: the model does not fit this recording, so its values are biased "
+                        f"by the model error; `eha-monitor diagnose` identifies the cause "
                         f"({answer.model.message})")
     return found, told, float(np.median(seconds))
 
@@ -145,23 +145,23 @@ def _sentences(proposals, told, seconds) -> list[str]:
     said = [*told]
     for one in proposals:
         name, n = SYMBOLS.get(one.symbol, one.symbol), len(one.healthy)
-        said += [f"{source}: {name} is unlike the other recordings (chance {chance:.1g}): is the "
-                 "machine healthy in it? Leave it out if it is not"
+        said += [f"{source}: {name} differs from the other recordings (probability "
+                 f"{chance:.1g}): was the machine healthy? If not, leave it out"
                  for source, chance in one.unlike]
         if n == 1:
-            said.append(f"{name}: one recording cannot tell how much healthy recordings differ "
-                        "(temperature, load, motion), and so no rate of false alarms: the limits "
-                        "are the paper's, in proportion to this value. Record four more, on other "
-                        "days")
+            said.append(f"{name}: one recording does not show how much healthy recordings differ "
+                        f"(temperature, load, motion), so no false-alarm rate can be given: the "
+                        f"limits are the paper's, scaled to this value. Record four more, on "
+                        f"other days")
         elif one.more:
-            said.append(f"{name}: {n} recordings make wide limits; {one.more} or so of this "
-                        "spread would bring them within a factor of 3")
+            said.append(f"{name}: {n} recordings give wide limits; about {one.more} with this "
+                        f"spread would bring them within a factor of 3")
         elif n < 5:
-            said.append(f"{name}: {n} recordings say little about others; five or more, on other "
-                        "days and oil temperatures, say more")
-    said.append(f"Rates are of one further healthy recording of about {seconds:.0f} s, made as "
-                "these were; what none of these has seen (another oil, another load) is in none "
-                "of them.")
+            said.append(f"{name}: {n} recordings are few for reliable limits; record five or "
+                        f"more, on other days and at other oil temperatures")
+    said.append(f"Rates are per further healthy recording of about {seconds:.0f} s, made like "
+                "these; conditions that none of these covers (another oil, another load) are not "
+                "included.")
     return said
 
 

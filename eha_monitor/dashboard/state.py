@@ -289,14 +289,15 @@ class State:
 
 def alarms(view: View) -> list[Finding]:
     """Return the alarms in their fixed order; one that was never heard is STALE."""
-    return [view.findings.get(name) or Finding(name, "STALE", "nothing heard from the monitor yet")
+    return [view.findings.get(name) or Finding(name, "STALE", "nothing received from the monitor "
+                                                              "yet")
             for name in ALARM_NAMES]
 
 
 def _no_longer(finding: Finding) -> Finding:
     if finding.word == "STALE":
         return finding
-    return Finding(finding.name, "STALE", f"last heard {finding.word}: {finding.message}",
+    return Finding(finding.name, "STALE", f"last received {finding.word}: {finding.message}",
                    {**finding.values, "not_judged": "0"})
 
 

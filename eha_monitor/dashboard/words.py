@@ -231,7 +231,7 @@ def silence_text(view: View, settings: Settings, topics: dict[str, str]) -> str:
         parts.append(f"{'no' if parts else 'No'} data yet on {', '.join(never)}")
     finding = view.findings.get("data")
     if "health" in silent:
-        parts.append("the monitor is not heard")
+        parts.append("nothing is received from the monitor")
     elif finding is not None and finding.level == "STALE":
         # The first reason; the others stand with the data, below.
         parts.append(f"the monitor says: {finding.message.partition('; ')[0]}")
@@ -253,7 +253,7 @@ def data_text(view: View) -> str:
     """Return how the data come, as the monitor says it, in one line."""
     finding = view.findings.get("data")
     if finding is None:
-        return "data: nothing heard from the monitor yet"
+        return "data: nothing received from the monitor yet"
     numbers = ", ".join(words.format(_written(finding.values[key], 3))
                         for key, words in _DATA.items() if finding.values.get(key, "") != "")
     return f"data: {finding.message}" + (f"; {numbers}" if numbers else "")

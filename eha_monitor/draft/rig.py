@@ -61,7 +61,7 @@ def rig_entries(answers: Answers, seen: Seen, rotary: bool, name: str) -> list[E
         _told(answers, "pump_displacement", "of the pump", "1.6 cm^3/rev", seen_pump(
             answers, area_1, seen)),
         _gain(answers, seen),
-        _told(answers, "leakage", "C_T; beta_e depends on it on slow motion", "5e-13"),
+        _told(answers, "leakage", "C_T; affects beta_e in slow motion", "5e-13"),
         _makeup(answers), _charge(answers, seen, area_1, area_2),
         Entry("sample_time", number(seen.sample_time), "values: the usual step of the time")
         if "sample_time" not in given else _answered(answers, "sample_time"),
@@ -82,7 +82,7 @@ def _answered(answers: Answers, key: str) -> Entry:
     text = answers.rig[key]
     plain = text.casefold()
     if plain in ("null", "none", "-"):
-        return Entry(key, "null", "answered: the rig has none, or it is not known")
+        return Entry(key, "null", "answered: none, or unknown")
     try:
         return Entry(key, number(float(text)), "answered")
     except ValueError:
@@ -107,7 +107,7 @@ def _areas(answers: Answers) -> tuple[Entry, Entry]:
             found.append(Entry(key, number(pi / 4 * (bore**2 - minus**2)), f"answered: {words}"))
         else:
             found.append(Entry(key, "null", "piston area of chamber " + key[-1] + ", such as 5.05 "
-                               "cm^2, or bore and rod; without it pressures tell nothing", True))
+                               "cm^2, or bore and rod; needed to use the pressures", True))
     return found[0], found[1]
 
 
@@ -160,8 +160,8 @@ def _gain(answers: Answers, seen: Seen) -> Entry:
         return Entry("position_gain", number(seen.gain[0]), "values: omega over x_d - x, which "
                      f"explains {min(seen.gain[1], 0.9999):.2%} of omega")
     told = f" (x_d - x explains {seen.gain[1]:.0%} of omega)" if seen.gain else ""
-    return Entry("position_gain", "null", f"pump speed over position error, rad/(s·m); null: not "
-                 f"known{told}", True)
+    return Entry("position_gain", "null", f"pump speed over position error, rad/(s·m); null: "
+                                          f"unknown{told}", True)
 
 
 def _makeup(answers: Answers) -> Entry:

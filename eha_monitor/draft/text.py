@@ -21,7 +21,7 @@ def draft_text(source: Source, found: Map, rig: list[Entry], checks: list[str]) 
     checks : sentences of the plausibility checks that nothing was done about.
     """
     lines = [f"# Drafted by eha_monitor {__version__} from {source.path.name}.",
-             "# Behind each value stands where it comes from; ASK marks what nobody has told yet.",
+             "# The comment behind each value gives its source; ASK marks missing values.",
              *(f"# {ASK}: {check}" for check in checks), "rig:"]
     lines += [_line(f"  {entry.key}: {entry.value}", entry.why, entry.ask) for entry in rig]
     lines += ["channels:"] if source.bag else ["table:"]
@@ -44,7 +44,8 @@ def draft_text(source: Source, found: Map, rig: list[Entry], checks: list[str]) 
     if found.unused:
         names = ", ".join(dumps(one.shown, ensure_ascii=False) for one in found.unused)
         lines.append(f"{margin}# not used: {names}")
-    lines += [_line("thresholds:", "none yet: eha-monitor thresholds --from HEALTHY proposes some",
+    lines += [_line("thresholds:", "none yet: eha-monitor thresholds --from HEALTHY proposes "
+                                   "limits",
                     True),
               "  viscous_damping: {low_error: null, low_warn: null, high_warn: null, "
               "high_error: null}",

@@ -53,8 +53,7 @@ def feedforward_of(model: Model, joint: str, recordings: Sequence[Recording] = (
     lost = _lost(model, law, unit[1], bool(recordings))
     head = [f"Friction feed-forward of {model.settings.rig.name}: eha_monitor {__version__}, "
             f"from {model.source}.",
-            f"{NODE}: a table for a node of your own; no controller of ros2_controllers reads "
-            "one.",
+            f"{NODE}: a table for a node of your own; no controller of ros2_controllers reads it.",
             f"{CONTROLLER}: its one feed-forward number, to be merged with your parameters.",
             *(f"Not in this file: {one}" for one in lost)]
     tree.yaml_set_start_comment("\n".join(" ".join(line.split()) for line in head))

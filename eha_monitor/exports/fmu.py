@@ -94,7 +94,7 @@ def _refuse_long_delays(model: Model, theta: np.ndarray, active: np.ndarray, h: 
 def _lost(model: Model) -> tuple[str, ...]:
     lost = list(lost_of_simulation(model))
     for name in model.own_terms:
-        lost.append(f"{name}: acts as it is written in the config; its numbers are no parameters")
+        lost.append(f"{name}: acts as in the config; its values are not FMU parameters")
     if model.settings.rig.position_gain is None:
         drive = model.of_balance("drive")
         lost.append("rig.position_gain is null: x_d has no effect, pump_speed turns the pump"

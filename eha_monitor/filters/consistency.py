@@ -210,7 +210,7 @@ def judge(innovation: np.ndarray, stddev: np.ndarray, dt: float, stage: str,
     decisive = bool(loudest >= LOCAL or ((judged > 0) & (deviate > SIGNIFICANCE)).any())
     consistent = not judged.any() and loudest < LOCAL
     if consistent:
-        message = (f"{stage}: innovations are as expected: NIS {nis:.2f}, white at all scales "
+        message = (f"{stage}: innovations as expected: NIS {nis:.2f}, white at all scales "
                    f"(largest variance ratio {ratio:.2f})")
     elif judged.any():
         message = (f"{stage}: innovations over {length * dt:.3g} s are "

@@ -55,7 +55,7 @@ def beyond(ranges: tuple[Range, ...], channels: Mapping[str, np.ndarray], dt: fl
             unit = UNITS[one.of]
             return (f"{one.name} was learned from {one.of} = {quantity(one.first, unit, 3)} to "
                     f"{quantity(one.last, unit, 3)}, and {share(float(np.mean(outside)))} of the "
-                    "samples are beyond")
+                    f"samples are outside")
     return ""
 
 

@@ -153,8 +153,9 @@ class FaultWatch:
         while self._wild:
             channel, value = self._wild.popitem()
             limit, unit = LIMITS[channel]
-            self.note(f"wild {channel}", now, f"{channel}: {value:.3g} {unit} is no measurement "
-                      f"(beyond ±{limit:.0e} {unit}), left out")
+            self.note(f"wild {channel}", now, f"{channel}: {value:.3g} {unit} is not a valid "
+                                              f"measurement (beyond ±{limit:.0e} {unit}), left "
+                                              f"out")
         fresh = {}
         for channel, (seconds, since_ns, new) in self.stillness.look().items():
             reference = self.stillness.reference(channel)
@@ -211,7 +212,8 @@ class FaultWatch:
                           f"{name}: NaN in {nan} of {rows + empty} samples ({source.name})")
         if taken and _many(lacked, rows):
             self.note(f"lacked {source.name}", now,
-                      f"{source.name}: {lacked} rows went without it, they wait no longer than "
+                      f"{source.name}: {lacked} rows were processed without it, they wait no "
+                      f"longer than "
                       f"{self._latency:g} s (monitor.latency)")
 
     def _lateness(self, source: Source, past: _Past, now: float) -> None:

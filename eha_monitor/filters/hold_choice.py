@@ -73,8 +73,8 @@ class HoldDecision:
         """Say it in words."""
         much = f"{self.evidence:.0f} log units"
         if not self.decided:
-            return ("the recording cannot tell whether the drive holds its command over each "
-                    f"sample ({much})")
+            return ("the recording does not show whether the drive holds its command over each "
+                    "sample ({much})")
         if self.hold == SAMPLED:
             return ("the drive holds its command over each sample (a digital controller): "
                     f"{much} over a continuous one")

@@ -216,7 +216,7 @@ class LiveEstimator(Intake, RunAgain):
             return
         row = max(round((since_s - self._origin) / self.dt), 0)
         if not self._checkpoints.back(self, row):
-            self.reset(f"{channel} has been wrong since the start")
+            self.reset(f"{channel} has been invalid since the start")
             return
         self._buffer.column(channel, row, self._buffer.end)[:] = math.nan
         self._take()

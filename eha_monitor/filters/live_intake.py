@@ -82,7 +82,7 @@ class Intake:
         before, self._channels, self._news = self._channels, self._channels | names, 0
         begin = missing(self.settings, before) != missing(self.settings, self._channels)
         if begin:
-            self.reset(f"{' and '.join(sorted(names - before))} came after the start")
+            self.reset(f"{' and '.join(sorted(names - before))} arrived after the start")
         return begin
 
     def _place(self, times: np.ndarray, columns: dict[str, np.ndarray]) -> None:

@@ -37,7 +37,7 @@ class LivePlausibility:
         self.found = plausibility_of(rows, self._settings)
         self._asking.answered(now, yes=self.found.message != before)
         return "" if self.found.message == before else (
-            self.found.message or "the channels fit the config again")
+            self.found.message or "the channels agree with the config again")
 
     def due(self, now: float, seconds: float) -> bool:
         """Tell whether ``seconds`` of rows are to be looked at."""

@@ -37,9 +37,9 @@ from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.sample import sample_of
 from eha_monitor.settings.monitor import Settings
 
-MISSING_ONE = "the force balance M x'' = F - B x' leaves something out, or a sensor is wrong"
-MISSING_TWO = ("the flow balance or the drive leaves something out, a sensor is late or wrong, or "
-               "B is not what acts here")
+MISSING_ONE = "the force balance M x'' = F - B x' lacks an effect, or a sensor is wrong"
+MISSING_TWO = ("the flow balance or the drive lacks an effect, a sensor is late or wrong, or B "
+               "is wrong here")
 NO_CHANGES = np.empty((0, 4))
 GROSS = 25.0  # variance ratio
 COARSE = 1.5  # rad of the resonance in a sample
@@ -162,8 +162,8 @@ def run_stage_one(inputs: Inputs, recording: Recording, settings: Settings,
     out, seen = run_one_kernel(inputs, settings, watch)
     if gave_up(watch):  # the model does not fit: an average with an honest sigma, not a chase
         out, seen = run_one_kernel(inputs, settings, new_supervision(True))
-        events.append(Event(0.0, "one", "B follows the motion or runs away, which is no change: "
-                            "held constant over the record"))
+        events.append(Event(0.0, "one", "B varies with the motion or diverges, which is no real "
+                                        "change: held constant over the record"))
     changes = seen.rows
     if not any_of((out[4],), np.isfinite):
         return empty_stage("one", no_data(
@@ -253,7 +253,7 @@ def hand_over(one: StageResult, settings: Settings, recording: Recording, events
     if one.estimate.status != "converged":
         nominal, spread = settings.rig.viscous_damping, settings.stage_two.damping_stddev
         if inputs.no_drive is None:
-            events.append(Event(0.0, "two", f"stage one gives no B ({one.estimate.status}): "
+            events.append(Event(0.0, "two", f"stage one provides no B ({one.estimate.status}): "
                                 f"stage two takes {with_uncertainty(nominal, spread, unit)}"))
         return steps_to(n, [0], [nominal]), steps_to(n, [0], [spread**2])
     rows: list[int] = []
@@ -329,8 +329,8 @@ def model_status(verdicts: Iterable[Consistency | None],
         return ModelStatus("mismatch", "; ".join(verdict.message for verdict in wrong))
     if joint is not None and not joint.fits:
         return ModelStatus("mismatch", "each stage fits its own channels, but position, pressure "
-                           f"and drive do not fit together ({joint.message}): a sensor's scale, "
-                           "or the pump")
+                           f"and drive do not fit together ({joint.message}): check the scale of "
+                           f"the sensors and the pump")
     if not judged:
         return ModelStatus("not_judged", "no stage has had enough data, or motion, to test the "
                            "model")
@@ -385,7 +385,7 @@ def warnings_of(inputs: Inputs, settings: Settings) -> list[str]:
             notes.append(f"{name}: too few samples to measure the noise, the config's level is "
                          "assumed")
     for name, count in inputs.spikes.items():
-        notes.append(f"{name}: {count} lone wild sample{'s' if count > 1 else ''} left out")
+        notes.append(f"{name}: {count} isolated outlier{'s' if count > 1 else ''} left out")
     if inputs.model.active.any() and {"p1", "p2", "omega"} <= set(inputs.noise):
         notes.append("effects are modelled: B, beta_e and leakage are not estimated together")
     if inputs.model.hydraulics is not None and inputs.no_drive is None:

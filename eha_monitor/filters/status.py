@@ -41,17 +41,17 @@ def judge_parameter(name: str, value: float, stddev: float, unit: str, prior: fl
     if value < -NEGATIVE * stddev or beyond:
         return ParameterEstimate(
             name, math.nan, math.nan, unit, "diverged",
-            f"{symbol} went to {quantity(value, unit, 3)}, which is not physical; the model, the "
-            "config or a sign is wrong")
+            f"{symbol} went to {quantity(value, unit, 3)}, which is not physical: the model, the "
+            f"config or a sign is wrong")
     shown = with_uncertainty(value, stddev, unit)
     if stddev > CONVERGED * abs(value) or GAINED * stddev > prior_stddev:
         before = with_uncertainty(prior, prior_stddev, unit)
         return ParameterEstimate(
             name, value, stddev, unit, "not_excited",
-            f"the motion tells too little about {symbol}: {shown} with it, {before} without")
+            f"too little motion to identify {symbol}: {shown}, prior {before}")
     told = share(max(stddev / abs(value) if value else 0.0, FLOOR), 2)
     return ParameterEstimate(name, value, stddev, unit, "converged",
-                             f"{symbol} = {shown}: the motion tells it to ± {told}")
+                             f"{symbol} = {shown}, identified to ± {told}")
 
 
 def converged_where(value: np.ndarray, stddev: np.ndarray, prior: float, prior_stddev: float,

@@ -33,7 +33,7 @@ from eha_monitor.settings.monitor import Settings, Viscosity
 
 __all__ = ["ALARM_NAMES", "NOT_JUDGED", "SEVERITY", "WATCHED", "Alarm", "AlarmBoard", "Level",
            "Watched", "viscosity_factor"]
-ADVICE = "`eha-monitor diagnose` on a recording says what is missing"
+ADVICE = "run `eha-monitor diagnose` on a recording to identify the cause"
 
 WATCHED = (Watched("B", "viscous_damping", "viscous damping", "N·s/m"),
            Watched("beta_e", "bulk_modulus", "effective bulk modulus", "Pa"))
@@ -165,8 +165,9 @@ class AlarmBoard:
             if read is not None:
                 settled, before = (quantity(x, self._units[symbol])
                                    for x in (rebase.settled, rebase.before))
-                return _Seen(*read, shown, note=f"read by its change from {settled}, where it "
-                             f"settled, for {before} before: {taint.reason}")
+                return _Seen(*read, shown, note=f"judged by its change from {settled}, where it "
+                                                f"settled, relative to {before} before: "
+                                                f"{taint.reason}")
         reach = taint.reach * (factor if symbol == "B" else 1.0)
         return _Seen(value, stddev, shown, taint, doubt_of(symbol, value, reach))
 

@@ -91,6 +91,6 @@ class LoadWatch:
                          "are missing")
         if behind > BEHIND_S:
             parts.append(f"it is {behind:.1f} s behind")
-        of_now = ", so the estimates are not those of now" if worst else ""
+        of_now = ", so the estimates are not current" if worst else ""
         return Overload("ERROR" if worst else "WARN", f"{OVERLOADED}: "
                         f"{' and '.join(parts)}{of_now}; {WHAT_TO_DO}")

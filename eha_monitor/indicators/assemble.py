@@ -36,7 +36,7 @@ CLEAR = 2.0  # standard deviations from nothing: what is less is not told
 SIDE = 1.96  # standard deviations of the bound that is told in its place
 SLOW, FAST = 1.0, 1.4  # polytropic exponent of air that keeps, and of air that loses, no heat
 LAWS = {
-    "leakage": "flow that the pump must give to hold the rated pressure with the rod blocked, "
+    "leakage": "flow that the pump must deliver to hold the rated pressure with the rod blocked, "
     "all paths together (piston, pump, make-up): laminar part over the viscosity, orifice part "
     "with the root of the pressure; not seen: what leaks at pressures far from those recorded",
     "free_air": "1/βe = 1/β_oil + (α/(n p)) (p_atm/p)^(1/n): polytropic air beside the oil; all "
@@ -74,7 +74,7 @@ def _leakage(found: Evidence, settings: Settings) -> Indicator:
     if pressure is None:
         return _needs("leakage", "health.rated_pressure")
     if "leakage" not in found.values:
-        return _unknown("leakage", found.why.get("leakage", "the recording does not tell it"))
+        return _unknown("leakage", found.why.get("leakage", "not identified from this recording"))
     names = ("leakage", *_parameters(found, LEAKS))
     at = f"at {quantity(pressure, 'Pa', 3)}{_temperature_words(found, settings)}"
 
@@ -94,7 +94,7 @@ def _efficiency(found: Evidence, settings: Settings) -> Indicator:
         return _needs("pump_efficiency", *missing)
     if "leakage" not in found.values:
         return _unknown("pump_efficiency",
-                        found.why.get("leakage", "the recording does not tell the leakage"))
+                        found.why.get("leakage", "leakage not identified from this recording"))
     names = ("leakage", "pump_displacement", *_parameters(found, LEAKS + LOSSES))
 
     def efficiency(values: Values) -> float:
@@ -109,7 +109,7 @@ def _efficiency(found: Evidence, settings: Settings) -> Indicator:
 def _damping(found: Evidence, settings: Settings) -> Indicator:
     unit = "N·m·s/rad" if settings.rig.motion == "rotary" else "N·s/m"
     if "B" not in found.values:
-        return _unknown("damping", found.why.get("B", "the recording does not tell it"), unit)
+        return _unknown("damping", found.why.get("B", "not identified from this recording"), unit)
 
     def damping(values: Values) -> float:
         return values["B"] / _thinner(values, settings)
@@ -132,7 +132,8 @@ def _free_air(found: Evidence, settings: Settings) -> Indicator:
     if health.air_free_modulus is None:
         return _needs("free_air", "health.air_free_modulus")
     if "beta_e" not in found.values:
-        return _unknown("free_air", found.why.get("beta_e", "the recording does not tell βe"))
+        return _unknown("free_air", found.why.get("beta_e", "βe not identified from this "
+                                                            "recording"))
     if not len(found.pressures):
         return _unknown("free_air", "the pressure is unknown: p1 and p2 are not recorded")
     values, covariance = found.part("beta_e")
@@ -206,11 +207,11 @@ def _not_looked_for(name: str, found: Evidence, effects: tuple[str, ...], words:
         return None
     if assumed := [effect for effect in effects if effect in found.assumed]:
         return _unknown(name, f"{listed([effect_words(one) for one in assumed])} is in the "
-                        "config and so taken as known, not measured", unit)
+                              f"config, so it is assumed known, not measured", unit)
     if lost := [channel for channel in channels if channel not in found.channels]:
         return _unknown(name, f"{listed(lost)} not recorded", unit)
     if not found.settled:
-        return _unknown(name, "the diagnosis does not explain the recording", unit)
+        return _unknown(name, "the diagnosed model does not fit the recording", unit)
     return Indicator(name, math.nan, math.nan, math.nan, unit or UNITS[name][1], NONE,
                      f"the recording shows no {words}", LAWS[name])
 
@@ -226,7 +227,7 @@ def _made(name: str, function: Callable[[Values], float], values: Values, covari
     noise = propagated(function, values, random)[1]
     value, stddev, noise = factor * value, factor * stddev, factor * noise
     if not (math.isfinite(value) and math.isfinite(stddev)):
-        return _unknown(name, "its law gives no finite number here", unit)
+        return _unknown(name, "its equation gives no finite number here", unit)
     if value <= CLEAR * stddev:
         below = max(value, 0.0) + SIDE * stddev
         return Indicator(name, value, stddev, noise, unit, UNKNOWN,

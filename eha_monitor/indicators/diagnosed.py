@@ -10,7 +10,7 @@ from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
 RIG = ("leakage", "pump_displacement")
-UNSEEN = "the diagnosis says no more of the leakage than the config: {}"
+UNSEEN = "the diagnosis does not identify the leakage beyond the configured value: {}"
 
 
 def of_diagnosis(found: Diagnosis, recordings: list[Recording], settings: Settings) -> Evidence:

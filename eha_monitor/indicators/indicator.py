@@ -18,7 +18,7 @@ UNITS = {"leakage": (6e7, "mL/min"), "free_air": (100.0, "%"), "friction_share":
          "pump_efficiency": (100.0, "%"), "drive_lag": (1e3, "ms")}
 AVAILABLE, NONE, UNKNOWN, NEEDS = "available", "none_named", "cannot_be_told", "needs_config"
 
-NOT_LOOKED_FOR = "`diagnose` looks for it, `estimate` does not"
+NOT_LOOKED_FOR = "estimated by `diagnose`, not by `estimate`"
 
 
 @dataclass(frozen=True)

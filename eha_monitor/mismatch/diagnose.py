@@ -153,7 +153,7 @@ def diagnosed(recordings: list[Recording], experiment: Experiment,
     pieces: tuple[Piece, ...] = ()
     if not experiment.inverse and (verdict_of(experiment, naming) != "consistent"
                                    or naming.unexplained > RIVAL):
-        say("asking whether a parameter changed", 0.86)
+        say("testing whether a parameter changed", 0.86)
         changed = changed_between(experiment, recordings, naming)
         if changed is not None:
             pieces, experiment = changed.pieces, changed.experiment
@@ -217,7 +217,7 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
     doubted = verdict == "unexplained" or (verdict == "mismatch" and (
         naming.unexplained > RIVAL or (by_equations and bool(closed.open.any()))))
     if told is None and doubted and not naming.loads:
-        say("learning what has no name", 0.92)
+        say("learning effects not in the catalogue", 0.92)
         told = told_of(experiment, shown, naming)
         if verdict == "mismatch" and told is not None:  # more likely than not it has names
             verdict, told = ("unexplained", told) if told.decides else (verdict, None)
@@ -307,9 +307,9 @@ def beside_own(experiment: Experiment, naming: Naming, told: Told) -> Naming:
 
 def learned_words(term: LearnedTerm) -> str:
     """Return the message of a verdict with a learned term."""
-    return (f"no entry of the catalogue explains what the {term.balance} balance lacks: "
-            f"{term.statement}. With it {share(min(term.removed, 0.999))} of the squared error on "
-            "unseen data is gone")
+    return (f"the {term.balance} balance lacks an effect that is not in the catalogue: "
+            f"{term.statement}. It removes {share(min(term.removed, 0.999))} of the squared "
+            f"error on unseen data")
 
 
 def named_effect(experiment: Experiment, naming: Naming, name: str, tracks: list[np.ndarray]
@@ -339,9 +339,9 @@ def intermittent(naming: Naming) -> NamedEffect:
     when = listed([f"{start:.1f}–{stop:.1f} s ({quantity(force, 'N', 2)})"
                    for start, stop, force in naming.loads])
     return NamedEffect(
-        INTERMITTENT, "force", f"a load that comes and goes pushes against positive motion at "
-        f"{when}", {"F": Value(largest, np.nan, "N")}, naming.evidence[INTERMITTENT], (),
-        "F(t), constant over stretches of time", "Look at what touches the rod at these times.",
+        INTERMITTENT, "force", f"an intermittent load acts against positive motion at {when}",
+        {"F": Value(largest, np.nan, "N")}, naming.evidence[INTERMITTENT], (),
+        "F(t), constant over stretches of time", "Check what touches the rod at these times.",
         quantity(abs(largest), "N", 2), naming.probability[INTERMITTENT],
         tuple((start, stop) for start, stop, _ in naming.loads))
 
@@ -369,10 +369,9 @@ def message_of(verdict: str, effects: tuple[NamedEffect, ...], where: Location,
         return "; ".join([*(finding.statement for finding in wrong),
                           *(effect.statement for effect in effects)])
     balance = max(where.balance, key=where.balance.get)
-    named = (f"; of the evidence {', '.join(effect.name for effect in effects)} would take away "
-             f"{100 * explained:.0f} % only" if effects else "")
-    return (f"something in the {balance} balance is left out that no entry of the catalogue "
-            f"explains{named}")
+    named = (f"; {', '.join(effect.name for effect in effects)} would explain only "
+             f"{100 * explained:.0f} % of the evidence" if effects else "")
+    return (f"the {balance} balance lacks an effect that is not in the catalogue{named}")
 
 
 def considered_of(naming: Naming, test: Tested | None, told: Told | None
@@ -381,7 +380,7 @@ def considered_of(naming: Naming, test: Tested | None, told: Told | None
     found: dict[str, Considered] = {}
     if test is not None and (told is None or told.effect is None):
         why = (f"the best model without it is {number(-test.gained, 3)} log units ahead"
-               if test.gained < 0.0 else "it takes away too little of the error on unseen data")
+               if test.gained < 0.0 else "it removes too little of the error on unseen data")
         found[test.hypothesis.name] = Considered(test.hypothesis.name, test.gained, (), why)
     best = {*naming.after.named, *(f"rig.{key}" for key in naming.wrong)}
     for names, _, behind in naming.tried:
@@ -391,9 +390,9 @@ def considered_of(naming: Naming, test: Tested | None, told: Told | None
                 continue
             beside = tuple(sorted(names - {name}))
             if any(plain in rivals for rivals in naming.rivals.values()):
-                why = "this recording cannot tell it from what is named"
+                why = "indistinguishable in this recording from an identified effect"
             elif best <= names:
-                why = "what is named explains as much without it"
+                why = "the identified effects fit as well without it"
             else:
                 why = f"the best set with it is {number(behind, 3)} log units behind"
             found[plain] = Considered(plain, -behind, beside, why)

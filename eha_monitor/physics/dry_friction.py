@@ -11,7 +11,7 @@ SOURCE = ("sign smoothed over v_e, turning over a displacement z_0 after Dahl 19
           "fading over v_d after Olsson 1996")
 EQUATION = "F = f + t_1 e^-(v/v_d)^2 f',  df/d|x| = (F_steady - f) / z_0,  s = tanh(v / v_e)"
 V_E = Parameter("v_e", "m/s", "velocity over which the sign is smoothed", 1e-6, 1.0, 1e-3, 1e-3)
-Z_0 = Parameter("z_0", "m", "displacement over which the friction turns", 0.0, 1e-3, 4e-6, 0.0)
+Z_0 = Parameter("z_0", "m", "displacement over which the friction reverses", 0.0, 1e-3, 4e-6, 0.0)
 T_1 = Parameter("t_1", "s", "micro damping over micro stiffness of the seal", 0.0, 0.1, 1e-4, 0.0)
 V_D = Parameter("v_d", "m/s", "speed above which the micro damping fades", 1e-4, 10.0, 5e-3, 5e-3)
 SURE, SETTLED, FADED = 20.0, 40.0, 6.0  # where tanh is 1, exp(-r) is 0 and exp(-r^2) is 0

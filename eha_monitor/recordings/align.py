@@ -206,8 +206,8 @@ def tell_grid(grid: Grid, label: str, nominal: float, said: list[str]) -> None:
         said.append(f"{label}: sampled unevenly (steps off by {grid.jitter * 1e3:.3g} ms rms); "
                     f"interpolated to {grid.step * 1e3:.6g} ms")
     elif abs(grid.step / nominal - 1) > 1e-6:
-        said.append(f"{label}: the stamps say a sample time of {grid.step * 1e3:.6g} ms, "
-                    f"the config {nominal * 1e3:.6g} ms; the stamps are used")
+        said.append(f"{label}: the stamps give a sample time of {grid.step * 1e3:.6g} ms, the "
+                    f"config {nominal * 1e3:.6g} ms; the stamps are used")
 
 
 def spans(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

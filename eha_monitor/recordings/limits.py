@@ -57,8 +57,8 @@ def within_limits(name: str, values: np.ndarray, time: np.ndarray, source: str
         after = int(np.sum(numbers > good[-1])) if len(good) else len(numbers)
         if after > FEW or beyond.sum() > max(FEW, SHARE * len(numbers)):
             raise InputError(
-                f"{source}: {name} runs away: {where}, as {int(beyond.sum())} of its "
+                f"{source}: {name} is out of range: {where}, as {int(beyond.sum())} of its "
                 f"{len(numbers)} numbers are; expected a measurement in SI")
-        said.append(f"{name}: {int(beyond.sum())} of {len(values)} values are no measurement "
-                    f"({where}), left out")
+        said.append(f"{name}: {int(beyond.sum())} of {len(values)} values are not valid "
+                    f"measurements ({where}), left out")
     return np.where(infinite | beyond, np.nan, values), tuple(said)

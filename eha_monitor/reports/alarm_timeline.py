@@ -87,7 +87,7 @@ def alarm_timeline(alarms: tuple[Alarm, ...], history: tuple[Alarm, ...],
     """Return the timeline of a recording of ``duration`` seconds."""
     names = list(dict.fromkeys(alarm.name for alarm in (*alarms, *history)))
     if not names and not events:
-        return Timeline(note="No alarm is configured and no event happened.")
+        return Timeline(note="No alarm is configured and there was no event.")
     if not duration > 0:
         return Timeline(note="The recording has no duration, so there is no timeline.")
     clock = time_scale(duration)

@@ -44,8 +44,8 @@ def history_block(found: History, settings: Settings) -> Block:
     if found.at_reference:
         title += f" at {settings.viscosity.reference_temperature:g} °C"
     if not len(found.time):
-        reason = ("the stamps of the recordings are no calendar time" if found.undated
-                  else "no recording tells a value")
+        reason = ("the stamps of the recordings are not calendar times" if found.undated
+                  else "no recording gives a value")
         return Block(f"history-{found.name}", title, notes=(f"No picture: {reason}.",))
     lines = lines_of(found.name, settings)
     low, high = _range(found, everything=True)
@@ -59,9 +59,9 @@ def history_block(found: History, settings: Settings) -> Block:
     far = [f"{words} {quantity(limit, found.unit)}" for limit, words in lines
            if limit not in near]
     if far:
-        notes.append(f"Beyond the picture: {', '.join(far)}.")
+        notes.append(f"Outside the plot: {', '.join(far)}.")
     if found.undated:
-        notes.append(f"{found.undated} more with stamps that are no calendar time: not shown.")
+        notes.append(f"{found.undated} more with stamps that are not calendar times: not shown.")
     return Block(f"history-{found.name}", title, pictures=tuple(pictures),
                  notes=tuple(notes))
 
@@ -98,13 +98,13 @@ def trend_words(found: History) -> str:
     if line.level:
         words += (f" ({'+' if slope > 0 else ''}{number(100 * slope / abs(line.level), 2)} % "
                   "per 30 days)")
-    words += "." if abs(slope) > 2 * spread else ": none that stands out."
+    words += "." if abs(slope) > 2 * spread else ": not significant."
     if line.scatter > 0:
-        words += (f" From one to the next they scatter by {quantity(line.scatter, found.unit, 2)} "
-                  "more than their own uncertainty, which the slope's takes into account.")
+        words += (f" They scatter by {quantity(line.scatter, found.unit, 2)} more than their own "
+                  f"uncertainty, which is included in that of the slope.")
     if found.doubtful:
-        words += (" Fewer than three are free of doubt: the line goes through values of a model "
-                  "that does not fit, and tells of change only.")
+        words += (" Fewer than three are from a model that fits: the line goes through values of "
+                  "a model that does not fit and shows changes only.")
     return words
 
 
@@ -151,7 +151,7 @@ def _picture(found: History, view: tuple[float, float], lines: list[tuple[float,
             axis.plot(days[outside], np.full(outside.sum(), bottom + place * (top - bottom)),
                       linestyle="", marker=marker, markersize=7, color=colour,
                       markerfacecolor="white", clip_on=False,
-                      label=f"beyond the picture ({int(outside.sum())})")
+                      label=f"outside the plot ({int(outside.sum())})")
     draw_limits(axis, value, lines, scale.factor, found.unit)
     draw_outlook(axis, found, scale.factor)
     axis.set_ylim(bottom, top)

@@ -108,9 +108,9 @@ def summary_words(rows: Sequence[dict], command: str) -> str:
         words.append("verdicts: " + (", ".join(
             f"{count} {str(name).replace('_', ' ')}" for name, count in verdicts.most_common())
             or "none"))
-    text = f"{len(told)} of {len(rows)} recordings have an answer: {'; '.join(words)}."
+    text = f"{len(told)} of {len(rows)} recordings were processed: {'; '.join(words)}."
     if broken:
-        text += f" {broken} could not be answered."
+        text += f" {broken} failed."
     return text
 
 

@@ -105,7 +105,7 @@ def curve_figure(found: Diagnosis, curve: Curve, large: bool = False
     x, measured, spread, modelled = (x * across.factor, measured * scale.factor,
                                      spread * scale.factor, modelled * scale.factor)
     axis.axhline(0.0, color=INK, linewidth=0.8)
-    label, width = "measured, and its spread", 2.2
+    label, width = "measured, with its spread", 2.2
     if curve.against == "time":  # it hops to and fro: lines, the model's thin on top
         axis.plot(x, measured, color=SEEN, alpha=0.5, linewidth=3.0, label="measured")
         width = 0.9
@@ -146,7 +146,7 @@ def learned_figure(term: LearnedTerm) -> tuple[Figure, str]:
     axis.errorbar(term.at * across.factor, term.measured * scale.factor,
                   term.spread * scale.factor, linestyle="", marker="o", color=SEEN,
                   markersize=4.5, elinewidth=0.9, ecolor="#b4bcc4",
-                  label="measured, and its spread")
+                  label="measured, with its spread")
     axis.fill_between(x, curve - 2.0 * band, curve + 2.0 * band, color=AFTER, alpha=0.25,
                       linewidth=0, label="learned, ± 2 standard deviations")
     axis.plot(x, curve, color=AFTER, linewidth=2.2, label="learned")

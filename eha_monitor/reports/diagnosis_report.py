@@ -88,7 +88,7 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
         message=words.message_words(found, probable=True),
         wrong=[_rig(finding, settings.rig.tolerance) for finding in found.rig_data],
         within=[_rig(finding, settings.rig.tolerance) for finding in found.rig_within],
-        doubts=[f"In this recording {effect_words(effect.name)} cannot be told from "
+        doubts=[f"In this recording {effect_words(effect.name)} is indistinguishable from "
                 f"{_rivals(effect.indistinguishable_from)}." for effect in found.effects
                 if effect.indistinguishable_from],
         hero=learned_picture(found.learned[0]) if found.learned else
@@ -220,21 +220,21 @@ def _heading(found: Diagnosis, settings: Settings) -> list[tuple[str, str]]:
 def _curve_note(found: Diagnosis, curve: Curve) -> str:
     dots, line = ("Grey", "Blue") if curve.against == "time" else ("Dots", "Line")
     if found.effects:
-        return (f"{dots}: what the recording shows and the linear model lacks. "
-                f"{line}: what the named physics makes.")
+        return (f"{dots}: measured term that the linear model lacks. {line}: the identified "
+                f"effects.")
     if found.rig_data:
-        return f"{dots}: what the recording shows and the model of the config lacks."
+        return f"{dots}: measured term that the model of the config lacks."
     if found.verdict == "consistent":
-        return "What is left when the model has explained the recording: noise about zero."
-    return f"{dots}: what the recording shows and the model lacks. No entry of the catalogue fits."
+        return "Residual of the model: noise about zero."
+    return f"{dots}: measured term that the model lacks. No effect of the catalogue fits."
 
 
 def _learned_note(term: LearnedTerm) -> str:
     formula = ("Dashed: the formula, which explains as much as the curve to within 5 %."
-               if term.formula else "Dashed: the best formula; the curve explains more."
+               if term.formula else "Dashed: the best formula; the curve fits better."
                if term.rivals else "")
-    return ("Dots: what the recording shows and the model lacks. Blue: what was learned from the "
-            f"whole recording, with its band. {formula} Beyond the ends nothing is known.")
+    return ("Dots: measured term that the model lacks. Blue: learned from the whole recording, "
+            f"with its band. {formula} Outside the ends there are no data.")
 
 
 def _summary(found: Diagnosis) -> list[dict[str, str]]:
@@ -332,7 +332,7 @@ def _considered(considered: tuple[Considered, ...]) -> list[dict[str, Any]]:
                  if one.name in CATALOGUE else "", "why": words.sentence(one.why)}
                 for one in members]
         title = "Beside " + listed([effect_words(b) for b in beside]) if beside \
-            else "With nothing named yet"
+            else "Before any effect is identified"
         shown = _MOST_OPEN if len(rows) > _MOST_OPEN + 2 else len(rows)
         tables.append({"title": title, "open": rows[:shown], "rest": rows[shown:]})
     return tables

@@ -19,19 +19,19 @@ from eha_monitor.words import listed
 # Verdict -> (colour, first words).
 VERDICTS = {
     "consistent": ("ok", "Model and recording agree"),
-    "mismatch": ("warn", "Mismatch, and what it is"),
+    "mismatch": ("warn", "Mismatch identified"),
     "unexplained": ("error", "Unexplained mismatch"),
-    "insufficient_data": ("unknown", "Too little to tell"),
+    "insufficient_data": ("unknown", "Insufficient data"),
 }
-CHANGED = ("warn", "A parameter changed, and nothing else is missing")
-LEARNED = ("warn", "Not in the catalogue, and learned from the recording")
+CHANGED = ("warn", "A parameter changed; no other mismatch")
+LEARNED = ("warn", "Effect not in the catalogue, learned from the recording")
 # Verdict against healthy recordings -> the same.
 AGAINST_HEALTHY = {
-    "consistent": ("ok", "As the healthy recordings"),
-    "mismatch": ("warn", "Changed, and what it is"),
-    "unexplained": ("error", "Changed, and no entry of the catalogue explains it"),
+    "consistent": ("ok", "No change from the healthy recordings"),
+    "mismatch": ("warn", "Change identified"),
+    "unexplained": ("error", "Changed, by an effect not in the catalogue"),
 }
-WRONG_NUMBERS = ("warn", "The numbers of the rig explain the mismatch, and nothing is left out")
+WRONG_NUMBERS = ("warn", "Wrong rig data explain the mismatch; no effect is missing")
 REGIMES = {
     "velocity_reversal": "where the motion reverses", "high_speed": "at high speed",
     "high_pressure": "at a high pressure difference", "near_limit": "near a limit",
@@ -39,8 +39,8 @@ REGIMES = {
 }
 BALANCES = {"force": "force balance", "flow": "flow balance", "drive": "drive",
             "sensor": "sensors"}
-DATA = {"held_out": "a part of the recording that the fit has not seen",
-        "held_out_bag": "another recording, which the fit has not seen"}
+DATA = {"held_out": "a held-out part of the recording",
+        "held_out_bag": "another recording, not used in the fit"}
 _MOST_INTERVALS = 6
 
 
@@ -65,9 +65,9 @@ def windows_words(found: Diagnosis) -> str:
     several = len({one.bag for one in found.named_on}) > 1
     where = listed([f"{number(one.start_s)} to {number(one.stop_s)} s"
                     + (f" of {one.bag}" if several else "") for one in found.named_on])
-    over = (f"the {number(found.looked_s)} s whose motion tells most" if found.looked_s
+    over = (f"the {number(found.looked_s)} most informative s" if found.looked_s
             else "the whole recording")
-    return (f"Effects were named on the {number(length)} s that tell most ({where}); "
+    return (f"Effects were identified on the most informative {number(length)} s ({where}); "
             f"the models were then run over {over}.")
 
 
@@ -92,7 +92,7 @@ def verdict_probability(found: Diagnosis) -> float:
 
 
 def head_words(found: Diagnosis) -> str:
-    """Return the first words of a verdict with its probability: ``Too little to tell (80 %)``."""
+    """Return the first words of a verdict with its probability: ``Insufficient data (80 %)``."""
     return head_of(found)[1] + in_brackets(verdict_probability(found))
 
 
@@ -233,12 +233,12 @@ def removed(fit: SignalFit) -> float:
 def certainty(found: Diagnosis) -> str:
     """Return what speaks for the other verdicts, and where a probability is from, as sentences."""
     rest = [f"{words}: {probability(found.probability[key])}" for key, words in
-            (("consistent", "that nothing is missing"),
-             ("unexplained", "that something unidentified is missing"))
+            (("consistent", "that the model is complete"),
+             ("unexplained", "that an unidentified effect is missing"))
             if math.isfinite(found.probability.get(key, math.nan))]
     if not rest:
         return ""
-    return (f"Probability {'; '.join(rest)}. This and every probability here come from the "
-            "evidence of all sets of effects, wrong rig numbers and smooth unknown terms that "
-            "were compared. Whatever reaches 5 % in the place of an answer is listed as "
-            "indistinguishable from it.")
+    return (f"Probability {'; '.join(rest)}. All probabilities in this report are computed from "
+            "the evidence of every compared set of effects, wrong rig data and smooth unknown "
+            "terms. An alternative that reaches 5 % is listed as indistinguishable from the "
+            "answer.")

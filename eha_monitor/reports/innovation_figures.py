@@ -55,14 +55,14 @@ def _words(stage: StageResult, count: int) -> tuple[str, ...]:
     notes = [c.message,
              f"Mean of the squared standardised innovations (NIS): {number(c.nis)}; expected "
              f"{number(max(0.0, 1 - spread))} to {number(1 + spread)} if the noise levels are "
-             f"right ({c.samples} innovations). Above, the filter errs more than it believes; "
-             "below, it believes the sensor worse than it is."]
+             f"right ({c.samples} innovations). Above this range the filter underestimates its "
+             f"error; below it, the noise level is set too high."]
     if np.isfinite(c.variance_ratio):
         notes.append(
             f"Sums over blocks of {quantity(c.block_length_s, 's', 3)} vary "
             f"{number(c.variance_ratio, 3)} times as much as those of white noise (expected "
-            "about 1). A large number means that the errors have a memory: something moves the "
-            "actuator that the model does not know.")
+            "about 1). A large number means that the errors are correlated over time: the model "
+            "lacks an effect that acts on the actuator.")
     if not c.consistent and np.isfinite(c.peak_time_s):
         notes.append(f"The misfit is worst near {number(c.peak_time_s)} s.")
     return tuple(notes)

@@ -171,7 +171,7 @@ def pressure_block(estimate: Estimate, window: Window) -> Block:
         if rig.area_1 and rig.area_2 and abs(rig.area_2 / rig.area_1 - 1) > 1e-3:
             load = p1 - p2 * rig.area_2 / rig.area_1
             curves.append(Curve("load pressure p₁ − p₂·A₂/A₁", load, STAGE_TWO))
-            notes = ("The areas differ, so the load pressure is what moves the piston.",)
+            notes = ("The areas differ, so the load pressure is plotted.",)
         return Block(key, "Pressure difference", draw_curves(
             estimate, window, curves, [], "pressure difference", "Pa"), notes)
     if recording.has("force"):
@@ -179,10 +179,9 @@ def pressure_block(estimate: Estimate, window: Window) -> Block:
         curve = Curve(f"measured {word}", recording.get("force"), STAGE_ONE)
         return Block(key, f"Driving {word}", draw_curves(
             estimate, window, [curve], [], word, unit),
-            (f"No pair of pressures was recorded; the measured {word} takes the place of "
-             "A·Δp.",))
+            (f"The pressures were not both recorded; the measured {word} replaces A·Δp.",))
     return Block(key, "Pressure difference", notes=(
-        "No pair of pressures and no force was recorded, so there is nothing to show.",))
+        "Neither both pressures nor a force were recorded, so there is nothing to show.",))
 
 
 def position_block(estimate: Estimate, window: Window) -> Block:
@@ -217,8 +216,8 @@ def derivative_block(estimate: Estimate, window: Window, order: int) -> Block:
                          4.0)
     if not measured.drawable and not estimated:
         return Block(name, name.capitalize(), notes=(
-            f"No {name} was measured or estimated, and there is too little position to "
-            "differentiate.",))
+            f"No {name} was measured or estimated, and there are too few position samples to "
+            f"differentiate.",))
     notes: tuple[str, ...] = ()
     if smoother:
         notes = (f"The {name} was not measured: the grey line is the numerical {which} of the "

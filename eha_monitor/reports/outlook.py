@@ -21,7 +21,7 @@ def outlook_words(found: History) -> str:
     words = []
     if jumps := found.outlook.jumps:
         words.append(f"Step{'s' if len(jumps) > 1 else ''} at {', '.join(map(day, jumps))} (a "
-                     "repair, other oil): the trend starts anew there.")
+                     "repair, other oil): the trend restarts there.")
     words += [forecast_words(one, found) for one in found.outlook.forecasts
               if one.status != NO_LIMIT]
     return " ".join(filter(None, words))
@@ -34,8 +34,8 @@ def forecast_words(one: Forecast, found: History) -> str:
     if one.status == TOLD:
         now = float(found.time[found.usable][-1])
         if not math.isfinite(one.early):
-            return f"{name} grows, but not towards {limit} within any time that can be told."
-        late = f"{day(one.late)}" if _near(one.late, now) else "no end that can be told"
+            return f"{name} grows, but does not reach {limit} within the forecast horizon."
+        late = f"{day(one.late)}" if _near(one.late, now) else "no upper bound"
         middle = (f", median {day(one.middle)} ({span(one.middle - now)})"
                   if _near(one.middle, now) else "")
         return (f"{name} reaches {limit} between {day(one.early)} and {late} "
@@ -43,8 +43,8 @@ def forecast_words(one: Forecast, found: History) -> str:
     if one.status == BEYOND:
         return f"{name} is at its limit of {limit} or beyond it."
     if one.status == NOT_YET:
-        return (f"Time to {limit}: cannot be told yet"
-                + (f" (odds of growth {number(one.odds, 2)} to 1; told from 200)."
+        return (f"Time to {limit}: not yet predictable"
+                + (f" (odds of growth {number(one.odds, 2)} to 1; predicted from 200 on)."
                    if math.isfinite(one.odds) else " (fewer than eight values)."))
     return f"Time to {limit}: no growth towards it."
 

@@ -51,8 +51,8 @@ def render(template: str, **context: Any) -> str:
 def contents(body: Markup) -> Contents:
     """Return what a list of contents needs: headings without an id get one of their words.
 
-    >>> contents(Markup("<h2>What the channels can tell</h2>")).links
-    (('what-the-channels-can-tell', Markup('What the channels can tell')),)
+    >>> contents(Markup("<h2>Identifiability from the channels</h2>")).links
+    (('identifiability-from-the-channels', Markup('Identifiability from the channels')),)
     """
     links: list[tuple[str, Markup]] = []
 

@@ -47,12 +47,12 @@ def parameter_block(estimate: Estimate, name: str) -> Block:
     near = [limit for limit, _ in lines if is_near(limit, low, high)]
     far = [f"{words} {quantity(limit, unit)}" for limit, words in lines if limit not in near]
     if far:
-        notes.append(f"Beyond the picture: {', '.join(far)}.")
+        notes.append(f"Outside the plot: {', '.join(far)}.")
     view = (min([low, *near]), max([high, *near]))
     margin = 0.08 * (view[1] - view[0])
     early = value[np.isfinite(value)]
     if early.min() < view[0] - margin or early.max() > view[1] + margin:
-        notes.append("The way from the prior leaves the picture at the start.")
+        notes.append("The start of the curve, from the prior, is outside the plot.")
     begin = _settled(stage)
     pictures = [_picture(stage, name, slice(None), view, lines, colour, "whole record")]
     if stage.estimate.status == "converged" and 0 < begin < len(value) - 10:
@@ -60,10 +60,10 @@ def parameter_block(estimate: Estimate, name: str) -> Block:
         pictures.append(_picture(stage, name, slice(begin, None), tail, lines, colour,
                                  "after convergence, enlarged"))
     if name == "B" and estimate.recording.has("temperature"):
-        notes.append("A temperature was recorded: the limits hold at "
-                     f"{estimate.settings.viscosity.reference_temperature:g} °C, to which B is "
-                     "carried by the viscosity law before it is judged; the curve shows B as "
-                     "it is.")
+        notes.append("A temperature was recorded: the limits apply at "
+                     "{estimate.settings.viscosity.reference_temperature:g} °C, to which B is "
+                     "converted by the viscosity law before it is compared; the curve shows B as "
+                     "estimated.")
     return Block(key, title, tuple(pictures), tuple(notes))
 
 

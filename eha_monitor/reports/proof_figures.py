@@ -59,11 +59,11 @@ def detection_picture(found: dict) -> Picture | None:
     axis.set_yticks(range(len(names)), [effect_words(name) for name in names])
     axis.set_ylim(-0.8, len(names) - 0.2)
     axis.margins(x=0.04)
-    axis.set_xlabel("strength, in units of what an oracle just detects" if by_units
+    axis.set_xlabel("strength, relative to what an oracle just detects" if by_units
                     else "strength; 1 is clear")
     axis.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.02, 1.0), borderaxespad=0.1,
                 columnspacing=1.4, frameon=False, fontsize=9.5)
-    return picture(figure, "what was said of each single concealed effect, by its strength")
+    return picture(figure, "result for each single concealed effect, by its strength")
 
 
 def curve_of_all(found: dict) -> Picture | None:
@@ -85,14 +85,14 @@ def curve_of_all(found: dict) -> Picture | None:
                  label=f"95 % at {curve['point_95']:.2g}")
     axis.set_xscale("log")
     axis.set_ylim(-0.04, 1.06)
-    axis.set_xlabel("strength, in units of what an oracle just detects")
+    axis.set_xlabel("strength, relative to what an oracle just detects")
     axis.set_ylabel("right name or declared class")
     legend_above(axis)
     return picture(figure, "probability of the right name against strength")
 
 
 def reliability_picture(found: dict) -> Picture | None:
-    """Draw the share that was right against the probability that was said, counts below it."""
+    """Draw the share that was correct against the stated probability, counts below it."""
     bins = found.get("reliability") or []
     if not bins:
         return None
@@ -101,15 +101,15 @@ def reliability_picture(found: dict) -> Picture | None:
     right = np.array([one["right"] for one in bins])
     count = np.array([one["n"] for one in bins])
     above.plot([0.0, 1.0], [0.0, 1.0], color=INK, linewidth=1.0, linestyle=":",
-               label="honest: right as often as was said")
+               label="calibrated: right as often as stated")
     low, high = wilson(right, count)
     above.vlines(said, np.minimum(right, said), np.maximum(right, said), color=ERROR_LINE,
-                 linewidth=5.0, alpha=0.35, label="from what was said to what was right")
+                 linewidth=5.0, alpha=0.35, label="from stated to actual")
     above.errorbar(said, right, [right - low, high - right], linestyle="", marker="o",
                    color=STAGE_ONE, elinewidth=0.9, capsize=2.5,
-                   label="share that was right, with its 68 % interval")
+                   label="share that was correct, with its 68 % interval")
     above.set_ylim(-0.04, 1.06)
-    above.set_ylabel("share that was right")
+    above.set_ylabel("share that was correct")
     legend_above(above)
     middles = [0.5 * (one["low"] + one["high"]) for one in bins]
     below.bar(middles, count, width=0.092, color=MEASURED)
@@ -125,10 +125,10 @@ def reliability_picture(found: dict) -> Picture | None:
     below.set_ylabel("statements")
     below.set_xlim(-0.02, 1.02)
     below.set_xticks(np.linspace(0.0, 1.0, 11))
-    below.set_xlabel("probability that was said")
+    below.set_xlabel("stated probability")
     error = found["score"].get("calibration_error")
     words = "" if error is None else f", expected calibration error {100 * error:.1f} %"
-    return picture(figure, f"how often a statement was right against its probability{words}")
+    return picture(figure, f"how often a statement was correct against its probability{words}")
 
 
 def missing_term(answer: dict | None) -> Picture | None:

@@ -156,7 +156,7 @@ def miss_cards(found: dict, work: Path | None) -> list[dict]:
         answer = read_json(work / "answers" / f"{row['case']}.json") if work else None
         drawn = len(cards) < MOST_PICTURES
         cards.append({
-            "case": row["case"], "truth": truths_of(row) or ["nothing: a clean recording"],
+            "case": row["case"], "truth": truths_of(row) or ["none: a clean recording"],
             "said": said_words(row), "message": row["message"],
             "place": row["located"] or "nowhere",
             "place_right": row["located_right"] or row["kind"] == "null",

@@ -111,7 +111,7 @@ def fit_figure(found: Diagnosis) -> Figure:
                                             or found.pieces or found.references))
         if made is not None:
             return arranged(made[0])
-    return words_figure("Nothing was kept back to run the models on.")
+    return words_figure("No data were held out to run the models on.")
 
 
 def part_figure(name: str, found: Diagnosis) -> Figure:
@@ -140,7 +140,8 @@ def motion_figure(proposed: tuple[dict[str, Segment], str] | None, motion: str) 
     motion : of the rig, ``linear`` or ``rotary``.
     """
     if proposed is None:
-        return words_figure("No motion is proposed: nothing is in doubt, or none settles it.")
+        return words_figure("No motion is proposed: nothing is in doubt, or no motion resolves "
+                            "it.")
     segments, words = proposed
     time = np.linspace(0.0, total_duration(segments), _SAMPLES, endpoint=False)
     values = demanded_position(segments, time)

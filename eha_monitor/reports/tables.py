@@ -152,7 +152,7 @@ def _own_row(name: str, values: dict) -> dict[str, str]:
         text = (f"{len(values['values'])} values over {values['of']}, {values['first']:g} to "
                 f"{values['last']:g}")
     return {"key": _plain(name), "value": text,
-            "description": f"a term of the rig's own, adds to the {values['adds']} in {unit}"}
+            "description": f"user-defined term, adds to the {values['adds']} in {unit}"}
 
 
 def _plain(key: str) -> str:

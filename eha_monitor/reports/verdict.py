@@ -35,8 +35,8 @@ def verdict(estimate: Estimate, alarms: tuple[Alarm, ...]) -> Verdict:
     if errors or warnings:
         parts.append(" and ".join(_alarm_phrase(alarm) for alarm in (*errors, *warnings)))
     if mismatch:
-        parts.append("the model does not explain this recording" + (
-            ", so the numbers are those of a wrong model" if told else ""))
+        parts.append("the model does not fit this recording" + (
+            ", so the values are biased by the model error" if told else ""))
     if told and not (errors or warnings):
         parts.append(_values(told, alarms))
     if untold:
@@ -44,9 +44,9 @@ def verdict(estimate: Estimate, alarms: tuple[Alarm, ...]) -> Verdict:
             f"{NAMES[p.name]} {SYMBOLS[p.name]} ({STATUS_WORDS.get(p.status, p.status)})"
             for p in untold))
     if estimate.model.status == "consistent":
-        parts.append("the model explains the recording")
+        parts.append("the model fits the recording")
     elif told and not mismatch:
-        parts.append("the recording does not show whether the model explains it")
+        parts.append("the recording does not show whether the model fits")
     held = [a for a in alarms if a.not_judged]
     kind, headline = _head(errors, warnings, mismatch, told, untold or held,
                            estimate.model.status)
@@ -63,7 +63,7 @@ def _values(told: list[ParameterEstimate], alarms: tuple[Alarm, ...]) -> str:
     if sure:
         judged = all(_of(p, alarms) for p in sure)
         parts.append(_shown(sure) + (f" {'is' if len(sure) == 1 else 'are'} within the limits"
-                                     if judged else ", without limits to judge by"))
+                                     if judged else ", without configured limits"))
     if doubtful:
         parts.append(f"{_shown(doubtful)} {'is' if len(doubtful) == 1 else 'are'} not judged")
     return "; ".join(parts)
@@ -92,7 +92,8 @@ def _head(errors, warnings, mismatch, told, untold, model) -> tuple[str, str]:
     if not told:
         return "unknown", "No answer"
     if untold or model != "consistent":
-        return ("ok" if model == "consistent" else "unknown"), "Healthy as far as can be told"
+        kind = "ok" if model == "consistent" else "unknown"
+        return kind, "No fault found in what could be judged"
     return "ok", "Healthy"
 
 

@@ -128,7 +128,7 @@ class Keeper:
 
     def _on_request(self) -> str | None:
         if self._saver is None:
-            return "nothing is kept: monitor.buffer_minutes is 0"
+            return "the buffer is off: monitor.buffer_minutes is 0"
         self._asked = True
         return None
 

@@ -198,7 +198,7 @@ def actuators_of(given: tuple[str, ...]) -> list[tuple[Settings, str]]:
             raise InputError(f"--actuator {text}: expected NAME=CONFIG, the name in letters, "
                              "digits and underscores")
         if name in found:
-            raise InputError(f"--actuator {text}: {name} is there already, expected another name")
+            raise InputError(f"--actuator {text}: {name} exists already, expected another name")
         settings = load_settings(Path(config) if config else None)
         found[name] = (settings.model_copy(update={
             "rig": settings.rig.model_copy(update={"name": name}),

@@ -232,10 +232,10 @@ class Monitor:
         self.latency.restart()
 
     def _on_reset(self, request, response):
-        self._reset("asked for by the service monitor/reset")
+        self._reset("requested by the service monitor/reset")
         response.success = True
-        response.message = ("both estimators reset; alarms stay as they are until there is a new "
-                            "estimate to judge")
+        response.message = ("both estimators reset; alarms keep their state until there is a new "
+                            "estimate")
         return response
 
     def _judge(self) -> None:

@@ -117,7 +117,7 @@ def run_record(out: Path, ros_args: list[str], topics: tuple[str, ...] | None = 
         recorder = Recorder(node, writer, topics)
         running.spin(node, duration)
         for topic in recorder.waiting:
-            print(f"{topic}: nobody published it", file=sys.stderr)
+            print(f"{topic}: no publisher", file=sys.stderr)
         print(f"{out}: {sum(writer.counts.values())} messages on {len(writer.counts)} topics",
               flush=True)
     return 0

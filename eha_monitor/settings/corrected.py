@@ -49,7 +49,7 @@ def _refusal(key: str, value: float) -> str:
         return "is no number of the config's rig"
     unit = field.json_schema_extra["unit"]
     if not abs(value) <= LARGEST:
-        return f"the recording gives no number that it could be, in {unit}"
+        return f"the recording gives no plausible value, in {unit}"
     for name, holds, words in _BOUNDS:
         for rule in field.metadata:
             bound = getattr(rule, name, None)

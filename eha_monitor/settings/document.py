@@ -15,11 +15,11 @@ _BOUNDS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
 _UNSET = "# "
 _YAML11_BOOLEANS = ("y", "n", "yes", "no", "on", "off", "true", "false")
 _HEAD = """\
-A config of eha_monitor.  Every key may be left out: the value shown is then taken.
+A config of eha_monitor.  Every key may be left out; its default is the value shown.
 A number is in the SI unit named beside it, or a string with a unit: mass: "20 kg".
 """
 _OWN = (
-    "  <any other name>: a term of the rig's own, a formula or a table: docs/effects.md",
+    "  <any other name>: a user-defined term, a formula or a table: docs/effects.md",
     "    adds: force (N, against positive motion), flow (m^3/s from chamber 2 into 1), flow_1, "
     "flow_2 (m^3/s into a chamber), speed (rad/s of the pump)",
     '    expression: e.g. "F*exp(-((x - x_0)/w)**2)*tanh(v/1e-3)" with F, x_0, w beside it, SI',
@@ -103,7 +103,7 @@ def _catalogue(indent: int) -> Iterator[str]:
         for p in effect.parameters:
             unit = "" if p.unit == "1" else f"{p.unit}, "
             span = f"[{unit}{p.lower:g} to {p.upper:g}]"
-            default = "" if p.default is None else f", {p.default:g} where not given"
+            default = "" if p.default is None else f", {p.default:g} if omitted"
             yield from _comment(f"    {p.name}: {span} {p.description}{default}", margin)
 
 

@@ -81,8 +81,8 @@ def unit_of(text: str) -> Unit:
 
     registry = pint.get_application_registry()
     if text.strip().casefold() in _SHARES:
-        raise ValueError("a share of something has no unit: name the unit of the full scale, and "
-                         "put the full scale over the raw number there into scale")
+        raise ValueError("per cent of full scale is not a unit: give the unit of the full scale, "
+                         "and full scale over raw value as scale")
     if text.strip() in ("Hz", "1/s", "s-1", "s^-1"):
         raise ValueError(f"{text!r} may be revolutions or radians: write rev/s or rad/s")
     name, zero = _parted(text.strip())
@@ -93,7 +93,7 @@ def unit_of(text: str) -> Unit:
         si = "degC" if two[0].check("[temperature]") else str(two[1].to_base_units().units)
         low, high = (float(one.to(si).magnitude) for one in two)
     except Exception as problem:  # pint raises a dozen kinds, all of them the user's value
-        raise ValueError(f"no unit that is known: {text!r}") from problem
+        raise ValueError(f"unknown unit: {text!r}") from problem
     return Unit(high - low, low + zero, si)
 
 

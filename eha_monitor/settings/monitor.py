@@ -19,7 +19,7 @@ CHANNEL_WORDS = {"x": "piston position", "v": "piston velocity", "x_d": "demande
                  "omega": "pump speed", "omega_d": "demanded pump speed",
                  "p1": f"pressure of chamber 1, {_ABSOLUTE}",
                  "p2": f"pressure of chamber 2, {_ABSOLUTE}",
-                 "force": "force that drives the piston, where it is measured",
+                 "force": "force that drives the piston, if measured",
                  "temperature": "oil temperature"}
 
 
@@ -40,7 +40,7 @@ class Channel(Section, Measured):
                       "gauge; empty: SI")
     scale: float = Field(1.0, allow_inf_nan=False, description="of unit, per raw unit, not 0")
     offset: float = Field(0.0, allow_inf_nan=False, description="in unit, at raw zero")
-    delay: Si("s", "how late the stamp is against the quantity") = 0.0
+    delay: Si("s", "delay of the stamp relative to the quantity") = 0.0
 
     @field_validator("scale")
     @classmethod
@@ -78,8 +78,8 @@ def _fill_channels(given):
 class NoiseLevels(SensorNoise):
     """Noise that the filters assume; measured from the data unless ``fixed``."""
 
-    fixed: bool = Field(False, description="take these levels as they are instead of "
-                        "measuring them from the recording")
+    fixed: bool = Field(False, description="use these levels instead of measuring them from the "
+                                           "recording")
 
 
 class StageOne(Section):
@@ -96,9 +96,9 @@ class StageTwo(Section):
 
     prior: Si("Pa", "effective bulk modulus before any data", gt=0) = 5e8
     prior_stddev: Si("Pa", "standard deviation of the prior", gt=0) = 1e9
-    largest: Si("Pa", "more than the oil itself has; a larger estimate counts as diverged",
+    largest: Si("Pa", "above the modulus of the oil itself; a larger estimate counts as diverged",
                 gt=0) = 5e9
-    damping_stddev: Si("N·s/m", "standard deviation of B where stage one gives none",
+    damping_stddev: Si("N·s/m", "standard deviation of B if stage one provides none",
                        gt=0) = 100.0
     acceleration_noise: Si("m/s²", "unmodelled white acceleration on each sample", ge=0) = 0.0
 
@@ -110,8 +110,8 @@ class Limits(Section):
     low_warn: Si("1", "below this: WARN", optional=True) = None
     high_warn: Si("1", "above this: WARN", optional=True) = None
     high_error: Si("1", "above this: ERROR", optional=True) = None
-    hysteresis: Si("1", "relative way back before an alarm clears", ge=0, lt=1) = 0.02
-    hold_time: Si("s", "how long a limit must be passed before the alarm is raised", ge=0) = 0.5
+    hysteresis: Si("1", "relative hysteresis before an alarm clears", ge=0, lt=1) = 0.02
+    hold_time: Si("s", "time beyond a limit before the alarm is raised", ge=0) = 0.5
 
     @model_validator(mode="after")
     def _ordered(self):
@@ -156,7 +156,7 @@ class Thresholds(Section):
     bulk_modulus: ModulusLimits = Field(
         ModulusLimits(low_error=1.5e8, low_warn=4e8),
         description="limits on the effective bulk modulus, Pa")
-    confidence: Si("1", "standard deviations by which a limit must be passed", ge=0) = 2.0
+    confidence: Si("1", "standard deviations by which a value must be beyond a limit", ge=0) = 2.0
 
     @model_validator(mode="before")
     @classmethod
@@ -193,13 +193,13 @@ class Viscosity(Section):
     With both viscosities of the oil's data sheet, Walther's law (ASTM D341) in its place.
     """
 
-    reference_temperature: Si("°C", "temperature at which the thresholds of B hold, and to which "
-                              "leakage is carried", ge=-40, le=200) = 40.0
-    coefficient: Si("1/K", "relative fall of the viscosity with temperature, k; not used where "
-                    "grade and at_100 are given", ge=0) = 0.03
-    grade: Si("mm²/s", "kinematic viscosity of the oil at 40 °C: the number of its ISO VG, or "
-              "that of its data sheet", ge=2, le=5000, optional=True) = None
-    at_100: Si("mm²/s", "kinematic viscosity of the oil at 100 °C, of its data sheet",
+    reference_temperature: Si("°C", "temperature at which the thresholds of B apply, and to "
+                                    "which leakage is converted", ge=-40, le=200) = 40.0
+    coefficient: Si("1/K", "relative decrease of the viscosity with temperature, k; not used if "
+                           "grade and at_100 are given", ge=0) = 0.03
+    grade: Si("mm²/s", "kinematic viscosity of the oil at 40 °C: its ISO VG number, or from its "
+                       "data sheet", ge=2, le=5000, optional=True) = None
+    at_100: Si("mm²/s", "kinematic viscosity of the oil at 100 °C, from its data sheet",
                ge=1, le=500, optional=True) = None
 
     @model_validator(mode="after")
@@ -207,7 +207,8 @@ class Viscosity(Section):
         if (self.grade is None) != (self.at_100 is None):
             raise ValueError("expected grade and at_100 together: the law goes through both")
         if self.grade is not None and self.at_100 >= self.grade:
-            raise ValueError("expected at_100 below grade: oil is thinner when it is warm")
+            raise ValueError("expected at_100 below grade: the viscosity of oil decreases with "
+                             "temperature")
         return self
 
 
@@ -222,23 +223,24 @@ class Monitor(Section):
     namespace: str = Field("/eha", description="namespace of the topics")
     frame_id: str = Field("", description="frame_id of the messages that monitor and simulator "
                           "publish; empty: rig.name")
-    publish_rate: Si("Hz", "rate of the estimates, and at least ten times a second that at which "
-                     "the topics are drained", gt=0, le=1000) = 10.0
-    stale_after: Si("s", "data missing for this long make the health STALE", gt=0) = 1.0
-    latency: Si("s", "how long a row waits for its last channel", gt=0) = 0.02
+    publish_rate: Si("Hz", "rate at which estimates are published; topics are read at this rate, "
+                           "at least ten times a second", gt=0, le=1000) = 10.0
+    stale_after: Si("s", "health becomes STALE after this time without data", gt=0) = 1.0
+    latency: Si("s", "longest time a row waits for its last channel", gt=0) = 0.02
     on_mismatch: Literal["hold", "rebase", "ignore"] = Field(
-        "hold", description="alarms of an estimate that a model mismatch taints; hold: none is "
-        "raised or cleared that the mismatch may have moved across its limit; rebase: once "
-        "settled, judged by the change since; ignore: judged as "
-        "if the model fitted")
-    buffer_minutes: Si("min", "the inputs as they came, the estimates and the health of the last "
-                       "minutes are kept in memory, compressed, to be saved as a bag (service "
-                       "monitor/save, or save_on); at most 128 MiB, the oldest go first, and at "
-                       "most twice that while a bag is written or cannot be; 0 = off",
+        "hold", description="alarms of an estimate biased by a model mismatch; hold: not raised "
+                            "or cleared if the mismatch may have moved the estimate across the "
+                            "limit; rebase: once settled, judged by the change since; ignore: "
+                            "judged as if the model fitted")
+    buffer_minutes: Si("min", "length of the buffer of inputs, estimates and health, kept "
+                              "compressed in memory to be saved as a bag (service monitor/save, "
+                              "or save_on); at most 128 MiB, the oldest data are dropped first, "
+                              "and at most twice that while a bag is being written or cannot be "
+                              "written; 0 = off",
                        ge=0, le=60) = 2.0
     save_on: Annotated[Literal["off", "warn", "error"], BeforeValidator(_off)] = Field(
-        "off", description="save the kept minutes to a bag when an alarm is raised to this level "
-        "or above")
+        "off", description="save the buffer to a bag when an alarm is raised to this level or "
+                           "above")
     save_folder: str = Field("saved_bags", description="folder of those bags, made when needed")
 
 
@@ -248,30 +250,31 @@ class Settings(Section):
     rig: Rig = Field(Rig(), description="constants of the actuator")
     simulation: Simulation = Field(Simulation(), description="the simulator")
     channels: Annotated[dict[Literal[CHANNELS], Channel], BeforeValidator(_fill_channels)] = Field(
-        DEFAULT_CHANNELS, description="where each channel comes from; what is left out of it, or "
-        "of a channel, keeps its default", json_schema_extra={
+        DEFAULT_CHANNELS, description="source of each channel; omitted channels and keys keep "
+                                      "their defaults", json_schema_extra={
             "entries": {name: channel_about(name) for name in CHANNELS}})
-    table: Table = Field(Table(), description="which column of a CSV or MAT file is which "
-                         "channel, for import")
+    table: Table = Field(Table(), description="column of a CSV or MAT file for each channel, for "
+                                              "import")
     noise: NoiseLevels = Field(NoiseLevels(), description="noise levels for the filters")
     stage_one: StageOne = Field(StageOne(), description="viscous damping")
     stage_two: StageTwo = Field(StageTwo(), description="effective bulk modulus")
     discretisation: Literal["exact", "euler"] = Field(
-        "exact", description="euler: forward Euler, to compare")
+        "exact", description="euler: forward Euler, for comparison")
     command_hold: Literal["auto", "continuous", "sampled"] = Field(
         "auto", description="sampled: a digital controller holds x_d and x over a sample; "
-        "continuous: an analogue or much faster one; auto: the recording says which")
+        "continuous: an analogue or much faster one; auto: identified from the recording")
     engine: Literal["compiled", "filterpy"] = Field(
-        "compiled", description="what runs the stages, live and offline; filterpy: the readable "
-        "reference, to the same numbers at a hundredth of the speed")
+        "compiled", description="implementation of the stages, live and offline; filterpy: the "
+                                "readable reference, same results at a hundredth of the speed")
     implausible: Literal["refuse", "warn"] = Field(
-        "refuse", description="what becomes of a recording whose channels contradict this config "
-        "(signs, units, swapped channels): refuse it, or answer with a warning")
+        "refuse", description="handling of a recording whose channels contradict this config "
+                              "(signs, units, swapped channels): refuse it, or process it with a "
+                              "warning")
     thresholds: Thresholds = Field(Thresholds(), description="alarm limits")
     viscosity: Viscosity = Field(Viscosity(), description="temperature compensation of B and of "
                                  "leakage")
-    health: Health = Field(Health(), description="what the indicators of health are told at, and "
-                           "their limits (docs/health.md, docs/limits.md)")
+    health: Health = Field(Health(), description="reference conditions and limits of the health "
+                                                 "indicators (docs/health.md, docs/limits.md)")
     monitor: Monitor = Field(Monitor(), description="the live monitor")
     effects: Annotated[dict[str, dict[str, float | str | list[float]]],
                        BeforeValidator(effects_field)] = Field(

@@ -20,7 +20,8 @@ class Rig(Section):
     A value that the rig does not have is ``null``; what needs it then answers ``no_data``.
     """
 
-    name: str = Field("eha", description="name of the actuator, the diagnostics' hardware_id")
+    name: str = Field("eha", description="name of the actuator, used as hardware_id in the "
+                                         "diagnostics")
     motion: Literal["linear", "rotary"] = Field(
         "linear", description="rotary: read m as rad, N as N·m, kg as kg·m²")
     area_1: Si("m²", "piston area of chamber 1", gt=0, optional=True) = 5.05e-4
@@ -30,8 +31,8 @@ class Rig(Section):
     volume_2: Si("m³", "oil volume of chamber 2 at x = 0, lines included", gt=0,
                  optional=True) = 6.85e-5
     mass: Si("kg", "moving mass", gt=0) = 20.0
-    viscous_damping: Si("N·s/m", "nominal B, what the simulator uses", ge=0) = 600.0
-    bulk_modulus: Si("Pa", "nominal effective bulk modulus, what the simulator uses",
+    viscous_damping: Si("N·s/m", "nominal B, used by the simulator", ge=0) = 600.0
+    bulk_modulus: Si("Pa", "nominal effective bulk modulus, used by the simulator",
                      gt=0) = 6e8
     leakage: Si("m³/(s·Pa)", "lumped leakage coefficient C_T; leakage flow is C_T/2·Δp",
                 ge=0) = 5e-13
@@ -42,8 +43,9 @@ class Rig(Section):
     makeup_conductance: Si("m³/(s·Pa)", "laminar path of each chamber to the make-up source, "
                            "included in leakage", ge=0) = 1e-13
     sample_time: Si("s", "sample time T_s", gt=0, le=1) = 1e-3
-    tolerance: Tolerance = Field(Tolerance(), description="how well each number is known, one "
-                                 "standard deviation; diagnose may move it by that in silence")
+    tolerance: Tolerance = Field(Tolerance(), description="one standard deviation of each value; "
+                                                          "diagnose fits it within that without "
+                                                          "reporting it")
 
     @model_validator(mode="after")
     def _makeup_within_leakage(self):
@@ -57,7 +59,7 @@ class Segment(Section):
 
     kind: Literal["triangle", "sine", "multisine", "chirp", "steps", "rest", "file"] = Field(
         description="shape of the demanded position")
-    duration: Si("s", "length of this stretch", gt=0, le=86400) = 8.0
+    duration: Si("s", "length of this interval", gt=0, le=86400) = 8.0
     amplitude: Si("m", "half of peak to peak", ge=0) = 0.04
     frequency: Si("Hz", "fundamental; first frequency of a chirp; steps per second", gt=0) = 0.25
     frequency_end: Si("Hz", "last frequency of a chirp or multisine", gt=0) = 20.0
@@ -93,8 +95,8 @@ class Fault(Section):
 
     parameter: str = Field(
         description="viscous_damping, bulk_modulus, leakage, mass, or <effect>.<parameter>")
-    start: Si("s", "when the change begins", ge=0) = 0.0
-    duration: Si("s", "how long it takes; 0 is a step", ge=0) = 0.0
+    start: Si("s", "start of the change", ge=0) = 0.0
+    duration: Si("s", "duration of the change; 0: a step", ge=0) = 0.0
     value: float = Field(allow_inf_nan=False, description="value at the end, in SI")
 
     @field_validator("parameter")
@@ -115,15 +117,16 @@ class Simulation(Section):
     noise: SensorNoise = Field(SensorNoise(), description="sensor noise and resolution")
     publish: tuple[Literal["x", "v", "x_d", "omega", "p1", "p2", "force", "temperature"], ...] = (
         Field(("x", "x_d", "omega", "p1", "p2"), description="channels that are measured"))
-    temperature: Si("°C", "oil temperature that the sensor shows") = 40.0
+    temperature: Si("°C", "oil temperature shown by the sensor") = 40.0
     excitation: dict[str, Segment] = Field(
         {"triangle": Segment(kind="triangle", duration=24.0)},
-        description="stretches of motion in order, by name", min_length=1)
+        description="intervals of motion in order, by name", min_length=1)
     test_excitation: dict[str, Segment] = Field(
         {"slow": Segment(kind="sine", duration=4.0, amplitude=0.02, frequency=0.5),
          "fast": Segment(kind="sine", duration=4.0, amplitude=0.005, frequency=4.0)},
-        description="stretches that the service simulator/excite puts in once, about the position "
-        "demanded when they begin; the excitation then goes on where it stood", min_length=1)
+        description="intervals that the service simulator/excite inserts once, about the "
+                    "demanded position at their start; the excitation then "
+                    "continues", min_length=1)
     faults: dict[str, Fault] = Field({}, description="parameters that change, by name")
 
 
@@ -155,8 +158,8 @@ def effects_field(value):
             checked[name] = own_terms.checked(name, given)
             continue
         if name not in CATALOGUE:
-            raise ValueError(f"unknown effect {name!r}, expected a term of your own with the key "
-                             f"adds, or one of {', '.join(CATALOGUE)}")
+            raise ValueError(f"unknown effect {name!r}, expected a user-defined term with the "
+                             f"key adds, or one of {', '.join(CATALOGUE)}")
         effect = CATALOGUE[name]
         known = {p.name: p for p in effect.parameters}
         if not isinstance(given, dict):

@@ -26,9 +26,10 @@ class Column(Section, Measured):
     scale: float = Field(1.0, allow_inf_nan=False, description="of unit, per unit of the file")
     offset: float = Field(0.0, allow_inf_nan=False, description="in unit, at zero of the file")
     negative_scale: float | None = Field(
-        None, allow_inf_nan=False, description="scale of cells below zero, where it is another: "
-        "a pump whose valves turn it from one area of the piston to the other")
-    delay: Si("s", "how late the row is against the quantity") = 0.0
+        None, allow_inf_nan=False, description="scale of cells below zero, if different: a pump "
+                                               "whose valves switch it from one piston area to "
+                                               "the other")
+    delay: Si("s", "delay of the row relative to the quantity") = 0.0
 
     @property
     def negative_gain(self) -> float:
@@ -42,7 +43,7 @@ class Table(Section):
     """A table of a recording, as other makers write it."""
 
     kind: Literal["auto", "csv", "mat"] = Field(
-        "auto", description="auto: by the end of the file's name")
+        "auto", description="auto: from the file extension")
     delimiter: Literal["auto", ",", ";", "tab", "space"] = Field(
         "auto", description="between the cells of a CSV")
     header: Literal["auto", "present", "absent"] = Field(
@@ -50,7 +51,7 @@ class Table(Section):
     skip_rows: int = Field(0, ge=0, le=100_000,
                            description="lines of a CSV above the row of names")
     time: Annotated[str, BeforeValidator(_name)] = Field(
-        "", description="column of the time; without it, rows follow at rig.sample_time")
+        "", description="column of the time; without it, rows are rig.sample_time apart")
     time_scale: Si("s", "seconds per unit of the time column", gt=0) = 1.0
     columns: dict[Literal[CHANNEL_NAMES], Column] = Field(
         {}, description="channel <- column, by channel")

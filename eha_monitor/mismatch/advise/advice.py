@@ -77,7 +77,7 @@ def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
     report : told what is done and how far it is, 0 to 1.
     """
     say = report or (lambda text, share: None)
-    say("asking what this recording tells", 0.0)
+    say("computing what this recording identifies", 0.0)
     if experiment.inverse:
         experiment, fit = predicting(experiment, fit)
     limits = limits_for(experiment)
@@ -232,8 +232,8 @@ def _advised(recordings: list[Recording], settings: Settings, check: bool, say: 
     if moved < LEAST_MOTION * experiment.noise[0]:
         raise InputError(f"{recordings[0].source}: expected a piston that moves, found "
                          f"{quantity(moved, 'm', 2)} with "
-                         f"{quantity(experiment.noise[0], 'm', 2)} of noise: any motion tells "
-                         "more")
+                         f"{quantity(experiment.noise[0], 'm', 2)} of noise: any motion is more "
+                         f"informative")
     naming = name_effects(experiment, lambda text, share: say(text, 0.6 * share))
     found = advice(experiment, naming.after, naming.rivals, rival_fits(naming), check,
                    report=lambda text, share: say(text, 0.6 + 0.4 * share))

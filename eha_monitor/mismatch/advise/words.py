@@ -81,16 +81,16 @@ def confusion_words(c: Confusion, advice: Advice) -> str:
         if abs(c.correlation) < HOPELESS:
             text += (f"; the changes of speed {how} distinguish them (correlation "
                      f"{abs(c.correlation):.3f}, inflation {number(c.inflation, 2)} over all), "
-                     "as far as the model of friction at reversal is right")
+                     "if the model of friction at reversal is right")
         return text
     text = (f"{parameter} and {effect}: correlation {abs(c.correlation):.3f}, variance inflation "
             f"{number(c.inflation, 2)}")
     if c.inflation > HARDLY:
         text += ": nearly indistinguishable in this recording"
     shift = amount(share * abs(c.shift), unit)
-    return (f"{text}; without the {size} of it that was found, {parameter} would be off by "
+    return (f"{text}; omitting the identified {size} would bias {parameter} by "
             f"{shift}" if c.named else
-            f"{text}; {size} of it, left out, would put {parameter} off by {shift}")
+            f"{text}; omitting {size} of it would bias {parameter} by {shift}")
 
 
 def known_words(one: Known) -> str:
@@ -105,7 +105,7 @@ def group_words(groups: tuple[tuple[str, ...], ...]) -> list[str]:
     """Return the effects that the recording shows, but does not tell apart."""
     if not groups:
         return []
-    return ["this recording would show, but not tell apart: " + "; ".join(
+    return ["visible in this recording, but indistinguishable from each other: " + "; ".join(
         listed([effect_words(name) for name in group]) for group in groups)]
 
 
@@ -127,7 +127,7 @@ def blind_words(advice: Advice) -> list[str]:
         found.append(text)
     if len(unseen) > MOST:
         rest = [effect_words(name) for name in list(unseen)[MOST:]]
-        found.append(f"nor would {listed(rest, 'or')} show at a size that matters")
+        found.append(f"nor would {listed(rest, 'or')}, unless far above the usual size")
     return found
 
 
@@ -169,7 +169,8 @@ def motion_words(advice: Advice) -> list[str]:
     """Return what to record next, and what no motion settles."""
     found = []
     if not advice.doubts:
-        return ["nothing that was named is in doubt: this recording tells it from its rivals"
+        return ["no identified effect is in doubt: this recording distinguishes each from its "
+                "alternatives"
                 ] if not advice.groups and not advice.confusions else []
     failed = {(c.effect, c.rival) for c in advice.checks if c.found < DECISIVE}
     settled = [d for d in advice.doubts
@@ -178,22 +179,23 @@ def motion_words(advice: Advice) -> list[str]:
         gains = listed([f"{doubt_words(d)} by {number(d.then, 3)} log units (this recording alone "
                         f"{number(max(d.now, 0.0), 2)})" for d in settled])
         found.append(f"record also {motion_sentence(advice.motion)}: together with this "
-                     f"recording it tells {gains}")
+                     f"recording it distinguishes {gains}")
     for doubt in advice.doubts:
         if doubt in settled:
             continue
         check = CATALOGUE[doubt.rival or doubt.effect].rig_check
         check = check[0].lower() + check[1:].rstrip(".")
         if not advice.plannable:
-            found.append(f"this recording cannot tell {doubt_words(doubt)}, and the config has "
-                         f"too little to plan a motion (areas and pump); at the rig: {check}")
+            found.append(f"this recording cannot distinguish {doubt_words(doubt)}, and the "
+                         f"config lacks the areas or the pump data to plan a motion; at the rig: "
+                         f"{check}")
             continue
         if (doubt.effect, doubt.rival) in failed:
-            found.append(f"no motion tells {doubt_words(doubt)}: what was predicted to fails in "
-                         f"simulation; at the rig: {check}")
+            found.append(f"no motion distinguishes {doubt_words(doubt)}: the one predicted to do "
+                         f"so failed in simulation; at the rig: {check}")
             continue
         best = max((one.gains[advice.doubts.index(doubt)] for one in advice.tried), default=0.0)
-        found.append(f"no motion within the travel and the speed of this recording tells "
+        found.append(f"no motion within the travel and the speed of this recording distinguishes "
                      f"{doubt_words(doubt)} (at best {number(max(best, 0.0), 2)} log units); "
                      f"at the rig: {check}")
     return found
@@ -207,7 +209,7 @@ def check_words(check: Check, damping_unit: str) -> str:
                          (name, row, damping_unit if name == "B" else "Pa")
                          for name, row in check.values.items())])
     other = f" against {effect_words(check.rival)}" if check.rival else ""
-    failed = "" if check.found >= DECISIVE else ", so that motion does not decide"
+    failed = "" if check.found >= DECISIVE else ", so that motion is not decisive"
     return (f"checked in simulation with noise: {effect_words(check.effect)}{other} "
-            f"gives {number(check.found, 3)} log units, {number(check.predicted, 3)} were "
+            f"gives {number(check.found, 3)} log units, {number(check.predicted, 3)} "
             f"predicted{failed}; {values}")

@@ -63,7 +63,7 @@ def compared(recordings: list[Recording], references: list[Recording], settings:
     say, started = progress or (lambda text, share: None), time.perf_counter()
     with computing(*(one.source for one in (*recordings, *references))):
         held, _ = resolved(references, settings)
-        say("learning how healthy recordings differ", 0.1)
+        say("learning the spread of healthy recordings", 0.1)
         healthy = healthy_of(references, held)
         say("comparing", 0.6)
         here = [experiment_of(recordings, held, hold_out) for hold_out in (False, True)]
@@ -80,7 +80,7 @@ def _answer(healthy: Healthy, recordings: list[Recording], references: list[Reco
     comparison = Comparison(healthy, whole)
     best = comparison.before
     if comparison.changed:
-        say("asking what has changed", 0.7)
+        say("testing what has changed", 0.7)
         best = comparison.explained()
     verdict = "consistent" if not comparison.changed else (
         "mismatch" if best.places and (best.complete or comparison.share_of(best) > ENOUGH)
@@ -101,15 +101,14 @@ def _answer(healthy: Healthy, recordings: list[Recording], references: list[Reco
     where, curves = _place(fitted, before, model, verdict, changes)
     message, term = _message(healthy, comparison, best, verdict, changes, references), None
     if verdict == "unexplained" and healthy.naming.unexplained < RIVAL:
-        say("learning what has no name", 0.95)
+        say("learning effects not in the catalogue", 0.95)
         told = told_of(fitted, fitted, _on(healthy.naming, healthy.fit, fitted))
         if told is not None and told.term is not None:
             term, model = told.term, told.fit
             signals = errors(fitted, before, model)
             changes = (_learned(told.term, told.missing),)
             curves = locate.latent_curves(fitted, before, model, [told.missing])
-            message = ("something has changed that no entry of the catalogue explains: "
-                       + term.statement)
+            message = f"an effect that is not in the catalogue has changed: {term.statement}"
     return Diagnosis(
         bags, verdict, message, where, effects, _reference_values(healthy),
         values_of(fitted, model), "held_out", signals, curves,
@@ -236,15 +235,15 @@ def _message(healthy: Healthy, comparison: Comparison, best: Explanation, verdic
     column = comparison.what[healthy.kept[at]]
     words = OWN_WORDS.get(column.name) or effect_words(column.owner)
     if verdict == "consistent":
-        return (f"nothing has changed against {len(references)} healthy recordings: what differs "
-                f"most is {words}, by {number(abs(t[at]), 2)} of their standard deviations from "
-                f"one to the next, where {number(healthy.limits[at], 2)} is no more than a "
-                f"healthy machine does ({share(FALSE)} false alarms)")
+        return (f"nothing has changed from {len(references)} healthy recordings: the largest "
+                f"difference is {words}, by {number(abs(t[at]), 2)} of their standard "
+                f"deviations; the limit is {number(healthy.limits[at], 2)} ({share(FALSE)} false "
+                f"alarms)")
     named = [effect_words(comparison.what[i].owner or comparison.what[i].name)
              for i in best.places]
     part = (f"; {listed(named)} would explain {share(comparison.share_of(best), 2)} of it"
             if named else "")
-    return (f"something has changed that no entry of the catalogue explains: {words} differs by "
+    return (f"an effect that is not in the catalogue has changed: {words} differs by "
             f"{number(abs(t[at]), 2)} standard deviations of the healthy recordings{part}")
 
 
@@ -253,17 +252,18 @@ def _advice(healthy: Healthy, references: list[Recording], here: Experiment, ver
     """Return what to know of the references, and what to do next; ``here`` the recordings."""
     found = []
     if healthy.pieces:
-        found.append(f"{len(references)} reference recordings are too few to tell how runs "
-                     "differ; their pieces were compared instead, so a difference from one run to "
-                     "the next may be called a change")
+        found.append(f"{len(references)} reference recordings are too few to estimate how "
+                     f"recordings differ; pieces of them were compared instead, so a normal "
+                     f"difference between recordings may be reported as a change")
     odd = [references[i].source for i in healthy.odd_ones()] if not healthy.pieces else []
     if odd:
         found.append(f"{listed(odd)} differ{'' if len(odd) > 1 else 's'} from the other "
-                     "references as no healthy recording should: look whether it belongs to them")
+                     f"references more than a healthy recording should: check whether it belongs "
+                     f"to them")
     if here.ranges.speed > FASTER * healthy.experiment.ranges.speed:
-        found.append("it moves faster than any reference, and what it does there cannot be "
+        found.append("it moves faster than any reference; above their speed nothing can be "
                      "compared")
     if verdict == "unexplained":
-        found.append("diagnose it without --reference: a learned term shows the shape of what is "
-                     "there")
+        found.append("diagnose it without --reference: a learned term shows the shape of the "
+                     "unknown effect")
     return tuple(found)

@@ -183,7 +183,7 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
             finish(experiment, seen)
             ended = True
     best, view = seen.best(), None  # the last one's slopes are not needed beside new columns
-    say("weighing what has no name", 0.85)
+    say("weighing effects not in the catalogue", 0.85)
     return Selection(experiment, first, seen.fits[best], seen, views.get(best),
                      beside(experiment, best, seen.fits[best]))
 

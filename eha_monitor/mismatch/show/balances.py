@@ -196,6 +196,6 @@ def agreement(experiment: Experiment, before: Fit, after: Fit) -> tuple[Agreemen
 
 def doubts(effects: Sequence[NamedEffect]) -> tuple[str, ...]:
     """Return what to do about rivals; no motion is proposed, no model here predicts one."""
-    return tuple(f"{effect.name} and {' and '.join(effect.indistinguishable_from)} look the same "
-                 f"in these recordings: {effect.rig_check}"
+    return tuple(f"{effect.name} and {' and '.join(effect.indistinguishable_from)} are "
+                 f"indistinguishable in these recordings: {effect.rig_check}"
                  for effect in effects if effect.indistinguishable_from)

@@ -137,8 +137,8 @@ def change_words(pieces: tuple[Piece, ...]) -> str:
                 else f"from {one.bag} to {other.bag}")
         said += [f"{HEALTH_WORDS[name]} changed {when} from {words_of(one.values[name])} to "
                  f"{words_of(other.values[name])}" for name in names]
-    return (f"{'; '.join(said)}. No physics is missing: the nominal model explains each piece "
-            "by itself, and estimate follows the change")
+    return (f"{'; '.join(said)}. No effect is missing: the nominal model fits each piece "
+            f"separately, and estimate tracks the change")
 
 
 def words_of(value: Value) -> str:

@@ -28,13 +28,12 @@ EFFECT = Effect(
     equation="Q_i = k (p_min - p_i)+, i = 1, 2",
     source="check valve, steady state, Merritt 1967, Sec. 9-2; Ivantysyn, Ivantysynova 2001",
     parameters=(
-        Parameter("k", "m^3/(s*Pa)", "flow over the pressure that is missing", 0.0, 1e-6, 1e-11),
+        Parameter("k", "m^3/(s*Pa)", "flow over the pressure deficit", 0.0, 1e-6, 1e-11),
         Parameter("p_min", "Pa", "absolute pressure below which the valve opens", 0.0, 1e8, 1e6,
                   1e5),
     ),
     term=term,
-    statement="a check valve feeds a chamber below {p_min} with {k} of the pressure that is "
-    "missing",
+    statement="a check valve feeds a chamber below {p_min}, with {k} of pressure deficit",
     rig_check="Watch the lower pressure in a fast move: it must stay flat at p_min.",
     starts=starts,
     rarity=2,

@@ -30,7 +30,7 @@ EFFECT = Effect(
                   "recording does", 0.0, 1.0, 1.0, 1.0, fitted=False),
     ),
     circuit=circuit,
-    statement="{b} of play lie between the piston and its position sensor",
+    statement="there is a backlash of {b} between the piston and its position sensor",
     rig_check="Put a dial gauge on the piston rod and reverse slowly: the sensor must stand still "
     "for b.",
     starts=starts,

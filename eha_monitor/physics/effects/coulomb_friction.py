@@ -36,7 +36,7 @@ EFFECT = Effect(
     parameters=(
         Parameter("F_c", "N", "Coulomb friction force", 0.0, 1e6, 20.0),
         V_E,
-        Parameter("z_0", "m", "displacement over which the friction turns", 0.0, 1.2e-5, 4e-6,
+        Parameter("z_0", "m", "displacement over which the friction reverses", 0.0, 1.2e-5, 4e-6,
                   0.0),
         T_1,
         V_D,

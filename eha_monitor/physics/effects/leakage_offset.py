@@ -22,13 +22,14 @@ EFFECT = Effect(
     source="step of flow with the sign of dp: a check valve's pilot or flushing flow, "
     "a pressure-compensated path; negative Q_0: a leak that opens only above a preload",
     parameters=(
-        Parameter("Q_0", "m^3/s", "leakage flow at any pressure difference", -1e-2, 1e-2, 1e-7),
+        Parameter("Q_0", "m^3/s", "leakage flow, independent of the pressure "
+                                  "difference", -1e-2, 1e-2, 1e-7),
         Parameter("dp_e", "Pa", "pressure difference over which the sign is smoothed", 10.0, 1e7,
                   1e4, 1e4),
     ),
     term=term,
     family="gap",
-    statement="a flow of {Q_0} leaks across the piston whatever the pressure difference",
+    statement="a flow of {Q_0} leaks across the piston, independent of the pressure difference",
     rig_check="Block the rod and hold a small and a large pressure difference: the flow to hold "
     "them must have the same constant part.",
     starts=lambda r: ({"Q_0": 0.003 * r.flow,  # at each reversal it is the whole flow

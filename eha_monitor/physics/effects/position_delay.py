@@ -22,7 +22,7 @@ EFFECT = Effect(
     ),
     circuit=circuit,
     statement="the recorded position is {T} late",
-    rig_check="Tap the rod while a second sensor is on the same clock: the position must "
-    "answer T late.",
+    rig_check="Tap the rod while a second sensor is on the same clock: the position must respond "
+              "T later.",
     starts=lambda r: tuple({"T": share * r.sample_time} for share in (0.2, 1.0, 4.0)),
 )

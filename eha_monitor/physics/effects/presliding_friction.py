@@ -36,7 +36,7 @@ EFFECT = Effect(
     parameters=(
         Parameter("F_c", "N", "friction force once it slides", 0.0, 1e6, 20.0),
         V_E,
-        Parameter("z_0", "m", "displacement over which the friction turns", 1.2e-5, 1e-3, 4e-5,
+        Parameter("z_0", "m", "displacement over which the friction reverses", 1.2e-5, 1e-3, 4e-5,
                   4e-5),
         T_1,
         V_D,
@@ -45,7 +45,8 @@ EFFECT = Effect(
     update=update,
     statement="dry friction of {F_c} builds up over {z_0} of travel after each "
     "reversal",
-    rig_check="Move the rod to and fro by a tenth of a millimetre: force against position is a "
+    rig_check="Move the rod back and forth by a tenth of a millimetre: force against position is "
+              "a "
     "loop with rounded corners, z_0 wide.",
     starts=lambda r: ({"F_c": 0.01 * r.force, **START, "z_0": 2e-5},
                       {"F_c": 0.01 * r.force, **START, "z_0": 1e-4}),

@@ -23,6 +23,6 @@ EFFECT = Effect(
     circuit=circuit,
     statement="the recorded pressures are {T} late",
     rig_check="Tap the blocked rod while a second sensor is on the same clock: the pressures "
-    "must answer T late.",
+              "must respond T later.",
     starts=lambda r: tuple({"T": share * r.sample_time} for share in (0.2, 1.0, 4.0)),
 )

@@ -43,7 +43,7 @@ EFFECT = Effect(
         Parameter("mu", "m^2", "friction coefficient times contact area of the seals", 0.0, 1.0,
                   3e-6),
         V_E,
-        Parameter("z_0", "m", "displacement over which the friction turns", 0.0, 1.2e-5, 4e-6,
+        Parameter("z_0", "m", "displacement over which the friction reverses", 0.0, 1.2e-5, 4e-6,
                   0.0),
         T_1,
         V_D,

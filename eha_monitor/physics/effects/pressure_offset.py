@@ -28,7 +28,8 @@ EFFECT = Effect(
         Parameter("b_2", "Pa", "zero error of sensor 2", -1e8, 1e8, 2e4),
     ),
     circuit=circuit,
-    statement="the pressure sensors read {b_1:+} (chamber 1) and {b_2:+} (chamber 2) too much",
+    statement="the pressure sensors have zero errors of {b_1:+} (chamber 1) and {b_2:+} (chamber "
+              "2)",
     rig_check="Open both chambers to the tank: the sensors must show the same pressure, and a "
     "gauge too.",
     starts=starts,

@@ -38,7 +38,7 @@ EFFECT = Effect(
                   "always takes from the speed", -1.0, 1.0, 1.0, 1.0, fitted=False),
     ),
     term=term,
-    statement="the pump loses flow, {k} of the pressure that it works against",
+    statement="the pump has a volumetric loss of {k} of pressure difference",
     rig_check="Hold the same pump speed at two loads: the rod must be slower by k times the "
     "difference in pressure.",
     starts=starts,

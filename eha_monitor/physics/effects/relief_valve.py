@@ -31,8 +31,8 @@ EFFECT = Effect(
         Parameter("p_c", "Pa", "cracking pressure difference", 0.0, 1e9, 2e6, 5e6),
     ),
     term=term,
-    statement="a relief valve opens at {p_c} between the chambers and passes {k} of "
-    "the pressure beyond",
+    statement="a relief valve opens at {p_c} between the chambers and passes {k} of pressure "
+              "beyond that",
     rig_check="Read the setting of the relief valves; drive against a stop: the pressure "
     "difference must flatten at p_c.",
     starts=starts,
