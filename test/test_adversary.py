@@ -57,7 +57,7 @@ def test_lone_wild_samples_are_left_out_and_told():
     found = estimate(recording, Settings())
     assert found.parameters["B"].value == pytest.approx(600.0, rel=0.01)
     assert found.model.status == "consistent", found.model.message
-    assert sum("wild" in note for note in found.warnings) == 2
+    assert sum("outlier" in note for note in found.warnings) == 2
 
 
 def test_a_config_keeps_what_it_leaves_out():

@@ -200,7 +200,7 @@ def test_a_second_run_does_only_what_is_new(folder, answered, tmp_path, monkeypa
     first = rows_of(out)
     assert run() == []
     assert rows_of(out) == first
-    assert "0 answered now, 5 as before" in capsys.readouterr().out
+    assert "0 processed now, 5 unchanged" in capsys.readouterr().out
 
     os.utime(nights / "october/n1.mcap", (1, 1))  # changed
     (nights / "november/n9").rename(nights / "n9")  # moved

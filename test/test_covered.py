@@ -49,7 +49,7 @@ def test_the_monitor_says_so_and_judges_again_when_the_motion_comes_back():
     inside, told = live(run(0.008))
     assert inside.model.status == "consistent" and not any("learned" in e.message for e in told)
     outside, told = live(run(0.03))
-    assert outside.model.status == "not_judged" and "beyond" in outside.model.message
+    assert outside.model.status == "not_judged" and "outside" in outside.model.message
     assert sum("learned_force was learned" in event.message for event in told) == 1
 
 

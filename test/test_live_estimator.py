@@ -191,13 +191,13 @@ def test_who_joins_a_steady_motion_claims_no_modulus_before_a_reversal(joined, l
 
 
 @pytest.mark.parametrize("late, words", [
-    (("p1",), "p1 came after the start"), (("x_d", "omega"), "omega and x_d came after")])
+    (("p1",), "p1 arrived after the start"), (("x_d", "omega"), "omega and x_d arrived after")])
 def test_channels_that_come_late_are_taken_up(run, late, words):
     rows = list(rows_of(run.recording(0).part(0, 3500)))
     made = Stream(**FIXED)
     made.push([(t, {n: v for n, v in row.items() if k >= 500 or n not in late})
                for k, (t, row) in enumerate(rows)])
-    assert len(made.told("came after the start")) == 1 and made.told(words)
+    assert len(made.told("arrived after the start")) == 1 and made.told(words)
     assert {p.status for p in made.history[-1].parameters.values()} == {"converged"}
 
 

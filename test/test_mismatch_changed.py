@@ -38,7 +38,7 @@ def test_a_step_parts_the_recording_and_each_piece_has_its_own_values(parameter,
     assert other.values[key].value == pytest.approx(value, rel=0.01)
     said = change_words(found.pieces)
     assert said.startswith("B changed" if key == "B" else "the effective bulk modulus changed")
-    assert "No physics is missing" in said and said.count("changed between") == 1
+    assert "No effect is missing" in said and said.count("changed between") == 1
 
 
 def test_a_constant_rig_has_no_pieces():

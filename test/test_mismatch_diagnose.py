@@ -109,7 +109,7 @@ def test_what_no_entry_explains_is_said_to_be_unexplained_and_where_it_is(gapped
     assert found.verdict == "unexplained" and found.probability["unexplained"] > 0.5
     assert found.location.balance["force"] > 0.6
     assert found.config_effects == {}
-    assert "no entry of the catalogue" in found.message
+    assert "not in the catalogue" in found.message
 
 
 def test_what_is_unexplained_has_a_curve_in_its_balance(gapped):

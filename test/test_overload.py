@@ -45,7 +45,7 @@ def test_starved_it_says_how_much_is_missing_and_how_far_it_is_behind():
     assert found.level == "ERROR" and (watch.share, watch.behind) == (pytest.approx(0.9), 9.3)
     assert found.sentence == (
         "the monitor cannot keep up: 90 % of the samples of the last 5 s are missing and it is "
-        "9.3 s behind, so the estimates are not those of now; lower the publishers' rate, raise "
+        "9.3 s behind, so the estimates are not current; lower the publishers' rate, raise "
         "monitor.latency, or give the monitor a core of its own")
 
 
@@ -107,7 +107,7 @@ def test_a_monitor_that_falls_behind_a_bag_says_so_while_it_does(graph):
                         60.0)
         finally:
             sender.kill()
-    assert "s behind, so the estimates are not those of now" in monitor.data.overload.sentence
+    assert "s behind, so the estimates are not current" in monitor.data.overload.sentence
     assert not any("late" in p or "dropped" in p for p in monitor.data.problems)
     assert "no data for x_d" not in " ".join(a.message for a in monitor.board.alarms)
 

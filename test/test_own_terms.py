@@ -149,7 +149,7 @@ def test_names_and_numbers_of_own_terms():
         settings(effects={"coulomb_friction": TABLE})
     with pytest.raises(InputError, match="third: expected at most 2 terms beyond the catalogue"):
         settings(effects={"one": TABLE, "two": TABLE, "third": TABLE})
-    with pytest.raises(InputError, match="expected a term of your own with the key adds"):
+    with pytest.raises(InputError, match="expected a user-defined term with the key adds"):
         settings(effects={"mine": {"of": "x"}})
 
 
@@ -260,7 +260,7 @@ def test_the_page_of_own_terms_says_what_happens(tmp_path):
     for name, true in (("B", 600.0), ("beta_e", 6e8)):
         assert bare["parameters"]["after"][name]["value"] == pytest.approx(true, rel=0.03)
     page = (tmp_path / "worn.html").read_text()
-    assert learned["formula"] in page and "What was learned of it" in page
+    assert learned["formula"] in page and "Learned term" in page
 
 
 def test_reports_name_the_terms_that_a_config_has():

@@ -166,7 +166,7 @@ def test_spikes_do_not_move_the_estimates(recording):
         assert abs(parameter.value - clean.parameters[name].value) < parameter.stddev
     beta = found.joint.parameters["beta_e"]
     assert beta.status == "converged" and abs(beta.value - BETA) < 4 * beta.stddev
-    assert any("x: " in note and "wild" in note for note in found.warnings)  # and are told
+    assert any("x: " in note and "outlier" in note for note in found.warnings)  # and are told
 
 
 @given(st.data())

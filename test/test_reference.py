@@ -174,7 +174,7 @@ def test_command_says_what_has_changed_of_an_eha(tmp_path):
     fit = found["fit"]["signals"]["pressure_1"]
     assert fit["after_rms"] < 1.3 * fit["noise_rms"] < fit["before_rms"]
     page = (tmp_path / "r.html").read_text()
-    assert "What has changed" in page and "Changed, and what it is" in page
+    assert "What has changed" in page and "Change identified" in page
 
 
 def test_reference_and_bag_must_differ(tmp_path):

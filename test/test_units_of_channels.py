@@ -102,7 +102,7 @@ def test_an_angle_is_the_position_of_a_rig_that_turns():
 def test_what_may_be_read_in_two_ways_is_asked_for():
     with pytest.raises(InputError, match="write rev/s or rad/s"):
         config(omega={"column": "c", "unit": "Hz"})
-    with pytest.raises(InputError, match="full scale over the raw number there into scale"):
+    with pytest.raises(InputError, match="full scale over raw value as scale"):
         config(x={"column": "c", "unit": "%"})
 
 

@@ -74,7 +74,7 @@ class HoldDecision:
         much = f"{self.evidence:.0f} log units"
         if not self.decided:
             return ("the recording does not show whether the drive holds its command over each "
-                    "sample ({much})")
+                    f"sample ({much})")
         if self.hold == SAMPLED:
             return ("the drive holds its command over each sample (a digital controller): "
                     f"{much} over a continuous one")

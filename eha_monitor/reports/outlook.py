@@ -43,7 +43,7 @@ def forecast_words(one: Forecast, found: History) -> str:
     if one.status == BEYOND:
         return f"{name} is at its limit of {limit} or beyond it."
     if one.status == NOT_YET:
-        return (f"Time to {limit}: not yet predictable"
+        return (f"Time to {limit}: cannot be told yet"
                 + (f" (odds of growth {number(one.odds, 2)} to 1; predicted from 200 on)."
                    if math.isfinite(one.odds) else " (fewer than eight values)."))
     return f"Time to {limit}: no growth towards it."
