@@ -39,9 +39,9 @@ from eha_monitor.settings.own_terms import checked, slot_for
 
 ROOT = Path(__file__).parents[1]
 ROW = np.zeros(s.N_SIGNALS)
-ROW[[s.X, s.V, s.P1, s.P2, s.OMEGA]] = 0.013, -0.021, 2.5e6, 1.7e6, 40.0
+ROW[[s.X, s.V, s.P1, s.P2, s.OMEGA, s.T]] = 0.013, -0.021, 2.5e6, 1.7e6, 40.0, 0.45
 SIGNALS = {"x": 0.013, "v": -0.021, "dp": 8e5, "p": 2.1e6, "omega": 40.0, "p1": 2.5e6,
-           "p2": 1.7e6, "angle": 0.0}
+           "p2": 1.7e6, "angle": 18.0}
 PYTHON = {"abs": abs, "sign": lambda a: math.copysign(1.0, a) if a else 0.0, "sqrt": math.sqrt,
           "exp": math.exp, "tanh": math.tanh, "sin": math.sin, "cos": math.cos, "max": max,
           "min": min, "pi": math.pi}
