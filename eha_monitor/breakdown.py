@@ -52,7 +52,7 @@ def computing(*sources: str) -> Iterator[None]:
         names = ", ".join(source for source in sources if source) or "recording"
         raise InputError(
             f"{names}: the calculation broke down ({problem}, {place_of(problem)}); expected "
-            f"matching channels in SI, and the rig's own data in the config"
+            "matching channels in SI, and the rig's own data in the config"
             ) from problem
 
 

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from decimal import Decimal
 
 FLOOR = 3e-4  # of the value; no ± is written smaller
-NOTE = (f"± is one standard deviation due to noise, shown as at least "
+NOTE = ("± is one standard deviation due to noise, shown as at least "
         f"{100 * FLOOR:g} % of the value. Errors of the configured rig data add "
-        f"to it: areas that are 10 % off bias B by 10 %, volumes or a mass 10 % off bias βe by "
-        f"10 %.")
+        "to it: areas that are 10 % off bias B by 10 %, volumes or a mass 10 % off bias βe by "
+        "10 %.")
 DIAGNOSED = ("± is one standard deviation due to noise and the tolerances of the configured rig "
              "data (rig.tolerance), shown as at least "
              f"{100 * FLOOR:g} % of the value.")

@@ -5,6 +5,7 @@ The environment is set before anything imports rclpy or numpy, and child process
 
 import gc
 import os
+import shutil
 import tempfile
 import time
 
@@ -66,6 +67,25 @@ class Graph:
         gc.collect()  # a monitor's subscriptions go with it, and a test does not close it
         self.executor.shutdown()
         self._rclpy.try_shutdown()
+
+
+# Headless, and without looking for anything outside this machine.
+FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+         "--disable-background-networking", "--disable-component-update", "--disable-sync"]
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """A headless Chromium of the system, for all tests of a module."""
+    driver = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))),
+                None)
+    if path is None:
+        pytest.skip("no chromium on this machine (apt-get install chromium)")
+    with driver.sync_playwright() as playwright:
+        made = playwright.chromium.launch(executable_path=path, args=FLAGS)
+        yield made
+        made.close()
 
 
 @pytest.fixture

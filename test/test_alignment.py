@@ -106,7 +106,7 @@ def test_nan_infinite_and_absurd_values():
     assert recording.losses[:3] == (
         f"x: 3 of {N} values are NaN", f"x: 1 of {N} values are infinite, left out",
         f"x: 1 of {N} values are not valid measurements (-1e+305 m at t = 0.012 s, beyond ±1e+09 "
-        f"m), "
+        "m), "
         "left out")
 
 

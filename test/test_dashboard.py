@@ -3,7 +3,6 @@
 import contextlib
 import json
 import re
-import shutil
 import socket
 import time
 import urllib.error
@@ -20,26 +19,10 @@ from eha_monitor.quantity import FLOOR, number
 from eha_monitor.ros.messages import findings_of
 from eha_monitor.ros.outputs import LATCHED
 
-# Headless, and without looking for anything outside this machine.
-FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-         "--disable-background-networking", "--disable-component-update", "--disable-sync"]
 DESK, PHONE = {"width": 1280, "height": 900}, {"width": 400, "height": 800}
 STAGES = ("stage_one", "stage_two")
 ALARMS = ("viscous_damping_high", "viscous_damping_low", "bulk_modulus_high", "bulk_modulus_low")
 pytest.importorskip("nicegui", reason="nicegui is not installed (pip install '.[dashboard]')")
-
-
-@pytest.fixture(scope="module")
-def browser():
-    driver = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))),
-                None)
-    if path is None:
-        pytest.skip("no chromium on this machine (apt-get install chromium)")
-    with driver.sync_playwright() as playwright:
-        made = playwright.chromium.launch(executable_path=path, args=FLAGS)
-        yield made
-        made.close()
 
 
 @pytest.fixture(scope="module")

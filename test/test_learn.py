@@ -13,7 +13,6 @@ from eha_monitor.mismatch.diagnosis import LearnedTerm, SignalFit
 from eha_monitor.mismatch.learn.forms import BALANCE, UNKNOWN, Form, factor_along, signal_along
 from eha_monitor.mismatch.learn.formula import (
     FACTORS,
-    SIGNAL_UNITS,
     curve_of,
     in_signal,
     on_curve,
@@ -116,7 +115,7 @@ def test_a_formula_is_read_with_its_units(times):
 
 
 def test_units_and_balances_are_known_of_every_signal_and_form():
-    assert set(SIGNAL_UNITS) == set(o.OF) and set(FACTORS) == set(o.FACTORS)
+    assert set(o.OF_UNITS) == set(o.OF) and set(FACTORS) == set(o.FACTORS)
     assert set(BALANCE) == set(UNKNOWN) == set(o.ADDED)
 
 

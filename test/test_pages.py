@@ -3,7 +3,6 @@
 import base64
 import json
 import re
-import shutil
 import time
 
 import numpy as np
@@ -19,25 +18,10 @@ from eha_monitor.reports.interactive import chart, numbers
 from eha_monitor.reports.traces import band_envelope, envelope
 from eha_monitor.settings import Settings
 
-FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-         "--disable-background-networking", "--disable-component-update", "--disable-sync"]
 DESK, PHONE = {"width": 1280, "height": 900}, {"width": 400, "height": 800}
 RANGES = ("[...document.querySelectorAll('[data-stretch=record] .plot')]"
           ".map(plot => plot.layout.xaxis.range)")
 READ = "[...document.querySelectorAll('.hoverlayer .legend')].map(box => box.textContent)"
-
-
-@pytest.fixture(scope="module")
-def browser():
-    driver = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))),
-                None)
-    if path is None:
-        pytest.skip("no chromium on this machine (apt-get install chromium)")
-    with driver.sync_playwright() as playwright:
-        made = playwright.chromium.launch(executable_path=path, args=FLAGS)
-        yield made
-        made.close()
 
 
 @pytest.fixture(scope="module")

@@ -134,7 +134,7 @@ def test_report_shows_marks_hash_and_misses(trial, done):
 
 
 def blind(trial: Path, allowed: Path, code: str) -> subprocess.CompletedProcess:
-    guarded = (f"import sys; from eha_monitor.prove.blind import guard;"
+    guarded = ("import sys; from eha_monitor.prove.blind import guard;"
                f"sys.addaudithook(guard({str(trial)!r}, [{str(allowed)!r}])); {code}")
     return subprocess.run([sys.executable, "-c", guarded], capture_output=True, text=True,
                           timeout=60, cwd=ROOT)

@@ -210,7 +210,7 @@ def _named_physics(found: Diagnosis, tree: dict, missing: list[str]) -> list[str
                               for name, value in effect.parameters.items())
             when = interval_words(effect.intervals_s)
             missing.append(f"{effect.name}: {sizes}{f' at {when}' if when else ''}; a config "
-                           f"contains only permanent effects")
+                           "contains only permanent effects")
     names = [effect.name for effect in found.effects if effect.name in tree["effects"]]
     lines = [f"effects: {', '.join(names)}"] if names else []
     return lines + [f"effects, learned: {term.statement}" for term in found.learned]

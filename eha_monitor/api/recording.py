@@ -143,7 +143,7 @@ class Recording(Record):
         True
         """
         if not hasattr(frame, "columns") or not hasattr(frame, "index"):
-            raise InputError(f"from_frame: expected a pandas.DataFrame, got "
+            raise InputError("from_frame: expected a pandas.DataFrame, got "
                              f"{type(frame).__name__}")
         if sample_time is None:
             sample_time = _step_of(frame.index, source or "table")

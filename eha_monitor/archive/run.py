@@ -110,7 +110,7 @@ class Cluster:
         try:
             import distributed
         except ImportError as problem:
-            raise InputError(f"--scheduler needs distributed, which cannot be imported "
+            raise InputError("--scheduler needs distributed, which cannot be imported "
                              f"({problem}); install eha_monitor[dask]") from problem
         import logging
 
@@ -172,7 +172,7 @@ class Cluster:
                     yield futures[future], None, f"{type(problem).__name__}: {reason}"
                 else:
                     raise InputError(f"--scheduler {self.address}: lost the cluster; finished "
-                                     f"results are kept, start again to resume")
+                                     "results are kept, start again to resume")
                 future.release()
         finally:
             if self.client.status == "running":

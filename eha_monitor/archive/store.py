@@ -179,7 +179,7 @@ def read_table(path: Path) -> tuple[list[dict], str]:
     except (pyarrow.ArrowException, ValueError, OSError) as problem:
         reason = " ".join(str(problem).split())[:150]
         raise InputError(f"{path}: expected a table of form {SCHEMA} ({reason}); delete it to "
-                         f"start again") from problem
+                         "start again") from problem
     for row in rows:
         for name in ("start", "answered"):
             row[name] = None if row.get(name) is None else iso_time(row[name])

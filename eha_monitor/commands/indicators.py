@@ -34,5 +34,5 @@ def show(console: Console, indicators: Sequence[Indicator], settings: "Settings"
     if missing:
         lacking = listed([one.words for one in indicators if one.status == NEEDS])
         console.print(escape(f"not computed: {lacking}; set {listed(list(missing))} in the "
-                             f"config "
+                             "config "
                              "(docs/health.md)"), style="dim")

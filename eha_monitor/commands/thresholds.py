@@ -97,7 +97,7 @@ def _healthy(bags, settings, config):
                 found[symbol].append(one)
         if answer.model.status == "mismatch":
             told.append(f"{bag}: the model does not fit this recording, so its values are biased "
-                        f"by the model error; `eha-monitor diagnose` identifies the cause "
+                        "by the model error; `eha-monitor diagnose` identifies the cause "
                         f"({answer.model.message})")
     return found, told, float(np.median(seconds))
 
@@ -150,15 +150,15 @@ def _sentences(proposals, told, seconds) -> list[str]:
                  for source, chance in one.unlike]
         if n == 1:
             said.append(f"{name}: one recording does not show how much healthy recordings differ "
-                        f"(temperature, load, motion), so no false-alarm rate can be given: the "
-                        f"limits are the paper's, scaled to this value. Record four more, on "
-                        f"other days")
+                        "(temperature, load, motion), so no false-alarm rate can be given: the "
+                        "limits are the paper's, scaled to this value. Record four more, on "
+                        "other days")
         elif one.more:
             said.append(f"{name}: {n} recordings give wide limits; about {one.more} with this "
-                        f"spread would bring them within a factor of 3")
+                        "spread would bring them within a factor of 3")
         elif n < 5:
             said.append(f"{name}: {n} recordings are few for reliable limits; record five or "
-                        f"more, on other days and at other oil temperatures")
+                        "more, on other days and at other oil temperatures")
     said.append(f"Rates are per further healthy recording of about {seconds:.0f} s, made like "
                 "these; conditions that none of these covers (another oil, another load) are not "
                 "included.")

@@ -38,7 +38,7 @@ async def ask_for_acknowledgement(state: State, alarm: str) -> None:
                 name.error = "expected a name, for those who look here later"
                 return
             ui.run_javascript(f"localStorage.setItem('{_KEY}', "
-                              f"document.querySelector('[data-testid=who]').value)")
+                              "document.querySelector('[data-testid=who]').value)")
             state.acknowledge([alarm], who_is(name.value, client.ip or ""))
             dialog.close()
 

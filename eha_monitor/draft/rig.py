@@ -160,7 +160,7 @@ def _gain(answers: Answers, seen: Seen) -> Entry:
         return Entry("position_gain", number(seen.gain[0]), "values: omega over x_d - x, which "
                      f"explains {min(seen.gain[1], 0.9999):.2%} of omega")
     told = f" (x_d - x explains {seen.gain[1]:.0%} of omega)" if seen.gain else ""
-    return Entry("position_gain", "null", f"pump speed over position error, rad/(s·m); null: "
+    return Entry("position_gain", "null", "pump speed over position error, rad/(s·m); null: "
                                           f"unknown{told}", True)
 
 

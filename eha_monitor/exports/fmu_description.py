@@ -104,7 +104,7 @@ def description(model: Model, guid: str, identifier: str, start: float, paramete
     rig = model.settings.rig
     root = ElementTree.Element("fmiModelDescription", {
         "fmiVersion": "2.0", "modelName": rig.name, "guid": guid,
-        "description": f"Electrohydraulic actuator, identified by eha_monitor; from "
+        "description": "Electrohydraulic actuator, identified by eha_monitor; from "
                        f"{model.source}",
         "generationTool": f"eha_monitor {__version__}",
         "variableNamingConvention": "structured", "numberOfEventIndicators": "0"})

@@ -68,7 +68,7 @@ def lost_of_simulation(model: Model) -> tuple[str, ...]:
     lost.append("sensor noise: the outputs are free of it")
     if simulation.faults:
         lost.append(f"simulation.faults ({', '.join(simulation.faults)}): parameters do not "
-                    f"change over time")
+                    "change over time")
     if simulation.noise.position_resolution or "position_quantisation" in model.effects:
         lost.append("position_quantisation: the position is continuous")
     return tuple(lost)

@@ -10,14 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eha_monitor.filters.results import ModelStatus, Taint
-from eha_monitor.physics.own_term import BY_ANGLE, OF
+from eha_monitor.physics.own_term import BY_ANGLE, OF, OF_UNITS
 from eha_monitor.quantity import quantity, share
 from eha_monitor.settings.monitor import Settings
 
 BEYOND = 0.02  # of its range: so far past an end a table still holds
 OFTEN = 0.01  # of the samples; a table leaves out 0.1 % of its own recording at either end
 OVER_S = 0.01  # a velocity is read over so long
-UNITS = {"x": "m", "v": "m/s", "dp": "Pa", "p": "Pa", "omega": "rad/s", "p1": "Pa", "p2": "Pa"}
 
 
 @dataclass(frozen=True)
@@ -52,10 +51,10 @@ def beyond(ranges: tuple[Range, ...], channels: Mapping[str, np.ndarray], dt: fl
         margin = BEYOND * (one.last - one.first)
         outside = (values < one.first - margin) | (values > one.last + margin)
         if len(values) and np.mean(outside) > OFTEN:
-            unit = UNITS[one.of]
+            unit = OF_UNITS[one.of]
             return (f"{one.name} was learned from {one.of} = {quantity(one.first, unit, 3)} to "
                     f"{quantity(one.last, unit, 3)}, and {share(float(np.mean(outside)))} of the "
-                    f"samples are outside")
+                    "samples are outside")
     return ""
 
 

@@ -155,7 +155,7 @@ class FaultWatch:
             limit, unit = LIMITS[channel]
             self.note(f"wild {channel}", now, f"{channel}: {value:.3g} {unit} is not a valid "
                                               f"measurement (beyond ±{limit:.0e} {unit}), left "
-                                              f"out")
+                                              "out")
         fresh = {}
         for channel, (seconds, since_ns, new) in self.stillness.look().items():
             reference = self.stillness.reference(channel)
@@ -213,7 +213,7 @@ class FaultWatch:
         if taken and _many(lacked, rows):
             self.note(f"lacked {source.name}", now,
                       f"{source.name}: {lacked} rows were processed without it, they wait no "
-                      f"longer than "
+                      "longer than "
                       f"{self._latency:g} s (monitor.latency)")
 
     def _lateness(self, source: Source, past: _Past, now: float) -> None:

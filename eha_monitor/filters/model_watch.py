@@ -172,6 +172,6 @@ def tainted_by(mismatches: Iterable[Mismatch], by_damping: float = math.inf,
             found["beta_e"] = taint  # its own reason goes before that of B
         elif not by_damping <= MATTERS:
             found["beta_e"] = replace(taint, reason=f"{taint.reason}; the estimate of the bulk "
-                                                    f"modulus uses that B")
+                                                    "modulus uses that B")
     return {name: replace(taint, reach=reaches.get(name, math.inf))
             for name, taint in found.items()}

@@ -176,7 +176,7 @@ def run_stage_one(inputs: Inputs, recording: Recording, settings: Settings,
     first = first_converged(out[2], out[3], spread)
     if first is not None:
         events.append(Event(first * inputs.dt, "one",
-                            f"B converged at "
+                            "B converged at "
                             f"{with_uncertainty(out[2][first], out[3][first], unit)}"))
     events += change_events(changes, seen.found, inputs.dt, "one", "B", unit)
     return result
@@ -310,7 +310,7 @@ def run_stage_two(inputs: Inputs, recording: Recording, settings: Settings,
     first = first_converged(out[3], out[5], prior.prior_stddev)
     if first is not None:
         events.append(Event(first * inputs.dt, "two",
-                            f"βe converged at "
+                            "βe converged at "
                             f"{with_uncertainty(out[3][first], out[5][first], unit)}"))
     events += change_events(changes, len(changes), inputs.dt, "two", "beta_e", unit)
     result = StageResult(
@@ -330,7 +330,7 @@ def model_status(verdicts: Iterable[Consistency | None],
     if joint is not None and not joint.fits:
         return ModelStatus("mismatch", "each stage fits its own channels, but position, pressure "
                            f"and drive do not fit together ({joint.message}): check the scale of "
-                           f"the sensors and the pump")
+                           "the sensors and the pump")
     if not judged:
         return ModelStatus("not_judged", "no stage has had enough data, or motion, to test the "
                            "model")

@@ -42,7 +42,7 @@ def judge_parameter(name: str, value: float, stddev: float, unit: str, prior: fl
         return ParameterEstimate(
             name, math.nan, math.nan, unit, "diverged",
             f"{symbol} went to {quantity(value, unit, 3)}, which is not physical: the model, the "
-            f"config or a sign is wrong")
+            "config or a sign is wrong")
     shown = with_uncertainty(value, stddev, unit)
     if stddev > CONVERGED * abs(value) or GAINED * stddev > prior_stddev:
         before = with_uncertainty(prior, prior_stddev, unit)

@@ -309,7 +309,7 @@ def learned_words(term: LearnedTerm) -> str:
     """Return the message of a verdict with a learned term."""
     return (f"the {term.balance} balance lacks an effect that is not in the catalogue: "
             f"{term.statement}. It removes {share(min(term.removed, 0.999))} of the squared "
-            f"error on unseen data")
+            "error on unseen data")
 
 
 def named_effect(experiment: Experiment, naming: Naming, name: str, tracks: list[np.ndarray]

@@ -56,6 +56,8 @@ ADDED_UNITS = {"force": "N", "flow": "m³/s", "flow_1": "m³/s", "flow_2": "m³/
 ADDED = tuple(BALANCES)
 TO_FORCE, TO_FLOW, TO_FLOW_1, TO_FLOW_2, _TO_SPEED = range(len(ADDED))
 OF = ("x", "v", "dp", "p", "omega", "p1", "p2", "angle")  # that a term may be a function of
+OF_UNITS = {"x": "m", "v": "m/s", "dp": "Pa", "p": "Pa", "omega": "rad/s", "p1": "Pa",
+            "p2": "Pa", "angle": "rad"}
 BY_ANGLE = OF.index("angle")
 PRESSURES = ("dp", "p", "p1", "p2")
 FACTORS = ("none", "direction", "v", "dp", "omega")  # what a table may be multiplied by

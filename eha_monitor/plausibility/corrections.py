@@ -4,7 +4,7 @@ from typing import Any
 
 from eha_monitor.plausibility.mistakes import Mistake
 from eha_monitor.recordings.finding import ChannelFinding
-from eha_monitor.settings.load import settings_from_tree
+from eha_monitor.settings.load import merge, settings_from_tree
 from eha_monitor.settings.monitor import Settings
 
 FIGURES = 12  # digits: a scale of 0.001 is written as that
@@ -56,12 +56,3 @@ def corrected(settings: Settings, findings: tuple[ChannelFinding, ...]) -> Setti
     for finding in findings:
         merge(tree, finding.correction)
     return settings_from_tree(tree, "correction")
-
-
-def merge(tree: dict, fragment: dict) -> None:
-    """Put a fragment of a config into a tree, key by key."""
-    for key, value in fragment.items():
-        if isinstance(value, dict) and isinstance(tree.get(key), dict):
-            merge(tree[key], value)
-        else:
-            tree[key] = value

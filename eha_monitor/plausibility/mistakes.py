@@ -153,7 +153,7 @@ def mistakes_for(reading: Reading, given: tuple[Check, ...]) -> list[Mistake]:
             units = {}
         found += unit_mistakes(group, units, si)
     found += [Mistake("swapped", (role,), f"{role} does not match this motion; it may be the "
-                                          f"wrong column or topic", OTHER_COLUMN, without=role)
+                                          "wrong column or topic", OTHER_COLUMN, without=role)
               for role in has]
     found += number_mistakes(reading) + fitted_numbers(reading, given)
     found += [Mistake("unit", ("time",), f"the time looks like {unit}, not seconds", EVERYDAY,

@@ -101,7 +101,7 @@ def trend_words(found: History) -> str:
     words += "." if abs(slope) > 2 * spread else ": not significant."
     if line.scatter > 0:
         words += (f" They scatter by {quantity(line.scatter, found.unit, 2)} more than their own "
-                  f"uncertainty, which is included in that of the slope.")
+                  "uncertainty, which is included in that of the slope.")
     if found.doubtful:
         words += (" Fewer than three are from a model that fits: the line goes through values of "
                   "a model that does not fit and shows changes only.")

@@ -221,7 +221,7 @@ def _curve_note(found: Diagnosis, curve: Curve) -> str:
     dots, line = ("Grey", "Blue") if curve.against == "time" else ("Dots", "Line")
     if found.effects:
         return (f"{dots}: measured term that the linear model lacks. {line}: the identified "
-                f"effects.")
+                "effects.")
     if found.rig_data:
         return f"{dots}: measured term that the model of the config lacks."
     if found.verdict == "consistent":

@@ -56,7 +56,7 @@ def _words(stage: StageResult, count: int) -> tuple[str, ...]:
              f"Mean of the squared standardised innovations (NIS): {number(c.nis)}; expected "
              f"{number(max(0.0, 1 - spread))} to {number(1 + spread)} if the noise levels are "
              f"right ({c.samples} innovations). Above this range the filter underestimates its "
-             f"error; below it, the noise level is set too high."]
+             "error; below it, the noise level is set too high."]
     if np.isfinite(c.variance_ratio):
         notes.append(
             f"Sums over blocks of {quantity(c.block_length_s, 's', 3)} vary "
@@ -135,5 +135,5 @@ def _memory(stage: StageResult, z: np.ndarray, colour: str, dt: float) -> Pictur
     bottom.set_ylabel("block variance /\nwhite noise")
     bottom.set_xlabel("length of a block, s")
     legend_above(bottom)
-    return picture(figure, f"autocorrelation and block variance of the innovations of stage "
+    return picture(figure, "autocorrelation and block variance of the innovations of stage "
                            f"{stage.stage}")

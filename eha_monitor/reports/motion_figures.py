@@ -217,7 +217,7 @@ def derivative_block(estimate: Estimate, window: Window, order: int) -> Block:
     if not measured.drawable and not estimated:
         return Block(name, name.capitalize(), notes=(
             f"No {name} was measured or estimated, and there are too few position samples to "
-            f"differentiate.",))
+            "differentiate.",))
     notes: tuple[str, ...] = ()
     if smoother:
         notes = (f"The {name} was not measured: the grey line is the numerical {which} of the "

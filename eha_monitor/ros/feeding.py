@@ -30,7 +30,7 @@ def unfed(symbol: str, seen: Mapping[str, int], row_ns: int, inputs: Sequence[To
         return None
     if coming := sorted(_coming(inputs, settings).intersection(lacking[-1])):
         return (f"{' and '.join(coming)} {'come' if len(coming) > 1 else 'comes'}, but too late "
-                f"for the samples of x, which wait no longer than "
+                "for the samples of x, which wait no longer than "
                 f"{settings.monitor.latency:g} s (monitor.latency)")
     named = [" and ".join(f"{name} (topic {topic_of.get(name, 'not configured')})"
                           for name in missing) for missing in lacking]

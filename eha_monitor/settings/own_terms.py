@@ -40,7 +40,7 @@ def checked(name: str, given: dict) -> dict:
     """
     if name in CATALOGUE:
         raise ValueError(f"{name}.adds: {name} is an effect of the catalogue, expected another "
-                         f"name for a user-defined term")
+                         "name for a user-defined term")
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise ValueError(f"{str(name)[:40]!r}: expected a name of letters, digits and _")
     if given["adds"] not in o.ADDED:

@@ -233,7 +233,7 @@ def _advised(recordings: list[Recording], settings: Settings, check: bool, say: 
         raise InputError(f"{recordings[0].source}: expected a piston that moves, found "
                          f"{quantity(moved, 'm', 2)} with "
                          f"{quantity(experiment.noise[0], 'm', 2)} of noise: any motion is more "
-                         f"informative")
+                         "informative")
     naming = name_effects(experiment, lambda text, share: say(text, 0.6 * share))
     found = advice(experiment, naming.after, naming.rivals, rival_fits(naming), check,
                    report=lambda text, share: say(text, 0.6 + 0.4 * share))

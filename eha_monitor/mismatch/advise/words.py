@@ -187,7 +187,7 @@ def motion_words(advice: Advice) -> list[str]:
         check = check[0].lower() + check[1:].rstrip(".")
         if not advice.plannable:
             found.append(f"this recording cannot distinguish {doubt_words(doubt)}, and the "
-                         f"config lacks the areas or the pump data to plan a motion; at the rig: "
+                         "config lacks the areas or the pump data to plan a motion; at the rig: "
                          f"{check}")
             continue
         if (doubt.effect, doubt.rival) in failed:
@@ -195,7 +195,7 @@ def motion_words(advice: Advice) -> list[str]:
                          f"so failed in simulation; at the rig: {check}")
             continue
         best = max((one.gains[advice.doubts.index(doubt)] for one in advice.tried), default=0.0)
-        found.append(f"no motion within the travel and the speed of this recording distinguishes "
+        found.append("no motion within the travel and the speed of this recording distinguishes "
                      f"{doubt_words(doubt)} (at best {number(max(best, 0.0), 2)} log units); "
                      f"at the rig: {check}")
     return found

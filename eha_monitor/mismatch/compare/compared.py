@@ -238,7 +238,7 @@ def _message(healthy: Healthy, comparison: Comparison, best: Explanation, verdic
         return (f"nothing has changed from {len(references)} healthy recordings: the largest "
                 f"difference is {words}, by {number(abs(t[at]), 2)} of their standard "
                 f"deviations; the limit is {number(healthy.limits[at], 2)} ({share(FALSE)} false "
-                f"alarms)")
+                "alarms)")
     named = [effect_words(comparison.what[i].owner or comparison.what[i].name)
              for i in best.places]
     part = (f"; {listed(named)} would explain {share(comparison.share_of(best), 2)} of it"
@@ -253,13 +253,13 @@ def _advice(healthy: Healthy, references: list[Recording], here: Experiment, ver
     found = []
     if healthy.pieces:
         found.append(f"{len(references)} reference recordings are too few to estimate how "
-                     f"recordings differ; pieces of them were compared instead, so a normal "
-                     f"difference between recordings may be reported as a change")
+                     "recordings differ; pieces of them were compared instead, so a normal "
+                     "difference between recordings may be reported as a change")
     odd = [references[i].source for i in healthy.odd_ones()] if not healthy.pieces else []
     if odd:
         found.append(f"{listed(odd)} differ{'' if len(odd) > 1 else 's'} from the other "
-                     f"references more than a healthy recording should: check whether it belongs "
-                     f"to them")
+                     "references more than a healthy recording should: check whether it belongs "
+                     "to them")
     if here.ranges.speed > FASTER * healthy.experiment.ranges.speed:
         found.append("it moves faster than any reference; above their speed nothing can be "
                      "compared")

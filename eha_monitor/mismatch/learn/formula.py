@@ -28,14 +28,12 @@ from eha_monitor.mismatch.name.acceptance import UNNAMED
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
 from eha_monitor.physics.expression import parsed
-from eha_monitor.physics.own_term import ADDED_UNITS, CONSTANTS, expressed
+from eha_monitor.physics.own_term import ADDED_UNITS, CONSTANTS, OF_UNITS, expressed
 from eha_monitor.physics.signals import ANGLE, N_SIGNALS, OMEGA, P1, P2, V, X
 from eha_monitor.quantity import quantity
 
 REFITTED = 3  # formulas that are fitted to the recording
 EXACT = 0.02  # of the curve's root mean square: no table follows a formula closer
-SIGNAL_UNITS = {"x": "m", "v": "m/s", "dp": "Pa", "p": "Pa", "omega": "rad/s", "p1": "Pa",
-                "p2": "Pa", "angle": "rad"}
 SHOWN = {"dp": "Δp", "omega": "ω", "p1": "p₁", "p2": "p₂", "angle": "θ"}
 FACTORS = {"none": ("", "", ""), "direction": ("*tanh(v/v_e)", " against the motion", ""),
            "v": ("*v", " · v", "·s/m"), "dp": ("*dp", " · Δp", "/Pa"),
@@ -101,7 +99,7 @@ def in_signal(text: str, of: str) -> str:
 def unit_of(form: Form, kind: str) -> str:
     """Return the unit of a shape's parameter, SI."""
     y = (ADDED_UNITS[form.adds] + FACTORS[form.times][2]).replace("/s·s/rad", "/rad")
-    u = SIGNAL_UNITS[form.of]
+    u = OF_UNITS[form.of]
     divided = f"{y}/({u})" if "/" in u else f"{y}/{u}"
     return {"y": y, "u": u, "y/u": divided, "y/u2": f"{y}/({u})²",
             "y/u3": f"{y}/({u})³", "y/ru": f"{y}/√({u})", "rad": "rad", "1": ""}[kind]

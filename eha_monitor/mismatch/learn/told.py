@@ -9,7 +9,6 @@ from eha_monitor.mismatch.diagnosis import LearnedTerm, NamedEffect, SignalFit
 from eha_monitor.mismatch.learn.forms import signal_along
 from eha_monitor.mismatch.learn.formula import (
     SHOWN,
-    SIGNAL_UNITS,
     Formula,
     curve_of,
     formulas_of,
@@ -32,6 +31,7 @@ from eha_monitor.mismatch.show.sizes import filtered_tracks
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
 from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.own_term import OF_UNITS
 from eha_monitor.quantity import quantity
 from eha_monitor.settings.own_terms import slot_for
 
@@ -219,7 +219,7 @@ def term_of(learned: Learned, formulas: list[Formula], honest: bool, share: floa
     rivals = formulas[1:] if honest else formulas
     return LearnedTerm(
         learned.balance, form.adds, tuple(dict.fromkeys(signals)), statement, size,
-        unit_of(form, "y"), SIGNAL_UNITS[form.of], x, curve / divisor,
+        unit_of(form, "y"), OF_UNITS[form.of], x, curve / divisor,
         band / divisor, at, measured / divisor, spread / divisor, told,
         best.shape if honest else "",
         tuple((one.shown, reference - one.evidence) for one in rivals), drawn, share,

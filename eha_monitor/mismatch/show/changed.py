@@ -138,7 +138,7 @@ def change_words(pieces: tuple[Piece, ...]) -> str:
         said += [f"{HEALTH_WORDS[name]} changed {when} from {words_of(one.values[name])} to "
                  f"{words_of(other.values[name])}" for name in names]
     return (f"{'; '.join(said)}. No effect is missing: the nominal model fits each piece "
-            f"separately, and estimate tracks the change")
+            "separately, and estimate tracks the change")
 
 
 def words_of(value: Value) -> str:

@@ -81,7 +81,7 @@ def prove_simulator(ground: Ground, data: Path, config: Path,
               for row in parameters(question, truths[question.bags[0]], ground.work)]
     own = [row for row in ratios if row["aim"]]
     facts = [f"{sum(row['exact'] for row in found['rows'])} of {len(found['rows'])} answers name "
-             f"exactly what the key says, "
+             "exactly what the key says, "
              f"{sum(row['within_class'] for row in found['rows'])} within a declared class",
              f"{sum(row['within'] for row in own)} of {len(own)} parameters within {CLOSE:.0%}"]
     return with_ground(found, "simulator", facts, ratios, ground.work)
