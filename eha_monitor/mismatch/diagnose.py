@@ -37,6 +37,7 @@ from eha_monitor.mismatch.show import balances as balance_show
 from eha_monitor.mismatch.show import held_out as show
 from eha_monitor.mismatch.show.changed import change_words, changed_between
 from eha_monitor.mismatch.show.model import (
+    between_models,
     config_effects,
     fitted_of,
     health_sentences,
@@ -57,7 +58,6 @@ from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import listed
 
 LEAST_MOTION = 20.0  # times the position's noise: less motion says nothing
-LARGE_PART = 0.5  # of the evidence: what an effect must take away to be named beside an unknown
 # Effect of the force balance -> errors of pressure sensors that make the same force: an offset,
 # and a scale by the mean pressure.
 FORCE_OF_SENSORS = {"constant_load": ("pressure_offset", "pressure_scale")}
@@ -196,7 +196,7 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
     """Put the answer together."""
     naming = replace(naming, before=robust(experiment, naming.before),
                      after=robust(experiment, naming.after))
-    verdict, explained = verdict_of(experiment, naming), naming.explained
+    verdict, gates = verdict_of(experiment, naming), naming.gates
     before, after, asked = naming.before, naming.after, naming
     by_equations = experiment.inverse
     if by_equations:
@@ -206,9 +206,11 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
     else:
         signals = show.shown(shown, before, after)
         tracks = tracks_of(experiment, after) if after.named else []
-    # A fit that fails on unseen data has named nothing.
-    if after.named and not naming.loads and show.worse(signals):  # no model runs with such a load
-        verdict, explained = "unexplained", 0.0
+    # A fit that fails on unseen data has named nothing.  No model runs with an intermittent load.
+    answers = (after.named or naming.wrong) and not naming.loads
+    if answers and (failed := show.unseen_gates(signals)):
+        verdict, gates = "unexplained", (*gates, *failed)
+        naming = replace(naming, unexplained=1.0 - naming.consistent)
     test = told = None
     if hypothesis is not None and not naming.loads:
         say("testing the hypothesis", 0.9)
@@ -239,10 +241,10 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         effects = tuple(effect for effect in effects if not effect.probability < LIKELY)
         wrong = tuple(finding for finding in wrong if not finding.probability < LIKELY)
         verdict = verdict if effects or wrong else "consistent"
-    if verdict == "unexplained" and told is None:
-        # What takes away a small part only is a confident wrong name.
-        effects = effects if explained >= LARGE_PART else ()
-        wrong = wrong if explained >= LARGE_PART else ()
+    open_end = verdict == "unexplained" and told is None
+    if open_end:  # nothing is an answer: no name, no number but the nominal model's, in doubt
+        effects, wrong, within = (), (), ()
+        after, signals = before, show.without_answer(signals)
     step = quantised(experiment)
     if step is not None:
         effects = (*effects, step)
@@ -272,13 +274,16 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
     how = balance_show if by_equations else show
     known = values_of(experiment, before), values_of(experiment, after)
     parts = how.agreement(experiment, before, after)
-    if verdict == "unexplained":
+    if open_end:
+        known = in_doubt(known[0], parts), {}
+    elif verdict == "unexplained":
         known = known[0], in_doubt(known[1], parts)
-        within = within if told is not None else ()
+    elif told is None:
+        known = known[0], between_models(known[1], asked)
     return Diagnosis(
         bags, verdict, change_words(pieces) if pieces else learned_words(told.term)
         if told is not None and told.term is not None else message_of(
-            verdict, effects, where, explained, wrong, within), where, effects, *known,
+            verdict, effects, where, wrong, within), where, effects, *known,
         "held_out_bag" if other_bag else "held_out", signals, curves,
         how.overlays(shown, before, after), considered_of(naming, test, told),
         parts,
@@ -290,7 +295,7 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         probability={"consistent": naming.consistent, "unexplained": naming.unexplained},
         rig_data=wrong, rig_within=within,
         learned=(told.term,) if told is not None and told.term is not None else (),
-        fitted=fitted_of(after))
+        fitted=None if open_end else fitted_of(after), gates=gates)
 
 
 def beside_own(experiment: Experiment, naming: Naming, told: Told) -> Naming:
@@ -358,8 +363,7 @@ def rivals_of(experiment: Experiment, naming: Naming, name: str) -> tuple[str, .
 
 
 def message_of(verdict: str, effects: tuple[NamedEffect, ...], where: Location,
-               explained: float, wrong: tuple[RigFinding, ...] = (),
-               within: tuple[RigFinding, ...] = ()) -> str:
+               wrong: tuple[RigFinding, ...] = (), within: tuple[RigFinding, ...] = ()) -> str:
     """Return the verdict in a sentence."""
     if verdict == "consistent":
         moved = (f", with {listed([one.key for one in within])} moved within the tolerance,"
@@ -369,9 +373,7 @@ def message_of(verdict: str, effects: tuple[NamedEffect, ...], where: Location,
         return "; ".join([*(finding.statement for finding in wrong),
                           *(effect.statement for effect in effects)])
     balance = max(where.balance, key=where.balance.get)
-    named = (f"; {', '.join(effect.name for effect in effects)} would explain only "
-             f"{100 * explained:.0f} % of the evidence" if effects else "")
-    return (f"the {balance} balance lacks an effect that is not in the catalogue{named}")
+    return f"the {balance} balance lacks an effect that is not in the catalogue"
 
 
 def considered_of(naming: Naming, test: Tested | None, told: Told | None

@@ -124,6 +124,8 @@ class Effect:
     contains : simpler effects that are a special case of this one.
     family : effects of one family explain one another's errors of form ("dry" friction, the flow
         through a "gap"); two of them are named only where the second one is large.
+    passive : what it takes power from, ``motion`` (friction) or ``pressure`` (a leak), or "": one
+        that would give power instead is no such effect.
     rig_twin : number of the rig that does the same when it is wrong: one cannot be told from the
         other.
     rarity : the larger, the less common on rigs; decides where a recording cannot.
@@ -145,6 +147,7 @@ class Effect:
     remembers_place: bool = False
     contains: tuple[str, ...] = ()
     family: str = ""
+    passive: str = ""
     rig_twin: str = ""
     rarity: int = 1
 

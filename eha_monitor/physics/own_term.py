@@ -176,6 +176,13 @@ def expressed(q, s):
     return a
 
 
+@njit(nogil=True)
+def expressed_along(q, rows, out):
+    """Write an expression's value at each row of signals, (n,); ``rows`` (n, N_SIGNALS)."""
+    for i in range(len(out)):
+        out[i] = expressed(q, rows[i])
+
+
 @njit
 def own_term(s, q, m, c):
     """Add a slot's term to the contributions, as an effect's ``term`` does.

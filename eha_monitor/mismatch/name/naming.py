@@ -7,6 +7,7 @@ import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import FORCED, OPEN
+from eha_monitor.mismatch.diagnosis import Gate
 from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.name.acceptance import (
@@ -25,7 +26,7 @@ from eha_monitor.mismatch.name.base import limits_of, needs
 from eha_monitor.mismatch.name.columns import runs_of
 from eha_monitor.mismatch.name.gram import evidence_at
 from eha_monitor.mismatch.name.polish import Slopes, polished
-from eha_monitor.mismatch.name.refit import discrepancy, settled
+from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.mismatch.name.seen import posterior
 from eha_monitor.mismatch.name.select import Selection, selected
 from eha_monitor.mismatch.name.suspects import is_named
@@ -52,7 +53,7 @@ class Naming:
     rivals : effect, ``rig.<key>`` -> names that this record cannot tell from it.
     tried : set -> its model and the log units by which it is behind, best first.
     loads : when a load without a name of its own acts, (from s, to s, N); ``intermittent_load``.
-    explained : share of what speaks against the nominal model that the names take away.
+    gates : checks that a set with more evidence, or a member of one, did not pass.
     """
 
     experiment: Experiment
@@ -66,7 +67,7 @@ class Naming:
     rivals: dict[str, tuple[str, ...]] = field(default_factory=dict)
     tried: tuple[tuple[Names, Fit, float], ...] = ()
     loads: tuple[tuple[float, float, float], ...] = ()
-    explained: float = np.nan
+    gates: tuple[Gate, ...] = ()
 
 
 def in_place_of(name: str, best: Names, weights: dict[Names, float]) -> dict[str, float]:
@@ -172,6 +173,10 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
         (view.here, view.ranking) for view in (found.view, found.beside) if view is not None])
     scores = seen.scores()
     after = at_config(experiment, seen.fits[best])
+    gates = tuple(gate for failed in seen.refused.values() for gate in failed)
+    # What speaks for a set that no gate lets through speaks for something that has no name.
+    refused = sum(weights.get(names, 0.0) for names in seen.refused)
+    weights = {names: weight for names, weight in weights.items() if names not in seen.refused}
     rivals, probability, evidence = {}, {}, {}
     for name in best:
         stands = in_place_of(name, best, weights)
@@ -187,12 +192,11 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
         probability[name] = float(sum(
             weight for names, weight in weights.items() if held & names and all(
                 is_named(other) or other == INTERMITTENT for other in names)))
-        without = [value for names, value in seen.evidence.items() if not held & names]
+        without = [value for names, value in seen.evidence.items()
+                   if not held & names and names not in seen.refused]
         evidence[name] = float(seen.evidence[best] - max(without, default=-np.inf))
-    unnamed = float(sum(weight for names, weight in weights.items()
-                        if any(not is_named(name) for name in names)))
-    against = discrepancy(experiment, before) if not experiment.inverse else 0.0
-    explained = 1.0 - min(max(seen.left[best], 0.0) / against, 1.0) if against > 0.0 else 1.0
+    unnamed = refused + float(sum(weight for names, weight in weights.items()
+                                  if any(not is_named(name) for name in names)))
     loads: tuple[tuple[float, float, float], ...] = ()
     acting = float(sum(weight for names, weight in weights.items() if INTERMITTENT in names))
     needs = after.unknowns
@@ -215,5 +219,5 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
         tuple(name.removeprefix("rig.") for name in after.named if name.startswith("rig.")),
         probability, float(empty), unnamed, evidence, rivals,
         tuple((names, seen.fits[names], scores[best] - scores[names]) for names in order),
-        loads, explained)
+        loads, gates)
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.diagnosis import Gate
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.name.acceptance import FORM, FORM_OF_LAW, RIVAL, TEMPER
 from eha_monitor.mismatch.name.gram import lasting
@@ -29,6 +30,7 @@ class Seen:
     stations : names -> model and evidence of what cannot be (no damping, no stiffness).  It is no
         answer, but what it lacks may be what makes it possible: the search goes on from there.
     tried : (model, set) that was refitted from a linearisation at that model, whatever came of it.
+    refused : names -> gates that the set does not pass: it is no answer, whatever its evidence.
     """
 
     inverse: bool = False
@@ -38,6 +40,7 @@ class Seen:
     left: dict[Names, float] = field(default_factory=dict)
     stations: dict[Names, tuple[Fit, float]] = field(default_factory=dict)
     tried: set[tuple[Names, Names]] = field(default_factory=set)
+    refused: dict[Names, tuple[Gate, ...]] = field(default_factory=dict)
 
     def add(self, experiment: Experiment, names: Names, fit: Fit, anyway: bool = False) -> None:
         """Keep a fit of a set, if it is one and better than what is there, or ``anyway``."""
@@ -117,9 +120,9 @@ class Seen:
         return found
 
     def best(self) -> Names:
-        """Return the set with the highest score."""
+        """Return the set with the highest score, of those that no gate has refused."""
         scores = self.scores()
-        return max(scores, key=scores.get)
+        return max((names for names in scores if names not in self.refused), key=scores.get)
 
     def ahead(self, done: dict[Names, float], enough: float) -> tuple[Names, Fit] | None:
         """Return the model where the search goes on; None where it has been everywhere.

@@ -9,7 +9,7 @@ from scipy.signal import butter, sosfiltfilt
 from eha_monitor.filters.consistency import variance_ratios
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import FORCED, filled
-from eha_monitor.mismatch.diagnosis import Agreement, Overlay, SignalFit, Value
+from eha_monitor.mismatch.diagnosis import Agreement, Gate, Overlay, SignalFit, Value
 from eha_monitor.mismatch.likelihood.along import signals_along
 from eha_monitor.mismatch.likelihood.fit import Fit, filtered, refine, spread
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED
@@ -18,6 +18,7 @@ from eha_monitor.mismatch.show.sizes import filtered_tracks
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import ALL_NAMES
 from eha_monitor.physics.plant import N_OUTPUTS, Y_P1, Y_P2, Y_V, Y_X
+from eha_monitor.quantity import quantity, share
 
 SIGNALS = ("position", "velocity", "pressure_1", "pressure_2", "pump_speed")
 UNITS = ("m", "m/s", "Pa", "Pa", "rad/s")
@@ -28,6 +29,7 @@ BLOCKS = 30  # fewest blocks of a variance ratio that is shown: chance stays bel
 DERIVATIVES, BALANCE = 100.0, 20.0  # Hz: pass bands of v and a, and of the whole force balance
 FEWEST = 500  # samples in a part whose parameters are fitted
 WORSE = 1.02  # ratio of squared errors on unseen data that is beyond chance
+GROWN = 0.02  # of a signal's standard deviation: an error that grows by more is another model's
 
 
 @dataclass(frozen=True)
@@ -153,8 +155,11 @@ def shown(experiment: Experiment, before: Fit, after: Fit | None,
         if not len(residuals[0]):
             continue
         errors = [rms(residual) for residual in residuals]
+        measured = np.concatenate([stretch.z[mask, j] for stretch, mask in zip(
+            experiment.stretches, unseen(experiment), strict=True)])
         found[SIGNALS[j]] = SignalFit(UNITS[j], errors[0], errors[-1], float(experiment.noise[j]),
-                                      float(white[0][j]), float(white[-1][j]))
+                                      float(white[0][j]), float(white[-1][j]),
+                                      float(np.nanstd(measured)))
     if experiment.mode == FORCED and found:
         forces = [force_residual(experiment, fit) for fit in models]
         found["force"] = SignalFit("N", forces[0][0], forces[-1][0], float("nan"),
@@ -163,10 +168,34 @@ def shown(experiment: Experiment, before: Fit, after: Fit | None,
 
 
 def worse(signals: dict[str, SignalFit]) -> bool:
-    """Tell whether the error on unseen data, in units of the noise, has grown."""
+    """Tell whether a model does worse on unseen data than the one before."""
+    return bool(unseen_gates(signals))
+
+
+def unseen_gates(signals: dict[str, SignalFit]) -> tuple[Gate, ...]:
+    """Return where a model does worse on unseen data than the one before.
+
+    In any signal or balance by more than ``GROWN`` of that signal's size, or in all of them
+    together, in units of their noise, by more than chance.
+    """
+    found = [Gate("unseen_error", name, f"on unseen data the error of {name.replace('_', ' ')} "
+                  f"grows from {quantity(fit.before_rms, fit.unit, 3)} to "
+                  f"{quantity(fit.after_rms, fit.unit, 3)}")
+             for name, fit in signals.items()
+             if fit.after_rms - fit.before_rms > GROWN * fit.signal_rms]
     pairs = [(fit.before_rms / fit.noise_rms, fit.after_rms / fit.noise_rms)
              for fit in signals.values() if fit.noise_rms > 0]
-    return sum(after**2 for _, after in pairs) > WORSE * sum(before**2 for before, _ in pairs)
+    before, after = (sum(one[i] ** 2 for one in pairs) for i in (0, 1))
+    if not found and after > WORSE * before:
+        found.append(Gate("unseen_error", "all signals", "on unseen data the errors of all "
+                          f"signals together grow by {share(np.sqrt(after / before) - 1.0)}"))
+    return tuple(found)
+
+
+def without_answer(signals: dict[str, SignalFit]) -> dict[str, SignalFit]:
+    """Return the errors on unseen data where no model is the answer: the nominal one's."""
+    return {name: replace(fit, after_rms=fit.before_rms, after_whiteness=fit.before_whiteness)
+            for name, fit in signals.items()}
 
 
 def force_residual(experiment: Experiment, fit: Fit) -> tuple[float, float]:

@@ -6,6 +6,7 @@ from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import RigFinding, Value
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.name.columns import rig_free
+from eha_monitor.mismatch.name.gates import at_bound
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.refit import INFORMED
 from eha_monitor.quantity import side_by_side
@@ -34,8 +35,9 @@ def rig_within(experiment: Experiment, naming: Naming) -> tuple[RigFinding, ...]
     fitted, found = {f.name for f in naming.after.free}, []
     for own in rig_free(experiment):
         key = own.name.removeprefix("rig.")
-        if own.name not in fitted or key in naming.wrong:
-            continue
+        if own.name not in fitted or key in naming.wrong or at_bound(
+                own, naming.after.value(own.name)):
+            continue  # at the end of its tolerance it is no optimum, so no finding
         configured, value, words = _told(experiment, naming.after, key)
         spread = experiment.settings.rig.tolerance.log_spread(key)
         moved, sigma = np.log(value.value / configured), value.stddev / value.value
