@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from eha_monitor.errors import InputError
+from eha_monitor.machine.candidates import pressure_rate
 from eha_monitor.machine.course import Course, course_of
 from eha_monitor.machine.least_squares import independent, inverse_of, signed_solution
 from eha_monitor.quantity import share, with_uncertainty
@@ -64,7 +65,8 @@ class BalanceFit:
     terms : what was fitted.
     samples, effective_samples : compared ones, and how many independent ones they are worth.
     error_share : RMS of what is left over the standard deviation of the balance's left side.
-    unseen_share : the same on blocks of ``BLOCK`` s, each fitted without it.
+    unseen_share : the same on blocks of ``BLOCK`` s that the fit leaves out; NaN where the motion
+        is shorter.
     """
 
     terms: tuple[Term, ...]
@@ -80,7 +82,8 @@ class BalanceFit:
         """Return the JSON form."""
         return {"parameters": {term.name: term.to_dict() for term in self.terms},
                 "samples": self.samples, "effective_samples": round(self.effective_samples, 1),
-                "error_share": self.error_share, "unseen_error_share": self.unseen_share}
+                "error_share": self.error_share,
+                "unseen_error_share": self.unseen_share if np.isfinite(self.unseen_share) else None}
 
 
 @dataclass(frozen=True)
@@ -140,21 +143,16 @@ def force_fit(course: Course, rig: Rig) -> BalanceFit | None:
 def flow_columns(course: Course, rig: Rig) -> tuple | None:
     """Return the flow that the piston takes, and the columns that make it; None without channels.
 
-    With equal areas the mean of both chambers; else the chamber of the higher pressure, which the
-    pump fills, as of chamber 1 (a valve and an accumulator take care of the other).
+    With equal areas the mean of both chambers; else the chamber that the pump fills, as of
+    chamber 1 (a valve and an accumulator take care of the other).
     """
     if course.omega is None or course.p1 is None or course.p2 is None or not (
             rig.area_1 and rig.area_2):
         return None
-    share = rig.area_2 / rig.area_1
-    if share == 1.0:
-        rate = 0.5 * (course.rate_1 - course.rate_2)
-    else:
-        rate = np.where(course.p1 > course.p2, course.rate_1, -course.rate_2 / share)
     return rig.area_1 * course.v, (
         ("D_p", "m³/rad", "pump displacement", 1, course.omega),
         ("C_L", "m³/(s·Pa)", "leakage", 1, course.p2 - course.p1),
-        ("C_h", "m³/Pa", "compliance of a chamber", 1, -rate))
+        ("C_h", "m³/Pa", "compliance of a chamber", 1, -pressure_rate(course, rig)))
 
 
 def fitted(course: Course, counted: np.ndarray, y: np.ndarray, columns: tuple
@@ -184,19 +182,20 @@ def fitted(course: Course, counted: np.ndarray, y: np.ndarray, columns: tuple
     alone = spread * correlated / np.maximum(np.diag(whole)[1:], 1e-300)
     stddev = np.sqrt(np.where(unknown, np.inf, np.where(held, alone, variance)))
     size = max(float(np.std(rows[:, 0])), 1e-300)
-    unseen = []
+    unseen, compared = [], 0
     for fold in range(FOLDS):
         out = block % FOLDS == fold
         if not out.any() or out.all():
             continue
         part = whole - rows[out].T @ rows[out]
         other = signed_solution(part[1:, 1:], part[1:, 0], signs)
+        compared += int(out.sum())
         unseen.append(np.sum((rows[out, 0] - rows[out, 1:] @ other) ** 2))
     return BalanceFit(
         tuple(Term(*one) for one in zip(names, units, words, w.tolist(), stddev.tolist(),
                                         held.tolist(), strict=True)),
         int(counted.sum()), float(effective), float(np.sqrt(np.nanmean(left**2)) / size),
-        float(np.sqrt(np.sum(unseen) / counted.sum()) / size))
+        float(np.sqrt(np.sum(unseen) / compared) / size) if compared else float("nan"))
 
 
 def sentence(fit: BalanceFit) -> str:
@@ -208,4 +207,5 @@ def sentence(fit: BalanceFit) -> str:
     parts = [", ".join(known)] if known else []
     parts += [f"no {listed(absent, 'or')}"] if absent else []
     parts += [f"{listed(open_)} not determined"] if open_ else []
-    return f"{'; '.join(parts)}; {share(fit.unseen_share)} of the balance unexplained"
+    left = fit.unseen_share if np.isfinite(fit.unseen_share) else fit.error_share
+    return f"{'; '.join(parts)}; {share(left)} of the balance unexplained"

@@ -42,10 +42,11 @@ def signed_solution(gram: np.ndarray, side: np.ndarray, signs: np.ndarray) -> np
             out = free & bounded & (trial <= 0.0)
             if not out.any():
                 break
-            share = np.where(out, w / np.where(out, w - trial, 1.0), np.inf)
+            fall = np.where(out, w - trial, 1.0)
+            share = np.where(out, w / np.where(fall > 0.0, fall, 1.0), np.inf)
             step = min(float(share.min()), 1.0)
             w = w + step * (trial - w)
-            free &= ~(bounded & (w <= 1e-14))
+            free &= ~(out & (share <= step) | bounded & (w <= 0.0))
             w[~free] = 0.0
         w = trial
     return w / size
