@@ -1,0 +1,211 @@
+"""Ten lines of least squares: what any recording says of its machine before any search.
+
+    F     = M x'' + B x' + F_c sgn(x') + F_0                    force balance
+    A x'  = D_p omega - C_L (p1 - p2) - C_h p'                   flow balance
+
+No answer may contradict these without saying so: they ask for little, use all samples that move,
+and cannot be led astray by a search.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from eha_monitor.errors import InputError
+from eha_monitor.machine.candidates import pressure_rate
+from eha_monitor.machine.course import Course, course_of
+from eha_monitor.machine.least_squares import independent, inverse_of, signed_solution
+from eha_monitor.quantity import share, with_uncertainty
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.rig import Rig
+from eha_monitor.words import listed
+
+BLOCK = 1.5  # s: parts that are left out in turn; several correlation times of a residual
+FOLDS = 5
+UNITS = {"linear": ("kg", "N·s/m", "N"), "rotary": ("kg·m²", "N·m·s/rad", "N·m")}
+
+
+@dataclass(frozen=True)
+class Term:
+    """One number of a balance.
+
+    Attributes
+    ----------
+    name, unit, words : symbol, SI unit and what it is.
+    value, stddev : SI; the deviation is infinite where the motion does not determine it.
+    at_bound : held at 0 by its sign.
+    """
+
+    name: str
+    unit: str
+    words: str
+    value: float
+    stddev: float
+    at_bound: bool = False
+
+    @property
+    def determined(self) -> bool:
+        """Whether the recording determines it at all."""
+        return bool(np.isfinite(self.stddev)) and not self.at_bound
+
+    def to_dict(self) -> dict:
+        """Return the JSON form; null for what is not determined."""
+        known = np.isfinite(self.stddev)
+        return {"value": self.value if known else None, "stddev": self.stddev if known else None,
+                "unit": self.unit, "at_bound": self.at_bound}
+
+
+@dataclass(frozen=True)
+class BalanceFit:
+    """Least squares on one balance.
+
+    Attributes
+    ----------
+    terms : what was fitted.
+    samples, effective_samples : compared ones, and how many independent ones they are worth.
+    error_share : RMS of what is left over the standard deviation of the balance's left side.
+    unseen_share : the same on blocks of ``BLOCK`` s that the fit leaves out; NaN where the motion
+        is shorter.
+    """
+
+    terms: tuple[Term, ...]
+    samples: int
+    effective_samples: float
+    error_share: float
+    unseen_share: float
+
+    def __getitem__(self, name: str) -> Term:
+        return next(term for term in self.terms if term.name == name)
+
+    def to_dict(self) -> dict:
+        """Return the JSON form."""
+        return {"parameters": {term.name: term.to_dict() for term in self.terms},
+                "samples": self.samples, "effective_samples": round(self.effective_samples, 1),
+                "error_share": self.error_share,
+                "unseen_error_share": self.unseen_share if np.isfinite(self.unseen_share) else None}
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """The first view of a recording; a balance that cannot be compared is None, with the reason.
+
+    Attributes
+    ----------
+    force, flow : the balances.
+    missing : reasons, by balance.
+    """
+
+    source: str
+    force: BalanceFit | None
+    flow: BalanceFit | None
+    missing: dict[str, str]
+
+    def to_dict(self) -> dict:
+        """Return the JSON form, key ``baseline``."""
+        return {"source": self.source, "missing": dict(self.missing),
+                **{name: fit.to_dict() if fit else None
+                   for name, fit in (("force", self.force), ("flow", self.flow))}}
+
+
+def baseline(recording: Recording, settings: Settings) -> Baseline:
+    """Return what least squares on the balances of a recording gives; it never raises."""
+    try:
+        course = course_of(recording, settings)
+    except InputError as problem:
+        return Baseline(recording.source, None, None,
+                        dict.fromkeys(("force", "flow"), str(problem)))
+    missing: dict[str, str] = {}
+    force, flow = force_fit(course, settings.rig), None
+    if force is None:
+        missing["force"] = "too little motion at a steady direction"
+    columns = flow_columns(course, settings.rig)
+    if columns is None:
+        missing["flow"] = "needs the channels omega, p1 and p2, and rig.area_1 and area_2"
+    else:
+        flow = fitted(course, course.good, *columns)
+        if flow is None:
+            missing["flow"] = "too little motion"
+    return Baseline(recording.source, force, flow, missing)
+
+
+def force_fit(course: Course, rig: Rig) -> BalanceFit | None:
+    """Return the force balance on samples that move; None where too few do."""
+    one = np.ones(len(course))
+    inertia, damping, force = UNITS[rig.motion]
+    return fitted(course, course.moving, course.force, (
+        ("M", inertia, "moving mass", 1, course.a),
+        ("B", damping, "viscous damping", 1, course.v),
+        ("F_c", force, "dry friction", 1, course.direction),
+        ("F_0", force, "constant load", 0, one)))
+
+
+def flow_columns(course: Course, rig: Rig) -> tuple | None:
+    """Return the flow that the piston takes, and the columns that make it; None without channels.
+
+    With equal areas the mean of both chambers; else the chamber that the pump fills, as of
+    chamber 1 (a valve and an accumulator take care of the other).
+    """
+    if course.omega is None or course.p1 is None or course.p2 is None or not (
+            rig.area_1 and rig.area_2):
+        return None
+    return rig.area_1 * course.v, (
+        ("D_p", "m³/rad", "pump displacement", 1, course.omega),
+        ("C_L", "m³/(s·Pa)", "leakage", 1, course.p2 - course.p1),
+        ("C_h", "m³/Pa", "compliance of a chamber", 1, -pressure_rate(course, rig)))
+
+
+def fitted(course: Course, counted: np.ndarray, y: np.ndarray, columns: tuple
+           ) -> BalanceFit | None:
+    """Fit columns (name, unit, words, sign, values) to y on the counted samples.
+
+    The standard deviations are those of as many independent samples as the residual has.
+    """
+    names, units, words, signs, values = zip(*columns, strict=True)
+    signs, k = np.array(signs), len(names)
+    if counted.sum() < 4 * k:
+        return None
+    rows = course.in_band(np.column_stack([y, *values]))[counted]
+    block = (np.arange(len(course))[counted] * course.dt / BLOCK).astype(int)
+    whole = rows.T @ rows
+    w = signed_solution(whole[1:, 1:], whole[1:, 0], signs)
+    left = np.full(len(course), np.nan)
+    left[counted] = rows[:, 0] - rows[:, 1:] @ w
+    correlated = independent(left)
+    held = (signs != 0) & (w == 0.0)
+    effective = max(counted.sum() / correlated, k + 1.0)
+    variance = np.full(k, 0.0)
+    spread = float(np.nanmean(left**2)) * effective / max(effective - k, 1.0)
+    free = np.flatnonzero(~held)
+    variance[free] = np.diag(inverse_of(whole[1:, 1:][np.ix_(free, free)])) * spread * correlated
+    unknown = ~np.isfinite(np.diag(inverse_of(whole[1:, 1:])))
+    alone = spread * correlated / np.maximum(np.diag(whole)[1:], 1e-300)
+    stddev = np.sqrt(np.where(unknown, np.inf, np.where(held, alone, variance)))
+    size = max(float(np.std(rows[:, 0])), 1e-300)
+    unseen, compared = [], 0
+    for fold in range(FOLDS):
+        out = block % FOLDS == fold
+        if not out.any() or out.all():
+            continue
+        part = whole - rows[out].T @ rows[out]
+        other = signed_solution(part[1:, 1:], part[1:, 0], signs)
+        compared += int(out.sum())
+        unseen.append(np.sum((rows[out, 0] - rows[out, 1:] @ other) ** 2))
+    return BalanceFit(
+        tuple(Term(*one) for one in zip(names, units, words, w.tolist(), stddev.tolist(),
+                                        held.tolist(), strict=True)),
+        int(counted.sum()), float(effective), float(np.sqrt(np.nanmean(left**2)) / size),
+        float(np.sqrt(np.sum(unseen) / compared) / size) if compared else float("nan"))
+
+
+def sentence(fit: BalanceFit) -> str:
+    """Return a balance in one line: what is determined, and what share stays open."""
+    known = [f"{term.words} {with_uncertainty(term.value, term.stddev, term.unit)}"
+             for term in fit.terms if term.determined]
+    absent = [term.words for term in fit.terms if term.at_bound and np.isfinite(term.stddev)]
+    open_ = [term.words for term in fit.terms if not np.isfinite(term.stddev)]
+    parts = [", ".join(known)] if known else []
+    parts += [f"no {listed(absent, 'or')}"] if absent else []
+    parts += [f"{listed(open_)} not determined"] if open_ else []
+    left = fit.unseen_share if np.isfinite(fit.unseen_share) else fit.error_share
+    return f"{'; '.join(parts)}; {share(left)} of the balance unexplained"

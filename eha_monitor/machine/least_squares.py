@@ -1,0 +1,102 @@
+"""Least squares on Gram matrices, with the signs that physics demands and dependent samples.
+
+With columns D, (n, k), and a right side y every fit below needs only D'D, D'y and y'y, so that
+recordings are added and left out by adding and subtracting small matrices.
+"""
+
+import numpy as np
+
+CUT = 0.05  # of the autocorrelation of a residual, below which it is noise
+NULL = 1e-10  # of the largest eigenvalue: directions below have no data
+ROUNDS = 50  # of exchanges between free and held; a handful is usual
+
+
+def signed_solution(gram: np.ndarray, side: np.ndarray, signs: np.ndarray) -> np.ndarray:
+    """Return the weights w with the least 1/2 w'Gw - g'w within their signs, (k,).
+
+    Lawson and Hanson's active set (1974, chapter 23) on the Gram matrix.
+
+    Parameters
+    ----------
+    gram : (k, k) D'D.
+    side : (k,) D'y.
+    signs : (k,) 1 for w >= 0, -1 for w <= 0, 0 for either.
+    """
+    k = len(side)
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300)) * np.where(signs < 0, -1.0, 1.0)
+    gram, side = gram / np.outer(size, size), side / size
+    bounded = signs != 0
+    free = ~bounded
+    w = np.zeros(k)
+    w[free] = minimum_norm(gram[np.ix_(free, free)], side[free])
+    for _ in range(ROUNDS):
+        slope = side - gram @ w
+        slope[free] = -np.inf
+        enters = int(np.argmax(slope)) if k else 0
+        if not k or slope[enters] <= 1e-12 * max(1.0, float(np.abs(side).max())):
+            break
+        free[enters] = True
+        while True:
+            trial = np.zeros(k)
+            trial[free] = minimum_norm(gram[np.ix_(free, free)], side[free])
+            out = free & bounded & (trial <= 0.0)
+            if not out.any():
+                break
+            fall = np.where(out, w - trial, 1.0)
+            share = np.where(out, w / np.where(fall > 0.0, fall, 1.0), np.inf)
+            step = min(float(share.min()), 1.0)
+            w = w + step * (trial - w)
+            free &= ~(out & (share <= step) | bounded & (w <= 0.0))
+            w[~free] = 0.0
+        w = trial
+    return w / size
+
+
+def minimum_norm(gram: np.ndarray, side: np.ndarray) -> np.ndarray:
+    """Return the weights of the normal equations; none along directions without data."""
+    if not len(side):
+        return side.copy()
+    try:
+        factor = np.linalg.cholesky(gram)
+        if np.diag(factor).min() ** 2 > NULL * len(side):
+            return np.linalg.solve(gram, side)
+    except np.linalg.LinAlgError:
+        pass
+    values, vectors = np.linalg.eigh(gram)
+    kept = values > NULL * values[-1]
+    return vectors[:, kept] @ ((vectors[:, kept].T @ side) / values[kept])
+
+
+def inverse_of(gram: np.ndarray) -> np.ndarray:
+    """Return the inverse of a Gram matrix, (k, k); infinite variances where there are no data."""
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    values, vectors = np.linalg.eigh(gram / np.outer(size, size))
+    kept = values > NULL * values.max(initial=0.0)
+    inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
+    unknown = (vectors[:, ~kept] ** 2).sum(axis=1) > NULL
+    inverse[unknown, unknown] = np.inf
+    return inverse / np.outer(size, size)
+
+
+def independent(residual: np.ndarray) -> float:
+    """Return how many samples of a residual count as one: 1 + 2 sum rho_k, at least 1.
+
+    The sum ends where the autocorrelation first falls below ``CUT`` (Bartlett 1946; Geyer 1992).
+
+    Parameters
+    ----------
+    residual : (n,) on a uniform grid; NaN where not compared.
+    """
+    there = np.isfinite(residual)
+    if there.sum() < 8:
+        return float(max(there.sum(), 1))
+    r = np.where(there, residual - residual[there].mean(), 0.0)
+    size = 1 << int(np.ceil(np.log2(2 * len(r))))
+    spectrum, mask = np.fft.rfft(r, size), np.fft.rfft(there.astype(float), size)
+    products = np.fft.irfft(np.abs(spectrum) ** 2, size)[: len(r)]
+    counts = np.fft.irfft(np.abs(mask) ** 2, size)[: len(r)]
+    rho = products / np.maximum(counts, 1.0)
+    rho = rho / max(rho[0], 1e-300)
+    below = np.flatnonzero((rho < CUT) | (counts < 0.25 * there.sum()))
+    last = int(below[0]) if len(below) else len(rho)
+    return float(max(1.0, 1.0 + 2.0 * rho[1:last].sum()))
