@@ -68,6 +68,7 @@ def answer(found: Diagnosis) -> dict:
         "threshold": {"log_units": None, "calibrated": False},
         "explained": None,
         "gates": [asdict(gate) for gate in found.gates],
+        "baseline": [one.to_dict() for one in found.baselines],
         "pieces": [{"bag": piece.bag, "start_s": piece.start_s, "stop_s": piece.stop_s,
                     "parameters": _values(piece.values)} for piece in found.pieces],
         "named_on": [asdict(one) for one in found.named_on],

@@ -9,6 +9,7 @@ import numpy as np
 
 from eha_monitor.breakdown import computing
 from eha_monitor.filters.hold_choice import other_hold, resolved
+from eha_monitor.machine.baseline import Baseline, baseline
 from eha_monitor.mismatch.advise import advice as advise
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.diagnosis import (
@@ -142,6 +143,7 @@ def diagnosed(recordings: list[Recording], experiment: Experiment,
     """Return the answer for what was named on the windows that tell most."""
     bags = tuple(recording.source for recording in recordings)
     duration = sum(recording.duration for recording in recordings)
+    baselines = tuple(baseline(recording, experiment.settings) for recording in recordings)
     if named is None:
         return insufficient(bags, duration, started,
                             f"the piston moves by {quantity(experiment.ranges.position, 'm', 2)} "
@@ -163,7 +165,7 @@ def diagnosed(recordings: list[Recording], experiment: Experiment,
     shown = experiment if held_out is None else replace(
         experiment_of([held_out], settings, False), steps=experiment.steps)
     found = assemble(experiment, shown, naming, bags, duration, started, held_out is not None,
-                     pieces, say, hypothesis)
+                     pieces, say, hypothesis, baselines)
     windows = told.stretches if told.windows or told.stretches is not whole else ()
     return replace(found, named_on=tuple(Window(
         one.source, round(one.start, 4), round(one.start + len(one) * told.dt, 4))
@@ -192,7 +194,8 @@ def verdict_of(experiment: Experiment, naming: Naming) -> str:
 
 def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tuple[str, ...],
              duration: float, started: float, other_bag: bool, pieces: tuple[Piece, ...],
-             say: Report, hypothesis: Hypothesis | None) -> Diagnosis:
+             say: Report, hypothesis: Hypothesis | None, baselines: tuple[Baseline, ...]
+             ) -> Diagnosis:
     """Put the answer together."""
     naming = replace(naming, before=robust(experiment, naming.before),
                      after=robust(experiment, naming.after))
@@ -208,7 +211,10 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         tracks = tracks_of(experiment, after) if after.named else []
     # A fit that fails on unseen data has named nothing.  No model runs with an intermittent load.
     answers = (after.named or naming.wrong) and not naming.loads
-    if answers and (failed := show.unseen_gates(signals)):
+    failed = show.unseen_gates(signals) if answers else ()
+    if not naming.loads and not pieces:
+        failed += show.baseline_gates(shown, baselines, after)
+    if failed:
         verdict, gates = "unexplained", (*gates, *failed)
         naming = replace(naming, unexplained=1.0 - naming.consistent)
     test = told = None
@@ -295,7 +301,7 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         probability={"consistent": naming.consistent, "unexplained": naming.unexplained},
         rig_data=wrong, rig_within=within,
         learned=(told.term,) if told is not None and told.term is not None else (),
-        fitted=None if open_end else fitted_of(after), gates=gates)
+        fitted=None if open_end else fitted_of(after), gates=gates, baselines=baselines)
 
 
 def beside_own(experiment: Experiment, naming: Naming, told: Told) -> Naming:

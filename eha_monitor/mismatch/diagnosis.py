@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from eha_monitor.machine.baseline import Baseline
 from eha_monitor.recordings.finding import ChannelFinding
 
 VERDICTS = ("consistent", "mismatch", "unexplained", "insufficient_data")
@@ -301,6 +302,7 @@ class Diagnosis:
     looked_s : of a long recording the models saw so many seconds; 0 where they saw all of it.
     fitted : all numbers behind ``after`` with their joint covariance; None where there are none.
     gates : checks that refused an answer or a member of it, in the order in which they did.
+    baselines : least squares on the balances of each recording, beside which the answer stands.
     """
 
     bags: tuple[str, ...]
@@ -334,3 +336,4 @@ class Diagnosis:
     changes: tuple[Change, ...] = ()
     fitted: Fitted | None = None
     gates: tuple[Gate, ...] = ()
+    baselines: tuple[Baseline, ...] = ()
