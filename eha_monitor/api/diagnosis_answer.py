@@ -154,12 +154,17 @@ def completed(found: Diagnosis, settings: Settings) -> tuple[Settings, list[str]
     if found.verdict == "mismatch" or found.learned:
         changed += _corrected_numbers(found, settings, tree["rig"], missing)
         changed += _named_physics(found, tree, missing)
+        known = [*filter(None, settings.rig.identified.split(", ")),
+                 *(finding.key for finding in found.rig_data),
+                 *(one.name for one in found.effects if one.name in tree["effects"])]
         for name, key in RIG_KEYS.items():
             value = found.after.get(name)
             if value is not None and 0 < value.value < LARGEST:
                 tree["rig"][key] = rounded(value.value)
                 shown = with_uncertainty(value.value, value.stddev, value.unit)
                 changed.append(f"rig.{key}: {shown}")
+                known.append(key)
+        tree["rig"]["identified"] = ", ".join(dict.fromkeys(known))
     return settings_from_tree(tree, "diagnosis"), changed, missing
 
 

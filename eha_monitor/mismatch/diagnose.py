@@ -197,10 +197,10 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
              say: Report, hypothesis: Hypothesis | None, baselines: tuple[Baseline, ...]
              ) -> Diagnosis:
     """Put the answer together."""
-    naming = replace(naming, before=robust(experiment, naming.before),
-                     after=robust(experiment, naming.after))
+    asked, naming = naming, replace(naming, before=robust(experiment, naming.before),
+                                    after=robust(experiment, naming.after))
     verdict, gates = verdict_of(experiment, naming), naming.gates
-    before, after, asked = naming.before, naming.after, naming
+    before, after = naming.before, naming.after
     by_equations = experiment.inverse
     if by_equations:
         closed = balance_show.balances_of(experiment, before, after)

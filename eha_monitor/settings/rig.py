@@ -24,6 +24,9 @@ class Rig(Section):
                                          "diagnostics")
     motion: Literal["linear", "rotary"] = Field(
         "linear", description="rotary: read m as rad, N as N·m, kg as kg·m²")
+    identified: str = Field("", description="numbers of this section, and effects, that "
+                            "recordings determined, comma separated; diagnose --write-config "
+                            "writes it, and exports call only these identified")
     area_1: Si("m²", "piston area of chamber 1", gt=0, optional=True) = 5.05e-4
     area_2: Si("m²", "piston area of chamber 2", gt=0, optional=True) = 5.05e-4
     volume_1: Si("m³", "oil volume of chamber 1 at x = 0, lines included", gt=0,
