@@ -50,8 +50,8 @@ def allowed_end(fit: Fit, f: Free, value: float) -> bool:
         return own.lower == 0.0
     places = [other.place for other in fit.free if other.name.partition(".")[0] == effect
               and other.name.partition(".")[2] in {p.name for p in entry.sizes}]
-    return not entry.contains and any(
-        fit.theta[place] != fit.theta[f.place] for place in places)
+    return own.lower == own.neutral and not entry.contains and any(
+        fit.theta[place] != own.neutral for place in places)
 
 
 def failures(experiment: Experiment, fit: Fit) -> list[Gate]:
