@@ -117,6 +117,7 @@ class Effect:
     rig_check : what to look at on the rig.
     term : compiled ``term(s, p, m, c)``; reads signals ``s``, parameters ``p`` and memory ``m``
         and adds to the contributions ``c`` (indices in :mod:`eha_monitor.physics.signals`).
+    rig_numbers : places of the rig's numbers that stand in ``p`` behind the term's parameters.
     update : compiled ``update(s, p, h, m)``; carries the memory ``m`` over an integration step of
         ``h`` seconds that has ended at the signals ``s``.  A new memory is all zero.
     circuit : compiled ``circuit(p, w)``; adds to the constants ``w`` of drive and sensors.
@@ -142,6 +143,7 @@ class Effect:
     rig_check: str
     starts: Callable[[Ranges], tuple[dict[str, float], ...]]
     term: Callable = no_term
+    rig_numbers: tuple[int, ...] = ()
     update: Callable = no_update
     circuit: Callable = no_circuit
     remembers_place: bool = False

@@ -45,6 +45,8 @@ class Rig(Section):
     charge_pressure: Si("Pa", "absolute pressure of the make-up source", ge=0) = 2e6
     makeup_conductance: Si("m³/(s·Pa)", "laminar path of each chamber to the make-up source, "
                            "included in leakage", ge=0) = 1e-13
+    ambient_pressure: Si("Pa", "absolute pressure of the tank and of the surroundings, where "
+                         "leakage to the outside ends", ge=0) = 101325.0
     sample_time: Si("s", "sample time T_s", gt=0, le=1) = 1e-3
     tolerance: Tolerance = Field(Tolerance(), description="one standard deviation of each value; "
                                                           "diagnose fits it within that without "

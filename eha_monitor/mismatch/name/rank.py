@@ -77,7 +77,9 @@ class Ranking:
             if column.owner not in (ALWAYS, ASTRAY_OWNER):
                 replaces = column.start.replaces if column.start else ""
                 groups.setdefault(Member(column.owner, column.variant, replaces), []).append(i)
-        self.groups = {member: np.array(places) for member, places in groups.items()}
+        for name in named:
+            groups.setdefault(Member(name, -1), [])
+        self.groups = {member: np.array(places, dtype=int) for member, places in groups.items()}
         self.starts: dict[str, int] = {}
         for member in groups:
             if not member.replaces:
@@ -121,10 +123,14 @@ class Ranking:
     def roots(self) -> list[tuple[Member, ...]]:
         """Return the subsets of what the model has, each a set to begin with.
 
-        A limit cannot be taken away by a linear guess: it has no size that goes to nil.
+        A limit cannot be taken away by a linear guess: it has no size that goes to nil.  Nor can
+        what has lost a column, since the model runs away a little beside where it stands.
         """
         have = [Member(name, -1) for name in self.named]
-        kept = tuple(member for member in have if limited(member.owner))
+        lost = {c.name.partition(".")[0] for c in self.what
+                if c.owner == ASTRAY_OWNER and c.variant < 0 and c.size}
+        kept = tuple(member for member in have if limited(member.owner)
+                     or not len(self.groups[member]) or member.owner in lost)
         free = [member for member in have if member not in kept]
         return [tuple(sorted((*kept, *subset))) for k in range(len(free) + 1)
                 for subset in combinations(free, k)]
