@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.breakdown import computing
 from eha_monitor.filters.hold_choice import other_hold, resolved
 from eha_monitor.machine.baseline import Baseline, baseline
@@ -346,7 +347,7 @@ def named_effect(experiment: Experiment, naming: Naming, name: str, tracks: list
 
 def intermittent(naming: Naming) -> NamedEffect:
     """Return a load that comes and goes: somebody pushes, a process load is there at times."""
-    largest = max(naming.loads, key=lambda load: abs(load[2]))[2]
+    largest = ties.best(naming.loads, lambda load: abs(load[2]))[2]
     when = listed([f"{start:.1f}–{stop:.1f} s ({quantity(force, 'N', 2)})"
                    for start, stop, force in naming.loads])
     return NamedEffect(
@@ -378,7 +379,7 @@ def message_of(verdict: str, effects: tuple[NamedEffect, ...], where: Location,
     if verdict == "mismatch":
         return "; ".join([*(finding.statement for finding in wrong),
                           *(effect.statement for effect in effects)])
-    balance = max(where.balance, key=where.balance.get)
+    balance = ties.best(where.balance, where.balance.get)
     return f"the {balance} balance lacks an effect that is not in the catalogue"
 
 
@@ -392,7 +393,7 @@ def considered_of(naming: Naming, test: Tested | None, told: Told | None
         found[test.hypothesis.name] = Considered(test.hypothesis.name, test.gained, (), why)
     best = {*naming.after.named, *(f"rig.{key}" for key in naming.wrong)}
     for names, _, behind in naming.tried:
-        for name in names - best:
+        for name in sorted(names - best):
             plain = name.removeprefix("rig.")
             if plain in found:
                 continue

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import FORCED, OPEN
 from eha_monitor.mismatch.diagnosis import Gate
@@ -27,7 +28,7 @@ from eha_monitor.mismatch.name.columns import runs_of
 from eha_monitor.mismatch.name.gram import evidence_at
 from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.refit import settled
-from eha_monitor.mismatch.name.seen import posterior
+from eha_monitor.mismatch.name.seen import plainness, posterior
 from eha_monitor.mismatch.name.select import Selection, selected
 from eha_monitor.mismatch.name.suspects import is_named
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT, loads_of
@@ -75,7 +76,7 @@ def in_place_of(name: str, best: Names, weights: dict[Names, float]) -> dict[str
     others: dict[str, float] = {}
     for names, weight in weights.items():
         if name not in names and best - {name} <= names:
-            for other in names - best:
+            for other in sorted(names - best):
                 others[other] = others.get(other, 0.0) + weight
     return others
 
@@ -178,9 +179,9 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
     refused = sum(weights.get(names, 0.0) for names in seen.refused)
     weights = {names: weight for names, weight in weights.items() if names not in seen.refused}
     rivals, probability, evidence = {}, {}, {}
-    for name in best:
+    for name in sorted(best):
         stands = in_place_of(name, best, weights)
-        near = [other for other in sorted(stands, key=lambda other: -stands[other])
+        near = [other for other in ties.ordered(stands, stands.__getitem__, str)
                 if stands[other] >= RIVAL and is_named(other)]
         twin = CATALOGUE[name].rig_twin if name in CATALOGUE else next(
             (other for other, entry in CATALOGUE.items()
@@ -213,7 +214,7 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
     probability = {name: value * (1.0 - beyond) for name, value in probability.items()}
     empty = weights.get(frozenset(), 0.0) * (1.0 - beyond)
     unnamed = 1.0 - (1.0 - unnamed) * (1.0 - beyond)
-    order = sorted(scores, key=lambda names: -scores[names])
+    order = ties.ordered(scores, lambda names: scores[names], plainness, ties.GUESS)
     return Naming(
         experiment, before, replace(after, named=tuple(n for n in after.named if n in CATALOGUE)),
         tuple(name.removeprefix("rig.") for name in after.named if name.startswith("rig.")),

@@ -1,10 +1,11 @@
 """Every set that was refitted, what its evidence counts, and the probability of each."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import Gate
 from eha_monitor.mismatch.likelihood.fit import Fit
@@ -16,7 +17,6 @@ from eha_monitor.mismatch.name.suspects import is_named, kin
 
 Names = frozenset[str]
 PURSUED = 1.0  # log units of score: where less is gained the search does not go on
-NO_MORE = 0.5  # log units: a fit that is better by less is the same fit
 
 
 @dataclass
@@ -48,9 +48,9 @@ class Seen:
         if not np.isfinite(value):
             return
         if names and impossible(fit):
-            if value > self.stations.get(names, (None, -np.inf))[1] + NO_MORE:
+            if value > self.stations.get(names, (None, -np.inf))[1] + ties.SAME_FIT:
                 self.stations[names] = fit, value
-        elif anyway or value > self.evidence.get(names, -np.inf) + NO_MORE:
+        elif anyway or value > self.evidence.get(names, -np.inf) + ties.SAME_FIT:
             self.fits[names], self.evidence[names] = fit, value
             self.left[names] = discrepancy(experiment, fit)
 
@@ -60,8 +60,12 @@ class Seen:
 
     def floor(self) -> float:
         """Return the evidence of a model that needs no unknowns, as far as it is known."""
-        best = max(self.evidence, key=self.evidence.get)
+        best = self.likeliest(self.evidence)
         return self.evidence[best] + self.left[best]
+
+    def likeliest(self, sets: Iterable[Names]) -> Names:
+        """Return the set with the highest evidence, the plainest of equals."""
+        return ties.best(sets, self.evidence.get, plainness, ties.SAME_FIT)
 
     def score(self, evidence: float, prior: float) -> float:
         """Return what an evidence counts, log units: see :func:`counted`."""
@@ -80,7 +84,7 @@ class Seen:
         """
         if not self.inverse:
             return TEMPER
-        best = self.fits[max(self.evidence, key=self.evidence.get)]
+        best = self.fits[self.likeliest(self.evidence)]
         return 1.0 / float(np.mean([lasting(column[np.isfinite(column)])
                                     for column in best.e.T]))
 
@@ -113,16 +117,17 @@ class Seen:
             rest = names - family
             with_one = [some for some in self.evidence
                         if some - family == rest and len(some & family) == 1]
-            best = max(with_one, key=self.evidence.get, default=names)
+            best = self.likeliest(with_one) if with_one else names
             without = max((known for some, known in self.evidence.items() if some <= rest),
                           default=self.evidence[best])
             found.append((best, FORM_OF_LAW * (self.evidence[best] - without)))
         return found
 
     def best(self) -> Names:
-        """Return the set with the highest score, of those that no gate has refused."""
-        scores = self.scores()
-        return max((names for names in scores if names not in self.refused), key=scores.get)
+        """Return the plainest of the best sets, of those that no gate has refused."""
+        scores = {names: score for names, score in self.scores().items()
+                  if names not in self.refused}
+        return ties.best(scores, scores.get, plainness, self.power() * ties.SAME_FIT)
 
     def ahead(self, done: dict[Names, float], enough: float) -> tuple[Names, Fit] | None:
         """Return the model where the search goes on; None where it has been everywhere.
@@ -140,13 +145,19 @@ class Seen:
                  if names == best or all(one == names for one, _ in self.laws_of(names))}
         every = {**known, **{names: item for names, item in self.stations.items()
                              if item[1] > self.evidence.get(names, -np.inf)}}
-        highest = max(every, key=lambda names: every[names][1] + prior_of(names))
+        highest = ties.best(every, lambda names: every[names][1] + prior_of(names), plainness,
+                            ties.SAME_FIT)
         went = max(done.values(), default=-np.inf)
         for names, (fit, value) in ((highest, every[highest]), (best, known[best])):
             if value > done.get(names, -np.inf) + enough and (
                     names == best or self.pursued(value, went)):
                 return names, fit
         return None
+
+
+def plainness(names: Names) -> tuple[int, float, list[str]]:
+    """Return the key that puts the plainest set first: few members, common ones, by name."""
+    return len(names), -prior_of(names), sorted(names)
 
 
 def counted(left: float) -> float:

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment, resolving
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.name.base import limits_of, needs, with_effect, without_effect
@@ -31,6 +32,7 @@ from eha_monitor.mismatch.name.seen import (
     Names,
     Seen,
     evidence_at_start,
+    plainness,
 )
 from eha_monitor.mismatch.name.starts import possible, sharing, starts_of
 from eha_monitor.mismatch.name.suspects import is_effect, simple_kin
@@ -104,8 +106,7 @@ def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], seen: 
             return made
         # The guess is ranked by the innovations that a filter expects, the fit by those it has: a
         # model is not judged under unknowns that suit it less than those it came from.
-        return max(made, with_unknowns(experiment, made, view.fit.unknowns),
-                   key=lambda fit: fit.log_likelihood)
+        return likelier(made, with_unknowns(experiment, made, view.fit.unknowns))
 
     own = view.own
     if own is not None and not view.here and chosen[0].evidence < own.evidence + CLOSE:
@@ -115,13 +116,19 @@ def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], seen: 
     looks = [made for made in spread(quick, chosen) if np.isfinite(made.log_likelihood)]
     if not looks:
         return
-    looks.sort(key=lambda made: -made.log_likelihood)
+    looks = ties.ordered(looks, lambda made: made.log_likelihood,
+                         lambda made: plainness(frozenset(made.named)), ties.GUESS)
     reach = looks[0].log_likelihood
     base = min(looks[-1].log_likelihood, view.fit.log_likelihood)
     going = [made for made in looks
              if made.log_likelihood >= base + CATCHING_UP * (reach - base)][:MOST_GOING]
     for made in spread(lambda made: settled(experiment, made, view.slopes), going):
         seen.add(experiment, frozenset(made.named), made)
+
+
+def likelier(fit: Fit, other: Fit) -> Fit:
+    """Return the likelier of two fits of one set, the first where they are the same fit."""
+    return ties.best((fit, other), lambda one: one.log_likelihood, within=ties.GUESS)
 
 
 def held(experiment: Experiment, view: Linearised, seen: Seen) -> None:
@@ -229,7 +236,7 @@ def far_off(experiment: Experiment, first: Fit, seen: Seen) -> Fit | None:
             theta = experiment.theta.copy()
             theta[f.place] *= np.exp(step)
             found.append(with_unknowns(experiment, replace(first, theta=theta), first.unknowns))
-    best = max(found, key=lambda fit: fit.log_likelihood, default=first)
+    best = ties.best(found or [first], lambda fit: fit.log_likelihood, within=ties.GUESS)
     return best if best.log_likelihood > first.log_likelihood else None
 
 
@@ -353,7 +360,7 @@ def without_each(experiment: Experiment, seen: Seen) -> None:
     told = None
     while told != (best := seen.best()):
         told, fit = best, seen.fits[best]
-        for name in best if len(best) > 1 else ():
+        for name in sorted(best) if len(best) > 1 else ():
             seen.add(experiment, best - {name}, settled(
                 experiment, lesser(experiment, fit, name), worth=fit.log_likelihood - CLOSE))
 
@@ -396,19 +403,19 @@ def finish(experiment: Experiment, seen: Seen) -> None:
     without_each(experiment, seen)
     best = seen.best()
     lead = seen.fits[best]
-    for name in filter(is_effect, best):  # a law of the family as simple, from the same place
-        for other in {*CATALOGUE[name].contains, *simple_kin(name)}:
+    for name in filter(is_effect, sorted(best)):  # a law as simple, from the same place
+        for other in sorted({*CATALOGUE[name].contains, *simple_kin(name)}):
             if possible(other, experiment) and best - {name} | {other} not in seen.fits:
                 seen.add(experiment, best - {name} | {other}, settled(
                     experiment, simplified(experiment, lead, name, other),
                     worth=lead.log_likelihood - CLOSE))
     scores, best = seen.scores(), seen.best()
-    near = [names for names in sorted(scores, key=lambda names: -scores[names])
+    near = [names for names in ties.ordered(scores, scores.get, plainness, ties.GUESS)
             if scores[names] > scores[best] - WITHIN_REACH][:FINALISTS]
     if frozenset() not in near and scores[frozenset()] > scores[best] - WITHIN_REACH:
         near.append(frozenset())  # that nothing is missing is never judged by half a fit
     level = seen.fits[best].unknowns
-    lead = seen.fits[max(near, key=seen.evidence.get)]
+    lead = seen.fits[seen.likeliest(near)]
     worth = lead.log_likelihood - CLOSE
 
     def ended(names: frozenset[str]) -> Fit:
@@ -421,7 +428,7 @@ def finish(experiment: Experiment, seen: Seen) -> None:
         if other is None:
             return whole
         other = settled(experiment, with_unknowns(experiment, other, level), worth=worth)
-        return max(whole, other, key=lambda one: one.log_likelihood)
+        return likelier(whole, other)
 
     for names, fit in zip(near, spread(ended, near), strict=True):
         seen.add(experiment, names, fit)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import RigFinding, Value
 from eha_monitor.mismatch.likelihood.fit import Fit
@@ -12,6 +13,7 @@ from eha_monitor.mismatch.name.refit import INFORMED
 from eha_monitor.quantity import side_by_side
 
 OTHER = 3.0  # standard deviations between the recording and the config: it is another number
+SHOWN = 1e-3  # of a probability: what is closer reads the same, and stands as in the config
 NOTABLE = 0.5  # of the tolerance: what is less is no news to anybody
 
 
@@ -23,7 +25,7 @@ def rig_findings(experiment: Experiment, naming: Naming) -> tuple[RigFinding, ..
         found.append(RigFinding(
             key, configured, value, naming.probability.get(f"rig.{key}", np.nan), words,
             naming.rivals.get(f"rig.{key}", ())))
-    return tuple(sorted(found, key=lambda finding: -finding.probability))
+    return tuple(ties.ordered(found, lambda finding: finding.probability, within=SHOWN))
 
 
 def rig_within(experiment: Experiment, naming: Naming) -> tuple[RigFinding, ...]:
