@@ -311,7 +311,7 @@ def lesser(experiment: Experiment, fit: Fit, name: str) -> Fit:
             free=tuple(own if f.name == name else f for f in fit.free)))
 
     here, along = at_level(experiment, bare(fit.theta)), bare(without_along(fit, name))
-    return max(here, along, key=lambda one: one.log_likelihood)
+    return ties.best((here, along), lambda one: one.log_likelihood, within=ties.SAME_FIT)
 
 
 def without_along(fit: Fit, name: str) -> np.ndarray:
