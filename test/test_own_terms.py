@@ -70,12 +70,16 @@ def test_an_expression_is_what_python_makes_of_it(text):
 
 
 @pytest.mark.parametrize("text", [
-    "max(x, angle/angle)", "max(angle/angle, x)", "min(x, angle/angle)", "min(angle/angle, x)",
-    "sign(angle/angle)", "exp(angle/angle)", "abs(max(0, sqrt(-x)))"])
+    "max(v, sqrt(-x))", "max(sqrt(-x), v)", "min(v, sqrt(-x))", "min(sqrt(-x), v)",
+    "sign(sqrt(-x))", "exp(sqrt(-x))", "abs(max(0, sqrt(-x)))"])
 def test_what_is_no_number_stays_none_wherever_it_stands(text):
-    still = ROW.copy()
-    still[s.T] = 0.0  # the angle is 0
-    assert math.isnan(added({"adds": "force", "expression": text}, still)[s.FORCE])
+    assert math.isnan(value_of(text))
+
+
+@pytest.mark.parametrize("text", ["max(angle, angle/angle)", "min(angle/angle, 1)"])
+def test_what_is_no_number_at_rest_is_refused(text):
+    with pytest.raises(ValueError, match="is no number at rest"):
+        value_of(text)
 
 
 LEAVES = st.one_of(st.sampled_from(sorted(SIGNALS)), st.floats(
