@@ -124,6 +124,8 @@ class Effect:
     contains : simpler effects that are a special case of this one.
     family : effects of one family explain one another's errors of form ("dry" friction, the flow
         through a "gap"); two of them are named only where the second one is large.
+    mimics : family whose errors of form it takes up; beside a law of that family it is named only
+        where it is large.
     rig_twin : number of the rig that does the same when it is wrong: one cannot be told from the
         other.
     rarity : the larger, the less common on rigs; decides where a recording cannot.
@@ -145,6 +147,7 @@ class Effect:
     remembers_place: bool = False
     contains: tuple[str, ...] = ()
     family: str = ""
+    mimics: str = ""
     rig_twin: str = ""
     rarity: int = 1
 
