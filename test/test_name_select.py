@@ -346,6 +346,14 @@ def test_what_stands_in_a_name_s_place_is_counted_beside_all_the_others():
     assert in_place_of("drive_lag", best, weights) == {}
 
 
+def test_friction_by_direction_stands_in_the_place_of_a_load_beside_dry_friction():
+    load = frozenset({"coulomb_friction", "constant_load"})
+    weights = {load: 0.6, frozenset({"asymmetric_friction"}): 0.4}
+    assert in_place_of("constant_load", load, weights) == {"asymmetric_friction": 0.4}
+    assert in_place_of("asymmetric_friction", frozenset({"asymmetric_friction"}), weights) == {
+        "coulomb_friction": 0.6, "constant_load": 0.6}
+
+
 # ---- where the search goes on -------------------------------------------------------------------
 
 

@@ -63,18 +63,25 @@ def seal(r, p, steady, z):
         return {s.FORCE: steady}
     rest = steady * np.exp(-np.abs(r.x) / z)
     damping = p["t_1"] * np.exp(-((r.v / p["v_d"]) ** 2))
-    return {s.FORCE: steady - rest + damping * np.abs(r.v) / z * rest}
+    return {s.FORCE: steady - rest + damping * np.abs(r.v) / max(z, 1e-6) * rest}
+
+
+def sense(r, p):
+    """Return the sign of the velocity, smoothed: a tanh, and a share w of a slower one."""
+    return (1 - p["w"]) * np.tanh(r.v / p["v_e"]) + p["w"] / (p["v_e"] + np.abs(r.v)) * r.v
 
 
 def stribeck(r, p):
-    g = p["F_c"] + p["F_d"] * np.exp(-(r.v**2) / p["v_s"] ** 2)
-    return seal(r, p, g * np.tanh(r.v / p["v_e"]), p["z_0"] * g / (p["F_c"] + p["F_d"]))
+    fall = np.exp(-np.exp(p["delta"] * np.log(max(abs(r.v), 1e-99) / p["v_s"])))
+    tail = p["v_s"] ** 2 / (p["v_s"] ** 2 + r.v**2)
+    g = p["F_c"] + p["F_d"] * ((1 - p["h"]) * fall + p["h"] * tail)
+    return seal(r, p, g * sense(r, p), p["z_0"] * g / (p["F_c"] + p["F_d"]))
 
 
 def asymmetric(r, p):
     forwards = r.v > 0 or (r.v == 0 and not np.signbit(r.v))
     level = p["F_c"] + p["dF"] if forwards else p["F_c"] - p["dF"]
-    found = seal(r, p, level * np.tanh(r.v / p["v_e"]),
+    found = seal(r, p, level * sense(r, p),
                  p["z_0"] * level / max(p["F_c"] + p["dF"], p["F_c"] - p["dF"]))
     return {s.FORCE: found[s.FORCE] + p["dB"] * np.hypot(r.v, 0)}
 
@@ -82,22 +89,25 @@ def asymmetric(r, p):
 # Terms of a motion with a new memory; z_0 = 0: the sign turns at once.
 TERMS = {
     "coulomb_friction": (
-        lambda r, p: seal(r, p, p["F_c"] * np.tanh(r.v / p["v_e"]), p["z_0"]),
-        {"F_c": 12.0, "v_e": 2e-3, "z_0": 1e-5, "t_1": 2e-4, "v_d": 0.1}),
+        lambda r, p: seal(r, p, p["F_c"] * sense(r, p), p["z_0"]),
+        {"F_c": 12.0, "v_e": 2e-3, "z_0": 1e-5, "t_1": 2e-4, "v_d": 0.1,
+         "w": 0.3}),
     "presliding_friction": (
-        lambda r, p: seal(r, p, p["F_c"] * np.tanh(r.v / p["v_e"]), p["z_0"]),
-        {"F_c": 12.0, "v_e": 2e-3, "z_0": 9e-4, "t_1": 0.0, "v_d": 5e-3}),
+        lambda r, p: seal(r, p, p["F_c"] * sense(r, p), p["z_0"]),
+        {"F_c": 12.0, "v_e": 2e-3, "z_0": 9e-4, "t_1": 0.0, "v_d": 5e-3,
+         "w": 0.0}),
     "stribeck_friction": (
         stribeck, {"F_c": 7.0, "F_d": 11.0, "v_s": 4e-3, "v_e": 1e-3, "z_0": 9e-6, "t_1": 1e-4,
-                   "v_d": 0.05}),
+                   "v_d": 0.05, "delta": 0.8, "w": 0.6,
+                   "h": 0.4}),
     "quadratic_friction": (
         lambda r, p: {s.FORCE: p["a_1"] * np.sign(r.v) * r.v**2}, {"a_1": 8000.0}),
     "asymmetric_friction": (
         asymmetric, {"F_c": 9.0, "dF": -5.0, "dB": -70.0, "v_e": 1e-3, "z_0": 9e-6, "t_1": 1e-4,
-                     "v_d": 0.05}),
+                     "v_d": 0.05, "w": 1.0}),
     "pressure_friction": (
-        lambda r, p: seal(r, p, p["mu"] * (r.p1 + r.p2) * np.tanh(r.v / p["v_e"]), p["z_0"]),
-        {"mu": 3e-6, "v_e": 1e-3, "z_0": 0.0, "t_1": 1e-4, "v_d": 5e-3}),
+        lambda r, p: seal(r, p, p["mu"] * (r.p1 + r.p2) * sense(r, p), p["z_0"]),
+        {"mu": 3e-6, "v_e": 1e-3, "z_0": 0.0, "t_1": 1e-4, "v_d": 5e-3, "w": 0.5}),
     "constant_load": (lambda r, p: {s.FORCE: p["F_0"]}, {"F_0": -33.0}),
     "spring_load": (lambda r, p: {s.FORCE: p["k"] * r.x - p["k"] * p["x_0"]},
                     {"k": 900.0, "x_0": 0.004}),

@@ -246,6 +246,17 @@ def first_force(effect, values, x, v):
     return c[s.FORCE]
 
 
+@pytest.mark.parametrize("dF", [-25.0, -9.0, 0.0, 4.0, 25.0])
+@pytest.mark.parametrize("v", [-0.05, -1e-4, 1e-4, 0.05])
+def test_friction_that_differs_by_direction_never_drives(dF, v):
+    """Dry friction dissipates, whatever is fitted; beyond |dF| = F_c it would be a load."""
+    force = first_force("asymmetric_friction", {
+        "F_c": 9.0, "dF": dF, "dB": 0.0, "v_e": 1e-5, "z_0": 0.0}, 0.0, v)
+    most = max(9.0 + math.copysign(1.0, v) * dF, 0.0)
+    assert force * v >= 0.0
+    assert force == pytest.approx(math.copysign(most, v), rel=1e-6, abs=1e-12)
+
+
 @pytest.mark.parametrize("effect, values, most", [
     ("stribeck_friction", {"F_c": 7.0, "F_d": 11.0, "v_s": 5e-3}, 18.0),
     ("asymmetric_friction", {"F_c": 9.0, "dF": 5.0, "dB": 0.0}, 14.0),

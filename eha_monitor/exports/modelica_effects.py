@@ -8,7 +8,7 @@ equations in :mod:`eha_monitor.exports.modelica`.  A test holds each to the comp
 
 from dataclasses import dataclass, field
 
-_SIGN = "tanh(v/{v_e})"
+_SIGN = "((1 - {w})*tanh(v/{v_e}) + {w}*v/({v_e} + abs(v)))"
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,8 @@ def dry(law: str, deflection: str = "{z_0}", beside: str = "") -> Written:
     beside : what it adds besides.
     """
     return Written(
-        {"force": "({self}_bent + {t_1}*exp(-(v/{v_d})^2)*der({self}_bent))" + beside},
+        {"force": "({self}_bent + {t_1}*min(" + deflection + "/1e-6, 1)*exp(-(v/{v_d})^2)"
+         "*der({self}_bent))" + beside},
         {"{self}_steady": "", "{self}_bent": "0"},
         ("{self}_steady = " + law,
          "der({self}_bent) = abs(v)/max(" + deflection + ", 1e-12)*({self}_steady - {self}_bent)"))
@@ -53,8 +54,10 @@ def across(flow: str) -> Written:
 
 
 _COULOMB = "{F_c}*" + _SIGN
-_STRIBECK = "({F_c} + {F_d}*exp(-(v/{v_s})^2))"
-_ASYMMETRIC = "{F_c}*" + _SIGN + " + {dF}*abs(" + _SIGN + ")"
+_STRIBECK = ("({F_c} + {F_d}*((1 - {h})*exp(-(abs(v)/{v_s})^{delta})"
+             " + {h}/(1 + (v/{v_s})^2)))")
+_LEVEL = "max({F_c} + (if v < 0 then -1 else 1)*{dF}, 0)"
+_ASYMMETRIC = _LEVEL + "*" + _SIGN
 _BY_PRESSURE = "{mu}*max(p1 + p2, 0)*" + _SIGN
 _AIR = ("{{alpha}}/({{n}}*max({p}, 5066.25))*(101325/max({p}, 5066.25))^(1/{{n}})")
 
@@ -64,7 +67,7 @@ EFFECTS: dict[str, Written | tuple[Written, Written]] = {
     "anti_cavitation": Written({"flow_1": "{k}*max({p_min} - p1, 0)",
                                 "flow_2": "{k}*max({p_min} - p2, 0)"}),
     "asymmetric_friction": (
-        dry(_ASYMMETRIC, "{z_0}*abs({F_c} + sign(v)*{dF})/({F_c} + abs({dF}))", " + {dB}*abs(v)"),
+        dry(_ASYMMETRIC, "{z_0}*" + _LEVEL + "/({F_c} + abs({dF}))", " + {dB}*abs(v)"),
         rigid(_ASYMMETRIC, " + {dB}*abs(v)")),
     "constant_load": Written({"force": "{F_0}"}),
     "coulomb_friction": (dry(_COULOMB), rigid(_COULOMB)),

@@ -127,6 +127,8 @@ class Effect:
         through a "gap"); two of them are named only where the second one is large.
     passive : what it takes power from, ``motion`` (friction) or ``pressure`` (a leak), or "": one
         that would give power instead is no such effect.
+    mimics : family whose errors of form it takes up; beside a law of that family it is named only
+        where it is large.
     rig_twin : number of the rig that does the same when it is wrong: one cannot be told from the
         other.
     rarity : the larger, the less common on rigs; decides where a recording cannot.
@@ -150,6 +152,7 @@ class Effect:
     contains: tuple[str, ...] = ()
     family: str = ""
     passive: str = ""
+    mimics: str = ""
     rig_twin: str = ""
     rarity: int = 1
 

@@ -25,7 +25,7 @@ N_CONTRIBUTIONS = 9
 (AREA_1, AREA_2, VOL_1, VOL_2, M, B, BETA_E, C_T, D_P, K_POS, P_CHARGE, G_MAKEUP,
  P_AMBIENT) = range(13)
 N_BASE = 13
-MAX_PARAMETERS = 7
+MAX_PARAMETERS = 10
 
 # Memory of an effect that remembers: so many numbers each.
 MAX_MEMORY = 2

@@ -30,7 +30,7 @@ from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.mismatch.name.seen import plainness, posterior
 from eha_monitor.mismatch.name.select import Selection, selected
-from eha_monitor.mismatch.name.suspects import is_named
+from eha_monitor.mismatch.name.suspects import is_named, kin
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT, loads_of
 from eha_monitor.physics.effects import CATALOGUE
 
@@ -72,10 +72,15 @@ class Naming:
 
 
 def in_place_of(name: str, best: Names, weights: dict[Names, float]) -> dict[str, float]:
-    """Return what stands for a name in sets that have all the others of the best one."""
+    """Return what stands for a name in sets that have all the others of the best one.
+
+    A law of the same family stands for one of them: friction that differs by direction is Coulomb
+    friction in the place of a constant load.
+    """
     others: dict[str, float] = {}
     for names, weight in weights.items():
-        if name not in names and best - {name} <= names:
+        if name not in names and all(one in names or names & set(kin(one))
+                                     for one in best - {name}):
             for other in sorted(names - best):
                 others[other] = others.get(other, 0.0) + weight
     return others
@@ -189,7 +194,8 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
         if twin and twin not in near and f"rig.{twin}" not in near:
             near.append(twin)
         rivals[name] = tuple(dict.fromkeys(other.removeprefix("rig.") for other in near))
-        held = {name, *near, *(f"rig.{other}" for other in near)}
+        # Laws of one family are one claim: which of them it is, the curve says, not the name.
+        held = {name, *near, *(f"rig.{other}" for other in near), *(set(kin(name)) - best)}
         probability[name] = float(sum(
             weight for names, weight in weights.items() if held & names and all(
                 is_named(other) or other == INTERMITTENT for other in names)))

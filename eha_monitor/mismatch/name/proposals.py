@@ -23,7 +23,7 @@ from eha_monitor.mismatch.name.seen import (
     plainness,
     posterior,
 )
-from eha_monitor.mismatch.name.suspects import is_named, kin
+from eha_monitor.mismatch.name.suspects import form_kin, is_named, kin
 from eha_monitor.physics.effects import CATALOGUE
 
 HANDFUL = 4  # sets that are refitted at a linearisation
@@ -107,8 +107,8 @@ def beyond_one_law(found: list[Ranked], here: Names) -> list[Ranked]:
     explained: dict[Names, float] = {}
     for names, evidence in known.items():
         for law in names:
-            if kin(law) and names - {law} in known and not names & set(kin(law)):
-                family = frozenset((law, *kin(law)))
+            if kin(law) and names - {law} in known and not names & set(form_kin(law)):
+                family = frozenset((law, *form_kin(law)))
                 explained[family] = max(evidence - known[names - {law}],
                                         explained.get(family, 0.0))
     counted = []

@@ -13,7 +13,7 @@ from eha_monitor.mismatch.name.acceptance import FORM, FORM_OF_LAW, RIVAL, TEMPE
 from eha_monitor.mismatch.name.gram import lasting
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.refit import discrepancy, evidence_of, impossible, prior_of
-from eha_monitor.mismatch.name.suspects import is_named, kin
+from eha_monitor.mismatch.name.suspects import form_kin, is_named, kin
 
 Names = frozenset[str]
 PURSUED = 1.0  # log units of score: where less is gained the search does not go on
@@ -112,7 +112,7 @@ class Seen:
         With it comes how many log units may be form error of that law.
         """
         found = []
-        for family in dict.fromkeys(frozenset((law, *kin(law))) for law in sorted(names)
+        for family in dict.fromkeys(frozenset((law, *form_kin(law))) for law in sorted(names)
                                     if kin(law)):
             rest = names - family
             with_one = [some for some in self.evidence

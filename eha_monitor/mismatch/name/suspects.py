@@ -20,6 +20,13 @@ def kin(name: str) -> list[str]:
             if family and entry.family == family and other != name]
 
 
+def form_kin(name: str) -> list[str]:
+    """Return the other effects that take up errors of form of an effect's family."""
+    family = CATALOGUE[name].family if name in CATALOGUE else ""
+    return [other for other, entry in CATALOGUE.items()
+            if family and family in (entry.family, entry.mimics) and other != name]
+
+
 def simple_kin(name: str) -> list[str]:
     """Return the other effects of an effect's family that have one size."""
     return [other for other in kin(name) if len(CATALOGUE[other].sizes) == 1]

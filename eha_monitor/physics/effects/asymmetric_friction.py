@@ -11,6 +11,7 @@ from eha_monitor.physics.dry_friction import (
     V_D,
     V_E,
     Z_0,
+    W,
     dry_force,
     remember,
     sliding,
@@ -20,19 +21,16 @@ from eha_monitor.physics.signals import FORCE, V
 
 
 @njit(forceinline=True)
-def steady(s, p):
-    """Return F_c s + dF |s|, N."""
-    sign = sliding(s, p[3])
-    return p[0] * sign + p[1] * abs(sign)
+def level(s, p):
+    """Return the dry friction in this direction, N: it brakes in both, and drives in none."""
+    return max(p[0] + math.copysign(p[1], s[V]), 0.0)
 
 
 @njit(forceinline=True)
 def deflection(s, p):
     """Return the deflection at which the seal slides this way, m; its stiffness is one."""
     most = p[0] + abs(p[1])
-    if most <= 0.0:
-        return 0.0
-    return p[4] * abs(p[0] + math.copysign(1.0, s[V]) * p[1]) / most
+    return p[4] * level(s, p) / most if most > 0.0 else 0.0
 
 
 @njit
@@ -41,19 +39,20 @@ def term(s, p, m, c):
 
     In positive motion F_c + dF and B + dB act, in negative motion F_c - dF and B - dB.
     """
-    c[FORCE] += dry_force(s, steady(s, p), deflection(s, p), p[5], p[6], m) + p[2] * abs(s[V])
+    c[FORCE] += p[2] * abs(s[V]) + dry_force(
+        s, level(s, p) * sliding(s, p[3], p[7]), deflection(s, p), p[5], p[6], m)
 
 
 @njit
 def update(s, p, h, m):
     """Remember the seal."""
-    remember(s, steady(s, p), deflection(s, p), m)
+    remember(s, level(s, p) * sliding(s, p[3], p[7]), deflection(s, p), m)
 
 
 EFFECT = Effect(
     name="asymmetric_friction",
     balance="force",
-    equation=f"F_steady = F_c s + dF |s|, beside dB |v|;  {EQUATION}",
+    equation=f"F_steady = max(F_c + dF sgn v, 0) s, beside dB |v|;  {EQUATION}",
     source=f"Armstrong-Helouvry 1991, Sec. 2.3, other friction by direction; {SOURCE}",
     parameters=(
         Parameter("F_c", "N", "mean dry friction of both directions", 0.0, 1e6, 20.0),
@@ -65,6 +64,7 @@ EFFECT = Effect(
         Z_0,
         T_1,
         V_D,
+        W,
     ),
     term=term,
     update=update,
@@ -78,4 +78,5 @@ EFFECT = Effect(
     remembers_place=True,
     family="dry",
     passive="motion",
+    rarity=10,  # no likelier than Coulomb friction and a constant load, which do the same
 )

@@ -8,6 +8,7 @@ from eha_monitor.physics.dry_friction import (
     T_1,
     V_D,
     V_E,
+    W,
     dry_force,
     remember,
     sliding,
@@ -19,13 +20,13 @@ from eha_monitor.physics.signals import FORCE
 @njit
 def term(s, p, m, c):
     """Add F_c against the motion."""
-    c[FORCE] += dry_force(s, p[0] * sliding(s, p[1]), p[2], p[3], p[4], m)
+    c[FORCE] += dry_force(s, p[0] * sliding(s, p[1], p[5]), p[2], p[3], p[4], m)
 
 
 @njit
 def update(s, p, h, m):
     """Remember the seal."""
-    remember(s, p[0] * sliding(s, p[1]), p[2], m)
+    remember(s, p[0] * sliding(s, p[1], p[5]), p[2], m)
 
 
 EFFECT = Effect(
@@ -40,6 +41,7 @@ EFFECT = Effect(
                   0.0),
         T_1,
         V_D,
+        W,
     ),
     term=term,
     update=update,

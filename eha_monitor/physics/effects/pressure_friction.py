@@ -8,6 +8,7 @@ from eha_monitor.physics.dry_friction import (
     T_1,
     V_D,
     V_E,
+    W,
     dry_force,
     remember,
     sliding,
@@ -19,7 +20,7 @@ from eha_monitor.physics.signals import FORCE, P1, P2
 @njit(forceinline=True)
 def steady(s, p):
     """Return mu (p1 + p2) against the motion, N; a pressure below zero presses on nothing."""
-    return p[0] * max(s[P1] + s[P2], 0.0) * sliding(s, p[1])
+    return p[0] * max(s[P1] + s[P2], 0.0) * sliding(s, p[1], p[5])
 
 
 @njit
@@ -47,6 +48,7 @@ EFFECT = Effect(
                   0.0),
         T_1,
         V_D,
+        W,
     ),
     term=term,
     update=update,

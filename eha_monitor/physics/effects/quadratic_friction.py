@@ -25,4 +25,5 @@ EFFECT = Effect(
     "must be four times as large.",
     starts=lambda r: ({"a_1": 0.01 * r.force / max(r.speed, 1e-6) ** 2},),
     passive="motion",
+    mimics="dry",  # the tail of a Stribeck drop, B given a little less
 )
