@@ -225,9 +225,9 @@ def learned_of(experiment: Experiment, naming: Naming) -> Learned | None:
         if one[0] > ahead.get(one[2].form, (-np.inf,))[0]:
             ahead[one[2].form] = one
     going = sorted(ahead.values(), key=lambda one: -one[0])[:GOING]
-    found = spread(lambda one: as_fine(experiment, fitted(
-        experiment, one[1], which, one[2], KNOTS, without)), going)
+    found = spread(lambda one: fitted(experiment, one[1], which, one[2], KNOTS, without), going)
     best = max(found, key=lambda one: one.evidence, default=None)
+    best = as_fine(experiment, best) if best is not None else None  # costs most: of the best only
     if best is None or not best.gained > 0.0:
         return None
     fit = alone(experiment, best.fit)
