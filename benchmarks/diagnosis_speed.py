@@ -1,6 +1,7 @@
 """What ``diagnose`` costs, start included, beside one scipy simulation fit per candidate.
 
     python benchmarks/diagnosis_speed.py [--runs N] [--candidates K] [--quick] [--lengths S ...]
+    python benchmarks/diagnosis_speed.py --draws N [--seed S]
 
 Wall time, processor time and memory of a process, and how often the filter ran: plain runs, and
 passes that carry tangents of many parameters side by side.  The recordings are made of 6 s
@@ -11,19 +12,31 @@ The rival search lets the same compiled simulation run free over the whole recor
 beta_e and the candidate's parameters to all channels by ``scipy.optimize.least_squares``, once for
 each entry of the catalogue; it is run on K entries and the rest is extrapolated, which the table
 says.
+
+With ``--draws`` nothing of that, but N concealed draws of each kind in :data:`KINDS`, 24 s each on
+drawn rigs whose configs are exact, within their tolerances or off in one number: seconds of
+processor of a process that reads and diagnoses, median and worst of each kind, with the filter's
+runs and what was named, beside how many plain filterpy steps the same processor takes in a second
+before, between and after.
 """
 
 import argparse
+import json
 import os
+import resource
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+
+if TYPE_CHECKING:
+    from eha_monitor.mismatch.diagnosis import Diagnosis
 
 LENGTHS = (12, 24, 48)  # s
 # What is concealed -> effects, and what 24 s of it may take on two cores: s, filter runs.
@@ -33,6 +46,17 @@ SETS = {
     "three effects": ((("coulomb_friction", 1.0), ("pump_volumetric_loss", 1.0),
                        ("position_delay", 1.0)), 10.0, 400),
 }
+# Kind of draw -> (concealed effects: of which ``dry`` is a law of dry friction; recordings).
+KINDS = {
+    "clean": ((), 1),
+    "one effect": (("any",), 1),
+    "dry friction": (("dry",), 1),
+    "dry friction beside another": (("dry", "any"), 1),
+    "outside the catalogue": (("outside",), 1),
+    "two recordings": (("dry", "any"), 2),
+}
+MEDIAN, WORST = 10.0, 30.0  # s of processor that a draw may take
+STEPS = 4000  # of filterpy, by which the processor is measured
 ONE = "dry friction"
 MOST_RUNS = 60  # simulations with all slopes that a rival fit may take
 FIRST = ("coulomb_friction", "quadratic_friction", "added_mass", "cross_port_leakage",
@@ -71,8 +95,8 @@ def spent(bag: Path, config: Path) -> tuple[float, float, float]:
             usage.ru_maxrss / 1024.0)
 
 
-def filter_runs(bag: Path, config: Path) -> tuple[int, int]:
-    """Return how often the filter ran, and how many passes carried tangents."""
+def filter_runs(bags: list[Path], config: Path) -> tuple[int, int, "Diagnosis"]:
+    """Return how often the filter ran, how many passes carried tangents, and the answer."""
     from eha_monitor.mismatch.diagnose import diagnose
     from eha_monitor.mismatch.likelihood import fit, tangents
     from eha_monitor.mismatch.name import columns, polish
@@ -93,11 +117,90 @@ def filter_runs(bag: Path, config: Path) -> tuple[int, int]:
         for module in modules:
             setattr(module, name, counting(name, function))
     settings = load_settings(config)
-    diagnose([read_recording(bag, settings)], settings)
+    found = diagnose([read_recording(bag, settings) for bag in bags], settings)
     for name, function, modules in places:
         for module in modules:
             setattr(module, name, function)
-    return counts["filtered"], counts["along"]
+    return counts["filtered"], counts["along"], found
+
+
+def filterpy_rate() -> float:
+    """Return plain filterpy steps in a second of processor: four states, one sensor."""
+    from filterpy.kalman import KalmanFilter
+
+    plain = KalmanFilter(dim_x=4, dim_z=1)
+    plain.F, plain.H = np.eye(4) + 1e-3 * np.eye(4, k=1), np.eye(1, 4)
+    started = time.process_time()
+    for _ in range(STEPS):
+        plain.predict()
+        plain.update(0.0)
+    return STEPS / (time.process_time() - started)
+
+
+def draw(kind: str, i: int, seed: int, folder: Path) -> tuple[list[Path], Path, str]:
+    """Make the i-th draw of a kind; returns bags, nominal config and what is concealed."""
+    from dataclasses import replace
+
+    from eha_monitor.concealed.cases import Case, effect_names, outside_names
+    from eha_monitor.concealed.configured import misconfigured
+    from eha_monitor.concealed.draws import FAMILIES, draw_rig
+    from eha_monitor.concealed.generate import write_case
+
+    rng = np.random.default_rng([seed, list(KINDS).index(kind), i])
+    dry = FAMILIES[0]
+    pools = {"dry": dry, "any": [name for name in effect_names() if name not in dry],
+             "outside": outside_names()}
+    wanted, recordings = KINDS[kind]
+    effects = tuple((str(rng.choice(pools[pool])), round(float(np.exp(rng.uniform(
+        np.log(0.2), np.log(1.2)))), 3)) for pool in wanted)
+    case = Case(f"{kind}_{i}".replace(" ", "_"), effects, seed=int(rng.integers(2**31)),
+                rig={} if rng.random() < 0.3 else draw_rig(rng))
+    (case,) = misconfigured([case], seed + i)
+    bags, config = [], folder
+    for k in range(recordings):
+        bag, config = write_case(replace(case, name=f"{case.name}_{k}", seed=case.seed + k,
+                                         motion="rich" if k == 0 else "triangle"), folder)
+        bags.append(bag)
+    return bags, config, ", ".join(f"{name} {size:g}" for name, size in effects) or "nothing"
+
+
+def draws_table(count: int, seed: int) -> Table:
+    """Diagnose draws of every kind, each in a process of its own."""
+    table = Table(title=f"diagnose on concealed draws, seed {seed}")
+    for column in ("concealed", "answer", "processor, s", "runs + tangent passes", "has to be"):
+        table.add_column(column)
+    rates, every = [filterpy_rate()], []
+    with tempfile.TemporaryDirectory() as name:
+        for kind in KINDS:
+            spans = []
+            for i in range(count):
+                bags, config, concealed = draw(kind, i, seed, Path(name))
+                before = resource.getrusage(resource.RUSAGE_CHILDREN)
+                made = subprocess.run(
+                    [sys.executable, __file__, "--one", str(config), *map(str, bags)],
+                    capture_output=True, text=True, check=True).stdout
+                after = resource.getrusage(resource.RUSAGE_CHILDREN)
+                spans.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+                one = json.loads(made.splitlines()[-1])
+                table.add_row(concealed, one["answer"], f"{spans[-1]:.1f}",
+                              f"{one['runs']} + {one['passes']}", "")
+            rates.append(filterpy_rate())
+            every += spans
+            table.add_row(f"[bold]{kind}", "median, worst",
+                          f"{np.median(spans):.1f}, {max(spans):.1f}", "", "", end_section=True)
+    table.add_row("[bold]all", "median, worst", f"{np.median(every):.1f}, {max(every):.1f}", "",
+                  f"≤ {MEDIAN:g}, ≤ {WORST:g}", end_section=True)
+    table.add_row("plain filterpy steps in a second of processor", "median, slowest",
+                  f"{np.median(rates):.0f}, {min(rates):.0f}", "", "")
+    return table
+
+
+def one_draw(config: Path, bags: list[Path]) -> None:
+    """Diagnose recordings and print what was named and what it took."""
+    runs, passes, found = filter_runs(bags, config)
+    names = [effect.name for effect in found.effects] + [one.key for one in found.rig_data]
+    print(json.dumps({"runs": runs, "passes": passes,
+                      "answer": ": ".join(filter(None, (found.verdict, ", ".join(names))))}))
 
 
 def measure(runs: int, lengths: tuple[int, ...], folder: Path, table: Table) -> None:
@@ -106,7 +209,7 @@ def measure(runs: int, lengths: tuple[int, ...], folder: Path, table: Table) -> 
         bag, config = bag_of(24, folder, concealed)
         spent(bag, config)  # compiles whatever is not compiled yet
         wall, processor, memory = np.median([spent(bag, config) for _ in range(runs)], axis=0)
-        plain, passes = filter_runs(bag, config)
+        plain, passes, _ = filter_runs([bag], config)
         table.add_row(f"24 s, {concealed} (median of {runs})", f"{wall:.1f}", f"{processor:.1f}",
                       f"{memory:.0f}", f"{plain} + {passes}", f"≤ {aim:g} s, {most} runs")
     table.add_section()
@@ -195,7 +298,16 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="24 s only, one run")
     parser.add_argument("--lengths", type=int, nargs="+", default=LENGTHS,
                         help="of the recordings, s; 60 240 960 takes minutes")
+    parser.add_argument("--draws", type=int, help="concealed draws of each kind, and nothing else")
+    parser.add_argument("--seed", type=int, default=1, help="of the draws")
+    parser.add_argument("--one", nargs="+", help=argparse.SUPPRESS)
     options = parser.parse_args()
+    if options.one:
+        one_draw(Path(options.one[0]), [Path(bag) for bag in options.one[1:]])
+        return
+    if options.draws:
+        Console(width=120).print(draws_table(options.draws, options.seed))
+        return
     table = Table(title=f"diagnose on {len(os.sched_getaffinity(0))} cores, start included")
     for column in ("", "wall time, s", "processor, s", "memory, MB", "runs + tangent passes",
                    "has to be"):

@@ -14,7 +14,7 @@ from eha_monitor.mismatch.name.base import limits_of
 from eha_monitor.mismatch.name.columns import columns_at, runs_of
 from eha_monitor.mismatch.name.gram import (
     balances_gram,
-    evidence_at,
+    evidences_at,
     grams_of,
     injected,
     lasting,
@@ -132,7 +132,7 @@ def test_innovations_under_other_gains_are_those_of_a_second_run(clear, level):
     assert np.linalg.norm(found - wanted) < 2.0 * AGREES * np.linalg.norm(wanted)
     s = expected_covariance(experiment, fit.theta, fit.active, other.unknowns, other.gains)
     density = -0.5 * np.sum(wanted**2) - 0.5 * len(wanted) * np.linalg.slogdet(s)[1]
-    assert evidence_at(experiment, fit, [present], other.unknowns) == pytest.approx(
+    assert evidences_at(experiment, fit, [present], [other.unknowns])[0] == pytest.approx(
         density, rel=4.0 * AGREES)
 
 

@@ -104,69 +104,91 @@ def mapped(columns, missing, a, h, old, new, w, first, delta, out):
 
 
 @njit(nogil=True)
-def power_at(e, missing, counted, a, h, old, new, w):
-    """Return the squared whitened innovations under new gains, summed; see :func:`mapped`.
+def powers_at(e, missing, counted, a, h, old, new, w):
+    """Return the squared whitened innovations under new gains, summed, (L,); see :func:`mapped`.
 
+    Levels stand side by side: one pass over the samples does for all.
+
+    Parameters
+    ----------
     e : (n, c) under the old gains, NaN nowhere.
+    new : (., N, c, L) gains; w : (c, c, L).
     """
     n, channels = e.shape
-    states = a.shape[0]
-    delta, other = np.zeros(states), np.zeros(states)
-    fresh = np.zeros(channels)
-    total = 0.0
+    states, levels = a.shape[0], w.shape[2]
+    delta, other = np.zeros((states, levels)), np.zeros((states, levels))
+    fresh, row, total = np.zeros((channels, levels)), np.zeros(levels), np.zeros(levels)
     for k in range(n):
         k_old, k_new = old[min(k, old.shape[0] - 1)], new[min(k, new.shape[0] - 1)]
         for j in range(channels):
-            value = 0.0
-            if not missing[k, j]:
-                value = e[k, j]
-                for i in range(states):
-                    value -= h[j, i] * delta[i]
-            fresh[j] = value
+            if missing[k, j]:
+                fresh[j] = 0.0
+                continue
+            for lane in range(levels):
+                fresh[j, lane] = e[k, j]
+            for i in range(states):
+                value = h[j, i]
+                if value != 0.0:
+                    for lane in range(levels):
+                        fresh[j, lane] -= value * delta[i, lane]
         for i in range(states):
-            value = delta[i]
             for j in range(channels):
                 if not missing[k, j]:
-                    value += k_new[i, j] * fresh[j] - k_old[i, j] * e[k, j]
-            delta[i] = value
+                    down = k_old[i, j] * e[k, j]
+                    for lane in range(levels):
+                        delta[i, lane] += k_new[i, j, lane] * fresh[j, lane] - down
         for i in range(states):
-            value = 0.0
+            other[i] = 0.0
             for j in range(states):
-                value += a[i, j] * delta[j]
-            other[i] = value
+                value = a[i, j]
+                if value != 0.0:
+                    for lane in range(levels):
+                        other[i, lane] += value * delta[j, lane]
         delta, other = other, delta
         if counted[k]:
             for i in range(channels):
-                value = 0.0
+                row[:] = 0.0
                 for j in range(i + 1):
-                    value += w[i, j] * fresh[j]
-                total += value * value
+                    for lane in range(levels):
+                        row[lane] += w[i, j, lane] * fresh[j, lane]
+                for lane in range(levels):
+                    total[lane] += row[lane] * row[lane]
     return total
 
 
-def evidence_at(experiment: Experiment, fit: Fit, present: list[np.ndarray], level: Unknowns
-                ) -> float:
-    """Return the likelihood of innovations (n, c) at another level, with the expected S.
+def evidences_at(experiment: Experiment, fit: Fit, present: list[np.ndarray],
+                 levels: Sequence[Unknowns]) -> np.ndarray:
+    """Return the likelihood of innovations (n, c) at other levels, with the expected S, (L,).
 
     present : of each stretch as :func:`columns.runs_of` gives them, rows contiguous.
     """
     used = experiment.columns
-    linear = linear_of(experiment, fit.theta, fit.active, level)
-    try:
-        gains = gains_of(experiment, fit.theta, fit.active, level)
-        s = expected_covariance(experiment, fit.theta, fit.active, level, gains)
-        w = np.linalg.inv(np.linalg.cholesky(0.5 * (s + s.T)))
-    except np.linalg.LinAlgError:
-        return -np.inf
-    old = np.ascontiguousarray(fit.gains[:, :, used])
-    new, h = np.ascontiguousarray(gains[:, :, used]), np.ascontiguousarray(linear.h[used])
-    total = 0.0
+    found, able, gains, whitening = np.full(len(levels), -np.inf), [], [], []
+    for i, level in enumerate(levels):
+        try:
+            one = gains_of(experiment, fit.theta, fit.active, level)
+            s = expected_covariance(experiment, fit.theta, fit.active, level, one)
+            whitening.append(np.linalg.inv(np.linalg.cholesky(0.5 * (s + s.T))))
+        except np.linalg.LinAlgError:
+            continue
+        able.append(i)
+        gains.append(one[:, :, used])
+    if not able:
+        return found
+    linear = linear_of(experiment, fit.theta, fit.active, levels[able[0]])
+    longest = max(map(len, gains))
+    new = np.stack([np.concatenate([one, np.repeat(one[-1:], longest - len(one), axis=0)])
+                    for one in gains], axis=3)
+    w = np.stack(whitening, axis=2)
+    old, h = np.ascontiguousarray(fit.gains[:, :, used]), np.ascontiguousarray(linear.h[used])
+    total = np.zeros(len(able))
     for stretch, part in zip(experiment.stretches, present, strict=True):
         missing = ~np.isfinite(part)
-        power = power_at(np.nan_to_num(part), missing, stretch.counted, linear.a, h, old, new, w)
+        power = powers_at(np.nan_to_num(part), missing, stretch.counted, linear.a, h, old, new, w)
         count = (~missing[stretch.counted]).sum(axis=0)
-        total += -0.5 * power + float(count @ np.log(np.diag(w)))
-    return total
+        total += -0.5 * power + count @ np.log(np.einsum("iil->il", w))
+    found[able] = total
+    return found
 
 
 def under(experiment: Experiment, fit: Fit, columns: list[np.ndarray], gains: np.ndarray

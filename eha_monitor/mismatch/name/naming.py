@@ -25,7 +25,7 @@ from eha_monitor.mismatch.name.acceptance import (
 )
 from eha_monitor.mismatch.name.base import limits_of, needs
 from eha_monitor.mismatch.name.columns import runs_of
-from eha_monitor.mismatch.name.gram import evidence_at
+from eha_monitor.mismatch.name.gram import evidences_at
 from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.mismatch.name.seen import plainness, posterior
@@ -137,8 +137,8 @@ def beyond_form(experiment: Experiment, before: Fit, after: Fit, needs: Unknowns
     # Only what the recording asks for counts: where unknowns gain nothing their size says nothing.
     present = runs_of(experiment, after.theta, after.active, after.gains)
     few = Unknowns(*np.minimum(FORM_LEAST * small, needs.as_array()))
-    gained = evidence_at(experiment, after, present, needs) - evidence_at(
-        experiment, after, present, few)
+    with_needs, with_few = evidences_at(experiment, after, present, [needs, few])
+    gained = float(with_needs - with_few)
     return odds / (1.0 + odds) * float(-np.expm1(-TEMPER * max(gained, 0.0)))
 
 

@@ -103,9 +103,12 @@ def _polished(experiment: Experiment, fit: Fit, known: dict[str, np.ndarray], st
         lanes = {i: lane_of(here, free[i].name) for i in which}
         exact = [i for i in which if can(experiment, here, lanes[i])]
         if len(exact) >= ENOUGH:
-            parts = along(experiment, here, [lanes[i] for i in exact])
-            whole = np.concatenate([part[stretch.counted] for part, stretch in zip(
-                parts, experiment.stretches, strict=True)])
+            for steps_of in (rough, experiment):  # what runs away in coarse steps, in fine ones
+                parts = along(steps_of, here, [lanes[i] for i in exact])
+                whole = np.concatenate([part[stretch.counted] for part, stretch in zip(
+                    parts, experiment.stretches, strict=True)])
+                if not np.isinf(whole).any():
+                    break
             for place, i in enumerate(exact):
                 d[i] = np.nan_to_num(whole[:, :, place])
             which = [i for i in which if i not in exact]
@@ -168,8 +171,8 @@ def _polished(experiment: Experiment, fit: Fit, known: dict[str, np.ndarray], st
                 break
             taken(every)
             fresh = True
-        else:
-            fresh = False
+        else:  # near the optimum a step leaves exact slopes as good as exact
+            fresh = fresh and gained < ROUGHLY
     covariance = fit.covariance
     if information is not None:
         try:  # in units of each parameter's own deviation: a leakage is 1e-12, a modulus 1e9
@@ -178,5 +181,5 @@ def _polished(experiment: Experiment, fit: Fit, known: dict[str, np.ndarray], st
         except np.linalg.LinAlgError:  # two parameters are one there: no model to be judged
             return replace(fit, e=e, log_likelihood=-np.inf), {}
     made = replace(fit, theta=theta, e=e, s=covariance_of(e), log_likelihood=best,
-                   covariance=covariance, converged=converged)
+                   covariance=covariance, converged=converged and tolerance < ROUGHLY)
     return made, {f.name: slope for f, slope in zip(free, d, strict=True)}

@@ -10,7 +10,6 @@ from eha_monitor.mismatch.likelihood.fit import (
     Fit,
     Free,
     prior_exponent,
-    spread,
     with_unknowns,
 )
 from eha_monitor.mismatch.likelihood.gains import Unknowns, expected_covariance, gains_of
@@ -23,7 +22,7 @@ from eha_monitor.mismatch.name.columns import (
     rig_free,
     runs_of,
 )
-from eha_monitor.mismatch.name.gram import evidence_at
+from eha_monitor.mismatch.name.gram import evidences_at
 from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished, polished_on
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.starts import entered, free_of, own_sizes, sharing
@@ -72,12 +71,13 @@ def at_level(experiment: Experiment, fit: Fit) -> Fit:
     known: dict[tuple, float] = {}
 
     def likelihood(levels: list[np.ndarray]) -> None:
-        todo = [tuple(level) for level in levels if tuple(level) not in known]
-        known.update(zip(todo, spread(lambda level: evidence_at(
-            experiment, fit, present, Unknowns(*level)), todo), strict=True))
+        todo = list(dict.fromkeys(
+            tuple(level) for level in levels if tuple(level) not in known))
+        if todo:
+            known.update(zip(todo, evidences_at(experiment, fit, present, [
+                Unknowns(*level) for level in todo]).tolist(), strict=True))
 
     best = fit.unknowns.as_array()
-    likelihood([best])
     for factor in FACTORS:
         moved = True
         while moved:
@@ -87,7 +87,7 @@ def at_level(experiment: Experiment, fit: Fit) -> Fit:
                     other = best.copy()
                     other[i] = min(max(other[i] * step, small[i]), large[i])
                     tried.append(other)
-            likelihood(tried)
+            likelihood([best, *tried])
             first = ties.best(tried, lambda level: known[tuple(level)], within=ties.GUESS)
             moved = known[tuple(first)] > known[tuple(best)] + 0.1
             best = first if moved else best
@@ -106,7 +106,8 @@ def settled(experiment: Experiment, fit: Fit, slopes: Slopes | None = None, roun
             tolerance: float = 0.3, worth: float = -np.inf) -> Fit:
     """Fit parameters and unknowns in turn until neither gains.
 
-    A fit that is below ``worth`` log units after a round is not carried further.
+    A fit that is below ``worth`` log units after a round is not carried further; one that is
+    fitted ``ROUGHLY`` has not converged.
     """
     slopes, known = slopes or Slopes(experiment), None
     for _ in range(rounds):

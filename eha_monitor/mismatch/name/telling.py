@@ -20,8 +20,8 @@ from eha_monitor.mismatch.name.gram import grams_of
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.refit import begun
 
-WINDOW = 8_000  # samples
-MOST = 40_000  # samples that effects are named on
+WINDOW = 4_000  # samples
+MOST = 24_000  # samples that effects are named on
 LEVEL = 100.0  # times the smallest unknowns: under which windows are compared
 
 
