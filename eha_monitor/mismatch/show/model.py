@@ -1,12 +1,13 @@
 """The model with the named physics: its parameters, its config, what it says about health."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import Agreement, Fitted, NamedEffect, Value
-from eha_monitor.mismatch.likelihood.fit import Fit, sensitivities, step_of, whitener
+from eha_monitor.mismatch.likelihood.fit import Fit, Free, sensitivities, step_of, whitener
 from eha_monitor.mismatch.name.acceptance import RIVAL
 from eha_monitor.mismatch.name.base import TIMING
 from eha_monitor.mismatch.name.naming import Naming
@@ -97,7 +98,8 @@ def robust(experiment: Experiment, fit: Fit, block: float = BLOCK) -> Fit:
     Where a model is not exact to the last newton, its innovations pull the parameters one way in
     one part of the record and another way in the next.  With slopes d_b and innovations r_b of
     block b the covariance is H^-1 (sum g_b g_b') H^-1, g_b = d_b r_b (White 1982); the larger of
-    this and the usual H^-1 is kept for each parameter.
+    this and the usual H^-1 is kept for each parameter.  To it comes what numbers of the rig that
+    were not fitted leave open within their tolerances.
 
     Parameters
     ----------
@@ -105,39 +107,49 @@ def robust(experiment: Experiment, fit: Fit, block: float = BLOCK) -> Fit:
     """
     if not fit.free:
         return fit
-    # What the recording says nothing of stayed at the config's; its tolerance is B's as well.
-    fit = with_rig(experiment, fit)
+    k = len(fit.free)
+    whole = (*fit.free, *(f for f in with_rig(experiment, fit).free if f not in fit.free))
     w = whitener(fit.s)
     white = np.nan_to_num(fit.e) @ w.T
     slopes = sensitivities(experiment, fit.theta, fit.active, fit.gains, fit.e,
-                           [step_of(f, fit.theta) for f in fit.free])
+                           [step_of(f, fit.theta) for f in whole])
     d = np.stack([np.nan_to_num(slope) @ w.T for slope in slopes])
     length = INVERSE_BLOCK if experiment.inverse else max(1, round(block / experiment.dt))
     count = max(1, white.shape[0] // length)
     pulls = np.stack([np.einsum("kic,ic->k", part, r) for part, r in zip(
-        np.array_split(d, count, axis=1), np.array_split(white, count, axis=0), strict=True)])
+        np.array_split(d[:k], count, axis=1), np.array_split(white, count, axis=0),
+        strict=True)])
     pulls = pulls - pulls.mean(axis=0)
-    information = np.einsum("kic,lic->kl", d, d) + prior_information(experiment, fit)
-    unit = 1.0 / np.sqrt(np.diag(information))  # newtons beside square metres per pascal second
-    bread = np.linalg.pinv(information * np.outer(unit, unit), hermitian=True) * np.outer(
-        unit, unit)
-    meat = pulls.T @ pulls * count / max(count - len(fit.free), 1)
+    information = np.einsum("kic,lic->kl", d, d)
+    bread = posterior_covariance(experiment, fit.free, information[:k, :k])
+    # Of few blocks not all numbers cost one: priors hold some.
+    meat = pulls.T @ pulls * count / max(count - k, 0.5 * count)
     sandwich = bread @ meat @ bread
     scale = np.sqrt(np.maximum(np.diag(sandwich) / np.maximum(np.diag(bread), 1e-300), 1.0))
-    return replace(fit, covariance=bread * np.outer(scale, scale))
+    # What the recording says little of stayed at the config's; its tolerance is B's as well.
+    loose = posterior_covariance(experiment, whole, information)[:k, :k] - bread
+    return replace(fit, covariance=bread * np.outer(scale, scale) + loose)
 
 
-def prior_information(experiment: Experiment, fit: Fit) -> np.ndarray:
-    """Return what is known of a fit's numbers beforehand, (k, k) in the fitted coordinates.
+def posterior_covariance(experiment: Experiment, free: Sequence[Free], information: np.ndarray
+                         ) -> np.ndarray:
+    """Return the covariance of numbers with a prior and the information of data, (k, k)."""
+    both = information + np.linalg.inv(prior_covariance(experiment, free))
+    unit = 1.0 / np.sqrt(np.diag(both))  # newtons beside square metres per pascal second
+    return np.linalg.pinv(both * np.outer(unit, unit), hermitian=True) * np.outer(unit, unit)
+
+
+def prior_covariance(experiment: Experiment, free: Sequence[Free]) -> np.ndarray:
+    """Return what is known of some numbers beforehand, (k, k) in the fitted coordinates.
 
     A number of the rig is known to its tolerance, one standard deviation; the search holds it
     closer, so that names compete.  What the config gives both chambers alike is one number with
     one error: beta_e is no better known than the volume.
     """
     tolerance, rig = experiment.settings.rig.tolerance, experiment.settings.rig
-    places = {f.name.removeprefix("rig."): i for i, f in enumerate(fit.free)
+    places = {f.name.removeprefix("rig."): i for i, f in enumerate(free)
               if f.name.startswith("rig.")}
-    spread = np.array([f.spread for f in fit.free])
+    spread = np.array([f.spread for f in free])
     for key, i in places.items():
         spread[i] = max(spread[i], tolerance.log_spread(key))
     known = np.diag(spread**2)
@@ -145,7 +157,7 @@ def prior_information(experiment: Experiment, fit: Fit) -> np.ndarray:
         i, j = places.get(one), places.get(other)
         if i is not None and j is not None and getattr(rig, one) == getattr(rig, other):
             known[i, j] = known[j, i] = ALIKE * spread[i] * spread[j]
-    return np.linalg.inv(known)
+    return known
 
 
 def config_effects(experiment: Experiment, fit: Fit, names: tuple[str, ...],
