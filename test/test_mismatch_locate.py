@@ -39,6 +39,16 @@ def test_a_state_that_nothing_shows_has_the_covariance_of_a_long_record():
     assert found[1, 1] == pytest.approx(seen[0, 0])
 
 
+def test_a_model_that_runs_away_has_a_covariance_all_the_same():
+    """Steps too long for its damping: Runge-Kutta multiplies the speed by 1e21 in a sample."""
+    a = np.array([[1.0, 1e-3, 0.0], [0.0, -1e21, 1e3], [0.0, 0.0, 0.9]])
+    h = np.array([[1.0, 0.0, 0.0]])
+    found = covariance_before(a, h, np.array([1e-14, 1e-12, 0.5]), np.array([1e-12]),
+                              np.array([1e-6, 1e-2, 10.0]))
+    assert np.isfinite(found).all() and (np.diag(found) > 0.0).all()
+    assert np.isfinite(gain_of(found, h, np.array([1e-12]))[0]).all()
+
+
 def test_smoother_is_the_least_squares_solution_of_the_whole_record():
     """All states of all samples at once, by the normal equations, no filter in it."""
     rng = np.random.default_rng(2)

@@ -84,8 +84,8 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
                for one in answer["effects"]}
     said = {**classes, **{one["number"]: numbers.rivals_of(one, one["number"])
                           for one in findings}}
-    given = {one["name"]: set(one.get("class", ())) for one in truth["effects"]}
-    accepted = {**{name: accepted_for(name, names, oracle) | given[name] for name in catalogued},
+    accepted = {**{one["name"]: accepted_for(one, names, oracle)
+                   for one in truth["effects"] if one["in_catalogue"]},
                 **{name: {name} for name in (*off, *loose)}}
     pairs = matched(accepted, said)
     share = {name: value or 0.0 for name, value in answer["location"]["balance"].items()}
@@ -93,8 +93,7 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
     balances = {one["balance"] for one in truth["effects"]}.union(
         *(numbers.BALANCES[name] for name in off))
     verdict, null = answer["verdict"], not names and not off
-    place_right = located in balances
-    wanted = {*names, *off}
+    place_right, wanted = located in balances, {*names, *off}
     all_paired = verdict == "mismatch" and set(said) == set(pairs.values())
     if null:
         exact = within = (all_paired if said else verdict == "consistent")
@@ -157,9 +156,9 @@ def shows(channels: Sequence[str] | None, balance: str) -> bool:
     return channels is None or bool({"x_d", "omega"} & set(channels)) or balance == "force"
 
 
-def accepted_for(name: str, names: Sequence[str], oracle: dict | None) -> set[str]:
-    """Return the names that are right for a concealed effect."""
-    right = {name}
+def accepted_for(one: dict, names: Sequence[str], oracle: dict | None) -> set[str]:
+    """Return the names that are right for a concealed effect, an entry of the key."""
+    right, name = {one["name"], *one.get("class", ())}, one["name"]
     if not MEAN_PRESSURE & set(names):
         for group in SAME:
             right |= group if name in group else set()

@@ -9,6 +9,7 @@ from eha_monitor.mismatch.likelihood.gains import linear_of
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED
 
 DOUBLINGS, SETTLED = 16, 1e-12  # 65 536 samples; relative change at which it stands
+UNKNOWN = 1e15  # variances of a state's size or of a reading: beyond it, rounding takes the other
 
 
 
@@ -16,10 +17,10 @@ def covariance_before(a: np.ndarray, h: np.ndarray, q: np.ndarray, r: np.ndarray
                       size: np.ndarray) -> np.ndarray:
     """Return the steady covariance of the prediction, (n, n).
 
-    By doubling: each step of the iteration takes twice as many samples of Riccati's equation as
-    that before (Chu, Fan, Lin, Wang 2004, Eq. 2.9), and nothing in it can be singular.  Where a
-    state shows in nothing that is measured its covariance grows for ever, and a solver of the
-    algebraic equation fails; here it is the one after ``2^DOUBLINGS`` samples.
+    By doubling: each step takes twice as many samples of Riccati's equation as that before (Chu,
+    Fan, Lin, Wang 2004, Eq. 2.9).  Where a state shows in nothing that is measured, or the model
+    runs away, the covariance grows for ever and a solver of the algebraic equation fails; here
+    it is that of ``2^DOUBLINGS`` samples, or the last that is not ``UNKNOWN``.
 
     Parameters
     ----------
@@ -33,8 +34,13 @@ def covariance_before(a: np.ndarray, h: np.ndarray, q: np.ndarray, r: np.ndarray
     h = h[:, here] * scale / sigma[:, None]
     back, precision, found = a.T, h.T @ h, np.diag(q[here] / scale**2)
     for _ in range(DOUBLINGS):
-        inner = np.linalg.inv(np.eye(len(scale)) + precision @ found)
+        inner = np.eye(len(scale)) + precision @ found
+        if not np.abs(inner).max() < UNKNOWN:
+            break
+        inner = np.linalg.inv(inner)
         more = back.T @ found @ inner @ back
+        if not np.abs(more).max() < UNKNOWN:
+            break
         precision = precision + back @ inner @ precision @ back.T
         back, found = back @ inner @ back, found + 0.5 * (more + more.T)
         if np.abs(more).max() <= SETTLED * np.abs(found).max():
