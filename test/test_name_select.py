@@ -346,6 +346,15 @@ def test_what_stands_in_a_name_s_place_is_counted_beside_all_the_others():
     assert in_place_of("drive_lag", best, weights) == {}
 
 
+@pytest.mark.parametrize("gained, named", [(40.0, False), (4000.0, True)])
+def test_a_square_beside_dry_friction_counts_beyond_its_form_error(gained, named):
+    """The tail of a Stribeck drop is B with less of it and a square."""
+    dry = frozenset({"stribeck_friction"})
+    seen = seen_of({tuple(dry): 8000.0, ("quadratic_friction",): 100.0, (): 0.0,
+                    ("stribeck_friction", "quadratic_friction"): 8000.0 + gained})
+    assert (seen.best() != dry) is named
+
+
 def test_friction_by_direction_stands_in_the_place_of_a_load_beside_dry_friction():
     load = frozenset({"coulomb_friction", "constant_load"})
     weights = {load: 0.6, frozenset({"asymmetric_friction"}): 0.4}

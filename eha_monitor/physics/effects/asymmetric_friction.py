@@ -23,7 +23,7 @@ from eha_monitor.physics.signals import FORCE, V
 @njit(forceinline=True)
 def level(s, p):
     """Return the dry friction in this direction, N: it brakes in both, and drives in none."""
-    return max(p[0] + math.copysign(p[1], s[V]), 0.0)
+    return max(p[0] + math.copysign(1.0, s[V]) * p[1], 0.0)
 
 
 @njit(forceinline=True)
