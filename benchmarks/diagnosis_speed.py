@@ -99,11 +99,11 @@ def filter_runs(bags: list[Path], config: Path) -> tuple[int, int, "Diagnosis"]:
     """Return how often the filter ran, how many passes carried tangents, and the answer."""
     from eha_monitor.mismatch.diagnose import diagnose
     from eha_monitor.mismatch.likelihood import fit, tangents
-    from eha_monitor.mismatch.name import columns, polish
+    from eha_monitor.mismatch.name import columns
     from eha_monitor.recordings.read import read_recording
     from eha_monitor.settings import load_settings
 
-    counts = {"filtered": 0, "along": 0}
+    counts = {"filtered": 0, "carry": 0}
 
     def counting(name, function):
         def counted(*arguments, **options):
@@ -112,7 +112,7 @@ def filter_runs(bags: list[Path], config: Path) -> tuple[int, int, "Diagnosis"]:
         return counted
 
     places = (("filtered", fit.filtered, (fit, columns)),
-              ("along", tangents.along, (tangents, columns, polish)))
+              ("carry", tangents.Track.carry, (tangents.Track,)))
     for name, function, modules in places:
         for module in modules:
             setattr(module, name, counting(name, function))
@@ -121,7 +121,7 @@ def filter_runs(bags: list[Path], config: Path) -> tuple[int, int, "Diagnosis"]:
     for name, function, modules in places:
         for module in modules:
             setattr(module, name, function)
-    return counts["filtered"], counts["along"], found
+    return counts["filtered"], counts["carry"], found
 
 
 def filterpy_rate() -> float:

@@ -19,7 +19,7 @@ from eha_monitor.mismatch.name.gram import (
     injected,
     lasting,
     mapped,
-    power_at,
+    powers_at,
     under,
 )
 
@@ -74,9 +74,11 @@ def test_of_a_linear_plant_the_map_is_exact(seed):
         wanted = np.einsum("ij,kjl->kil", plant.w, new[first : first + length])
         assert piece == pytest.approx(wanted, abs=1e-9)
         first += length
-    power = power_at(np.ascontiguousarray(given[:, :, 0]), plant.missing, plant.counted, plant.a,
-                     plant.h, plant.old, plant.new, plant.w)
-    assert power == pytest.approx(float(np.sum(white[:, :, 0] ** 2)), rel=1e-9)
+    power = powers_at(  # at two levels of which one weighs all twice
+        np.ascontiguousarray(given[:, :, 0]), plant.missing, plant.counted, plant.a, plant.h,
+        plant.old, np.stack([plant.new, plant.new], axis=3), np.stack([plant.w, 2.0 * plant.w], 2))
+    wanted = float(np.sum(white[:, :, 0] ** 2))
+    assert power == pytest.approx(np.array([wanted, 4.0 * wanted]), rel=1e-9)
 
 
 def test_an_input_to_the_plant_shows_as_the_filter_would_see_it():

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import solve_banded
 
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import BURN_IN, Experiment, Stretch
@@ -157,18 +158,25 @@ def share_within(limits: Limits, segments: dict[str, Segment]) -> float:
 
     Judged by the linear position loop; the motion is run twice, since it repeats.
     """
-    from scipy.signal import lfilter
-
     dt = min(1e-3, 0.1 * limits.loop)
     time = np.arange(round(2.0 * total_duration(segments) / dt)) * dt
     x_d = demanded_position(segments, time)
     left = np.exp(-dt / limits.loop)
     away = x_d - x_d[0]
-    lag = away - lfilter([1.0 - left], [1.0, -left], away)
+    lag = away - lagged(away, left)
     speed = limits.gain * np.abs(lag).max()
     reached = np.abs(x_d - lag - limits.middle).max()
     return float(min(1.0, USED * limits.pump_speed / max(speed, 1e-12),
                      limits.reach / max(reached, 1e-12)))
+
+
+def lagged(values: np.ndarray, left: float) -> np.ndarray:
+    """Return values behind a first-order lag of which ``left`` is left after a sample, (n,).
+
+    From 0 on: y_k - left y_k-1 = (1 - left) x_k.
+    """
+    bands = np.stack([np.ones(len(values)), np.full(len(values), -left)])
+    return solve_banded((1, 0), bands, (1.0 - left) * values)
 
 
 def _tidy(value: float) -> float:
@@ -205,14 +213,12 @@ def with_motion(experiment: Experiment, fit: Fit, limits: Limits, motion: Motion
 
 def forced(experiment: Experiment, fit: Fit, limits: Limits, motion: Motion) -> Experiment:
     """Return a motion of a rig whose driving force is measured: the force that it takes."""
-    from scipy.signal import lfilter
-
     dt = experiment.dt
     time = np.arange(max(4, round(motion.duration / dt))) * dt
     x_d = demanded_position(motion.segments, time)
     left, x = np.exp(-2.0 * dt / limits.loop), x_d - x_d[0]
     for _ in range(2):  # two poles, so that the force stays finite at corners
-        x = lfilter([1.0 - left], [1.0, -left], x)
+        x = lagged(x, left)
     track = np.zeros((len(time), s.N_SIGNALS))
     track[:, s.T], track[:, s.X_D] = time, x_d
     track[:, s.X] = x + x_d[0]

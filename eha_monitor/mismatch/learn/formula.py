@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
-from scipy.optimize import least_squares
 
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.learn.forms import Form
@@ -114,6 +113,8 @@ def on_curve(shape: Shape, places: np.ndarray, learned: Learned
     cost : half the chi-squared and Schwarz's price of the parameters (1978).
     shape, values : SI, of the curve divided by the scale of its factor.
     """
+    from scipy.optimize import least_squares  # half a second, for what is seldom learned
+
     divisor = learned.divisor
     y = learned.values / divisor
     floor = EXACT * float(np.sqrt(np.mean(y**2)))

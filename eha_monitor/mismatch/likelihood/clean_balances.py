@@ -8,7 +8,6 @@ What the catalogue gains there, and how much each balance has left there, is the
 from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from eha_monitor.mismatch.data.experiment import PULL, Experiment, Stretch
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED, OPEN, course_of, filled
@@ -36,6 +35,8 @@ def floor_of(experiment: Experiment, fit: Fit) -> np.ndarray:
 
 def _balanced(experiment: Experiment, fit: Fit, stretch: Stretch) -> Stretch:
     """Return a stretch without noise whose balances leave nothing."""
+    from scipy.interpolate import CubicSpline  # its import is felt where no balance is compared
+
     rig, smooth = experiment.settings.rig, low_pass(min(QUIET, 0.2 / experiment.dt), experiment.dt)
     z = stretch.z.copy()
     for j in range(z.shape[1]):

@@ -14,7 +14,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.signal import butter, sosfiltfilt
 
 from eha_monitor.mismatch.data.experiment import Experiment, Stretch
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED, OPEN, filled
@@ -90,6 +89,8 @@ class Motion:
 
 def low_pass(cutoff: float, dt: float):
     """Return a zero-phase low-pass (Butterworth, fourth order, both ways) of ``cutoff`` Hz."""
+    from scipy.signal import butter, sosfiltfilt  # takes half of the start of ``diagnose``
+
     sections = butter(4, cutoff, fs=1.0 / dt, output="sos")
     return lambda values: sosfiltfilt(sections, values)
 

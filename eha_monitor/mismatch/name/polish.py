@@ -181,5 +181,5 @@ def _polished(experiment: Experiment, fit: Fit, known: dict[str, np.ndarray], st
         except np.linalg.LinAlgError:  # two parameters are one there: no model to be judged
             return replace(fit, e=e, log_likelihood=-np.inf), {}
     made = replace(fit, theta=theta, e=e, s=covariance_of(e), log_likelihood=best,
-                   covariance=covariance, converged=converged and tolerance < ROUGHLY)
+                   covariance=covariance, converged=converged)
     return made, {f.name: slope for f, slope in zip(free, d, strict=True)}

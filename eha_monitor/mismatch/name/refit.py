@@ -106,8 +106,7 @@ def settled(experiment: Experiment, fit: Fit, slopes: Slopes | None = None, roun
             tolerance: float = 0.3, worth: float = -np.inf) -> Fit:
     """Fit parameters and unknowns in turn until neither gains.
 
-    A fit that is below ``worth`` log units after a round is not carried further; one that is
-    fitted ``ROUGHLY`` has not converged.
+    A fit that is below ``worth`` log units after a round is not carried further.
     """
     slopes, known = slopes or Slopes(experiment), None
     for _ in range(rounds):

@@ -10,7 +10,7 @@ from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.name.base import limits_of, needs, with_effect, without_effect
 from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, effects_of, rig_free
 from eha_monitor.mismatch.name.gates import ends_of_tolerance, failures
-from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished
+from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.proposals import (
     STRAYED,
     Linearised,
@@ -122,9 +122,7 @@ def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], seen: 
     base = min(looks[-1].log_likelihood, view.fit.log_likelihood)
     going = [made for made in looks
              if made.log_likelihood >= base + CATCHING_UP * (reach - base)][:MOST_GOING]
-    # What is within reach at the end is fitted to the end there.
-    for made in spread(lambda made: settled(experiment, made, view.slopes, tolerance=ROUGHLY),
-                       going):
+    for made in spread(lambda made: settled(experiment, made, view.slopes), going):
         seen.add(experiment, frozenset(made.named), made)
 
 
@@ -193,8 +191,6 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
         if seen.ahead(done, STRAYED) is None and not ended:
             finish(experiment, seen)
             ended = True
-    if not seen.fits[seen.best()].converged:
-        finish(experiment, seen)
     gated(experiment, seen)
     best, view = seen.best(), None  # the last one's slopes are not needed beside new columns
     say("weighing effects not in the catalogue", 0.85)
@@ -364,11 +360,6 @@ def without_each(experiment: Experiment, seen: Seen) -> None:
     told = None
     while told != (best := seen.best()):
         told, fit = best, seen.fits[best]
-        if not fit.converged:
-            fit = settled(experiment, fit)
-            seen.add(experiment, best, fit, True)
-            if seen.best() != best:
-                continue
         for name in sorted(best) if len(best) > 1 else ():
             seen.add(experiment, best - {name}, settled(
                 experiment, lesser(experiment, fit, name), worth=fit.log_likelihood - CLOSE))

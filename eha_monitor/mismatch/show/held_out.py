@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from eha_monitor.filters.consistency import variance_ratios
 from eha_monitor.machine.baseline import Baseline
@@ -14,6 +13,7 @@ from eha_monitor.mismatch.data.inputs import FORCED, filled
 from eha_monitor.mismatch.data.stretch import Stretch
 from eha_monitor.mismatch.diagnosis import Agreement, Gate, Overlay, SignalFit, Value
 from eha_monitor.mismatch.likelihood.along import signals_along
+from eha_monitor.mismatch.likelihood.equation_error import low_pass
 from eha_monitor.mismatch.likelihood.fit import Fit, filtered, refine, spread
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED
 from eha_monitor.mismatch.locate.missing import modelled_force
@@ -303,12 +303,6 @@ def driving_force(experiment: Experiment, fit: Fit, stretch) -> np.ndarray:
     if experiment.mode == FORCED:
         return stretch.u[:, 0]
     return fit.theta[s.AREA_1] * stretch.p1 - fit.theta[s.AREA_2] * stretch.p2
-
-
-def low_pass(cutoff: float, dt: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a zero-phase low-pass (Butterworth, fourth order, both ways) of ``cutoff`` Hz."""
-    sections = butter(4, cutoff, fs=1.0 / dt, output="sos")
-    return lambda values: sosfiltfilt(sections, values)
 
 
 def overlays(experiment: Experiment, before: Fit, after: Fit | None,
