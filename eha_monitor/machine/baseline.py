@@ -82,8 +82,8 @@ class BalanceFit:
         """Return the JSON form."""
         return {"parameters": {term.name: term.to_dict() for term in self.terms},
                 "samples": self.samples, "effective_samples": round(self.effective_samples, 1),
-                "error_share": self.error_share,
-                "unseen_error_share": self.unseen_share if np.isfinite(self.unseen_share) else None}
+                "error_share": self.error_share, "unseen_error_share":
+                    self.unseen_share if np.isfinite(self.unseen_share) else None}
 
 
 @dataclass(frozen=True)

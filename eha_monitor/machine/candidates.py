@@ -18,6 +18,7 @@ AMBIENT = 1.01325e5  # Pa
 BENT = (0.005, 0.015, 0.05, 0.15)
 SLACK = tuple(round(0.01 * 1.5**k, 4) for k in range(10))
 SLOW = (0.03, 0.1, 0.3)
+MASS = 5.0  # times the config's: oil in lines moves with the piston, but not more than that
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,8 @@ class Candidate:
     setting : its parameter belongs to the setting of each recording, not to the machine.
     family : names of one family stand for one another: recordings rarely separate them.
     variant : one of several shapes of its effect; only one of them enters.
+    limit : a larger parameter is no physics of this rig, but the error of another term.
+    between : relative spread between recordings where it is not the policy's.
     needs_load : a recording of one load cannot separate it from what it resembles.
     """
 
@@ -51,6 +54,8 @@ class Candidate:
     family: str = ""
     variant: bool = False
     needs_load: bool = False
+    limit: float = np.inf
+    between: float | None = None
 
 
 def stop(x: np.ndarray, reach: float) -> np.ndarray:
@@ -89,7 +94,7 @@ def direction_of(course: Course) -> np.ndarray:
     Where no channel says what is demanded, that of the last motion; 0 before the first.
     """
     signal = course.v if course.demand is None else course.demand
-    level = 0.05 * float(np.quantile(np.abs(signal), 0.98))
+    level = course.quiet * float(np.quantile(np.abs(signal), 0.98))
     marks = np.where(signal > level, 1.0, np.where(signal < -level, -1.0, 0.0))
     places = np.where(marks != 0.0, np.arange(len(marks)), 0)
     held = marks[np.maximum.accumulate(places)]
@@ -126,14 +131,14 @@ class Scale:
                    float(np.median([c.speed for c in courses])))
 
 
-def candidates_of(balance: str, scale: Scale, rotary: bool = False) -> tuple[Candidate, ...]:
+def candidates_of(balance: str, scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
     """Return what a balance may hold, ``force`` or ``flow``."""
-    return force_candidates(scale, rotary) if balance == "force" else FLOW
+    return force_candidates(scale, rig) if balance == "force" else FLOW
 
 
-def force_candidates(scale: Scale, rotary: bool) -> tuple[Candidate, ...]:
+def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
     """Return what a force balance may hold."""
-    n, m, kg = ("N·m", "rad", "kg·m²") if rotary else ("N", "m", "kg")
+    n, m, kg = ("N·m", "rad", "kg·m²") if rig.motion == "rotary" else ("N", "m", "kg")
 
     def one(name, effect, unit, words, sign, column, **more):
         return Candidate(name, effect, "force", unit, words, sign, column, **more)
@@ -152,7 +157,8 @@ def force_candidates(scale: Scale, rotary: bool) -> tuple[Candidate, ...]:
             family="dry", needs_load=True),
         one("F_v", "valve_direction", n, "force in the direction of valve or pump", 0,
             lambda c, r: None if c.demand is None else direction_of(c)),
-        one("M", "moving_mass", kg, "moving mass", 1, lambda c, r: c.a),
+        one("M", "moving_mass", kg, "moving mass", 1, lambda c, r: c.a,
+            limit=MASS * rig.mass),
         one("B_2", "quadratic_friction", f"{n}·s²/{m}²", "quadratic damping", 1,
             lambda c, r: c.v * np.abs(c.v), family="viscous"),
         one("dB", "asymmetric_damping", f"{n}·s/{m}", "further damping where it retracts", 0,
@@ -164,15 +170,15 @@ def force_candidates(scale: Scale, rotary: bool) -> tuple[Candidate, ...]:
         found += [
             one(f"F_z{i}", "presliding_friction", n, f"dry friction, bent over {far(share)}", 1,
                 lambda c, r, d=share * scale.travel: stop(c.x, d), family="dry", variant=True),
-            one(f"F_d{i}", "load_by_direction", n, "load against the direction of motion, turned "
-                f"over {far(share)}", 0, lambda c, r, d=share * scale.travel: stop(c.x, d),
-                setting=True, family="turning", variant=True),
+            one(f"F_d{i}", "presliding_friction", n, "dry friction of the setting, bent over "
+                f"{far(share)}", 1, lambda c, r, d=share * scale.travel: stop(c.x, d),
+                setting=True, family="dry", variant=True),
         ]
     for i, share in enumerate(SLACK, start=1):
         found.append(one(
             f"F_l{i}", "one_sided_load", n, f"load while extending, met {far(share)} after a "
             "turn", 0, lambda c, r, d=share * scale.travel: taken_up(c.x, d, d / 7.0),
-            setting=True, family="turning", variant=True))
+            setting=True, variant=True))
     for i, share in enumerate(SLOW, start=1):
         found.append(one(
             f"F_s{i}", "stribeck_friction", n, "Stribeck rise below "
@@ -225,7 +231,7 @@ def _steep(pressure: np.ndarray) -> np.ndarray:
 
 FLOW = (
     _flow("D_p", "pump_displacement", "m³/rad", "pump displacement", 1, lambda c, r: c.omega,
-          always=True),
+          always=True, between=0.02),
     _flow("dD_p", "pump_loss_by_direction", "m³/rad", "further displacement where it retracts", 0,
           lambda c, r: np.minimum(c.omega, 0.0)),
     _flow("C_h", "compliance", "m³/Pa", "compliance of a chamber", 1,

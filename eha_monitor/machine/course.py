@@ -25,6 +25,7 @@ STANDING = 0.02  # of the top speed: below it dry friction takes any value
 DEAD = 0.02  # s: a value that does not change for longer while others do ...
 JUMPED = 5.0  # ... times the usual largest step away from what comes before or after
 SHORTEST = 0.5  # s of usable recording
+COMMANDED, MEASURED = 0.005, 0.05  # of its size: a smaller demand has no sign; noise-free, noisy
 TRAVEL = 20.0  # times the position's noise: less is no motion
 
 
@@ -42,6 +43,7 @@ class Course:
     omega : pump speed, rad/s; None where not recorded.
     demand : what the drive or valve is commanded, any unit: only its sign is used; None if no
         channel says.
+    quiet : share of its usual size below which the demand has no sign.
     good : (m,) bool, measured on all channels and away from stops.
     moving : (m,) bool, fast enough for dry friction to have a sign.
     """
@@ -58,6 +60,7 @@ class Course:
     rate_2: np.ndarray | None
     omega: np.ndarray | None
     demand: np.ndarray | None
+    quiet: float
     good: np.ndarray
     moving: np.ndarray
 
@@ -133,7 +136,8 @@ def course_of(recording: Recording, settings: Settings) -> Course:
         recording.source, step, x[::every], v, a, fine(force_of(rig, whole)), p1, p2,
         None if p1 is None else np.gradient(p1, step),
         None if p2 is None else np.gradient(p2, step), omega,
-        None if demand is None else fine(demand), good, moving & good)
+        None if demand is None else fine(demand), COMMANDED if "omega_d" in whole else MEASURED,
+        good, moving & good)
 
 
 def _low_pass(values: np.ndarray, cutoff: float, dt: float) -> np.ndarray:
