@@ -99,6 +99,25 @@ class Recordings:
             found[i] = unseen(table, shared, settings, w)
         return found
 
+    def left_out(self, names: Iterable[str]) -> list[np.ndarray]:
+        """Return what is left of each recording under the fit to the others, (m,) each.
+
+        Its settings are fitted on every other pair of blocks and applied to the rest.
+        """
+        shared, settings, signs = self.split(names)
+        _, reduced = self.shared_fit(names)
+        total, found = sum(reduced), []
+        for table, own in zip(self.tables, reduced, strict=True):
+            rest = total - own
+            w = signed_solution(rest[1:, 1:], rest[1:, 0], signs)
+            first = np.arange(len(table.blocks)) // 2 % 2 == 0
+            numbers, left = np.unique(table.block[table.good]), np.zeros(len(table.rows))
+            for (fit, judge), which in ((table.halves, ~first), (table.halves[::-1], first)):
+                here = np.isin(table.block, numbers[which])
+                left[here] = table.rows[here] @ crosswise(table, fit, judge, shared, settings, w)
+            found.append(left)
+        return found
+
     def choose(self, policy: Policy, allowed: Iterable[str]) -> Chosen:
         """Choose the terms of the balance among those that are allowed."""
         names = [one.name for one in self.candidates.values() if one.always]
@@ -270,14 +289,20 @@ def unseen(table: Table, shared: list[int], settings: list[int], w: np.ndarray) 
     """Return the RMS on a recording over its standard deviation, settings fitted crosswise."""
     squares = 0.0
     for fit, judge in (table.halves, table.halves[::-1]):
-        mixture = _mixture(table, shared, w)
-        if settings:
-            part = fit + SOFT * judge
-            t = minimum_norms(part[np.ix_(settings, settings)],
-                              (part[settings] @ mixture)[:, None])[:, 0]
-            mixture[settings] = -t
+        mixture = crosswise(table, fit, judge, shared, settings, w)
         squares += float(mixture @ judge @ mixture)
     return float(np.sqrt(max(squares, 0.0) / max(table.n, 1))) / table.size
+
+
+def crosswise(table: Table, fit: np.ndarray, judge: np.ndarray, shared: list[int],
+              settings: list[int], w: np.ndarray) -> np.ndarray:
+    """Return the mixture of columns that is left, settings fitted on one half, (1 + k,)."""
+    mixture = _mixture(table, shared, w)
+    if settings:
+        part = fit + SOFT * judge
+        mixture[settings] = -minimum_norms(part[np.ix_(settings, settings)],
+                                           (part[settings] @ mixture)[:, None])[:, 0]
+    return mixture
 
 
 def allowed_of(candidates: Iterable[Candidate], load_varied: bool) -> list[str]:
