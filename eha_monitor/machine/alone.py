@@ -1,9 +1,9 @@
 """The terms of a balance that one recording alone can carry, and how surely.
 
-Terms are chosen on random halves of the recording's blocks, each judged on the other half: a term
-enters where it takes the share ``alone`` of the error there.  A name is what comes up in ``stable`` of the
-halves (Meinshausen and Buehlmann 2010); its probability is that frequency, flattened to what
-replicates of real recordings allow, and capped.
+Terms are chosen on random halves of the recording's blocks, each judged on the other half: a
+term enters where it takes the share ``alone`` of the error there.  A name is what comes up in
+``stable`` of the halves (Meinshausen and Buehlmann 2010); its probability is that frequency,
+flattened to what replicates of real recordings allow, and capped.
 """
 
 from collections import Counter

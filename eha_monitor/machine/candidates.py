@@ -9,14 +9,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.machine.course import Course
+from eha_monitor.machine.course import COMMANDED, Course
 from eha_monitor.settings.rig import Rig
 
 AMBIENT = 1.01325e5  # Pa
 # Grids of shapes, as shares of the usual travel or speed; between two neighbours an error changes
 # by less than what a name owes.
 BENT = (0.005, 0.015, 0.05, 0.15)
-SLACK = tuple(round(0.01 * 1.5**k, 4) for k in range(10))
+SLACK = tuple(round(0.03 * 1.4**k, 4) for k in range(8))
+TURNS = (0.1, 0.3)
 SLOW = (0.03, 0.1, 0.3)
 MASS = 5.0  # times the config's: oil in lines moves with the piston, but not more than that
 
@@ -113,13 +114,15 @@ def _mean_pressure(course: Course) -> np.ndarray | None:
 class Scale:
     """What shapes are shares of: where the recordings move, how far and how fast, SI.
 
-    ``origin`` and ``span`` hold all of them, ``travel`` and ``speed`` are usual.
+    ``origin`` and ``span`` hold all of them, ``travel`` and ``speed`` are usual, ``slowest`` is
+    the top speed of the slowest.
     """
 
     origin: float
     span: float
     travel: float
     speed: float
+    slowest: float
 
     @classmethod
     def of(cls, courses: list[Course]) -> "Scale":
@@ -128,7 +131,8 @@ class Scale:
         high = max(float(c.x[c.good].max()) for c in courses)
         return cls(low, max(high - low, 1e-12),
                    float(np.median([np.ptp(c.x[c.good]) for c in courses])),
-                   float(np.median([c.speed for c in courses])))
+                   float(np.median([c.speed for c in courses])),
+                   min(c.speed for c in courses))
 
 
 def candidates_of(balance: str, scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
@@ -151,12 +155,13 @@ def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             always=True),
         one("F_0", "constant_load", n, "constant load", 0, lambda c, r: np.ones(len(c)),
             always=True, setting=True),
-        one("F_c", "coulomb_friction", n, "dry friction", 1, _sliding, family="dry"),
+        one("F_c", "coulomb_friction", n, "dry friction", 1, _sliding, family="dry",
+            variant=True),
         one("k_p", "pressure_friction", f"{n}/Pa", "dry friction per mean pressure", 1,
             lambda c, r: None if c.p1 is None else _mean_pressure(c) * c.direction,
             family="dry", needs_load=True),
         one("F_v", "valve_direction", n, "force in the direction of valve or pump", 0,
-            lambda c, r: None if c.demand is None else direction_of(c)),
+            lambda c, r: direction_of(c) if valves(c, r) else None),
         one("M", "moving_mass", kg, "moving mass", 1, lambda c, r: c.a,
             limit=MASS * rig.mass),
         one("B_2", "quadratic_friction", f"{n}·s²/{m}²", "quadratic damping", 1,
@@ -167,18 +172,19 @@ def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             family="position"),
     ]
     for i, share in enumerate(BENT, start=1):
-        found += [
-            one(f"F_z{i}", "presliding_friction", n, f"dry friction, bent over {far(share)}", 1,
-                lambda c, r, d=share * scale.travel: stop(c.x, d), family="dry", variant=True),
-            one(f"F_d{i}", "presliding_friction", n, "dry friction of the setting, bent over "
-                f"{far(share)}", 1, lambda c, r, d=share * scale.travel: stop(c.x, d),
-                setting=True, family="dry", variant=True),
-        ]
+        found.append(one(
+            f"F_z{i}", "presliding_friction", n, f"dry friction, bent over {far(share)}", 1,
+            lambda c, r, d=share * scale.travel: stop(c.x, d), family="dry", variant=True))
     for i, share in enumerate(SLACK, start=1):
         found.append(one(
             f"F_l{i}", "one_sided_load", n, f"load while extending, met {far(share)} after a "
             "turn", 0, lambda c, r, d=share * scale.travel: taken_up(c.x, d, d / 7.0),
             setting=True, variant=True))
+    for i, share in enumerate(TURNS, start=1):
+        found.append(one(
+            f"F_t{i}", "coulomb_friction", n, "dry friction, turned round within "
+            f"{1e3 * share * scale.slowest:.2g} m{m}/s", 1,
+            lambda c, r, d=share * scale.slowest: np.tanh(c.v / d), family="dry", variant=True))
     for i, share in enumerate(SLOW, start=1):
         found.append(one(
             f"F_s{i}", "stribeck_friction", n, "Stribeck rise below "
@@ -191,6 +197,15 @@ def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             lambda c, r, i=i: np.cos(i * np.pi * (c.x - scale.origin) / scale.span),
             family="position"))
     return tuple(found)
+
+
+def valves(course: Course, rig: Rig) -> bool:
+    """Tell whether valves turn a pump's flow to either side of a single-rod cylinder.
+
+    So it is where a speed is commanded and the config holds no path that keeps the mean pressure.
+    """
+    return (course.quiet == COMMANDED and rig.area_1 != rig.area_2
+            and rig.makeup_conductance == 0.0)
 
 
 def pumped_side(course: Course, rig: Rig) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What repeats from recording to recording but has no name, and how much could be explained at all.
+"""What repeats from recording to recording but has no name, and what could be explained at all.
 
 A Gaussian process in random Fourier features (Rahimi and Recht 2007): f(z) = phi(z)'w with the
 squared-exponential kernel's spectrum drawn once, and w from ridge regression.  Of each recording
@@ -14,7 +14,6 @@ import numpy as np
 
 from eha_monitor.machine.candidates import Scale, direction_of, stop
 from eha_monitor.machine.course import Course
-
 
 FEATURES = 200
 WIDTHS = (1.0, 2.0)  # of the kernel, times the root of the number of signals
@@ -79,8 +78,8 @@ def _lagged(values: np.ndarray, lag: float, dt: float) -> np.ndarray:
 
 
 def learned(signals: Sequence[np.ndarray], targets: Sequence[np.ndarray],
-            good: Sequence[np.ndarray], sizes: Sequence[float], groups: Sequence[int] | None = None,
-            seed: int = 0) -> Learned:
+            good: Sequence[np.ndarray], sizes: Sequence[float],
+            groups: Sequence[int] | None = None, seed: int = 0) -> Learned:
     """Fit targets by a flexible function of the signals, each recording left out in turn.
 
     Parameters
@@ -142,10 +141,11 @@ def regimes(courses: Sequence[Course], left: Sequence[np.ndarray]) -> tuple[Regi
     """Return how an error is shared out between transients, rest and motion."""
     sums = dict.fromkeys(("after a switch", "at rest", "while moving"), (0.0, 0.0))
     for course, r in zip(courses, left, strict=True):
-        new = since_switch(course) < SWITCH
-        for name, here in (("after a switch", new), ("at rest", ~new & ~course.moving),
-                           ("while moving", ~new & course.moving)):
-            here = here & course.good
+        new, moving = (course.compared(one) for one in (since_switch(course) < SWITCH,
+                                                        course.moving))
+        for name, here in (("after a switch", new), ("at rest", ~new & ~moving),
+                           ("while moving", ~new & moving)):
+            here = here & course.compared(course.good)
             energy, time = sums[name]
             sums[name] = energy + float(np.sum(r[here] ** 2)), time + float(here.sum())
     total = [max(sum(one[i] for one in sums.values()), 1e-300) for i in (0, 1)]

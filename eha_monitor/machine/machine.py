@@ -204,7 +204,8 @@ def _balance(kind: str, courses: list[Course], tables: list[Table], scale: Scale
     chosen = recordings.choose(policy, allowed_of(tables[0].candidates, varied))
     fit = recordings.fit(chosen.names)
     left = recordings.left_out(chosen.names)
-    signals, good = [signals_of(c, kind, scale) for c in courses], [c.good for c in courses]
+    signals, good = [signals_of(c, kind, scale) for c in courses], [
+        c.compared(c.good) for c in courses]
     sizes = [table.size for table in tables]
     named = learned(signals, left, good, sizes)
     whole = [table.rows[:, 0] - table.rows[table.good, 0].mean() for table in tables]
@@ -212,6 +213,7 @@ def _balance(kind: str, courses: list[Course], tables: list[Table], scale: Scale
         signals = [np.column_stack([part, np.tile(np.quantile(
             table.rows[table.good, 0], LEVELS), (len(part), 1))])
             for part, table in zip(signals, tables, strict=True)]
+    repeats = named.removed if named.removed >= policy.learns else 0.0
     reference = learned(signals, whole, good, sizes)
     parameters = tuple(
         Parameter(name, of[name].effect, of[name].words, of[name].unit, *map(float, row))
@@ -224,8 +226,8 @@ def _balance(kind: str, courses: list[Course], tables: list[Table], scale: Scale
     return MachineBalance(
         kind, parameters, settings, _rows(fit.each), _rows(fit.each_stddev),
         tuple(_nominal(kind, recordings, rig)), tuple(chosen.errors.tolist()),
-        tuple(np.minimum(named.after, np.inf).tolist()), tuple(reference.after.tolist()),
-        named.removed, regimes(courses, left), chosen.steps)
+        tuple((named.after if repeats else named.before).tolist()),
+        tuple(reference.after.tolist()), repeats, regimes(courses, left), chosen.steps)
 
 
 def _rows(values: np.ndarray) -> tuple[tuple[float, ...], ...]:

@@ -11,6 +11,8 @@ class Policy:
     ----------
     gain : a term removes this share of the RMS error, or it is left out.  Definition: 2 % of an
         error is what nobody would repair a machine for.
+    setting_gain : the same for a number that every recording has of its own.  Definition: five
+        times as much; it explains what nothing of the machine does.
     alone : the same where the parts left out are of the same recording.  Measured: what gains
         less in one recording does not come back on another day (docs/one_machine.md).
     repeats : Student's t of that gain over recordings left out.  Definition: 2 deviations.
@@ -34,6 +36,7 @@ class Policy:
     """
 
     gain: float = 0.02
+    setting_gain: float = 0.1
     alone: float = 0.1
     repeats: float = 2.0
     block: float = 1.5

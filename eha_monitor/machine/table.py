@@ -21,7 +21,7 @@ class Table:
     ----------
     source : of the recording.
     candidates : (k,) of the columns.
-    rows : (m, 1 + k) y and columns, on the course's grid.
+    rows : (m, 1 + k) y and columns at the compared points.
     good : (m,) samples that are compared.
     block : (m,) number of each sample's block.
     dt : s.
@@ -102,10 +102,14 @@ def tables_of(courses: Sequence[Course], rig: Rig, balance: str,
     for course in courses:
         columns.append([one.column(course, rig) for one in candidates])
     kept = [i for i in range(len(candidates)) if all(row[i] is not None for row in columns)]
-    return [Table(course.source, tuple(candidates[i] for i in kept), course.in_band(
-        np.column_stack([left_side(course, rig, balance), *(row[i] for i in kept)])), course.good,
-        (np.arange(len(course)) * course.dt / policy.block).astype(int), course.dt)
-        for course, row in zip(courses, columns, strict=True)]
+    found = []
+    for course, row in zip(courses, columns, strict=True):
+        rows = course.in_band(np.column_stack([left_side(course, rig, balance),
+                                               *(row[i] for i in kept)]))
+        block = (np.arange(len(rows)) * course.step / policy.block).astype(int)
+        found.append(Table(course.source, tuple(candidates[i] for i in kept), rows,
+                           course.compared(course.good), block, course.step))
+    return found
 
 
 def left_side(course: Course, rig: Rig, balance: str) -> np.ndarray:

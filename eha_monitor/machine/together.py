@@ -132,7 +132,7 @@ class Recordings:
                     continue
                 with_it = self.errors([*names, name])
                 mean, t = gain(errors, with_it)
-                if mean >= policy.gain and t >= policy.repeats and (
+                if mean >= self.owed(name, policy) and t >= policy.repeats and (
                         best is None or mean > best[1]) and self._possible([*names, name]):
                     best = name, mean, t, with_it
             if best is None:
@@ -143,6 +143,10 @@ class Recordings:
             names, errors = self._pruned(names, errors, policy)
             names, errors = self._reshaped(names, errors)
         return Chosen(tuple(names), errors, tuple(steps))
+
+    def owed(self, name: str, policy: Policy) -> float:
+        """Return the share of the error that a term must gain."""
+        return policy.setting_gain if self.candidates[name].setting else policy.gain
 
     def _has_variant(self, name: str, names: list[str]) -> bool:
         one = self.candidates[name]
@@ -166,7 +170,7 @@ class Recordings:
                 rest = [other for other in names if other != name]
                 without_it = self.errors(rest)
                 mean, t = gain(without_it, errors)
-                if (mean < policy.gain or t < policy.repeats) and (
+                if (mean < self.owed(name, policy) or t < policy.repeats) and (
                         worst is None or mean < worst[0]):
                     worst = mean, rest, without_it
             if worst is None:
