@@ -15,17 +15,26 @@ TRIALS := benchmarks/wrong_inputs.py benchmarks/newcomer.py benchmarks/command_h
 # What the benchmarks write their figures with.
 RECORDS := benchmarks/record.py benchmarks/tables.py benchmarks/proof_figures.py
 
+# What decides names, motions and orders, and the examples that print them: the answers are the
+# same on every processor.  Linear algebra has other kernels on each, and a processor of which
+# nothing is known gets other code for the model; it is compiled for it first.
+DECIDING := $(addprefix test/,test_ties.py test_advise.py test_api.py test_api_examples.py \
+	test_name_base.py test_name_gram.py test_name_rank.py test_name_select.py \
+	test_name_telling.py test_name_unnamed.py test_learn.py test_reference.py)
+GENERIC := $(addprefix test/,test_ties.py test_advise.py test_api_examples.py test_name_select.py)
+
 # ROS traffic stays on this machine, in a domain of its own, and logs stay in out/.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export ROS_DOMAIN_ID := $(shell echo $$(( $$$$ % 90 + 10 )))
 export ROS_LOG_DIR ?= $(CURDIR)/out/ros_log
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint bench figures reference notebook proof lock clean
+.PHONY: help setup demo test test-machines lint bench figures reference notebook proof lock clean
 
 help:
 	@echo "make demo    simulator and monitor live, a replay, an HTML report (under 2 minutes)"
 	@echo "make test    the test suite"
+	@echo "make test-machines  what decides answers, as on other processors"
 	@echo "make setup   .venv from requirements.lock (the other targets do it by themselves)"
 	@echo "make lint    ruff"
 	@echo "make bench   benchmarks, with their tables"
@@ -62,6 +71,14 @@ demo: setup
 test: export ROS_PYTHON_CHECK_FIELDS := 1
 test: setup
 	@$(PYTHON) -m pytest -n 2 --dist loadfile --durations=10
+
+test-machines: setup
+	@failed=0; for kernel in Haswell Prescott; do echo "== OPENBLAS_CORETYPE=$$kernel"; \
+		OPENBLAS_CORETYPE=$$kernel $(PYTHON) -m pytest -q -n 2 --dist loadfile $(DECIDING) \
+		|| failed=1; done; exit $$failed
+	@echo "== NUMBA_CPU_NAME=generic"; export NUMBA_CPU_NAME=generic; \
+		$(PYTHON) -P -m eha_monitor.compile_all && \
+		$(PYTHON) -m pytest -q -n 2 --dist loadfile $(GENERIC)
 
 lint: setup
 	@$(PYTHON) -m ruff check .

@@ -24,9 +24,11 @@ from rich.console import Console
 from rich.table import Table
 from stranger_parts.commands import Answer, answer_of, off, shell, shown
 from strangers.check import check
-from strangers.plant import DAHL, STRIBECK
-from strangers.record import config_of, recording, write_config, write_csv
+from strangers.record import config_of, write_config, write_csv
 from strangers.rigs import RIGS, Rig
+
+from eha_monitor.concealed.strangers.plant import DAHL, STRIBECK
+from eha_monitor.concealed.strangers.shown import recording
 
 DIAGNOSE_S = 600.0  # wall
 RIGHT, HONEST, WRONG, BROKEN = "right number", "honest word", "CONFIDENTLY WRONG", "broken"

@@ -24,13 +24,13 @@ import record
 from rich.console import Console
 from rich.table import Table
 from stranger_parts.commands import ROOT, answer_of, shell, shown
-from strangers.motions import Motion
-from strangers.plant import Constants
-from strangers.record import recording
-from strangers.rigs import Dialect, Drive, Rig, Sensors
+from strangers.rigs import Dialect, Rig
 
 sys.path.insert(0, str(ROOT))
 
+from eha_monitor.concealed.strangers.motions import Motion
+from eha_monitor.concealed.strangers.plant import Constants
+from eha_monitor.concealed.strangers.shown import Drive, Sensors, recording
 from eha_monitor.settings import load_settings
 
 MEASURES = ("eha_monitor/draft", "eha_monitor/plausibility", "eha_monitor/recordings",

@@ -17,6 +17,9 @@ from numba.core.registry import CPUDispatcher, cpu_target
 
 from eha_monitor import compiled_cache
 
+_IMPORTS = re.compile(rb"^\s*from eha_monitor\.([\w.]+) import (\([^)]*\)|.*)$", re.MULTILINE)
+_CONSTANT = re.compile(rb"\b[A-Z][A-Z0-9_]*\b")
+
 
 def _source_hash() -> str:
     root = Path(__file__).parent
@@ -25,8 +28,8 @@ def _source_hash() -> str:
     sources = {path: path.read_bytes()
                for folder in ("physics", "filters", "recordings", "mismatch", "concealed")
                for path in (root / folder).rglob("*.py")}
-    # What is compiled, physics with its constants, and what these import: a constant from
-    # anywhere is part of the compiled code.
+    # What is compiled, physics with its constants, and where these have constants from: a constant
+    # is part of the compiled code, a function that is not compiled is not.
     wanted = [path for path, source in sources.items()
               if b"njit" in source or path.is_relative_to(root / "physics")]
     taken: set[Path] = set()
@@ -35,9 +38,10 @@ def _source_hash() -> str:
         if path in taken or path not in sources:
             continue
         taken.add(path)
-        wanted += [root / f"{name.decode().replace('.', '/')}.py"
-                   for name in re.findall(rb"^\s*from eha_monitor\.([\w.]+) import", sources[path],
-                                          re.MULTILINE)]
+        for module, names in _IMPORTS.findall(sources[path]):
+            place = root / module.decode().replace(".", "/")
+            wanted += [place.with_suffix(".py")] if _CONSTANT.search(names) else []
+            wanted += [place / f"{name.decode()}.py" for name in re.findall(rb"\w+", names)]
     for path in sorted(taken):
         digest.update(str(path.relative_to(root)).encode() + sources[path])
     return digest.hexdigest()[:16]

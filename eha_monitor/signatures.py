@@ -203,7 +203,7 @@ SIGNATURES = (
     ("concealed.plant", "bristle_stiffness", (
         float64[::1],
     )),
-    ("mismatch.learn.formula", "expressed_along", (
+    ("physics.own_term", "expressed_along", (
         float64[::1], float64[:, ::1], float64[::1],
     )),
     ("physics.own_term", "expressed", (float64[::1], float64[::1])),

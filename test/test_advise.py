@@ -108,7 +108,7 @@ def test_what_no_motion_separates_is_a_check_at_the_rig(hiding):
     assert doubt.now < advise.DECISIVE
     text = " ".join(advise.sentences(found))
     if not doubt.then >= advise.DECISIVE:
-        assert "tells Coulomb friction from pressure friction" in text
+        assert "distinguishes Coulomb friction from pressure friction" in text
         assert "raise the charge pressure" in text
 
 

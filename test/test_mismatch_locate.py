@@ -7,7 +7,12 @@ from scipy.linalg import solve_discrete_are
 
 from eha_monitor.mismatch.likelihood.fit import filtered, log_likelihood_of, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import CORRELATION, Unknowns, linear_of
-from eha_monitor.mismatch.likelihood.smooth import covariance_before, gain_of, smooth_back
+from eha_monitor.mismatch.likelihood.smooth import (
+    DOUBLINGS,
+    covariance_before,
+    gain_of,
+    smooth_back,
+)
 from eha_monitor.mismatch.locate.latent import larger_model, rival_innovations, rivals_of
 from eha_monitor.mismatch.locate.location import (
     after_reversal,
@@ -22,6 +27,16 @@ from eha_monitor.physics import signals as s
 
 def curve_of(curves, against, balance="force"):
     return next(c for c in curves if c.against == against and c.balance == balance)
+
+
+def test_a_state_that_nothing_shows_has_the_covariance_of_a_long_record():
+    """A position that stands in its play is in no reading: a random walk of 2^DOUBLINGS steps."""
+    a, h = np.diag([1.0, 0.9]), np.array([[0.0, 1.0]])
+    q, r = np.array([1e-14, 0.5]), np.array([0.04])
+    found = covariance_before(a, h, q, r, np.array([1e-3, 1.0]))
+    assert found[0, 0] == pytest.approx(2**DOUBLINGS * 1e-14)
+    seen = solve_discrete_are(a[1:, 1:], h[:, 1:].T, np.diag(q[1:]), np.diag(r))
+    assert found[1, 1] == pytest.approx(seen[0, 0])
 
 
 def test_smoother_is_the_least_squares_solution_of_the_whole_record():

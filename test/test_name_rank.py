@@ -12,7 +12,7 @@ from scipy.stats import multivariate_normal
 
 from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.name.acceptance import EFFECT, RARE, UNNAMED
-from eha_monitor.mismatch.name.columns import ALWAYS, Column
+from eha_monitor.mismatch.name.columns import ALWAYS, ASTRAY_OWNER, Column
 from eha_monitor.mismatch.name.gram import Gram, extended
 from eha_monitor.mismatch.name.rank import Level, Member, Ranking, best_over, ranked_at
 from eha_monitor.mismatch.name.starts import Start
@@ -108,6 +108,19 @@ def test_a_column_that_runs_away_under_a_level_says_nothing_and_stops_nothing():
         model.level.evaluated((SPRING,)).evidence)
     assert level.evaluated((LOAD,)).evidence == pytest.approx(
         level.evaluated(()).evidence + EFFECT + RARE * CATALOGUE["constant_load"].rarity)
+
+
+@pytest.mark.parametrize("astray", [(2,), (2, 3)])
+def test_an_effect_of_the_model_whose_column_runs_away_stays_in_every_set(astray):
+    """An asymmetric friction stood so near to a negative damping that a step of it ran away."""
+    owner = "asymmetric_friction"
+    what = [always(), always("beta_e"), column(owner, f"{owner}.F_c", -1),
+            column(owner, f"{owner}.dB", -1), column("spring_load", "spring_load.k")]
+    what = [replace(c, owner=ASTRAY_OWNER) if i in astray else c for i, c in enumerate(what)]
+    model = Linear(what, named=(owner,))
+    (found,) = ranked_at(model.what, model.named, [model.gram])
+    assert len(found) == 2
+    assert all(Member(owner, -1) in one.members for one in found)
 
 
 def test_amplitudes_are_the_most_likely_ones():

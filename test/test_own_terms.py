@@ -69,6 +69,15 @@ def test_an_expression_is_what_python_makes_of_it(text):
     assert value_of(text) == pytest.approx(expected, rel=1e-13)
 
 
+@pytest.mark.parametrize("text", [
+    "max(x, angle/angle)", "max(angle/angle, x)", "min(x, angle/angle)", "min(angle/angle, x)",
+    "sign(angle/angle)", "exp(angle/angle)", "abs(max(0, sqrt(-x)))"])
+def test_what_is_no_number_stays_none_wherever_it_stands(text):
+    still = ROW.copy()
+    still[s.T] = 0.0  # the angle is 0
+    assert math.isnan(added({"adds": "force", "expression": text}, still)[s.FORCE])
+
+
 LEAVES = st.one_of(st.sampled_from(sorted(SIGNALS)), st.floats(
     0.01, 100.0).map(lambda value: f"{value:.6g}"))
 TREES = st.recursive(LEAVES, lambda inner: st.one_of(

@@ -110,8 +110,9 @@ TERMS = {
     "leakage_offset": (lambda r, p: across(p["Q_0"] * np.tanh(r.dp / p["dp_e"])),
                        {"Q_0": 1e-6, "dp_e": 1e5}),
     "external_leakage": (
-        lambda r, p: {s.FLOW_1: -p["L_1"] * r.p1, s.FLOW_2: -p["L_2"] * r.p2},
-        {"L_1": 1e-12, "L_2": -3e-13}),
+        lambda r, p: {s.FLOW_1: -p["L_1"] * (r.p1 - P_ATM),
+                      s.FLOW_2: -p["L_2"] * (r.p2 - P_ATM)},
+        {"L_1": 1e-12, "L_2": 3e-13}),
     "relief_valve": (
         lambda r, p: across(p["k"] * np.sign(r.dp) * np.where(
             np.abs(r.dp) > p["p_c"], np.abs(r.dp) - p["p_c"], 0)), {"k": 2e-11, "p_c": 5e5}),

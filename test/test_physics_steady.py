@@ -22,7 +22,7 @@ from eha_monitor.physics import signals as s
 from eha_monitor.physics.dry_friction import dry_force, remember, sliding
 from eha_monitor.physics.effects import CATALOGUE
 
-V, CHARGE, MAKEUP = 0.04, 2e6, 1e-13
+V, CHARGE, MAKEUP, AMBIENT = 0.04, 2e6, 1e-13, 101325.0
 DP = B * V / A  # 47.5 kPa, of the linear model
 
 
@@ -87,12 +87,25 @@ def test_flow_in_steady_motion(effect):
 
 
 @pytest.mark.parametrize("effect, values, pressure", [
-    ("external_leakage", {"L_1": 5e-14, "L_2": 5e-14}, MAKEUP * CHARGE / (MAKEUP + 5e-14)),
+    ("external_leakage", {"L_1": 5e-14, "L_2": 5e-14},
+     (MAKEUP * CHARGE + 5e-14 * AMBIENT) / (MAKEUP + 5e-14)),
     ("anti_cavitation", {"k": 4e-13, "p_min": 3e6},
      (MAKEUP * CHARGE + 4e-13 * 3e6) / (MAKEUP + 4e-13))])
 def test_pressure_at_rest_is_where_make_up_and_effect_meet(effect, values, pressure):
     rest = simulated({"kind": "rest"}, 8.0, effects={effect: values}).truth[-1]
     assert rest[[s.P1, s.P2]] == pytest.approx([pressure] * 2, rel=2e-3)
+
+
+@pytest.mark.parametrize("ambient", [0.0, AMBIENT, 5e5])
+def test_closed_chambers_leak_down_to_the_ambient_pressure(ambient):
+    """V/beta p' = -L (p - p_a), so p - p_a falls as exp(-L beta t/V)."""
+    leak, seconds = 2e-13, 1.0
+    found = simulated({"kind": "rest"}, seconds, effects={
+        "external_leakage": {"L_1": leak, "L_2": leak}}, rig={
+            "makeup_conductance": 0.0, "leakage": 0.0, "ambient_pressure": ambient}).truth
+    fallen = np.exp(-leak * BETA * found[:, s.T] / V0)
+    for p in (s.P1, s.P2):
+        assert found[:, p] == pytest.approx(ambient + (CHARGE - ambient) * fallen, rel=1e-6)
 
 
 def fourier(signal, frequency, dt=1e-3):

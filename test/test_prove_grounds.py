@@ -13,9 +13,11 @@ from eha_monitor.concealed.draws import MCMASTER, MCMASTER_RIG, mcmaster_case
 from eha_monitor.concealed.generate import nominal_config, recording_of
 from eha_monitor.errors import InputError
 from eha_monitor.prove.files import write_json
-from eha_monitor.prove.grounds import mcmaster, simulator, triangle
+from eha_monitor.prove.grounds import mcmaster, simulator, strangers, triangle
 from eha_monitor.prove.grounds.ground import Ground, compared_row, said_of, with_ground
+from eha_monitor.prove.score import row_of
 from eha_monitor.prove.trial import Question
+from eha_monitor.recordings.read import read_recording
 from eha_monitor.reports.proof_report import proof_page
 from eha_monitor.reports.proof_text import write_result
 from eha_monitor.settings import load_settings, settings_from_tree
@@ -182,6 +184,37 @@ def test_what_the_advice_must_say(tmp_path, monkeypatch):
     assert [row["within"] for row in rows] == [False, False, True, True]
     wrong = triangle.judged(case, {**advice, "motion": None, "doubts": []}, tmp_path)
     assert not wrong["decides"]
+
+
+# Strangers' rigs.
+
+def test_a_stranger_s_recording_is_written_with_the_config_of_its_sheet(tmp_path):
+    case = strangers.Strange("s1_000_r2", 1, 0, 1)
+    truth = strangers.conceal(case, tmp_path)
+    settings = load_settings(tmp_path / "s1_000_r2.yaml")
+    recording = read_recording(tmp_path / "s1_000_r2", settings)
+    assert recording.has("x", "x_d", "omega", "p1", "p2", "temperature")
+    assert settings.rig.area_1 > settings.rig.area_2 and settings.effects == {}
+    assert truth["effects"][0]["class"][0] == "coulomb_friction"
+    assert truth["load"] != 0.0 and truth["motion"] and truth["rig_off"]
+
+
+def test_dry_friction_of_another_law_is_right_within_its_class_and_b_within_its_drift(tmp_path):
+    truth = {"case": "s", "B": 1400.0, "B_span": [1500.0, 1275.0], "beta_e": 8e8, "rig_off": [],
+             "effects": [{"name": "stribeck_friction", "balance": "force", "strength": 1.0,
+                          "in_catalogue": True, "parameters": {"F_c": 180.0, "F_d": 80.0},
+                          "class": ["coulomb_friction", "stribeck_friction"]}]}
+    answer = said(("coulomb_friction", (), {"F_c": 183.0}), after={
+        "B": {"value": 1270.0, "stddev": 10.0, "unit": "N·s/m"}})
+    answer |= {"verdict": "mismatch", "location": {"balance": {"force": 1.0}},
+               "fit": {"signals": {}}}
+    answer["effects"][0] |= {"balance": "force", "log_evidence": 50.0, "probability": 0.9}
+    row = row_of(truth, answer)
+    assert row["within_class"] and not row["exact"]
+    (tmp_path / "answers").mkdir()
+    write_json(tmp_path / "answers" / "s.json", answer)
+    (b,) = strangers.parameters(Question("s", ("s",)), {"s": truth}, tmp_path)
+    assert b["inside"] and b["true"] == 1400.0
 
 
 # What a ground adds to a result.

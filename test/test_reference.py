@@ -12,7 +12,7 @@ from eha_monitor.commands.diagnose import command_line, diagnose
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.compare.compared import compared
 from eha_monitor.mismatch.compare.healthy import limit_of, own_over
-from eha_monitor.mismatch.compare.runs import Own, Run, reading_of
+from eha_monitor.mismatch.compare.runs import Own, Run, posterior_of, reading_of
 from eha_monitor.mismatch.data.stops import between_stops
 from eha_monitor.mismatch.likelihood.fit import Free
 from eha_monitor.mismatch.name.columns import Column
@@ -111,6 +111,22 @@ def test_reading_is_the_schur_complement_of_ridge_regression():
     left = np.vstack([rows[:, [0, 1, 3]], [[2**0.5, 0, 0], [0, 0.5**0.5, 0]]])
     right = np.concatenate([-(e + rows[:, :2] @ own.mean), [0.0, 0.0]])
     assert found.amplitudes[3] == pytest.approx(np.linalg.lstsq(left, right, rcond=None)[0][2])
+
+
+@pytest.mark.parametrize("power", [1.0, 1e8, 1e20])
+def test_own_numbers_that_cannot_be_told_apart_keep_their_prior(power):
+    """Two columns that are one: the sum of their amplitudes is told, the difference is not."""
+    variance, products = np.array([4.0, 1.0]), power * np.ones((2, 2))
+    found, _ = posterior_of(products, variance)
+    sum_of, apart = np.ones(2), np.array([1.0, -4.0])  # apart: across the sum, under the prior
+    assert sum_of @ found @ sum_of == pytest.approx(1.0 / (power + 0.2), rel=1e-4, abs=1e-14)
+    assert apart @ found @ apart == pytest.approx(20.0, rel=1e-3)
+    own = own_over(tuple(Run((Column("", -1, "B", free=Free("B", 0, -9.0, 9.0, 0.0, 1.0)),
+                              Column("", -1, "C", free=Free("C", 1, -9.0, 9.0, 0.0, 1.0))),
+                             power * np.outer([a, 1.0, 1.0], [a, 1.0, 1.0]))
+                         for a in (0.1, 0.2, -0.1, 0.3)))
+    assert np.isfinite(own.mean).all() and (own.variance > 0.0).all()
+    assert own.mean.sum() == pytest.approx(-0.125, rel=0.2)
 
 
 def test_another_healthy_stroke_has_not_changed(strokes):

@@ -1,6 +1,5 @@
 """People who have never seen this project: one rig, three mistakes, and how they are scored."""
 
-import subprocess
 import sys
 from pathlib import Path
 
@@ -17,6 +16,9 @@ from strangers.check import check  # noqa: E402
 from strangers.rigs import CHIRP, MICRO  # noqa: E402
 from wrong_inputs import Trial  # noqa: E402
 
+from eha_monitor.concealed.strangers.draw import draw_rig  # noqa: E402
+from eha_monitor.concealed.strangers.generate import record, truth_of  # noqa: E402
+
 BY_NAME = {mistake.name: mistake for mistake in MISTAKES}
 
 
@@ -24,12 +26,27 @@ def test_the_strangers_plant_keeps_its_balances():
     assert check(CHIRP).faults() == []
 
 
-def test_the_strangers_plant_uses_nothing_of_the_project():
-    code = ("import sys; import strangers.check, strangers.record; "
-            "print(sorted(m for m in sys.modules if m.startswith('eha_monitor')))")
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT / "benchmarks", text=True,
-                          capture_output=True, check=True)
-    assert done.stdout.strip() == "[]"
+@pytest.mark.parametrize(("kind", "law"), [
+    ("equal", "lugre"), ("two_pumps", "karnopp"), ("rod_accumulator", "rational")])
+def test_a_drawn_rig_keeps_its_balances(kind, law):
+    rig = draw_rig(3, 0, kind, law)
+    found = check(rig.run(rig.settings[0], 4.0))
+    assert found.flow < 1e-3 and found.energy < 2e-3, found
+    assert found.damping < -0.5, found
+
+
+def test_a_drawn_rig_is_the_same_each_time_and_its_sheet_is_within_the_tolerances():
+    rig = draw_rig(3, 1)
+    assert rig == draw_rig(3, 1)
+    first, settings = record(rig, rig.settings[1], 2, 6.0)
+    again, _ = record(rig, rig.settings[1], 2, 6.0)
+    assert first.get("p1").tolist() == again.get("p1").tolist()
+    truth = truth_of(rig, rig.settings[1])
+    assert all(abs(one["tolerances"]) < 3.5 for one in truth["rig_off"])
+    assert truth["B_span"][1] <= truth["B"] <= truth["B_span"][0]
+    true = {getattr(rig.plant, name) for name in ("area_1", "mass", "gain", "reservoir")}
+    assert not true & {settings.rig.area_1, settings.rig.mass, settings.rig.position_gain,
+                       settings.rig.charge_pressure}
 
 
 def test_a_newcomer_is_told_no_wrong_number(tmp_path):

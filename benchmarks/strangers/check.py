@@ -4,8 +4,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strangers.plant import N_STATE, P1, P2, PA, Constants, F, V, W, X, friction_force, rates, rest
-from strangers.record import fine_run
+from eha_monitor.concealed.strangers.plant import (
+    N_STATE,
+    P1,
+    P2,
+    PA,
+    WARM,
+    Constants,
+    F,
+    V,
+    W,
+    X,
+    friction_force,
+    moving,
+    rates,
+    rest,
+)
+from eha_monitor.concealed.strangers.shown import fine_run
 from strangers.rigs import Rig
 
 
@@ -82,10 +97,11 @@ def _flow(y, time, c, held):
         pumped = _integral(y[:, W], h)
     worst = 0.0
     second = c.makeup if c.makeup_2 < 0 else c.makeup_2
-    for p, area, volume, sign, displacement, g in (
-            (y[:, P1], c.area_1, c.volume_1, 1.0, c.displacement_1, c.makeup),
-            (y[:, P2], c.area_2, c.volume_2, -1.0, c.displacement_2, second)):
-        q = (-sign * c.cross_leakage * (y[:, P1] - y[:, P2]) - c.case_leakage * (p - c.tank)
+    case_2 = c.case_leakage if c.case_leakage_2 < 0 else c.case_leakage_2
+    for p, area, volume, sign, displacement, g, leak in (
+            (y[:, P1], c.area_1, c.volume_1, 1.0, c.displacement_1, c.makeup, c.case_leakage),
+            (y[:, P2], c.area_2, c.volume_2, -1.0, c.displacement_2, second, case_2)):
+        q = (-sign * c.cross_leakage * (y[:, P1] - y[:, P2]) - leak * (p - c.tank)
              + g * (y[:, PA] - p)
              + c.check_valve * np.maximum(0.0, y[:, PA] - c.cracking - p))
         into = sign * displacement * pumped - sign * area * (y[:, X] - y[0, X]) + _integral(q, h)
@@ -100,11 +116,13 @@ def _flow(y, time, c, held):
 def _energy(y, time, c):
     """Compare the work of the pressures with friction, load and kinetic energy."""
     h = time[1] - time[0]
-    v = y[:, V]
-    dry = np.array([friction_force(speed, f, c)[0] for speed, f in zip(v, y[:, F], strict=True)])
+    v = np.array([moving(speed, c) for speed in y[:, V]])
     force = c.area_1 * y[:, P1] - c.area_2 * y[:, P2]
+    viscous = c.damping * (1.0 - c.damping_drop * y[:, WARM]) * v
+    dry = np.array([friction_force(*row, c)[0] for row in zip(
+        y[:, V], y[:, F], force - viscous - c.load, strict=True)])
     work = _integral(force * v, h)
-    spent = _integral(c.damping * v * v + (dry + c.load) * v, h)
+    spent = _integral((viscous + dry + c.load) * v, h)
     kinetic = 0.5 * c.mass * (v * v - v[0] ** 2)
     total = _integral(np.abs(force * v), h)[-1]
     return float(np.abs(work - spent - kinetic).max() / total)

@@ -1,85 +1,17 @@
-"""From a rig to what its owner has: a table of channels, a CSV, and the config of the README."""
+"""From a rig to what its owner has: a CSV, and the config of the README."""
 
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.signal import butter, lfilter, lfilter_zi
 
-from strangers.motions import Motion
-from strangers.plant import N_STATE, P1, P2, Constants, W, X, rest, run
+from eha_monitor.concealed.strangers.motions import Motion
+from eha_monitor.concealed.strangers.shown import ATMOSPHERE
 from strangers.rigs import Rig
 
-ATMOSPHERE = 101325.0  # Pa
-PREROLL = 1.0  # s: the rig runs before the logger does
-LONGEST_STEP = 5e-5  # s
-SUBSTEPS = 20  # in a sample, at least
 # SI per unit.
 UNITS = {"s": 1.0, "ms": 1e-3, "m": 1.0, "mm": 1e-3, "um": 1e-6, "Pa": 1.0, "kPa": 1e3,
          "bar": 1e5, "MPa": 1e6, "rad/s": 1.0, "rpm": 2 * np.pi / 60, "degC": 1.0}
-
-
-def fine_run(rig: Rig, seed: int = 0, substeps: int | None = None
-             ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the trajectory (m, N_STATE), its times (m,) s, the sample of each log, its noise.
-
-    Returns
-    -------
-    out, time, at, noise : trajectory; its times, 0 at the first logged sample; (n,) rows of
-        ``out`` at the logged samples; (n,) noise of the position in m at them.
-    """
-    period = 1.0 / rig.rate
-    if substeps is None:
-        substeps = max(SUBSTEPS, int(np.ceil(period / LONGEST_STEP)))
-    h = period / substeps
-    ahead = round((PREROLL - min(rig.motion.before, 0.0)) * rig.rate)
-    ahead += ahead % 2  # whole periods of any drive
-    samples = round(rig.length * rig.rate)
-    steps = (ahead + samples) * substeps
-    halves = np.arange(2 * steps + 1) * 0.5 * h - ahead * period
-    demand = rig.motion(halves, rig.length)
-    slope = np.gradient(demand, 0.5 * h)
-    rng = np.random.default_rng([seed, 1])
-    noise = rig.sensors.position_noise * rng.standard_normal(ahead + samples)
-    drive = rig.drive
-    if drive.hold and drive.phase == 0.0:
-        read = noise[::drive.hold]
-    else:
-        read = rig.sensors.position_noise * rng.standard_normal(ahead + samples)
-    out = np.empty((steps + 1, N_STATE))
-    c = Constants(*map(float, rig.plant))
-    y = rest(c, float(demand[0]))
-    run(y, c, demand, slope, h, steps, drive.hold * substeps,
-        round(drive.phase * substeps), rig.sensors.encoder, read, out)
-    at = (ahead + np.arange(samples)) * substeps
-    return out, halves[::2], at, noise[ahead:]
-
-
-def recording(rig: Rig, seed: int = 0) -> dict[str, np.ndarray]:
-    """Return time and channels as the sensors show them, name -> (n,) SI."""
-    out, time, at, noise = fine_run(rig, seed)
-    sensors, rng = rig.sensors, np.random.default_rng([seed, 2])
-    h = time[1] - time[0]
-
-    def filtered(values):
-        if not sensors.filter_hz:
-            return values
-        b, a = butter(2, sensors.filter_hz, fs=1.0 / h)
-        return lfilter(b, a, values, zi=lfilter_zi(b, a) * values[0])[0]
-
-    def stepped(values, step):
-        return step * np.round(values / step) if step else values
-
-    n = len(at)
-    shown = {"time": np.arange(n) / rig.rate,
-             "x": stepped(out[at, X] + noise, sensors.encoder),
-             "x_d": rig.motion(time[at], rig.length),
-             "omega": filtered(out[:, W])[at] + sensors.speed_noise * rng.standard_normal(n),
-             "temperature": 41.0 + 1.5 * (1 - np.exp(-np.arange(n) / (5 * rig.rate)))}
-    for name, column in (("p1", P1), ("p2", P2)):
-        p = filtered(out[:, column])[at] + sensors.pressure_noise * rng.standard_normal(n)
-        shown[name] = stepped(p - ATMOSPHERE * sensors.gauge, sensors.pressure_step)
-    return shown
 
 
 def varied(rig: Rig, seed: int) -> Rig:

@@ -4,38 +4,11 @@ Each is what its owner knows (data sheet, logger, file) and what only this file 
 friction, hold).  Loop gain K D/A below a third of B/M keeps the oil column stable.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from strangers.motions import Motion
-from strangers.plant import DAHL, STRIBECK, Constants
-
-
-@dataclass(frozen=True)
-class Sensors:
-    """What the transducers and the logger make of the truth; SI."""
-
-    encoder: float = 1e-6  # m, step
-    position_noise: float = 0.5e-6  # m
-    pressure_noise: float = 1.5e3  # Pa
-    pressure_step: float = 300.0  # Pa, of the converter
-    speed_noise: float = 0.1  # rad/s
-    filter_hz: float = 0.0  # Hz, second-order anti-alias filter on pressures and speed; 0 none
-    gauge: bool = False  # the transducers show pressure above the atmosphere
-
-
-@dataclass(frozen=True)
-class Drive:
-    """How the controller runs.
-
-    Attributes
-    ----------
-    hold : 0 continuous; else it computes every ``hold`` samples and holds.
-    phase : when it computes after the logger's sample, as a share of a sample; at 0 the logger
-        is the controller, and writes the very position it has used.
-    """
-
-    hold: int = 0
-    phase: float = 0.0
+from eha_monitor.concealed.strangers.motions import Motion
+from eha_monitor.concealed.strangers.plant import DAHL, STRIBECK, Constants
+from eha_monitor.concealed.strangers.shown import Drive, Sensors
 
 
 @dataclass(frozen=True)
@@ -68,8 +41,8 @@ class Rig:
     length: float  # s
     motion: Motion
     dialect: Dialect
-    sensors: Sensors = Sensors()
-    drive: Drive = Drive()
+    sensors: Sensors = field(default_factory=Sensors)
+    drive: Drive = field(default_factory=Drive)
     gain_known: bool = True
 
 

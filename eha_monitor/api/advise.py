@@ -60,9 +60,12 @@ def advise(recordings: Several, config: Config | str | os.PathLike | dict | None
 
     Examples
     --------
-    >>> a = em.advise(rub, em.Config(), check=False)  # the recording of diagnose
-    >>> a.named, a.motion.words
-    (('coulomb_friction',), 'a sine of 20 Hz')
+    >>> ramps = {"kind": "triangle", "amplitude": "20 mm", "frequency": "0.25 Hz",
+    ...          "duration": "4 s"}
+    >>> slow = em.simulate(em.Config(simulation={"excitation": {"ramps": ramps}}), seed=1)
+    >>> a = em.advise(slow, check=False)  # at one speed B and dry friction are one force
+    >>> a.doubts[0].effect, a.doubts[0].parameter, a.motion.words
+    ('coulomb_friction', 'B', 'a sine of 2 Hz')
     """
     with calling():
         given = several(recordings, "recordings")

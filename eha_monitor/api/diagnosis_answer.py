@@ -67,6 +67,8 @@ def answer(found: Diagnosis) -> dict:
         # Probabilities took their place; programs that read them find the keys.
         "threshold": {"log_units": None, "calibrated": False},
         "explained": None,
+        "gates": [asdict(gate) for gate in found.gates],
+        "baseline": [one.to_dict() for one in found.baselines],
         "pieces": [{"bag": piece.bag, "start_s": piece.start_s, "stop_s": piece.stop_s,
                     "parameters": _values(piece.values)} for piece in found.pieces],
         "named_on": [asdict(one) for one in found.named_on],
@@ -152,12 +154,17 @@ def completed(found: Diagnosis, settings: Settings) -> tuple[Settings, list[str]
     if found.verdict == "mismatch" or found.learned:
         changed += _corrected_numbers(found, settings, tree["rig"], missing)
         changed += _named_physics(found, tree, missing)
+        known = [*filter(None, settings.rig.identified.split(", ")),
+                 *(finding.key for finding in found.rig_data),
+                 *(one.name for one in found.effects if one.name in tree["effects"])]
         for name, key in RIG_KEYS.items():
             value = found.after.get(name)
             if value is not None and 0 < value.value < LARGEST:
                 tree["rig"][key] = rounded(value.value)
                 shown = with_uncertainty(value.value, value.stddev, value.unit)
                 changed.append(f"rig.{key}: {shown}")
+                known.append(key)
+        tree["rig"]["identified"] = ", ".join(dict.fromkeys(known))
     return settings_from_tree(tree, "diagnosis"), changed, missing
 
 

@@ -65,7 +65,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
     from eha_monitor.api.config import config_of
     from eha_monitor.api.diagnose import bags_of, known_effects
     from eha_monitor.api.diagnose import diagnose as run
-    from eha_monitor.api.diagnosis_answer import refusal, written_config
+    from eha_monitor.api.diagnosis_answer import completed, refusal, written_config
     from eha_monitor.api.plausible import finding_tree
     from eha_monitor.api.read import distinct
     from eha_monitor.commands.refused import refusing
@@ -87,10 +87,13 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
             bags, str(problem), finding_tree(problem.channels))):
         found = run(bags, given, held_out=held_out, references=references, hypothesis=hypothesis,
                     without=without, progress=told)
+    notes = [finding.finding for finding in found.channels]
     if json_file:
         write_json(json_file, found.to_dict())
     if config_file:
         write_text(config_file, written_config(found.inner, given.settings, config))
+        if not completed(found.inner, given.settings)[1]:
+            notes.append(f"{config_file}: the config as it was, since nothing was identified")
     if report_file:
         found.report(report_file, command=command_line(bags, config, held_out, hypothesis_file,
                                                        references, without))
@@ -98,7 +101,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
     from eha_monitor.commands.diagnosis_table import show
 
     show(found.inner, [path for path in (json_file, report_file, config_file) if path],
-         [finding.finding for finding in found.channels], found.indicators, given.settings)
+         notes, found.indicators, given.settings)
     write_out_bag(out_bag, found.inner, bags, given.settings)
     return int(exit_code and not found.healthy)
 

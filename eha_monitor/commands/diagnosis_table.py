@@ -10,6 +10,7 @@ from rich.table import Table
 from eha_monitor.commands.indicators import show as show_indicators
 from eha_monitor.commands.table import PIPE_WIDTH, PipeConsole
 from eha_monitor.indicators.indicator import Indicator
+from eha_monitor.machine.baseline import sentence as baseline_sentence
 from eha_monitor.mismatch.diagnosis import Diagnosis
 from eha_monitor.quantity import DIAGNOSED, SYMBOLS, number
 from eha_monitor.reports.diagnosis_words import (
@@ -53,6 +54,8 @@ def show(found: Diagnosis, written: list[Path], notes: list[str] = (),
                                  f"{_rivals(finding.indistinguishable_from)}"))
     console.print(f"[bold {_COLOURS[kind]}]{escape(head_words(found))}[/]: "
                   f"{escape(message_words(found))}".rstrip(": "))
+    for gate in found.gates:
+        console.print(escape(f"refused: {gate.statement}"))
     _print_place(console, found)
     if found.changes:
         console.print(_changes(found))
@@ -72,6 +75,10 @@ def show(found: Diagnosis, written: list[Path], notes: list[str] = (),
         show_indicators(console, indicators, settings)
     if found.signals:
         console.print(_fit(found))
+    for one in found.baselines:
+        for balance, fit in (("force", one.force), ("flow", one.flow)):
+            if fit is not None:
+                console.print(escape(f"least squares, {balance}: {baseline_sentence(fit)}"))
     for finding in found.rig_within:
         console.print(f"[yellow]rig data[/]: {escape(finding.statement)}")
     for title, sentences in (("health", found.health), ("advice", found.advice),

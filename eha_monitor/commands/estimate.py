@@ -51,7 +51,8 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
             found.observability  # noqa: B018  computed when it is asked for
     if json_file:
         write_json(json_file, found.to_dict())
-    if config_file and any(finding.correction for finding in found.channels):
+    corrects = any(finding.correction for finding in found.channels)
+    if config_file and corrects:
         write_text(config_file, corrected_config(found.channels, given.settings, config))
     if report_file:
         with working(f"drawing {report_file}"):
@@ -61,4 +62,7 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
 
     show(found.inner, found.alarms, [path for path in (json_file, report_file) if path],
          found.indicators)
+    if config_file:
+        click.echo(f"{config_file}: written" if corrects else f"{config_file}: not written, since "
+                   "the recording contradicts no sign, unit or channel of the config")
     return int(exit_code and not found.healthy)

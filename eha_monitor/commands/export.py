@@ -79,7 +79,7 @@ def export(config: Path, fmu: Path | None, platforms: tuple[str, ...], modelica:
             write_bytes(target, exported.content)
         else:
             write_text(target, exported.content)
-        click.echo(f"{target}: written")
+        click.echo(f"{target}: written; {model.provenance}")
         for line in exported.lost:
             click.echo(f"  not in it: {line}")
 

@@ -9,7 +9,7 @@ from eha_monitor.commands.diagnose import progress_bar
 from eha_monitor.errors import InputError
 
 _PATH = click.Path(path_type=Path)
-GROUNDS = ("draws", "mcmaster", "simulator", "triangle")
+GROUNDS = ("draws", "mcmaster", "simulator", "strangers", "triangle")
 DRAWS = 200
 
 
@@ -18,7 +18,8 @@ DRAWS = 200
 @click.option("--ground", type=click.Choice(GROUNDS), default="draws", show_default=True,
               help="Source of the test cases: draws of the independent plant; the published "
                    "McMaster plant "
-              "in its three states; recordings of a fluid-power simulator (--data); the paper's "
+              "in its three states; recordings of a fluid-power simulator (--data); strangers' "
+              "rigs with several recordings each; the paper's "
               "triangle with Coulomb friction and a second recording as advised.")
 @click.option("--cases", type=click.IntRange(1, 10000), default=None,
               help="How many recordings, or rigs; 200 draws, or all that a ground has.")
@@ -116,7 +117,7 @@ def check_ground(ground: str, config: Path | None, data: Path | None, oracle: bo
     if ground != "simulator" and data is not None:
         raise InputError(f"--data: --ground {ground} reads no recordings, expected --ground "
                          "simulator")
-    if ground in ("mcmaster", "triangle") and config is not None:
+    if ground in ("mcmaster", "strangers", "triangle") and config is not None:
         raise InputError(f"--config: --ground {ground} has its own rig, expected none")
     if ground != "draws" and oracle:
         raise InputError(f"--oracle: --ground {ground} has none, expected --ground draws")
@@ -141,6 +142,10 @@ def on_ground(name: str, ground, data: Path | None, config: Path | None, told) -
         from eha_monitor.prove.grounds.simulator import prove_simulator
 
         return prove_simulator(ground, data, config, click.echo, told)
+    if name == "strangers":
+        from eha_monitor.prove.grounds.strangers import prove_strangers
+
+        return prove_strangers(ground, click.echo, told)
     from eha_monitor.prove.grounds.triangle import prove_triangle
 
     return prove_triangle(ground, click.echo, told)

@@ -10,6 +10,8 @@ motion needs on this rig without the thresholded effects.
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from eha_monitor.concealed.plant import ATMOSPHERE
+
 CATALOGUE_BALANCES = {
     "force": ("coulomb_friction", "stribeck_friction", "quadratic_friction",
               "asymmetric_friction", "pressure_friction", "presliding_friction", "constant_load",
@@ -207,7 +209,7 @@ def _external(c: Context) -> Hidden:
     chamber = c.take("chamber", "both")
     leaks = {i: c.take(f"L_{i}", 5e-14 * c.size if chamber in (i, "both") else 0.0)
              for i in (1, 2)}
-    tank = c.take("p_tank", 0.0)  # absolute
+    tank = c.take("p_tank", ATMOSPHERE)  # absolute
     return Hidden(
         plant={"external_leakage_1": leaks[1], "external_leakage_2": leaks[2], "tank": tank},
         parameters={"L_1": leaks[1], "L_2": leaks[2], "p_tank": tank})

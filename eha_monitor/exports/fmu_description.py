@@ -104,8 +104,7 @@ def description(model: Model, guid: str, identifier: str, start: float, paramete
     rig = model.settings.rig
     root = ElementTree.Element("fmiModelDescription", {
         "fmiVersion": "2.0", "modelName": rig.name, "guid": guid,
-        "description": "Electrohydraulic actuator, identified by eha_monitor; from "
-                       f"{model.source}",
+        "description": f"Electrohydraulic actuator, from {model.source}; {model.provenance}",
         "generationTool": f"eha_monitor {__version__}",
         "variableNamingConvention": "structured", "numberOfEventIndicators": "0"})
     for line in lost:

@@ -37,6 +37,13 @@ class Model:
         """Terms of the rig's own by name."""
         return {name: values for name, values in self.settings.effects.items() if is_own(values)}
 
+    @property
+    def provenance(self) -> str:
+        """Which numbers a recording determined, and that the others are the config's own."""
+        found = self.settings.rig.identified
+        return f"identified: {found}; the rest as configured" if found else (
+            "as configured: no number in it was identified from a recording")
+
     def require(self, what: str, *keys: str) -> None:
         """Raise InputError if a number of the rig that an export needs is null."""
         for key in keys:

@@ -1,4 +1,4 @@
-"""The identified actuator as Modelica text: its own equations, no library needed."""
+"""The actuator of a config as Modelica text: its own equations, no library needed."""
 
 import ast
 import re
@@ -88,8 +88,9 @@ def modelica_of(model: Model, units: Mapping[str, str]) -> Exported:
             variables["shaft_angle"] = "0"
             equations = [*equations, "der(shaft_angle) = omega"]
     text = [f'model {identifier(settings.rig.name)}',
-            f'  "Electrohydraulic actuator, identified by eha_monitor {__version__}"',
-            f"  // from {model.source}", *(f"  // not in this model: {line}" for line in lost)]
+            f'  "Electrohydraulic actuator, by eha_monitor {__version__}"',
+            f"  // from {model.source}; {model.provenance}",
+            *(f"  // not in this model: {line}" for line in lost)]
     text += _parameters(model, start, units)
     text += _ports(closed, slow, units)
     text += ["protected"]

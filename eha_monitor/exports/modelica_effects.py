@@ -71,7 +71,8 @@ EFFECTS: dict[str, Written | tuple[Written, Written]] = {
     "cross_port_leakage": across("{L}*dp"),
     "entrained_air": Written({"compliance_1": _AIR.format(p="p1"),
                               "compliance_2": _AIR.format(p="p2")}),
-    "external_leakage": Written({"flow_1": "-{L_1}*p1", "flow_2": "-{L_2}*p2"}),
+    "external_leakage": Written({"flow_1": "-{L_1}*(p1 - ambient_pressure)",
+                                 "flow_2": "-{L_2}*(p2 - ambient_pressure)"}),
     "leakage_offset": across("{Q_0}*tanh(dp/{dp_e})"),
     "line_dynamics": Written(
         {"speed": "({self}_flow - omega)"},

@@ -129,7 +129,7 @@ def _lost(model: Model, law: Law, two: TwoNumbers, held: tuple[str, ...]) -> tup
 def _comments(root: ElementTree.Element, model: Model, lost: tuple[str, ...]) -> None:
     unit = "N·m·s/rad and N·m" if model.rotary else "N·s/m and N"
     for line in (f"eha_monitor {__version__}, from {model.source}",
-                 f"damping and friction in {unit}, identified",
+                 f"damping and friction in {unit}; {model.provenance}",
                  *(f"not in this file: {one}" for one in lost)):
         root.append(ElementTree.Comment(f" {line.replace('--', '- -')} "))
 

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.filters.results import Consistency
 from eha_monitor.quantity import number
 from eha_monitor.recordings import columns
@@ -133,7 +134,7 @@ class _Squares:
         if not windows:
             return
         local = (values[: windows * WINDOW] ** 2).reshape(windows, WINDOW).mean(axis=1)
-        peak = int(np.argmax(local))
+        peak = ties.largest(local)
         if local[peak] > self.loudest:
             self.loudest = float(local[peak])
             self.loudest_at = int(index[min(peak * WINDOW + WINDOW // 2, len(index) - 1)])
@@ -200,7 +201,7 @@ def judge(innovation: np.ndarray, stddev: np.ndarray, dt: float, stage: str,
         # next one, explain so much of the excess.
         explained = PER_CHANGE * (len(changes) + 1)
         judged[(ratios - 1.0) * (n // lengths) <= explained] = 0.0
-    worst = int(np.argmax(judged if judged.any() else ratios))
+    worst = ties.largest(judged if judged.any() else ratios)
     ratio, length = float(ratios[worst]), int(lengths[worst])
 
     loudest = seen.loudest

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.filters.drive import drive_input
 from eha_monitor.filters.hold import Hold
 from eha_monitor.filters.hold_evidence import Point, Stretch, climbed, fitted, later
@@ -152,8 +153,10 @@ def evidence_of(recording: Recording, settings: Settings) -> tuple[float, str] |
     held, flowing = later(asked.sampled, 0.0), later(asked.continuous, 0.0)
     first, second = fitted(asked.stretches, flowing), fitted(asked.stretches, held)
     # Each from where the other has come to, too: a search ends at the top of one hill.
-    l_flowing, at = max([first, (*_from(second, flowing),)], key=lambda one: one[0])[::2]
-    l_held, at_held = max([second, (*_from(first, held),)], key=lambda one: one[0])[::2]
+    l_flowing, at = ties.best(
+        [first, (*_from(second, flowing),)], lambda one: one[0], within=ties.GUESS)[::2]
+    l_held, at_held = ties.best(
+        [second, (*_from(first, held),)], lambda one: one[0], within=ties.GUESS)[::2]
     if not (np.isfinite(l_held) and np.isfinite(l_flowing)):
         return None
 

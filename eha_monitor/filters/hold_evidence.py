@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.compiled import njit
 from eha_monitor.filters.hold import Hold
 from eha_monitor.filters.small_matrices import (
@@ -303,7 +304,8 @@ def fitted(stretches: list[Stretch], lines: tuple[np.ndarray, np.ndarray]
     """
     starts = [(stretch, Point(stretch.damping[0], c, force, flow)) for stretch in stretches
               for force, flow in LEANING for c in GRID]
-    stretch, at = max(starts, key=lambda one: likelihood_at(one[0], lines, one[1]))
+    stretch, at = ties.best(
+        starts, lambda one: likelihood_at(one[0], lines, one[1]), within=ties.GUESS)
     best, at = climbed(stretch, lines, at)
     return best, stretch, at
 

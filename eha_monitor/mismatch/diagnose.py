@@ -7,8 +7,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.breakdown import computing
 from eha_monitor.filters.hold_choice import other_hold, resolved
+from eha_monitor.machine.baseline import Baseline, baseline
 from eha_monitor.mismatch.advise import advice as advise
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.diagnosis import (
@@ -37,6 +39,7 @@ from eha_monitor.mismatch.show import balances as balance_show
 from eha_monitor.mismatch.show import held_out as show
 from eha_monitor.mismatch.show.changed import change_words, changed_between
 from eha_monitor.mismatch.show.model import (
+    between_models,
     config_effects,
     fitted_of,
     health_sentences,
@@ -57,7 +60,6 @@ from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import listed
 
 LEAST_MOTION = 20.0  # times the position's noise: less motion says nothing
-LARGE_PART = 0.5  # of the evidence: what an effect must take away to be named beside an unknown
 # Effect of the force balance -> errors of pressure sensors that make the same force: an offset,
 # and a scale by the mean pressure.
 FORCE_OF_SENSORS = {"constant_load": ("pressure_offset", "pressure_scale")}
@@ -142,6 +144,7 @@ def diagnosed(recordings: list[Recording], experiment: Experiment,
     """Return the answer for what was named on the windows that tell most."""
     bags = tuple(recording.source for recording in recordings)
     duration = sum(recording.duration for recording in recordings)
+    baselines = tuple(baseline(recording, experiment.settings) for recording in recordings)
     if named is None:
         return insufficient(bags, duration, started,
                             f"the piston moves by {quantity(experiment.ranges.position, 'm', 2)} "
@@ -163,7 +166,7 @@ def diagnosed(recordings: list[Recording], experiment: Experiment,
     shown = experiment if held_out is None else replace(
         experiment_of([held_out], settings, False), steps=experiment.steps)
     found = assemble(experiment, shown, naming, bags, duration, started, held_out is not None,
-                     pieces, say, hypothesis)
+                     pieces, say, hypothesis, baselines)
     windows = told.stretches if told.windows or told.stretches is not whole else ()
     return replace(found, named_on=tuple(Window(
         one.source, round(one.start, 4), round(one.start + len(one) * told.dt, 4))
@@ -192,12 +195,13 @@ def verdict_of(experiment: Experiment, naming: Naming) -> str:
 
 def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tuple[str, ...],
              duration: float, started: float, other_bag: bool, pieces: tuple[Piece, ...],
-             say: Report, hypothesis: Hypothesis | None) -> Diagnosis:
+             say: Report, hypothesis: Hypothesis | None, baselines: tuple[Baseline, ...]
+             ) -> Diagnosis:
     """Put the answer together."""
-    naming = replace(naming, before=robust(experiment, naming.before),
-                     after=robust(experiment, naming.after))
-    verdict, explained = verdict_of(experiment, naming), naming.explained
-    before, after, asked = naming.before, naming.after, naming
+    asked, naming = naming, replace(naming, before=robust(experiment, naming.before),
+                                    after=robust(experiment, naming.after))
+    verdict, gates = verdict_of(experiment, naming), naming.gates
+    before, after = naming.before, naming.after
     by_equations = experiment.inverse
     if by_equations:
         closed = balance_show.balances_of(experiment, before, after)
@@ -206,9 +210,14 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
     else:
         signals = show.shown(shown, before, after)
         tracks = tracks_of(experiment, after) if after.named else []
-    # A fit that fails on unseen data has named nothing.
-    if after.named and not naming.loads and show.worse(signals):  # no model runs with such a load
-        verdict, explained = "unexplained", 0.0
+    # A fit that fails on unseen data has named nothing.  No model runs with an intermittent load.
+    answers = (after.named or naming.wrong) and not naming.loads
+    failed = show.unseen_gates(signals) if answers else ()
+    if not naming.loads and not pieces:
+        failed += show.baseline_gates(shown, baselines, after)
+    if failed:
+        verdict, gates = "unexplained", (*gates, *failed)
+        naming = replace(naming, unexplained=1.0 - naming.consistent)
     test = told = None
     if hypothesis is not None and not naming.loads:
         say("testing the hypothesis", 0.9)
@@ -239,10 +248,10 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         effects = tuple(effect for effect in effects if not effect.probability < LIKELY)
         wrong = tuple(finding for finding in wrong if not finding.probability < LIKELY)
         verdict = verdict if effects or wrong else "consistent"
-    if verdict == "unexplained" and told is None:
-        # What takes away a small part only is a confident wrong name.
-        effects = effects if explained >= LARGE_PART else ()
-        wrong = wrong if explained >= LARGE_PART else ()
+    open_end = verdict == "unexplained" and told is None
+    if open_end:  # nothing is an answer: no name, no number but the nominal model's, in doubt
+        effects, wrong, within = (), (), ()
+        after, signals = before, show.without_answer(signals)
     step = quantised(experiment)
     if step is not None:
         effects = (*effects, step)
@@ -272,13 +281,16 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
     how = balance_show if by_equations else show
     known = values_of(experiment, before), values_of(experiment, after)
     parts = how.agreement(experiment, before, after)
-    if verdict == "unexplained":
+    if open_end:
+        known = in_doubt(known[0], parts), {}
+    elif verdict == "unexplained":
         known = known[0], in_doubt(known[1], parts)
-        within = within if told is not None else ()
+    elif told is None:
+        known = known[0], between_models(known[1], asked)
     return Diagnosis(
         bags, verdict, change_words(pieces) if pieces else learned_words(told.term)
         if told is not None and told.term is not None else message_of(
-            verdict, effects, where, explained, wrong, within), where, effects, *known,
+            verdict, effects, where, wrong, within), where, effects, *known,
         "held_out_bag" if other_bag else "held_out", signals, curves,
         how.overlays(shown, before, after), considered_of(naming, test, told),
         parts,
@@ -290,7 +302,7 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         probability={"consistent": naming.consistent, "unexplained": naming.unexplained},
         rig_data=wrong, rig_within=within,
         learned=(told.term,) if told is not None and told.term is not None else (),
-        fitted=fitted_of(after))
+        fitted=None if open_end else fitted_of(after), gates=gates, baselines=baselines)
 
 
 def beside_own(experiment: Experiment, naming: Naming, told: Told) -> Naming:
@@ -335,7 +347,7 @@ def named_effect(experiment: Experiment, naming: Naming, name: str, tracks: list
 
 def intermittent(naming: Naming) -> NamedEffect:
     """Return a load that comes and goes: somebody pushes, a process load is there at times."""
-    largest = max(naming.loads, key=lambda load: abs(load[2]))[2]
+    largest = ties.best(naming.loads, lambda load: abs(load[2]))[2]
     when = listed([f"{start:.1f}–{stop:.1f} s ({quantity(force, 'N', 2)})"
                    for start, stop, force in naming.loads])
     return NamedEffect(
@@ -358,8 +370,7 @@ def rivals_of(experiment: Experiment, naming: Naming, name: str) -> tuple[str, .
 
 
 def message_of(verdict: str, effects: tuple[NamedEffect, ...], where: Location,
-               explained: float, wrong: tuple[RigFinding, ...] = (),
-               within: tuple[RigFinding, ...] = ()) -> str:
+               wrong: tuple[RigFinding, ...] = (), within: tuple[RigFinding, ...] = ()) -> str:
     """Return the verdict in a sentence."""
     if verdict == "consistent":
         moved = (f", with {listed([one.key for one in within])} moved within the tolerance,"
@@ -368,10 +379,8 @@ def message_of(verdict: str, effects: tuple[NamedEffect, ...], where: Location,
     if verdict == "mismatch":
         return "; ".join([*(finding.statement for finding in wrong),
                           *(effect.statement for effect in effects)])
-    balance = max(where.balance, key=where.balance.get)
-    named = (f"; {', '.join(effect.name for effect in effects)} would explain only "
-             f"{100 * explained:.0f} % of the evidence" if effects else "")
-    return (f"the {balance} balance lacks an effect that is not in the catalogue{named}")
+    balance = ties.best(where.balance, where.balance.get)
+    return f"the {balance} balance lacks an effect that is not in the catalogue"
 
 
 def considered_of(naming: Naming, test: Tested | None, told: Told | None
@@ -384,7 +393,7 @@ def considered_of(naming: Naming, test: Tested | None, told: Told | None
         found[test.hypothesis.name] = Considered(test.hypothesis.name, test.gained, (), why)
     best = {*naming.after.named, *(f"rig.{key}" for key in naming.wrong)}
     for names, _, behind in naming.tried:
-        for name in names - best:
+        for name in sorted(names - best):
             plain = name.removeprefix("rig.")
             if plain in found:
                 continue

@@ -4,9 +4,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from eha_monitor.machine.baseline import Baseline
 from eha_monitor.recordings.finding import ChannelFinding
 
 VERDICTS = ("consistent", "mismatch", "unexplained", "insufficient_data")
+GATES = ("unseen_error", "bound", "member", "sign")
 
 
 @dataclass(frozen=True)
@@ -249,6 +251,22 @@ class Fitted:
 
 
 @dataclass(frozen=True)
+class Gate:
+    """A check that an answer did not pass, so that it is not given.
+
+    Attributes
+    ----------
+    gate : one of ``GATES``.
+    what : effect, ``rig.<key>`` or signal that failed.
+    statement : one sentence: which check, with its numbers.
+    """
+
+    gate: str
+    what: str
+    statement: str
+
+
+@dataclass(frozen=True)
 class Window:
     """A part of a recording, s."""
 
@@ -283,6 +301,8 @@ class Diagnosis:
     references : healthy recordings that it was compared with, or none; ``changes`` against them.
     looked_s : of a long recording the models saw so many seconds; 0 where they saw all of it.
     fitted : all numbers behind ``after`` with their joint covariance; None where there are none.
+    gates : checks that refused an answer or a member of it, in the order in which they did.
+    baselines : least squares on the balances of each recording, beside which the answer stands.
     """
 
     bags: tuple[str, ...]
@@ -315,3 +335,5 @@ class Diagnosis:
     references: tuple[str, ...] = ()
     changes: tuple[Change, ...] = ()
     fitted: Fitted | None = None
+    gates: tuple[Gate, ...] = ()
+    baselines: tuple[Baseline, ...] = ()

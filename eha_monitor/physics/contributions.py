@@ -40,6 +40,16 @@ def effect_at(place: int) -> int:
     return len(NAMES) + (place - FIRST_OWN) // WIDTH
 
 
+def _parameters(which: int) -> str:
+    """Return the parameters of an effect or own term out of theta, as source."""
+    own = slot_of(which)
+    if which >= len(NAMES) or not _EFFECTS[which].rig_numbers:
+        return f"theta[{own.start}:{own.stop}]"
+    last = own.start + len(_EFFECTS[which].parameters)
+    places = (*range(own.start, last), *_EFFECTS[which].rig_numbers)
+    return f"({', '.join(f'theta[{place}]' for place in places)},)"
+
+
 def _by_place(functions: list[Callable], wanted: np.ndarray, call: str, header: str) -> Callable:
     """Return a compiled function that calls one entry's function by its place ``which``.
 
@@ -54,8 +64,7 @@ def _by_place(functions: list[Callable], wanted: np.ndarray, call: str, header: 
     """
     lines = [f"def by_place({header}):", "    if which < 0:", "        pass"]
     for i in np.flatnonzero(wanted):
-        own = slot_of(int(i))
-        given = call.format(p=f"theta[{own.start}:{own.stop}]", m=f"memory[{i}]")
+        given = call.format(p=_parameters(int(i)), m=f"memory[{i}]")
         lines += [f"    elif which == {i}:", f"        function_{i}({given})"]
     names = {f"function_{i}": function for i, function in enumerate(functions)}
     exec(compile("\n".join(lines), "<catalogue>", "exec"), names)

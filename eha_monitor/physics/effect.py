@@ -117,6 +117,7 @@ class Effect:
     rig_check : what to look at on the rig.
     term : compiled ``term(s, p, m, c)``; reads signals ``s``, parameters ``p`` and memory ``m``
         and adds to the contributions ``c`` (indices in :mod:`eha_monitor.physics.signals`).
+    rig_numbers : places of the rig's numbers that stand in ``p`` behind the term's parameters.
     update : compiled ``update(s, p, h, m)``; carries the memory ``m`` over an integration step of
         ``h`` seconds that has ended at the signals ``s``.  A new memory is all zero.
     circuit : compiled ``circuit(p, w)``; adds to the constants ``w`` of drive and sensors.
@@ -124,6 +125,8 @@ class Effect:
     contains : simpler effects that are a special case of this one.
     family : effects of one family explain one another's errors of form ("dry" friction, the flow
         through a "gap"); two of them are named only where the second one is large.
+    passive : what it takes power from, ``motion`` (friction) or ``pressure`` (a leak), or "": one
+        that would give power instead is no such effect.
     rig_twin : number of the rig that does the same when it is wrong: one cannot be told from the
         other.
     rarity : the larger, the less common on rigs; decides where a recording cannot.
@@ -140,11 +143,13 @@ class Effect:
     rig_check: str
     starts: Callable[[Ranges], tuple[dict[str, float], ...]]
     term: Callable = no_term
+    rig_numbers: tuple[int, ...] = ()
     update: Callable = no_update
     circuit: Callable = no_circuit
     remembers_place: bool = False
     contains: tuple[str, ...] = ()
     family: str = ""
+    passive: str = ""
     rig_twin: str = ""
     rarity: int = 1
 

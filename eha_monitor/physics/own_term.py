@@ -128,11 +128,11 @@ def one_of(code, a):
     if code == 1:
         return abs(a)
     if code == 2:
-        return 1.0 if a > 0.0 else (-1.0 if a < 0.0 else 0.0)
+        return 1.0 if a > 0.0 else (-1.0 if a < 0.0 else a)
     if code == 3:
         return math.sqrt(a) if a >= 0.0 else math.nan
     if code == 4:
-        return math.exp(min(a, 700.0))
+        return math.exp(700.0 if a > 700.0 else a)
     if code == 5:
         return math.tanh(a)
     return math.sin(a) if code == 6 else math.cos(a)
@@ -155,6 +155,8 @@ def two_of(code, a, b):
         if a < 0.0 and b != math.floor(b):
             return math.nan
         return a**b
+    if a != a or b != b:  # else the order of the two would decide whether NaN is noticed
+        return math.nan
     return max(a, b) if code == 5 else min(a, b)
 
 
@@ -174,6 +176,13 @@ def expressed(q, s):
         else:
             a = one_of(code, a)
     return a
+
+
+@njit(nogil=True)
+def expressed_along(q, rows, out):
+    """Write an expression's value at each row of signals, (n,); ``rows`` (n, N_SIGNALS)."""
+    for i in range(len(out)):
+        out[i] = expressed(q, rows[i])
 
 
 @njit

@@ -16,6 +16,7 @@ BASE_KEYS = {
     signals.M: "mass", signals.B: "viscous_damping", signals.BETA_E: "bulk_modulus",
     signals.C_T: "leakage", signals.D_P: "pump_displacement", signals.K_POS: "position_gain",
     signals.P_CHARGE: "charge_pressure", signals.G_MAKEUP: "makeup_conductance",
+    signals.P_AMBIENT: "ambient_pressure",
 }
 
 

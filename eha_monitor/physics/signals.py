@@ -22,8 +22,9 @@ SPEED = 8  # rad/s, added to the pump speed that makes flow
 N_CONTRIBUTIONS = 9
 
 # Base parameters at the head of theta; the effects' parameters follow, MAX_PARAMETERS each.
-(AREA_1, AREA_2, VOL_1, VOL_2, M, B, BETA_E, C_T, D_P, K_POS, P_CHARGE, G_MAKEUP) = range(12)
-N_BASE = 12
+(AREA_1, AREA_2, VOL_1, VOL_2, M, B, BETA_E, C_T, D_P, K_POS, P_CHARGE, G_MAKEUP,
+ P_AMBIENT) = range(13)
+N_BASE = 13
 MAX_PARAMETERS = 7
 
 # Memory of an effect that remembers: so many numbers each.

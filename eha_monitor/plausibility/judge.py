@@ -7,6 +7,7 @@ that somebody made these mistakes (:mod:`mistakes`).  No mistake at all is one o
 from dataclasses import dataclass
 from math import log
 
+from eha_monitor import ties
 from eha_monitor.plausibility.mistakes import EVERYDAY, Mistake, mistakes_for
 from eha_monitor.plausibility.moments import Moments, moments_of
 from eha_monitor.plausibility.reading import Reading, Source
@@ -144,12 +145,12 @@ def explain(reading: Reading) -> tuple[Explanation, list[Explanation]]:
         if not number:  # what mends nothing alone mends nothing beside another
             catalogue = [one.mistakes[0] for one in further.values()
                          if one.score - one.mistakes[0].prior > given.score + MENDS]
-        front = sorted(further.values(), key=lambda one: -one.score)[:KEPT]
+        front = ties.ordered(further.values(), lambda one: one.score, within=ties.GUESS)[:KEPT]
         seen = [*seen, *front]
-    best = max(seen, key=lambda one: (one.score, -len(one.mistakes)))
+    best = ties.best(seen, lambda one: one.score, lambda one: len(one.mistakes), ties.GUESS)
     if best.score < given.score + DECIDES:
         return given, []
-    rivals = [one for one in sorted(seen, key=lambda one: -one.score)
+    rivals = [one for one in ties.ordered(seen, lambda one: one.score, within=ties.GUESS)
               if one is not best and one is not given and one.score > best.score - RIVAL]
     return best, rivals
 

@@ -84,7 +84,8 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
                for one in answer["effects"]}
     said = {**classes, **{one["number"]: numbers.rivals_of(one, one["number"])
                           for one in findings}}
-    accepted = {**{name: accepted_for(name, names, oracle) for name in catalogued},
+    given = {one["name"]: set(one.get("class", ())) for one in truth["effects"]}
+    accepted = {**{name: accepted_for(name, names, oracle) | given[name] for name in catalogued},
                 **{name: {name} for name in (*off, *loose)}}
     pairs = matched(accepted, said)
     share = {name: value or 0.0 for name, value in answer["location"]["balance"].items()}

@@ -133,7 +133,7 @@ def begin(trial: Trial) -> None:
         (trial.work / name).mkdir(parents=True, exist_ok=True)
     wanted = {"schema": "eha_monitor/trial/1", "seed": trial.seed, "cases": len(trial.cases),
               "draws": digest_of(repr(trial.cases).encode() + b"".join(
-                  path.read_bytes() for path in sorted((PACKAGE / "concealed").glob("*.py"))))}
+                  path.read_bytes() for path in sorted((PACKAGE / "concealed").rglob("*.py"))))}
     path = trial.work / "trial.json"
     if not path.exists():
         write_json(path, wanted)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from eha_monitor.indicators.indicator import Indicator
+from eha_monitor.machine.baseline import Baseline
 from eha_monitor.mismatch.diagnosis import (
     Change,
     Considered,
@@ -103,6 +104,8 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
         references=len(found.references),
         compared=_compared(found),
         pieces=_pieces(found),
+        gates=[words.sentence(gate.statement) for gate in found.gates],
+        first_view=[row for one in found.baselines for row in _first_view(one)],
         location=_location(found),
         curves=[curve_picture(found, curve)
                 for curve in curves[0 if found.learned else 1 : _MOST_CURVES]],
@@ -137,6 +140,19 @@ def _change(change: Change) -> dict[str, str]:
     return {"name": name.strip(), "reference": words.value_words(change.reference),
             "now": words.value_words(change.now),
             "rivals": _rivals(change.indistinguishable_from)}
+
+
+def _first_view(one: Baseline) -> list[dict[str, str]]:
+    """Return the rows of what least squares on a recording's balances say."""
+    rows = []
+    for balance, fit in (("force", one.force), ("flow", one.flow)):
+        for term in fit.terms if fit is not None else ():
+            value = Value(term.value, term.stddev, term.unit)
+            shown = (words.value_words(value) if term.determined else "none" if term.at_bound
+                     and np.isfinite(term.stddev) else "not determined")
+            rows.append({"balance": balance, "what": term.words, "value": shown,
+                         "left": words.percent(fit.unseen_share)})
+    return rows
 
 
 def _learned(term: LearnedTerm) -> dict[str, Any]:

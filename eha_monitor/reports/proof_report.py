@@ -25,6 +25,10 @@ GROUNDS = {
     "simulator": ("Recordings of an independent fluid-power simulator", "Read through the import "
                   "path, with sensor noise and resolution added; the key is the simulator's own "
                   "file, opened last."),
+    "strangers": ("Rigs of strangers, several recordings each", "Other equations, drawn from a "
+                  "seed: friction of other laws, B that drifts with the oil, loads that differ "
+                  "between recordings, play, leaks; the config is what init drafts from data "
+                  "sheets. Each recording is diagnosed alone, and all of a rig together."),
     "triangle": ("Concealed inside a parameter: the paper's triangle", "Coulomb friction reads "
                  "as viscous friction there. The advice is asked first, the second motion is "
                  "recorded as advised, and both recordings are diagnosed together."),

@@ -24,6 +24,9 @@ class Rig(Section):
                                          "diagnostics")
     motion: Literal["linear", "rotary"] = Field(
         "linear", description="rotary: read m as rad, N as N·m, kg as kg·m²")
+    identified: str = Field("", description="numbers of this section, and effects, that "
+                            "recordings determined, comma separated; diagnose --write-config "
+                            "writes it, and exports call only these identified")
     area_1: Si("m²", "piston area of chamber 1", gt=0, optional=True) = 5.05e-4
     area_2: Si("m²", "piston area of chamber 2", gt=0, optional=True) = 5.05e-4
     volume_1: Si("m³", "oil volume of chamber 1 at x = 0, lines included", gt=0,
@@ -42,6 +45,8 @@ class Rig(Section):
     charge_pressure: Si("Pa", "absolute pressure of the make-up source", ge=0) = 2e6
     makeup_conductance: Si("m³/(s·Pa)", "laminar path of each chamber to the make-up source, "
                            "included in leakage", ge=0) = 1e-13
+    ambient_pressure: Si("Pa", "absolute pressure of the tank and of the surroundings, where "
+                         "leakage to the outside ends", ge=0) = 101325.0
     sample_time: Si("s", "sample time T_s", gt=0, le=1) = 1e-3
     tolerance: Tolerance = Field(Tolerance(), description="one standard deviation of each value; "
                                                           "diagnose fits it within that without "

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import BURN_IN, Experiment, Stretch
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED, cubics
 from eha_monitor.mismatch.likelihood.along import contributions_along
@@ -127,7 +128,7 @@ def candidates(limits: Limits) -> list[Motion]:
                    if name in ("triangle_half", "multisine"))
     plans.append(("triangle_and_multisine", "a slow triangle, then a multisine", slow | tones))
     found = [Motion(name, words, within(limits, segments)) for name, words, segments in plans]
-    return sorted(found, key=lambda motion: motion.duration)
+    return ties.ordered(found, lambda motion: -motion.duration)
 
 
 def within(limits: Limits, segments: dict[str, Segment]) -> dict[str, Segment]:

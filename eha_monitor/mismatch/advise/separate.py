@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
+from eha_monitor import ties
 from eha_monitor.mismatch.advise.motions import (
     Limits,
     Motion,
@@ -225,7 +226,10 @@ def try_motions(experiment: Experiment, fit: Fit, questions: Sequence[Question],
         ran = planned(experiment, fit, limits, motion)
         if strained(experiment, ran):
             continue
-        there = Traces(ran, fit, slopes, True).gram(labels)
+        traces = Traces(ran, fit, slopes, True)
+        if not traces.straight(base):
+            continue
+        there = traces.gram(labels)
         grams.append(there)
         gains = tuple(q.gain(here + there, base) for q in questions)
         tried.append(Tried(motion, gains))
@@ -235,8 +239,9 @@ def try_motions(experiment: Experiment, fit: Fit, questions: Sequence[Question],
         return []
     solved = [sum(gain >= WANTED for gain in one.gains) for one in tried]
     if max(solved) < len(questions):
-        pairs = sorted(((tried[i].motion.duration + tried[j].motion.duration, i, j)
-                        for i, j in combinations(range(len(tried)), 2)), key=lambda row: row[0])
+        pairs = ties.ordered(((tried[i].motion.duration + tried[j].motion.duration, i, j)
+                              for i, j in combinations(range(len(tried)), 2)),
+                             lambda row: -row[0])
         for duration, i, j in pairs:
             if duration > LONGEST:
                 break
@@ -253,6 +258,8 @@ def cheapest(tried: Sequence[Tried], rejected: Sequence[str] = (), wanted: float
              ) -> Motion | None:
     """Return the shortest of the motions that settle most questions; None where none does.
 
+    Of motions that take as long the one with fewer segments, then the first of the candidates.
+
     Parameters
     ----------
     wanted : log units that must be predicted.
@@ -262,8 +269,8 @@ def cheapest(tried: Sequence[Tried], rejected: Sequence[str] = (), wanted: float
     most = max((count for count, _ in left), default=0)
     if most == 0:
         return None
-    return min((one.motion for count, one in left if count == most),
-               key=lambda motion: motion.duration)
+    return ties.best((one.motion for count, one in left if count == most),
+                     lambda motion: -motion.duration, lambda motion: len(motion.segments))
 
 
 def joined(first: Motion, second: Motion) -> Motion:

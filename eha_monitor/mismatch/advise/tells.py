@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.likelihood.information import LEAST_STEADY, Gram, Slope, gain_of
@@ -138,7 +139,7 @@ def best_starts(directions: Sequence[Direction], gram: Gram) -> list[Direction]:
         for d in directions:
             if d.effect == name:
                 groups.setdefault(d.start, []).append(d)
-        chosen += max(groups.values(), key=lambda group: max(
+        chosen += ties.best(groups.values(), lambda group: max(
             gram.whole[i, i] for i in gram.places([d.label for d in group])))
     return chosen
 
@@ -178,7 +179,7 @@ class Reading:
             alone = self.gram.remaining([f.name], (), {})[0, 0] + self.weights[f.name]
             left = (self.gram.remaining([f.name], others, self.weights)[0, 0]
                     + self.weights[f.name])
-            j = int(np.argmax(np.abs(correlation[i]))) if len(sigma) > 1 else i
+            j = ties.largest(np.abs(correlation[i])) if len(sigma) > 1 else i
             found.append(Known(f.name, self.fit.value(f.name), self.fit.stddev(f.name),
                                units.get(f.name, "1"), inflation(alone, left),
                                float(correlation[i, j]), self.fit.free[j].name if j != i else ""))
@@ -213,8 +214,8 @@ class Reading:
                 one = self.confusion(d, parameter, MATTERS * abs(d.amount))
                 if one is not None:
                     found.append(one)
-        return tuple(sorted(found, key=lambda c: (CATALOGUE[c.effect].rarity,
-                                                  -abs(c.correlation))))
+        found = ties.ordered(found, lambda c: abs(c.correlation))
+        return tuple(sorted(found, key=lambda c: CATALOGUE[c.effect].rarity))
 
     def confusion(self, d: Direction, parameter: str, amount: float, named: bool = False
                   ) -> Confusion | None:
@@ -263,7 +264,7 @@ class Reading:
                       for parameter in BASE if parameter in self.labels
                       } if np.isfinite(visible) else {}
             found.append(Sight(d.effect, d.parameter, d.unit, size, visible, gain, shifts))
-        return tuple(sorted(found, key=lambda sight: sight.gain))
+        return tuple(ties.ordered(found, lambda sight: -sight.gain))
 
     def groups(self) -> tuple[tuple[str, ...], ...]:
         """Return effects that show at sizes that matter, but not which of them it is."""
@@ -285,7 +286,8 @@ class Reading:
             return min(seen[a], seen[b]) * (1.0 - cosine**2) < LEAST
 
         groups: list[list[str]] = []
-        for name in sorted(names, key=lambda name: (CATALOGUE[name].rarity, -seen[name])):
+        for name in sorted(ties.ordered(names, lambda name: seen[name]),
+                           key=lambda name: CATALOGUE[name].rarity):
             home = next((g for g in groups if all(alike(name, other) for other in g)), None)
             if home is None:
                 groups.append([name])

@@ -195,8 +195,9 @@ def motion_words(advice: Advice) -> list[str]:
                          f"so failed in simulation; at the rig: {check}")
             continue
         best = max((one.gains[advice.doubts.index(doubt)] for one in advice.tried), default=0.0)
+        most = f"{number(best, 2)} log units" if best >= 1.0 else "less than 1 log unit"
         found.append("no motion within the travel and the speed of this recording distinguishes "
-                     f"{doubt_words(doubt)} (at best {number(max(best, 0.0), 2)} log units); "
+                     f"{doubt_words(doubt)} (at best {most}); "
                      f"at the rig: {check}")
     return found
 

@@ -6,6 +6,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.mismatch.compare.healthy import Healthy
 from eha_monitor.mismatch.compare.runs import Reading, with_change
 from eha_monitor.mismatch.data.experiment import Experiment
@@ -171,8 +172,9 @@ class Comparison:
         mean = dict(zip(self.healthy.kept.tolist(), self.healthy.mean.tolist(), strict=True))
         off = {i: best.reading.amplitudes[i] - mean[i] for i in able
                if np.isfinite(best.reading.amplitudes[i])}
-        left = sorted(off, key=lambda i: self.left_of(
-            best.reading.without(i, off[i]), best.reading.power, (*best.places, i))[0])
+        left = ties.ordered(off, lambda i: -self.left_of(
+            best.reading.without(i, off[i]), best.reading.power, (*best.places, i))[0],
+            self.rarity, ties.GUESS)
         gains = {i: off[i] ** 2 * best.reading.power[i] for i in off}
         most = NEARLY * max(gains.values(), default=0.0)
         first = [*dict.fromkeys(self.starts_of(left)[:LEAST] + self.starts_of(
@@ -194,16 +196,21 @@ class Comparison:
 
         A law is right to a share of what it explains only.
         """
-        best = min(found, key=lambda one: (not one.complete, one.left))
+        best = ties.best([one for one in found if one.complete] or found,
+                         lambda one: -one.left, self.plainness, ties.GUESS)
         alike = ALIKE + FORM_OF_LAW * max(self.before.left - best.left, 0.0)
         near = [one for one in found if one.left <= best.left + alike
                 and one.worst <= max(best.worst, 1.0) + NARROWLY]
-        first = min(near, key=lambda one: (sum(map(self.rarity, one.places)), one.left))
+        first = min(near, key=self.plainness)
         last = first.places[-1]
         # What cannot be told from a complete one needs nothing more.
         worst = min(first.worst, max(best.worst, 1.0))
         return replace(first, worst=worst, rivals={**first.rivals, last: tuple(
             one.places[-1] for one in near if one.places[-1] != last)})
+
+    def plainness(self, one: Explanation) -> tuple[float, float]:
+        """Return the key that puts the commonest explanation first, then what leaves least."""
+        return sum(map(self.rarity, one.places)), one.left
 
     def rarity(self, place: int) -> float:
         """Return how uncommon a change is; what can only grow has half the room of the others."""

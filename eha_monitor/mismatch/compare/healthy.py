@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from eha_monitor.errors import InputError
-from eha_monitor.mismatch.compare.runs import Own, Reading, Run, reading_of, run_of
+from eha_monitor.mismatch.compare.runs import Own, Reading, Run, posterior_of, reading_of, run_of
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.data.stretch import cut
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
@@ -204,9 +204,9 @@ def own_over(runs: tuple[Run, ...]) -> Own:
     sides = [run.products[0, 1 + places] for run in runs]
     mean, variance = np.zeros(len(places)), np.ones(len(places))
     for _ in range(ROUNDS):
-        inner = [np.linalg.inv(gram + np.diag(1.0 / variance)) for gram in grams]
-        found = np.array([v @ (mean / variance - side)
-                          for v, side in zip(inner, sides, strict=True)])
+        inner, of_data = zip(*(posterior_of(gram, variance) for gram in grams), strict=True)
+        found = np.array([v @ (mean / variance) - w @ side
+                          for v, w, side in zip(inner, of_data, sides, strict=True)])
         mean = found.mean(axis=0)
         variance = np.maximum(np.mean([np.diag(v) for v in inner], axis=0)
                               + found.var(axis=0), LEAST)

@@ -125,10 +125,26 @@ def _beside(products: np.ndarray, sides: np.ndarray, places: np.ndarray, varianc
     """Return products and sides without what some numbers explain."""
     if not len(places):
         return products.copy(), sides.copy()
-    inner = products[np.ix_(places, places)] + np.diag(1.0 / variance)
-    taken = np.linalg.solve(inner, np.column_stack([products[places], sides[places]]))
+    _, of_data = posterior_of(products[np.ix_(places, places)], variance)
+    taken = of_data @ np.column_stack([products[places], sides[places]])
     return (products - products[:, places] @ taken[:, :-1],
             sides - products[:, places] @ taken[:, -1])
+
+
+def posterior_of(products: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (G + s^-2)^-1 of amplitudes with a prior, (o, o), and that for products with data.
+
+    Where two columns are nearly one, what sets them apart in their products G is lost in
+    rounding, and a wide prior beside it: the sum would be singular.  In units of the prior it is
+    1 + s G s, whose eigenvalues are 1 or more.  What is below the rounding of the largest is
+    nothing that was measured; there products with data are rounding too, and the second matrix
+    leaves them out.
+    """
+    s = np.sqrt(variance)
+    values, vectors = np.linalg.eigh(s[:, None] * products * s)
+    measured = values > len(s) * np.finfo(float).eps * values.max(initial=0.0)
+    half = s[:, None] * vectors / np.sqrt(1.0 + np.where(measured, values, 0.0))
+    return half @ half.T, (half * measured) @ half.T
 
 
 def may_change(column: Column) -> bool:
@@ -157,7 +173,9 @@ def run_of(experiment: Experiment, fit: Fit, scales: np.ndarray) -> Run:
     columns = columns_at(experiment, here, unnamed=False)
     gram = (balances_gram(here, columns.values[0], scales) if experiment.inverse
             else grams_of(experiment, here, columns.values, [here.unknowns])[0])
-    products = gram.products
+    # A column that runs away says nothing of this recording.
+    good = np.isfinite(np.diag(gram.products))
+    products = np.where(good[:, None] & good, gram.products, 0.0)
     kept = [i for i, column in enumerate(columns.what[: len(products) - 1]) if may_change(column)]
     rows = np.array([0, *(1 + i for i in kept)])
     return Run(tuple(columns.what[i] for i in kept), products[np.ix_(rows, rows)])

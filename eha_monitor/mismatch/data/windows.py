@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.filters.inputs import force_of
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.sample import rows_of
@@ -59,8 +60,8 @@ def windows_of(recordings: list[Recording], settings: Settings, most: int = LOOK
              for part in tables]
     whole, chosen, left, samples = np.eye(len(names)), [], list(range(len(windows))), 0
     while left and samples + size // 2 <= most:
-        best = max(left, key=lambda i: np.linalg.slogdet(whole + grams[i])[1])
-        left.remove(best)
+        known = [np.linalg.slogdet(whole + grams[i])[1] for i in left]
+        best = left.pop(ties.largest(known, ties.GUESS))
         chosen.append(best)
         whole = whole + grams[best]
         samples += windows[best].last - windows[best].first

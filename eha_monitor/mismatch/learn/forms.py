@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.mismatch.likelihood.equation_error import motion_of
@@ -191,7 +192,7 @@ def periods_of(experiment: Experiment, fit: Fit, tracks: list[np.ndarray]) -> in
         waves = speed[:, None] * np.stack([np.cos(k * angle), np.sin(k * angle)], axis=1)
         shares[k] = np.sum((waves.T @ left) ** 2) / max(np.sum(waves**2), 1e-300)
     of = np.arange(1, MOST_PERIODS + 1)
-    return int(of[np.argmax(sum(shares[of * h] for h in range(1, HARMONICS + 1)))])
+    return int(of[ties.largest(sum(shares[of * h] for h in range(1, HARMONICS + 1)))])
 
 
 def units_of(experiment: Experiment, fit: Fit) -> dict[str, float]:
@@ -271,4 +272,5 @@ def ranked_forms(experiment: Experiment, fit: Fit) -> list[Guess]:
         rest = tuple(member for member in one.members if member.owner != name)
         found[name] = Guess(table.form, one.evidence, table.first, table.last, table.scale,
                             table.unit * values, replace(one, members=rest), view.what)
-    return sorted(found.values(), key=lambda guess: -guess.evidence)
+    return ties.ordered(found.values(), lambda guess: guess.evidence,
+                        lambda guess: guess.form.name, ties.GUESS)

@@ -12,7 +12,6 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import least_squares
 
-from eha_monitor.compiled import njit
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.learn.forms import Form
 from eha_monitor.mismatch.learn.learned import (
@@ -28,10 +27,11 @@ from eha_monitor.mismatch.name.acceptance import UNNAMED
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
 from eha_monitor.physics.expression import parsed
-from eha_monitor.physics.own_term import ADDED_UNITS, CONSTANTS, OF_UNITS, expressed
+from eha_monitor.physics.own_term import ADDED_UNITS, CONSTANTS, OF_UNITS, expressed_along
 from eha_monitor.physics.signals import ANGLE, N_SIGNALS, OMEGA, P1, P2, V, X
 from eha_monitor.quantity import quantity
 
+PLACE = "u_0"  # parameter of a shape: where it lies; beyond what was recorded it is a guess
 REFITTED = 3  # formulas that are fitted to the recording
 EXACT = 0.02  # of the curve's root mean square: no table follows a formula closer
 SHOWN = {"dp": "Δp", "omega": "ω", "p1": "p₁", "p2": "p₂", "angle": "θ"}
@@ -71,8 +71,15 @@ def formulas_of(experiment: Experiment, learned: Learned) -> list[Formula]:
     fits = sorted((fit for shape in shapes if (fit := on_curve(shape, places, learned))),
                   key=lambda found: found[0])
     made = spread(lambda found: refitted(experiment, learned, *found[1:]), fits[:REFITTED])
-    return sorted((one for one in made if np.isfinite(one.evidence)),
+    return sorted((one for one in made if np.isfinite(one.evidence)
+                   and lies_within(one, learned)),
                   key=lambda one: -one.evidence)
+
+
+def lies_within(formula: Formula, learned: Learned) -> bool:
+    """Tell whether a bump or a threshold lies in what was recorded; a wave lies everywhere."""
+    place = formula.values.get(PLACE)
+    return place is None or "sin(" in formula.text or learned.first <= place <= learned.last
 
 
 def curve_of(text: str, values: dict[str, float], of: str, at: np.ndarray) -> np.ndarray:
@@ -82,13 +89,6 @@ def curve_of(text: str, values: dict[str, float], of: str, at: np.ndarray) -> np
     rows[:, P2] = at if of in ("p", "p2") else 0.0  # dp is p1 - p2
     expressed_along(parsed(text).slot("force", values), rows, found)
     return found
-
-
-@njit(nogil=True)
-def expressed_along(q, rows, out):
-    """Write an expression's value at each row of signals, (n,); ``rows`` (n, N_SIGNALS)."""
-    for i in range(len(out)):
-        out[i] = expressed(q, rows[i])
 
 
 def in_signal(text: str, of: str) -> str:

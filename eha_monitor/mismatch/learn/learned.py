@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.learn.forms import BALANCE, KNOTS, Form, Guess, free_slot, ranked_forms
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread, with_unknowns
@@ -207,7 +208,7 @@ def learned_of(experiment: Experiment, naming: Naming) -> Learned | None:
         return None
     bases = bases_of(experiment, naming)
     scores = [score_of(experiment, fit) for fit in bases]
-    without = bases[int(np.argmax(scores))]
+    without = bases[ties.largest(scores, ties.SAME_FIT)]
     # Named laws are right to a share of what they explain, and that is nothing that is missing.
     form = FORM + FORM_OF_LAW * max(scores[0] - scores[1], 0.0)
     # What is left out bends these fits, and what is linear at the config is not so there.
@@ -222,13 +223,16 @@ def learned_of(experiment: Experiment, naming: Naming) -> Learned | None:
 
     ahead: dict[Form, tuple[float, Fit, Guess]] = {}
     for one in spread(look, places):
-        if one[0] > ahead.get(one[2].form, (-np.inf,))[0]:
+        if one[0] > ahead.get(one[2].form, (-np.inf,))[0] + ties.GUESS:
             ahead[one[2].form] = one
-    going = sorted(ahead.values(), key=lambda one: -one[0])[:GOING]
+    going = ties.ordered(ahead.values(), lambda one: one[0], lambda one: one[2].form.name,
+                         ties.GUESS)[:GOING]
     found = spread(lambda one: as_fine(experiment, fitted(
         experiment, one[1], which, one[2], KNOTS, without)), going)
-    best = max(found, key=lambda one: one.evidence, default=None)
-    if best is None or not best.gained > 0.0:
+    if not found:
+        return None
+    best = ties.best(found, lambda one: one.evidence, within=ties.SAME_FIT)
+    if not best.gained > 0.0:
         return None
     fit = alone(experiment, best.fit)
     evidence = score_of(experiment, fit) + UNNAMED

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from eha_monitor import ties
+
 Start = dict[str, float]
 
 
@@ -39,7 +41,7 @@ class Shape:
 def _extreme(u: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
     """Return the level beside the largest excursion, its height and its place."""
     level = float(np.median(y))
-    at = int(np.abs(y - level).argmax())
+    at = ties.largest(np.abs(y - level))
     return level, float(y[at] - level), float(u[at])
 
 
@@ -69,7 +71,7 @@ def _root(u, y):
 
 def _bump(u, y):
     _, _, place = _extreme(u, y)
-    height = float(y[np.abs(y).argmax()])
+    height = float(y[ties.largest(np.abs(y))])
     for width in (0.05, 0.15, 0.4):
         yield {"F": height, "u_0": place, "w": width * float(np.ptp(u))}
 
@@ -81,8 +83,8 @@ def _raised_bump(u, y):
 
 
 def _decay(u, y):
-    middle = float(y[np.abs(u).argmin()])
-    far = float(y[np.abs(u).argmax()])
+    middle = float(y[ties.largest(-np.abs(u))])
+    far = float(y[ties.largest(np.abs(u))])
     for width in (0.05, 0.2):
         yield {"F_0": far, "F": middle - far, "w": width * float(np.ptp(u))}
 

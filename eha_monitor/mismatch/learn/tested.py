@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import NamedEffect, Value
 from eha_monitor.mismatch.learn.forms import free_slot
@@ -62,12 +63,13 @@ def tested(experiment: Experiment, naming: Naming, hypothesis: Hypothesis) -> Te
     which = free_slot(experiment)
     if which is None or experiment.inverse:
         return None
-    without = max(bases_of(experiment, naming), key=lambda fit: score_of(experiment, fit))
-    looks = sorted(spread(lambda values: looked(experiment, entered(
+    without = ties.best(bases_of(experiment, naming), lambda fit: score_of(experiment, fit),
+                        lambda fit: len(fit.named), ties.SAME_FIT)
+    looks = ties.ordered(spread(lambda values: looked(experiment, entered(
         experiment, without, which, hypothesis, values)), starts_of(hypothesis)),
-        key=lambda fit: -fit.log_likelihood)
-    best = max(spread(lambda fit: settled(experiment, fit), looks[:GOING]),
-               key=lambda fit: score_of(experiment, fit))
+        lambda fit: fit.log_likelihood, within=ties.GUESS)
+    best = ties.best(spread(lambda fit: settled(experiment, fit), looks[:GOING]),
+                     lambda fit: score_of(experiment, fit), within=ties.SAME_FIT)
     best = alone(experiment, best)
     gained = score_of(experiment, best) + EFFECT - score_of(experiment, without)
     start = slot_of(which).start + CONSTANTS

@@ -24,6 +24,7 @@ from eha_monitor.mismatch.likelihood.fit import (
 STEADY_SPAN = 0.05  # s to either side in which a plateau's speed hardly changes
 STEADY_CHANGE = 0.01  # of the record's largest speed
 SLIDING = 0.2  # of the largest speed: slower is near a reversal
+STRAIGHT = 0.3  # of the innovations' size: further from the sum of slopes they are no slopes
 LEAST_STEADY = 0.3  # share of a record from which on it has plateaus to speak of
 
 Model = tuple[np.ndarray, np.ndarray]  # theta, active
@@ -179,6 +180,23 @@ class Traces:
     def run(self, model: Model) -> np.ndarray | None:
         """Return the innovations of a model, None where it was not run."""
         return next((e for known, e in self.runs if known[0] is model[0]), None)
+
+    def straight(self, slopes: Sequence[Slope]) -> bool:
+        """Tell whether half a step along all slopes at once leads where half of each would.
+
+        Friction that reverses within an integration step magnifies the last bit of a sum by many
+        powers of ten: what is then divided by a step is no slope, and predicts nothing.
+
+        Parameters
+        ----------
+        slopes : of the fit's parameters, at the fit.
+        """
+        theta = self.fit.theta + 0.5 * sum(slope.model[0] - self.fit.theta for slope in slopes)
+        half = Slope("half of all", (theta, self.fit.active))
+        self.add([half])
+        wanted = 0.5 * sum(slope.step * self.rows[slope.label] for slope in slopes)
+        missed = self.rows[half.label] - wanted
+        return bool(np.sum(missed**2) <= STRAIGHT**2 * np.sum(wanted**2))
 
     def gram(self, labels: Sequence[str]) -> Gram:
         """Return the products of some traces."""

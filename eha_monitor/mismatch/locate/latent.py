@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.compiled import njit
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import FORCED
@@ -289,6 +290,6 @@ def shares_of(gains: dict[str, tuple[Rival, float]]) -> tuple[dict[str, float], 
         shares[rival.balance] = max(shares[rival.balance], weight)
     total = sum(shares.values())
     sensors = [(value, rival) for rival, value in gains.values() if rival.outputs]
-    outputs = [output for output, _ in max(sensors, key=lambda row: row[0])[1].outputs
-               ] if sensors else []
+    outputs = [output for output, _ in ties.best(
+        sensors, lambda row: row[0], within=ties.GUESS)[1].outputs] if sensors else []
     return {balance: value / total for balance, value in shares.items()}, best, outputs

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import FORCED
 from eha_monitor.mismatch.diagnosis import Curve, Location
@@ -158,7 +159,7 @@ def location_of(experiment: Experiment, before: Fit, after: Fit | None,
     if total <= 0.0:
         return Location(weights, "", ())
     shares = {balance: weight / total for balance, weight in weights.items()}
-    balance = max(shares, key=shares.get)
+    balance = ties.best(shares, shares.get)
     mine = [term for term in terms or [] if term.balance == balance]
     if not mine and any(balance_of(name) == balance for name in named if name in CATALOGUE):
         mine = [term for term in missing_terms(experiment, before, after)
@@ -210,7 +211,7 @@ def regime_of(experiment: Experiment, term: Missing) -> tuple[str, list[np.ndarr
         return here / elsewhere
 
     sizes = {name: ratio(name, size) for name in HOMES[term.balance]}
-    best = max(sizes, key=sizes.get)
+    best = ties.best(sizes, sizes.get)
     if sizes[best] > CLEARLY:
         return best, size
     moves, _ = inside("velocity_reversal", change)
@@ -276,7 +277,7 @@ def worst_intervals(experiment: Experiment, weight: list[np.ndarray]
     level = np.array([value for _, _, value in rows])
     if not len(level):
         return ()
-    chosen = np.argsort(-level)[: 3 * MOST_INTERVALS]
+    chosen = ties.ordered(range(len(level)), level.__getitem__)[: 3 * MOST_INTERVALS]
     chosen = [i for i in chosen if level[i] > np.mean(level)]
     merged: list[list[float]] = []
     for i in sorted(chosen):
@@ -285,7 +286,7 @@ def worst_intervals(experiment: Experiment, weight: list[np.ndarray]
             merged[-1][1], merged[-1][2] = stop, max(merged[-1][2], value)
         else:
             merged.append([start, stop, value])
-    merged = sorted(merged, key=lambda row: -row[2])[:MOST_INTERVALS]
+    merged = ties.ordered(merged, lambda row: row[2])[:MOST_INTERVALS]
     return tuple((round(float(start), 4), round(float(stop), 4))
                  for start, stop, _ in sorted(merged))
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import spread
 from eha_monitor.mismatch.name.refit import begun
@@ -45,4 +46,4 @@ def best_of(experiment: Experiment, which: int, angles: np.ndarray) -> float:
     """Return the angle under which the recording is most likely, rad."""
     found = spread(lambda angle: begun(
         begun_at(experiment, which, angle), LEVEL).log_likelihood, angles)
-    return float(angles[int(np.argmax(found))])
+    return float(angles[ties.largest(found, ties.GUESS)])

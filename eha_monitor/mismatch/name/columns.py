@@ -32,6 +32,7 @@ from eha_monitor.mismatch.name.unnamed import Unnamed, columns_of, unnamed_of
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import BASE_KEYS, effect_values
 from eha_monitor.physics.signals import B
+from eha_monitor.settings.tolerance import Tolerance
 
 ALWAYS = ""  # owner of what every model has
 SHARE = 0.7  # of a tolerance: the standard deviation of a number that nobody doubts
@@ -102,7 +103,7 @@ def rig_free(experiment: Experiment) -> tuple[Free, ...]:
     if experiment.mode == FORCED:
         keys = {"mass"}
     else:
-        keys = set(BASE_KEYS.values()) - {"viscous_damping", "bulk_modulus"}
+        keys = set(Tolerance.model_fields)
         if experiment.inverse:  # the force was made of areas and pressures
             keys -= {"area_1", "area_2", "volume_1", "volume_2", "charge_pressure"}
         if experiment.mode != CLOSED or experiment.wanted_speed:

@@ -5,8 +5,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import FORCED, OPEN
+from eha_monitor.mismatch.diagnosis import Gate
 from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.name.acceptance import (
@@ -25,8 +27,8 @@ from eha_monitor.mismatch.name.base import limits_of, needs
 from eha_monitor.mismatch.name.columns import runs_of
 from eha_monitor.mismatch.name.gram import evidence_at
 from eha_monitor.mismatch.name.polish import Slopes, polished
-from eha_monitor.mismatch.name.refit import discrepancy, settled
-from eha_monitor.mismatch.name.seen import posterior
+from eha_monitor.mismatch.name.refit import settled
+from eha_monitor.mismatch.name.seen import plainness, posterior
 from eha_monitor.mismatch.name.select import Selection, selected
 from eha_monitor.mismatch.name.suspects import is_named
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT, loads_of
@@ -52,7 +54,7 @@ class Naming:
     rivals : effect, ``rig.<key>`` -> names that this record cannot tell from it.
     tried : set -> its model and the log units by which it is behind, best first.
     loads : when a load without a name of its own acts, (from s, to s, N); ``intermittent_load``.
-    explained : share of what speaks against the nominal model that the names take away.
+    gates : checks that a set with more evidence, or a member of one, did not pass.
     """
 
     experiment: Experiment
@@ -66,7 +68,7 @@ class Naming:
     rivals: dict[str, tuple[str, ...]] = field(default_factory=dict)
     tried: tuple[tuple[Names, Fit, float], ...] = ()
     loads: tuple[tuple[float, float, float], ...] = ()
-    explained: float = np.nan
+    gates: tuple[Gate, ...] = ()
 
 
 def in_place_of(name: str, best: Names, weights: dict[Names, float]) -> dict[str, float]:
@@ -74,7 +76,7 @@ def in_place_of(name: str, best: Names, weights: dict[Names, float]) -> dict[str
     others: dict[str, float] = {}
     for names, weight in weights.items():
         if name not in names and best - {name} <= names:
-            for other in names - best:
+            for other in sorted(names - best):
                 others[other] = others.get(other, 0.0) + weight
     return others
 
@@ -172,10 +174,14 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
         (view.here, view.ranking) for view in (found.view, found.beside) if view is not None])
     scores = seen.scores()
     after = at_config(experiment, seen.fits[best])
+    gates = tuple(gate for failed in seen.refused.values() for gate in failed)
+    # What speaks for a set that no gate lets through speaks for something that has no name.
+    refused = sum(weights.get(names, 0.0) for names in seen.refused)
+    weights = {names: weight for names, weight in weights.items() if names not in seen.refused}
     rivals, probability, evidence = {}, {}, {}
-    for name in best:
+    for name in sorted(best):
         stands = in_place_of(name, best, weights)
-        near = [other for other in sorted(stands, key=lambda other: -stands[other])
+        near = [other for other in ties.ordered(stands, stands.__getitem__, str)
                 if stands[other] >= RIVAL and is_named(other)]
         twin = CATALOGUE[name].rig_twin if name in CATALOGUE else next(
             (other for other, entry in CATALOGUE.items()
@@ -187,12 +193,11 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
         probability[name] = float(sum(
             weight for names, weight in weights.items() if held & names and all(
                 is_named(other) or other == INTERMITTENT for other in names)))
-        without = [value for names, value in seen.evidence.items() if not held & names]
+        without = [value for names, value in seen.evidence.items()
+                   if not held & names and names not in seen.refused]
         evidence[name] = float(seen.evidence[best] - max(without, default=-np.inf))
-    unnamed = float(sum(weight for names, weight in weights.items()
-                        if any(not is_named(name) for name in names)))
-    against = discrepancy(experiment, before) if not experiment.inverse else 0.0
-    explained = 1.0 - min(max(seen.left[best], 0.0) / against, 1.0) if against > 0.0 else 1.0
+    unnamed = refused + float(sum(weight for names, weight in weights.items()
+                                  if any(not is_named(name) for name in names)))
     loads: tuple[tuple[float, float, float], ...] = ()
     acting = float(sum(weight for names, weight in weights.items() if INTERMITTENT in names))
     needs = after.unknowns
@@ -209,11 +214,11 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
     probability = {name: value * (1.0 - beyond) for name, value in probability.items()}
     empty = weights.get(frozenset(), 0.0) * (1.0 - beyond)
     unnamed = 1.0 - (1.0 - unnamed) * (1.0 - beyond)
-    order = sorted(scores, key=lambda names: -scores[names])
+    order = ties.ordered(scores, lambda names: scores[names], plainness, ties.GUESS)
     return Naming(
         experiment, before, replace(after, named=tuple(n for n in after.named if n in CATALOGUE)),
         tuple(name.removeprefix("rig.") for name in after.named if name.startswith("rig.")),
         probability, float(empty), unnamed, evidence, rivals,
         tuple((names, seen.fits[names], scores[best] - scores[names]) for names in order),
-        loads, explained)
+        loads, gates)
 

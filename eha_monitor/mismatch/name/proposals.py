@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.likelihood.gains import Unknowns
@@ -12,13 +13,14 @@ from eha_monitor.mismatch.name.base import limits_of
 from eha_monitor.mismatch.name.columns import Column, Columns, columns_at
 from eha_monitor.mismatch.name.gram import grams_of
 from eha_monitor.mismatch.name.polish import Slopes
-from eha_monitor.mismatch.name.rank import LARGEST_SET, Ranked, best_over, ranked_at
+from eha_monitor.mismatch.name.rank import LARGEST_SET, Ranked, best_first, best_over, ranked_at
 from eha_monitor.mismatch.name.seen import (
     Names,
     Seen,
     beyond,
     evidence_at_start,
     own_in,
+    plainness,
     posterior,
 )
 from eha_monitor.mismatch.name.suspects import is_named, kin
@@ -119,7 +121,7 @@ def beyond_one_law(found: list[Ranked], here: Names) -> list[Ranked]:
                               and some - family <= one.names), default=one.evidence)
                 evidence = min(evidence, beyond(one.evidence, single, gain))
         counted.append(one if evidence == one.evidence else replace(one, evidence=evidence))
-    return sorted(counted, key=lambda one: -one.evidence)
+    return best_first(counted)
 
 
 def chosen_at(view: Linearised, seen: Seen) -> list[Ranked]:
@@ -154,7 +156,8 @@ def rivals_at(view: Linearised, seen: Seen) -> list[Ranked]:
     wanted = {one.names for one in contested(view)} if view.here == seen.best() else set()
     found = [one for one in with_names(view.ranking) if not seen.known(one.names, view.here)
              and (weights.get(one.names, 0.0) >= RIVAL or one.names in wanted)]
-    return sorted(found, key=lambda one: -weights.get(one.names, 0.0))[:HANDFUL]
+    return ties.ordered(found, lambda one: weights.get(one.names, 0.0),
+                        lambda one: plainness(one.names))[:HANDFUL]
 
 
 def contested(view: Linearised) -> list[Ranked]:
@@ -164,7 +167,7 @@ def contested(view: Linearised) -> list[Ranked]:
     how far behind it is; one that takes less than half of it is none.
     """
     named, own, found = with_names(view.ranking), view.own, []
-    for member in view.here if own is not None else ():
+    for member in sorted(view.here) if own is not None else ():
         rest = view.here - {member}
         without = own_in(view.ranking, rest)
         others = [one for one in named if rest < one.names and member not in one.names
@@ -202,10 +205,11 @@ def proposals_of(found: list[Ranked], model: Ranked | None, seen: Seen, here: Na
     able = [one for one in better if one.evidence >= enough]
     size = min(len(one.names) for one in able)
     chosen: list[Ranked] = []
-    for one in sorted((one for one in able if len(one.names) == size), key=simplicity):
+    for one in sorted(best_first(one for one in able if len(one.names) == size),
+                      key=containing):
         if not any(contained(other, one) for other in chosen):
             chosen.append(one)
-    chosen.sort(key=lambda one: -one.evidence)
+    chosen = best_first(chosen)
     # What is far off is not linear: a smaller set that promises most of it may reach all of it.
     enough = own + PROMISING * (better[0].evidence - own)
     chosen = [one for k in range(1, size) for one in [
@@ -214,10 +218,9 @@ def proposals_of(found: list[Ranked], model: Ranked | None, seen: Seen, here: Na
         one for one in able if not seen.known(one.names, here)][:HANDFUL]
 
 
-def simplicity(one: Ranked) -> tuple[int, float]:
+def containing(one: Ranked) -> int:
     """Return the key that puts what is contained before what contains it."""
-    return (sum(len(CATALOGUE[name].contains) for name in one.names if name in CATALOGUE),
-            -one.evidence)
+    return sum(len(CATALOGUE[name].contains) for name in one.names if name in CATALOGUE)
 
 
 def contained(simple: Ranked, other: Ranked) -> bool:

@@ -9,6 +9,7 @@ G = D'D, q = m - D'r: Laplace's approximation, exact where the model is linear. 
 has is taken out once a level (a Schur complement); a set is then a solve of its few columns.
 """
 
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import combinations
@@ -17,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from eha_monitor import ties
 from eha_monitor.mismatch.likelihood.fit import spread
 from eha_monitor.mismatch.name.acceptance import EFFECT, RARE, UNNAMED
 from eha_monitor.mismatch.name.columns import ALWAYS, ASTRAY_OWNER, Column
@@ -77,7 +79,9 @@ class Ranking:
             if column.owner not in (ALWAYS, ASTRAY_OWNER):
                 replaces = column.start.replaces if column.start else ""
                 groups.setdefault(Member(column.owner, column.variant, replaces), []).append(i)
-        self.groups = {member: np.array(places) for member, places in groups.items()}
+        for name in named:
+            groups.setdefault(Member(name, -1), [])
+        self.groups = {member: np.array(places, dtype=int) for member, places in groups.items()}
         self.starts: dict[str, int] = {}
         for member in groups:
             if not member.replaces:
@@ -121,10 +125,14 @@ class Ranking:
     def roots(self) -> list[tuple[Member, ...]]:
         """Return the subsets of what the model has, each a set to begin with.
 
-        A limit cannot be taken away by a linear guess: it has no size that goes to nil.
+        A limit cannot be taken away by a linear guess: it has no size that goes to nil.  Nor can
+        what has lost a column, since the model runs away a little beside where it stands.
         """
         have = [Member(name, -1) for name in self.named]
-        kept = tuple(member for member in have if limited(member.owner))
+        lost = {c.name.partition(".")[0] for c in self.what
+                if c.owner == ASTRAY_OWNER and c.variant < 0 and c.size}
+        kept = tuple(member for member in have if limited(member.owner)
+                     or not len(self.groups[member]) or member.owner in lost)
         free = [member for member in have if member not in kept]
         return [tuple(sorted((*kept, *subset))) for k in range(len(free) + 1)
                 for subset in combinations(free, k)]
@@ -160,7 +168,7 @@ class Ranking:
         for _ in range(more):
             grown: dict[tuple[Member, ...], float] = {}
             kept: list[tuple[Member, ...]] = []
-            for one in sorted(beam, key=lambda r: -r.evidence)[:BEAM]:
+            for one in best_first(beam)[:BEAM]:
                 if len(one.members) >= LARGEST_SET:
                     continue
                 own = {}
@@ -169,8 +177,8 @@ class Ranking:
                     own[key] = one.evidence + gain
                     grown[key] = max(grown.get(key, -np.inf), own[key])
                 if one.members in roots:  # what comes next in the place of what the model has
-                    kept += sorted(own, key=lambda key: -own[key])[:NEXT]
-            best = kept + sorted(grown, key=lambda key: -grown[key])
+                    kept += by_gain(own)[:NEXT]
+            best = kept + by_gain(grown)
             beam = []
             for key in best:
                 if len(beam) >= BEAM + len(kept):
@@ -183,7 +191,7 @@ class Ranking:
                     beam.append(one)
             if not beam:
                 break
-        return sorted(found.values(), key=lambda one: -one.evidence)
+        return best_first(found.values())
 
 
 @dataclass(frozen=True)
@@ -380,6 +388,18 @@ def best_over(levels: list[list[Ranked]]) -> list[Ranked]:
     best: dict[tuple[Member, ...], Ranked] = {}
     for found in levels:
         for one in found:
-            if one.members not in best or one.evidence > best[one.members].evidence:
+            if (one.members not in best
+                    or one.evidence > best[one.members].evidence + ties.GUESS):
                 best[one.members] = one
-    return sorted(best.values(), key=lambda one: -one.evidence)
+    return best_first(best.values())
+
+
+def best_first(found: Iterable[Ranked]) -> list[Ranked]:
+    """Return sets from the highest evidence to the lowest, the plainest of equals first."""
+    return ties.ordered(found, lambda one: one.evidence,
+                        lambda one: (len(one.members), -one.prior, one.members), ties.GUESS)
+
+
+def by_gain(scores: dict[tuple[Member, ...], float]) -> list[tuple[Member, ...]]:
+    """Return the members of sets in that order, from their evidence."""
+    return ties.ordered(scores, scores.__getitem__, lambda key: (len(key), key), ties.GUESS)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import (
     Fit,
@@ -87,7 +88,7 @@ def at_level(experiment: Experiment, fit: Fit) -> Fit:
                     other[i] = min(max(other[i] * step, small[i]), large[i])
                     tried.append(other)
             likelihood(tried)
-            first = max(tried, key=lambda level: known[tuple(level)])
+            first = ties.best(tried, lambda level: known[tuple(level)], within=ties.GUESS)
             moved = known[tuple(first)] > known[tuple(best)] + 0.1
             best = first if moved else best
     now = fit.unknowns.as_array()

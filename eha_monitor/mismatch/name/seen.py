@@ -1,11 +1,13 @@
 """Every set that was refitted, what its evidence counts, and the probability of each."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.diagnosis import Gate
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.name.acceptance import FORM, FORM_OF_LAW, RIVAL, TEMPER
 from eha_monitor.mismatch.name.gram import lasting
@@ -15,7 +17,6 @@ from eha_monitor.mismatch.name.suspects import is_named, kin
 
 Names = frozenset[str]
 PURSUED = 1.0  # log units of score: where less is gained the search does not go on
-NO_MORE = 0.5  # log units: a fit that is better by less is the same fit
 
 
 @dataclass
@@ -29,6 +30,7 @@ class Seen:
     stations : names -> model and evidence of what cannot be (no damping, no stiffness).  It is no
         answer, but what it lacks may be what makes it possible: the search goes on from there.
     tried : (model, set) that was refitted from a linearisation at that model, whatever came of it.
+    refused : names -> gates that the set does not pass: it is no answer, whatever its evidence.
     """
 
     inverse: bool = False
@@ -38,6 +40,7 @@ class Seen:
     left: dict[Names, float] = field(default_factory=dict)
     stations: dict[Names, tuple[Fit, float]] = field(default_factory=dict)
     tried: set[tuple[Names, Names]] = field(default_factory=set)
+    refused: dict[Names, tuple[Gate, ...]] = field(default_factory=dict)
 
     def add(self, experiment: Experiment, names: Names, fit: Fit, anyway: bool = False) -> None:
         """Keep a fit of a set, if it is one and better than what is there, or ``anyway``."""
@@ -45,9 +48,9 @@ class Seen:
         if not np.isfinite(value):
             return
         if names and impossible(fit):
-            if value > self.stations.get(names, (None, -np.inf))[1] + NO_MORE:
+            if value > self.stations.get(names, (None, -np.inf))[1] + ties.SAME_FIT:
                 self.stations[names] = fit, value
-        elif anyway or value > self.evidence.get(names, -np.inf) + NO_MORE:
+        elif anyway or value > self.evidence.get(names, -np.inf) + ties.SAME_FIT:
             self.fits[names], self.evidence[names] = fit, value
             self.left[names] = discrepancy(experiment, fit)
 
@@ -57,8 +60,12 @@ class Seen:
 
     def floor(self) -> float:
         """Return the evidence of a model that needs no unknowns, as far as it is known."""
-        best = max(self.evidence, key=self.evidence.get)
+        best = self.likeliest(self.evidence)
         return self.evidence[best] + self.left[best]
+
+    def likeliest(self, sets: Iterable[Names]) -> Names:
+        """Return the set with the highest evidence, the plainest of equals."""
+        return ties.best(sets, self.evidence.get, plainness, ties.SAME_FIT)
 
     def score(self, evidence: float, prior: float) -> float:
         """Return what an evidence counts, log units: see :func:`counted`."""
@@ -77,7 +84,7 @@ class Seen:
         """
         if not self.inverse:
             return TEMPER
-        best = self.fits[max(self.evidence, key=self.evidence.get)]
+        best = self.fits[self.likeliest(self.evidence)]
         return 1.0 / float(np.mean([lasting(column[np.isfinite(column)])
                                     for column in best.e.T]))
 
@@ -110,16 +117,17 @@ class Seen:
             rest = names - family
             with_one = [some for some in self.evidence
                         if some - family == rest and len(some & family) == 1]
-            best = max(with_one, key=self.evidence.get, default=names)
+            best = self.likeliest(with_one) if with_one else names
             without = max((known for some, known in self.evidence.items() if some <= rest),
                           default=self.evidence[best])
             found.append((best, FORM_OF_LAW * (self.evidence[best] - without)))
         return found
 
     def best(self) -> Names:
-        """Return the set with the highest score."""
-        scores = self.scores()
-        return max(scores, key=scores.get)
+        """Return the plainest of the best sets, of those that no gate has refused."""
+        scores = {names: score for names, score in self.scores().items()
+                  if names not in self.refused}
+        return ties.best(scores, scores.get, plainness, self.power() * ties.SAME_FIT)
 
     def ahead(self, done: dict[Names, float], enough: float) -> tuple[Names, Fit] | None:
         """Return the model where the search goes on; None where it has been everywhere.
@@ -137,13 +145,19 @@ class Seen:
                  if names == best or all(one == names for one, _ in self.laws_of(names))}
         every = {**known, **{names: item for names, item in self.stations.items()
                              if item[1] > self.evidence.get(names, -np.inf)}}
-        highest = max(every, key=lambda names: every[names][1] + prior_of(names))
+        highest = ties.best(every, lambda names: every[names][1] + prior_of(names), plainness,
+                            ties.SAME_FIT)
         went = max(done.values(), default=-np.inf)
         for names, (fit, value) in ((highest, every[highest]), (best, known[best])):
             if value > done.get(names, -np.inf) + enough and (
                     names == best or self.pursued(value, went)):
                 return names, fit
         return None
+
+
+def plainness(names: Names) -> tuple[int, float, list[str]]:
+    """Return the key that puts the plainest set first: few members, common ones, by name."""
+    return len(names), -prior_of(names), sorted(names)
 
 
 def counted(left: float) -> float:

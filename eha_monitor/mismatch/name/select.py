@@ -4,10 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment, resolving
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.name.base import limits_of, needs, with_effect, without_effect
 from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, effects_of, rig_free
+from eha_monitor.mismatch.name.gates import ends_of_tolerance, failures
 from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.proposals import (
     STRAYED,
@@ -24,11 +26,13 @@ from eha_monitor.mismatch.name.refit import (
     entered_at_best,
     looked,
     settled,
+    wide,
 )
 from eha_monitor.mismatch.name.seen import (
     Names,
     Seen,
     evidence_at_start,
+    plainness,
 )
 from eha_monitor.mismatch.name.starts import possible, sharing, starts_of
 from eha_monitor.mismatch.name.suspects import is_effect, simple_kin
@@ -102,8 +106,7 @@ def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], seen: 
             return made
         # The guess is ranked by the innovations that a filter expects, the fit by those it has: a
         # model is not judged under unknowns that suit it less than those it came from.
-        return max(made, with_unknowns(experiment, made, view.fit.unknowns),
-                   key=lambda fit: fit.log_likelihood)
+        return likelier(made, with_unknowns(experiment, made, view.fit.unknowns))
 
     own = view.own
     if own is not None and not view.here and chosen[0].evidence < own.evidence + CLOSE:
@@ -113,13 +116,19 @@ def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], seen: 
     looks = [made for made in spread(quick, chosen) if np.isfinite(made.log_likelihood)]
     if not looks:
         return
-    looks.sort(key=lambda made: -made.log_likelihood)
+    looks = ties.ordered(looks, lambda made: made.log_likelihood,
+                         lambda made: plainness(frozenset(made.named)), ties.GUESS)
     reach = looks[0].log_likelihood
     base = min(looks[-1].log_likelihood, view.fit.log_likelihood)
     going = [made for made in looks
              if made.log_likelihood >= base + CATCHING_UP * (reach - base)][:MOST_GOING]
     for made in spread(lambda made: settled(experiment, made, view.slopes), going):
         seen.add(experiment, frozenset(made.named), made)
+
+
+def likelier(fit: Fit, other: Fit) -> Fit:
+    """Return the likelier of two fits of one set, the first where they are the same fit."""
+    return ties.best((fit, other), lambda one: one.log_likelihood, within=ties.GUESS)
 
 
 def held(experiment: Experiment, view: Linearised, seen: Seen) -> None:
@@ -182,6 +191,7 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
         if seen.ahead(done, STRAYED) is None and not ended:
             finish(experiment, seen)
             ended = True
+    gated(experiment, seen)
     best, view = seen.best(), None  # the last one's slopes are not needed beside new columns
     say("weighing effects not in the catalogue", 0.85)
     return Selection(experiment, first, seen.fits[best], seen, views.get(best),
@@ -226,7 +236,7 @@ def far_off(experiment: Experiment, first: Fit, seen: Seen) -> Fit | None:
             theta = experiment.theta.copy()
             theta[f.place] *= np.exp(step)
             found.append(with_unknowns(experiment, replace(first, theta=theta), first.unknowns))
-    best = max(found, key=lambda fit: fit.log_likelihood, default=first)
+    best = ties.best(found or [first], lambda fit: fit.log_likelihood, within=ties.GUESS)
     return best if best.log_likelihood > first.log_likelihood else None
 
 
@@ -281,20 +291,51 @@ def simplified(experiment: Experiment, fit: Fit, name: str, other: str) -> Fit:
 
 
 def lesser(experiment: Experiment, fit: Fit, name: str) -> Fit:
-    """Return a fit without one of its members, where it stands.
+    """Return a fit without one of its members, where it stands, not yet refitted.
 
     What the member hid may now be seen, so every number of the rig is free: a leakage within its
-    tolerance explains what a cross-port leakage did.
+    tolerance explains what a cross-port leakage did.  Of two places the likelier is returned:
+    where the others stand, under the unknowns that this asks for, and where they go along the
+    valley of the fit's own covariance when the member vanishes, under the fit's own unknowns.
+    Where a scale of the encoder trades with displacement, mass and B, only the second is near.
     """
-    if is_effect(name):
-        bare = without_effect(experiment, fit, name)
-    else:
+    def bare(theta: np.ndarray) -> Fit:
+        moved = replace(fit, theta=theta)
+        if is_effect(name):
+            return with_rig(experiment, without_effect(experiment, moved, name))
         own = next(f for f in rig_free(experiment) if f.name == name)
-        theta = fit.theta.copy()
+        theta = theta.copy()
         theta[own.place] = min(max(theta[own.place], own.lower), own.upper)
-        bare = replace(fit, theta=theta, named=tuple(n for n in fit.named if n != name),
-                       free=tuple(own if f.name == name else f for f in fit.free))
-    return at_level(experiment, with_rig(experiment, bare))
+        return with_rig(experiment, replace(
+            moved, theta=theta, named=tuple(n for n in fit.named if n != name),
+            free=tuple(own if f.name == name else f for f in fit.free)))
+
+    here, along = at_level(experiment, bare(fit.theta)), bare(without_along(fit, name))
+    return ties.best((here, along), lambda one: one.log_likelihood, within=ties.SAME_FIT)
+
+
+def without_along(fit: Fit, name: str) -> np.ndarray:
+    """Return theta where a fit's other numbers go when a member vanishes, by its covariance.
+
+    With the member's sizes m and all others o, o moves by C_om C_mm^-1 (absent - m): the mean of
+    a normal distribution given m.
+    """
+    entry = CATALOGUE.get(name)
+    sizes = {f"{name}.{p.name}": p.neutral for p in entry.sizes if not p.log} if entry else {}
+    own = [i for i, f in enumerate(fit.free) if f.name == name or f.name in sizes]
+    others = [i for i, f in enumerate(fit.free)
+              if f.name != name and f.name.partition(".")[0] != name]
+    absent = np.array([sizes.get(fit.free[i].name, fit.free[i].prior) for i in own])
+    theta = fit.theta.copy()
+    if not own or not np.isfinite(absent).all():
+        return theta
+    now = np.array([f.inward(theta[f.place]) for f in fit.free])
+    moved = fit.covariance[np.ix_(others, own)] @ (
+        np.linalg.pinv(fit.covariance[np.ix_(own, own)], hermitian=True) @ (absent - now[own]))
+    if np.isfinite(moved).all():
+        for i, step in zip(others, moved, strict=True):
+            theta[fit.free[i].place] = fit.free[i].outward(now[i] + step)
+    return theta
 
 
 def with_rig(experiment: Experiment, fit: Fit) -> Fit:
@@ -319,9 +360,39 @@ def without_each(experiment: Experiment, seen: Seen) -> None:
     told = None
     while told != (best := seen.best()):
         told, fit = best, seen.fits[best]
-        for name in best if len(best) > 1 else ():
+        for name in sorted(best) if len(best) > 1 else ():
             seen.add(experiment, best - {name}, settled(
                 experiment, lesser(experiment, fit, name), worth=fit.log_likelihood - CLOSE))
+
+
+def gated(experiment: Experiment, seen: Seen) -> None:
+    """Refuse best sets that no recording can support, until the best one passes the gates.
+
+    In the place of each the sets without its failing members are fitted; where a number of the
+    rig has gone to the end of its tolerance, also the set that calls it wrong.
+    """
+    widened: set[str] = set()
+    while True:
+        without_each(experiment, seen)
+        best = seen.best()
+        fit = seen.fits[best]
+        ends = [f for f in ends_of_tolerance(fit) if f.name not in widened]
+        for f in ends:
+            widened.add(f.name)
+            if best | {f.name} not in seen.fits:
+                free = tuple(wide(one) if one.name == f.name else one for one in fit.free)
+                seen.add(experiment, best | {f.name}, settled(experiment, replace(
+                    fit, free=free, named=(*fit.named, f.name), converged=False)))
+        if ends:
+            continue
+        failed = failures(experiment, fit)
+        if not failed:
+            return
+        seen.refused[best] = tuple(failed)
+        for name in dict.fromkeys(gate.what for gate in failed):
+            if best - {name} not in seen.fits:
+                seen.add(experiment, best - {name}, settled(
+                    experiment, lesser(experiment, fit, name), worth=fit.log_likelihood - CLOSE))
 
 
 def finish(experiment: Experiment, seen: Seen) -> None:
@@ -332,19 +403,19 @@ def finish(experiment: Experiment, seen: Seen) -> None:
     without_each(experiment, seen)
     best = seen.best()
     lead = seen.fits[best]
-    for name in filter(is_effect, best):  # a law of the family as simple, from the same place
-        for other in {*CATALOGUE[name].contains, *simple_kin(name)}:
+    for name in filter(is_effect, sorted(best)):  # a law as simple, from the same place
+        for other in sorted({*CATALOGUE[name].contains, *simple_kin(name)}):
             if possible(other, experiment) and best - {name} | {other} not in seen.fits:
                 seen.add(experiment, best - {name} | {other}, settled(
                     experiment, simplified(experiment, lead, name, other),
                     worth=lead.log_likelihood - CLOSE))
     scores, best = seen.scores(), seen.best()
-    near = [names for names in sorted(scores, key=lambda names: -scores[names])
+    near = [names for names in ties.ordered(scores, scores.get, plainness, ties.GUESS)
             if scores[names] > scores[best] - WITHIN_REACH][:FINALISTS]
     if frozenset() not in near and scores[frozenset()] > scores[best] - WITHIN_REACH:
         near.append(frozenset())  # that nothing is missing is never judged by half a fit
     level = seen.fits[best].unknowns
-    lead = seen.fits[max(near, key=seen.evidence.get)]
+    lead = seen.fits[seen.likeliest(near)]
     worth = lead.log_likelihood - CLOSE
 
     def ended(names: frozenset[str]) -> Fit:
@@ -357,7 +428,7 @@ def finish(experiment: Experiment, seen: Seen) -> None:
         if other is None:
             return whole
         other = settled(experiment, with_unknowns(experiment, other, level), worth=worth)
-        return max(whole, other, key=lambda one: one.log_likelihood)
+        return likelier(whole, other)
 
     for names, fit in zip(near, spread(ended, near), strict=True):
         seen.add(experiment, names, fit)

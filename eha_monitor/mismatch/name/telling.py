@@ -11,6 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import SHORTEST, Experiment, Stretch
 from eha_monitor.mismatch.data.stretch import cut
 from eha_monitor.mismatch.likelihood.fit import spread, with_unknowns
@@ -44,8 +45,8 @@ def telling(experiment: Experiment, most: int = MOST, window: int = WINDOW) -> E
     whole, chosen, samples = np.eye(size), [], 0
     left = [i for i, gram in enumerate(grams) if len(gram)]
     while left and samples + window // 2 <= most:
-        best = max(left, key=lambda i: np.linalg.slogdet(whole + grams[i])[1])
-        left.remove(best)
+        known = [np.linalg.slogdet(whole + grams[i])[1] for i in left]
+        best = left.pop(ties.largest(known, ties.GUESS))
         chosen.append(best)
         whole = whole + grams[best]
         samples += len(windows[best])

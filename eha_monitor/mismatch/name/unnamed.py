@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.mismatch.likelihood.along import signals_along
@@ -80,7 +81,7 @@ def loads_of(experiment: Experiment, amplitudes: np.ndarray
         [stretch.counted for stretch in experiment.stretches]), len(newtons))
     for block in np.flatnonzero(counted == 0):  # held out: as on both sides of it
         beside = newtons[[b for b in (block - 1, block + 1) if 0 <= b < len(newtons)]]
-        newtons[block] = beside[np.abs(beside).argmin()]
+        newtons[block] = beside[ties.largest(-np.abs(beside))]
     acting = np.abs(newtons) > ACTING * np.abs(newtons).max()
     found: list[list[float]] = []
     for stretch, which in zip(experiment.stretches, blocks_of(experiment)[0], strict=True):

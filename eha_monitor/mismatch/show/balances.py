@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment, Stretch
 from eha_monitor.mismatch.diagnosis import Agreement, Location, NamedEffect, Overlay, SignalFit
 from eha_monitor.mismatch.likelihood.clean_balances import floor_of
@@ -150,7 +151,8 @@ def location_of(experiment: Experiment, effects: Sequence[NamedEffect], terms: l
     if total <= 0.0:
         return Location(weights, "", ())
     shares = {name: weight / total for name, weight in weights.items()}
-    mine = [term for term in terms if term.balance == max(shares, key=shares.get)]
+    largest = ties.best(shares, shares.get)
+    mine = [term for term in terms if term.balance == largest]
     if not mine:
         return Location(shares, "always", location.whole_of(experiment))
     return location.located(experiment, shares, mine[-1])

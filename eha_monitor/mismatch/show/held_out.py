@@ -1,23 +1,27 @@
 """The proof on data that the fit has not seen: free runs, whiteness, agreement of the parts."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from eha_monitor.filters.consistency import variance_ratios
+from eha_monitor.machine.baseline import Baseline
+from eha_monitor.machine.course import STANDING
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import FORCED, filled
-from eha_monitor.mismatch.diagnosis import Agreement, Overlay, SignalFit, Value
+from eha_monitor.mismatch.data.stretch import Stretch
+from eha_monitor.mismatch.diagnosis import Agreement, Gate, Overlay, SignalFit, Value
 from eha_monitor.mismatch.likelihood.along import signals_along
 from eha_monitor.mismatch.likelihood.fit import Fit, filtered, refine, spread
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED
 from eha_monitor.mismatch.locate.missing import modelled_force
 from eha_monitor.mismatch.show.sizes import filtered_tracks
 from eha_monitor.physics import signals as s
-from eha_monitor.physics.contributions import ALL_NAMES
+from eha_monitor.physics.contributions import ALL_NAMES, circuit_of
 from eha_monitor.physics.plant import N_OUTPUTS, Y_P1, Y_P2, Y_V, Y_X
+from eha_monitor.quantity import quantity, share
 
 SIGNALS = ("position", "velocity", "pressure_1", "pressure_2", "pump_speed")
 UNITS = ("m", "m/s", "Pa", "Pa", "rad/s")
@@ -28,6 +32,7 @@ BLOCKS = 30  # fewest blocks of a variance ratio that is shown: chance stays bel
 DERIVATIVES, BALANCE = 100.0, 20.0  # Hz: pass bands of v and a, and of the whole force balance
 FEWEST = 500  # samples in a part whose parameters are fitted
 WORSE = 1.02  # ratio of squared errors on unseen data that is beyond chance
+GROWN = 0.02  # of a signal's standard deviation: an error that grows by more is another model's
 
 
 @dataclass(frozen=True)
@@ -153,9 +158,12 @@ def shown(experiment: Experiment, before: Fit, after: Fit | None,
         if not len(residuals[0]):
             continue
         errors = [rms(residual) for residual in residuals]
+        measured = np.concatenate([stretch.z[mask, j] for stretch, mask in zip(
+            experiment.stretches, unseen(experiment), strict=True)])
         found[SIGNALS[j]] = SignalFit(UNITS[j], errors[0], errors[-1], float(experiment.noise[j]),
-                                      float(white[0][j]), float(white[-1][j]))
-    if experiment.mode == FORCED and found:
+                                      float(white[0][j]), float(white[-1][j]),
+                                      float(np.nanstd(measured)))
+    if (experiment.mode == FORCED or experiment.used[[Y_P1, Y_P2]].all()) and found:
         forces = [force_residual(experiment, fit) for fit in models]
         found["force"] = SignalFit("N", forces[0][0], forces[-1][0], float("nan"),
                                    signal_rms=forces[-1][1])
@@ -163,42 +171,131 @@ def shown(experiment: Experiment, before: Fit, after: Fit | None,
 
 
 def worse(signals: dict[str, SignalFit]) -> bool:
-    """Tell whether the error on unseen data, in units of the noise, has grown."""
+    """Tell whether a model does worse on unseen data than the one before."""
+    return bool(unseen_gates(signals))
+
+
+def unseen_gates(signals: dict[str, SignalFit]) -> tuple[Gate, ...]:
+    """Return where a model does worse on unseen data than the one before.
+
+    In any signal or balance by more than ``GROWN`` of that signal's size, or in all of them
+    together, in units of their noise, by more than chance.
+    """
+    found = [Gate("unseen_error", name, f"on unseen data the error of {name.replace('_', ' ')} "
+                  f"grows from {quantity(fit.before_rms, fit.unit, 3)} to "
+                  f"{quantity(fit.after_rms, fit.unit, 3)}")
+             for name, fit in signals.items()
+             if fit.after_rms - fit.before_rms > GROWN * fit.signal_rms]
     pairs = [(fit.before_rms / fit.noise_rms, fit.after_rms / fit.noise_rms)
              for fit in signals.values() if fit.noise_rms > 0]
-    return sum(after**2 for _, after in pairs) > WORSE * sum(before**2 for before, _ in pairs)
+    before, after = (sum(one[i] ** 2 for one in pairs) for i in (0, 1))
+    if not found and after > WORSE * before:
+        found.append(Gate("unseen_error", "all signals", "on unseen data the errors of all "
+                          f"signals together grow by {share(np.sqrt(after / before) - 1.0)}"))
+    return tuple(found)
+
+
+def baseline_gates(experiment: Experiment, baselines: Sequence[Baseline], after: Fit
+                   ) -> tuple[Gate, ...]:
+    """Return the gate of a model whose force balance ten lines of least squares beat.
+
+    On samples that the model's fit has not seen.  The least squares have, but four numbers from
+    thousands of samples gain nothing by that beside ``GROWN``.
+    """
+    of = {one.source: one for one in baselines if one.force is not None}
+    if not {stretch.source for stretch in experiment.stretches} <= of.keys():
+        return ()
+    left, force = force_residual(experiment, after)
+    first = baseline_residual(experiment, of, after)
+    if not left - first > GROWN * force:
+        return ()
+    return (Gate("unseen_error", "force", "least squares on the force balance leave "
+                 f"{quantity(first, 'N', 3)} on unseen data, the model {quantity(left, 'N', 3)}"),)
+
+
+def without_answer(signals: dict[str, SignalFit]) -> dict[str, SignalFit]:
+    """Return the errors on unseen data where no model is the answer: the nominal one's."""
+    return {name: replace(fit, after_rms=fit.before_rms, after_whiteness=fit.before_whiteness)
+            for name, fit in signals.items()}
 
 
 def force_residual(experiment: Experiment, fit: Fit) -> tuple[float, float]:
     """Return rms residual and rms force of the force balance on held-out samples, N.
 
     M v' + B v + effects against the measured force, with v and v' from the position; every term
-    goes through the same zero-phase low-pass, so that nothing is lagged against another.
+    goes through the same zero-phase low-pass, so that nothing is lagged against another.  What
+    the model says the sensors err by is taken off first.
     """
-    dt = experiment.dt
-    residuals, forces = [], []
-    for stretch, mask in zip(experiment.stretches, unseen(experiment), strict=True):
-        n = len(stretch)
-        if not mask.any() or n < 200:
-            continue
-        smooth = low_pass(min(DERIVATIVES, 0.2 / dt), dt)
-        x = smooth(filled(stretch.z[:, 0]))
-        v = np.gradient(x, dt)
-        a = np.gradient(v, dt)
-        states = np.zeros((n, N_FILTERED))
+    def modelled(stretch, x, v, a):
+        states = np.zeros((len(x), N_FILTERED))
         states[:, Y_X], states[:, Y_V] = x, v
         states[:, Y_P1], states[:, Y_P2] = stretch.p1, stretch.p2
         track = signals_along(experiment, stretch, states)
         names = tuple(name for name, on in zip(ALL_NAMES, fit.active, strict=True) if on)
-        model = (fit.theta[s.M] * a + fit.theta[s.B] * v
-                 + modelled_force(experiment, fit, track, names))
+        return (fit.theta[s.M] * a + fit.theta[s.B] * v
+                + modelled_force(experiment, fit, track, names))
+
+    w = circuit_of(fit.theta, fit.active)
+    return force_left(experiment, w, modelled, lambda stretch: driving_force(
+        experiment, fit, stretch))
+
+
+def baseline_residual(experiment: Experiment, of: Mapping[str, Baseline], after: Fit) -> float:
+    """Return rms residual of the least-squares balances on the same held-out samples, N.
+
+    Parameters
+    ----------
+    of : source -> first view of that recording; its sensors err by what ``after`` says.
+    """
+    def modelled(stretch, x, v, a):
+        first = of[stretch.source].force
+        standing = STANDING * np.quantile(np.abs(v), 0.998)
+        return (first["M"].value * a + first["B"].value * v + first["F_0"].value
+                + first["F_c"].value * np.clip(v / max(standing, 1e-12), -1.0, 1.0))
+
+    return force_left(experiment, circuit_of(after.theta, after.active), modelled,
+                      lambda stretch: driving_force(experiment, after, stretch))[0]
+
+
+def force_left(experiment: Experiment, w: np.ndarray, modelled: Callable, driving: Callable
+               ) -> tuple[float, float]:
+    """Return rms of what a model leaves of the force on held-out samples, and of the force, N.
+
+    Parameters
+    ----------
+    w : constants of the sensors, as the model has them.
+    modelled : (stretch, x, v, a) -> (n,) N.  ``driving`` : stretch -> (n,) N.
+    """
+    dt = experiment.dt
+    residuals, forces = [], []
+    for stretch, mask in zip(experiment.stretches, unseen(experiment), strict=True):
+        if not mask.any() or len(stretch) < 200:
+            continue
+        stretch = righted(stretch, w, dt)
+        smooth = low_pass(min(DERIVATIVES, 0.2 / dt), dt)
+        x = smooth(filled(stretch.z[:, 0]))
+        v = np.gradient(x, dt)
+        a = np.gradient(v, dt)
         both = low_pass(min(BALANCE, 0.1 / dt), dt)
-        force = both(driving_force(experiment, fit, stretch))
-        residuals.append((force - both(model))[mask])
-        forces.append(force[mask])
+        force = both(driving(stretch))
+        moving = mask & (np.abs(v) > STANDING * np.quantile(np.abs(v), 0.998))
+        residuals.append((force - both(modelled(stretch, x, v, a)))[moving])
+        forces.append(force[moving])
     if not residuals:
         return float("nan"), float("nan")
     return rms(np.concatenate(residuals)), rms(np.concatenate(forces))
+
+
+def righted(stretch: Stretch, w: np.ndarray, dt: float) -> Stretch:
+    """Return a stretch less what its sensors err by: scales, offsets, drifts, delays."""
+    t = np.arange(len(stretch)) * dt
+    z = stretch.z.copy()
+    z[:, 0] = np.interp(t + w[s.POSITION_DELAY], t, filled(z[:, 0])) / (1.0 + w[s.POSITION_SCALE])
+    pressures = [(np.interp(t + w[s.PRESSURE_DELAY], t, p) - w[offset] - w[drift] * t)
+                 / (1.0 + w[scale]) for p, offset, drift, scale in (
+        (stretch.p1, s.PRESSURE_OFFSET_1, s.PRESSURE_DRIFT_1, s.PRESSURE_SCALE_1),
+        (stretch.p2, s.PRESSURE_OFFSET_2, s.PRESSURE_DRIFT_2, s.PRESSURE_SCALE_2))]
+    return replace(stretch, z=z, p1=pressures[0], p2=pressures[1])
 
 
 def driving_force(experiment: Experiment, fit: Fit, stretch) -> np.ndarray:

@@ -7,7 +7,10 @@ import numpy as np
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import Agreement, Fitted, NamedEffect, Value
 from eha_monitor.mismatch.likelihood.fit import Fit, sensitivities, step_of, whitener
+from eha_monitor.mismatch.name.acceptance import RIVAL
 from eha_monitor.mismatch.name.base import TIMING
+from eha_monitor.mismatch.name.naming import Naming
+from eha_monitor.mismatch.name.select import with_rig
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import effect_values
 from eha_monitor.quantity import quantity
@@ -70,6 +73,24 @@ def in_doubt(known: dict[str, Value], agreement: tuple[Agreement, ...]) -> dict[
     return found
 
 
+def between_models(known: dict[str, Value], naming: Naming) -> dict[str, Value]:
+    """Return B and beta_e with the spread between the models that the recording cannot exclude.
+
+    The variance of a mixture: that within the best model and that of the models' values about
+    its own, each weighed as probable as its score says (Hoeting et al. 1999).
+    """
+    near = [(np.exp(-behind), fit) for _, fit, behind in naming.tried if np.exp(-behind) > RIVAL]
+    found = {}
+    for name, value in known.items():
+        there = [(weight, fit.value(name)) for weight, fit in near
+                 if any(f.name == name for f in fit.free)]
+        total = sum(weight for weight, _ in there)
+        spread = sum(weight * (other - value.value) ** 2 for weight, other in there) / max(
+            total, 1.0)
+        found[name] = replace(value, stddev=float(np.hypot(value.stddev, np.sqrt(spread))))
+    return found
+
+
 def robust(experiment: Experiment, fit: Fit, block: float = BLOCK) -> Fit:
     """Return a fit whose covariance counts blocks of the record, not samples.
 
@@ -84,6 +105,8 @@ def robust(experiment: Experiment, fit: Fit, block: float = BLOCK) -> Fit:
     """
     if not fit.free:
         return fit
+    # What the recording says nothing of stayed at the config's; its tolerance is B's as well.
+    fit = with_rig(experiment, fit)
     w = whitener(fit.s)
     white = np.nan_to_num(fit.e) @ w.T
     slopes = sensitivities(experiment, fit.theta, fit.active, fit.gains, fit.e,

@@ -2,15 +2,18 @@
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import RigFinding, Value
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.name.columns import rig_free
+from eha_monitor.mismatch.name.gates import at_bound
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.refit import INFORMED
 from eha_monitor.quantity import side_by_side
 
 OTHER = 3.0  # standard deviations between the recording and the config: it is another number
+SHOWN = 1e-3  # of a probability: what is closer reads the same, and stands as in the config
 NOTABLE = 0.5  # of the tolerance: what is less is no news to anybody
 
 
@@ -22,7 +25,7 @@ def rig_findings(experiment: Experiment, naming: Naming) -> tuple[RigFinding, ..
         found.append(RigFinding(
             key, configured, value, naming.probability.get(f"rig.{key}", np.nan), words,
             naming.rivals.get(f"rig.{key}", ())))
-    return tuple(sorted(found, key=lambda finding: -finding.probability))
+    return tuple(ties.ordered(found, lambda finding: finding.probability, within=SHOWN))
 
 
 def rig_within(experiment: Experiment, naming: Naming) -> tuple[RigFinding, ...]:
@@ -34,8 +37,9 @@ def rig_within(experiment: Experiment, naming: Naming) -> tuple[RigFinding, ...]
     fitted, found = {f.name for f in naming.after.free}, []
     for own in rig_free(experiment):
         key = own.name.removeprefix("rig.")
-        if own.name not in fitted or key in naming.wrong:
-            continue
+        if own.name not in fitted or key in naming.wrong or at_bound(
+                own, naming.after.value(own.name)):
+            continue  # at the end of its tolerance it is no optimum, so no finding
         configured, value, words = _told(experiment, naming.after, key)
         spread = experiment.settings.rig.tolerance.log_spread(key)
         moved, sigma = np.log(value.value / configured), value.stddev / value.value

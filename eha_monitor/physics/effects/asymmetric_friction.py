@@ -77,4 +77,5 @@ EFFECT = Effect(
     contains=("coulomb_friction",),
     remembers_place=True,
     family="dry",
+    passive="motion",
 )

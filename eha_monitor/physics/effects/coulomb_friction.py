@@ -50,4 +50,5 @@ EFFECT = Effect(
     remembers_place=True,
     family="dry",
     rarity=0,
+    passive="motion",
 )

@@ -29,4 +29,5 @@ EFFECT = Effect(
     rig_twin="leakage",
     starts=lambda r: ({"L": 0.01 * r.flow / max(r.pressure_difference[3], 1.0)},),
     rarity=0,
+    passive="pressure",
 )

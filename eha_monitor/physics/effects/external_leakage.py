@@ -1,15 +1,15 @@
-"""Leakage of each chamber to the outside, or to the tank."""
+"""Leakage of each chamber to the outside, or to the tank: it flows to the ambient pressure."""
 
 from eha_monitor.compiled import njit
 from eha_monitor.physics.effect import Effect, Parameter
-from eha_monitor.physics.signals import FLOW_1, FLOW_2, P1, P2
+from eha_monitor.physics.signals import FLOW_1, FLOW_2, P1, P2, P_AMBIENT
 
 
 @njit
 def term(s, p, m, c):
-    """Take L_1 p1 and L_2 p2 out of the chambers."""
-    c[FLOW_1] -= p[0] * s[P1]
-    c[FLOW_2] -= p[1] * s[P2]
+    """Take L_1 (p1 - p_a) and L_2 (p2 - p_a) out of the chambers; p[2] is p_a, Pa."""
+    c[FLOW_1] -= p[0] * (s[P1] - p[2])
+    c[FLOW_2] -= p[1] * (s[P2] - p[2])
 
 
 def starts(r):
@@ -21,13 +21,14 @@ def starts(r):
 EFFECT = Effect(
     name="external_leakage",
     balance="flow",
-    equation="Q_i = -L_i p_i, i = 1, 2: L_1 p1 and L_2 p2 leave",
-    source="external leakage, Merritt 1967, Eq. 6-39",
+    equation="Q_i = -L_i (p_i - p_a), i = 1, 2: what leaves goes to the ambient pressure p_a",
+    source="external leakage, Merritt 1967, Eq. 6-39, whose pressures are above that of the tank",
     parameters=(
-        Parameter("L_1", "m^3/(s*Pa)", "leakage of chamber 1 to the tank", -1e-8, 1e-8, 1e-12),
-        Parameter("L_2", "m^3/(s*Pa)", "leakage of chamber 2 to the tank", -1e-8, 1e-8, 1e-12),
+        Parameter("L_1", "m^3/(s*Pa)", "leakage of chamber 1 to the tank", 0.0, 1e-8, 1e-12),
+        Parameter("L_2", "m^3/(s*Pa)", "leakage of chamber 2 to the tank", 0.0, 1e-8, 1e-12),
     ),
     term=term,
+    rig_numbers=(P_AMBIENT,),
     statement="chamber 1 leaks {L_1} and chamber 2 {L_2} to the outside",
     rig_check="Look for oil at the rod seal and measure the case drain: both pressures must fall "
     "while the rod is blocked.",

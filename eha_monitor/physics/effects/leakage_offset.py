@@ -34,4 +34,5 @@ EFFECT = Effect(
     "them must have the same constant part.",
     starts=lambda r: ({"Q_0": 0.003 * r.flow,  # at each reversal it is the whole flow
                        "dp_e": min(1e4, 0.05 * max(r.pressure_difference[3], 200.0))},),
+    passive="pressure",
 )

@@ -57,4 +57,5 @@ EFFECT = Effect(
     starts=lambda r: ({"mu": 0.005 * r.force / max(r.mean_pressure, 1e3), **START},),
     remembers_place=True,
     family="dry",
+    passive="motion",
 )

@@ -24,4 +24,5 @@ EFFECT = Effect(
     rig_check="Hold two steady speeds, one twice the other: beyond the viscous part the force "
     "must be four times as large.",
     starts=lambda r: ({"a_1": 0.01 * r.force / max(r.speed, 1e-6) ** 2},),
+    passive="motion",
 )

@@ -79,4 +79,5 @@ EFFECT = Effect(
     contains=("coulomb_friction",),
     remembers_place=True,
     family="dry",
+    passive="motion",
 )

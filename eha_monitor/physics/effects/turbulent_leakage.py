@@ -35,4 +35,5 @@ EFFECT = Effect(
     "flow to hold them must double.",
     starts=lambda r: ({"c": 0.01 * r.flow / max(r.pressure_difference[3], 1.0) ** 0.5,
                        "dp_0": min(1e4, 0.05 * max(r.pressure_difference[3], 20.0))},),
+    passive="pressure",
 )

@@ -1,0 +1,12 @@
+"""Rigs of people who have never seen this project, drawn from a seed; by their own equations.
+
+    from eha_monitor.concealed.strangers.draw import draw_rig
+    from eha_monitor.concealed.strangers.generate import record, settings_of, truth_of
+
+    rig = draw_rig(seed=1, i=0)  # .settings: 4 to 8 of them, with their own load, oil and motion
+    recording, settings = record(rig, rig.settings[0], seed=1)  # Recording, Settings
+    truth_of(rig, rig.settings[0])  # B (mean, span), beta_e, load, effects with their classes
+
+``settings`` is the same for all recordings of a rig: the config that ``init`` drafts from data
+sheet values with errors within the config's own tolerances.
+"""

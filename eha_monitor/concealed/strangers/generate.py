@@ -1,0 +1,162 @@
+"""From a stranger's rig to what the monitor gets: recording, and the config that init drafts."""
+
+import math
+from functools import lru_cache
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+
+from eha_monitor.concealed.strangers.draw import Setting, StrangerRig
+from eha_monitor.concealed.strangers.plant import DAHL, NO_FRICTION
+from eha_monitor.concealed.strangers.shown import ATMOSPHERE, PREROLL, recording
+from eha_monitor.draft.answers import Answers
+from eha_monitor.draft.rig import rig_entries, seen_in
+from eha_monitor.output import write_text
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.recordings.write import write_recording
+from eha_monitor.settings.load import load_settings, settings_from_tree, text_tree
+from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.tolerance import Tolerance
+
+START_NS = 1_700_000_000_000_000_000
+DRY = ("coulomb_friction", "stribeck_friction", "presliding_friction")
+# What is as good a name as the effect's own on these rigs: dry friction of another law is the
+# family's, and a leak to the tank is the make-up path's to a lower pressure.
+CLASSES = {
+    "coulomb_friction": DRY, "stribeck_friction": DRY,
+    "external_leakage": ("external_leakage", "makeup_conductance", "charge_pressure"),
+    "cross_port_leakage": ("cross_port_leakage", "leakage"),
+}
+FACTORS = ("leakage", "makeup_conductance")  # of which only the order of magnitude is known
+
+
+def record(rig: StrangerRig, setting: Setting, seed: int, length: float | None = None
+           ) -> tuple[Recording, Settings]:
+    """Return a recording of a rig and the config of its owner.
+
+    Parameters
+    ----------
+    seed : of the sensors' noise.
+    length : s in place of the setting's.
+    """
+    return recorded(rig, setting, seed, length), settings_of(rig)
+
+
+def recorded(rig: StrangerRig, setting: Setting, seed: int, length: float | None = None
+             ) -> Recording:
+    """Return the recording of a setting, in SI, pressures absolute as the config reads them."""
+    channels = recording(rig.run(setting, length), seed)
+    channels.pop("time")
+    if rig.sensors.gauge:
+        for name in ("p1", "p2"):
+            channels[name] = channels[name] + ATMOSPHERE
+    return Recording(1.0 / rig.rate, channels, START_NS, f"{rig.name}_{setting.name}")
+
+
+@lru_cache(maxsize=256)
+def settings_of(rig: StrangerRig) -> Settings:
+    """Return the config that ``init`` drafts from the sheet and the first setting's recording."""
+    return settings_from_tree(tree_of(rig), f"{rig.name}.yaml")
+
+
+def tree_of(rig: StrangerRig) -> dict:
+    """Return that config as plain data."""
+    sheet = rig.sheet
+    answers = {
+        "bore": f"{1e3 * sheet.bore:g} mm", "rod": f"{1e3 * sheet.rod:g} mm",
+        "rods": f"{sheet.rods}", "stroke": f"{1e3 * sheet.stroke:g} mm",
+        "line_volume": f"{1e6 * sheet.line_volume:g} cm^3", "mass": f"{sheet.mass:g} kg",
+        "pump_displacement": f"{sheet.displacement:.3g}", "leakage": f"{sheet.leakage:.2g}",
+        "makeup_conductance": f"{sheet.makeup:.2g}",
+        "charge_pressure": f"{1e-5 * sheet.charge:g} bar"}
+    if sheet.gain is not None:
+        answers["position_gain"] = f"{sheet.gain:.3g}"
+    seen = seen_in(recorded(rig, rig.settings[0], 0))
+    entries = rig_entries(Answers(answers, {}), seen, False, rig.name)
+    return text_tree("rig:\n" + "".join(f"  {one.key}: {one.value}\n" for one in entries),
+                     rig.name)
+
+
+def truth_of(rig: StrangerRig, setting: Setting, length: float | None = None) -> dict:
+    """Return what is true of a recording, in the form of a trial's key.
+
+    Returns
+    -------
+    dict
+        ``B`` its mean over the recording, ``B_span`` at the start and at the end (N s/m),
+        ``beta_e`` (Pa), ``load`` (N), ``hold`` (samples), ``effects`` beyond the drafted config,
+        each with the ``class`` of names that are right for it, and ``rig_off``, the config's
+        numbers beside the true ones, in tolerances.
+    """
+    c, length = rig.plant, length or setting.length
+    begun = PREROLL - min(setting.motion.before, 0.0)
+    warm = 1.0 - np.exp(-(begun + np.array([0.0, length])) / c.warming)
+    mean = 1.0 - c.warming / length * float(
+        np.exp(-begun / c.warming) - np.exp(-(begun + length) / c.warming))
+    ends = setting.damping * (1.0 - c.damping_drop * warm)
+    return {"rig": rig.name, "kind": rig.kind, "law": rig.law,
+            "B": setting.damping * (1.0 - c.damping_drop * mean),
+            "B_span": [float(end) for end in ends], "beta_e": c.bulk_modulus,
+            "load": setting.load, "hold": rig.drive.hold,
+            "effects": effects_of(rig, setting), "rig_off": rig_off(rig)}
+
+
+def effects_of(rig: StrangerRig, setting: Setting) -> list[dict]:
+    """Return the key's entries of the effects beyond the drafted config."""
+    c, found = rig.plant, []
+
+    def add(name, balance, **parameters):
+        found.append({"name": name, "balance": balance, "strength": 1.0, "in_catalogue": True,
+                      "parameters": parameters, "class": list(CLASSES.get(name, (name,)))})
+
+    if c.friction == DAHL:
+        add("coulomb_friction", "force", F_c=c.dry)
+    elif c.friction != NO_FRICTION:
+        add("stribeck_friction", "force", F_c=c.dry, F_d=c.breakaway - c.dry)
+    if setting.load:
+        add("constant_load", "force", F_0=setting.load)
+    if c.case_leakage or c.case_leakage_2:
+        add("external_leakage", "flow", L_1=c.case_leakage, L_2=c.case_leakage_2)
+    said = rig.sheet.leakage
+    if 2 * c.cross_leakage + c.makeup > 9.0 * said:
+        add("cross_port_leakage", "flow", L=c.cross_leakage - 0.5 * (said - rig.sheet.makeup))
+    if c.play:
+        add("backlash", "force", b=c.play, in_loop=1.0)
+    if c.lag:
+        add("drive_lag", "drive", tau=c.lag)
+    return found
+
+
+def rig_off(rig: StrangerRig) -> list[dict]:
+    """Return the config's numbers beside the true ones."""
+    c, said, spreads = rig.plant, settings_of(rig).rig, Tolerance()
+    true = {"area_1": c.area_1, "area_2": c.area_2, "volume_1": c.volume_1,
+            "volume_2": c.volume_2, "mass": c.mass, "pump_displacement": c.displacement_1,
+            "position_gain": c.gain, "charge_pressure": c.reservoir,
+            "makeup_conductance": c.makeup}
+    if not any(one["name"] == "cross_port_leakage" for one in effects_of(rig, rig.settings[0])):
+        true["leakage"] = 2 * c.cross_leakage + c.makeup
+    found = []
+    for key, value in true.items():
+        configured = getattr(said, key)
+        if configured:
+            found.append({"key": key, "true": value, "configured": configured, "tolerances":
+                          math.log(configured / value) / spreads.log_spread(key)})
+    return found
+
+
+def write(rig: StrangerRig, setting: Setting, folder: Path, seed: int,
+          length: float | None = None) -> tuple[Path, Path]:
+    """Write ``RIG_SETTING`` (a bag) and ``RIG_SETTING.yaml`` (its config) into ``folder``."""
+    from ruamel.yaml import YAML
+
+    folder.mkdir(parents=True, exist_ok=True)
+    name, text, yaml = f"{rig.name}_{setting.name}", StringIO(), YAML(typ="safe")
+    yaml.default_flow_style = False
+    yaml.dump(tree_of(rig), text)
+    config = folder / f"{name}.yaml"
+    write_text(config, text.getvalue())
+    bag = write_recording(folder / name, recorded(rig, setting, seed, length),
+                          load_settings(config), overwrite=True)
+    return bag, config

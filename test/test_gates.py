@@ -1,0 +1,151 @@
+"""The gates: what a cheap check refuses is no answer."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mismatch_tools import fitted
+
+from eha_monitor.mismatch.diagnosis import SignalFit
+from eha_monitor.mismatch.likelihood.fit import Free
+from eha_monitor.mismatch.name.base import with_effect
+from eha_monitor.mismatch.name.columns import rig_free
+from eha_monitor.mismatch.name.gates import at_bound, ends_of_tolerance, failures
+from eha_monitor.mismatch.name.refit import wide
+from eha_monitor.mismatch.name.select import with_rig, without_along
+from eha_monitor.mismatch.name.starts import starts_of
+from eha_monitor.mismatch.show.held_out import unseen_gates, without_answer
+from eha_monitor.physics.parameters import place_of
+
+
+def moved(fit, **values):
+    """Return a fit with parameters of effects set, ``effect__symbol=value``."""
+    theta = fit.theta.copy()
+    for name, value in values.items():
+        theta[place_of(name.replace("__", "."))] = value
+    return replace(fit, theta=theta)
+
+
+def with_start(name, of="coulomb_friction"):
+    """Return an experiment and its nominal fit with an effect entered at its start."""
+    here = fitted(of, told=False)
+    start = starts_of(name, here.experiment)[0]
+    fit = with_effect(here.before, start, (1.0,) * 3)
+    k = len(fit.free)
+    return here.experiment, replace(fit, covariance=1e-12 * np.eye(k))
+
+
+def gates_of(experiment, fit):
+    return {(gate.gate, gate.what) for gate in failures(experiment, fit)}
+
+
+def test_a_right_model_passes():
+    here = fitted("coulomb_friction")
+    assert failures(here.experiment, here.after) == []
+
+
+@pytest.mark.parametrize("value", [2.0, -0.9])
+def test_a_sensor_that_errs_to_the_end_of_its_range_is_refused(value):
+    experiment, fit = with_start("pressure_scale")
+    assert gates_of(experiment, fit) == set()
+    assert gates_of(experiment, moved(fit, pressure_scale__k_1=value)) == {
+        ("bound", "pressure_scale")}
+
+
+def test_a_size_that_has_gone_to_nothing_is_refused():
+    experiment, fit = with_start("coulomb_friction")
+    assert gates_of(experiment, moved(fit, coulomb_friction__F_c=0.0)) == {
+        ("bound", "coulomb_friction")}
+
+
+def test_a_shape_without_length_is_no_failure():
+    experiment, fit = with_start("coulomb_friction")
+    assert gates_of(experiment, moved(fit, coulomb_friction__z_0=0.0)) == set()
+
+
+def test_friction_that_would_drive_the_piston_is_refused():
+    experiment, fit = with_start("asymmetric_friction")
+    names = {"asymmetric_friction__F_c": 40.0, "asymmetric_friction__dB": 0.0}
+    assert gates_of(experiment, moved(fit, asymmetric_friction__dF=30.0, **names)) == set()
+    for way in (80.0, -80.0):
+        assert ("sign", "asymmetric_friction") in gates_of(
+            experiment, moved(fit, asymmetric_friction__dF=way, **names))
+
+
+def test_a_leak_that_flows_uphill_is_refused_beyond_its_noise():
+    experiment, fit = with_start("cross_port_leakage")
+    negative = moved(fit, cross_port_leakage__L=-1e-11)  # the config's own leak is 5e-13
+    assert gates_of(experiment, negative) == {("sign", "cross_port_leakage")}
+    uncertain = np.eye(len(fit.free)) * 1e-30
+    i = [f.name for f in fit.free].index("cross_port_leakage.L")
+    uncertain[i, i] = (2e-11) ** 2
+    assert gates_of(experiment, replace(negative, covariance=uncertain)) == set()
+
+
+def test_a_number_of_the_rig_off_by_a_thousand_is_refused():
+    here = fitted("coulomb_friction", told=False)
+    own = wide(next(f for f in rig_free(here.experiment) if f.name == "rig.makeup_conductance"))
+    for value in (own.lower, own.upper):
+        theta = here.before.theta.copy()
+        theta[own.place] = value
+        fit = replace(here.before, theta=theta, free=(*here.before.free, own), named=(own.name,),
+                      covariance=np.eye(len(here.before.free) + 1))
+        assert gates_of(here.experiment, fit) == {("bound", own.name)}
+        assert not ends_of_tolerance(fit)
+
+
+def test_numbers_at_the_end_of_their_tolerance_are_noticed():
+    here = fitted("coulomb_friction", told=False)
+    fit = with_rig(here.experiment, here.before)
+    assert ends_of_tolerance(fit) == []
+    own = next(f for f in fit.free if f.name == "rig.makeup_conductance")
+    theta = fit.theta.copy()
+    theta[own.place] = own.upper
+    assert ends_of_tolerance(replace(fit, theta=theta)) == [own]
+
+
+def test_a_bound_is_a_bound_in_the_fitted_coordinate():
+    log = Free("rig.leakage", 0, 1e-15, 1e-9, np.log(1e-12), 2.0, True)
+    assert at_bound(log, 1e-15) and at_bound(log, 1e-9)
+    assert not at_bound(log, 2e-15)  # of the range it is a millionth, of the logarithm a tenth
+
+
+def test_what_vanishes_takes_the_others_along_the_covariance():
+    """The mean of a normal distribution given one coordinate, against sampling."""
+    here = fitted("coulomb_friction")
+    fit = here.after
+    names = [f.name for f in fit.free]
+    i = names.index("coulomb_friction.F_c")
+    theta = without_along(fit, "coulomb_friction")
+    rng = np.random.default_rng(2)
+    draws = rng.multivariate_normal(np.zeros(len(names)), fit.covariance, 200_000)
+    slope = draws.T @ draws[:, i] / (draws[:, i] @ draws[:, i])  # regression on F_c
+    step = -fit.value("coulomb_friction.F_c")
+    for name in ("B", "beta_e"):
+        j = names.index(name)
+        f = fit.free[j]
+        expected = f.outward(f.inward(fit.theta[f.place]) + slope[j] * step)
+        assert theta[f.place] == pytest.approx(expected, rel=0.02)
+
+
+def signal(before, after, size=1.0, noise=0.01):
+    return SignalFit("m", before, after, noise, signal_rms=size)
+
+
+def test_an_error_that_grows_by_two_per_cent_of_its_signal_is_refused():
+    assert not unseen_gates({"position": signal(0.5, 0.3), "pressure_1": signal(0.1, 0.1)})
+    failed = unseen_gates({"position": signal(0.5, 0.3), "pressure_1": signal(0.067, 0.153)})
+    assert [(gate.gate, gate.what) for gate in failed] == [("unseen_error", "pressure_1")]
+    assert "67 mm to 153 mm" in failed[0].statement
+
+
+def test_errors_that_grow_together_are_refused_and_nothing_known_is_not():
+    failed = unseen_gates({"position": signal(0.10, 0.115), "pressure_1": signal(0.02, 0.02)})
+    assert [gate.what for gate in failed] == ["all signals"]
+    nothing = {"force": SignalFit("N", float("nan"), float("nan"), float("nan"))}
+    assert not unseen_gates(nothing)
+
+
+def test_without_an_answer_the_nominal_model_is_shown():
+    shown = without_answer({"position": signal(0.5, 0.3)})["position"]
+    assert shown.after_rms == shown.before_rms == 0.5
