@@ -70,6 +70,8 @@ class MachineBalance:
         with a flexible function of the signals in place of all physics.
     repeats : share of the squared error that repeats from recording to recording without a name.
     regimes : where the error lies.
+    size : usual standard deviation of the balance, N or m³/s; ``effective`` independent samples
+        in all recordings.
     steps : (name, mean gain, t) as the terms entered.
     """
 
@@ -84,6 +86,8 @@ class MachineBalance:
     reference: tuple[float, ...]
     repeats: float
     regimes: tuple[Regime, ...]
+    size: float
+    effective: float
     steps: tuple[tuple[str, float, float], ...]
 
     @property
@@ -227,7 +231,8 @@ def _balance(kind: str, courses: list[Course], tables: list[Table], scale: Scale
         kind, parameters, settings, _rows(fit.each), _rows(fit.each_stddev),
         tuple(_nominal(kind, recordings, rig)), tuple(chosen.errors.tolist()),
         tuple((named.after if repeats else named.before).tolist()),
-        tuple(reference.after.tolist()), repeats, regimes(courses, left), chosen.steps)
+        tuple(reference.after.tolist()), repeats, regimes(courses, left),
+        float(np.median(sizes)), float(sum(table.effective for table in tables)), chosen.steps)
 
 
 def _rows(values: np.ndarray) -> tuple[tuple[float, ...], ...]:
