@@ -145,7 +145,7 @@ class Machine:
                 row |= {s.name: {"value": s.value[i], "stddev": s.stddev[i], "unit": s.unit}
                         for s in one.settings}
             settings.append(row)
-        return {
+        return _plain({
             "schema": SCHEMA, "rig": self.rig, "recordings": len(self.sources),
             "parameters": [asdict(p) | {"balance": one.balance} for one in self.balances
                            for p in one.parameters],
@@ -154,7 +154,20 @@ class Machine:
             "repeating_share": {one.balance: one.repeats for one in self.balances},
             "load_varied": self.load_varied, "odd": [asdict(one) for one in self.odd],
             "scale": asdict(self.scale), "policy": self.policy.to_dict(),
-            "balances": [asdict(one) for one in self.balances]}
+            "balances": [asdict(one) for one in self.balances]})
+
+
+def _plain(tree):
+    """Return a tree with null for what is not finite: a deviation that nothing determines."""
+    if isinstance(tree, dict):
+        return {key: _plain(value) for key, value in tree.items()}
+    if isinstance(tree, (list, tuple)):
+        return [_plain(value) for value in tree]
+    return None if isinstance(tree, float) and not np.isfinite(tree) else tree
+
+
+def _numbers(row: Sequence) -> tuple:
+    return tuple(np.inf if value is None else value for value in row)
 
 
 def rms(values: Sequence[float]) -> float:
@@ -389,13 +402,15 @@ def load(path: Path) -> Machine:
 
 def _read_balance(data: dict) -> MachineBalance:
     made = dict(data)
-    made["parameters"] = tuple(Parameter(**one) for one in data["parameters"])
+    made["parameters"] = tuple(
+        Parameter(**one | {"stddev": _numbers([one["stddev"]])[0]}) for one in data["parameters"])
     made["settings"] = tuple(
-        Setting(**one | {"value": tuple(one["value"]), "stddev": tuple(one["stddev"])})
+        Setting(**one | {"value": tuple(one["value"]), "stddev": _numbers(one["stddev"])})
         for one in data["settings"])
     made["regimes"] = tuple(Regime(**one) for one in data["regimes"])
-    for name in ("each", "each_stddev", "steps"):
-        made[name] = tuple(map(tuple, data[name]))
+    made["steps"] = tuple(map(tuple, data["steps"]))
+    for name in ("each", "each_stddev"):
+        made[name] = tuple(map(_numbers, data[name]))
     for name in ("nominal", "error", "learned", "reference"):
-        made[name] = tuple(data[name])
+        made[name] = _numbers(data[name])
     return MachineBalance(**made)
