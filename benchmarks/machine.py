@@ -80,19 +80,25 @@ def alone_on_both_days(courses: dict, settings, amplitude: int) -> dict:
 
 def together_on_both_days(machines: list[tuple[Machine, Machine]], candidates: dict) -> dict:
     """Return how often several together name the same on both days, and parameters agree."""
-    same, exact, z = [], [], []
+    same, exact, z, wide = [], [], [], []
     for one, other in machines:
         for kind in KINDS:
             a, b = one[kind], other[kind]
-            same.append(families([(candidates[t].effect, candidates[t].family) for t in a.terms])
-                        == families([(candidates[t].effect, candidates[t].family)
-                                     for t in b.terms]))
-            exact.append(a.effects == b.effects)
+            here, there = ([candidates[named.terms[0]] for named in one_.named]
+                           for one_ in (a, b))
+            same.append(families([(c.effect, c.family) for c in here])
+                        == families([(c.effect, c.family) for c in there]))
+            exact.append({c.effect for c in here} == {c.effect for c in there})
             there = {p.effect: p for p in b.parameters}
             z += [(p.value - there[p.effect].value) / np.hypot(p.stddev, there[p.effect].stddev)
                   for p in a.parameters if p.effect in there]
+            wide += [(p.value - there[p.effect].value) / np.hypot(
+                np.hypot(p.stddev, there[p.effect].stddev), np.hypot(
+                    p.between, there[p.effect].between))
+                for p in a.parameters if p.effect in there]
     return {"same": 100 * np.mean(same), "exact": 100 * np.mean(exact),
-            "inside": 100 * np.mean(np.abs(z) < 2), "sets": len(machines)}
+            "inside": 100 * np.mean(np.abs(z) < 2),
+            "inside_spread": 100 * np.mean(np.abs(wide) < 2), "sets": len(machines)}
 
 
 def on_the_other_day(machine: Machine, courses: list, settings) -> dict:

@@ -14,7 +14,7 @@ from eha_monitor.machine.discrepancy import Regime, learned, regimes, signals_of
 from eha_monitor.machine.least_squares import independent, inverse_of, signed_solution
 from eha_monitor.machine.policy import POLICY, Policy
 from eha_monitor.machine.table import Table, tables_of
-from eha_monitor.machine.together import Recordings, allowed_of, setting_of, unseen
+from eha_monitor.machine.together import Named, Recordings, allowed_of, setting_of, unseen
 from eha_monitor.output import write_json
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
@@ -73,6 +73,7 @@ class MachineBalance:
     size : usual standard deviation of the balance, N or m³/s; ``effective`` independent samples
         in all recordings.
     steps : (name, mean gain, t) as the terms entered.
+    named : families of terms that are named; the rest corrects their form.
     """
 
     balance: str
@@ -89,6 +90,7 @@ class MachineBalance:
     size: float
     effective: float
     steps: tuple[tuple[str, float, float], ...]
+    named: tuple[Named, ...]
 
     @property
     def terms(self) -> tuple[str, ...]:
@@ -245,7 +247,8 @@ def _balance(kind: str, courses: list[Course], tables: list[Table], scale: Scale
         tuple(_nominal(kind, recordings, rig)), tuple(chosen.errors.tolist()),
         tuple((named.after if repeats else named.before).tolist()),
         tuple(reference.after.tolist()), repeats, regimes(courses, left),
-        float(np.median(sizes)), float(sum(table.effective for table in tables)), chosen.steps)
+        float(np.median(sizes)), float(sum(table.effective for table in tables)), chosen.steps,
+        chosen.named)
 
 
 def _rows(values: np.ndarray) -> tuple[tuple[float, ...], ...]:
@@ -408,6 +411,7 @@ def _read_balance(data: dict) -> MachineBalance:
         Setting(**one | {"value": tuple(one["value"]), "stddev": _numbers(one["stddev"])})
         for one in data["settings"])
     made["regimes"] = tuple(Regime(**one) for one in data["regimes"])
+    made["named"] = tuple(Named(**one | {"terms": tuple(one["terms"])}) for one in data["named"])
     made["steps"] = tuple(map(tuple, data["steps"]))
     for name in ("each", "each_stddev"):
         made[name] = tuple(map(_numbers, data[name]))

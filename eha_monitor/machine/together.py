@@ -25,6 +25,15 @@ MOST_TERMS = 10  # a choice that has not ended by then is none
 
 
 @dataclass(frozen=True)
+class Named:
+    """A family of terms that is named: ``terms`` as they entered, what they gain together, t."""
+
+    terms: tuple[str, ...]
+    gain: float
+    t: float
+
+
+@dataclass(frozen=True)
 class Chosen:
     """Terms of one balance.
 
@@ -33,11 +42,13 @@ class Chosen:
     names : of all terms, those that every model has first.
     errors : (r,) of each recording left out, over its standard deviation.
     steps : (name, mean gain, t) as they entered.
+    named : families of terms that gain enough to be named.
     """
 
     names: tuple[str, ...]
     errors: np.ndarray
     steps: tuple[tuple[str, float, float], ...]
+    named: tuple[Named, ...]
 
 
 @dataclass(frozen=True)
@@ -142,7 +153,21 @@ class Recordings:
             errors = best[3]
             names, errors = self._pruned(names, errors, policy)
             names, errors = self._reshaped(names, errors)
-        return Chosen(tuple(names), errors, tuple(steps))
+        return Chosen(tuple(names), errors, tuple(steps), self._named(names, errors, policy))
+
+    def _named(self, names: list[str], errors: np.ndarray, policy: Policy) -> tuple[Named, ...]:
+        """Return the families of terms without which the error grows by what a name owes."""
+        families: dict[str, list[str]] = {}
+        for name in names:
+            one = self.candidates[name]
+            if not one.always:
+                families.setdefault(one.family or one.effect, []).append(name)
+        found = []
+        for terms in families.values():
+            mean, t = gain(self.errors([name for name in names if name not in terms]), errors)
+            if mean >= policy.named and t >= policy.repeats:
+                found.append(Named(tuple(terms), mean, t))
+        return tuple(sorted(found, key=lambda one: -one.gain))
 
     def owed(self, name: str, policy: Policy) -> float:
         """Return the share of the error that a term must gain."""

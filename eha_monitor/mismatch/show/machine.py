@@ -6,7 +6,14 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import stdtr
 
-from eha_monitor.machine.machine import Judged, Machine, MachineBalance, rms
+from eha_monitor.machine.machine import (
+    Judged,
+    Machine,
+    MachineBalance,
+    Parameter,
+    Setting,
+    rms,
+)
 from eha_monitor.mismatch.diagnosis import (
     Change,
     Diagnosis,
@@ -23,6 +30,7 @@ from eha_monitor.words import listed
 
 SIDES = {"force": "N", "flow": "m³/s"}
 LINEAR = {"B", "F_0", "D_p"}  # what every model of the balances has
+ZERO = 0.1  # of a balance's size: a smaller constant load may be the sensors' zero
 WRONG = 3.0  # deviations by which a number of the config is wrong
 ALMOST = 0.99  # probability that no count of recordings exceeds: the catalogue is never complete
 MOST = 0.5  # share of a balance's error that names leave, beyond which it is unexplained
@@ -65,35 +73,44 @@ def diagnosis_of(machine: Machine, recordings: Sequence[Recording], settings: Se
 
 
 def _effects(one: MachineBalance) -> list[NamedEffect]:
-    found, count = [], len(one.error)
-    gains = {name: (mean, t) for name, mean, t in one.steps}
-    by_effect = {}
-    for name, (mean, t) in gains.items():
-        by_effect.setdefault(name.rstrip("0123456789"), (mean, t))
-    for p in one.parameters:
-        if p.name in LINEAR:
-            continue
-        mean, t = by_effect.get(p.name.rstrip("0123456789"), (0.0, 2.0))
-        spread = f", ± {share(p.between / abs(p.value))} between recordings" if (
-            p.between and p.value) else ""
-        found.append(NamedEffect(
-            p.effect, one.balance,
-            f"{p.words}: {with_uncertainty(p.value, p.stddev, p.unit)}{spread}",
-            {p.name: Value(p.value, p.stddev, p.unit)}, mean * one.effective,
-            probability=min(float(stdtr(max(count - 1, 1), t)), ALMOST)))
+    """Return an effect for each family of terms that is named, and loads beside it."""
+    shared = {p.name: p for p in one.parameters}
+    settings, found = {s.name: s for s in one.settings}, []
+
+    def effect(first, names, gain, probability):
+        values = {name: Value(shared[name].value, shared[name].stddev, shared[name].unit)
+                  if name in shared else _of_setting(settings[name]) for name in names}
+        said = "; ".join(_said(shared[name]) if name in shared else _over(settings[name])
+                         for name in names)
+        return NamedEffect(first.effect, one.balance, said, values, gain * one.effective,
+                           probability=probability)
+
+    count = max(len(one.error) - 1, 1)
+    for named in one.named:
+        first = shared.get(named.terms[0]) or settings[named.terms[0]]
+        found.append(effect(first, named.terms, named.gain,
+                            min(float(stdtr(count, named.t)), ALMOST)))
     for s in one.settings:
-        if s.name in LINEAR and not s.varies and max(np.abs(s.value)) < WRONG * max(s.stddev):
-            continue
-        mean, t = by_effect.get(s.name.rstrip("0123456789"), (0.0, np.inf))
-        values = np.array(s.value)
-        ends = side_by_side(values.min(), values.max(), float(np.median(s.stddev)), s.unit)
-        found.append(NamedEffect(
-            s.effect, one.balance, f"{s.words}: {ends[0]} to {ends[1]} over the recordings"
-            f"{', a setting' if s.varies else ''}",
-            {s.name: Value(float(values.mean()), float(values.std()), s.unit)},
-            mean * one.effective,
-            probability=min(float(stdtr(max(count - 1, 1), t)), ALMOST)))
-    return sorted(found, key=lambda effect: -effect.log_evidence)
+        if s.name in LINEAR and max(np.abs(v) - WRONG * d for v, d in zip(
+                s.value, s.stddev, strict=True)) > ZERO * one.size:
+            found.append(effect(s, (s.name,), 0.0, ALMOST))
+    return sorted(found, key=lambda found_one: -found_one.log_evidence)
+
+
+def _said(p: Parameter) -> str:
+    spread = (f", ± {share(p.between / abs(p.value), 2)} between recordings"
+              if p.between and p.value else "")
+    return f"{p.words}: {with_uncertainty(p.value, p.stddev, p.unit)}{spread}"
+
+
+def _over(s: Setting) -> str:
+    values = np.array(s.value)
+    low, high = side_by_side(values.min(), values.max(), float(np.median(s.stddev)), s.unit)
+    return f"{s.words}: {low} to {high} over the recordings{', a setting' if s.varies else ''}"
+
+
+def _of_setting(s: Setting) -> Value:
+    return Value(float(np.mean(s.value)), float(np.std(s.value)), s.unit)
 
 
 def _wrong(machine: Machine, settings: Settings) -> tuple[RigFinding, ...]:
@@ -120,6 +137,11 @@ def lines_of(machine: Machine) -> tuple[str, ...]:
             f"{one.balance}, on recordings left out: {share(rms(one.nominal), 2)} of it open with "
             f"the config, {share(one.unexplained, 2)} with the named terms, "
             f"{share(rms(one.reference), 2)} with a flexible function of the signals instead")
+        small = [p.words for p in (*one.parameters, *one.settings) if p.name not in LINEAR
+                 and not any(p.name in named.terms for named in one.named)]
+        if small:
+            found.append(f"{one.balance}: corrections of form that help, too small to be named: "
+                         f"{listed(small)}")
         if one.repeats:
             where = max(one.regimes, key=lambda regime: regime.energy / max(regime.time, 1e-3))
             found.append(
