@@ -14,13 +14,14 @@ from eha_monitor.machine.discrepancy import Regime, learned, regimes, signals_of
 from eha_monitor.machine.least_squares import independent, inverse_of, signed_solution
 from eha_monitor.machine.policy import POLICY, Policy
 from eha_monitor.machine.table import Table, tables_of
-from eha_monitor.machine.together import Named, Recordings, allowed_of, setting_of, unseen
+from eha_monitor.machine.together import Named, Recordings, allowed_of, pooled, setting_of, unseen
 from eha_monitor.output import write_json
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
 SCHEMA = "eha_monitor/machine/1"
+LEAST = 0.25  # of the typical spread: a few others may agree by chance
 LEVELS = (0.05, 0.95)  # quantiles of the force that stand for the load in the flexible reference
 
 
@@ -286,10 +287,15 @@ def _odd(sources: Sequence[str], balances: Sequence[MachineBalance], policy: Pol
                 found.setdefault(source, Odd(source, (
                     f"its {one.balance} is {100 * error:.0f} % unexplained, the others "
                     f"{100 * np.exp(middle):.0f} %")))
+        each, stddevs = np.array(one.each), np.array(one.each_stddev)
         for j, p in enumerate(one.parameters):
-            for source, each, stddev in zip(sources, one.each, one.each_stddev, strict=True):
-                far = abs(each[j] - p.value) / max(np.hypot(p.between, stddev[j]), 1e-300)
-                if np.isfinite(stddev[j]) and far > policy.odd:
+            for i, source in enumerate(sources):
+                rest = np.arange(len(sources)) != i
+                value, between, stddev = pooled(each[rest, j], stddevs[rest, j], p.value)
+                between = max(between, LEAST * policy.between * abs(value))
+                far = abs(each[i, j] - value) / max(
+                    np.sqrt(between**2 + stddev**2 + stddevs[i, j] ** 2), 1e-300)
+                if np.isfinite(far) and far > policy.odd:
                     found.setdefault(source, Odd(source, f"its {p.words} is {far:.1f} deviations "
                                                          "from that of the others"))
     return tuple(found.values())

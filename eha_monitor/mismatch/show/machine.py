@@ -29,7 +29,7 @@ from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import listed
 
 SIDES = {"force": "N", "flow": "m³/s"}
-LINEAR = {"B", "F_0", "D_p"}  # what every model of the balances has
+LINEAR = {"B", "F_0", "D_p", "C_h"}  # what the config's own model has; C_h is V / beta_e
 ZERO = 0.1  # of a balance's size: a smaller constant load may be the sensors' zero
 WRONG = 3.0  # deviations by which a number of the config is wrong
 ALMOST = 0.99  # probability that no count of recordings exceeds: the catalogue is never complete
@@ -59,6 +59,12 @@ def diagnosis_of(machine: Machine, recordings: Sequence[Recording], settings: Se
     b = next(p for p in machine["force"].parameters if p.name == "B")
     after = {"B": Value(b.value, b.stddev, "N·s/m")}
     before = {"B": Value(settings.rig.viscous_damping, np.nan, "N·s/m")}
+    for c in (p for one in machine.balances for p in one.parameters if p.name == "C_h"):
+        volume = settings.rig.volume_1
+        if volume and c.value > 0.0:
+            beta = volume / c.value
+            after["beta_e"] = Value(beta, beta * c.stddev / c.value, "Pa")
+            before["beta_e"] = Value(settings.rig.bulk_modulus, np.nan, "Pa")
     return Diagnosis(
         tuple(one.source for one in recordings), verdict,
         "; ".join(sentences) or f"the config explains all {len(recordings)} recordings",
@@ -87,6 +93,8 @@ def _effects(one: MachineBalance) -> list[NamedEffect]:
 
     count = max(len(one.error) - 1, 1)
     for named in one.named:
+        if set(named.terms) <= LINEAR:
+            continue
         first = shared.get(named.terms[0]) or settings[named.terms[0]]
         found.append(effect(first, named.terms, named.gain,
                             min(float(stdtr(count, named.t)), ALMOST)))
