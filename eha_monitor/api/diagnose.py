@@ -1,6 +1,7 @@
 """``diagnose`` in Python: which physics the model left out, where, and the proof."""
 
 import os
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,8 +24,10 @@ from eha_monitor.api.rotary import of_rig
 from eha_monitor.archive.find import find_bags, is_archive
 from eha_monitor.compiled import load_runtime
 from eha_monitor.errors import InputError
+from eha_monitor.machine.machine import judge, load
 from eha_monitor.mismatch.compare.compared import compared
 from eha_monitor.mismatch.diagnose import diagnose as run
+from eha_monitor.mismatch.show.machine import judged_diagnosis
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.settings.hypothesis import Hypothesis, hypothesis_of, load_hypothesis
 
@@ -35,7 +38,8 @@ READING = 0.03  # share of the progress
 def diagnose(recordings: Several, config: Config | str | os.PathLike | dict | None = None, *,
              held_out: Given | None = None, references: Several = (),
              hypothesis: Hypothesis | str | os.PathLike | dict | None = None,
-             without: str | Sequence[str] = (), progress: Progress = False) -> Diagnosis:
+             without: str | Sequence[str] = (), vary: str | Sequence[str] = (),
+             machine: str | os.PathLike | None = None, progress: Progress = False) -> Diagnosis:
     """Say where model and recordings differ, which physics that is, and show the fit improve.
 
     Parameters
@@ -55,6 +59,11 @@ def diagnose(recordings: Several, config: Config | str | os.PathLike | dict | No
         catalogue (docs/effects.md).
     without : str or list of str
         Effects of the catalogue that are not considered.
+    vary : str or list of str
+        What is known to differ between several recordings: ``load``.
+    machine : path, optional
+        A machine that several recordings have shown before: the one recording is judged against
+        it, by its balances alone, in a fraction of a second (docs/one_machine.md).
     progress : bool or callable
         True: a line on the standard error; a function is told (text, share from 0 to 1).
 
@@ -91,6 +100,13 @@ def diagnose(recordings: Several, config: Config | str | os.PathLike | dict | No
             raise InputError(f"held_out: expected one recording, got {len(unseen)}")
         distinct(given, *unseen[:1] or (None,), healthy)
         without = known_effects(without, "without")
+        vary = (vary,) if isinstance(vary, str) else tuple(vary)
+        if unknown := [name for name in vary if name != "load"]:
+            raise InputError(f"vary: {unknown[0]}: expected load")
+        known = None if machine is None else load(path_of(machine, "a file with a machine"))
+        if known is not None and (len(given) != 1 or healthy or unseen or hypothesis is not None):
+            raise InputError("machine: expected one recording, and neither references, held_out "
+                             "nor hypothesis beside it")
         if healthy and (unseen or hypothesis is not None or without):
             raise InputError("references: expected neither held_out, hypothesis nor without "
                              "beside it")
@@ -106,8 +122,15 @@ def diagnose(recordings: Several, config: Config | str | os.PathLike | dict | No
         def further(text: str, share: float) -> None:
             say(text, READING + (1 - READING) * share)
 
-        found = compared(read, references, config.settings, further) if references else run(
-            read, config.settings, kept[0] if kept else None, further, suspicion, without)
+        if known is not None:
+            started = time.perf_counter()
+            found = judged_diagnosis(judge(known, read[0], config.settings), known, read[0],
+                                     started)
+        elif references:
+            found = compared(read, references, config.settings, further)
+        else:
+            found = run(read, config.settings, kept[0] if kept else None, further, suspicion,
+                        without, vary)
         found = of_rig(found, config.rig.motion)
         say("diagnosed", 1.0)
     return Diagnosis(found, config, (*channels, *found.channels), tuple(

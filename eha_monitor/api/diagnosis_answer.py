@@ -74,7 +74,7 @@ def answer(found: Diagnosis) -> dict:
         "named_on": [asdict(one) for one in found.named_on],
         "duration_s": found.duration_s,
         "wall_s": found.wall_s,
-    })
+    } | ({"machine": found.machine.to_dict()} if found.machine is not None else {}))
 
 
 def refusal(bags: tuple[Path, ...], message: str, channels: list[dict]) -> dict:

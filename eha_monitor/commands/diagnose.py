@@ -38,6 +38,11 @@ _PATH = click.Path(path_type=Path)
                    "changed from these. Give BAG before it.")
 @click.option("--without", multiple=True, metavar="EFFECT [EFFECT ...]",
               help="Effects of the catalogue to exclude, such as those that this rig cannot have.")
+@click.option("--vary", multiple=True, type=click.Choice(["load"]),
+              help="What is known to differ between several BAGs.")
+@click.option("--machine", "machine_file", type=_PATH, metavar="FILE",
+              help="With several BAGs: write the machine that they show. With one: judge it "
+                   "against that machine, in a fraction of a second (docs/one_machine.md).")
 @click.option("--calibration/--no-calibration", hidden=True, expose_value=False,
               help="No effect; kept for compatibility.")
 @click.option("--exit-code", is_flag=True,
@@ -46,7 +51,8 @@ _PATH = click.Path(path_type=Path)
 def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
              report_file: Path | None, config_file: Path | None, out_bag: Path | None,
              held_out: Path | None, hypothesis_file: Path | None, references: tuple[Path, ...],
-             without: tuple[str, ...], exit_code: bool, **asked) -> int:
+             without: tuple[str, ...], vary: tuple[str, ...], machine_file: Path | None,
+             exit_code: bool, **asked) -> int:
     """Locate where BAG and the model differ, identify the missing effects, show the better fit.
 
     Several BAGs of one rig are diagnosed together. With --reference the result is what has
@@ -60,7 +66,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
                              + ", ".join(map(str, bags)))
         refuse(bags[0], json=json_file, report=report_file, write_config=config_file,
                out_bag=out_bag, held_out=held_out, hypothesis=hypothesis_file,
-               reference=references, without=without)
+               reference=references, without=without, vary=vary, machine=machine_file)
         return int(answer_folder("diagnose", bags[0], config, archive) and exit_code)
     from eha_monitor.api.config import config_of
     from eha_monitor.api.diagnose import bags_of, known_effects
@@ -69,6 +75,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
     from eha_monitor.api.plausible import finding_tree
     from eha_monitor.api.read import distinct
     from eha_monitor.commands.refused import refusing
+    from eha_monitor.machine.machine import save
     from eha_monitor.settings.hypothesis import load_hypothesis
 
     references = tuple(bag for one in references for bag in bags_of(one))
@@ -80,27 +87,37 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
                   (*bags, *references, *((held_out,) if held_out else ())), config)
     check_out_bag(out_bag, (*bags, *references))
     known_effects(without, "--without")
+    several = len(bags) > 1
+    if machine_file and several:
+        check_outputs({"--machine": machine_file}, bags, config)
     given = config_of(config)
     hypothesis = load_hypothesis(hypothesis_file) if hypothesis_file else None
     with progress_bar() as told, refusing(
             given, config, json_file, config_file, lambda problem: refusal(
             bags, str(problem), finding_tree(problem.channels))):
         found = run(bags, given, held_out=held_out, references=references, hypothesis=hypothesis,
-                    without=without, progress=told)
+                    without=without, vary=vary,
+                    machine=None if several else machine_file, progress=told)
     notes = [finding.finding for finding in found.channels]
     if json_file:
         write_json(json_file, found.to_dict())
+    if machine_file and several:
+        if found.inner.machine is None:
+            raise InputError("--machine: expected at least three BAGs that move, with the force "
+                             "of the piston")
+        save(found.inner.machine, machine_file)
     if config_file:
         write_text(config_file, written_config(found.inner, given.settings, config))
         if not completed(found.inner, given.settings)[1]:
             notes.append(f"{config_file}: the config as it was, since nothing was identified")
     if report_file:
         found.report(report_file, command=command_line(bags, config, held_out, hypothesis_file,
-                                                       references, without))
+                                                       references, without, vary, machine_file))
 
     from eha_monitor.commands.diagnosis_table import show
 
-    show(found.inner, [path for path in (json_file, report_file, config_file) if path],
+    show(found.inner, [path for path in (json_file, report_file, config_file,
+                                     machine_file if several else None) if path],
          notes, found.indicators, given.settings)
     write_out_bag(out_bag, found.inner, bags, given.settings)
     return int(exit_code and not found.healthy)
@@ -108,7 +125,8 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
 
 def command_line(bags: tuple[Path, ...], config: Path | None, held_out: Path | None,
                  hypothesis: Path | None = None, references: tuple[Path, ...] = (),
-                 without: tuple[str, ...] = ()) -> str:
+                 without: tuple[str, ...] = (), vary: tuple[str, ...] = (),
+                 machine: Path | None = None) -> str:
     """Return the command that makes the same answer again."""
     words = ["eha-monitor", "diagnose", *map(str, bags)]
     words += ["--config", str(config)] if config else []
@@ -116,6 +134,8 @@ def command_line(bags: tuple[Path, ...], config: Path | None, held_out: Path | N
     words += ["--hypothesis", str(hypothesis)] if hypothesis else []
     words += ["--reference", *map(str, references)] if references else []
     words += ["--without", *without] if without else []
+    words += ["--vary", *vary] if vary else []
+    words += ["--machine", str(machine)] if machine else []
     return shlex.join(words)
 
 

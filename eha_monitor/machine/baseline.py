@@ -7,6 +7,7 @@ No answer may contradict these without saying so: they ask for little, use all s
 and cannot be led astray by a search.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,8 @@ from eha_monitor.words import listed
 
 BLOCK = 1.5  # s: parts that are left out in turn; several correlation times of a residual
 FOLDS = 5
+SLOW = (0.03, 0.1, 0.3)  # of the top speed, below which friction may rise
+BETTER = 4.0  # of the chi-square of one more number: two deviations
 UNITS = {"linear": ("kg", "N·s/m", "N"), "rotary": ("kg·m²", "N·m·s/rad", "N·m")}
 
 
@@ -82,9 +85,8 @@ class BalanceFit:
         """Return the JSON form."""
         return {"parameters": {term.name: term.to_dict() for term in self.terms},
                 "samples": self.samples, "effective_samples": round(self.effective_samples, 1),
-                "error_share": self.error_share,
-                "unseen_error_share": (self.unseen_share if np.isfinite(self.unseen_share)
-                                       else None)}
+                "error_share": self.error_share, "unseen_error_share":
+                    self.unseen_share if np.isfinite(self.unseen_share) else None}
 
 
 @dataclass(frozen=True)
@@ -132,13 +134,14 @@ def baseline(recording: Recording, settings: Settings) -> Baseline:
 
 def force_fit(course: Course, rig: Rig) -> BalanceFit | None:
     """Return the force balance on samples that move; None where too few do."""
-    one = np.ones(len(course))
+    one, speed = np.ones(len(course)), np.abs(course.v) / max(course.speed, 1e-300)
     inertia, damping, force = UNITS[rig.motion]
+    bent = [course.v * speed, *(course.direction * np.exp(-speed / slow) for slow in SLOW)]
     return fitted(course, course.moving, course.force, (
         ("M", inertia, "moving mass", 1, course.a),
         ("B", damping, "viscous damping", 1, course.v),
         ("F_c", force, "dry friction", 1, course.direction),
-        ("F_0", force, "constant load", 0, one)))
+        ("F_0", force, "constant load", 0, one)), bent)
 
 
 def flow_columns(course: Course, rig: Rig) -> tuple | None:
@@ -156,21 +159,25 @@ def flow_columns(course: Course, rig: Rig) -> tuple | None:
         ("C_h", "m³/Pa", "compliance of a chamber", 1, -pressure_rate(course, rig)))
 
 
-def fitted(course: Course, counted: np.ndarray, y: np.ndarray, columns: tuple
-           ) -> BalanceFit | None:
+def fitted(course: Course, counted: np.ndarray, y: np.ndarray, columns: tuple,
+           bent: Sequence[np.ndarray] = ()) -> BalanceFit | None:
     """Fit columns (name, unit, words, sign, values) to y on the counted samples.
 
-    The standard deviations are those of as many independent samples as the residual has.
+    The standard deviations are those of as many independent samples as the residual has, and
+    contain how far a number moves beside each way in which the law may be ``bent``, where that
+    fits better.
     """
     names, units, words, signs, values = zip(*columns, strict=True)
     signs, k = np.array(signs), len(names)
+    counted = course.compared(counted)
     if counted.sum() < 4 * k:
         return None
     rows = course.in_band(np.column_stack([y, *values]))[counted]
-    block = (np.arange(len(course))[counted] * course.dt / BLOCK).astype(int)
+    ways = course.in_band(np.column_stack(bent))[counted].T if len(bent) else ()
+    block = (np.flatnonzero(counted) * course.step / BLOCK).astype(int)
     whole = rows.T @ rows
     w = signed_solution(whole[1:, 1:], whole[1:, 0], signs)
-    left = np.full(len(course), np.nan)
+    left = np.full(len(counted), np.nan)
     left[counted] = rows[:, 0] - rows[:, 1:] @ w
     correlated = independent(left)
     held = (signs != 0) & (w == 0.0)
@@ -181,6 +188,15 @@ def fitted(course: Course, counted: np.ndarray, y: np.ndarray, columns: tuple
     variance[free] = np.diag(inverse_of(whole[1:, 1:][np.ix_(free, free)])) * spread * correlated
     unknown = ~np.isfinite(np.diag(inverse_of(whole[1:, 1:])))
     alone = spread * correlated / np.maximum(np.diag(whole)[1:], 1e-300)
+    shift = np.zeros(k)
+    for way in ways:
+        more = np.column_stack([rows, way])
+        gram = more.T @ more
+        other = signed_solution(gram[1:, 1:], gram[1:, 0], np.append(signs, 0))
+        better = float(gram[0, 0] - other @ gram[1:, 0])
+        if better < (1.0 - BETTER / effective) * float(np.nansum(left**2)):
+            shift = np.maximum(shift, np.abs(other[:k] - w))
+    variance[free] += shift[free] ** 2
     stddev = np.sqrt(np.where(unknown, np.inf, np.where(held, alone, variance)))
     size = max(float(np.std(rows[:, 0])), 1e-300)
     unseen, compared = [], 0

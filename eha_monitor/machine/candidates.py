@@ -9,15 +9,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.machine.course import Course
+from eha_monitor.machine.course import COMMANDED, Course
 from eha_monitor.settings.rig import Rig
 
 AMBIENT = 1.01325e5  # Pa
 # Grids of shapes, as shares of the usual travel or speed; between two neighbours an error changes
 # by less than what a name owes.
 BENT = (0.005, 0.015, 0.05, 0.15)
-SLACK = tuple(round(0.01 * 1.5**k, 4) for k in range(10))
+SLACK = tuple(round(0.03 * 1.4**k, 4) for k in range(8))
+TURNS = (0.1, 0.3)
 SLOW = (0.03, 0.1, 0.3)
+MASS = 5.0  # times the config's: oil in lines moves with the piston, but not more than that
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,8 @@ class Candidate:
     setting : its parameter belongs to the setting of each recording, not to the machine.
     family : names of one family stand for one another: recordings rarely separate them.
     variant : one of several shapes of its effect; only one of them enters.
+    limit : a larger parameter is no physics of this rig, but the error of another term.
+    between : relative spread between recordings where it is not the policy's.
     needs_load : a recording of one load cannot separate it from what it resembles.
     """
 
@@ -51,6 +55,8 @@ class Candidate:
     family: str = ""
     variant: bool = False
     needs_load: bool = False
+    limit: float = np.inf
+    between: float | None = None
 
 
 def stop(x: np.ndarray, reach: float) -> np.ndarray:
@@ -89,7 +95,7 @@ def direction_of(course: Course) -> np.ndarray:
     Where no channel says what is demanded, that of the last motion; 0 before the first.
     """
     signal = course.v if course.demand is None else course.demand
-    level = 0.05 * float(np.quantile(np.abs(signal), 0.98))
+    level = course.quiet * float(np.quantile(np.abs(signal), 0.98))
     marks = np.where(signal > level, 1.0, np.where(signal < -level, -1.0, 0.0))
     places = np.where(marks != 0.0, np.arange(len(marks)), 0)
     held = marks[np.maximum.accumulate(places)]
@@ -108,13 +114,15 @@ def _mean_pressure(course: Course) -> np.ndarray | None:
 class Scale:
     """What shapes are shares of: where the recordings move, how far and how fast, SI.
 
-    ``origin`` and ``span`` hold all of them, ``travel`` and ``speed`` are usual.
+    ``origin`` and ``span`` hold all of them, ``travel`` and ``speed`` are usual, ``slowest`` is
+    the top speed of the slowest.
     """
 
     origin: float
     span: float
     travel: float
     speed: float
+    slowest: float
 
     @classmethod
     def of(cls, courses: list[Course]) -> "Scale":
@@ -123,17 +131,18 @@ class Scale:
         high = max(float(c.x[c.good].max()) for c in courses)
         return cls(low, max(high - low, 1e-12),
                    float(np.median([np.ptp(c.x[c.good]) for c in courses])),
-                   float(np.median([c.speed for c in courses])))
+                   float(np.median([c.speed for c in courses])),
+                   min(c.speed for c in courses))
 
 
-def candidates_of(balance: str, scale: Scale, rotary: bool = False) -> tuple[Candidate, ...]:
+def candidates_of(balance: str, scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
     """Return what a balance may hold, ``force`` or ``flow``."""
-    return force_candidates(scale, rotary) if balance == "force" else FLOW
+    return force_candidates(scale, rig) if balance == "force" else FLOW
 
 
-def force_candidates(scale: Scale, rotary: bool) -> tuple[Candidate, ...]:
+def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
     """Return what a force balance may hold."""
-    n, m, kg = ("N·m", "rad", "kg·m²") if rotary else ("N", "m", "kg")
+    n, m, kg = ("N·m", "rad", "kg·m²") if rig.motion == "rotary" else ("N", "m", "kg")
 
     def one(name, effect, unit, words, sign, column, **more):
         return Candidate(name, effect, "force", unit, words, sign, column, **more)
@@ -146,13 +155,15 @@ def force_candidates(scale: Scale, rotary: bool) -> tuple[Candidate, ...]:
             always=True),
         one("F_0", "constant_load", n, "constant load", 0, lambda c, r: np.ones(len(c)),
             always=True, setting=True),
-        one("F_c", "coulomb_friction", n, "dry friction", 1, _sliding, family="dry"),
+        one("F_c", "coulomb_friction", n, "dry friction", 1, _sliding, family="dry",
+            variant=True),
         one("k_p", "pressure_friction", f"{n}/Pa", "dry friction per mean pressure", 1,
             lambda c, r: None if c.p1 is None else _mean_pressure(c) * c.direction,
             family="dry", needs_load=True),
         one("F_v", "valve_direction", n, "force in the direction of valve or pump", 0,
-            lambda c, r: None if c.demand is None else direction_of(c)),
-        one("M", "moving_mass", kg, "moving mass", 1, lambda c, r: c.a),
+            lambda c, r: direction_of(c) if valves(c, r) else None),
+        one("M", "moving_mass", kg, "moving mass", 1, lambda c, r: c.a,
+            limit=MASS * rig.mass),
         one("B_2", "quadratic_friction", f"{n}·s²/{m}²", "quadratic damping", 1,
             lambda c, r: c.v * np.abs(c.v), family="viscous"),
         one("dB", "asymmetric_damping", f"{n}·s/{m}", "further damping where it retracts", 0,
@@ -161,18 +172,19 @@ def force_candidates(scale: Scale, rotary: bool) -> tuple[Candidate, ...]:
             family="position"),
     ]
     for i, share in enumerate(BENT, start=1):
-        found += [
-            one(f"F_z{i}", "presliding_friction", n, f"dry friction, bent over {far(share)}", 1,
-                lambda c, r, d=share * scale.travel: stop(c.x, d), family="dry", variant=True),
-            one(f"F_d{i}", "load_by_direction", n, "load against the direction of motion, turned "
-                f"over {far(share)}", 0, lambda c, r, d=share * scale.travel: stop(c.x, d),
-                setting=True, family="turning", variant=True),
-        ]
+        found.append(one(
+            f"F_z{i}", "presliding_friction", n, f"dry friction, bent over {far(share)}", 1,
+            lambda c, r, d=share * scale.travel: stop(c.x, d), family="dry", variant=True))
     for i, share in enumerate(SLACK, start=1):
         found.append(one(
             f"F_l{i}", "one_sided_load", n, f"load while extending, met {far(share)} after a "
             "turn", 0, lambda c, r, d=share * scale.travel: taken_up(c.x, d, d / 7.0),
-            setting=True, family="turning", variant=True))
+            setting=True, variant=True))
+    for i, share in enumerate(TURNS, start=1):
+        found.append(one(
+            f"F_t{i}", "coulomb_friction", n, "dry friction, turned round within "
+            f"{1e3 * share * scale.slowest:.2g} m{m}/s", 1,
+            lambda c, r, d=share * scale.slowest: np.tanh(c.v / d), family="dry", variant=True))
     for i, share in enumerate(SLOW, start=1):
         found.append(one(
             f"F_s{i}", "stribeck_friction", n, "Stribeck rise below "
@@ -185,6 +197,15 @@ def force_candidates(scale: Scale, rotary: bool) -> tuple[Candidate, ...]:
             lambda c, r, i=i: np.cos(i * np.pi * (c.x - scale.origin) / scale.span),
             family="position"))
     return tuple(found)
+
+
+def valves(course: Course, rig: Rig) -> bool:
+    """Tell whether valves turn a pump's flow to either side of a single-rod cylinder.
+
+    So it is where a speed is commanded and the config holds no path that keeps the mean pressure.
+    """
+    return (course.quiet == COMMANDED and rig.area_1 != rig.area_2
+            and rig.makeup_conductance == 0.0)
 
 
 def pumped_side(course: Course, rig: Rig) -> np.ndarray:
@@ -225,7 +246,7 @@ def _steep(pressure: np.ndarray) -> np.ndarray:
 
 FLOW = (
     _flow("D_p", "pump_displacement", "m³/rad", "pump displacement", 1, lambda c, r: c.omega,
-          always=True),
+          always=True, between=0.02),
     _flow("dD_p", "pump_loss_by_direction", "m³/rad", "further displacement where it retracts", 0,
           lambda c, r: np.minimum(c.omega, 0.0)),
     _flow("C_h", "compliance", "m³/Pa", "compliance of a chamber", 1,

@@ -19,12 +19,13 @@ from eha_monitor.recordings.sample import sample_of
 from eha_monitor.settings.monitor import Settings
 
 MOTION, BAND = 20.0, 5.0  # Hz: pass bands of the motion, and of every balance
-GRID = 8  # points in a period of ``BAND``
+GRID, COARSE = 32, 4  # points in a period of ``BAND``; each so-many-th of them is compared
 APART = 0.1  # s: how far the balance's low-pass mixes a sample with its neighbours
 STANDING = 0.02  # of the top speed: below it dry friction takes any value
 DEAD = 0.02  # s: a value that does not change for longer while others do ...
 JUMPED = 5.0  # ... times the usual largest step away from what comes before or after
 SHORTEST = 0.5  # s of usable recording
+COMMANDED, MEASURED = 0.005, 0.05  # of its size: a smaller demand has no sign; noise-free, noisy
 TRAVEL = 20.0  # times the position's noise: less is no motion
 
 
@@ -42,6 +43,7 @@ class Course:
     omega : pump speed, rad/s; None where not recorded.
     demand : what the drive or valve is commanded, any unit: only its sign is used; None if no
         channel says.
+    quiet : share of its usual size below which the demand has no sign.
     good : (m,) bool, measured on all channels and away from stops.
     moving : (m,) bool, fast enough for dry friction to have a sign.
     """
@@ -58,6 +60,7 @@ class Course:
     rate_2: np.ndarray | None
     omega: np.ndarray | None
     demand: np.ndarray | None
+    quiet: float
     good: np.ndarray
     moving: np.ndarray
 
@@ -74,9 +77,23 @@ class Course:
         """Sign of the velocity, linear through zero below the standing speed; (m,)."""
         return np.clip(self.v / max(STANDING * self.speed, 1e-12), -1.0, 1.0)
 
+    @property
+    def every(self) -> int:
+        """Of the grid's points each so-many-th is compared; the finer ones keep signs in place."""
+        return max(1, round(COARSE / (GRID * BAND * self.dt)))
+
     def in_band(self, columns: np.ndarray) -> np.ndarray:
-        """Return columns (m, k) or (m,) after the low-pass of every balance."""
-        return _low_pass(columns, BAND, self.dt)
+        """Return columns (m, k) or (m,) after the low-pass of every balance, compared points."""
+        return _low_pass(columns, BAND, self.dt)[:: self.every]
+
+    def compared(self, values: np.ndarray) -> np.ndarray:
+        """Return values (m,) at the compared points."""
+        return values[:: self.every]
+
+    @property
+    def step(self) -> float:
+        """Spacing of the compared points, s."""
+        return self.every * self.dt
 
 
 def course_of(recording: Recording, settings: Settings) -> Course:
@@ -125,6 +142,7 @@ def course_of(recording: Recording, settings: Settings) -> Course:
                      for name in ("p1", "p2", "omega"))
     top = np.quantile(np.abs(v[good]), 0.998)
     slow = np.abs(v) < STANDING * top
+    slow[1:] |= v[1:] * v[:-1] <= 0.0  # a quick reversal may fall between two points
     near = max(1, round(APART / step))
     moving = np.convolve(slow, np.ones(2 * near + 1), mode="same") < 0.5
     moving &= np.ptp(x[::every][good]) > TRAVEL * noise["x"].value
@@ -133,7 +151,9 @@ def course_of(recording: Recording, settings: Settings) -> Course:
         recording.source, step, x[::every], v, a, fine(force_of(rig, whole)), p1, p2,
         None if p1 is None else np.gradient(p1, step),
         None if p2 is None else np.gradient(p2, step), omega,
-        None if demand is None else fine(demand), good, moving & good)
+        None if demand is None else fine(demand), (COMMANDED if "omega_d" in whole
+                                                           else MEASURED),
+        good, moving & good)
 
 
 def _low_pass(values: np.ndarray, cutoff: float, dt: float) -> np.ndarray:

@@ -9,8 +9,11 @@ import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.breakdown import computing
+from eha_monitor.errors import InputError
 from eha_monitor.filters.hold_choice import other_hold, resolved
 from eha_monitor.machine.baseline import Baseline, baseline
+from eha_monitor.machine.machine import Machine, machine_of
+from eha_monitor.machine.policy import POLICY
 from eha_monitor.mismatch.advise import advice as advise
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.diagnosis import (
@@ -38,6 +41,7 @@ from eha_monitor.mismatch.name.unnamed import INTERMITTENT
 from eha_monitor.mismatch.show import balances as balance_show
 from eha_monitor.mismatch.show import held_out as show
 from eha_monitor.mismatch.show.changed import change_words, changed_between
+from eha_monitor.mismatch.show.machine import diagnosis_of
 from eha_monitor.mismatch.show.model import (
     between_models,
     config_effects,
@@ -69,7 +73,7 @@ Report = Callable[[str, float], None]
 
 def diagnose(recordings: list[Recording], settings: Settings, held_out: Recording | None = None,
              progress: Report | None = None, hypothesis: Hypothesis | None = None,
-             without: tuple[str, ...] = ()) -> Diagnosis:
+             without: tuple[str, ...] = (), vary: tuple[str, ...] = ()) -> Diagnosis:
     """Say where model and recordings differ, which physics that is, and show the fit improve.
 
     Parameters
@@ -81,6 +85,7 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
     progress : told what is done and how far it is, 0 to 1.
     hypothesis : the user's own, ranked beside all that has a name.
     without : effects of the catalogue that are not considered.
+    vary : what is known to differ between the recordings, such as ``load``.
 
     Raises
     ------
@@ -90,15 +95,20 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
     """
     with computing(*(recording.source for recording in recordings)):
         return _diagnosed(recordings, settings, held_out, progress or (lambda text, share: None),
-                          hypothesis, without)
+                          hypothesis, without, vary)
 
 
 def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Recording | None,
-               say: Report, hypothesis: Hypothesis | None, without: tuple[str, ...]
-               ) -> Diagnosis:
+               say: Report, hypothesis: Hypothesis | None, without: tuple[str, ...],
+               vary: tuple[str, ...]) -> Diagnosis:
     started = time.perf_counter()
     held, decision = resolved(recordings, settings)
     experiment = at_its_angle(experiment_of(recordings, held, held_out is None, without))
+    machine = _machine(recordings, settings, vary, say)
+    if machine is not None and experiment.inverse and held_out is None and hypothesis is None:
+        # There no filter knows more than the balances, and they hold what differs by setting.
+        return replace(diagnosis_of(machine, recordings, settings, started), baselines=tuple(
+            baseline(recording, settings) for recording in recordings))
     named = named_in(experiment, say)
     if decision is not None and named is not None and named[1].unexplained > RIVAL:
         # What is missing may have been taken for a hold, or the other way about.
@@ -110,9 +120,21 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
             decision = replace(decision, hold=held.command_hold, evidence=gained, decided=True)
     found = diagnosed(recordings, experiment, named, held_out, started, say, hypothesis)
     told = decision is not None and decision.decided
-    return replace(found, channels=decision.findings if told else (),
+    return replace(found, machine=machine, channels=decision.findings if told else (),
                    command_hold=(held if told else settings).command_hold,
                    wall_s=time.perf_counter() - started)
+
+
+def _machine(recordings: list[Recording], settings: Settings, vary: tuple[str, ...], say: Report
+             ) -> Machine | None:
+    """Return the machine that several recordings show; None where there are too few for one."""
+    if len(recordings) < POLICY.fewest:
+        return None
+    say("one machine from all recordings", 0.05)
+    try:
+        return machine_of(recordings, settings, vary)
+    except InputError:  # one of them holds no motion: its balances say nothing
+        return None
 
 
 def named_in(experiment: Experiment, say: Report) -> tuple[Experiment, Naming] | None:

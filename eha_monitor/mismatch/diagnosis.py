@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from eha_monitor.machine.baseline import Baseline
+from eha_monitor.machine.machine import Machine
 from eha_monitor.recordings.finding import ChannelFinding
 
 VERDICTS = ("consistent", "mismatch", "unexplained", "insufficient_data")
@@ -303,6 +304,8 @@ class Diagnosis:
     fitted : all numbers behind ``after`` with their joint covariance; None where there are none.
     gates : checks that refused an answer or a member of it, in the order in which they did.
     baselines : least squares on the balances of each recording, beside which the answer stands.
+    machine : what several recordings of one machine show together, or the machine that the
+        recording was judged against.
     """
 
     bags: tuple[str, ...]
@@ -337,3 +340,4 @@ class Diagnosis:
     fitted: Fitted | None = None
     gates: tuple[Gate, ...] = ()
     baselines: tuple[Baseline, ...] = ()
+    machine: Machine | None = None

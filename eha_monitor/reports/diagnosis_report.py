@@ -105,6 +105,7 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
         compared=_compared(found),
         pieces=_pieces(found),
         gates=[words.sentence(gate.statement) for gate in found.gates],
+        machine=_machine(found),
         first_view=[row for one in found.baselines for row in _first_view(one)],
         location=_location(found),
         curves=[curve_picture(found, curve)
@@ -153,6 +154,26 @@ def _first_view(one: Baseline) -> list[dict[str, str]]:
             rows.append({"balance": balance, "what": term.words, "value": shown,
                          "left": words.percent(fit.unseen_share)})
     return rows
+
+
+def _machine(found: Diagnosis) -> dict[str, Any] | None:
+    """Return what the page says of the machine that several recordings show; None without one."""
+    machine = found.machine
+    if machine is None or found.references:
+        return None
+    parameters = [
+        {"what": p.words, "balance": one.balance,
+         "value": words.value_words(Value(p.value, p.stddev, p.unit)),
+         "between": f"± {words.percent(p.between / abs(p.value))}" if p.value and p.between
+         else "none seen"} for one in machine.balances for p in one.parameters]
+    settings = [s for one in machine.balances for s in one.settings]
+    rows = [{"name": source, "shown": [
+        *(words.value_words(Value(s.value[i], s.stddev[i], s.unit)) for s in settings),
+        *(words.percent(one.error[i]) for one in machine.balances)]}
+        for i, source in enumerate(machine.sources)]
+    return {"count": len(machine.sources), "parameters": parameters, "rows": rows,
+            "heads": [*(s.words for s in settings),
+                      *(f"{one.balance} unexplained" for one in machine.balances)]}
 
 
 def _learned(term: LearnedTerm) -> dict[str, Any]:

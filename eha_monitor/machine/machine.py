@@ -1,0 +1,426 @@
+"""One machine from many recordings: structure, parameters, their spread, and what stays open."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from eha_monitor.errors import InputError
+from eha_monitor.machine.candidates import Scale, candidates_of
+from eha_monitor.machine.course import Course, course_of
+from eha_monitor.machine.discrepancy import Regime, learned, regimes, signals_of
+from eha_monitor.machine.least_squares import independent, inverse_of, signed_solution
+from eha_monitor.machine.policy import POLICY, Policy
+from eha_monitor.machine.table import Table, tables_of
+from eha_monitor.machine.together import Named, Recordings, allowed_of, pooled, setting_of, unseen
+from eha_monitor.output import write_json
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.rig import Rig
+
+SCHEMA = "eha_monitor/machine/1"
+LEAST = 0.25  # of the typical spread: a few others may agree by chance
+LEVELS = (0.05, 0.95)  # quantiles of the force that stand for the load in the flexible reference
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number of the machine; SI.
+
+    Attributes
+    ----------
+    between : spread between recordings; ``stddev`` of the value, which contains that spread.
+    """
+
+    name: str
+    effect: str
+    words: str
+    unit: str
+    value: float
+    between: float
+    stddev: float
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A number that belongs to the setting of each recording; ``varies`` beyond its deviations."""
+
+    name: str
+    effect: str
+    words: str
+    unit: str
+    value: tuple[float, ...]
+    stddev: tuple[float, ...]
+    varies: bool
+
+
+@dataclass(frozen=True)
+class MachineBalance:
+    """One balance of the machine.
+
+    Attributes
+    ----------
+    balance : ``force`` or ``flow``.
+    parameters, settings : of its terms.
+    each, each_stddev : recording x parameter, each fitted to that recording alone.
+    nominal, error : of each recording left out, over the standard deviation of its balance:
+        with the terms of the config, and with those chosen on the others.
+    learned, reference : the same with what repeats but has no name beside the chosen terms, and
+        with a flexible function of the signals in place of all physics.
+    repeats : share of the squared error that repeats from recording to recording without a name.
+    regimes : where the error lies.
+    size : usual standard deviation of the balance, N or m³/s; ``effective`` independent samples
+        in all recordings.
+    steps : (name, mean gain, t) as the terms entered.
+    named : families of terms that are named; the rest corrects their form.
+    """
+
+    balance: str
+    parameters: tuple[Parameter, ...]
+    settings: tuple[Setting, ...]
+    each: tuple[tuple[float, ...], ...]
+    each_stddev: tuple[tuple[float, ...], ...]
+    nominal: tuple[float, ...]
+    error: tuple[float, ...]
+    learned: tuple[float, ...]
+    reference: tuple[float, ...]
+    repeats: float
+    regimes: tuple[Regime, ...]
+    size: float
+    effective: float
+    steps: tuple[tuple[str, float, float], ...]
+    named: tuple[Named, ...]
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of all its terms."""
+        return tuple(one.name for one in (*self.parameters, *self.settings))
+
+    @property
+    def effects(self) -> frozenset[str]:
+        """What is in it."""
+        return frozenset(one.effect for one in (*self.parameters, *self.settings))
+
+    @property
+    def unexplained(self) -> float:
+        """RMS of the error on recordings left out, over the standard deviation."""
+        return rms(self.error)
+
+
+@dataclass(frozen=True)
+class Odd:
+    """A recording that does not belong, and why."""
+
+    source: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A machine: what its recordings have in common, and how they differ.
+
+    Attributes
+    ----------
+    rig : its name; ``sources`` the recordings.
+    scale : shapes of the candidates are shares of it.
+    load_varied : whether the recordings differ in load.
+    """
+
+    rig: str
+    sources: tuple[str, ...]
+    scale: Scale
+    load_varied: bool
+    balances: tuple[MachineBalance, ...]
+    odd: tuple[Odd, ...]
+    policy: Policy
+
+    def __getitem__(self, balance: str) -> MachineBalance:
+        return next(one for one in self.balances if one.balance == balance)
+
+    def to_dict(self) -> dict:
+        """Return the JSON form, key ``machine``."""
+        settings = []
+        for i, source in enumerate(self.sources):
+            row: dict = {"recording": source}
+            for one in self.balances:
+                row |= {s.name: {"value": s.value[i], "stddev": s.stddev[i], "unit": s.unit}
+                        for s in one.settings}
+            settings.append(row)
+        return _plain({
+            "schema": SCHEMA, "rig": self.rig, "recordings": len(self.sources),
+            "parameters": [asdict(p) | {"balance": one.balance} for one in self.balances
+                           for p in one.parameters],
+            "settings": settings,
+            "unexplained_share": {one.balance: one.unexplained for one in self.balances},
+            "repeating_share": {one.balance: one.repeats for one in self.balances},
+            "load_varied": self.load_varied, "odd": [asdict(one) for one in self.odd],
+            "scale": asdict(self.scale), "policy": self.policy.to_dict(),
+            "balances": [asdict(one) for one in self.balances]})
+
+
+def _plain(tree):
+    """Return a tree with null for what is not finite: a deviation that nothing determines."""
+    if isinstance(tree, dict):
+        return {key: _plain(value) for key, value in tree.items()}
+    if isinstance(tree, (list, tuple)):
+        return [_plain(value) for value in tree]
+    return None if isinstance(tree, float) and not np.isfinite(tree) else tree
+
+
+def _numbers(row: Sequence) -> tuple:
+    return tuple(np.inf if value is None else value for value in row)
+
+
+def rms(values: Sequence[float]) -> float:
+    """Return the root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def machine_of(recordings: Sequence[Recording], settings: Settings, vary: Sequence[str] = (),
+               policy: Policy = POLICY) -> Machine:
+    """Return the machine that several recordings of one rig show.
+
+    Parameters
+    ----------
+    vary : what is known to differ between them; ``load`` alone has a meaning here.
+
+    Raises
+    ------
+    InputError
+        If a recording has no force balance, or there are too few.
+    """
+    if len(recordings) < policy.fewest:
+        raise InputError(f"expected at least {policy.fewest} recordings of one machine, got "
+                         f"{len(recordings)}")
+    rig = settings.rig
+    courses = [course_of(recording, settings) for recording in recordings]
+    scale = Scale.of(courses)
+    kinds = ["force"]
+    if rig.area_1 and rig.area_2 and all(
+            c.omega is not None and c.p1 is not None for c in courses):
+        kinds.append("flow")
+    varied, found, tables = "load" in vary, [], {}
+    for kind in kinds:
+        table = tables_of(courses, rig, kind, candidates_of(kind, scale, rig), policy)
+        one = _balance(kind, courses, table, scale, rig, varied, policy)
+        if kind == "force" and not varied and any(
+                s.varies and s.effect != "presliding_friction" for s in one.settings):
+            varied = True  # now friction that grows with pressure can be separated from load
+            one = _balance(kind, courses, table, scale, rig, varied, policy)
+        found.append(one)
+        tables[kind] = table
+    sources = tuple(Path(one.source).name or f"recording {i + 1}"
+                    for i, one in enumerate(recordings))
+    return Machine(rig.name, sources, scale, varied, tuple(found), _odd(sources, found, policy),
+                   policy)
+
+
+def _balance(kind: str, courses: list[Course], tables: list[Table], scale: Scale, rig: Rig,
+             varied: bool, policy: Policy) -> MachineBalance:
+    recordings = Recordings(tables)
+    of = recordings.candidates
+    chosen = recordings.choose(policy, allowed_of(tables[0].candidates, varied))
+    fit = recordings.fit(chosen.names)
+    left = recordings.left_out(chosen.names)
+    signals, good = [signals_of(c, kind, scale) for c in courses], [
+        c.compared(c.good) for c in courses]
+    sizes = [table.size for table in tables]
+    named = learned(signals, left, good, sizes)
+    whole = [table.rows[:, 0] - table.rows[table.good, 0].mean() for table in tables]
+    if kind == "force":
+        signals = [np.column_stack([part, np.tile(np.quantile(
+            table.rows[table.good, 0], LEVELS), (len(part), 1))])
+            for part, table in zip(signals, tables, strict=True)]
+    repeats = named.removed if named.removed >= policy.learns else 0.0
+    reference = learned(signals, whole, good, sizes)
+    parameters = tuple(
+        Parameter(name, of[name].effect, of[name].words, of[name].unit, *map(float, row))
+        for name, *row in zip(fit.names, fit.value, fit.between, fit.stddev, strict=True))
+    settings = tuple(
+        Setting(name, of[name].effect, of[name].words, of[name].unit, tuple(value.tolist()),
+                tuple(stddev.tolist()), varies(value, stddev, policy))
+        for name, value, stddev in zip(fit.settings, fit.setting.T, fit.setting_stddev.T,
+                                       strict=True))
+    return MachineBalance(
+        kind, parameters, settings, _rows(fit.each), _rows(fit.each_stddev),
+        tuple(_nominal(kind, recordings, rig)), tuple(chosen.errors.tolist()),
+        tuple((named.after if repeats else named.before).tolist()),
+        tuple(reference.after.tolist()), repeats, regimes(courses, left),
+        float(np.median(sizes)), float(sum(table.effective for table in tables)), chosen.steps,
+        chosen.named)
+
+
+def _rows(values: np.ndarray) -> tuple[tuple[float, ...], ...]:
+    return tuple(map(tuple, values.tolist()))
+
+
+def varies(value: np.ndarray, stddev: np.ndarray, policy: Policy) -> bool:
+    """Tell whether a setting's number differs between recordings beyond its deviations."""
+    weight = 1.0 / np.maximum(stddev, 1e-300) ** 2
+    mean = float(weight @ value / weight.sum())
+    far = np.abs(value - mean) > policy.varied * stddev
+    return bool(far.sum() >= 2 and np.ptp(value) > 0.2 * np.abs(value).max())
+
+
+def _nominal(kind: str, recordings: Recordings, rig: Rig) -> list[float]:
+    """Return the error of the config's linear model: viscous damping, the given displacement."""
+    if kind == "force":
+        return recordings.errors(["B"]).tolist()
+    if rig.pump_displacement is None:
+        return recordings.errors(["D_p"]).tolist()
+    w = np.array([rig.pump_displacement])
+    return [unseen(table, [table.places["D_p"]], [], w) for table in recordings.tables]
+
+
+def _odd(sources: Sequence[str], balances: Sequence[MachineBalance], policy: Policy
+         ) -> tuple[Odd, ...]:
+    """Return recordings whose error or parameter is far from those of all others."""
+    found: dict[str, Odd] = {}
+    for one in balances:
+        log = np.log(np.maximum(one.error, 1e-12))
+        middle = np.median(log)
+        spread = max(1.4826 * float(np.median(np.abs(log - middle))), 0.1)
+        for source, value, error in zip(sources, log, one.error, strict=True):
+            if (value - middle) / spread > policy.odd:
+                found.setdefault(source, Odd(source, (
+                    f"its {one.balance} is {100 * error:.0f} % unexplained, the others "
+                    f"{100 * np.exp(middle):.0f} %")))
+        each, stddevs = np.array(one.each), np.array(one.each_stddev)
+        for j, p in enumerate(one.parameters):
+            for i, source in enumerate(sources):
+                rest = np.arange(len(sources)) != i
+                value, between, stddev = pooled(each[rest, j], stddevs[rest, j], p.value)
+                between = max(between, LEAST * policy.between * abs(value))
+                far = abs(each[i, j] - value) / max(
+                    np.sqrt(between**2 + stddev**2 + stddevs[i, j] ** 2), 1e-300)
+                if np.isfinite(far) and far > policy.odd:
+                    found.setdefault(source, Odd(source, f"its {p.words} is {far:.1f} deviations "
+                                                         "from that of the others"))
+    return tuple(found.values())
+
+
+@dataclass(frozen=True)
+class Moved:
+    """A parameter in the next recording: there, in the machine, and how many deviations apart."""
+
+    name: str
+    words: str
+    unit: str
+    here: float
+    stddev: float
+    machine: float
+    deviations: float
+
+
+@dataclass(frozen=True)
+class Judged:
+    """The next recording beside the machine.
+
+    Attributes
+    ----------
+    error : of each balance, over its standard deviation, the machine's parameters held.
+    usual : the largest error that a recording of the machine had when it was left out.
+    moved : every parameter, the farthest first.
+    settings : the numbers of its setting, by name: (value, stddev).
+    """
+
+    source: str
+    error: dict[str, float]
+    usual: dict[str, float]
+    moved: tuple[Moved, ...]
+    settings: dict[str, tuple[float, float]]
+    limit: float
+
+    @property
+    def changed(self) -> tuple[Moved, ...]:
+        """Parameters beyond the spread of the machine's recordings."""
+        return tuple(one for one in self.moved if abs(one.deviations) > self.limit)
+
+    @property
+    def belongs(self) -> bool:
+        """Whether it is like the machine's own recordings."""
+        return not self.changed and all(
+            self.error[name] <= 1.5 * self.usual[name] for name in self.error)
+
+
+def judge(machine: Machine, recording: Recording, settings: Settings) -> Judged:
+    """Judge a recording against a machine: in a fraction of a second, by its balances alone."""
+    course, rig, policy = course_of(recording, settings), settings.rig, machine.policy
+    error, usual, moved, own = {}, {}, [], {}
+    for one in machine.balances:
+        names = set(one.terms)
+        kept = tuple(c for c in candidates_of(one.balance, machine.scale, rig)
+                     if c.name in names)
+        (table,) = tables_of([course], rig, one.balance, kept, policy)
+        shared = [table.places[p.name] for p in one.parameters]
+        free = [table.places[s.name] for s in one.settings]
+        w = np.array([p.value for p in one.parameters])
+        error[one.balance] = unseen(table, shared, free, w)
+        usual[one.balance] = max(one.error)
+        value, stddev = setting_of(table, shared, free, w)
+        own |= {s.name: (float(v), float(d)) for s, v, d in zip(
+            one.settings, value, stddev, strict=True)}
+        places = [*shared, *free]
+        signs = np.array([*(table.candidates[i - 1].sign for i in shared), *(0 for _ in free)])
+        gram = table.gram
+        here = signed_solution(gram[np.ix_(places, places)], gram[places, 0], signs)
+        left = max(float(gram[0, 0] - here @ gram[places, 0]), 0.0) / table.n
+        residual = table.left(dict(zip([table.candidates[i - 1].name for i in places], here,
+                                       strict=True)))
+        worth = independent(np.where(table.good, residual, np.nan))
+        deviation = np.sqrt(np.diag(inverse_of(gram[np.ix_(places, places)])) * left * worth)
+        for p, found, spread in zip(one.parameters, here, deviation, strict=False):
+            apart = (found - p.value) / max(np.sqrt(spread**2 + p.between**2 + p.stddev**2),
+                                            1e-300)
+            moved.append(Moved(p.name, p.words, p.unit, float(found), float(spread), p.value,
+                               float(apart)))
+    moved.sort(key=lambda one: -abs(one.deviations))
+    return Judged(recording.source, error, usual, tuple(moved), own, policy.odd)
+
+
+def save(machine: Machine, path: Path) -> None:
+    """Write a machine as a small JSON file."""
+    write_json(path, machine.to_dict())
+
+
+def load(path: Path) -> Machine:
+    """Read a machine that :func:`save` wrote.
+
+    Raises
+    ------
+    InputError
+        Naming the file, if it holds none.
+    """
+    try:
+        data = json.loads(Path(path).read_text(encoding="utf-8"))
+        if data.get("schema") != SCHEMA:
+            raise ValueError(f"expected schema {SCHEMA}")
+        balances = tuple(_read_balance(one) for one in data["balances"])
+        known = {f.name for f in fields(Policy)}
+        return Machine(
+            data["rig"], tuple(row["recording"] for row in data["settings"]),
+            Scale(**data["scale"]), data["load_varied"], balances,
+            tuple(Odd(**one) for one in data["odd"]),
+            Policy(**{k: v for k, v in data["policy"].items() if k in known}))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as problem:
+        raise InputError(f"{path}: expected a machine, as `diagnose A B C --machine FILE` writes "
+                         f"it: {problem}") from problem
+
+
+def _read_balance(data: dict) -> MachineBalance:
+    made = dict(data)
+    made["parameters"] = tuple(
+        Parameter(**one | {"stddev": _numbers([one["stddev"]])[0]}) for one in data["parameters"])
+    made["settings"] = tuple(
+        Setting(**one | {"value": tuple(one["value"]), "stddev": _numbers(one["stddev"])})
+        for one in data["settings"])
+    made["regimes"] = tuple(Regime(**one) for one in data["regimes"])
+    made["named"] = tuple(Named(**one | {"terms": tuple(one["terms"])}) for one in data["named"])
+    made["steps"] = tuple(map(tuple, data["steps"]))
+    for name in ("each", "each_stddev"):
+        made[name] = tuple(map(_numbers, data[name]))
+    for name in ("nominal", "error", "learned", "reference"):
+        made[name] = _numbers(data[name])
+    return MachineBalance(**made)

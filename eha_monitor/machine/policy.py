@@ -1,0 +1,63 @@
+"""The numbers that decide what is named, in one place; each with its reason."""
+
+from dataclasses import asdict, dataclass
+
+
+@dataclass(frozen=True)
+class Policy:
+    """What a name owes.
+
+    Attributes
+    ----------
+    gain : a term removes this share of the RMS error, or it is left out.  Definition: 2 % of an
+        error is what nobody would repair a machine for.
+    setting_gain : the same for a number that every recording has of its own.  Definition: five
+        times as much; it explains what nothing of the machine does.
+    named : share of the error that a family of terms must gain together before it is named.
+        Smaller terms stay in the model as corrections of form.  Measured: what gains less on one
+        day is not chosen on the other (docs/one_machine.md).
+    alone : the same where the parts left out are of the same recording.  Measured: what gains
+        less in one recording does not come back on another day (docs/one_machine.md).
+    repeats : Student's t of that gain over recordings left out.  Definition: 2 deviations.
+    block : s that stay together when a recording is halved or blocks are left out.  Measured:
+        several correlation times of the residuals of a real actuator (0.1 to 0.9 s).
+    halves : random halves of a recording's blocks.  Definition: a frequency to a tenth.
+    stable : share of the halves in which a name must come up.  Meinshausen and Buehlmann 2010.
+    certain : highest probability that one recording alone can carry.  Measured: what it says
+        with 99 % comes back on another day in 88 to 95 % (design/one_machine.md).
+    slope : of the log odds of a name in the log odds of its frequency.  Measured on replicates.
+    between : relative spread of a parameter between recordings of one machine where only one is
+        known.  Measured on replicates; see docs/one_machine.md.
+    worse : an error on unseen parts may grow by this share of the signal.  Contract of the gate.
+    odd : robust deviations beyond which a recording does not belong.  Definition.
+    varied : the load counts as varied where it differs by this many of its deviations and by a
+        fifth of its size.  Definition: 3 deviations.
+    fewest : recordings from which a structure is chosen on recordings left out.  Derived: a t of
+        2 from fewer is met by chance in one of six.
+    learns : share of the error that a learned term must remove on recordings left out, before it
+        is spoken of.  Definition: a tenth.
+    """
+
+    gain: float = 0.02
+    setting_gain: float = 0.1
+    named: float = 0.15
+    alone: float = 0.1
+    repeats: float = 2.0
+    block: float = 1.5
+    halves: int = 20
+    stable: float = 0.7
+    certain: float = 0.95
+    slope: float = 0.8
+    between: float = 0.2
+    worse: float = 0.02
+    odd: float = 4.0
+    varied: float = 3.0
+    fewest: int = 3
+    learns: float = 0.1
+
+    def to_dict(self) -> dict:
+        """Return the JSON form, key ``policy``."""
+        return asdict(self)
+
+
+POLICY = Policy()

@@ -1,0 +1,339 @@
+"""The terms of a balance, chosen by what they gain on recordings that the fit leaves out.
+
+Machine parameters are shared, those of the settings belong to each recording.  With G_i the
+products of recording i, weighted, and T its settings' columns,
+
+    G_i' = G_i - G_iT (G_TT)^-1 G_Ti,     w_-i = argmin over signs of sum over j != i of G_j',
+
+e_i is the RMS on i under w_-i, its settings fitted on every other pair of blocks and judged on
+the rest.  A term enters with the largest mean of d_i = ln(e_i / e_i with it), if that is
+``gain`` at least with a t of ``repeats``; then all terms are tried for removal by the same rule.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from eha_monitor.machine.candidates import Candidate
+from eha_monitor.machine.least_squares import inverse_of, minimum_norm, signed_solution
+from eha_monitor.machine.policy import Policy
+from eha_monitor.machine.table import Table
+
+SOFT = 1e-3  # of the other half's products, so that a half without motion leaves nothing open
+MOST_TERMS = 10  # a choice that has not ended by then is none
+
+
+@dataclass(frozen=True)
+class Named:
+    """A family of terms that is named: ``terms`` as they entered, what they gain together, t."""
+
+    terms: tuple[str, ...]
+    gain: float
+    t: float
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Terms of one balance.
+
+    Attributes
+    ----------
+    names : of all terms, those that every model has first.
+    errors : (r,) of each recording left out, over its standard deviation.
+    steps : (name, mean gain, t) as they entered.
+    named : families of terms that gain enough to be named.
+    """
+
+    names: tuple[str, ...]
+    errors: np.ndarray
+    steps: tuple[tuple[str, float, float], ...]
+    named: tuple[Named, ...]
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Parameters of one balance over all recordings.
+
+    Attributes
+    ----------
+    names : machine parameters; ``settings`` those of each recording.
+    value, between, stddev : (m,) weighted mean over the recordings, spread between them, and
+        deviation of the mean, which contains the spread.
+    each, each_stddev : (r, m) fitted to each recording alone.
+    setting, setting_stddev : (r, s) with the machine parameters held.
+    """
+
+    names: tuple[str, ...]
+    settings: tuple[str, ...]
+    value: np.ndarray
+    between: np.ndarray
+    stddev: np.ndarray
+    each: np.ndarray
+    each_stddev: np.ndarray
+    setting: np.ndarray
+    setting_stddev: np.ndarray
+
+
+class Recordings:
+    """Tables of one balance, and what sets of terms leave of them."""
+
+    def __init__(self, tables: list[Table]):
+        self.tables = tables
+        self.candidates = {one.name: one for one in tables[0].candidates}
+        self.grams = [table.gram * table.weight for table in tables]
+
+    def split(self, names: Iterable[str]) -> tuple[list[int], list[int], np.ndarray]:
+        """Return columns of machine and settings' parameters, and the signs of the former."""
+        places, own = self.tables[0].places, self.candidates
+        shared = [places[name] for name in names if not own[name].setting]
+        settings = [places[name] for name in names if own[name].setting]
+        signs = np.array([self.tables[0].candidates[i - 1].sign for i in shared], dtype=int)
+        return shared, settings, signs
+
+    def shared_fit(self, names: Iterable[str]) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Return machine parameters fitted to all recordings, and reduced products of each."""
+        shared, settings, signs = self.split(names)
+        reduced = [without(gram, [0, *shared], settings) for gram in self.grams]
+        total = sum(reduced)
+        return signed_solution(total[1:, 1:], total[1:, 0], signs), reduced
+
+    def errors(self, names: Iterable[str]) -> np.ndarray:
+        """Return the error of each recording left out, (r,) over its standard deviation."""
+        names = list(names)
+        shared, settings, signs = self.split(names)
+        _, reduced = self.shared_fit(names)
+        total, found = sum(reduced), np.empty(len(self.tables))
+        for i, (table, own) in enumerate(zip(self.tables, reduced, strict=True)):
+            rest = total - own
+            w = signed_solution(rest[1:, 1:], rest[1:, 0], signs)
+            found[i] = unseen(table, shared, settings, w)
+        return found
+
+    def left_out(self, names: Iterable[str]) -> list[np.ndarray]:
+        """Return what is left of each recording under the fit to the others, (m,) each.
+
+        Its settings are fitted on every other pair of blocks and applied to the rest.
+        """
+        shared, settings, signs = self.split(names)
+        _, reduced = self.shared_fit(names)
+        total, found = sum(reduced), []
+        for table, own in zip(self.tables, reduced, strict=True):
+            rest = total - own
+            w = signed_solution(rest[1:, 1:], rest[1:, 0], signs)
+            first = np.arange(len(table.blocks)) // 2 % 2 == 0
+            numbers, left = np.unique(table.block[table.good]), np.zeros(len(table.rows))
+            for (fit, judge), which in ((table.halves, ~first), (table.halves[::-1], first)):
+                here = np.isin(table.block, numbers[which])
+                left[here] = table.rows[here] @ crosswise(table, fit, judge, shared, settings, w)
+            found.append(left)
+        return found
+
+    def choose(self, policy: Policy, allowed: Iterable[str]) -> Chosen:
+        """Choose the terms of the balance among those that are allowed."""
+        names = [one.name for one in self.candidates.values() if one.always]
+        allowed, steps = [name for name in allowed if name not in names], []
+        errors = self.errors(names)
+        tried = set()
+        while len(names) < MOST_TERMS and tuple(sorted(names)) not in tried:
+            tried.add(tuple(sorted(names)))
+            best = None
+            for name in allowed:
+                if name in names or self._has_variant(name, names):
+                    continue
+                with_it = self.errors([*names, name])
+                mean, t = gain(errors, with_it)
+                if mean >= self.owed(name, policy) and t >= policy.repeats and (
+                        best is None or mean > best[1]) and self._possible([*names, name]):
+                    best = name, mean, t, with_it
+            if best is None:
+                break
+            names.append(best[0])
+            steps.append(best[:3])
+            errors = best[3]
+            names, errors = self._pruned(names, errors, policy)
+            names, errors = self._reshaped(names, errors)
+        return Chosen(tuple(names), errors, tuple(steps), self._named(names, errors, policy))
+
+    def _named(self, names: list[str], errors: np.ndarray, policy: Policy) -> tuple[Named, ...]:
+        """Return the families of terms without which the error grows by what a name owes."""
+        families: dict[str, list[str]] = {}
+        for name in names:
+            one = self.candidates[name]
+            if not one.always:
+                families.setdefault(one.family or one.effect, []).append(name)
+        found = []
+        for terms in families.values():
+            mean, t = gain(self.errors([name for name in names if name not in terms]), errors)
+            if mean >= policy.named and t >= policy.repeats:
+                found.append(Named(tuple(terms), mean, t))
+        return tuple(sorted(found, key=lambda one: -one.gain))
+
+    def owed(self, name: str, policy: Policy) -> float:
+        """Return the share of the error that a term must gain."""
+        return policy.setting_gain if self.candidates[name].setting else policy.gain
+
+    def _has_variant(self, name: str, names: list[str]) -> bool:
+        one = self.candidates[name]
+        return one.variant and any(self.candidates[other].effect == one.effect for other in names)
+
+    def _possible(self, names: list[str]) -> bool:
+        """Tell whether all shared parameters are within their limits."""
+        w, _ = self.shared_fit(names)
+        shared, _, _ = self.split(names)
+        limits = np.array([self.tables[0].candidates[i - 1].limit for i in shared])
+        return bool((np.abs(w) <= limits).all())
+
+    def _pruned(self, names: list[str], errors: np.ndarray, policy: Policy
+                ) -> tuple[list[str], np.ndarray]:
+        """Take out terms that no longer gain what a name owes, the least useful first."""
+        while True:
+            worst = None
+            for name in names:
+                if self.candidates[name].always:
+                    continue
+                rest = [other for other in names if other != name]
+                without_it = self.errors(rest)
+                mean, t = gain(without_it, errors)
+                if (mean < self.owed(name, policy) or t < policy.repeats) and (
+                        worst is None or mean < worst[0]):
+                    worst = mean, rest, without_it
+            if worst is None:
+                return names, errors
+            names, errors = worst[1:]
+
+    def _reshaped(self, names: list[str], errors: np.ndarray) -> tuple[list[str], np.ndarray]:
+        """Move each shape to the variant that fits best beside the other terms."""
+        for i, name in enumerate(names):
+            one = self.candidates[name]
+            if not one.variant:
+                continue
+            for other in self.candidates.values():
+                if other.effect == one.effect and other.name != names[i]:
+                    trial = [*names[:i], other.name, *names[i + 1 :]]
+                    found = self.errors(trial)
+                    if np.log(found).mean() < np.log(errors).mean() - 1e-9:
+                        names, errors = trial, found
+        return names, errors
+
+    def fit(self, names: Iterable[str]) -> Fitted:
+        """Return the parameters of a set of terms, their spread between recordings, settings."""
+        names = list(names)
+        shared, settings, signs = self.split(names)
+        w, reduced = self.shared_fit(names)
+        each, stddev = (np.empty((len(self.tables), len(shared))) for _ in range(2))
+        for i, (table, own) in enumerate(zip(self.tables, reduced, strict=True)):
+            each[i] = signed_solution(own[1:, 1:], own[1:, 0], signs)
+            left = max(own[0, 0] - own[1:, 0] @ each[i], 0.0)
+            scale = max(left / max(table.effective - len(names), 1.0), 1e-300)
+            stddev[i] = np.sqrt(np.diag(inverse_of(own[1:, 1:])) * scale)
+        value, between, mean_stddev = (np.zeros(len(shared)) for _ in range(3))
+        for j in range(len(shared)):
+            value[j], between[j], mean_stddev[j] = pooled(each[:, j], stddev[:, j], w[j])
+        setting, setting_stddev = self.settings_of(shared, settings, value)
+        of = self.tables[0].candidates
+        return Fitted(tuple(of[i - 1].name for i in shared),
+                      tuple(of[i - 1].name for i in settings), value, between, mean_stddev, each,
+                      stddev, setting, setting_stddev)
+
+    def settings_of(self, shared: list[int], settings: list[int], w: np.ndarray
+                    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the settings' parameters of each recording and their deviations, (r, s)."""
+        rows, deviations = [], []
+        for table in self.tables:
+            value, stddev = setting_of(table, shared, settings, w)
+            rows.append(value)
+            deviations.append(stddev)
+        return np.array(rows), np.array(deviations)
+
+
+def gain(before: np.ndarray, after: np.ndarray) -> tuple[float, float]:
+    """Return the mean of ln(before / after) over recordings, and its Student's t."""
+    d = np.log(np.maximum(before, 1e-12) / np.maximum(after, 1e-12))
+    spread = float(d.std(ddof=1)) if len(d) > 1 else np.inf
+    return float(d.mean()), float(d.mean() * np.sqrt(len(d)) / max(spread, 1e-12))
+
+
+def pooled(each: np.ndarray, stddev: np.ndarray, joint: float) -> tuple[float, float, float]:
+    """Return mean, spread between recordings and deviation of the mean (DerSimonian, Laird 1986).
+
+    Recordings that say nothing of a parameter have little weight; the joint value stands where
+    none says anything alone.
+    """
+    good = np.isfinite(stddev) & (stddev > 0.0)
+    if good.sum() < 2:
+        return joint, 0.0, float(stddev[good][0]) if good.any() else np.inf
+    x, c = each[good], stddev[good] ** 2
+    w = 1.0 / c
+    mean = float(w @ x / w.sum())
+    excess = float(w @ (x - mean) ** 2) - (len(x) - 1)
+    tau = max(0.0, excess / (w.sum() - float(w @ w) / w.sum()))
+    w = 1.0 / (c + tau)
+    return float(w @ x / w.sum()), float(np.sqrt(tau)), float(np.sqrt(1.0 / w.sum()))
+
+
+def without(gram: np.ndarray, kept: list[int], out: list[int]) -> np.ndarray:
+    """Return products of columns with what others explain taken out (a Schur complement)."""
+    inner = gram[np.ix_(kept, kept)]
+    if not out:
+        return inner
+    across = gram[np.ix_(out, kept)]
+    return inner - across.T @ minimum_norms(gram[np.ix_(out, out)], across)
+
+
+def minimum_norms(gram: np.ndarray, sides: np.ndarray) -> np.ndarray:
+    """Return :func:`minimum_norm` for several sides, (k, s), whatever the columns' units."""
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    scaled, sides = gram / np.outer(size, size), sides / size[:, None]
+    try:
+        factor = np.linalg.cholesky(scaled)
+        if np.diag(factor).min() > 1e-4:
+            return np.linalg.solve(scaled, sides) / size[:, None]
+    except np.linalg.LinAlgError:
+        pass
+    return np.column_stack([minimum_norm(scaled, side) for side in sides.T]) / size[:, None]
+
+
+def setting_of(table: Table, shared: list[int], settings: list[int], w: np.ndarray
+               ) -> tuple[np.ndarray, np.ndarray]:
+    """Return a recording's settings' parameters under machine parameters, and deviations."""
+    if not settings:
+        return np.zeros(0), np.zeros(0)
+    mixture = _mixture(table, shared, w)
+    inner = table.gram[np.ix_(settings, settings)]
+    t = minimum_norms(inner, (table.gram[settings] @ mixture)[:, None])[:, 0]
+    mixture[settings] = -t
+    mse = float(mixture @ table.gram @ mixture) / max(table.n, 1)
+    return t, np.sqrt(np.diag(inverse_of(inner)) * mse * table.full[1])
+
+
+def _mixture(table: Table, shared: list[int], w: np.ndarray) -> np.ndarray:
+    """Return the mixture of columns that is y less the machine's terms, (1 + k,)."""
+    mixture = np.zeros(table.rows.shape[1])
+    mixture[0], mixture[shared] = 1.0, -w
+    return mixture
+
+
+def unseen(table: Table, shared: list[int], settings: list[int], w: np.ndarray) -> float:
+    """Return the RMS on a recording over its standard deviation, settings fitted crosswise."""
+    squares = 0.0
+    for fit, judge in (table.halves, table.halves[::-1]):
+        mixture = crosswise(table, fit, judge, shared, settings, w)
+        squares += float(mixture @ judge @ mixture)
+    return float(np.sqrt(max(squares, 0.0) / max(table.n, 1))) / table.size
+
+
+def crosswise(table: Table, fit: np.ndarray, judge: np.ndarray, shared: list[int],
+              settings: list[int], w: np.ndarray) -> np.ndarray:
+    """Return the mixture of columns that is left, settings fitted on one half, (1 + k,)."""
+    mixture = _mixture(table, shared, w)
+    if settings:
+        part = fit + SOFT * judge
+        mixture[settings] = -minimum_norms(part[np.ix_(settings, settings)],
+                                           (part[settings] @ mixture)[:, None])[:, 0]
+    return mixture
+
+
+def allowed_of(candidates: Iterable[Candidate], load_varied: bool) -> list[str]:
+    """Return the names that a choice may take."""
+    return [one.name for one in candidates if load_varied or not one.needs_load]

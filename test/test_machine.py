@@ -1,0 +1,201 @@
+"""One machine from several recordings: known simulated truth, and a real one on two days."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from machine_tools import stranger, stranger_settings
+from test_machine_baseline import read
+
+from eha_monitor.commands.diagnose import diagnose as command
+from eha_monitor.errors import InputError
+from eha_monitor.machine.alone import alone, probability_of
+from eha_monitor.machine.candidates import Scale, candidates_of, stop, taken_up
+from eha_monitor.machine.course import course_of
+from eha_monitor.machine.discrepancy import learned
+from eha_monitor.machine.machine import judge, load, machine_of, save
+from eha_monitor.machine.policy import POLICY
+from eha_monitor.machine.table import tables_of
+from eha_monitor.machine.together import Recordings, gain, pooled, without
+from eha_monitor.recordings.write import write_recording
+
+LOADS = (338.0, 120.0, 560.0, 250.0)
+
+
+@pytest.fixture(scope="module")
+def settings(tmp_path_factory):
+    return stranger_settings(tmp_path_factory.mktemp("rig"))
+
+
+@pytest.fixture(scope="module")
+def recordings():
+    return [stranger(seed, rise=0.0, damping=(1500.0, 1500.0), load=one, seconds=16.0)
+            for seed, one in enumerate(LOADS)]
+
+
+@pytest.fixture(scope="module")
+def machine(recordings, settings):
+    return machine_of(recordings, settings)
+
+
+def test_at_most_twenty_numbers_decide():
+    assert len(POLICY.to_dict()) <= 20
+    assert all(name in type(POLICY).__doc__ for name in POLICY.to_dict())
+
+
+def test_a_stop_holds_at_rest_and_turns_over_its_reach():
+    x = np.concatenate([np.linspace(0, 1, 101), np.full(50, 1.0), np.linspace(1, 0.5, 51)])
+    z = stop(x, 0.1)
+    assert z[100] == 1.0 and (z[100:150] == 1.0).all()
+    assert z[150 + 11] == pytest.approx(-0.1, abs=0.11) and z[-1] == -1.0
+
+
+def test_a_one_sided_load_is_met_again_after_its_slack():
+    x = np.concatenate([np.linspace(0.2, 0, 201), np.linspace(0, 0.2, 201),
+                        np.linspace(0.2, 0.1, 101)])
+    load = taken_up(x, 0.05, 0.005)
+    assert load[:201].max() == 0.0 and load[220] == 0.0 and load[400] == 1.0
+    assert load[420:].max() == 0.0  # it lets go at once
+
+
+def test_reduced_products_are_those_of_the_residuals():
+    rng = np.random.default_rng(0)
+    rows = rng.standard_normal((50, 6))
+    out = rows[:, 4:]
+    left = rows[:, :4] - out @ np.linalg.lstsq(out, rows[:, :4], rcond=None)[0]
+    np.testing.assert_allclose(without(rows.T @ rows, [0, 1, 2, 3], [4, 5]), left.T @ left)
+
+
+def test_errors_of_recordings_left_out_are_those_of_separate_fits(recordings, settings):
+    courses = [course_of(one, settings) for one in recordings]
+    candidates = tuple(c for c in candidates_of("force", Scale.of(courses), settings.rig)
+                       if c.name in ("B", "F_c"))
+    tables = tables_of(courses, settings.rig, "force", candidates, POLICY)
+    found = Recordings(tables).errors(["B", "F_c"])
+    for i, table in enumerate(tables):
+        others = [(t.rows[t.good] * np.sqrt(t.weight)) for j, t in enumerate(tables) if j != i]
+        stacked = np.concatenate(others)
+        w = np.linalg.lstsq(stacked[:, 1:], stacked[:, 0], rcond=None)[0]
+        mine = table.rows[table.good]
+        expected = np.sqrt(np.mean((mine[:, 0] - mine[:, 1:] @ w) ** 2)) / np.std(mine[:, 0])
+        assert found[i] == pytest.approx(expected, rel=1e-6)
+
+
+def test_spread_between_recordings_is_found():
+    rng = np.random.default_rng(5)
+    noise = rng.uniform(0.5, 1.5, 400)
+    each = 10.0 + 3.0 * rng.standard_normal(400) + noise * rng.standard_normal(400)
+    value, between, stddev = pooled(each, noise, np.nan)
+    assert between == pytest.approx(3.0, rel=0.15)
+    assert abs(value - 10.0) < 3.0 * stddev and stddev == pytest.approx(3.2 / 20.0, rel=0.2)
+    assert pooled(np.full(8, 2.0), np.full(8, 0.1), np.nan)[1] == 0.0
+
+
+def test_gain_is_a_log_ratio_with_its_t():
+    mean, t = gain(np.array([2.0, 2.0, 2.2]), np.array([1.0, 1.0, 1.0]))
+    assert mean == pytest.approx(np.log([2.0, 2.0, 2.2]).mean())
+    assert t == pytest.approx(mean * np.sqrt(3) / np.log([2.0, 2.0, 2.2]).std(ddof=1))
+
+
+def test_a_machine_of_known_truth(machine):
+    force = {p.name: p for p in machine["force"].parameters}
+    assert machine["force"].named and machine["force"].named[0].terms[0].startswith("F_")
+    assert force["B"].value == pytest.approx(1500.0, abs=3.0 * force["B"].stddev + 15.0)
+    dry = next(p for name, p in force.items() if p.effect in (
+        "coulomb_friction", "presliding_friction"))
+    assert dry.value == pytest.approx(180.0, rel=0.03)
+    loads = next(s for s in machine["force"].settings if s.name == "F_0")
+    np.testing.assert_allclose(loads.value, LOADS, atol=4.0)
+    assert loads.varies and machine.load_varied
+    assert not machine.odd
+    assert machine["force"].unexplained < 0.05
+
+
+def test_a_recording_that_does_not_belong(recordings, settings):
+    other = stranger(9, dry=270.0, rise=0.0, damping=(2500.0, 2500.0), seconds=16.0)
+    found = machine_of([*recordings, replace(other, source="other")], settings)
+    assert [one.source for one in found.odd] == ["other"]
+
+
+def test_the_next_recording_is_judged(machine, settings, tmp_path):
+    save(machine, tmp_path / "machine.json")
+    kept = load(tmp_path / "machine.json")
+    assert kept == machine
+    like = stranger(20, rise=0.0, damping=(1500.0, 1500.0), load=400.0, seconds=16.0)
+    judged = judge(kept, like, settings)
+    assert judged.belongs and judged.settings["F_0"][0] == pytest.approx(400.0, abs=4.0)
+    worn = stranger(21, dry=260.0, rise=0.0, damping=(1500.0, 1500.0), seconds=16.0)
+    found = judge(kept, worn, settings)
+    assert not found.belongs
+    assert found.changed[0].here == pytest.approx(260.0, rel=0.03)
+
+
+def test_bad_machines_are_refused_in_one_line(recordings, settings, tmp_path):
+    with pytest.raises(InputError, match="at least 3 recordings"):
+        machine_of(recordings[:2], settings)
+    for text in ("{", '{"schema": "other"}', "[]", '{"schema": "eha_monitor/machine/1"}'):
+        path = tmp_path / "bad.json"
+        path.write_text(text)
+        with pytest.raises(InputError, match="expected a machine"):
+            load(path)
+
+
+def test_what_repeats_is_learned_and_noise_is_not():
+    rng = np.random.default_rng(2)
+    signals = [rng.standard_normal((400, 3)) for _ in range(6)]
+    good = [np.ones(400, dtype=bool)] * 6
+    repeats = learned(signals, [np.sin(2.0 * z[:, 0]) * z[:, 1] for z in signals], good,
+                      [1.0] * 6)
+    noise = learned(signals, [rng.standard_normal(400) for _ in signals], good, [1.0] * 6)
+    assert repeats.removed > 0.8 and noise.removed < 0.05
+
+
+def test_one_recording_alone(recordings, settings):
+    course = course_of(recordings[0], settings)
+    (table,) = tables_of([course], settings.rig, "force", candidates_of(
+        "force", Scale.of([course]), settings.rig), POLICY)
+    found = alone(table, POLICY)
+    dry = [name for name in found.names if name.effect in (
+        "coulomb_friction", "presliding_friction")]
+    assert len(dry) == 1 and dry[0].probability <= POLICY.certain
+    assert dry[0].value == pytest.approx(180.0, rel=0.05)
+    assert found.error < 0.5 * found.nominal + 0.05
+    assert table.effective < table.n
+    assert probability_of(1.0, POLICY) == pytest.approx(POLICY.certain, abs=0.01)
+
+
+def test_the_command_writes_and_reads_a_machine(recordings, settings, tmp_path, monkeypatch):
+    from click.testing import CliRunner
+
+    config = tmp_path / "rig.yaml"
+    stranger_settings(tmp_path)
+    bags = [str(write_recording(tmp_path / f"run_{i}", one, settings))
+            for i, one in enumerate(recordings)]
+    file, answer = tmp_path / "machine.json", tmp_path / "answer.json"
+    from eha_monitor.machine import machine as room
+
+    save(room.machine_of(recordings, settings), file)
+    done = CliRunner().invoke(command, [bags[1], "--config", str(config), "--machine", str(file),
+                                        "--json", str(answer)], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    tree = json.loads(answer.read_text())
+    assert tree["verdict"] == "consistent"
+    assert tree["machine"]["recordings"] == len(bags)
+    with pytest.raises(InputError, match="expected one recording"):
+        import eha_monitor as em
+
+        em.diagnose(bags, config, machine=file)
+
+
+def test_a_real_machine_on_two_days():
+    files = [f"ivliev_eha_days/day_{day}_load_{load}_amplitude_4.csv.gz"
+             for day in (18, 21) for load in (1, 3, 5)]
+    recordings, settings = read("ivliev_eha", *files)
+    first, second = (machine_of(part, settings, ("load",))
+                     for part in (recordings[:3], recordings[3:]))
+    for one in (first, second):
+        assert "one_sided_load" in one["force"].effects  # the loading cylinder's
+        assert one["force"].unexplained < 0.3 and one["flow"].unexplained < 0.25
+    pumps = [next(p for p in one["flow"].parameters if p.name == "D_p") for one in (first, second)]
+    assert pumps[0].value == pytest.approx(pumps[1].value, rel=0.05)
