@@ -20,6 +20,7 @@ from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
 SCHEMA = "eha_monitor/machine/1"
+BOTH = 0.05  # of the moving samples: a recording that turns round has more either way
 LEAST = 0.25  # of the typical spread: a few others may agree by chance
 LEVELS = (0.05, 0.95)  # quantiles of the force that stand for the load in the flexible reference
 
@@ -125,12 +126,14 @@ class Machine:
     rig : its name; ``sources`` the recordings.
     scale : shapes of the candidates are shares of it.
     load_varied : whether the recordings differ in load.
+    turns : whether each recording moves both ways; else its load hides dry friction.
     """
 
     rig: str
     sources: tuple[str, ...]
     scale: Scale
     load_varied: bool
+    turns: bool
     balances: tuple[MachineBalance, ...]
     odd: tuple[Odd, ...]
     policy: Policy
@@ -154,7 +157,8 @@ class Machine:
             "settings": settings,
             "unexplained_share": {one.balance: one.unexplained for one in self.balances},
             "repeating_share": {one.balance: one.repeats for one in self.balances},
-            "load_varied": self.load_varied, "odd": [asdict(one) for one in self.odd],
+            "load_varied": self.load_varied, "turns": self.turns,
+            "odd": [asdict(one) for one in self.odd],
             "scale": asdict(self.scale), "policy": self.policy.to_dict(),
             "balances": [asdict(one) for one in self.balances]})
 
@@ -212,8 +216,10 @@ def machine_of(recordings: Sequence[Recording], settings: Settings, vary: Sequen
         tables[kind] = table
     sources = tuple(Path(one.source).name or f"recording {i + 1}"
                     for i, one in enumerate(recordings))
-    return Machine(rig.name, sources, scale, varied, tuple(found), _odd(sources, found, policy),
-                   policy)
+    turns = all(BOTH < np.mean(c.v[c.moving] > 0.0) < 1.0 - BOTH for c in courses
+                if c.moving.any())
+    return Machine(rig.name, sources, scale, varied, turns, tuple(found),
+                   _odd(sources, found, policy), policy)
 
 
 def _balance(kind: str, courses: list[Course], tables: list[Table], scale: Scale, rig: Rig,
@@ -321,7 +327,7 @@ def load(path: Path) -> Machine:
         known = {f.name for f in fields(Policy)}
         return Machine(
             data["rig"], tuple(row["recording"] for row in data["settings"]),
-            Scale(**data["scale"]), data["load_varied"], balances,
+            Scale(**data["scale"]), data["load_varied"], data["turns"], balances,
             tuple(Odd(**one) for one in data["odd"]),
             Policy(**{k: v for k, v in data["policy"].items() if k in known}))
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as problem:
