@@ -14,7 +14,8 @@ from eha_monitor.machine.alone import alone, probability_of
 from eha_monitor.machine.candidates import Scale, candidates_of, stop, taken_up
 from eha_monitor.machine.course import course_of
 from eha_monitor.machine.discrepancy import learned
-from eha_monitor.machine.machine import judge, load, machine_of, save
+from eha_monitor.machine.judge import judge
+from eha_monitor.machine.machine import load, machine_of, save
 from eha_monitor.machine.policy import POLICY
 from eha_monitor.machine.table import tables_of
 from eha_monitor.machine.together import Recordings, gain, pooled, without

@@ -11,16 +11,16 @@ from eha_monitor.errors import InputError
 from eha_monitor.machine.candidates import Scale, candidates_of
 from eha_monitor.machine.course import Course, course_of
 from eha_monitor.machine.discrepancy import Regime, learned, regimes, signals_of
-from eha_monitor.machine.least_squares import independent, inverse_of, signed_solution
 from eha_monitor.machine.policy import POLICY, Policy
 from eha_monitor.machine.table import Table, tables_of
-from eha_monitor.machine.together import Named, Recordings, allowed_of, pooled, setting_of, unseen
+from eha_monitor.machine.together import Named, Recordings, allowed_of, pooled, unseen
 from eha_monitor.output import write_json
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
 SCHEMA = "eha_monitor/machine/1"
+BOTH = 0.05  # of the moving samples: a recording that turns round has more either way
 LEAST = 0.25  # of the typical spread: a few others may agree by chance
 LEVELS = (0.05, 0.95)  # quantiles of the force that stand for the load in the flexible reference
 
@@ -126,12 +126,14 @@ class Machine:
     rig : its name; ``sources`` the recordings.
     scale : shapes of the candidates are shares of it.
     load_varied : whether the recordings differ in load.
+    turns : whether each recording moves both ways; else its load hides dry friction.
     """
 
     rig: str
     sources: tuple[str, ...]
     scale: Scale
     load_varied: bool
+    turns: bool
     balances: tuple[MachineBalance, ...]
     odd: tuple[Odd, ...]
     policy: Policy
@@ -155,7 +157,8 @@ class Machine:
             "settings": settings,
             "unexplained_share": {one.balance: one.unexplained for one in self.balances},
             "repeating_share": {one.balance: one.repeats for one in self.balances},
-            "load_varied": self.load_varied, "odd": [asdict(one) for one in self.odd],
+            "load_varied": self.load_varied, "turns": self.turns,
+            "odd": [asdict(one) for one in self.odd],
             "scale": asdict(self.scale), "policy": self.policy.to_dict(),
             "balances": [asdict(one) for one in self.balances]})
 
@@ -213,8 +216,10 @@ def machine_of(recordings: Sequence[Recording], settings: Settings, vary: Sequen
         tables[kind] = table
     sources = tuple(Path(one.source).name or f"recording {i + 1}"
                     for i, one in enumerate(recordings))
-    return Machine(rig.name, sources, scale, varied, tuple(found), _odd(sources, found, policy),
-                   policy)
+    turns = all(BOTH < np.mean(c.v[c.moving] > 0.0) < 1.0 - BOTH for c in courses
+                if c.moving.any())
+    return Machine(rig.name, sources, scale, varied, turns, tuple(found),
+                   _odd(sources, found, policy), policy)
 
 
 def _balance(kind: str, courses: list[Course], tables: list[Table], scale: Scale, rig: Rig,
@@ -301,85 +306,6 @@ def _odd(sources: Sequence[str], balances: Sequence[MachineBalance], policy: Pol
     return tuple(found.values())
 
 
-@dataclass(frozen=True)
-class Moved:
-    """A parameter in the next recording: there, in the machine, and how many deviations apart."""
-
-    name: str
-    words: str
-    unit: str
-    here: float
-    stddev: float
-    machine: float
-    deviations: float
-
-
-@dataclass(frozen=True)
-class Judged:
-    """The next recording beside the machine.
-
-    Attributes
-    ----------
-    error : of each balance, over its standard deviation, the machine's parameters held.
-    usual : the largest error that a recording of the machine had when it was left out.
-    moved : every parameter, the farthest first.
-    settings : the numbers of its setting, by name: (value, stddev).
-    """
-
-    source: str
-    error: dict[str, float]
-    usual: dict[str, float]
-    moved: tuple[Moved, ...]
-    settings: dict[str, tuple[float, float]]
-    limit: float
-
-    @property
-    def changed(self) -> tuple[Moved, ...]:
-        """Parameters beyond the spread of the machine's recordings."""
-        return tuple(one for one in self.moved if abs(one.deviations) > self.limit)
-
-    @property
-    def belongs(self) -> bool:
-        """Whether it is like the machine's own recordings."""
-        return not self.changed and all(
-            self.error[name] <= 1.5 * self.usual[name] for name in self.error)
-
-
-def judge(machine: Machine, recording: Recording, settings: Settings) -> Judged:
-    """Judge a recording against a machine: in a fraction of a second, by its balances alone."""
-    course, rig, policy = course_of(recording, settings), settings.rig, machine.policy
-    error, usual, moved, own = {}, {}, [], {}
-    for one in machine.balances:
-        names = set(one.terms)
-        kept = tuple(c for c in candidates_of(one.balance, machine.scale, rig)
-                     if c.name in names)
-        (table,) = tables_of([course], rig, one.balance, kept, policy)
-        shared = [table.places[p.name] for p in one.parameters]
-        free = [table.places[s.name] for s in one.settings]
-        w = np.array([p.value for p in one.parameters])
-        error[one.balance] = unseen(table, shared, free, w)
-        usual[one.balance] = max(one.error)
-        value, stddev = setting_of(table, shared, free, w)
-        own |= {s.name: (float(v), float(d)) for s, v, d in zip(
-            one.settings, value, stddev, strict=True)}
-        places = [*shared, *free]
-        signs = np.array([*(table.candidates[i - 1].sign for i in shared), *(0 for _ in free)])
-        gram = table.gram
-        here = signed_solution(gram[np.ix_(places, places)], gram[places, 0], signs)
-        left = max(float(gram[0, 0] - here @ gram[places, 0]), 0.0) / table.n
-        residual = table.left(dict(zip([table.candidates[i - 1].name for i in places], here,
-                                       strict=True)))
-        worth = independent(np.where(table.good, residual, np.nan))
-        deviation = np.sqrt(np.diag(inverse_of(gram[np.ix_(places, places)])) * left * worth)
-        for p, found, spread in zip(one.parameters, here, deviation, strict=False):
-            apart = (found - p.value) / max(np.sqrt(spread**2 + p.between**2 + p.stddev**2),
-                                            1e-300)
-            moved.append(Moved(p.name, p.words, p.unit, float(found), float(spread), p.value,
-                               float(apart)))
-    moved.sort(key=lambda one: -abs(one.deviations))
-    return Judged(recording.source, error, usual, tuple(moved), own, policy.odd)
-
-
 def save(machine: Machine, path: Path) -> None:
     """Write a machine as a small JSON file."""
     write_json(path, machine.to_dict())
@@ -401,7 +327,7 @@ def load(path: Path) -> Machine:
         known = {f.name for f in fields(Policy)}
         return Machine(
             data["rig"], tuple(row["recording"] for row in data["settings"]),
-            Scale(**data["scale"]), data["load_varied"], balances,
+            Scale(**data["scale"]), data["load_varied"], data["turns"], balances,
             tuple(Odd(**one) for one in data["odd"]),
             Policy(**{k: v for k, v in data["policy"].items() if k in known}))
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as problem:

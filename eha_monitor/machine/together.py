@@ -16,7 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from eha_monitor.machine.candidates import Candidate
-from eha_monitor.machine.least_squares import inverse_of, minimum_norm, signed_solution
+from eha_monitor.machine.least_squares import (
+    independent,
+    inverse_of,
+    minimum_norm,
+    signed_solution,
+)
 from eha_monitor.machine.policy import Policy
 from eha_monitor.machine.table import Table
 
@@ -303,8 +308,8 @@ def setting_of(table: Table, shared: list[int], settings: list[int], w: np.ndarr
     inner = table.gram[np.ix_(settings, settings)]
     t = minimum_norms(inner, (table.gram[settings] @ mixture)[:, None])[:, 0]
     mixture[settings] = -t
-    mse = float(mixture @ table.gram @ mixture) / max(table.n, 1)
-    return t, np.sqrt(np.diag(inverse_of(inner)) * mse * table.full[1])
+    left = np.where(table.good, table.rows @ mixture, np.nan)
+    return t, np.sqrt(np.diag(inverse_of(inner)) * float(np.nanmean(left**2)) * independent(left))
 
 
 def _mixture(table: Table, shared: list[int], w: np.ndarray) -> np.ndarray:

@@ -105,7 +105,8 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     held, decision = resolved(recordings, settings)
     experiment = at_its_angle(experiment_of(recordings, held, held_out is None, without))
     machine = _machine(recordings, settings, vary, say)
-    if machine is not None and experiment.inverse and held_out is None and hypothesis is None:
+    if (machine is not None and machine.turns and experiment.inverse and held_out is None
+            and hypothesis is None):
         # There no filter knows more than the balances, and they hold what differs by setting.
         return replace(diagnosis_of(machine, recordings, settings, started), baselines=tuple(
             baseline(recording, settings) for recording in recordings))

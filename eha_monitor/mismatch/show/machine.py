@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import stdtr
 
+from eha_monitor.machine.judge import Judged
 from eha_monitor.machine.machine import (
-    Judged,
     Machine,
     MachineBalance,
     Parameter,
