@@ -16,6 +16,7 @@ from eha_monitor.machine.machine import Machine, machine_of
 from eha_monitor.machine.policy import POLICY
 from eha_monitor.mismatch.advise import advice as advise
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
+from eha_monitor.mismatch.data.inputs import FORCED
 from eha_monitor.mismatch.diagnosis import (
     Considered,
     Diagnosis,
@@ -41,7 +42,7 @@ from eha_monitor.mismatch.name.unnamed import INTERMITTENT
 from eha_monitor.mismatch.show import balances as balance_show
 from eha_monitor.mismatch.show import held_out as show
 from eha_monitor.mismatch.show.changed import change_words, changed_between
-from eha_monitor.mismatch.show.machine import diagnosis_of
+from eha_monitor.mismatch.show.machine import alone_diagnosis, diagnosis_of
 from eha_monitor.mismatch.show.model import (
     between_models,
     config_effects,
@@ -120,6 +121,14 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
             experiment, held, named = other, other.settings, named_in(other, say)
             decision = replace(decision, hold=held.command_hold, evidence=gained, decided=True)
     found = diagnosed(recordings, experiment, named, held_out, started, say, hypothesis)
+    if experiment.inverse and experiment.mode != FORCED and named is not None and (
+            len(recordings) == 1 and held_out is None and hypothesis is None):
+        told, naming = named
+        tracks = balance_show.tracks_of(told)
+        drive = tuple(named_effect(told, naming, name, tracks) for name in naming.after.named
+                      if CATALOGUE[name].balance == "drive"
+                      and not naming.probability.get(name, 0.0) < LIKELY)
+        found = alone_diagnosis(found, drive, recordings[0], settings)
     told = decision is not None and decision.decided
     return replace(found, machine=machine, channels=decision.findings if told else (),
                    command_hold=(held if told else settings).command_hold,

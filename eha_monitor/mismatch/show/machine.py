@@ -2,10 +2,14 @@
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import stdtr
 
+from eha_monitor.machine.alone import alone
+from eha_monitor.machine.candidates import Scale, candidates_of
+from eha_monitor.machine.course import course_of
 from eha_monitor.machine.judge import Judged
 from eha_monitor.machine.machine import (
     Machine,
@@ -14,6 +18,8 @@ from eha_monitor.machine.machine import (
     Setting,
     rms,
 )
+from eha_monitor.machine.policy import POLICY
+from eha_monitor.machine.table import tables_of
 from eha_monitor.mismatch.diagnosis import (
     Change,
     Diagnosis,
@@ -198,3 +204,65 @@ def judged_diagnosis(judged: Judged, machine: Machine, recording: Recording, sta
                      health=tuple(loud), duration_s=recording.duration,
                      probability={"consistent": np.nan, "unexplained": np.nan},
                      wall_s=time.perf_counter() - started, machine=machine)
+
+
+def alone_diagnosis(found: Diagnosis, drive: Sequence[NamedEffect], recording: Recording,
+                    settings: Settings) -> Diagnosis:
+    """Return a diagnosis whose force and flow balances are what the recording alone supports.
+
+    Where a valve circuit's balances are compared, an evidence that counts every sample names what
+    another day does not repeat.  Here a name of these balances has to gain on halves of the
+    recording that its fit has not seen (:mod:`eha_monitor.machine.alone`); the drive's names stay.
+
+    Parameters
+    ----------
+    found : by evidence; its pictures and its first view are kept.
+    drive : effects of the drive's balance, which has a likelihood of its own.
+    """
+    course = course_of(recording, settings)
+    effects, signals, open_, after, weights = [], dict(found.signals), [], dict(found.after), {}
+    for balance in ("force", "flow"):
+        candidates = candidates_of(balance, Scale.of([course]), settings.rig)
+        (table,) = tables_of([course], settings.rig, balance, candidates, POLICY)
+        of, one = {c.name: c for c in table.candidates}, alone(table, POLICY)
+        gained = table.effective * float(np.log(max(one.nominal / max(one.error, 1e-9), 1.0)))
+        weights[balance] = max(one.nominal**2 - one.error**2, 0.0)
+        for name in one.names:
+            value = Value(name.value, name.stddev, of[name.term].unit)
+            if name.term == "B":
+                after["B"] = value
+            if name.term in LINEAR and (name.term != "F_0" or abs(name.value) < max(
+                    WRONG * name.stddev, ZERO * table.size)):
+                continue
+            effects.append(NamedEffect(
+                name.effect, balance, f"{of[name.term].words}: "
+                f"{with_uncertainty(name.value, name.stddev, value.unit)}",
+                {name.term: value}, gained, name.rivals, probability=name.probability))
+        left = signals.get(balance)
+        signals[balance] = SignalFit(SIDES[balance], one.nominal * table.size,
+                                     one.error * table.size, left.noise_rms if left else np.nan,
+                                     signal_rms=table.size)
+        open_.append(one.error > MOST)
+    effects = tuple(sorted((*effects, *(replace(effect, probability=min(
+        effect.probability, POLICY.certain)) for effect in drive)),
+        key=lambda effect: -effect.log_evidence))
+    verdict = "unexplained" if all(open_) or (not effects and any(open_)) else (
+        "mismatch" if effects else "consistent")
+    if verdict != "mismatch":
+        effects = ()
+    total = sum(weights.values()) or 1.0
+    return replace(
+        found, verdict=verdict, effects=effects, signals=signals, rig_data=(), rig_within=(),
+        after={"B": after["B"]} if verdict == "mismatch" and "B" in after else {}, health=(),
+        message="; ".join(effect.statement for effect in effects) or (
+            "the balances hold more than the catalogue explains" if verdict == "unexplained"
+            else "the config's own model explains both balances of this recording"),
+        location=replace(found.location, balance=dict.fromkeys(
+            ("force", "flow", "drive", "sensor"), 0.0) | {
+            name: value / total for name, value in weights.items()})
+        if verdict != "consistent" else found.location,
+        config_effects=dict(settings.effects), fitted=None, learned=(), gates=(),
+        probability={"consistent": np.nan, "unexplained": np.nan},
+        advice=("record the same machine again, with another load, another speed and on another "
+                "day, and diagnose all together: what one recording supports is not always there "
+                "on another day", *found.advice))
