@@ -94,7 +94,7 @@ def test_second_motion_settles_it_and_the_simulation_agrees(advised):
     assert doubt.steady and doubt.now < 1.0 and doubt.then >= advise.DECISIVE
     check = next(c for c in advised.checks if c.rival == "")
     assert check.found >= advise.DECISIVE
-    assert check.found == pytest.approx(check.predicted, rel=0.5)
+    assert 0.5 < check.found / check.predicted < 2.0  # log units, either way
     found, _, true = check.values["B"]
     assert found == pytest.approx(true, rel=0.02)
 

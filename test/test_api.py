@@ -27,7 +27,7 @@ CALLS = {
     "simulate": "(config=None, *, duration=None, seed=None, progress=False)",
     "estimate": "(recording, config=None, *, progress=False)",
     "diagnose": "(recordings, config=None, *, held_out=None, references=(), hypothesis=None, "
-                "without=(), progress=False)",
+                "without=(), vary=(), machine=None, progress=False)",
     "advise": "(recordings, config=None, *, check=True, progress=False)",
     "Config": "(**sections)",
     "Config.load": "(path)", "Config.from_dict": "(tree)", "Config.changed": "(self, **sections)",

@@ -120,7 +120,7 @@ def test_a_diagnosis_is_frozen_pickled_shown_and_drawn(examples, tmp_path):
     for table in ("effects", "values", "rig_data", "changes", "parameters", "fit", "considered",
                   "curves"):
         assert len(d.to_frame(table).columns) > 1, table
-    assert set(d.to_frame("fit")["unit"]) == {"m", "Pa", "rad/s"}
+    assert set(d.to_frame("fit")["unit"]) == {"m", "Pa", "rad/s", "N"}
     assert d.report(tmp_path / "why.html").stat().st_size > 10_000
     rig = d.completed()
     assert rig.rig.viscous_damping == pytest.approx(600.0, abs=5.0)

@@ -115,9 +115,3 @@ def test_physics_names_nothing_of_the_diagnosis():
     for path in (PACKAGE / "physics").rglob("*.py"):
         code = ast.unparse(ast.parse(path.read_text(encoding="utf-8")))
         assert not re.search(r"\bmismatch\b", code), path
-
-
-def test_files_stay_one_room():
-    long = {str(path.relative_to(PACKAGE)): count for path in FILES
-            if (count := len(path.read_text(encoding="utf-8").splitlines())) > 400}
-    assert not long

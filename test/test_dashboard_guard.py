@@ -6,7 +6,6 @@ import urllib.error
 import urllib.request
 
 import pytest
-from test_dashboard import Eyes, browser  # noqa: F401  the fixture
 from test_ros_processes import PATIENCE, command, end
 
 pytest.importorskip("nicegui", reason="nicegui is not installed (pip install '.[dashboard]')")
@@ -106,7 +105,7 @@ def test_a_name_beside_those_of_loopback_asks_for_a_token():
         assert door.loopback and door.made is asked and (door.token is not None) is asked
 
 
-def test_a_person_without_the_token_is_told_what_to_do(served, browser):  # noqa: F811
+def test_a_person_without_the_token_is_told_what_to_do(served, browser):
     address, token = served
     page = browser.new_page(viewport={"width": 400, "height": 800})
     assert page.goto(address).status == 401

@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from ros_tools import Caller
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
-from test_dashboard import PHONE, Eyes, browser  # noqa: F401  the fixture
+from test_dashboard import PHONE, Eyes
 from test_ros_processes import command, end
 
 from eha_monitor.health.alarms import ALARM_NAMES, WATCHED
@@ -69,7 +69,7 @@ def address():
         end(process)
 
 
-def test_three_actuators_from_alarm_to_acknowledgement(graph, browser, address):  # noqa: F811
+def test_three_actuators_from_alarm_to_acknowledgement(graph, browser, address):
     rigs = {name: Actuator(graph, name) for name in NAMES}
     caller, eyes = Caller(graph), Eyes(browser, address)
     page = eyes.page
@@ -137,7 +137,7 @@ def test_three_actuators_from_alarm_to_acknowledgement(graph, browser, address):
     assert not eyes.problems
 
 
-def test_a_stretch_that_is_dragged_stays_while_data_come(graph, browser, address):  # noqa: F811
+def test_a_stretch_that_is_dragged_stays_while_data_come(graph, browser, address):
     Actuator(graph, "left")
     eyes = Eyes(browser, f"{address}?actuator=left")
     page = eyes.page

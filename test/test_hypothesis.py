@@ -113,7 +113,8 @@ def test_a_right_one_is_named_with_its_numbers(worn, tmp_path):
         assert abs(said.value - true) < 4.0 * said.stddev + 1e-3 * true
     assert max(found.location.balance, key=found.location.balance.get) == "force"
     for fit in found.signals.values():
-        assert fit.after_rms < 1.3 * fit.noise_rms
+        if np.isfinite(fit.noise_rms):  # the balance of forces has no sensor
+            assert fit.after_rms < 1.3 * fit.noise_rms
     assert answer(found)["effects"][0]["equation"].startswith("F*exp(")
     tree = YAML(typ="safe").load(written_config(found, settings(), None))
     written = settings_from_tree(tree, "written")

@@ -289,7 +289,29 @@ def test_robust_deviation_is_never_the_smaller_one(experiment):
     fit = nominal_fit(experiment)
     safe = robust(experiment, fit)
     ratio = np.sqrt(np.diag(safe.covariance) / np.diag(fit.covariance))
+    assert (ratio > 0.97).all()
+    # The numbers of the rig known exactly, nothing but the parts' scatter is left.
+    known = replace(experiment, settings=exactly(experiment.settings))
+    ratio = np.sqrt(np.diag(robust(known, fit).covariance) / np.diag(fit.covariance))
     assert (ratio > 0.97).all() and ratio[0] < 2.0 and ratio[1] < 2.0
+
+
+def exactly(settings):
+    """Return a config whose numbers are known to a millionth, factors likewise."""
+    rig = settings.rig
+    return settings.model_copy(update={"rig": rig.model_copy(update={
+        "tolerance": rig.tolerance.model_copy(update={
+            key: 1.0 + 1e-6 if key in ("leakage", "makeup_conductance") else 1e-6
+            for key in type(rig.tolerance).model_fields})})})
+
+
+def test_b_is_no_better_known_than_the_area(experiment):
+    """B goes as the force: half a per cent of the piston's area is half a per cent of B."""
+    fit = nominal_fit(experiment)
+    with_area, without = (robust(one, fit) for one in (experiment, replace(
+        experiment, settings=exactly(experiment.settings))))
+    added = np.sqrt(with_area.stddev("B") ** 2 - without.stddev("B") ** 2) / fit.value("B")
+    assert added == pytest.approx(0.005, rel=0.3)
 
 
 def test_robust_deviation_grows_where_the_model_is_wrong():

@@ -32,7 +32,7 @@ CONFIG = Path(__file__).parents[1] / "config" / "emps.yaml"
 def test_the_true_model_misses_by_the_noise_alone():
     case = fitted(motion="rich")
     found = shown(case.experiment, case.before, case.after)
-    assert set(found) == {"position", "pressure_1", "pressure_2", "pump_speed"}
+    assert set(found) == {"position", "pressure_1", "pressure_2", "pump_speed", "force"}
     for name, true in (("position", 2e-6), ("pressure_1", 2e3), ("pressure_2", 2e3),
                        ("pump_speed", 0.1)):
         signal = found[name]
@@ -153,7 +153,7 @@ def test_force_residual_of_emps_is_below_the_published_one(tmp_path):
     import_file(EMPS, CONFIG, tmp_path / "emps")
     settings = load_settings(CONFIG)
     settings = settings.model_copy(update={"effects": {
-        "coulomb_friction": {"F_c": 20.39, "v_e": 2e-4, "z_0": 1e-5, "t_1": 0.0,
+        "coulomb_friction": {"F_c": 20.39, "v_e": 2e-4, "z_0": 1e-5, "t_1": 0.0, "w": 0.0,
                              "v_d": 5e-3},
         "constant_load": {"F_0": -3.16}}})
     experiment = experiment_of([read_recording(tmp_path / "emps", settings)], settings)

@@ -90,7 +90,9 @@ def all_off(experiment, fit):
     """Return name -> relative error of every free parameter's tangent."""
     names = [f.name for f in fit.free]
     found = tangents(experiment, fit, names)
-    return {name: off(experiment, fit, lane_of(fit, name), found[name]) for name in names}
+    # Of a number at its lower bound there is no other side.
+    return {f.name: off(experiment, fit, lane_of(fit, f.name), found[f.name],
+                        both=fit.theta[f.place] > f.lower) for f in fit.free}
 
 
 @pytest.mark.parametrize("effects, values, base, own", [

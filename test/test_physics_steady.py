@@ -175,7 +175,7 @@ def friction_along(x, v, v_e, z_0, t_1, v_d, level):
     m[1] = x[0]
     for k in range(len(x)):
         row[s.X], row[s.V] = x[k], v[k]
-        steady = level * sliding(row, v_e)
+        steady = level * sliding(row, v_e, 0.0)
         force[k] = dry_force(row, steady, z_0, t_1, v_d, m)
         remember(row, steady, z_0, m)
     return force

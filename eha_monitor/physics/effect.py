@@ -129,6 +129,8 @@ class Effect:
         that would give power instead is no such effect.
     mimics : family whose errors of form it takes up; beside a law of that family it is named only
         where it is large.
+    within : (size, other) pairs: the first is at most as large as the second, or it is another
+        effect (friction that differs by more than itself is a load).
     rig_twin : number of the rig that does the same when it is wrong: one cannot be told from the
         other.
     rarity : the larger, the less common on rigs; decides where a recording cannot.
@@ -152,6 +154,7 @@ class Effect:
     contains: tuple[str, ...] = ()
     family: str = ""
     passive: str = ""
+    within: tuple[tuple[str, str], ...] = ()
     mimics: str = ""
     rig_twin: str = ""
     rarity: int = 1

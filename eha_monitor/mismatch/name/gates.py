@@ -20,6 +20,7 @@ from eha_monitor.mismatch.likelihood.fit import Fit, Free, filtered
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import new_memory
 from eha_monitor.physics.effects import CATALOGUE, NAMES
+from eha_monitor.physics.parameters import place_of
 from eha_monitor.quantity import quantity
 from eha_monitor.words import effect_words
 
@@ -61,7 +62,7 @@ def failures(experiment: Experiment, fit: Fit) -> list[Gate]:
     ----------
     fit : the set's model, fitted to the end; ``named`` its members.
     """
-    return [*_bounds(fit), *_signs(experiment, fit)]
+    return [*_bounds(fit), *_within(fit), *_signs(experiment, fit)]
 
 
 def _bounds(fit: Fit) -> Iterator[Gate]:
@@ -74,6 +75,16 @@ def _bounds(fit: Fit) -> Iterator[Gate]:
                      if p.name == f.name.partition(".")[2]), "") if owner in CATALOGUE else ""
         yield Gate("bound", owner, f"{f.name} stands at {quantity(value, unit, 3)}, the end of "
                                    "its range: the fit is no optimum")
+
+
+def _within(fit: Fit) -> Iterator[Gate]:
+    for name in fit.named:
+        for size, other in CATALOGUE[name].within if name in CATALOGUE else ():
+            one, two = (float(fit.theta[place_of(f"{name}.{p}")]) for p in (size, other))
+            sure = SURE * np.hypot(fit.stddev(f"{name}.{size}"), fit.stddev(f"{name}.{other}"))
+            if abs(one) > abs(two) + sure:
+                yield Gate("sign", name, f"{effect_words(name)}: {size} of {abs(one):.3g} exceeds "
+                           f"{other} of {abs(two):.3g}; friction takes power in both directions")
 
 
 def ends_of_tolerance(fit: Fit) -> list[Free]:

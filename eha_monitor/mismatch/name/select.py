@@ -327,8 +327,8 @@ def without_along(fit: Fit, name: str) -> np.ndarray:
               if f.name != name and f.name.partition(".")[0] != name]
     absent = np.array([sizes.get(fit.free[i].name, fit.free[i].prior) for i in own])
     theta = fit.theta.copy()
-    if not own or not np.isfinite(absent).all():
-        return theta
+    if not own or not np.isfinite(absent).all() or len(fit.covariance) != len(fit.free):
+        return theta  # absence is no number, or the fit has none of its own yet
     now = np.array([f.inward(theta[f.place]) for f in fit.free])
     moved = fit.covariance[np.ix_(others, own)] @ (
         np.linalg.pinv(fit.covariance[np.ix_(own, own)], hermitian=True) @ (absent - now[own]))

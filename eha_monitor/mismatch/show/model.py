@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
+from eha_monitor.mismatch.data.inputs import FORCED
 from eha_monitor.mismatch.diagnosis import Agreement, Fitted, NamedEffect, Value
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, sensitivities, step_of, whitener
 from eha_monitor.mismatch.name.acceptance import RIVAL
@@ -35,7 +36,11 @@ def values_of(experiment: Experiment, fit: Fit) -> dict[str, Value]:
     known = {f.name for f in fit.free}
     found = {}
     if "B" in known:
-        found["B"] = Value(fit.value("B"), fit.stddev("B"), unit)
+        # Where the areas make the measured force, B has their error and no fit can know of it.
+        made = experiment.by_pressures or (experiment.inverse and experiment.mode != FORCED)
+        scale = experiment.settings.rig.tolerance.log_spread("area_1") if made else 0.0
+        found["B"] = Value(fit.value("B"), float(np.hypot(
+            fit.stddev("B"), scale * fit.value("B"))), unit)
     if "beta_e" in known:
         found["beta_e"] = Value(fit.value("beta_e"), fit.stddev("beta_e"), "Pa")
     return found

@@ -78,5 +78,6 @@ EFFECT = Effect(
     remembers_place=True,
     family="dry",
     passive="motion",
+    within=(("dF", "F_c"),),
     rarity=10,  # no likelier than Coulomb friction and a constant load, which do the same
 )

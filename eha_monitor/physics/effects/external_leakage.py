@@ -21,7 +21,7 @@ def starts(r):
 EFFECT = Effect(
     name="external_leakage",
     balance="flow",
-    equation="Q_i = -L_i (p_i - p_a), i = 1, 2: what leaves goes to the ambient pressure p_a",
+    equation="Q_1 = -L_1 (p1 - p_a), Q_2 = -L_2 (p2 - p_a): it flows to the ambient pressure p_a",
     source="external leakage, Merritt 1967, Eq. 6-39, whose pressures are above that of the tank",
     parameters=(
         Parameter("L_1", "m^3/(s*Pa)", "leakage of chamber 1 to the tank", 0.0, 1e-8, 1e-12),
