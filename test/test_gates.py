@@ -32,7 +32,7 @@ def with_start(name, of="coulomb_friction"):
     start = starts_of(name, here.experiment)[0]
     fit = with_effect(here.before, start, (1.0,) * 3)
     k = len(fit.free)
-    return here.experiment, replace(fit, covariance=1e-12 * np.eye(k))
+    return here.experiment, replace(fit, covariance=1e-30 * np.eye(k))
 
 
 def gates_of(experiment, fit):

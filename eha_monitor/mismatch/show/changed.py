@@ -78,7 +78,7 @@ def changed_between(experiment: Experiment, recordings: list[Recording], naming:
     if reached - constant < max(LEAST, EXPLAINED * (expected - constant)):
         return None
     pieces = tuple(Piece(part.stretches[0].source, float(part.stretches[0].start), end_of(part),
-                         values_of(part, robust(part, fit)))
+                         values_of(part, robust(part, fit, of_rig=False)))
                    for part, fit in zip(parts, fits, strict=True))
     if not any(differ(one.values, other.values)
                for one, other in pairwise(pieces)):

@@ -97,7 +97,7 @@ def between_models(known: dict[str, Value], naming: Naming) -> dict[str, Value]:
     return found
 
 
-def robust(experiment: Experiment, fit: Fit, block: float = BLOCK) -> Fit:
+def robust(experiment: Experiment, fit: Fit, block: float = BLOCK, of_rig: bool = True) -> Fit:
     """Return a fit whose covariance counts blocks of the record, not samples.
 
     Where a model is not exact to the last newton, its innovations pull the parameters one way in
@@ -109,11 +109,14 @@ def robust(experiment: Experiment, fit: Fit, block: float = BLOCK) -> Fit:
     Parameters
     ----------
     block : length of a block, s.
+    of_rig : also what the rig's tolerances leave open; not between parts of one rig, which have
+        its errors in common.
     """
     if not fit.free:
         return fit
     k = len(fit.free)
-    whole = (*fit.free, *(f for f in with_rig(experiment, fit).free if f not in fit.free))
+    whole = (*fit.free, *(f for f in with_rig(experiment, fit).free
+                          if of_rig and f not in fit.free))
     w = whitener(fit.s)
     white = np.nan_to_num(fit.e) @ w.T
     slopes = sensitivities(experiment, fit.theta, fit.active, fit.gains, fit.e,
