@@ -150,9 +150,9 @@ SIGNATURES = (
     ("filters.kernel_one", "start_one", (
         float64[::1], float64[::1], float64, float64, float64, bool,
     )),
-    ("mismatch.name.gram", "power_at", (
+    ("mismatch.name.gram", "powers_at", (
         float64[:, ::1], bool[:, ::1], bool[::1], float64[:, ::1], float64[:, ::1],
-        float64[:, :, ::1], float64[:, :, ::1], float64[:, ::1],
+        float64[:, :, ::1], float64[:, :, :, ::1], float64[:, :, ::1],
     )),
     ("mismatch.likelihood.along", "drive_along", (
         float64[::1], float64[:, ::1], float64, int64, float64[::1], float64[::1], float64[::1],

@@ -102,7 +102,9 @@ def all_off(experiment, fit):
 def test_tangents_are_the_slopes_of_the_filter(tmp_path, effects, values, base, own):
     experiment, fit = model_of(tmp_path, effects, values)
     for name, error in all_off(experiment, fit).items():
-        assert error < (own if name.partition(".")[0] in effects else base), name
+        # w acts in the few samples that creep, and has one side only where it is nil.
+        assert error < (0.1 if name.endswith(".w") else own if name.partition(".")[0] in effects
+                        else base), name
 
 
 @pytest.mark.parametrize("mode", [OPEN, FORCED])
@@ -112,7 +114,8 @@ def test_tangents_where_the_pump_speed_or_the_force_is_the_input(tmp_path, mode)
     assert experiment.mode == mode
     for name, error in all_off(experiment, fit).items():
         # v_e acts in the few samples that creep, on 1 % of what F_c does.
-        assert error < (0.04 if name == "coulomb_friction.v_e" else 0.02), name
+        assert error < (0.1 if name == "coulomb_friction.w" else
+                        0.04 if name == "coulomb_friction.v_e" else 0.02), name
 
 
 @pytest.mark.parametrize("name, tolerance", [
