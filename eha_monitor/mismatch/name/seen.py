@@ -30,6 +30,7 @@ class Seen:
     stations : names -> model and evidence of what cannot be (no damping, no stiffness).  It is no
         answer, but what it lacks may be what makes it possible: the search goes on from there.
     tried : (model, set) that was refitted from a linearisation at that model, whatever came of it.
+    dropped : names -> model of a first look that others were ahead of then.
     refused : names -> gates that the set does not pass: it is no answer, whatever its evidence.
     """
 
@@ -40,6 +41,7 @@ class Seen:
     left: dict[Names, float] = field(default_factory=dict)
     stations: dict[Names, tuple[Fit, float]] = field(default_factory=dict)
     tried: set[tuple[Names, Names]] = field(default_factory=set)
+    dropped: dict[Names, Fit] = field(default_factory=dict)
     refused: dict[Names, tuple[Gate, ...]] = field(default_factory=dict)
 
     def add(self, experiment: Experiment, names: Names, fit: Fit, anyway: bool = False) -> None:

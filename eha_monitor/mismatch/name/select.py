@@ -122,6 +122,8 @@ def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], seen: 
     base = min(looks[-1].log_likelihood, view.fit.log_likelihood)
     going = [made for made in looks
              if made.log_likelihood >= base + CATCHING_UP * (reach - base)][:MOST_GOING]
+    seen.dropped.update((frozenset(made.named), made) for made in looks[::-1]
+                        if all(made is not one for one in going))
     for made in spread(lambda made: settled(experiment, made, view.slopes), going):
         seen.add(experiment, frozenset(made.named), made)
 
@@ -401,6 +403,11 @@ def finish(experiment: Experiment, seen: Seen) -> None:
     A refit that is cut short ranks the wrong set first where effects trade.
     """
     without_each(experiment, seen)
+    best = seen.best()
+    lead = seen.fits[best]
+    for names, fit in seen.dropped.items():  # what was slow may be as good in the end
+        if names not in seen.fits and fit.log_likelihood > lead.log_likelihood - WITHIN_REACH:
+            seen.add(experiment, names, settled(experiment, fit))
     best = seen.best()
     lead = seen.fits[best]
     for name in filter(is_effect, sorted(best)):  # a law as simple, from the same place
