@@ -232,8 +232,8 @@ def alone_diagnosis(found: Diagnosis, drive: Sequence[NamedEffect], recording: R
             value = Value(name.value, name.stddev, of[name.term].unit)
             if name.term == "B":
                 after["B"] = value
-            if closed or name.term in LINEAR and (name.term != "F_0" or abs(name.value) < max(
-                    WRONG * name.stddev, ZERO * table.size)):
+            if closed or (name.term in LINEAR and (name.term != "F_0" or abs(name.value) < max(
+                    WRONG * name.stddev, ZERO * table.size))):
                 continue
             effects.append(NamedEffect(
                 name.effect, balance, f"{of[name.term].words}: "
