@@ -12,7 +12,6 @@ import numpy as np
 from eha_monitor.machine.course import COMMANDED, Course
 from eha_monitor.settings.rig import Rig
 
-AMBIENT = 1.01325e5  # Pa
 # Grids of shapes, as shares of the usual travel or speed; between two neighbours an error changes
 # by less than what a name owes.
 BENT = (0.005, 0.015, 0.05, 0.15)
@@ -252,7 +251,8 @@ FLOW = (
     _flow("C_h", "compliance", "m³/Pa", "compliance of a chamber", 1,
           lambda c, r: -pressure_rate(c, r), family="compliance"),
     _flow("V_a", "entrained_air", "m³/Pa", "compliance of air, at ambient pressure", 1,
-          lambda c, r: -pressure_rate(c, r) * (AMBIENT / (pumped_pressure(c, r) + AMBIENT)) ** 2,
+          lambda c, r: -pressure_rate(c, r) * (
+              r.ambient_pressure / (pumped_pressure(c, r) + r.ambient_pressure)) ** 2,
           family="compliance"),
     _flow("C_x", "position_dependent_volume", "m²/Pa", "compliance over the stroke", 0,
           lambda c, r: -pressure_rate(c, r) * c.x, family="compliance"),

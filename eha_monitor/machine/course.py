@@ -13,6 +13,7 @@ from scipy.signal import butter, sosfiltfilt
 from eha_monitor.errors import InputError
 from eha_monitor.filters.inputs import force_missing, force_of
 from eha_monitor.filters.noise import noise_levels, without_spikes
+from eha_monitor.mismatch.data.inputs import filled
 from eha_monitor.mismatch.data.stops import between_stops
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.sample import sample_of
@@ -117,7 +118,7 @@ def course_of(recording: Recording, settings: Settings) -> Course:
                for name, values in cleaned.items()}
     needed = [name for name in names if name not in ("x_d", "omega_d")]
     missing = ~np.all([np.isfinite(cleaned[name]) for name in needed], axis=0)
-    whole = {name: _bridged(values) for name, values in cleaned.items()}
+    whole = {name: filled(values) for name, values in cleaned.items()}
     away = np.zeros(len(recording), dtype=bool)
     for first, last in between_stops(whole["x"], force_of(rig, whole), dt):
         away[first:last] = True
@@ -160,12 +161,6 @@ def _low_pass(values: np.ndarray, cutoff: float, dt: float) -> np.ndarray:
     """Return values (n,) or (n, k) behind a Butterworth low-pass of ``cutoff`` Hz, both ways."""
     sections = butter(4, cutoff, fs=1.0 / dt, output="sos")
     return sosfiltfilt(sections, values, axis=0, padlen=min(len(values) - 1, round(1.0 / dt)))
-
-
-def _bridged(values: np.ndarray) -> np.ndarray:
-    """Return samples with what is missing interpolated, (n,)."""
-    good, index = np.isfinite(values), np.arange(len(values))
-    return np.interp(index, index[good], values[good])
 
 
 def _dead(values: np.ndarray, dt: float) -> np.ndarray:
