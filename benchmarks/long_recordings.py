@@ -92,8 +92,7 @@ def warm(place: Path) -> None:
 
 def write_messages(minutes: int, bag: Path) -> None:
     """Write what a recorder would, message by message."""
-    from eha_monitor.recordings.serialise import messages_of
-    from eha_monitor.recordings.write import BagWriter
+    from eha_monitor.recordings.write import BagWriter, messages_of
 
     noise = np.random.default_rng(0).normal(size=(5, 1000))
     stamps = 10**6 * np.arange(1000)

@@ -142,7 +142,7 @@ def publish(count: int, duration: float) -> None:
     from rclpy.qos import QoSProfile, ReliabilityPolicy
 
     from eha_monitor.physics.simulator import Simulator
-    from eha_monitor.recordings.serialise import messages_of
+    from eha_monitor.recordings.write import messages_of
     from eha_monitor.ros.inputs import message_class
     from eha_monitor.settings import Settings
 

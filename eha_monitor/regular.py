@@ -1,6 +1,7 @@
-"""What must be a file: a pipe, socket or device in its place would hold the program for ever."""
+"""Files: which kind they are, and the order of their names."""
 
 import os
+import re
 import stat
 from pathlib import Path
 
@@ -14,6 +15,8 @@ _KINDS = {stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket", stat.S_IFCHR: "a de
 
 def check_regular(path: str | Path, expected: str, streams: bool = False) -> None:
     """Refuse what is there and no regular file, before it is opened.
+
+    A pipe, socket or device in its place would hold the program for ever.
 
     Parameters
     ----------
@@ -34,3 +37,8 @@ def check_regular(path: str | Path, expected: str, streams: bool = False) -> Non
     if not stat.S_ISREG(mode):
         found = _KINDS.get(stat.S_IFMT(mode), "no file")
         raise InputError(f"{path}: expected {expected}, found {found}")
+
+
+def natural(name: str) -> list[str | int]:
+    """Sort key of file names by which part 10 comes after part 9."""
+    return [int(part) if i % 2 else part for i, part in enumerate(re.split(r"(\d+)", name))]

@@ -168,16 +168,9 @@ SIGNATURES = (
         float64[::1], float64[::1], float64[:, ::1], float64[:, ::1], float64[:, ::1],
         float64[:, ::1]), float64[:, ::1],
     )),
-    ("recordings.walk", "same_structure", (
-        Array(uint8, 1, 'C', readonly=True, aligned=True), int64[::1], Array(uint8, 1, 'C',
-        readonly=True, aligned=True), int64[::1],
-    )),
     ("mismatch.likelihood.tangent_motion", "before_corrections", (
         float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[::1], float64, float64[::1],
         float64[:, ::1], float64[::1],
-    )),
-    ("recordings.walk", "gather", (
-        Array(uint8, 1, 'C', readonly=True, aligned=True), int64[::1], int64, int64,
     )),
     ("filters.stage_one", "predict_one", (
         float64, float64, float64, float64, float64, float64, float64,

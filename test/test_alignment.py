@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from eha_monitor.errors import InputError
 from eha_monitor.recordings.align import align, interpolate
-from eha_monitor.recordings.topics import Series
+from eha_monitor.recordings.cdr import Series
 from eha_monitor.settings import Settings, settings_from_tree
 
 SETTINGS = Settings()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eha_monitor.recordings.align import align
-from eha_monitor.recordings.topics import Series
+from eha_monitor.recordings.cdr import Series
 from eha_monitor.settings import Settings
 
 SETTINGS = Settings()

@@ -20,8 +20,7 @@ from eha_monitor.recordings import columns, read
 from eha_monitor.recordings.bag_writer import BagWriter
 from eha_monitor.recordings.columns import Column, blocks, first_where, let_go, on_disk, spans_of
 from eha_monitor.recordings.recording import Recording
-from eha_monitor.recordings.serialise import messages_of
-from eha_monitor.recordings.write import ChannelWriter, write_recording
+from eha_monitor.recordings.write import ChannelWriter, messages_of, write_recording
 
 FINE = {"IN_MEMORY": 8192, "PIECE": 4096}
 

@@ -238,19 +238,6 @@ def test_raw_messages_come_in_order_of_time(tmp_path):
     assert topics(path)["/eha/pressure/chamber_1"].msgtype == PRESSURE
 
 
-def test_whole_messages_are_read_without_decoding_one_by_one(tmp_path):
-    from eha_monitor.recordings import cdr
-    from eha_monitor.recordings.topics import TopicReader
-
-    _, msgtype, _, raw = next(contract_messages(1))
-    want = cdr.Want("position", "piston")
-    reader = TopicReader("/a", msgtype, STORE.fielddefs, (want,))
-    data = np.frombuffer(raw * 100, dtype=np.uint8)
-    begins = np.arange(100) * len(raw)
-    reader.add(data, begins, begins, np.full(100, len(raw)))
-    assert reader._store is None and len(reader.series(want).values) == 100
-
-
 def test_header_stamps_that_jitter_by_half_a_sample(tmp_path):
     rng = np.random.default_rng(0)
     stamps, x, p = motion(3000)

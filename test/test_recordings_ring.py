@@ -10,8 +10,7 @@ import pytest
 from rosbags.rosbag2.metadata import parse_qos
 
 from eha_monitor.recordings.bag import iter_raw, topics
-from eha_monitor.recordings.ring import CHUNK_BYTES, Ring
-from eha_monitor.recordings.saver import Saver
+from eha_monitor.recordings.ring import CHUNK_BYTES, Ring, Saver
 from eha_monitor.recordings.write import TopicType
 
 NUMBER = TopicType("std_msgs/msg/Float64")

@@ -17,8 +17,7 @@ from eha_monitor.recordings.bag import iter_raw, topics
 from eha_monitor.recordings.limits import LARGEST
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import CHANNELS, Recording
-from eha_monitor.recordings.serialise import messages_of
-from eha_monitor.recordings.write import BagWriter, TopicType, write_recording
+from eha_monitor.recordings.write import BagWriter, TopicType, messages_of, write_recording
 from eha_monitor.settings import Settings
 
 SETTINGS = Settings()

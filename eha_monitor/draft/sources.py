@@ -109,7 +109,7 @@ def _bag(path: Path) -> Source:
     from rosbags.typesys.store import Typestore
 
     from eha_monitor.recordings.bag import iter_raw, topics
-    from eha_monitor.recordings.topics import UNREADABLE, types_of
+    from eha_monitor.recordings.cdr import UNREADABLE, types_of
 
     stores, taken, numbers = {}, {}, {}
     for topic, described in topics(path).items():

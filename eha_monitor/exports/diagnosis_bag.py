@@ -13,7 +13,7 @@ import numpy as np
 from eha_monitor.mismatch.show.series import Series
 from eha_monitor.recordings.bag_writer import BagWriter
 from eha_monitor.recordings.recording import Recording
-from eha_monitor.recordings.serialise import MessageStream, messages_of
+from eha_monitor.recordings.write import MessageStream, messages_of
 
 FLOAT = "std_msgs/msg/Float64"
 PARTS = ("needed", "explained", "remaining")

@@ -1,15 +1,198 @@
-"""Which files make a bag, and its messages as raw bytes."""
+"""Which files make a bag, and its messages as raw bytes.
 
+The framing of an mcap file is walked by a compiled loop (:mod:`eha_monitor.recordings.walk`);
+what the records mean is left to the ``mcap`` library.  The summary at the end is not needed, so a
+file that was cut off is read up to the cut, its last chunk included.
+"""
+
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
+import lz4.frame
+import mcap.records
 import numpy as np
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.stream_reader import get_chunk_data_stream
 
 from eha_monitor.errors import InputError
-from eha_monitor.recordings.mcap_file import ZSTD_MAGIC, Block, McapFile
-from eha_monitor.recordings.order import natural
-from eha_monitor.regular import check_regular
+from eha_monitor.recordings.columns import let_go
+from eha_monitor.recordings.walk import AT_END, FOOTER, FULL, PREFIX, walk_records
+from eha_monitor.regular import check_regular, natural
+
+MAGIC = b"\x89MCAP0\r\n"
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+LARGEST_CHUNK = 2**31  # a larger one is a damaged length, not a chunk
+BATCH = 65536  # messages for each yielded block of an unchunked file
+OTHERS = 256  # other records that are walked at a time: each touches some pages of the file
+
+# What the libraries raise on hostile bytes; struct.error is no ValueError, EOFError none either.
+DAMAGE = (McapError, ValueError, KeyError, RuntimeError, EOFError, MemoryError, OverflowError,
+          struct.error, zstandard.ZstdError)
+
+
+@dataclass(frozen=True)
+class Block:
+    """Messages that lie in one stretch of bytes.
+
+    ``data`` (n,) uint8; ``ids``, ``times`` (log time, ns), ``begins``, ``lengths`` (m,) int64.
+    """
+
+    data: np.ndarray
+    ids: np.ndarray
+    times: np.ndarray
+    begins: np.ndarray
+    lengths: np.ndarray
+
+
+class McapFile:
+    """One mcap file; iterate :meth:`blocks`, then ask what was lost.
+
+    Attributes
+    ----------
+    schemas, channels : id -> record, filled while the blocks are read.
+    found : messages found so far; declared : what the file's own statistics say, or None.
+    truncated_at : byte where the file ends too early or cannot be followed, or None.
+    damaged_chunks : chunks that could not be decoded.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+        self.schemas: dict[int, mcap.records.Schema] = {}
+        self.channels: dict[int, mcap.records.Channel] = {}
+        self.found = 0
+        self.declared: int | None = None
+        self.truncated_at: int | None = None
+        self.damaged_chunks = 0
+        self.damage = ""
+        self.data = _bytes_of(path)
+
+    def blocks(self) -> Iterator[Block]:
+        """Yield the messages in file order."""
+        position, ending = len(MAGIC), FULL
+        while ending == FULL:
+            block, records, position, ending = _walk(self.data, position)
+            records.sort(key=lambda record: record[0] == Opcode.CHUNK)  # channels come first
+            for opcode, begin, length in records:
+                if opcode == Opcode.CHUNK:
+                    break
+                self._declare(opcode, self.data[begin:begin + length])
+            yield from self._count(block)
+            let_go(self.data)
+            for opcode, begin, length in records:
+                if opcode == Opcode.CHUNK:
+                    yield from self._chunk(self.data[begin:begin + length], whole=True)
+                    let_go(self.data)
+        if ending == FOOTER:
+            return
+        self.truncated_at = len(self.data) if ending == AT_END else position
+        rest = self.data[position:]
+        if len(rest) > PREFIX and rest[0] == Opcode.CHUNK:
+            yield from self._chunk(rest[PREFIX:], whole=False)
+
+    def _count(self, block: Block) -> Iterator[Block]:
+        if len(block.ids):
+            self.found += len(block.ids)
+            yield block
+
+    def _declare(self, opcode: int, data: np.ndarray) -> None:
+        """Take note of a schema, a channel or the statistics."""
+        try:
+            if opcode == Opcode.SCHEMA:
+                schema = mcap.records.Schema.read(_stream(data))
+                self.schemas[schema.id] = schema
+            elif opcode == Opcode.CHANNEL:
+                channel = mcap.records.Channel.read(_stream(data))
+                self.channels[channel.id] = channel
+            elif opcode == Opcode.STATISTICS:
+                self.declared = mcap.records.Statistics.read(_stream(data)).message_count
+        except DAMAGE as problem:
+            self.damage = self.damage or f"{type(problem).__name__}"
+
+    def _chunk(self, data: np.ndarray, whole: bool) -> Iterator[Block]:
+        try:
+            content = _content(mcap.records.Chunk.read(_stream(data)), whole)
+        except DAMAGE as problem:
+            if whole:
+                self.damaged_chunks += 1
+                self.damage = self.damage or " ".join(str(problem).split())[:100]
+            return
+        position, ending = 0, FULL
+        while ending == FULL:
+            block, records, position, ending = _walk(content, position)
+            for opcode, begin, length in records:
+                self._declare(opcode, content[begin:begin + length])
+            yield from self._count(block)
+        if whole and ending != AT_END:
+            self.damaged_chunks += 1
+
+
+def _bytes_of(path: Path) -> np.ndarray:
+    """Return the file as uint8, unpacked where the file as a whole is compressed."""
+    check_regular(path, "an mcap bag")
+    try:
+        if path.stat().st_size == 0:
+            raise InputError(f"{path}: the file is empty, expected an mcap bag")
+        data = np.asarray(np.memmap(path, dtype=np.uint8, mode="r"))
+        if bytes(data[:4]) == ZSTD_MAGIC:
+            unpacked = zstandard.ZstdDecompressor().decompressobj().decompress(data.tobytes())
+            data = np.frombuffer(unpacked, dtype=np.uint8)
+    except OSError as problem:
+        raise InputError(f"{path}: cannot read bag: {problem.strerror}") from problem
+    except (zstandard.ZstdError, MemoryError) as problem:
+        raise InputError(f"{path}: cannot unpack the zstd file: {problem}") from problem
+    head = bytes(data[:len(MAGIC)])
+    if head != MAGIC:
+        if head.startswith(b"SQLite"):
+            raise InputError(f"{path}: expected an mcap bag, got sqlite3; convert it with "
+                             "'ros2 bag convert' or 'rosbags-convert'")
+        raise InputError(f"{path}: expected an mcap bag, got another kind of file")
+    return data
+
+
+def _stream(data: np.ndarray) -> ReadDataStream:
+    return ReadDataStream(BytesIO(data))
+
+
+def _walk(data: np.ndarray, start: int):
+    """Walk at most BATCH messages; returns the block, the other records, position, ending."""
+    room = min(BATCH, max((len(data) - start) // 31, 0) + 1)
+    ids, times, begins, lengths = np.empty((4, room), dtype=np.int64)
+    opcodes, other_begins, other_lengths = np.empty((3, OTHERS), dtype=np.int64)
+    position, messages, others, ending = walk_records(
+        data, start, ids, times, begins, lengths, opcodes, other_begins, other_lengths)
+    block = Block(data, ids[:messages], times[:messages], begins[:messages], lengths[:messages])
+    records = zip(opcodes[:others].tolist(), other_begins[:others].tolist(),
+                  other_lengths[:others].tolist(), strict=True)
+    return block, list(records), position, ending
+
+
+def _content(chunk: mcap.records.Chunk, whole: bool) -> np.ndarray:
+    """Return the records in a chunk, checksum checked; of a cut chunk, what is there."""
+    if chunk.compression not in ("", "zstd", "lz4"):
+        raise ValueError(f"compression {chunk.compression!r}, expected zstd, lz4 or none")
+    if chunk.uncompressed_size > LARGEST_CHUNK:
+        raise ValueError(f"chunk of {chunk.uncompressed_size} bytes")
+    if chunk.compression == "zstd":
+        declared = zstandard.get_frame_parameters(chunk.data).content_size
+        if declared not in (zstandard.CONTENTSIZE_UNKNOWN, chunk.uncompressed_size):
+            raise ValueError("chunk size and zstd frame disagree")
+    if whole:
+        stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+        content = stream.read(size)
+    elif chunk.compression == "zstd":
+        content = zstandard.ZstdDecompressor().decompressobj().decompress(chunk.data)
+    elif chunk.compression == "lz4":
+        content = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data)
+    else:
+        content = chunk.data
+    return np.frombuffer(content, dtype=np.uint8)
+
 
 LARGEST_METADATA = 2**24  # bytes
 

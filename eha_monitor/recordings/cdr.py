@@ -1,23 +1,35 @@
-"""Where a value stands in a serialised ROS 2 message.
+"""Numbers out of serialised ROS 2 messages, thousands at a time.
 
-rosbags' type definitions give the layout; one message is walked, and the byte offset found
-holds for every message that has the same lengths and names at the same places.
+rosbags' type definitions give the layout.  One message is walked, and the byte offsets found hold
+for every message that has the same lengths and names at the same places: of these the numbers are
+numpy views on one table of bytes (figures in docs/dependencies.md).
 """
 
 import re
 import struct
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+import zstandard
 from rosbags.interfaces import Nodetype
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.base import TypesysError
 
-LITTLE_ENDIAN = b"\x00\x01"
+from eha_monitor.recordings.bag import ZSTD_MAGIC
+from eha_monitor.settings.monitor import Channel
+
+LITTLE_ENDIAN, BIG_ENDIAN = b"\x00\x01", b"\x00\x00"
 ENCAPSULATION = 4  # bytes before the payload
+TEMPLATES = 8  # layouts tried on all messages of one length before going one by one
 SIZES = {"bool": "u1", "byte": "u1", "char": "u1", "octet": "u1",
-         "int8": "i1", "uint8": "u1", "int16": "<i2", "uint16": "<u2",
-         "int32": "<i4", "uint32": "<u4", "int64": "<i8", "uint64": "<u8",
-         "float32": "<f4", "float64": "<f8"}
-STAMP = ("header.stamp.sec", "header.stamp.nanosec")
+         "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2",
+         "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8",
+         "float32": "f4", "float64": "f8"}
+# What a hostile message or definition makes rosbags and the walker raise.
+UNREADABLE = (SerdeError, TypesysError, ValueError, KeyError, IndexError, TypeError,
+              AttributeError, OverflowError, MemoryError, RecursionError, struct.error,
+              zstandard.ZstdError)
 _STEP = re.compile(r"(\w+)(?:\[(\d+)\])?")
 
 
@@ -29,18 +41,47 @@ class Want:
     name: str = ""
 
 
+STAMP = (Want("header.stamp.sec"), Want("header.stamp.nanosec"))
+
+
 @dataclass
 class Layout:
-    """Places in one message.
+    """Places in one message, and in all that are alike.
 
     Attributes
     ----------
+    template : the message.
     places : want -> (byte offset from the encapsulation on, dtype); absent if not in there.
     positions : byte offsets of everything that fixes the layout.
     """
 
+    template: bytes
     places: dict[Want, tuple[int, np.dtype]] = field(default_factory=dict)
     positions: list[int] = field(default_factory=lambda: [0, 1])
+
+    @property
+    def fixed(self) -> list[slice]:
+        """The stretches of bytes that a message of this layout has in common with others."""
+        at = np.unique(self.positions)
+        return [slice(int(run[0]), int(run[-1]) + 1)
+                for run in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)]
+
+    def fits(self, table: np.ndarray) -> np.ndarray:
+        """Tell which messages are of this layout; ``table`` (n, length) uint8, returns (n,)."""
+        fits = np.ones(len(table), dtype=np.bool_)
+        for place in self.fixed:
+            kind = np.dtype((np.void, place.stop - place.start))  # compared as a whole
+            fits &= (_column(table, place.start, kind)
+                     == np.frombuffer(self.template[place], dtype=kind)[0])
+        return fits
+
+    def numbers(self, table: np.ndarray, want: Want) -> np.ndarray:
+        """Return a number of each message, (n,), a view; ``table`` (n, length) uint8."""
+        return _column(table, *self.places[want])
+
+
+def _column(table: np.ndarray, offset: int, dtype: np.dtype) -> np.ndarray:
+    return np.ndarray((len(table),), dtype, table, offset, (table.shape[1],))
 
 
 def steps_of(path: str) -> list[tuple[str, int | None]]:
@@ -106,10 +147,10 @@ def locate(raw: bytes, types: dict, msgtype: str, wants: tuple[Want, ...]) -> La
     Raises
     ------
     ValueError, struct.error, KeyError, RecursionError
-        If the bytes are no little-endian message of this type.
+        If the bytes are no message of this type.
     """
-    if raw[:2] != LITTLE_ENDIAN:
-        raise ValueError("not little-endian CDR")
+    if raw[:2] not in (LITTLE_ENDIAN, BIG_ENDIAN):
+        raise ValueError("not plain CDR")
     walker = _Walker(raw, types)
     walker.message(msgtype, [(steps_of(want.field), want) for want in wants])
     if walker.at > len(raw):
@@ -122,8 +163,9 @@ class _Walker:
 
     def __init__(self, raw: bytes, types: dict):
         self.raw, self.types = raw, types
+        self.order = "<" if raw[:2] == LITTLE_ENDIAN else ">"
         self.at = ENCAPSULATION
-        self.layout = Layout()
+        self.layout = Layout(raw)
         self.names: list[str] = []
 
     def align(self, size: int) -> None:
@@ -135,7 +177,7 @@ class _Walker:
     def count(self) -> int:
         self.align(4)
         self.structural(4)
-        (value,) = struct.unpack_from("<I", self.raw, self.at)
+        (value,) = struct.unpack_from(f"{self.order}I", self.raw, self.at)
         self.at += 4
         if value > len(self.raw) - self.at:
             raise ValueError("list longer than the message")
@@ -175,7 +217,7 @@ class _Walker:
             if index is not None and index < count:
                 chosen.setdefault(index, []).append((steps[1:], want))
         if element[0] == Nodetype.BASE and element[1][0] in SIZES:
-            dtype = np.dtype(SIZES[element[1][0]])
+            dtype = np.dtype(self.order + SIZES[element[1][0]])
             if count:
                 self.align(dtype.itemsize)
             for index, found in chosen.items():
@@ -192,8 +234,209 @@ class _Walker:
         elif kind[1][0] == "string":
             self.text()
         else:
-            dtype = np.dtype(SIZES[kind[1][0]])
+            dtype = np.dtype(self.order + SIZES[kind[1][0]])
             self.align(dtype.itemsize)
             for _, want in wants:
                 self.layout.places[want] = (self.at, dtype)
             self.at += dtype.itemsize
+
+
+def types_of(msgtype: str, encoding: str, definition: bytes) -> dict:
+    """Return type name -> (constants, fields) for a message type.
+
+    The definition in the bag comes first; without one, the types of ROS 2 Jazzy.
+
+    Raises
+    ------
+    ValueError
+        If neither knows the type.
+    """
+    text = definition.decode("utf-8", errors="replace")
+    if text.strip():
+        parse = get_types_from_idl if "idl" in encoding else get_types_from_msg
+        try:
+            types = parse(text) if "idl" in encoding else parse(text, msgtype)
+            if _complete(types, msgtype):
+                return types
+        except UNREADABLE:
+            pass
+    types = get_typestore(Stores.ROS2_JAZZY).fielddefs
+    if msgtype not in types:
+        raise ValueError(f"message type {msgtype} is not defined in the bag")
+    return types
+
+
+def _complete(types: dict, msgtype: str) -> bool:
+    """Tell whether a type has fields and every type that it is made of is there."""
+    if msgtype not in types or not any(
+            name != "structure_needs_at_least_one_member" for name, _ in types[msgtype][1]):
+        return False
+    for _, kind in types[msgtype][1]:
+        if kind[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            kind = kind[1][0]
+        if kind[0] == Nodetype.NAME and not _complete(types, kind[1]):
+            return False
+    return True
+
+
+@dataclass(frozen=True)
+class Series:
+    """One channel as it was recorded.
+
+    Attributes
+    ----------
+    stamp_ns : (n,) int64 stamps in recorded order: header stamps, or log times without them.
+    log_ns : (n,) int64 times at which the recorder took the messages.
+    values : (n,) float64, raw units.
+    stamped : whether ``stamp_ns`` are header stamps.
+    """
+
+    stamp_ns: np.ndarray
+    log_ns: np.ndarray
+    values: np.ndarray
+    stamped: bool
+
+    def in_si(self, channel: Channel) -> "Series":
+        """Return the channel in SI at the times at which its quantity was there."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = channel.gain * self.values + channel.zero
+        return replace(self, stamp_ns=self.stamp_ns - round(channel.delay * 1e9), values=values)
+
+
+class TopicReader:
+    """Collects the wanted numbers of one topic.
+
+    Parameters
+    ----------
+    topic, msgtype : as recorded.
+    types : from :func:`types_of`.
+    wants : numbers to collect; each must be in the type.
+    """
+
+    def __init__(self, topic: str, msgtype: str, types: dict, wants: tuple[Want, ...]):
+        self.topic, self.msgtype, self.types, self.wants = topic, msgtype, types, wants
+        self.stamped = has_stamp(types, msgtype)
+        self.all_wants = wants + (STAMP if self.stamped else ())
+        self.logs: list[np.ndarray] = []
+        self.columns: dict[Want, list[np.ndarray]] = {want: [] for want in self.all_wants}
+        self.present: dict[Want, list[np.ndarray]] = {want: [] for want in self.all_wants}
+        self.unreadable = 0
+        self.taken = 0
+
+    def add(self, data, times, begins, lengths) -> None:
+        """Take messages: ``data`` (n,) uint8; log times in ns, begins and lengths (m,) int64."""
+        if len(times) and bytes(data[begins[0]:begins[0] + 4]) == ZSTD_MAGIC:
+            data, begins, lengths, good = _unpack(data, begins, lengths)
+            self.unreadable += int(np.sum(~good))
+            times = times[good]
+        n = len(times)
+        values = {want: np.full(n, np.nan) for want in self.wants}
+        values |= {want: np.zeros(n, dtype=np.int64) for want in self.all_wants[len(self.wants):]}
+        present = {want: np.zeros(n, dtype=np.bool_) for want in self.all_wants}
+        for length in np.unique(lengths).tolist():
+            self._read(np.lib.stride_tricks.sliding_window_view(data, length), begins,
+                       np.flatnonzero(lengths == length), (values, present))
+        self.logs.append(times)
+        for want in self.all_wants:
+            self.columns[want].append(values[want])
+            self.present[want].append(present[want])
+
+    def _read(self, messages: np.ndarray, begins: np.ndarray, rows: np.ndarray,
+              found: tuple[dict, dict]) -> None:
+        """Read messages of one length: all that are like the first, then like the first left.
+
+        Parameters
+        ----------
+        messages : (k, length) uint8, from every byte on.
+        begins : (m,) where messages begin;  rows : which of them.
+        found : values and presence of each want, (m,), written.
+        """
+        tried = 0
+        while len(rows):
+            few = rows if tried < TEMPLATES else rows[:1]
+            tried += 1
+            try:
+                layout = locate(messages[begins[rows[0]]].tobytes(), self.types, self.msgtype,
+                                self.all_wants)
+            except UNREADABLE:
+                self.unreadable += 1
+                rows = rows[1:]
+                continue
+            table = messages[begins[few]]
+            fits = layout.fits(table)
+            table, chosen = table[fits], few[fits]
+            for want in layout.places:
+                found[0][want][chosen] = layout.numbers(table, want)
+                found[1][want][chosen] = True
+            rows = rows[~fits] if few is rows else rows[1:]
+
+    @property
+    def count(self) -> int:
+        """Messages so far."""
+        return self.taken + sum(len(part) for part in self.logs)
+
+    def take(self, wants: tuple[Want, ...]
+             ) -> list[tuple[np.ndarray, dict[Want, np.ndarray]]] | None:
+        """Return header stamps and the wanted values of what was collected, and forget it.
+
+        Joints that come in messages of their own have stamps of their own, each group an entry
+        of the list.  None, and nothing is forgotten, where some message lacks a stamp, or one
+        of the wanted that comes with others of it, or holds a number that is not wanted.
+        """
+        if self.unreadable or not self.stamped or not all(
+                part.all() for want in STAMP for part in self.present[want]):
+            return None
+        groups: dict[bytes, list[Want]] = {}
+        for want in wants:
+            there = np.concatenate([np.empty(0, np.bool_), *self.present[want]])
+            groups.setdefault(there.tobytes(), []).append(want)
+        masks = [np.frombuffer(key, dtype=np.bool_) for key in groups]
+        if not (np.sum(masks, axis=0) == 1).all():
+            return None
+        others = [want for want in self.wants if want not in wants]
+        if any(np.isfinite(part).any() for want in others for part in self.columns[want]):
+            return None
+        seconds, rest = (np.concatenate([np.empty(0, np.int64), *self.columns[want]])
+                         for want in STAMP)
+        stamps = seconds * 1_000_000_000 + rest
+        if not stamps.all():
+            return None
+        found = [(stamps[mask], {
+            want: np.concatenate([np.empty(0), *self.columns[want]])[mask] for want in group})
+            for mask, group in zip(masks, groups.values(), strict=True)]
+        self.taken += len(stamps)
+        self.logs = []
+        for want in self.all_wants:
+            self.columns[want], self.present[want] = [], []
+        return found
+
+    def series(self, want: Want) -> Series | None:
+        """Return what was collected, or None where no message held it or all of it is NaN."""
+        if not self.logs:
+            return None
+        present = np.concatenate(self.present[want])
+        values = np.concatenate(self.columns[want])[present]
+        logs = np.concatenate(self.logs)[present]
+        if not np.isfinite(values).any():
+            return None
+        stamps, stamped = logs, False
+        if self.stamped:
+            header = (np.concatenate(self.columns[STAMP[0]]) * 1_000_000_000
+                      + np.concatenate(self.columns[STAMP[1]]))[present]
+            if header.any():
+                stamps, stamped = header, True
+        return Series(stamps, logs, values, stamped)
+
+
+def _unpack(data, begins, lengths):
+    """Unpack messages that are compressed one by one; returns data, begins, lengths, good."""
+    unpack = zstandard.ZstdDecompressor().decompress
+    parts, good = [], np.ones(len(begins), dtype=np.bool_)
+    for i, (begin, length) in enumerate(zip(begins.tolist(), lengths.tolist(), strict=True)):
+        try:
+            parts.append(unpack(data[begin:begin + length], max_output_size=2**24))
+        except (zstandard.ZstdError, ValueError, MemoryError):
+            good[i] = False
+    lengths = np.array([len(part) for part in parts], dtype=np.int64)
+    begins = np.concatenate([[0], np.cumsum(lengths)])[:len(parts)].astype(np.int64)
+    return np.frombuffer(b"".join(parts), dtype=np.uint8), begins, lengths, good

@@ -6,10 +6,10 @@ import numpy as np
 
 from eha_monitor.errors import InputError
 from eha_monitor.recordings.align import align
+from eha_monitor.recordings.cdr import Series
+from eha_monitor.recordings.grid import CLOSE, SETBACK, SETBACK_NS, lower_median
 from eha_monitor.recordings.recording import Recording
-from eha_monitor.recordings.stamps import CLOSE, SETBACK, SETBACK_NS, lower_median
 from eha_monitor.recordings.tables import read_columns
-from eha_monitor.recordings.topics import Series
 from eha_monitor.recordings.write import check_bag_target, write_recording
 from eha_monitor.settings import Settings, load_settings
 

@@ -8,10 +8,9 @@ from eha_monitor.errors import InputError
 from eha_monitor.recordings import cdr
 from eha_monitor.recordings.align import align
 from eha_monitor.recordings.bag import Bag
-from eha_monitor.recordings.cdr import Want
+from eha_monitor.recordings.cdr import Series, TopicReader, Want, types_of
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.stream import NotEvenError, Sources, Stream
-from eha_monitor.recordings.topics import Series, TopicReader, types_of
 from eha_monitor.settings.monitor import Channel, Settings
 
 BATCH_BYTES = 8_000_000  # small chunks are joined, so that the work for each is paid once
@@ -219,15 +218,8 @@ class _Collector:
     def channels(self, source: str, losses: list[str], found: Sources
                  ) -> dict[str, tuple[Series, str]]:
         """Return channel -> series in SI and its topic."""
-        made = {}
-        for name, (reader, want) in found.items():
-            channel, series = self.channels_wanted[name], reader.series(want)
-            shift = round(channel.delay * 1e9)
-            with np.errstate(over="ignore", invalid="ignore"):
-                values = channel.gain * series.values + channel.zero
-            made[name] = (Series(series.stamp_ns - shift, series.log_ns, values,
-                                 series.stamped), reader.topic)
-        return made
+        return {name: (reader.series(want).in_si(self.channels_wanted[name]), reader.topic)
+                for name, (reader, want) in found.items()}
 
     def _topic(self, source: str, name: str, channel: Channel) -> str | None:
         exact = self._exact(channel)

@@ -6,19 +6,17 @@ stamps of the whole recording at once, and :mod:`align` has them.  What both tak
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from eha_monitor.errors import one_line
 from eha_monitor.recordings import align as whole
+from eha_monitor.recordings.cdr import Series, TopicReader, Want
 from eha_monitor.recordings.columns import PIECE, Column
-from eha_monitor.recordings.gaps import tell_gaps
-from eha_monitor.recordings.grid import JITTER, Grid, fit_grid
+from eha_monitor.recordings.grid import JITTER, Grid, fit_grid, repair, tell_gaps
 from eha_monitor.recordings.limits import LARGEST
 from eha_monitor.recordings.recording import CHANNELS, Recording
-from eha_monitor.recordings.stamps import repair
-from eha_monitor.recordings.topics import Series, TopicReader, Want
 from eha_monitor.settings.monitor import Settings
 
 FEWEST = 1000  # samples of the reference from which its grid is told
@@ -85,8 +83,7 @@ class Stream:
             one = reader.series(want)
             if one is None:
                 raise NotEvenError  # none of it yet: whether it is a channel shows later
-            series[name] = Series(one.stamp_ns - self._shift(name), one.log_ns, one.values,
-                                  one.stamped)
+            series[name] = one.in_si(self.settings.channels[name])
         leader = series["x"]
         self._check(leader)
         self.origin = int(leader.stamp_ns[0])
@@ -221,14 +218,8 @@ class Stream:
               said: list[str]) -> Series | None:
         """Return a channel that was not put on the grid as it came, in SI."""
         series = reader.series(want)
-        if series is None:
-            return None
-        channel = self.settings.channels[name]
-        with np.errstate(over="ignore", invalid="ignore"):
-            values = channel.gain * series.values + channel.zero
-        return whole.within_range(
-            replace(series, stamp_ns=series.stamp_ns - self._shift(name), values=values),
-            name, reader.topic, source, said)
+        return series and whole.within_range(series.in_si(self.settings.channels[name]), name,
+                                             reader.topic, source, said)
 
     def _interpolated(self, series: Series, label: str, points: int, name: str,
                       said: list[str]) -> np.ndarray | None:

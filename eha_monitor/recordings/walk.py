@@ -1,4 +1,7 @@
-"""Compiled loops over the bytes of a bag: record framing, comparison, gathering."""
+"""The framing of mcap records, walked by a compiled loop.
+
+The library's reader makes a Python object of each message (figures in docs/dependencies.md).
+"""
 
 import numpy as np
 
@@ -69,28 +72,3 @@ def walk_records(data, start, ids, times, begins, lengths, opcodes, other_begins
         position = begin + length
         if opcode == FOOTER_OPCODE:
             return position, messages, others, FOOTER
-
-
-@njit
-def same_structure(data, begins, template, positions):
-    """Tell for each message whether it has the template's bytes at ``positions``.
-
-    ``data`` (n,) uint8, ``begins`` (m,) int64, ``template`` (length,) uint8; returns (m,) bool.
-    """
-    same = np.ones(len(begins), dtype=np.bool_)
-    for i in range(len(begins)):
-        for j in range(len(positions)):
-            if data[begins[i] + positions[j]] != template[positions[j]]:
-                same[i] = False
-                break
-    return same
-
-
-@njit
-def gather(data, begins, offset, size):
-    """Copy ``size`` bytes at ``offset`` of each message; returns (m, size) uint8."""
-    out = np.empty((len(begins), size), dtype=np.uint8)
-    for i in range(len(begins)):
-        for j in range(size):
-            out[i, j] = data[begins[i] + offset + j]
-    return out

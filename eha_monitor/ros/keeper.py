@@ -8,8 +8,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from eha_monitor.health.alarms import Alarm
-from eha_monitor.recordings.ring import Ring
-from eha_monitor.recordings.saver import Saved, Saver
+from eha_monitor.recordings.ring import Ring, Saved, Saver
 from eha_monitor.recordings.write import TopicType
 from eha_monitor.ros.services import LateTrigger
 from eha_monitor.settings import Settings

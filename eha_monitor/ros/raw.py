@@ -11,7 +11,7 @@ import struct
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
-from eha_monitor.recordings.cdr import STAMP, Layout, Want, has_stamp, locate
+from eha_monitor.recordings.cdr import LITTLE_ENDIAN, STAMP, Layout, Want, has_stamp, locate
 from eha_monitor.ros.inputs import Topic
 
 _CODES = {"f4": "f", "f8": "d", "i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I",
@@ -107,14 +107,16 @@ class RawReader:
     def _learn(self, data: bytes) -> None:
         """Find where everything stands in messages like this one."""
         self._length, self._complete = -1, False
+        if data[:2] != LITTLE_ENDIAN:
+            return
         wants = tuple(want for stream in self._wants for want, _, _ in stream)
-        stamp = tuple(Want(field) for field in STAMP) if self._stamped else ()
+        stamp = STAMP if self._stamped else ()
         try:
             layout = locate(data, self._types, self._type, (*wants, *stamp))
         except (ValueError, struct.error, KeyError, RecursionError):
             return
         self._length = len(data)
-        self._fixed = [(place, bytes(data[place])) for place in _runs(layout.positions)]
+        self._fixed = [(place, bytes(data[place])) for place in layout.fixed]
         # An entry that is there may lack a number, as a list may be empty: that is a NaN.
         self._complete = all(any(want in layout.places for want, _, _ in stream)
                              for stream in self._wants)
@@ -143,14 +145,3 @@ def _column(raw: bytes, n: int, length: int, at: int, dtype) -> np.ndarray:
 
 def _nothing(data: bytes, offset: int) -> tuple[float]:
     return (math.nan,)
-
-
-def _runs(positions: list[int]) -> list[slice]:
-    """Join byte offsets to slices."""
-    runs: list[slice] = []
-    for at in sorted(set(positions)):
-        if runs and runs[-1].stop == at:
-            runs[-1] = slice(runs[-1].start, at + 1)
-        else:
-            runs.append(slice(at, at + 1))
-    return runs
