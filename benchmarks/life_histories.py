@@ -244,7 +244,7 @@ def main() -> None:
                         f"{kind}_intervals": record.spread(count),
                         f"{kind}_warned": record.spread(100 * warn, "%"),
                         f"{kind}_lives": record.spread(lives_)}
-        record.write("life_histories", figures, ("eha_monitor/archive/wear.py",
+        record.write("life_histories", figures, ("eha_monitor/archive/forecast.py",
                                                  "eha_monitor/archive/forecast.py"), "commit")
 
 

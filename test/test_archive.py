@@ -14,11 +14,11 @@ from diagnosis_tools import coulomb, everything
 from test_reports import Page
 
 from eha_monitor.api import diagnosis_answer
-from eha_monitor.archive.columns import COLUMNS
 from eha_monitor.archive.find import find_bags, is_archive, stamp_of
 from eha_monitor.archive.run import DIED, on_this_machine
+from eha_monitor.archive.store import COLUMNS
 from eha_monitor.cli import main
-from eha_monitor.commands.archive_row import Task, diagnosis_columns, estimate_columns, row_of
+from eha_monitor.commands.archive_rows import Task, diagnosis_columns, estimate_columns, row_of
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.write import write_recording
 from eha_monitor.reports.archive_report import archive_page, phrases

@@ -12,7 +12,7 @@ import pytest
 from test_reports import Page
 
 from eha_monitor.cli import main
-from eha_monitor.commands.diagnose import progress_bar
+from eha_monitor.commands.common import progress_bar
 from eha_monitor.settings import load_settings
 
 ROOT = Path(__file__).parents[1]

@@ -10,9 +10,8 @@ from export_tools import model_of
 from rig_tools import TRIANGLE, settings
 from urdf_parser_py.urdf import URDF
 
-from eha_monitor.exports.feedforward import feedforward_of, velocity_of
+from eha_monitor.exports.joints import feedforward_of, mujoco_of, urdf_of, velocity_of
 from eha_monitor.exports.model import Model
-from eha_monitor.exports.robots import mujoco_of, urdf_of
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.recording import Recording
 

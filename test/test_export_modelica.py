@@ -9,8 +9,7 @@ from pymoca.backends.casadi import generator
 from pymoca.backends.casadi.api import transfer_model
 from rig_tools import T_S
 
-from eha_monitor.exports.modelica import modelica_of
-from eha_monitor.exports.modelica_effects import CONSTANTS, EFFECTS, WITHOUT
+from eha_monitor.exports.modelica import CONSTANTS, EFFECTS, WITHOUT, modelica_of
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.balances import rates
 from eha_monitor.physics.contributions import add_contributions, new_memory, with_term

@@ -131,7 +131,7 @@ def valve(folder: Folder) -> tuple | None:
 def nights(command: str, count: int, seconds: float) -> Callable:
     """Return the maker of the table of a folder whose B rises and whose oil takes up air."""
     def made(folder: Folder) -> tuple:
-        from eha_monitor.commands.archive_row import Task, error_row, row_of
+        from eha_monitor.commands.archive_rows import Task, error_row, row_of
 
         rows = []
         for k in range(count):

@@ -5,18 +5,22 @@ from pathlib import Path
 
 import click
 
-from eha_monitor.commands.common import check_outputs, config_option
-from eha_monitor.commands.diagnose import progress_bar
+from eha_monitor.commands.common import (
+    FILE,
+    bags_argument,
+    check_outputs,
+    config_option,
+    json_option,
+    progress_bar,
+)
 from eha_monitor.output import write_json, write_text
-
-_PATH = click.Path(path_type=Path)
 
 
 @click.command()
-@click.argument("bags", type=_PATH, nargs=-1, required=True, metavar="BAG [BAG ...]")
+@bags_argument
 @config_option
-@click.option("--json", "json_file", type=_PATH, metavar="FILE", help="Write the result as JSON.")
-@click.option("--write-excitation", "excitation_file", type=_PATH, metavar="FILE",
+@json_option
+@click.option("--write-excitation", "excitation_file", type=FILE, metavar="FILE",
               help="Write the config with the proposed motion, for simulator and simulate.")
 @click.option("--check/--no-check", default=True,
               help="Test the proposed motion in a simulation with noise.")
@@ -55,46 +59,42 @@ def advise(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
 def show(bags: tuple[Path, ...], effects: tuple[str, ...], found, motion: str) -> None:
     """Print what the recording tells, what it leaves open, and the motion as YAML."""
     from rich.markup import escape
-    from rich.table import Table
     from ruamel.yaml import YAML
 
     from eha_monitor.api.rotary import of_rig
-    from eha_monitor.commands.table import PIPE_WIDTH, PipeConsole
+    from eha_monitor.commands.table import console, table
     from eha_monitor.mismatch.advise.motions import excitation_tree
     from eha_monitor.mismatch.advise.words import doubt_words, sentences
     from eha_monitor.quantity import NOTE, SYMBOLS, number, with_uncertainty
     from eha_monitor.reports.diagnosis_words import log_units, sentence
     from eha_monitor.words import effect_words, listed
 
-    console = PipeConsole(highlight=False)
-    if not console.is_terminal:
-        console = PipeConsole(highlight=False, width=PIPE_WIDTH)
+    to = console()
     named = listed([effect_words(name) for name in effects]) or "nothing"
-    console.print(escape(f"{', '.join(map(str, bags))}: named beside B and βe: {named}"))
-    table = Table("parameter", "value", "variance inflation", "most correlated with", box=None,
-                  header_style="bold", padding=(0, 2, 0, 0))
+    to.print(escape(f"{', '.join(map(str, bags))}: named beside B and βe: {named}"))
+    rows = table("parameter", "value", "variance inflation", "most correlated with")
     for one in found.known:
         if one.name in ("B", "beta_e") or one.name.partition(".")[0] in effects:
-            table.add_row(SYMBOLS.get(one.name, one.name),
+            rows.add_row(SYMBOLS.get(one.name, one.name),
                           with_uncertainty(one.value, one.stddev, of_rig(one, motion).unit),
                           number(one.inflation, 3),
                           f"{one.most_with} ({number(one.correlation, 3)})")
-    console.print(table)
-    console.print(NOTE, style="dim")
+    to.print(rows)
+    to.print(NOTE, style="dim")
     for text in of_rig(sentences(found), motion):
-        console.print(f"- {escape(sentence(text))}")
+        to.print(f"- {escape(sentence(text))}")
     if found.tried:
-        table = Table("motion", "s", *(escape(doubt_words(d)) for d in found.doubts), box=None,
-                      header_style="bold", padding=(0, 2, 0, 0), caption_justify="left",
-                      caption="log units together with this recording; 20 decide")
+        rows = table("motion", "s", *(escape(doubt_words(d)) for d in found.doubts),
+                     caption_justify="left",
+                     caption="log units together with this recording; 20 decide")
         for one in found.tried:
             mark = "[green]" if found.motion is not None and one.motion is found.motion else ""
-            table.add_row(f"{mark}{one.motion.name}", number(one.motion.duration, 3),
+            rows.add_row(f"{mark}{one.motion.name}", number(one.motion.duration, 3),
                           *(log_units(max(gain, 0.0)) for gain in one.gains))
-        console.print(table)
+        to.print(rows)
     if found.motion is not None:
         text, yaml = StringIO(), YAML(typ="safe")
         yaml.default_flow_style = False
         yaml.sort_base_mapping_type_on_output = False
         yaml.dump({"simulation": {"excitation": excitation_tree(found.motion)}}, text)
-        console.print(escape(text.getvalue()), end="", soft_wrap=True)
+        to.print(escape(text.getvalue()), end="", soft_wrap=True)

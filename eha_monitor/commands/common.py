@@ -5,14 +5,32 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from eha_monitor.errors import InputError
 
-config_option = click.option(
-    "--config", "config", type=click.Path(path_type=Path), metavar="FILE",
-    help="Config (YAML); without it the paper's EHA.")
+if TYPE_CHECKING:
+    from eha_monitor.api.config import Config
+
+FILE = click.Path(path_type=Path)  # or folder
+SECONDS = click.FloatRange(min=0, min_open=True)
+
+config_option = click.option("--config", type=FILE, metavar="FILE",
+                             help="Config (YAML); without it the paper's EHA.")
+json_option = click.option("--json", "json_file", type=FILE, metavar="FILE",
+                           help="Write the result as JSON.")
+report_option = click.option("--report", "report_file", type=FILE, metavar="FILE.html",
+                             help="Write a self-contained HTML report.")
+overwrite_option = click.option("--overwrite", is_flag=True, help="Replace an existing bag.")
+bags_argument = click.argument("bags", type=FILE, nargs=-1, required=True,
+                               metavar="BAG [BAG ...]")
+
+
+def write_config_option(words: str) -> Callable:
+    """Return ``--write-config`` with its help."""
+    return click.option("--write-config", "config_file", type=FILE, metavar="FILE", help=words)
 
 
 class Several(click.Command):
@@ -65,6 +83,29 @@ def working(what: str) -> Iterator[Callable[[str], None]]:
         yield lambda what: status.update(escape(what))
 
 
+@contextmanager
+def progress_bar() -> Iterator[Callable[[str, float], None]]:
+    """Yield ``told(text, share)``, which moves a bar on a terminal and does nothing elsewhere."""
+    if not on_terminal():
+        yield lambda text, share: None
+        return
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    with Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(),
+                  console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("", total=1.0)
+        reached = 0.0
+
+        def told(text: str, share: float) -> None:
+            nonlocal reached
+            reached = min(max(reached, share), 1.0)  # a bar that goes back says nothing
+            progress.update(task, description=escape(text), completed=reached)
+
+        yield told
+
+
 def end_as_on_interrupt() -> None:
     """Let SIGTERM end a run as Ctrl-C does: it must take its processes with it."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -110,3 +151,29 @@ def check_new(bag: Path, overwrite: bool) -> None:
     from eha_monitor.recordings.write import check_bag_target
 
     check_bag_target(bag, overwrite)
+
+
+@contextmanager
+def refusing(config: "Config", source: Path | None, json_file: Path | None,
+             config_file: Path | None, tree: Callable[[InputError], dict]) -> Iterator[None]:
+    """Write what was requested where a recording contradicts its config, and say where it is.
+
+    Parameters
+    ----------
+    config, source : that was read, and its file.
+    json_file, config_file : to write, or None.
+    tree : returns the JSON of a refusal.
+    """
+    from eha_monitor.api.plausible import ImplausibleError, corrected_config
+    from eha_monitor.output import write_json, write_text
+
+    try:
+        yield
+    except ImplausibleError as problem:
+        told = problem
+        if config_file is not None and problem.corrected is not None:
+            write_text(config_file, corrected_config(problem.channels, config.settings, source))
+            told = problem.instead(f"the corrected config is in {config_file}")
+        if json_file:
+            write_json(json_file, tree(told))
+        raise told from None

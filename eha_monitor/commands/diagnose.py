@@ -1,38 +1,44 @@
 """``diagnose``: where simulation and recording differ, which physics that is, and the proof."""
 
 import shlex
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
 
-from eha_monitor.commands.archive import Archive, answer_folder, archive_options, refuse
-from eha_monitor.commands.common import Several, check_outputs, config_option, on_terminal
-from eha_monitor.commands.out_bag import check_out_bag, write_out_bag
+from eha_monitor.commands.archive import Archive, archive_options
+from eha_monitor.commands.common import (
+    FILE,
+    Several,
+    bags_argument,
+    check_new,
+    check_outputs,
+    config_option,
+    json_option,
+    progress_bar,
+    refusing,
+    report_option,
+    write_config_option,
+)
 from eha_monitor.errors import InputError
 from eha_monitor.output import write_json, write_text
 
-_PATH = click.Path(path_type=Path)
-
 
 @click.command(cls=Several)
-@click.argument("bags", type=_PATH, nargs=-1, required=True, metavar="BAG [BAG ...]")
+@bags_argument
 @config_option
-@click.option("--json", "json_file", type=_PATH, metavar="FILE", help="Write the result as JSON.")
-@click.option("--report", "report_file", type=_PATH, metavar="FILE.html",
-              help="Write a self-contained HTML report.")
-@click.option("--write-config", "config_file", type=_PATH, metavar="FILE",
-              help="Write the config with the identified effects and corrected rig data.")
-@click.option("--out-bag", "out_bag", type=_PATH, metavar="BAG",
+@json_option
+@report_option
+@write_config_option("Write the config with the identified effects and corrected rig data.")
+@click.option("--out-bag", type=FILE, metavar="BAG",
               help="Write measured, modelled and missing signals as a bag (docs/exports.md).")
-@click.option("--held-out", "held_out", type=_PATH, metavar="BAG",
+@click.option("--held-out", type=FILE, metavar="BAG",
               help="Show the fit on this recording; default: on a held-out part of BAG.")
-@click.option("--hypothesis", "hypothesis_file", type=_PATH, metavar="FILE|NAME",
+@click.option("--hypothesis", "hypothesis_file", type=FILE, metavar="FILE|NAME",
               help="Your own hypothesis, a file or the name of an installed one: an expression "
                    "whose parameters are fitted and which is ranked with the catalogue "
                    "(docs/effects.md).")
-@click.option("--reference", "references", type=_PATH, multiple=True,
+@click.option("--reference", "references", type=FILE, multiple=True,
               metavar="HEALTHY [HEALTHY ...]",
               help="Healthy recordings of the machine, or a folder of them: report what has "
                    "changed from these. Give BAG before it.")
@@ -40,7 +46,7 @@ _PATH = click.Path(path_type=Path)
               help="Effects of the catalogue to exclude, such as those that this rig cannot have.")
 @click.option("--vary", multiple=True, type=click.Choice(["load"]),
               help="What is known to differ between several BAGs.")
-@click.option("--machine", "machine_file", type=_PATH, metavar="FILE",
+@click.option("--machine", "machine_file", type=FILE, metavar="FILE",
               help="With several BAGs: write the machine that they show. With one: judge it "
                    "against that machine, in a fraction of a second (docs/one_machine.md).")
 @click.option("--calibration/--no-calibration", hidden=True, expose_value=False,
@@ -52,29 +58,27 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
              report_file: Path | None, config_file: Path | None, out_bag: Path | None,
              held_out: Path | None, hypothesis_file: Path | None, references: tuple[Path, ...],
              without: tuple[str, ...], vary: tuple[str, ...], machine_file: Path | None,
-             exit_code: bool, **asked) -> int:
+             exit_code: bool, **of_folder) -> int:
     """Locate where BAG and the model differ, identify the missing effects, show the better fit.
 
     Several BAGs of one rig are diagnosed together. With --reference the result is what has
     changed from healthy recordings, or that nothing has. If BAG is a folder of bags, each is
     diagnosed separately, into one table with trends over time.
     """
-    archive = Archive(**asked)
-    if any(archive.covers(bag) for bag in bags):
-        if len(bags) > 1:
-            raise InputError("expected one folder that holds bags, or bags, got "
-                             + ", ".join(map(str, bags)))
-        refuse(bags[0], json=json_file, report=report_file, write_config=config_file,
-               out_bag=out_bag, held_out=held_out, hypothesis=hypothesis_file,
-               reference=references, without=without, vary=vary, machine=machine_file)
-        return int(answer_folder("diagnose", bags[0], config, archive) and exit_code)
+    archive = Archive(**of_folder)
+    if len(bags) > 1 and any(map(archive.covers, bags)):
+        raise InputError("expected one folder that holds bags, or bags, got "
+                         + ", ".join(map(str, bags)))
+    if archive.covers(bags[0], json=json_file, report=report_file, write_config=config_file,
+                      out_bag=out_bag, held_out=held_out, hypothesis=hypothesis_file,
+                      reference=references, without=without, vary=vary, machine=machine_file):
+        return int(archive.answer("diagnose", bags[0], config) and exit_code)
     from eha_monitor.api.config import config_of
     from eha_monitor.api.diagnose import bags_of, known_effects
     from eha_monitor.api.diagnose import diagnose as run
     from eha_monitor.api.diagnosis_answer import completed, refusal, written_config
     from eha_monitor.api.plausible import finding_tree
     from eha_monitor.api.read import distinct
-    from eha_monitor.commands.refused import refusing
     from eha_monitor.machine.machine import save
     from eha_monitor.settings.hypothesis import load_hypothesis
 
@@ -139,24 +143,33 @@ def command_line(bags: tuple[Path, ...], config: Path | None, held_out: Path | N
     return shlex.join(words)
 
 
-@contextmanager
-def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """Yield ``told(text, share)``, which moves a bar on a terminal and does nothing elsewhere."""
-    if not on_terminal():
-        yield lambda text, share: None
+def check_out_bag(place: Path | None, bags: Sequence[Path]) -> None:
+    """Refuse, before the work, a place for the bag that is taken, or is in a bag that is read."""
+    if place is None:
         return
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    if place.resolve() in [bag.resolve() for bag in bags]:
+        raise InputError(f"{place}: is a bag that is read, expected another place for --out-bag")
+    if not place.absolute().parent.is_dir():
+        raise InputError(f"{place}: the folder {place.parent} does not exist")
+    check_new(place, False)
 
-    with Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(),
-                  console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("", total=1.0)
-        reached = 0.0
 
-        def told(text: str, share: float) -> None:
-            nonlocal reached
-            reached = min(max(reached, share), 1.0)  # a bar that goes back says nothing
-            progress.update(task, description=escape(text), completed=reached)
+def write_out_bag(place: Path | None, found, bags: Sequence[Path], settings) -> None:
+    """Write the bag of a diagnosis, and say what is in it; nothing without a place."""
+    if place is None:
+        return
+    if found.verdict == "insufficient_data":
+        click.echo(f"{place}: not written, there is no model: {found.message}")
+        return
+    from eha_monitor.api.diagnosis_answer import written_config
+    from eha_monitor.exports.diagnosis_bag import write_diagnosis_bag
+    from eha_monitor.mismatch.show.series import series_of
+    from eha_monitor.recordings.read import read_recording
+    from eha_monitor.settings.load import settings_of
 
-        yield told
+    named = settings_of(written_config(found, settings, None), "the diagnosed config")
+    recordings = [read_recording(bag, settings) for bag in bags]
+    series = series_of(recordings, settings, named)
+    topics = write_diagnosis_bag(place, series, recordings, settings.monitor.namespace)
+    seconds = sum(len(next(iter(one.measured.values()))) * one.dt for one in series)
+    click.echo(f"{place}: {seconds:.1f} s, topics {', '.join(topics)}")

@@ -7,8 +7,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from eha_monitor.commands.indicators import show as show_indicators
-from eha_monitor.commands.table import PIPE_WIDTH, PipeConsole
+from eha_monitor.commands.table import console, print_end, show_indicators, table
 from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.machine.baseline import sentence as baseline_sentence
 from eha_monitor.mismatch.diagnosis import Diagnosis
@@ -41,101 +40,92 @@ _COLOURS = {"ok": "green", "warn": "yellow", "error": "red", "unknown": "dim"}
 def show(found: Diagnosis, written: list[Path], notes: list[str] = (),
          indicators: tuple[Indicator, ...] = (), settings: Settings | None = None) -> None:
     """Print wrong numbers of the rig, verdict, place, effects, parameters, indicators, proof."""
-    console = PipeConsole(highlight=False)
-    if not console.is_terminal:
-        console = PipeConsole(highlight=False, width=PIPE_WIDTH)
+    to = console()
     kind = head_of(found)[0]
-    console.print(f"{escape(', '.join(found.bags))}: {number(found.duration_s)} s "
+    to.print(f"{escape(', '.join(found.bags))}: {number(found.duration_s)} s "
                   f"(computed in {found.wall_s:.1f} s)")
     for finding in found.rig_data:  # first of all: what follows rests on them
-        console.print(f"[bold yellow]wrong rig data[/]: {escape(rig_words(finding))}")
+        to.print(f"[bold yellow]wrong rig data[/]: {escape(rig_words(finding))}")
         if finding.indistinguishable_from:
-            console.print(escape(f"  in this recording {finding.key} is indistinguishable from "
+            to.print(escape(f"  in this recording {finding.key} is indistinguishable from "
                                  f"{_rivals(finding.indistinguishable_from)}"))
-    console.print(f"[bold {_COLOURS[kind]}]{escape(head_words(found))}[/]: "
+    to.print(f"[bold {_COLOURS[kind]}]{escape(head_words(found))}[/]: "
                   f"{escape(message_words(found))}".rstrip(": "))
     for gate in found.gates:
-        console.print(escape(f"refused: {gate.statement}"))
-    _print_place(console, found)
+        to.print(escape(f"refused: {gate.statement}"))
+    _print_place(to, found)
     if found.changes:
-        console.print(_changes(found))
+        to.print(_changes(found))
     if found.effects and not found.references:
-        console.print(_effects(found))
+        to.print(_effects(found))
         for effect in found.effects:
             if effect.statement not in found.message:
-                console.print(escape(sentence(effect.statement)))
+                to.print(escape(sentence(effect.statement)))
             if effect.intervals_s:
-                console.print(escape(f"{effect.name} acts at "
+                to.print(escape(f"{effect.name} acts at "
                                      f"{interval_words(effect.intervals_s)}"))
     if found.learned:
-        console.print(_learned(found))
+        to.print(_learned(found))
     if found.before or found.after:
-        console.print(_parameters(found))
+        to.print(_parameters(found))
     if settings is not None:
-        show_indicators(console, indicators, settings)
+        show_indicators(to, indicators, settings)
     if found.signals:
-        console.print(_fit(found))
+        to.print(_fit(found))
     for one in found.baselines:
         for balance, fit in (("force", one.force), ("flow", one.flow)):
             if fit is not None:
-                console.print(escape(f"least squares, {balance}: {baseline_sentence(fit)}"))
+                to.print(escape(f"least squares, {balance}: {baseline_sentence(fit)}"))
     for finding in found.rig_within:
-        console.print(f"[yellow]rig data[/]: {escape(finding.statement)}")
+        to.print(f"[yellow]rig data[/]: {escape(finding.statement)}")
     for title, sentences in (("health", found.health), ("advice", found.advice),
                              ("note", notes)):
         for text in sentences:
-            console.print(f"[yellow]{title}[/]: {escape(sentence(text))}")
+            to.print(f"[yellow]{title}[/]: {escape(sentence(text))}")
     for text in filter(None, (certainty(found), windows_words(found))):
-        console.print(escape(text), style="dim")
-    if found.before or found.after:
-        console.print(DIAGNOSED, style="dim")
-    for path in written:
-        console.print(f"written: {escape(str(path))}", soft_wrap=True)
+        to.print(escape(text), style="dim")
+    print_end(to, DIAGNOSED if found.before or found.after else "", written)
 
 
-def _print_place(console: Console, found: Diagnosis) -> None:
+def _print_place(to: Console, found: Diagnosis) -> None:
     place = place_words(found)
     if found.verdict in ("mismatch", "unexplained") and place:
         worst = interval_words(found.location.intervals_s)
-        console.print(escape(f"where: {place}{f'; worst at {worst}' if worst else ''}"))
-
-
-def _table(*columns: str) -> Table:
-    return Table(*columns, box=None, header_style="bold", padding=(0, 2, 0, 0))
+        to.print(escape(f"where: {place}{f'; worst at {worst}' if worst else ''}"))
 
 
 def _effects(found: Diagnosis) -> Table:
-    table = _table("left out", "probability", "balance", "size", "parameters",
+    shown = table("left out", "probability", "balance", "size", "parameters",
                    "indistinguishable from")
     for effect in found.effects:
-        table.add_row(effect.name, probability(effect.probability), effect.balance,
+        shown.add_row(effect.name, probability(effect.probability), effect.balance,
                       escape(effect.size),
                       escape("\n".join(f"{name} = {value_words(value)}"
                                        for name, value in effect.parameters.items())),
                       escape(_rivals(effect.indistinguishable_from)) or "–")
-    return table
+    return shown
 
 
 def _changes(found: Diagnosis) -> Table:
-    table = _table("changed", "healthy", "now", "indistinguishable from")
+    shown = table("changed", "healthy", "now", "indistinguishable from")
     for change in found.changes:
         name = f"{effect_words(change.what)} {change.symbol}" if change.symbol else SYMBOLS.get(
             change.what, change.what)
-        table.add_row(name, value_words(change.reference), value_words(change.now),
+        shown.add_row(name, value_words(change.reference), value_words(change.now),
                       escape(_rivals(change.indistinguishable_from)) or "–")
-    return table
+    return shown
 
 
 def _learned(found: Diagnosis) -> Table:
-    table = _table("learned", "function of", "size", "removed on unseen data", "formula")
+    shown = table("learned", "function of", "size", "removed on unseen data", "formula")
     for term in found.learned:
         rivals = [f"or {shown}, {log_units(behind)} log units worse"
                   for shown, behind in term.rivals if behind < RIVAL_FORMULA]
-        table.add_row(f"missing {term.balance}", ", ".join(term.of), term.size,
+        shown.add_row(f"missing {term.balance}", ", ".join(term.of), term.size,
                       percent(term.removed),
                       escape("\n".join([term.formula or "none fits as well as the curve",
                                          *rivals])))
-    return table
+    return shown
 
 
 def _rivals(names: tuple[str, ...]) -> str:
@@ -143,23 +133,22 @@ def _rivals(names: tuple[str, ...]) -> str:
 
 
 def _parameters(found: Diagnosis) -> Table:
-    table = _table("parameter", *("healthy", "now") if found.references else ("before", "after"))
+    shown = table("parameter", *("healthy", "now") if found.references else ("before", "after"))
     for name in dict.fromkeys((*found.before, *found.after)):
-        table.add_row(SYMBOLS.get(name, name), *(value_words(values.get(name))
+        shown.add_row(SYMBOLS.get(name, name), *(value_words(values.get(name))
                               for values in (found.before, found.after)))
-    return table
+    return shown
 
 
 def _fit(found: Diagnosis) -> Table:
-    table = _table("error on unseen data", "before", "after", "noise", "removed")
+    shown = table("error on unseen data", "before", "after", "noise", "removed")
     for name, fit in found.signals.items():
         cells = [error_words(value, fit)
                  for value in (fit.before_rms, fit.after_rms, fit.noise_rms)]
         share = removed(fit)
-        table.add_row(escape(name.replace("_", " ")), *cells,
+        shown.add_row(escape(name.replace("_", " ")), *cells,
                       percent(share) if math.isfinite(share) else "—")
     how = "free run" if "position" in found.signals else "residual of each balance below 5 Hz"
-    table.caption = f"root mean square, {how}; on {DATA.get(found.data, found.data)}"
-    table.caption_justify = "left"
-    return table
-
+    shown.caption = f"root mean square, {how}; on {DATA.get(found.data, found.data)}"
+    shown.caption_justify = "left"
+    return shown

@@ -4,34 +4,39 @@ from pathlib import Path
 
 import click
 
-from eha_monitor.commands.archive import Archive, answer_folder, archive_options, refuse
-from eha_monitor.commands.common import check_outputs, config_option, working
+from eha_monitor.commands.archive import Archive, archive_options
+from eha_monitor.commands.common import (
+    FILE,
+    check_outputs,
+    config_option,
+    json_option,
+    refusing,
+    report_option,
+    working,
+    write_config_option,
+)
 from eha_monitor.output import write_json, write_text
 
 
 @click.command()
-@click.argument("bag", type=click.Path(path_type=Path))
+@click.argument("bag", type=FILE)
 @config_option
-@click.option("--json", "json_file", type=click.Path(path_type=Path), metavar="FILE",
-              help="Write the result as JSON.")
-@click.option("--report", "report_file", type=click.Path(path_type=Path), metavar="FILE.html",
-              help="Write a self-contained HTML report.")
-@click.option("--write-config", "config_file", type=click.Path(path_type=Path), metavar="FILE",
-              help="Write the config with signs, units and channels corrected where the "
-                   "recording contradicts them; not written if there is no contradiction.")
+@json_option
+@report_option
+@write_config_option("Write the config with signs, units and channels corrected where the "
+                     "recording contradicts them; not written if there is no contradiction.")
 @click.option("--exit-code", is_flag=True,
               help="Exit with 1 if an alarm is active or the model does not fit.")
 @archive_options
 def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file: Path | None,
-             config_file: Path | None, exit_code: bool, **asked) -> int:
+             config_file: Path | None, exit_code: bool, **of_folder) -> int:
     """Estimate B and the bulk modulus from BAG and check them against the thresholds.
 
     If BAG is a folder of bags, process all of them into one table with trends over time.
     """
-    archive = Archive(**asked)
-    if archive.covers(bag):
-        refuse(bag, json=json_file, report=report_file, write_config=config_file)
-        return int(answer_folder("estimate", bag, config, archive) and exit_code)
+    archive = Archive(**of_folder)
+    if archive.covers(bag, json=json_file, report=report_file, write_config=config_file):
+        return int(archive.answer("estimate", bag, config) and exit_code)
     check_outputs({"--json": json_file, "--report": report_file, "--write-config": config_file},
                   (bag,), config)
 
@@ -39,7 +44,6 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
     from eha_monitor.api.config import config_of
     from eha_monitor.api.estimate import estimate as run
     from eha_monitor.api.plausible import corrected_config, finding_tree
-    from eha_monitor.commands.refused import refusing
 
     given = config_of(config)
     with refusing(given, config, json_file, config_file, lambda problem: refusal(

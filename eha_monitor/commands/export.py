@@ -6,30 +6,28 @@ from pathlib import Path
 
 import click
 
-from eha_monitor.commands.common import check_outputs, check_target, working
+from eha_monitor.commands.common import FILE, check_outputs, check_target, working
 from eha_monitor.errors import InputError
 from eha_monitor.output import write_bytes, write_text
 
-_FILE = click.Path(path_type=Path)
-
 
 @click.command()
-@click.argument("config", type=_FILE, metavar="CONFIG")
-@click.option("--fmu", type=_FILE, metavar="FILE.fmu",
+@click.argument("config", type=FILE, metavar="CONFIG")
+@click.option("--fmu", type=FILE, metavar="FILE.fmu",
               help="FMU 2.0 for co-simulation: Simulink, OpenModelica, fmpy.")
 @click.option("--fmu-platform", "platforms", multiple=True,
               type=click.Choice(["linux64", "win64"]),
               help="Platform of the FMU, may be given several times; default: all.")
-@click.option("--modelica", type=_FILE, metavar="FILE.mo", help="Modelica text.")
-@click.option("--urdf", type=_FILE, metavar="FILE.urdf",
+@click.option("--modelica", type=FILE, metavar="FILE.mo", help="Modelica text.")
+@click.option("--urdf", type=FILE, metavar="FILE.urdf",
               help="A joint with damping and friction.")
-@click.option("--mujoco", type=_FILE, metavar="FILE.xml",
+@click.option("--mujoco", type=FILE, metavar="FILE.xml",
               help="The same for MuJoCo (MJCF).")
-@click.option("--ros2-control", "ros2_control", type=_FILE, metavar="FILE.yaml",
+@click.option("--ros2-control", "ros2_control", type=FILE, metavar="FILE.yaml",
               help="Friction feed-forward table, as ROS parameters.")
 @click.option("--joint", default="piston", show_default=True, metavar="NAME",
               help="Name of the joint in URDF, MuJoCo and ros2_control.")
-@click.option("--recording", "bags", type=_FILE, multiple=True, metavar="BAG",
+@click.option("--recording", "bags", type=FILE, multiple=True, metavar="BAG",
               help="Recording that the model was identified from: the table marks the velocities "
                    "it covers.")
 def export(config: Path, fmu: Path | None, platforms: tuple[str, ...], modelica: Path | None,
@@ -55,17 +53,22 @@ def export(config: Path, fmu: Path | None, platforms: tuple[str, ...], modelica:
     check_outputs(targets, bags, config)
 
     from eha_monitor.api.rotary import UNITS
+    from eha_monitor.exports import fmu as of_fmi
+    from eha_monitor.exports import joints
     from eha_monitor.exports.model import Model
+    from eha_monitor.exports.modelica import modelica_of
+    from eha_monitor.recordings.read import read_recording
     from eha_monitor.settings import load_settings
 
     model = Model(load_settings(config), config.name)
     units = UNITS if model.rotary else {}
     makers: dict[str, Callable] = {
-        "--fmu": lambda: _fmu(model, units, platforms),
-        "--modelica": lambda: _modelica(model, units),
-        "--urdf": lambda: _robots().urdf_of(model, joint),
-        "--mujoco": lambda: _robots().mujoco_of(model, joint),
-        "--ros2-control": lambda: _table(model, joint, bags),
+        "--fmu": lambda: of_fmi.fmu_of(model, units, platforms),
+        "--modelica": lambda: modelica_of(model, units),
+        "--urdf": lambda: joints.urdf_of(model, joint),
+        "--mujoco": lambda: joints.mujoco_of(model, joint),
+        "--ros2-control": lambda: joints.feedforward_of(
+            model, joint, [read_recording(bag, model.settings) for bag in bags]),
     }
     # All are made before the first is written: a config that one format refuses writes nothing.
     made = {}
@@ -82,28 +85,3 @@ def export(config: Path, fmu: Path | None, platforms: tuple[str, ...], modelica:
         click.echo(f"{target}: written; {model.provenance}")
         for line in exported.lost:
             click.echo(f"  not in it: {line}")
-
-
-def _fmu(model, units, platforms):
-    from eha_monitor.exports.fmu import fmu_of
-
-    return fmu_of(model, units, platforms)
-
-
-def _modelica(model, units):
-    from eha_monitor.exports.modelica import modelica_of
-
-    return modelica_of(model, units)
-
-
-def _robots():
-    from eha_monitor.exports import robots
-
-    return robots
-
-
-def _table(model, joint, bags):
-    from eha_monitor.exports.feedforward import feedforward_of
-    from eha_monitor.recordings.read import read_recording
-
-    return feedforward_of(model, joint, [read_recording(bag, model.settings) for bag in bags])

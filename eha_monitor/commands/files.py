@@ -4,24 +4,33 @@ from pathlib import Path
 
 import click
 
-from eha_monitor.commands.common import check_new, config_option, working
+from eha_monitor.commands.common import (
+    FILE,
+    SECONDS,
+    check_new,
+    config_option,
+    overwrite_option,
+    progress_bar,
+    working,
+)
+
+out_option = click.option("--out", required=True, type=FILE, metavar="BAG",
+                          help="Folder of the new bag, or a single .mcap file.")
 
 
 @click.command()
-@click.option("--out", required=True, type=click.Path(path_type=Path), metavar="BAG",
-              help="Folder of the new bag, or a single .mcap file.")
+@out_option
 @config_option
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the sensor noise.")
-@click.option("--duration", type=click.FloatRange(min=0, min_open=True), metavar="SECONDS",
+@click.option("--duration", type=SECONDS, metavar="SECONDS",
               help="Length; default: one period of the config's motion.")
 @click.option("--plain", is_flag=True, help="Do not compress.")
-@click.option("--overwrite", is_flag=True, help="Replace an existing bag.")
+@overwrite_option
 def simulate(out: Path, config: Path | None, seed: int | None, duration: float | None,
              plain: bool, overwrite: bool) -> None:
     """Write the simulated EHA directly to a bag, as fast as possible."""
     from eha_monitor.api.config import config_of
     from eha_monitor.api.simulate import simulate_bag
-    from eha_monitor.commands.diagnose import progress_bar
 
     check_new(out, overwrite)  # before the work, not after it
     with progress_bar() as told:
@@ -32,12 +41,11 @@ def simulate(out: Path, config: Path | None, seed: int | None, duration: float |
 
 
 @click.command("import")
-@click.argument("file", type=click.Path(path_type=Path))
-@click.option("--map", "map_file", required=True, type=click.Path(path_type=Path),
+@click.argument("file", type=FILE)
+@click.option("--map", "map_file", required=True, type=FILE,
               metavar="MAP.yaml", help="Which column is which channel, in which unit.")
-@click.option("--out", required=True, type=click.Path(path_type=Path), metavar="BAG",
-              help="Folder of the new bag, or a single .mcap file.")
-@click.option("--overwrite", is_flag=True, help="Replace an existing bag.")
+@out_option
+@overwrite_option
 def import_table(file: Path, map_file: Path, out: Path, overwrite: bool) -> None:
     """Convert a CSV or MAT FILE to a bag, using a channel map."""
     from eha_monitor.plausibility.judge import plausibility_of
@@ -56,7 +64,7 @@ def import_table(file: Path, map_file: Path, out: Path, overwrite: bool) -> None
 
 
 @click.command()
-@click.option("--config", "file", type=click.Path(path_type=Path), metavar="FILE",
+@click.option("--config", "file", type=FILE, metavar="FILE",
               help="Print this config in full instead of the paper's EHA.")
 def config(file: Path | None) -> None:
     """Print a config with every key: value, unit, range and description."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from eha_monitor.commands.common import check_target, working
+from eha_monitor.commands.common import FILE, check_target, working
 from eha_monitor.errors import InputError
 from eha_monitor.output import write_text
 
@@ -26,8 +26,8 @@ _ANSWERS = {"area_1": ("bore",), "area_2": ("rod", "rods"), "volume_1": ("stroke
 
 
 @click.command()
-@click.argument("file", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), default=Path("my_rig.yaml"),
+@click.argument("file", type=FILE)
+@click.option("--out", type=FILE, default=Path("my_rig.yaml"),
               show_default=True, metavar="FILE.yaml", help="The config to write.")
 @click.option("--set", "given", multiple=True, metavar="KEY=VALUE",
               help="A value: rig.area_1='5.05 cm^2', rig.bore='50 mm', x.column='Weg [mm]', "
@@ -40,8 +40,8 @@ def init(file: Path, out: Path, given: tuple[str, ...], yes: bool, overwrite: bo
     Columns, units and time are guessed from header and values; what cannot be guessed is asked
     for on a terminal; otherwise it is marked ASK in the config.
     """
-    from eha_monitor.draft.answers import answers_of
     from eha_monitor.draft.draft import drafted
+    from eha_monitor.draft.rig import answers_of
     from eha_monitor.draft.sources import source_of
 
     answers = answers_of(given)
@@ -62,7 +62,7 @@ def init(file: Path, out: Path, given: tuple[str, ...], yes: bool, overwrite: bo
 
 def _asked(asked, answers, given):
     """Ask at the terminal for what is open; an empty answer leaves it open."""
-    from eha_monitor.draft.answers import answers_of
+    from eha_monitor.draft.rig import answers_of
 
     wanted = []
     for key, question in asked:
@@ -91,31 +91,25 @@ def _asked(asked, answers, given):
 
 def _tell(draft) -> None:
     """Print which column became which channel, and what the recording says against it."""
-    from rich.table import Table
+    from eha_monitor.commands.table import console, table
 
-    from eha_monitor.commands.table import PIPE_WIDTH, PipeConsole
-
-    console = PipeConsole(highlight=False)
-    if not console.is_terminal:
-        console = PipeConsole(highlight=False, width=PIPE_WIDTH)
-    table = Table("channel", "column", "unit", "where from", box=None, header_style="bold",
-                  padding=(0, 2, 0, 0))
+    to, shown = console(), table("channel", "column", "unit", "where from")
     rows = ([("time", draft.map.time)] if draft.map.time else []) + list(
         draft.map.channels.items())
     for name, guess in rows:
         scale = "" if guess.scale == 1.0 else f"{guess.scale:g} "
-        table.add_row(name, guess.candidate.shown.replace("[", r"\["),
+        shown.add_row(name, guess.candidate.shown.replace("[", r"\["),
                       guess.full or f"{scale}{guess.unit}", guess.why.replace("[", r"\["))
-    console.print(table)
+    to.print(shown)
     if draft.map.unused:
-        console.print(f"not used: {', '.join(one.shown for one in draft.map.unused)}",
+        to.print(f"not used: {', '.join(one.shown for one in draft.map.unused)}",
                       markup=False)
     if draft.asked:
-        console.print("missing values (ASK in the file):", markup=False)
+        to.print("missing values (ASK in the file):", markup=False)
         for key, question in draft.asked:
-            console.print(f"  {key}: {question}", markup=False)
+            to.print(f"  {key}: {question}", markup=False)
     for finding in draft.judged.findings:
-        console.print(f"check: {finding.finding}", markup=False)
+        to.print(f"check: {finding.finding}", markup=False)
 
 
 def _first_estimate(draft) -> None:

@@ -4,11 +4,9 @@ from pathlib import Path
 
 import click
 
-from eha_monitor.commands.common import config_option, ros_module
+from eha_monitor.commands.common import FILE, SECONDS, config_option, ros_module
 
-_SECONDS = click.FloatRange(min=0, min_open=True)
-
-duration_option = click.option("--duration", type=_SECONDS, metavar="SECONDS",
+duration_option = click.option("--duration", type=SECONDS, metavar="SECONDS",
                                help="Stop after this time.")
 
 
@@ -68,7 +66,7 @@ def dashboard(ros_args: list[str], config: Path | None, actuators: tuple[str, ..
 
 
 @click.command()
-@click.argument("bag", type=click.Path(path_type=Path))
+@click.argument("bag", type=FILE)
 @click.option("--rate", type=click.FloatRange(min=0, min_open=True), default=1.0,
               show_default=True, help="Playback speed relative to real time.")
 @click.option("--clock/--no-clock", default=True, show_default=True,
@@ -83,7 +81,7 @@ def replay(ros_args: list[str], bag: Path, rate: float, clock: bool, loop: bool,
 
 
 @click.command()
-@click.option("--out", required=True, type=click.Path(path_type=Path), metavar="BAG",
+@click.option("--out", required=True, type=FILE, metavar="BAG",
               help="Folder of the new bag.")
 @click.option("--topic", "topics", multiple=True, metavar="TOPIC",
               help="Record this topic; may be repeated. Default: the topics of the config.")

@@ -4,11 +4,16 @@ from pathlib import Path
 
 import click
 
-from eha_monitor.commands.common import check_target, config_option, end_as_on_interrupt
-from eha_monitor.commands.diagnose import progress_bar
+from eha_monitor.commands.common import (
+    FILE,
+    check_target,
+    config_option,
+    end_as_on_interrupt,
+    json_option,
+    progress_bar,
+)
 from eha_monitor.errors import InputError
 
-_PATH = click.Path(path_type=Path)
 GROUNDS = ("draws", "mcmaster", "simulator", "strangers", "triangle")
 DRAWS = 200
 
@@ -23,14 +28,14 @@ DRAWS = 200
               "triangle with Coulomb friction and a second recording as advised.")
 @click.option("--cases", type=click.IntRange(1, 10000), default=None,
               help="How many recordings, or rigs; 200 draws, or all that a ground has.")
-@click.option("--data", type=_PATH, metavar="DIR",
+@click.option("--data", type=FILE, metavar="DIR",
               help="Folder of the simulator's recordings, with its key.json; needs --config.")
 @click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=1, show_default=True,
               help="Seed of the draws; the first cases of a longer trial are the same.")
-@click.option("--json", "json_file", type=_PATH, metavar="FILE", help="Write the result as JSON.")
-@click.option("--report", "report_file", type=_PATH, metavar="FILE.html",
+@json_option
+@click.option("--report", "report_file", type=FILE, metavar="FILE.html",
               help="Write a self-contained HTML report; without it DIR/proof.html.")
-@click.option("--markdown", "text_file", type=_PATH, metavar="FILE.md",
+@click.option("--markdown", "text_file", type=FILE, metavar="FILE.md",
               help="Put the result into a Markdown file, between its two result marks.")
 @click.option("--draw", type=click.Choice(("mixed", "ladder", "outside")), default="mixed",
               show_default=True, help="Sets of 0 to 3 effects on all rigs and motions; single "
@@ -40,7 +45,7 @@ DRAWS = 200
               show_default=True, help="What the nominal configs say of the rig: the truth; each "
               "number off by one tolerance (standard deviation); one number off by 3 to 10 of "
               "them; or 40 %, 40 % and 20 % of these.")
-@click.option("--work", type=_PATH, metavar="DIR",
+@click.option("--work", type=FILE, metavar="DIR",
               help="Folder of recordings, key and answers; by default out/proof/... here. An "
                    "interrupted trial is resumed.")
 @click.option("--keep", type=click.Choice(("same", "all", "none")), default="same",

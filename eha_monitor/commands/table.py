@@ -1,22 +1,24 @@
-"""The answer of ``estimate`` as a person reads it on a terminal."""
+"""What the commands print on a terminal, and the answer of ``estimate`` there."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from eha_monitor.commands.indicators import show as show_indicators
 from eha_monitor.filters.results import Estimate
 from eha_monitor.health.alarms import NOT_JUDGED, Alarm
-from eha_monitor.indicators.indicator import Indicator
+from eha_monitor.indicators.indicator import AVAILABLE, NEEDS, NONE, NOT_LOOKED_FOR, Indicator
 from eha_monitor.quantity import NOTE, SYMBOLS
+from eha_monitor.settings import Settings
+from eha_monitor.words import listed
 
-_COLOURS = {"OK": "green", "WARN": "yellow", "ERROR": "red", "STALE": "dim", NOT_JUDGED: "cyan",
-            "converged": "green", "not_excited": "yellow", "diverged": "red", "no_data": "dim",
-            "consistent": "green", "mismatch": "red", "unknown": "dim",
-            "not_judged": "cyan"}
+COLOURS = {"OK": "green", "WARN": "yellow", "ERROR": "red", "STALE": "dim", NOT_JUDGED: "cyan",
+           "converged": "green", "not_excited": "yellow", "diverged": "red", "no_data": "dim",
+           "consistent": "green", "mismatch": "red", "unknown": "dim",
+           "not_judged": "cyan"}
 PIPE_WIDTH = 120  # where there is no terminal whose width could be asked for
 
 
@@ -28,57 +30,91 @@ class PipeConsole(Console):
         raise BrokenPipeError
 
 
+def console() -> Console:
+    """Return where the answers are printed."""
+    made = PipeConsole(highlight=False)
+    return made if made.is_terminal else PipeConsole(highlight=False, width=PIPE_WIDTH)
+
+
+def table(*columns: str, **more) -> Table:
+    """Return a table as all answers have it."""
+    return Table(*columns, box=None, header_style="bold", padding=(0, 2, 0, 0), **more)
+
+
+def print_end(to: Console, note: str, written: list[Path]) -> None:
+    """Print what holds for all numbers, and which files were written."""
+    if note:
+        to.print(note, style="dim")
+    for path in written:
+        to.print(f"written: {escape(str(path))}", soft_wrap=True)
+
+
 def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path],
          indicators: tuple[Indicator, ...] = ()) -> None:
     """Print parameters, indicators, alarms, model status, losses and events."""
-    console = PipeConsole(highlight=False, soft_wrap=False)
-    if not console.is_terminal:
-        console = PipeConsole(highlight=False, width=PIPE_WIDTH)
-    recording = found.recording
+    to, recording = console(), found.recording
     faster = recording.duration / found.wall_s if found.wall_s else 0.0
     speed = f", {faster:.0f}x real time" if faster >= 1.0 else ""
-    console.print(f"{escape(recording.source)}: {recording.duration:.3f} s, {len(recording)} "
+    to.print(f"{escape(recording.source)}: {recording.duration:.3f} s, {len(recording)} "
                   f"samples, channels {', '.join(recording.channels)}"
                   f" (computed in {found.wall_s:.2f} s{speed})")
-    console.print(_parameters(found))
+    to.print(_parameters(found))
     for parameter in found.parameters.values():
         if parameter.message:
-            console.print(escape(parameter.message))
-    show_indicators(console, indicators, found.settings)
-    console.print(_alarms(alarms))
-    console.print(f"model: {_coloured(found.model.status)}: {escape(found.model.message)}")
+            to.print(escape(parameter.message))
+    show_indicators(to, indicators, found.settings)
+    to.print(_alarms(alarms))
+    to.print(f"model: {_coloured(found.model.status)}: {escape(found.model.message)}")
     for title, sentences in (("lost", recording.losses), ("note", found.warnings)):
         for sentence in sentences:
-            console.print(f"[yellow]{title}[/]: {escape(sentence)}")
+            to.print(f"[yellow]{title}[/]: {escape(sentence)}")
     for event in found.events:
-        console.print(f"{event.time_s:8.2f} s  stage {event.stage}: {escape(event.message)}")
-    if any(math.isfinite(p.value) for p in found.parameters.values()):
-        console.print(NOTE, style="dim")
-    for path in written:
-        console.print(f"written: {escape(str(path))}", soft_wrap=True)
+        to.print(f"{event.time_s:8.2f} s  stage {event.stage}: {escape(event.message)}")
+    known = any(math.isfinite(p.value) for p in found.parameters.values())
+    print_end(to, NOTE if known else "", written)
 
 
 def _coloured(word: str) -> str:
-    colour = _COLOURS.get(word)
+    colour = COLOURS.get(word)
     return f"[{colour}]{word}[/]" if colour else word
 
 
 def _parameters(found: Estimate) -> Table:
-    table = Table("estimator", "parameter", "value", "status", box=None, header_style="bold",
-                  padding=(0, 2, 0, 0))
+    shown = table("estimator", "parameter", "value", "status")
     rows = [(f"stage {stage.stage}", stage.estimate)
             for stage in (found.stage_one, found.stage_two)]
     if found.joint is not None:
         rows += [("joint", parameter) for parameter in found.joint.parameters.values()]
     for estimator, p in rows:
-        table.add_row(estimator, SYMBOLS.get(p.name, p.name), p.shown, _coloured(p.status))
-    return table
+        shown.add_row(estimator, SYMBOLS.get(p.name, p.name), p.shown, _coloured(p.status))
+    return shown
 
 
 def _alarms(alarms: tuple[Alarm, ...]) -> Table:
-    table = Table("alarm", "level", "since", "why", box=None, header_style="bold",
-                  padding=(0, 2, 0, 0))
+    shown = table("alarm", "level", "since", "why")
     for alarm in alarms:
-        table.add_row(alarm.name, _coloured(alarm.word), f"{alarm.time_s:.2f} s",
+        shown.add_row(alarm.name, _coloured(alarm.word), f"{alarm.time_s:.2f} s",
                       escape(alarm.message))
-    return table
+    return shown
+
+
+def show_indicators(to: Console, indicators: Sequence[Indicator], settings: Settings) -> None:
+    """Print those that are told, why others are not, and which keys are missing."""
+    from eha_monitor.indicators.limits import passed
+
+    shown = [one for one in indicators if one.status not in (NEEDS, NONE)
+             and one.message != NOT_LOOKED_FOR]
+    if any(one.status == AVAILABLE for one in shown):
+        rows = table("indicator", "value", "conditions, or why there is no value")
+        for one in shown:
+            limit = "[red]beyond its limit[/], " if passed(one, settings) else ""
+            rows.add_row(one.words, one.shown, limit + escape(one.message))
+        to.print(rows)
+    if others := [one.words for one in indicators if one.message == NOT_LOOKED_FOR
+                 and one.name != "friction_share"]:
+        to.print(escape(f"run `diagnose` for {listed(others)}"), style="dim")
+    missing = dict.fromkeys(key for one in indicators for key in one.missing)
+    if missing:
+        lacking = listed([one.words for one in indicators if one.status == NEEDS])
+        to.print(escape(f"not computed: {lacking}; set {listed(list(missing))} in the "
+                        "config (docs/health.md)"), style="dim")

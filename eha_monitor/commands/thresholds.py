@@ -7,10 +7,13 @@ from pathlib import Path
 import click
 
 from eha_monitor.commands.common import (
+    FILE,
     Several,
     check_outputs,
     config_option,
+    json_option,
     working,
+    write_config_option,
 )
 from eha_monitor.errors import InputError
 from eha_monitor.output import write_json, write_text
@@ -25,7 +28,7 @@ class _From(Several):
 
 
 @click.command(cls=_From)
-@click.option("--from", "bags", required=True, multiple=True, type=click.Path(path_type=Path),
+@click.option("--from", "bags", required=True, multiple=True, type=FILE,
               metavar="HEALTHY ...", help="Recordings of the healthy machine, five or more.")
 @config_option
 @click.option("--rate", type=click.FloatRange(0, 0.5, min_open=True), default=0.01,
@@ -33,10 +36,8 @@ class _From(Several):
               "ERROR a tenth of it.")
 @click.option("--least", type=click.FloatRange(0, 0.6), default=0.1, show_default=True,
               help="Smallest distance of a WARN limit from the mean, as a fraction of the mean.")
-@click.option("--json", "json_file", type=click.Path(path_type=Path), metavar="FILE",
-              help="Write the result as JSON.")
-@click.option("--write-config", "config_file", type=click.Path(path_type=Path), metavar="FILE",
-              help="Write the config with these thresholds.")
+@json_option
+@write_config_option("Write the config with these thresholds.")
 def thresholds(bags: tuple[Path, ...], config: Path | None, rate: float, least: float,
                json_file: Path | None, config_file: Path | None) -> None:
     """Propose alarm limits from healthy recordings, with the false-alarm rate that they imply."""
@@ -103,33 +104,28 @@ def _healthy(bags, settings, config):
 
 
 def _show(proposals, told, seconds, settings) -> None:
-    from rich.table import Table
-
-    from eha_monitor.commands.table import PIPE_WIDTH, PipeConsole
+    from eha_monitor.commands.table import console, table
     from eha_monitor.filters.status import units_of
     from eha_monitor.quantity import SYMBOLS, quantity
 
-    console = PipeConsole(highlight=False)
-    if not console.is_terminal:
-        console = PipeConsole(highlight=False, width=PIPE_WIDTH)
+    to = console()
     units = units_of(settings.rig.motion)
-    table = Table("limit", "value", "of the mean", "false alarms", box=None, header_style="bold",
-                  padding=(0, 2, 0, 0))
+    rows = table("limit", "value", "of the mean", "false alarms")
     for one in proposals:
         for limit in one.limits:
-            table.add_row(f"{SYMBOLS.get(one.symbol, one.symbol)} {limit.key}",
+            rows.add_row(f"{SYMBOLS.get(one.symbol, one.symbol)} {limit.key}",
                           quantity(limit.value, units[one.symbol], 4), f"{limit.factor:.3g}",
                           _rate(limit.rate))
     for one in proposals:
         between = ("not known from one recording" if math.isnan(one.between)
                    else f"{one.between:.2%}")
-        console.print(f"{SYMBOLS.get(one.symbol, one.symbol)}: {len(one.healthy)} recording"
+        to.print(f"{SYMBOLS.get(one.symbol, one.symbol)}: {len(one.healthy)} recording"
                       f"{'s' * (len(one.healthy) > 1)}, mean "
                       f"{quantity(one.mean, units[one.symbol], 4)}, spread within a recording "
                       f"{one.within:.2%}, between recordings {between}", markup=False)
-    console.print(table)
+    to.print(rows)
     for sentence in _sentences(proposals, told, seconds):
-        console.print(sentence, markup=False)
+        to.print(sentence, markup=False)
 
 
 def _rate(rate: float) -> str:

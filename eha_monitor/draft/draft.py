@@ -1,22 +1,187 @@
 """From a recording and answers to a draft that the recording itself has been asked about."""
 
 from dataclasses import dataclass, replace
+from json import dumps
+from math import isclose, log
 
-from eha_monitor.draft.answers import Answers, full_scale
+from eha_monitor import __version__
 from eha_monitor.draft.guess import Guess, Map, guessed
-from eha_monitor.draft.mend import mended
-from eha_monitor.draft.rig import Entry, Seen, rig_entries, seen_in
+from eha_monitor.draft.rig import Answers, Entry, Seen, full_scale, number, rig_entries, seen_in
 from eha_monitor.draft.sources import Source
-from eha_monitor.draft.text import draft_text
 from eha_monitor.errors import InputError
 from eha_monitor.plausibility.judge import Plausibility, plausibility_of
+from eha_monitor.recordings.finding import ChannelFinding
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.load import settings_from_tree, text_tree
-from eha_monitor.settings.measured import check_unit
+from eha_monitor.settings.measured import check_unit, unit_of
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
+
+# Units that a column may be in, by its channel; a factor that is none of them becomes a scale.
+UNITS = {"x": ("m", "mm", "cm", "um", "inch"), "x_d": ("m", "mm", "cm", "um", "inch"),
+         "v": ("m/s", "mm/s", "cm/s", "m/min"),
+         "omega": ("rad/s", "rpm", "rev/s", "deg/s"),
+         "omega_d": ("rad/s", "rpm", "rev/s", "deg/s"),
+         "p1": ("Pa", "bar", "kPa", "MPa", "psi", "mbar"),
+         "p2": ("Pa", "bar", "kPa", "MPa", "psi", "mbar"), "force": ("N", "kN", "kgf", "daN")}
+TIMES = {1e-3: "1 ms", 1.0: "1 s", 1e-6: "1 us", 1e-9: "1 ns", 60.0: "1 min"}
+
+
+def mended(found: Map, findings: tuple[ChannelFinding, ...], settings: Settings
+           ) -> tuple[Map, list[str]]:
+    """Return the map with what the recording corrects, and what is left to ask.
+
+    A sign and a swap are corrected whatever the header says, since cables and hoses are mixed up;
+    a unit only where no header and nobody has named it.  Numbers of the rig are never touched.
+    """
+    left = []
+    for finding in findings:
+        changed = _one(found, finding, settings)
+        if changed is None:
+            left.append(finding.finding)
+        else:
+            found = changed
+    return found, left
+
+
+def _one(found: Map, finding: ChannelFinding, settings: Settings) -> Map | None:
+    names = finding.channels
+    if names == ("time",):
+        scale = finding.correction.get("table", {}).get("time_scale")
+        if found.time is None or found.time.sure or scale is None:
+            return None
+        unit = next((text for value, text in TIMES.items() if isclose(value, scale, rel_tol=1e-6)),
+                    None)
+        return unit and replace(found, time=replace(found.time, unit=unit, why=_told(finding)))
+    if any(name not in found.channels for name in names) or "channels" not in finding.correction:
+        return None
+    if finding.kind == "swapped" and len(names) == 2:
+        one, other = (found.channels[name] for name in names)
+        swapped = {names[0]: replace(other, why=_told(finding)),
+                   names[1]: replace(one, why=_told(finding))}
+        return replace(found, channels={**found.channels, **swapped})
+    for name in names:
+        guess = found.channels[name]
+        if finding.kind == "offset":
+            # Against a charge pressure that nobody has told it says nothing.
+            if "charge pressure" in finding.finding and (
+                    "charge_pressure" not in settings.rig.model_fields_set):
+                return found
+            if not guess.unit or (guess.sure and "gauge" in guess.unit):
+                return None
+            found = found.with_channel(name, replace(
+                guess, unit=f"{guess.unit} gauge", why=_told(finding)))
+            continue
+        old, new = settings.channels[name].gain, finding.correction["channels"][name]["scale"]
+        factor = new / old
+        if factor < 0:
+            found = found.with_channel(name, replace(guess, scale=-guess.scale,
+                                                     why=_told(finding)))
+        if abs(log(abs(factor))) > 1e-6:
+            if guess.sure:
+                return None
+            found = found.with_channel(name, _in_another_unit(found.channels[name], name,
+                                                              abs(factor), finding))
+    return found
+
+
+def _in_another_unit(guess, name: str, factor: float, finding: ChannelFinding):
+    wanted = unit_of(guess.unit).factor * factor
+    unit = next((unit for unit in UNITS.get(name, ())
+                 if isclose(unit_of(unit).factor, wanted, rel_tol=1e-4)), None)
+    if unit is not None:
+        return replace(guess, unit=unit, why=_told(finding))
+    return replace(guess, scale=float(f"{guess.scale * factor:.10g}"), why=_told(finding))
+
+
+def _told(finding: ChannelFinding) -> str:
+    return f"values: {finding.finding}"
+
+
+ASK = "ASK"
+_COLUMN = 34  # where comments begin, if there is room
+
+
+def draft_text(source: Source, found: Map, rig: list[Entry], checks: list[str]) -> str:
+    """Return the config.
+
+    Parameters
+    ----------
+    source, found : the recording and its channels.
+    rig : lines of ``rig``.
+    checks : sentences of the plausibility checks that nothing was done about.
+    """
+    lines = [f"# Drafted by eha_monitor {__version__} from {source.path.name}.",
+             "# The comment behind each value gives its source; ASK marks missing values.",
+             *(f"# {ASK}: {check}" for check in checks), "rig:"]
+    lines += [_line(f"  {entry.key}: {entry.value}", entry.why, entry.ask) for entry in rig]
+    lines += ["channels:"] if source.bag else ["table:"]
+    if not source.bag:
+        lines += [_line(f"  {key}: {_scalar(value)}", "values: how the file is laid out")
+                  for key, value in source.table.items()]
+        lines += _time(found.time)
+        lines += ["  columns:"] if _readable(found) else [_line("  columns: {}", "no channel was "
+                                                                "found", True)]
+    margin = "  " if source.bag else "    "
+    for name, guess in found.channels.items():
+        if guess.full:
+            all_ = "100 %" if guess.full == "share" else "how many counts"
+            example = "'80 mm'" if guess.full == "share" else "'27648 = 250 bar'"
+            lines.append(f"{margin}# {ASK} {name}: '{guess.candidate.shown}' is in "
+                         f"{'per cent' if guess.full == 'share' else 'counts'}: how much is "
+                         f"{all_}?  --set {name}.full={example}")
+        else:
+            lines += _channel(name, guess, margin)
+    if found.unused:
+        names = ", ".join(dumps(one.shown, ensure_ascii=False) for one in found.unused)
+        lines.append(f"{margin}# not used: {names}")
+    lines += [_line("thresholds:", "none yet: eha-monitor thresholds --from HEALTHY proposes "
+                                   "limits",
+                    True),
+              "  viscous_damping: {low_error: null, low_warn: null, high_warn: null, "
+              "high_error: null}",
+              "  bulk_modulus: {low_error: null, low_warn: null, high_warn: null, "
+              "high_error: null}"]
+    return "\n".join(lines) + "\n"
+
+
+def _readable(found: Map) -> list[str]:
+    return [name for name, guess in found.channels.items() if not guess.full]
+
+
+def _line(text: str, why: str, ask: bool = False) -> str:
+    return f"{text:<{_COLUMN}}  # {f'{ASK}: ' if ask else ''}{why}"
+
+
+def _time(time: Guess | None) -> list[str]:
+    if time is None:
+        return [f"  # {ASK}: no column of the time was found; rows follow at rig.sample_time"]
+    column = _scalar(time.candidate.place["column"])
+    lines = [_line(f"  time: {column}", time.why)]
+    if time.unit:
+        why = "header" if time.sure else "guessed from values"
+        lines.append(_line(f"  time_scale: {time.unit}", why))
+    return lines
+
+
+def _channel(name: str, guess: Guess, margin: str) -> list[str]:
+    keys = dict(guess.candidate.place)
+    parts = [f"{key}: {_scalar(value)}" for key, value in keys.items()]
+    parts += [f"unit: {_scalar(guess.unit)}"] if guess.unit else []
+    parts += [f"scale: {number(guess.scale)}"] if guess.scale != 1.0 else []
+    parts += [f"offset: {number(guess.offset)}"] if guess.offset else []
+    return [_line(f"{margin}{name}: {{{', '.join(parts)}}}", guess.why)]
+
+
+def _scalar(value: str | int) -> str:
+    if isinstance(value, int):
+        return str(value)
+    return value if value.isidentifier() and value.casefold() not in (
+        "y", "n", "yes", "no", "on", "off", "true", "false", "null") else dumps(
+        value, ensure_ascii=False)
+
 
 ROUNDS = 4  # a swap may hide a unit, and that a sign
 

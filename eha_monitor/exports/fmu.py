@@ -5,23 +5,25 @@ import tempfile
 import uuid
 import zipfile
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 
+from eha_monitor import __version__
 from eha_monitor.errors import InputError
 from eha_monitor.exports import fmu_kernel
-from eha_monitor.exports.fmu_build import SOURCES, identifier, platforms_for, shared_library
-from eha_monitor.exports.fmu_description import (
-    VR_CLOSED,
-    VR_OUTPUT,
-    VR_PARAMETER,
-    VR_X_START,
-    Variable,
-    description,
-    parameters_of,
+from eha_monitor.exports.fmu_build import SOURCES, platforms_for, shared_library
+from eha_monitor.exports.model import (
+    INPUTS,
+    OUTPUTS,
+    Exported,
+    Model,
+    exponents,
+    lost_of_simulation,
+    plain,
 )
-from eha_monitor.exports.model import Exported, Model, lost_of_simulation
 from eha_monitor.physics import plant, signals
 from eha_monitor.physics.contributions import (
     N_EFFECTS,
@@ -30,10 +32,133 @@ from eha_monitor.physics.contributions import (
     with_term,
     with_update,
 )
-from eha_monitor.physics.excitation import demanded_position
-from eha_monitor.physics.parameters import theta_of
+from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.parameters import BASE_KEYS, place_of, theta_of
+from eha_monitor.physics.signals import K_POS
+from eha_monitor.settings.rig import Rig
 
-_NEEDED = ("area_1", "area_2", "volume_1", "volume_2", "pump_displacement")
+# Numbers of the rig that age and heat change; the others are its geometry.
+DRIFTING = ("viscous_damping", "bulk_modulus", "leakage", "makeup_conductance")
+VR_X_START, VR_CLOSED, VR_OUTPUT, VR_PARAMETER = 10, 11, 100, 1000
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A parameter: its name in the FMU, place in theta, unit, start, range, and if it may change.
+
+    ``tunable`` : may be set while the simulation runs; another only before it.
+    """
+
+    name: str
+    place: int
+    unit: str
+    description: str
+    start: float
+    lower: float | None
+    upper: float | None
+    tunable: bool
+
+
+def parameters_of(model: Model, theta: np.ndarray) -> list[Variable]:
+    """Return the rig's numbers and the parameters of the active effects of the catalogue."""
+    found = []
+    for place, key in BASE_KEYS.items():
+        if place == K_POS and model.settings.rig.position_gain is None:
+            continue
+        field = Rig.model_fields[key]
+        bounds = {name: getattr(one, name) for one in field.metadata
+                  for name in ("gt", "ge") if hasattr(one, name)}
+        found.append(Variable(key, place, field.json_schema_extra["unit"], field.description,
+                              float(theta[place]), bounds.get("ge", bounds.get("gt")), None,
+                              key in DRIFTING))
+    for name in model.effects:
+        for p in CATALOGUE[name].parameters:
+            place = place_of(f"{name}.{p.name}")
+            found.append(Variable(f"{name}.{p.name}", place, p.unit, p.description,
+                                  float(theta[place]), p.lower, p.upper,
+                                  p.fitted or p.default is None))
+    return found
+
+
+def description(model: Model, guid: str, identifier: str, start: float, parameters: list[Variable],
+                lost: tuple[str, ...], units: Mapping[str, str]) -> bytes:
+    """Return the XML file.
+
+    Parameters
+    ----------
+    start : position at the start, m.
+    units : unit of a linear rig -> that of this one.
+    """
+    rig = model.settings.rig
+    root = ElementTree.Element("fmiModelDescription", {
+        "fmiVersion": "2.0", "modelName": rig.name, "guid": guid,
+        "description": f"Electrohydraulic actuator, from {model.source}; {model.provenance}",
+        "generationTool": f"eha_monitor {__version__}",
+        "variableNamingConvention": "structured", "numberOfEventIndicators": "0"})
+    for line in lost:
+        root.append(ElementTree.Comment(f" not in this FMU: {line.replace('--', '- -')} "))
+    ElementTree.SubElement(root, "CoSimulation", {
+        "modelIdentifier": identifier, "canHandleVariableCommunicationStepSize": "true",
+        "canInterpolateInputs": "true", "maxOutputDerivativeOrder": "0",
+        "canGetAndSetFMUstate": "true", "canSerializeFMUstate": "true",
+        "canNotUseMemoryManagementFunctions": "true"})
+
+    def unit_of(unit: str) -> str:
+        return plain(units.get(unit, unit))
+
+    used = {unit_of(unit) for _, unit, _ in (*INPUTS, *OUTPUTS)} | {
+        unit_of(one.unit) for one in parameters}
+    definitions = ElementTree.SubElement(root, "UnitDefinitions")
+    for unit in sorted(used - {""}):
+        whole = exponents(unit)
+        one = ElementTree.SubElement(definitions, "Unit", {"name": unit})
+        if whole is not None:
+            ElementTree.SubElement(one, "BaseUnit", {k: str(n) for k, n in whole.items()})
+    ElementTree.SubElement(root, "DefaultExperiment", {
+        "startTime": "0", "stepSize": repr(rig.sample_time)})
+    variables = ElementTree.SubElement(root, "ModelVariables")
+
+    def real(name: str, vr: int, text: str, unit: str, start: float | None = None,
+             bounds: tuple[float | None, float | None] = (None, None), **attributes: str) -> None:
+        one = ElementTree.SubElement(variables, "ScalarVariable", {
+            "name": name, "valueReference": str(vr), "description": text, **attributes})
+        value = {"unit": unit_of(unit)} if unit_of(unit) else {}
+        value |= {key: repr(float(bound)) for key, bound in zip(("min", "max"), bounds,
+                                                                strict=True)
+                  if bound is not None and np.isfinite(bound)}
+        if start is not None:
+            value["start"] = repr(float(start))
+        ElementTree.SubElement(one, "Real", value)
+
+    for vr, (name, unit, text) in enumerate(INPUTS):
+        real(name, vr, text, unit, start if name == "x_d" else 0.0, causality="input",
+             variability="continuous")
+    real("x_start", VR_X_START, "position at the start, at rest", "m", start,
+         causality="parameter", variability="fixed", initial="exact")
+    loop = ElementTree.SubElement(variables, "ScalarVariable", {
+        "name": "closed_loop", "valueReference": str(VR_CLOSED), "causality": "parameter",
+        "variability": "fixed", "initial": "exact",
+        "description": "true: the drive follows x_d; false: pump_speed turns the pump"})
+    closed = rig.position_gain is not None
+    ElementTree.SubElement(loop, "Boolean", {"start": str(closed).lower()})
+    for i, one in enumerate(parameters):
+        real(one.name, VR_PARAMETER + i, one.description, one.unit, one.start,
+             (one.lower, one.upper), causality="parameter", initial="exact",
+             variability="tunable" if one.tunable else "fixed")
+    first = len(variables) + 1
+    for i, (name, unit, text) in enumerate(OUTPUTS):
+        real(name, VR_OUTPUT + i, text, unit, causality="output", variability="continuous",
+             initial="calculated")
+    structure = ElementTree.SubElement(root, "ModelStructure")
+    for part in ("Outputs", "InitialUnknowns"):
+        unknowns = ElementTree.SubElement(structure, part)
+        for i in range(len(OUTPUTS)):
+            ElementTree.SubElement(unknowns, "Unknown", {"index": str(first + i)})
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
+
+
+
 
 
 def fmu_of(model: Model, units: Mapping[str, str], wanted: tuple[str, ...] = ()) -> Exported:
@@ -50,17 +175,17 @@ def fmu_of(model: Model, units: Mapping[str, str], wanted: tuple[str, ...] = ())
         If a number of the rig is null, a delay is longer than the FMU remembers, or there is no
         compiler.
     """
-    model.require("an FMU", *_NEEDED)
+    model.require("an FMU")
     platforms = platforms_for(wanted)
     settings = model.settings
     theta, active = theta_of(settings.rig, settings.effects)
     theta = np.nan_to_num(theta, nan=0.0)
     h = settings.rig.sample_time / settings.simulation.substeps
     _refuse_long_delays(model, theta, active, h)
-    start = float(demanded_position(settings.simulation.excitation, np.zeros(1))[0])
+    start = model.start
     parameters = parameters_of(model, theta)
     lost = _lost(model)
-    name = identifier(settings.rig.name)
+    name = model.identifier
     # The same model has the same identity, whoever exports it.
     guid = "{" + str(uuid.uuid5(uuid.NAMESPACE_URL, repr((
         name, theta.tolist(), active.tolist(), h, start)))) + "}"

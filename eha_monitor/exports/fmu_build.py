@@ -6,7 +6,6 @@ numba's own cache.  For each FMU only the C files with its start values are comp
 
 import importlib.util
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -163,9 +162,3 @@ def shared_library(platform: Platform, folder: Path, sources: list[Path]) -> byt
         last = (run.stderr or run.stdout).strip().rsplit("\n", 1)[-1]
         raise InputError(f"--fmu: the compiler failed for {platform.folder}: {last[:300]}")
     return library.read_bytes()
-
-
-def identifier(name: str) -> str:
-    """Return a name as C allows it."""
-    found = re.sub(r"\W", "_", name, flags=re.ASCII)
-    return found if re.match(r"[A-Za-z_]", found) else f"eha_{found}"

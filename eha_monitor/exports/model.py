@@ -1,11 +1,31 @@
-"""The identified model as the exports take it: settings, where they come from, what is lost."""
+"""The identified model as the exports take it: settings, ports, units, what is lost."""
 
+import re
 from dataclasses import dataclass
+
+import numpy as np
 
 from eha_monitor.errors import InputError
 from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.excitation import demanded_position
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.own_terms import is_own
+
+INPUTS = (("x_d", "m", "demanded position, with closed_loop"),
+          ("pump_speed", "rad/s", "shaft speed of the pump, without closed_loop"),
+          ("load_force", "N", "external force, positive against positive motion"))
+OUTPUTS = (("x", "m", "position"), ("v", "m/s", "velocity"),
+           ("p1", "Pa", "absolute pressure of chamber 1"),
+           ("p2", "Pa", "absolute pressure of chamber 2"),
+           ("omega", "rad/s", "shaft speed of the pump"),
+           ("x_measured", "m", "position as its sensor shows it: late, off its scale"),
+           ("p1_measured", "Pa", "pressure 1 as its sensor shows it"),
+           ("p2_measured", "Pa", "pressure 2 as its sensor shows it"),
+           ("force", "N", "pressure force A1 p1 - A2 p2"))
+_SI = {"m": {"m": 1}, "s": {"s": 1}, "kg": {"kg": 1}, "rad": {"rad": 1},
+       "N": {"kg": 1, "m": 1, "s": -2}, "Pa": {"kg": 1, "m": -1, "s": -2}}
+# Numbers of the rig without which there is no whole plant.
+_NEEDED = ("area_1", "area_2", "volume_1", "volume_2", "pump_displacement")
 
 
 @dataclass(frozen=True)
@@ -44,9 +64,20 @@ class Model:
         return f"identified: {found}; the rest as configured" if found else (
             "as configured: no number in it was identified from a recording")
 
-    def require(self, what: str, *keys: str) -> None:
-        """Raise InputError if a number of the rig that an export needs is null."""
-        for key in keys:
+    @property
+    def identifier(self) -> str:
+        """The rig's name as C and Modelica allow it."""
+        found = re.sub(r"\W", "_", self.settings.rig.name, flags=re.ASCII)
+        return found if re.match(r"[A-Za-z_]", found) else f"eha_{found}"
+
+    @property
+    def start(self) -> float:
+        """Position at the start, m."""
+        return float(demanded_position(self.settings.simulation.excitation, np.zeros(1))[0])
+
+    def require(self, what: str) -> None:
+        """Raise InputError if a number of the rig that a whole plant needs is null."""
+        for key in _NEEDED:
             if getattr(self.settings.rig, key) is None:
                 raise InputError(f"{self.source}: rig.{key}: {what} needs a value, got null")
 
@@ -79,3 +110,25 @@ def lost_of_simulation(model: Model) -> tuple[str, ...]:
     if simulation.noise.position_resolution or "position_quantisation" in model.effects:
         lost.append("position_quantisation: the position is continuous")
     return tuple(lost)
+
+
+def plain(unit: str) -> str:
+    """Return a unit in ASCII: ``N*s/m``, ``m^3/(s*Pa)``; empty where there is none."""
+    text = unit.replace("·", "*").replace("²", "^2").replace("³", "^3")
+    return "" if text == "1" else text
+
+
+def exponents(unit: str) -> dict[str, int] | None:
+    """Return the exponents of kg, m, s and rad in a plain unit; None where they are not whole."""
+    above, _, below = unit.partition("/")
+    found: dict[str, int] = {}
+    for part, sign in ((above, 1), (below.strip("()"), -1)):
+        for factor in filter(None, part.split("*")):
+            name, _, power = factor.partition("^")
+            if name == "1":
+                continue
+            if name not in _SI or "." in power:
+                return None
+            for base, exponent in _SI[name].items():
+                found[base] = found.get(base, 0) + sign * exponent * int(power or 1)
+    return {base: exponent for base, exponent in found.items() if exponent}

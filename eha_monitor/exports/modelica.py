@@ -1,43 +1,146 @@
-"""The actuator of a config as Modelica text: its own equations, no library needed."""
+"""The actuator of a config as Modelica text: its own equations, no library needed.
+
+An entry of :data:`EFFECTS` gives what an effect of the catalogue adds to the balances, as
+expressions of the model's variables ``x``, ``v``, ``p1``, ``p2``, ``dp``, ``omega`` and of its own
+parameters, written ``{F_c}``; further variables and equations where it remembers something.  Drive
+and sensor effects are constants of the equations of drive and sensors.  A test holds each to the
+compiled term.
+"""
 
 import ast
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from eha_monitor import __version__
-from eha_monitor.exports.fmu_build import identifier
-from eha_monitor.exports.fmu_description import INPUTS, OUTPUTS, exponents, plain
-from eha_monitor.exports.model import Exported, Model, lost_of_simulation
-from eha_monitor.exports.modelica_effects import EFFECTS, WITHOUT, written
+from eha_monitor.exports.model import (
+    INPUTS,
+    OUTPUTS,
+    Exported,
+    Model,
+    exponents,
+    lost_of_simulation,
+    plain,
+)
+from eha_monitor.physics import signals as of
 from eha_monitor.physics.contributions import circuit_of
 from eha_monitor.physics.effects import CATALOGUE
-from eha_monitor.physics.excitation import demanded_position
 from eha_monitor.physics.own_term import turns
 from eha_monitor.physics.parameters import BASE_KEYS, theta_of
 from eha_monitor.physics.plant import SHORTEST_LAG
-from eha_monitor.physics.signals import (
-    COMMAND_DELAY,
-    DRIVE_GAIN,
-    DRIVE_LAG,
-    FEEDBACK_DELAY,
-    IN_LOOP,
-    POSITION_DELAY,
-    POSITION_SCALE,
-    PRESSURE_DELAY,
-    PRESSURE_DRIFT_1,
-    PRESSURE_DRIFT_2,
-    PRESSURE_OFFSET_1,
-    PRESSURE_OFFSET_2,
-    PRESSURE_SCALE_1,
-    PRESSURE_SCALE_2,
-    SLEW_LIMIT,
-    SPEED_LIMIT,
-)
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.own_terms import slot_for
 from eha_monitor.settings.rig import Rig
+
+_SIGN = "((1 - {w})*tanh(v/{v_e}) + {w}*v/({v_e} + abs(v)))"
+
+
+@dataclass(frozen=True)
+class Written:
+    """An effect in Modelica.
+
+    Attributes
+    ----------
+    adds : contribution (``force``, ``flow_1``, ..., see CONTRIBUTIONS) -> expression.
+    variables : further variables: name -> start, or "" for an algebraic one.
+    equations : further equations.
+    """
+
+    adds: dict[str, str]
+    variables: dict[str, str] = field(default_factory=dict)
+    equations: tuple[str, ...] = ()
+
+
+def dry(law: str, deflection: str = "{z_0}", beside: str = "") -> Written:
+    """Return a dry friction whose seal bends before it slides, after Dahl.
+
+    Parameters
+    ----------
+    law, deflection : steady force in N and bending in m, of the velocity.
+    beside : what it adds besides.
+    """
+    return Written(
+        {"force": "({self}_bent + {t_1}*min(" + deflection + "/1e-6, 1)*exp(-(v/{v_d})^2)"
+         "*der({self}_bent))" + beside},
+        {"{self}_steady": "", "{self}_bent": "0"},
+        ("{self}_steady = " + law,
+         "der({self}_bent) = abs(v)/max(" + deflection + ", 1e-12)*({self}_steady - {self}_bent)"))
+
+
+def rigid(law: str, beside: str = "") -> Written:
+    """Return a dry friction that turns at once with the velocity: z_0 = 0."""
+    return Written({"force": f"({law}){beside}"})
+
+
+def across(flow: str) -> Written:
+    """Return a flow from chamber 1 into chamber 2."""
+    return Written({"flow_1": f"-({flow})", "flow_2": f"({flow})"})
+
+
+_COULOMB = "{F_c}*" + _SIGN
+_STRIBECK = ("({F_c} + {F_d}*((1 - {h})*exp(-(abs(v)/{v_s})^{delta})"
+             " + {h}/(1 + (v/{v_s})^2)))")
+_LEVEL = "max({F_c} + (if v < 0 then -1 else 1)*{dF}, 0)"
+_ASYMMETRIC = _LEVEL + "*" + _SIGN
+_BY_PRESSURE = "{mu}*max(p1 + p2, 0)*" + _SIGN
+_AIR = ("{{alpha}}/({{n}}*max({p}, 5066.25))*(101325/max({p}, 5066.25))^(1/{{n}})")
+
+# Effect -> (with a seal that bends, z_0 > 0; without), or one of them for both.
+EFFECTS: dict[str, Written | tuple[Written, Written]] = {
+    "added_mass": Written({"mass": "{dM}"}),
+    "anti_cavitation": Written({"flow_1": "{k}*max({p_min} - p1, 0)",
+                                "flow_2": "{k}*max({p_min} - p2, 0)"}),
+    "asymmetric_friction": (
+        dry(_ASYMMETRIC, "{z_0}*" + _LEVEL + "/({F_c} + abs({dF}))", " + {dB}*abs(v)"),
+        rigid(_ASYMMETRIC, " + {dB}*abs(v)")),
+    "constant_load": Written({"force": "{F_0}"}),
+    "coulomb_friction": (dry(_COULOMB), rigid(_COULOMB)),
+    "cross_port_leakage": across("{L}*dp"),
+    "entrained_air": Written({"compliance_1": _AIR.format(p="p1"),
+                              "compliance_2": _AIR.format(p="p2")}),
+    "external_leakage": Written({"flow_1": "-{L_1}*(p1 - ambient_pressure)",
+                                 "flow_2": "-{L_2}*(p2 - ambient_pressure)"}),
+    "leakage_offset": across("{Q_0}*tanh(dp/{dp_e})"),
+    "line_dynamics": Written(
+        {"speed": "({self}_flow - omega)"},
+        {"{self}_flow": "0", "{self}_pressure": "0"},
+        ("{T_l}*der({self}_pressure) = {Z}*(omega - {self}_flow)",
+         "{Z}*{T_l}*der({self}_flow) = {self}_pressure - dp - 2*{zeta}*{Z}*{self}_flow")),
+    "position_dependent_volume": Written({"volume_1": "{A_v}*x", "volume_2": "-{A_v}*x"}),
+    "presliding_friction": (dry(_COULOMB), rigid(_COULOMB)),
+    "pressure_friction": (dry(_BY_PRESSURE), rigid(_BY_PRESSURE)),
+    "pump_dead_zone": Written({"speed": "-min(max(omega, -{omega_0}), {omega_0})"}),
+    "pump_flow_gain": Written({"speed": "{k}*omega"}),
+    "pump_volumetric_loss": Written({
+        "speed": "-{k}*omega*abs(dp)*(if omega*dp >= 0 then 1 else -{motoring})"}),
+    "quadratic_friction": Written({"force": "{a_1}*v*abs(v)"}),
+    "relief_valve": across("{k}*(max(dp - {p_c}, 0) - max(-dp - {p_c}, 0))"),
+    "spring_load": Written({"force": "{k}*(x - {x_0})"}),
+    "stribeck_friction": (
+        dry(_STRIBECK + "*" + _SIGN, "{z_0}*" + _STRIBECK + "/({F_c} + {F_d})"),
+        rigid(_STRIBECK + "*" + _SIGN)),
+    "turbulent_leakage": across("{c}*dp/sqrt(sqrt(dp*dp + {dp_0}*{dp_0}))"),
+}
+# Drive and sensor effects that are constants of the equations of drive and sensors.
+CONSTANTS = ("command_delay", "drive_gain", "drive_lag", "drive_saturation", "feedback_delay",
+             "position_delay", "position_scale", "pressure_delay", "pressure_drift",
+             "pressure_offset", "pressure_scale")
+# What is left out, and why.
+WITHOUT = {
+    "backlash": "a play has no equation, only a rule for each contact; the model goes without it",
+    "position_quantisation": "the position of the model is continuous",
+}
+
+
+def written(name: str, values: dict[str, float]) -> Written:
+    """Return an effect in Modelica with its parameters' places still in braces."""
+    found = EFFECTS[name]
+    if isinstance(found, tuple):
+        return found[0] if values["z_0"] > 0.0 else found[1]
+    return found
+
 
 CONTRIBUTIONS = ("force", "flow_1", "flow_2", "compliance_1", "compliance_2", "volume_1",
                  "volume_2", "mass", "speed")
@@ -64,14 +167,13 @@ def modelica_of(model: Model, units: Mapping[str, str]) -> Exported:
     InputError
         If a number of the rig is null.
     """
-    model.require("a Modelica model", "area_1", "area_2", "volume_1", "volume_2",
-                  "pump_displacement")
+    model.require("a Modelica model")
     settings = model.settings
     closed = settings.rig.position_gain is not None
     theta, active = theta_of(settings.rig, settings.effects)
     w = circuit_of(theta, active)
-    slow = closed and (w[DRIVE_LAG] > 0.0 or bool(np.isfinite(w[SLEW_LIMIT])))
-    start = float(demanded_position(settings.simulation.excitation, np.zeros(1))[0])
+    slow = closed and (w[of.DRIVE_LAG] > 0.0 or bool(np.isfinite(w[of.SLEW_LIMIT])))
+    start = model.start
     lost = (*(f"{name}: {why}" for name, why in WITHOUT.items() if name in model.effects),
             *(line for line in lost_of_simulation(model)
               if not line.startswith("position_quantisation")),
@@ -87,7 +189,7 @@ def modelica_of(model: Model, units: Mapping[str, str]) -> Exported:
         if turns(slot_for(values)) and "shaft_angle" not in variables:
             variables["shaft_angle"] = "0"
             equations = [*equations, "der(shaft_angle) = omega"]
-    text = [f'model {identifier(settings.rig.name)}',
+    text = [f'model {model.identifier}',
             f'  "Electrohydraulic actuator, by eha_monitor {__version__}"',
             f"  // from {model.source}; {model.provenance}",
             *(f"  // not in this model: {line}" for line in lost)]
@@ -102,7 +204,7 @@ def modelica_of(model: Model, units: Mapping[str, str]) -> Exported:
     text += [f"  sum_{name} = {' + '.join(adds[name]) or '0'};" for name in CONTRIBUTIONS]
     drive = _drive(w, closed, slow, settings)
     text += [f"  {line};" for line in (*equations, *_balances(), *drive, *_sensors(w))]
-    text += [f"end {identifier(settings.rig.name)};", ""]
+    text += [f"end {model.identifier};", ""]
     return Exported("\n".join(text), lost)
 
 
@@ -259,30 +361,32 @@ def _late(what: str, delay: float) -> str:
 def _drive(w: np.ndarray, closed: bool, slow: bool, settings: Settings) -> list[str]:
     if not closed:
         return ["omega = pump_speed"]
-    seen = _late("x", w[FEEDBACK_DELAY])
-    if w[IN_LOOP] != 0.0 and w[POSITION_SCALE] != 0.0:
-        seen = f"{_number(1.0 + w[POSITION_SCALE])}*{seen}"
-    gain = f"{_number(1.0 + w[DRIVE_GAIN])}*position_gain" if w[DRIVE_GAIN] else "position_gain"
-    wanted = f"{gain}*({_late('x_d', w[COMMAND_DELAY])} - seen)"
-    if np.isfinite(w[SPEED_LIMIT]):
-        limit = _number(w[SPEED_LIMIT])
+    seen = _late("x", w[of.FEEDBACK_DELAY])
+    if w[of.IN_LOOP] != 0.0 and w[of.POSITION_SCALE] != 0.0:
+        seen = f"{_number(1.0 + w[of.POSITION_SCALE])}*{seen}"
+    gain = f"{_number(1.0 + w[of.DRIVE_GAIN])}*" * bool(w[of.DRIVE_GAIN]) + "position_gain"
+    wanted = f"{gain}*({_late('x_d', w[of.COMMAND_DELAY])} - seen)"
+    if np.isfinite(w[of.SPEED_LIMIT]):
+        limit = _number(w[of.SPEED_LIMIT])
         wanted = f"min(max({wanted}, -{limit}), {limit})"
     lines = [f"seen = {seen}", f"wanted = {wanted}"]
     if slow:
         step = settings.rig.sample_time / settings.simulation.substeps
-        rate = f"(wanted - omega)/{_number(max(w[DRIVE_LAG], SHORTEST_LAG * step))}"
-        if np.isfinite(w[SLEW_LIMIT]):
-            slew = _number(w[SLEW_LIMIT])
+        rate = f"(wanted - omega)/{_number(max(w[of.DRIVE_LAG], SHORTEST_LAG * step))}"
+        if np.isfinite(w[of.SLEW_LIMIT]):
+            slew = _number(w[of.SLEW_LIMIT])
             rate = f"min(max({rate}, -{slew}), {slew})"
         return [*lines, f"der(omega) = {rate}"]
     return [*lines, "omega = wanted"]
 
 
 def _sensors(w: np.ndarray) -> list[str]:
-    lines = [f"x_measured = {_number(1.0 + w[POSITION_SCALE])}*{_late('x', w[POSITION_DELAY])}"]
-    for p, scale, offset, drift in (("p1", PRESSURE_SCALE_1, PRESSURE_OFFSET_1, PRESSURE_DRIFT_1),
-                                    ("p2", PRESSURE_SCALE_2, PRESSURE_OFFSET_2,
-                                     PRESSURE_DRIFT_2)):
-        lines.append(f"{p}_measured = {_number(1.0 + w[scale])}*{_late(p, w[PRESSURE_DELAY])} + "
+    x = _late("x", w[of.POSITION_DELAY])
+    lines = [f"x_measured = {_number(1.0 + w[of.POSITION_SCALE])}*{x}"]
+    for name, scale, offset, drift in (
+            ("p1", of.PRESSURE_SCALE_1, of.PRESSURE_OFFSET_1, of.PRESSURE_DRIFT_1),
+            ("p2", of.PRESSURE_SCALE_2, of.PRESSURE_OFFSET_2, of.PRESSURE_DRIFT_2)):
+        late = _late(name, w[of.PRESSURE_DELAY])
+        lines.append(f"{name}_measured = {_number(1.0 + w[scale])}*{late} + "
                      f"({_number(w[offset])}) + ({_number(w[drift])})*time")
     return lines

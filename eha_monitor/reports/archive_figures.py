@@ -5,8 +5,7 @@ from datetime import UTC, datetime
 import matplotlib.dates
 import numpy as np
 
-from eha_monitor.archive.history import History
-from eha_monitor.archive.trend import LEAST, MONTH
+from eha_monitor.archive.history import LEAST, MONTH, History
 from eha_monitor.indicators.indicator import WORDS
 from eha_monitor.indicators.limits import limits_of_indicator
 from eha_monitor.quantity import SYMBOLS, number, quantity, with_uncertainty

@@ -5,8 +5,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from eha_monitor.archive.columns import INDICATORS, PARAMETERS
 from eha_monitor.archive.history import History, history
+from eha_monitor.archive.store import INDICATORS, PARAMETERS
 from eha_monitor.health.alarms import NOT_JUDGED
 from eha_monitor.mismatch.diagnosis import Value
 from eha_monitor.output import write_text

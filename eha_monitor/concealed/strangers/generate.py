@@ -10,8 +10,7 @@ import numpy as np
 from eha_monitor.concealed.strangers.draw import Setting, StrangerRig
 from eha_monitor.concealed.strangers.plant import DAHL, NO_FRICTION
 from eha_monitor.concealed.strangers.shown import ATMOSPHERE, PREROLL, recording
-from eha_monitor.draft.answers import Answers
-from eha_monitor.draft.rig import rig_entries, seen_in
+from eha_monitor.draft.rig import Answers, rig_entries, seen_in
 from eha_monitor.output import write_text
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.write import write_recording

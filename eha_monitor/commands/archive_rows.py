@@ -1,0 +1,393 @@
+"""``estimate`` and ``diagnose`` on a folder of bags: one table, resumed, here or on a cluster.
+
+A row is made in a process of the pool or of a cluster; every column comes from the JSON tree of
+the single-bag command, so that a row says what that says.
+"""
+
+import hashlib
+import os
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from eha_monitor.api.answer import answer, finite, judged
+from eha_monitor.archive import run
+from eha_monitor.archive.find import Place, find_bags, stamp_of
+from eha_monitor.archive.store import INDICATORS, PARAMETERS, Store, check_parquet, iso_time
+from eha_monitor.commands.archive import Archive
+from eha_monitor.commands.common import end_as_on_interrupt, progress_bar
+from eha_monitor.errors import InputError
+from eha_monitor.health.alarms import NOT_JUDGED, SEVERITY, Alarm
+from eha_monitor.indicators.indicator import Indicator
+from eha_monitor.settings import Settings, load_settings
+from eha_monitor.source import PACKAGE, source_digest
+
+if TYPE_CHECKING:
+    from eha_monitor.filters.results import Estimate
+    from eha_monitor.mismatch.diagnosis import Diagnosis
+    from eha_monitor.recordings.recording import Recording
+
+OUT = Path("archive")
+MOST = 20  # recordings shown; all are in the table
+# What has no part in an answer, nor in the row that is made of it; all else in the package has.
+_APART = ("commands", "concealed", "dashboard", "draft", "exports", "prove", "reports", "ros",
+          "cli.py", "demo.py", "__main__.py")
+_DIAGNOSIS = ("diagnosis", "machine", "mismatch")  # nor these in one of ``estimate``
+_EFFECT = ("name", "balance", "size", "statement", "probability", "log_evidence",
+           "intervals_s", "indistinguishable_from")
+_RIG = ("key", "configured", "probability", "statement", "indistinguishable_from")
+_ONE = threading.Lock()  # a worker of a cluster may have threads, and the filters use all cores
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a process needs to make a row: name in the table, path, and how to answer.
+
+    ``report`` is the page of this bag, to be written beside the row; None for none.
+    """
+
+    name: str
+    path: Path
+    command: str
+    settings: Settings
+    stamp: str
+    made_with: str
+    report: Path | None = None
+
+
+def answer_folder(command: str, folder: Path, config: Path | None, options: Archive) -> bool:
+    """Bring the table of a folder up to date; tell whether any bag is not well.
+
+    Raises
+    ------
+    InputError
+        If no bag of the folder could be answered, or the table cannot be written.
+    """
+    end_as_on_interrupt()
+    check_parquet()
+    settings = load_settings(config)
+    made_with = digest_of(command, settings)
+    with ExitStack() as open_ones:
+        cluster = None if options.scheduler is None else open_ones.enter_context(
+            connected(options.scheduler, command))
+        store = open_ones.enter_context(Store(options.out or OUT, command, folder))
+        todo, failed = plan(store, find_bags(folder), command, settings, made_with,
+                            options.keep or "same", bool(options.reports))
+        for row in failed:
+            store.add(row)
+        try:
+            if todo:
+                work(store, todo, cluster, options.jobs)
+        finally:  # also on Ctrl-C: what is answered is in the table
+            store.write()
+            from eha_monitor.reports.archive_report import write_archive_report
+
+            write_archive_report(store.page, list(store.rows.values()), command, settings,
+                                 folder, made_with, store.reports())
+    rows = list(store.rows.values())
+    show(rows, command, settings, made_with, folder, len(todo), [store.table, store.page])
+    here = [row for row in rows if not row.get("gone")]
+    broken = [row for row in here if row.get("error")]
+    if len(broken) == len(here):
+        raise InputError(f"{folder}: none of its {len(here)} bags has an answer; "
+                         f"{broken[0]['bag']}: {broken[0]['error']}")
+    return any(unhealthy(row) for row in here)
+
+
+def digest_of(command: str, settings: Settings) -> str:
+    """Return a digest of everything beside the bag that has a part in a row."""
+    parts = (command, settings.model_dump_json(), source_of(command))
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
+
+
+def plan(store: Store, places: list[Place], command: str, settings: Settings,
+         made_with: str, keep: str, reports: bool = False) -> tuple[list[Task], list[dict]]:
+    """Return the bags that are to be answered, and rows of those that cannot even be looked at.
+
+    A row stays where the bag's files have the same names, sizes and times, and config, options
+    and source are the same.  A bag that was moved keeps its row.  Rows of bags that are no
+    longer there stay, marked as gone: nobody could make them again.  With ``reports`` a row that
+    has none is made again, and its report with it.
+    """
+    by_stamp = {row["stamp"]: row for row in sorted(
+        store.rows.values(), key=lambda row: row["made_with"] == made_with)}
+    names, stamps = {place.name for place in places}, set()
+    todo, failed = [], []
+    for place in places:
+        problem = place.problem
+        try:
+            stamp = stamp_of(place.path) if not problem else ""
+        except OSError as reason:
+            stamp, problem = "", f"{place.path}: cannot read bag: {reason.strerror}"
+        task = Task(place.name, place.path, command, settings, stamp, made_with,
+                    store.report_of(place.name).absolute() if reports else None)
+        if problem:
+            failed.append(error_row(task, problem))
+            continue
+        stamps.add(stamp)
+        row = store.rows.get(place.name)
+        if row is None or row["stamp"] != stamp:
+            row = by_stamp.get(stamp)
+        lacks = reports and row is not None and not row.get("error") and not store.has_report(row)
+        if row is None or lacks or keep == "none" or (
+                keep == "same" and row["made_with"] != made_with):
+            todo.append(task)
+        elif row["bag"] != place.name or row.get("gone"):
+            store.add(row | {"bag": place.name, "gone": False})
+    for name, row in list(store.rows.items()):
+        if name not in names:
+            if row["stamp"] in stamps:  # it was moved, and has its row under the new name
+                del store.rows[name]
+            else:
+                store.rows[name] = row | {"gone": True}
+    return todo, failed
+
+
+def connected(address: str, command: str) -> run.Cluster:
+    """Return a cluster whose workers have this source of the program."""
+    cluster = run.Cluster(address)
+    try:
+        cluster.check(partial(source_of, command), source_of(command), "source of eha_monitor")
+    except BaseException:
+        cluster.close()
+        raise
+    return cluster
+
+
+def work(store: Store, todo: list[Task], cluster: run.Cluster | None, jobs: int | None) -> None:
+    """Answer what is to be answered; every row is kept as soon as it is there."""
+    if cluster is not None:
+        # The workers have the same files, and another working directory.
+        answers = cluster.answers(row_of, [
+            replace(task, path=Path(os.path.abspath(task.path))) for task in todo])
+    else:
+        from eha_monitor.compiled import FIRST_RUN
+
+        answers = run.on_this_machine(row_of, todo, jobs or len(os.sched_getaffinity(0)),
+                                  alone=int(FIRST_RUN))
+    broken = 0
+    with progress_bar() as told, closing(answers):
+        told(f"0 of {len(todo)} bags", 0.0)
+        for done, (task, row, error) in enumerate(answers, 1):
+            row = error_row(task, f"{task.path}: {error}") if error else row
+            store.add(row)
+            broken += bool(row.get("error"))
+            told(f"{done} of {len(todo)} bags" + (
+                f", {broken} failed" if broken else ""), done / len(todo))
+
+
+def source_of(command: str) -> str:
+    """Return a digest of the source that has a part in the rows of a command."""
+    apart = _APART + _DIAGNOSIS * (command == "estimate")
+    return source_digest(("",), lambda path: path == Path(__file__) or path.relative_to(
+        PACKAGE).parts[0] not in apart)
+
+
+def row_of(task: Task) -> dict:
+    """Return the row of a bag; where there is no answer, the reason is in ``error``."""
+    started = time.perf_counter()
+    row: dict = {"bag": task.name, "stamp": task.stamp, "made_with": task.made_with}
+    with _ONE:
+        try:
+            _fill(row, task)
+        except InputError as problem:
+            row["error"] = " ".join(str(problem).split())
+        except Exception as problem:  # noqa: BLE001  a defect must not cost the other bags
+            row["error"] = f"defect of eha_monitor: {_where(problem)}"
+    row["wall_s"] = time.perf_counter() - started
+    row["answered"] = iso_time(time.time_ns())
+    return finite(row)
+
+
+def error_row(task: Task, error: str) -> dict:
+    """Return the row of a bag that nobody could answer."""
+    return {"bag": task.name, "stamp": task.stamp, "made_with": task.made_with, "error": error,
+            "answered": iso_time(time.time_ns())}
+
+
+def _fill(row: dict, task: Task) -> None:
+    from eha_monitor.api.estimate import refuse_short
+    from eha_monitor.api.indicators import of_diagnosis, of_estimate
+    from eha_monitor.api.plausible import checked
+    from eha_monitor.compiled import load_runtime
+    from eha_monitor.filters.pipeline import estimate
+    from eha_monitor.recordings.read import read_recording
+
+    load_runtime()
+    recording = read_recording(task.path, task.settings)
+    checked([recording], task.settings)
+    refuse_short(recording)
+    if recording.dated:
+        row["start"] = iso_time(recording.start_ns)
+    found = estimate(recording, task.settings)
+    alarms, history = judged(found)
+    row.update(estimate_columns(answer(found, alarms, history)), **_at_reference(found))
+    if task.command == "diagnose":
+        from eha_monitor.api.diagnosis_answer import answer as diagnosis_answer
+        from eha_monitor.api.rotary import of_rig
+        from eha_monitor.mismatch.diagnose import diagnose
+
+        diagnosis = of_rig(diagnose([recording], task.settings), task.settings.rig.motion)
+        row.update(diagnosis_columns(diagnosis_answer(diagnosis)))
+        indicators = of_diagnosis(diagnosis, [recording], task.settings)
+    else:
+        indicators = of_estimate(found)
+    row.update(indicator_columns(indicators))
+    if task.report is not None:
+        task.report.parent.mkdir(parents=True, exist_ok=True)
+        if task.command == "diagnose":
+            _diagnosis_report(task, recording, diagnosis, indicators)
+        else:
+            from eha_monitor.filters.observability import observability
+            from eha_monitor.reports.estimate_report import write_estimate_report
+
+            write_estimate_report(task.report, found, alarms, history, observability(found),
+                                  indicators)
+
+
+def _diagnosis_report(task: Task, recording: "Recording", diagnosis: "Diagnosis",
+                      indicators: tuple[Indicator, ...]) -> None:
+    """Write the page that ``diagnose`` writes of this bag alone."""
+    from eha_monitor.reports.diagnosis_report import write_diagnosis_report
+
+    losses = [f"{recording.source}: {loss}" for loss in recording.losses]
+    write_diagnosis_report(task.report, diagnosis, task.settings,
+                           losses + [finding.finding for finding in diagnosis.channels],
+                           indicators=indicators)
+
+
+def indicator_columns(indicators: tuple[Indicator, ...]) -> dict:
+    """Return the columns of the indicators of health."""
+    told = {one.name: one for one in indicators}
+    row: dict = {}
+    for column, name in INDICATORS.items():
+        one = told[name]
+        row |= {column: one.value, f"{column}_stddev": one.stddev, f"{column}_noise": one.noise,
+                f"{column}_status": "in_doubt" if one.doubtful else one.status}
+    return row
+
+
+def estimate_columns(tree: dict) -> dict:
+    """Return the columns that the answer of ``estimate`` holds."""
+    row: dict = {"duration_s": tree["duration_s"], "samples": tree["samples"]}
+    for name in PARAMETERS:
+        one = tree["parameters"][name]
+        taint = tree["model"]["tainted"].get(name)
+        row |= {name: one["value"], f"{name}_stddev": one["stddev"], f"{name}_unit": one["unit"],
+                f"{name}_status": one["status"], f"{name}_doubt": taint and taint["reason"]}
+    words = [Alarm(**alarm).word for alarm in tree["alarms"]]
+    row |= {alarm["name"]: word for alarm, word in zip(tree["alarms"], words, strict=True)}
+    if words:
+        worst = max(range(len(words)), key=lambda i: SEVERITY.index(words[i]))
+        row |= {"alarm": words[worst], "alarm_message": None if words[worst] == "OK" else (
+            tree["alarms"][worst]["message"])}
+    balances = dict.fromkeys(one["balance"] for one in tree["model"]["mismatches"])
+    return row | {"model": tree["model"]["status"], "model_message": tree["model"]["message"],
+                  "model_balance": "; ".join(balances) or None,
+                  "losses": "; ".join(tree["losses"]) or None}
+
+
+def _at_reference(found: "Estimate") -> dict:
+    """Return the temperature, and B carried to the reference one as the alarms do it."""
+    import numpy as np
+
+    from eha_monitor.health.alarms import viscosity_factor
+
+    warmth = found.recording.get("temperature")
+    warmth, damping = warmth[np.isfinite(warmth)], found.parameters["B"]
+    if not len(warmth):
+        return {}
+    row = {"temperature_C": float(warmth[-1])}
+    if np.isfinite(damping.value):
+        factor = viscosity_factor(found.settings.viscosity, row["temperature_C"])
+        row["B_reference"] = float(factor * damping.value)
+        row["B_reference_stddev"] = float(factor * damping.stddev)
+    return row
+
+
+def diagnosis_columns(tree: dict) -> dict:
+    """Return the columns that the answer of ``diagnose`` holds."""
+    row = {"verdict": tree["verdict"], "verdict_message": tree["message"],
+           "regime": tree["location"]["regime"],
+           "rig_data": [{key: one[key] for key in _RIG} | one["found"]
+                        for one in tree["rig_data"]],
+           "effects": [{key: one[key] for key in _EFFECT}
+                       | {"parameters": [{"name": name} | value
+                                         for name, value in one["parameters"].items()]}
+                       for one in tree["effects"]]}
+    row |= {f"probability_{name}": value for name, value in tree["probability"].items()}
+    row |= {f"balance_{name}": share for name, share in tree["location"]["balance"].items()}
+    for when in ("before", "after"):
+        for name in PARAMETERS:
+            value = tree["parameters"][when].get(name) or {"value": None, "stddev": None}
+            row |= {f"{name}_{when}": value["value"], f"{name}_{when}_stddev": value["stddev"]}
+    return row
+
+
+def _where(problem: Exception) -> str:
+    """Return a defect in one line: what, and at which line of which file."""
+    place = problem.__traceback__
+    while place is not None and place.tb_next is not None:
+        place = place.tb_next
+    at = "" if place is None else (
+        f" at {Path(place.tb_frame.f_code.co_filename).name}:{place.tb_lineno}")
+    return " ".join(f"{type(problem).__name__}: {problem}{at}".split())[:300]
+
+
+def unhealthy(row: dict) -> bool:
+    """Tell whether a row has an alarm, or a model that does not fit; a broken bag has neither."""
+    return row.get("alarm") in ("WARN", "ERROR") or row.get("model") == "mismatch" or (
+        row.get("verdict") in ("mismatch", "unexplained"))
+
+
+def show(rows: Sequence[dict], command: str, settings: Settings, made_with: str, folder: Path,
+         answered: int, written: list[Path]) -> None:
+    """Print what was done, which recordings need a look, and the trends."""
+    from rich.markup import escape
+
+    from eha_monitor.commands.table import COLOURS, console, print_end, table
+    from eha_monitor.quantity import NOTE
+    from eha_monitor.reports.archive_figures import trend_words
+    from eha_monitor.reports.archive_report import histories_of, summary_words
+    from eha_monitor.reports.outlook import outlook_words
+
+    to = console()
+    gone = sum(bool(row.get("gone")) for row in rows)
+    to.print(f"{escape(str(folder))}: {len(rows) - gone} bags, {answered} processed now, "
+                  f"{len(rows) - gone - answered} unchanged"
+                  + (f"; {gone} more no longer in the folder" if gone else ""))
+    to.print(escape(summary_words(rows, command)))
+    newest = sorted(rows, key=lambda row: (bool(row.get("error")), row.get("start") or "",
+                                           row["bag"]), reverse=True)
+    looked = [row for row in newest if row.get("error") or unhealthy(row)]
+    if looked:
+        shown = table("recording", "start", "alarm", "why")
+        for row in looked[:MOST]:
+            level = row.get("alarm") or ""
+            colour = COLOURS.get(level)
+            shown.add_row(escape(row["bag"]), (row.get("start") or "–")[:16].replace("T", " "),
+                          f"[{colour}]{level}[/]" if colour else level, escape(_why(row)))
+        to.print(shown)
+        if len(looked) > MOST:
+            to.print(f"and {len(looked) - MOST} more")
+    for one in histories_of(rows, command, made_with, settings):
+        to.print(escape(" ".join(filter(None, (trend_words(one), outlook_words(one))))))
+    print_end(to, NOTE, written)
+
+
+def _why(row: dict) -> str:
+    """Return what is wrong with a recording, the worst first."""
+    from eha_monitor.reports.archive_report import phrases
+
+    if row.get("error"):
+        return row["error"]
+    if told := phrases(row):
+        return "; ".join(told)
+    if row.get("alarm") in ("WARN", "ERROR", NOT_JUDGED):
+        return row["alarm_message"]
+    return row.get("verdict_message") or row.get("model_message") or ""
