@@ -3,7 +3,7 @@
 import re
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 # Spelling for pint of the units that the configs name.
@@ -58,3 +58,9 @@ def Si(unit: str, description: str, *, optional: bool = False, **bounds: float) 
               json_schema_extra={"unit": unit}, **bounds),
         BeforeValidator(lambda value: to_si(value, unit)),
     ]
+
+
+class Section(BaseModel):
+    """A config section: frozen, and an unknown key is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)

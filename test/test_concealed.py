@@ -30,7 +30,7 @@ from eha_monitor.concealed.places import OMEGA, P1, P2, V, X
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.settings import settings_from_tree
 from eha_monitor.settings.load import load_settings
-from eha_monitor.settings.tolerance import Tolerance
+from eha_monitor.settings.rig import Tolerance
 
 PACKAGE = Path(__file__).parents[1] / "eha_monitor"
 SIMULATOR = Path(__file__).parents[2] / "shared" / "data" / "fluid_power_sim"

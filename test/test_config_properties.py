@@ -13,7 +13,7 @@ from eha_monitor.reports.diagnosis_words import tolerance_words
 from eha_monitor.settings import Settings, load_settings, settings_from_tree
 from eha_monitor.settings.document import annotated
 from eha_monitor.settings.monitor import CHANNELS
-from eha_monitor.settings.tolerance import Tolerance
+from eha_monitor.settings.rig import Tolerance
 
 QUICK = settings(max_examples=100, deadline=None,
                  suppress_health_check=[HealthCheck.function_scoped_fixture])

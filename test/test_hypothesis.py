@@ -78,7 +78,7 @@ def test_the_page_s_hypothesis_is_read(tmp_path):
     ("{x_0}:", "{y}:", "sentence: expected only names of its parameters in braces, F, x_0, w"),
     ("{x_0}:", "{x_0.__class__}:", "sentence: expected only names"),
     ("name: worn_spot", "name: coulomb_friction", "is an effect of the catalogue"),
-    ("sentence:", "sentense:", "sentense: Extra inputs are not permitted"),
+    ("sentence:", "sentense:", "sentense: unknown key, did you mean 'sentence'"),
     ("start: 20.0", "start: .nan", "parameters.F.start: "),
     ("name: worn_spot", "name: [1]", "name: "),
 ])

@@ -9,7 +9,7 @@ from eha_monitor.concealed.cases import Case, truth_of
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.name.columns import BEYOND, rig_free
 from eha_monitor.prove.oracle import RigNumbers, oracle
-from eha_monitor.settings.tolerance import Tolerance
+from eha_monitor.settings.rig import Tolerance
 
 MASS = 20.0  # kg, of the paper's rig
 SURE = 20.0  # log units: what counts as detectable

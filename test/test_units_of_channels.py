@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from eha_monitor.errors import InputError
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.settings import settings_from_tree
-from eha_monitor.settings.measured import LINEAR, ROTARY, unit_of
+from eha_monitor.settings.channels import LINEAR, ROTARY, unit_of
 
 # Channel -> unit -> SI units in it, and SI at zero of it: by hand, from the definitions.
 KNOWN = {

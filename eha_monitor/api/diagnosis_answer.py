@@ -16,11 +16,11 @@ from eha_monitor.reports.diagnosis_words import (
     rig_values,
     value_words,
 )
-from eha_monitor.settings.corrected import corrected, rounded
 from eha_monitor.settings.document import annotated
 from eha_monitor.settings.load import settings_from_tree
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.own_terms import is_own
+from eha_monitor.settings.rig import corrected, rounded
 from eha_monitor.units import LARGEST
 
 SCHEMA = "eha_monitor/diagnosis/1"

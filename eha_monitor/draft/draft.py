@@ -14,8 +14,8 @@ from eha_monitor.recordings.finding import ChannelFinding
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.channels import check_unit, unit_of
 from eha_monitor.settings.load import settings_from_tree, text_tree
-from eha_monitor.settings.measured import check_unit, unit_of
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from eha_monitor.draft.sources import Candidate, Source
 from eha_monitor.draft.words import ANGLES, plain, words_of
-from eha_monitor.settings.table import CHANNEL_NAMES
+from eha_monitor.settings.channels import CHANNELS
 
 # Quantity -> (largest absolute value below which, unit): what a rig shows, coarsest guess.
 _LEVELS = {
@@ -145,7 +145,7 @@ def guessed(source: Source, chosen: dict[str, str] | None = None) -> Map:
         if channel not in found and one not in named.values():
             found[channel] = (one, why)
     channels = {}
-    for channel, entry in sorted(found.items(), key=lambda one: CHANNEL_NAMES.index(one[0])):
+    for channel, entry in sorted(found.items(), key=lambda one: CHANNELS.index(one[0])):
         one, why = entry if isinstance(entry, tuple) else (entry, "answered")
         channels[channel] = _in_unit(channel, one, why, rotary, source.bag)
     used = [guess.candidate for guess in channels.values()]

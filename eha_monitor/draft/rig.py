@@ -9,9 +9,8 @@ import numpy as np
 from pydantic_core import PydanticCustomError
 
 from eha_monitor.errors import InputError
-from eha_monitor.settings.measured import unit_of
+from eha_monitor.settings.channels import CHANNELS, unit_of
 from eha_monitor.settings.rig import Rig
-from eha_monitor.settings.table import CHANNEL_NAMES
 from eha_monitor.units import to_si
 
 # What a data sheet of a cylinder has, and the config's numbers follow from; unit, and words.
@@ -67,7 +66,7 @@ def answers_of(given: tuple[str, ...]) -> Answers:
             raise InputError(f"--set {one}: expected KEY=VALUE, such as rig.area_1='5.05 cm^2'")
         key = key.removeprefix("table.columns.").removeprefix("channels.").removeprefix("table.")
         name, _, part = key.partition(".")
-        if name in (*CHANNEL_NAMES, "time"):
+        if name in (*CHANNELS, "time"):
             part = part or "column"
             if part not in _CHANNEL_KEYS:
                 raise InputError(f"--set {one}: expected {name}.{' or '.join(_CHANNEL_KEYS)}")

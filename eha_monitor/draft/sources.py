@@ -15,7 +15,7 @@ from eha_monitor.recordings.tables import (
     read_columns,
     variables_of,
 )
-from eha_monitor.settings.table import Table
+from eha_monitor.settings.channels import Table
 
 DELIMITERS = {"tab": "\t", ";": ";", ",": ",", "space": " "}
 LOOKED_AT = 400  # lines

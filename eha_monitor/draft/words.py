@@ -4,7 +4,7 @@ import re
 import unicodedata
 from dataclasses import dataclass
 
-from eha_monitor.settings.measured import unit_of
+from eha_monitor.settings.channels import unit_of
 
 # Quantity -> parts of long words, and whole short words.
 ANGLES = ("angle", "angulo", "winkel", "angolo", "rotation")

@@ -14,7 +14,7 @@ from eha_monitor.plausibility.reading import Reading, Source
 from eha_monitor.plausibility.relations import Check, checks, unexplained
 from eha_monitor.recordings.finding import ChannelFinding
 from eha_monitor.recordings.recording import Recording
-from eha_monitor.settings.measured import ATMOSPHERE, unit_of
+from eha_monitor.settings.channels import ATMOSPHERE, unit_of
 from eha_monitor.settings.monitor import Settings
 
 ROLES = ("x", "v", "x_d", "omega", "p1", "p2", "force")

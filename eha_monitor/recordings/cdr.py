@@ -17,7 +17,7 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from rosbags.typesys.base import TypesysError
 
 from eha_monitor.recordings.bag import ZSTD_MAGIC
-from eha_monitor.settings.monitor import Channel
+from eha_monitor.settings.channels import Channel
 
 LITTLE_ENDIAN, BIG_ENDIAN = b"\x00\x01", b"\x00\x00"
 ENCAPSULATION = 4  # bytes before the payload

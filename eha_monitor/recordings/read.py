@@ -11,7 +11,8 @@ from eha_monitor.recordings.bag import Bag
 from eha_monitor.recordings.cdr import Series, TopicReader, Want, types_of
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.stream import NotEvenError, Sources, Stream
-from eha_monitor.settings.monitor import Channel, Settings
+from eha_monitor.settings.channels import Channel
+from eha_monitor.settings.monitor import Settings
 
 BATCH_BYTES = 8_000_000  # small chunks are joined, so that the work for each is paid once
 

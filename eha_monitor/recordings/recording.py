@@ -6,9 +6,7 @@ import numpy as np
 
 from eha_monitor.recordings.columns import any_of
 from eha_monitor.recordings.limits import LARGEST, within_limits
-
-# Every channel there can be, in the order in which tables show them.
-CHANNELS = ("x", "v", "x_d", "omega", "omega_d", "p1", "p2", "force", "temperature")
+from eha_monitor.settings.channels import CHANNELS as CHANNELS
 
 # Stamps before 2000 count from the start of a computer or of a simulation.
 CALENDAR_NS = 946_684_800 * 10**9

@@ -13,7 +13,7 @@ import numpy as np
 
 from eha_monitor.errors import InputError
 from eha_monitor.regular import check_regular
-from eha_monitor.settings.table import Table
+from eha_monitor.settings.channels import Table
 
 DAY = np.timedelta64(24, "h")
 # Of a date with slashes the one is tried that all rows fit; within a day both give the same.

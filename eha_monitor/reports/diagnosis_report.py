@@ -37,10 +37,9 @@ from eha_monitor.reports.indicator_rows import indicator_rows
 from eha_monitor.reports.page import render
 from eha_monitor.reports.parameter_figures import NAMES
 from eha_monitor.reports.tables import config_sections
-from eha_monitor.settings.corrected import corrected
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.own_terms import is_own
-from eha_monitor.settings.tolerance import Tolerance
+from eha_monitor.settings.rig import Tolerance, corrected
 from eha_monitor.words import effect_words, listed
 
 _LARGEST = 1e60  # SI; beyond it squares and matplotlib's own sums overflow

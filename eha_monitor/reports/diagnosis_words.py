@@ -12,7 +12,7 @@ from eha_monitor.quantity import (
     side_by_side,
     with_uncertainty,
 )
-from eha_monitor.settings.tolerance import Tolerance
+from eha_monitor.settings.rig import Tolerance
 from eha_monitor.units import LARGEST
 from eha_monitor.words import listed
 

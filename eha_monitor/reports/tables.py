@@ -16,7 +16,8 @@ from eha_monitor.quantity import FLOOR, SYMBOLS, number, quantity, share
 from eha_monitor.reports.alarm_timeline import alarm_words
 from eha_monitor.reports.parameter_figures import NAMES, limits_in_words
 from eha_monitor.reports.verdict import STATUS_WORDS
-from eha_monitor.settings.monitor import CHANNEL_UNITS, Settings
+from eha_monitor.settings.channels import CHANNEL_UNITS
+from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import effect_words
 
 CHANNEL_WORDS = {"x": "position x", "v": "velocity v", "x_d": "demanded position x_d",

@@ -9,7 +9,8 @@ from typing import Any
 
 from eha_monitor.errors import InputError
 from eha_monitor.filters.rows import Source
-from eha_monitor.settings.monitor import Channel, Settings
+from eha_monitor.settings.channels import Channel
+from eha_monitor.settings.monitor import Settings
 
 # Type of a topic that nobody publishes yet, told by the field that is read from it.
 DEFAULT_TYPES = {"position": "sensor_msgs/msg/JointState",

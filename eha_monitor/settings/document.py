@@ -4,6 +4,7 @@ import textwrap
 from collections.abc import Iterator, Mapping
 from typing import Any, Literal, get_args, get_origin
 
+import numpy as np
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
@@ -169,10 +170,5 @@ def _number(value: float) -> str:
     """Return a float that is exact, and that ROS takes for a double."""
     if value == 0 or 1e-4 <= abs(value) < 1e5:
         return repr(value)
-    mantissa, _, power = f"{value:.17e}".partition("e")
-    for digits in range(1, 18):
-        short = f"{value:.{digits}e}"
-        if float(short) == value:
-            mantissa, _, power = short.partition("e")
-            break
+    mantissa, _, power = np.format_float_scientific(value, trim="0").partition("e")
     return f"{mantissa}e{int(power):+d}"

@@ -17,11 +17,11 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from string import Formatter
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from eha_monitor.errors import InputError
 from eha_monitor.physics.own_term import ADDED
-from eha_monitor.settings.load import tree_of
+from eha_monitor.settings.load import tree_of, validated
 from eha_monitor.settings.own_terms import checked
 
 MOST_PARAMETERS = 8
@@ -124,11 +124,4 @@ def hypothesis_of(tree, source: str | Path) -> Hypothesis:
     if not isinstance(tree, dict):
         raise InputError(f"{source}: expected a hypothesis: name, adds ({', '.join(ADDED)}), "
                          "expression, parameters")
-    try:
-        return Hypothesis.model_validate(tree)
-    except ValidationError as problem:
-        error = problem.errors()[0]
-        key = ".".join(str(part) for part in error["loc"])
-        text = error["msg"].removeprefix("Value error, ")
-        line = " ".join(f"{key}: {text}".removeprefix(": ").split())[:400]
-        raise InputError(f"{source}: {line}") from None
+    return validated(Hypothesis, tree, source)

@@ -4,7 +4,7 @@ import difflib
 import math
 import reprlib
 from pathlib import Path
-from typing import get_args
+from typing import TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
@@ -13,6 +13,7 @@ from eha_monitor.regular import check_regular
 from eha_monitor.settings.monitor import Settings
 
 LARGEST = 1024 * 1024  # bytes of a config
+Model = TypeVar("Model", bound=BaseModel)
 ROS_PARAMETERS = "ros__parameters"
 # Parameters that rclpy itself declares.
 ROS_OWN = ("use_sim_time", "qos_overrides", "start_type_description_service")
@@ -106,10 +107,15 @@ def settings_from_tree(tree, source: str) -> Settings:
                 name = " ".join(name.split())[:100]
                 raise InputError(f"{source}: {name}.{ROS_PARAMETERS}: expected a mapping")
             merge(merged, _from_ros(parameters))
+    return validated(Settings, merged, source)
+
+
+def validated(model: type[Model], tree: dict, source: str | Path) -> Model:
+    """Return the model of a tree, or say in one line what is wrong first."""
     try:
-        return Settings.model_validate(merged)
+        return model.model_validate(tree)
     except ValidationError as problem:
-        line = " ".join(_one_line(problem).split())[:400]  # keys may hold line breaks
+        line = " ".join(_one_line(model, problem).split())[:400]  # keys may hold line breaks
         raise InputError(f"{source}: {line}") from None
 
 
@@ -158,23 +164,17 @@ def _from_ros(parameters: dict) -> dict:
     return tree
 
 
-def _field(location: tuple):
-    """Return the declaration of the key at a location, or None."""
-    parent = _model_at(location[:-1]) if location else None
-    return parent.model_fields.get(str(location[-1])) if parent else None
-
-
-def _one_line(problem: ValidationError) -> str:
+def _one_line(model: type[BaseModel], problem: ValidationError) -> str:
     error = problem.errors()[0]
     location = tuple(part for part in error["loc"] if part != "[key]")
     key = ".".join(str(part) for part in location)
+    parent = _section_at(model, location[:-1]) if location else None
     if error["type"] == "extra_forbidden":
-        parent = _model_at(location[:-1])
         known = list(parent.model_fields) if parent else []
         close = difflib.get_close_matches(str(location[-1]), known, 1)
         hint = f"did you mean '{close[0]}'?" if close else f"expected one of {', '.join(known)}"
         return f"{key}: unknown key, {hint}"
-    field = _field(location)
+    field = parent.model_fields.get(str(location[-1])) if parent else None
     unit = (field.json_schema_extra or {}).get("unit", "") if field is not None else ""
     unit = f" in {unit}" if unit and unit != "1" else ""
     words = _WORDS.get(error["type"])
@@ -187,12 +187,11 @@ def _one_line(problem: ValidationError) -> str:
         if error["type"] not in ("value_error", "number", "unit") and not isinstance(
                 error["input"], dict):
             text += f", got {reprlib.repr(error['input'])}"
-    return " ".join(f"{key}: {text}".split())[:400] if key else text
+    return f"{key}: {text}" if key else text
 
 
-def _model_at(location: tuple):
+def _section_at(model, location: tuple):
     """Return the section at a location: a part is a key of a section or a name in a mapping."""
-    model = Settings
     for part in location:
         if isinstance(model, type) and issubclass(model, BaseModel):
             field = model.model_fields.get(str(part))

@@ -1,78 +1,60 @@
-"""Config sections of the monitor: channels, stages, thresholds, temperature."""
+"""The whole config, and its sections of the monitor: stages, thresholds, temperature, health."""
 
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, create_model, model_validator
 
-from eha_monitor.settings.health import Health
-from eha_monitor.settings.measured import Measured, check_unit
-from eha_monitor.settings.rig import Rig, SensorNoise, Simulation, effects_field
-from eha_monitor.settings.section import Section
-from eha_monitor.settings.table import Table
-from eha_monitor.units import Si
-
-CHANNELS = ("x", "v", "x_d", "omega", "omega_d", "p1", "p2", "force", "temperature")
-CHANNEL_UNITS = {"x": "m", "v": "m/s", "x_d": "m", "omega": "rad/s",
-                 "omega_d": "rad/s", "p1": "Pa", "p2": "Pa", "force": "N", "temperature": "°C"}
-_ABSOLUTE = "absolute (above vacuum), not gauge; of a gauge sensor: unit bar gauge"
-CHANNEL_WORDS = {"x": "piston position", "v": "piston velocity", "x_d": "demanded position",
-                 "omega": "pump speed", "omega_d": "demanded pump speed",
-                 "p1": f"pressure of chamber 1, {_ABSOLUTE}",
-                 "p2": f"pressure of chamber 2, {_ABSOLUTE}",
-                 "force": "force that drives the piston, if measured",
-                 "temperature": "oil temperature"}
+from eha_monitor.settings.channels import (
+    CHANNELS,
+    DEFAULT_CHANNELS,
+    Channel,
+    Table,
+    channel_about,
+    check_unit,
+    fill_channels,
+)
+from eha_monitor.settings.own_terms import effects_field
+from eha_monitor.settings.rig import Rig, SensorNoise, Simulation
+from eha_monitor.units import Section, Si
 
 
-def channel_about(name: str) -> str:
-    """Return unit and meaning of a channel, ``[Pa] pressure of chamber 1, absolute ...``."""
-    return f"[{CHANNEL_UNITS[name]}] {CHANNEL_WORDS[name]}"
+class Health(Section):
+    """What the indicators of health need beside the rig; null where it is not known.
 
+    An indicator that needs a key that is null says which, and no number.
+    """
 
-class Channel(Section, Measured):
-    """Where a channel comes from: scale * raw + offset is in ``unit``, taken ``delay`` earlier."""
-
-    topic: str = Field("", description="topic (relative names get the namespace) or, for an "
-                       "import, unused")
-    name: str = Field("", description="entry of a JointState, or column of an imported table")
-    field: str = Field("", description="message field, e.g. position, velocity, effort, "
-                       "fluid_pressure, temperature, data")
-    unit: str = Field("", description="unit of scale * raw + offset, such as mm, rpm, bar, bar "
-                      "gauge; empty: SI")
-    scale: float = Field(1.0, allow_inf_nan=False, description="of unit, per raw unit, not 0")
-    offset: float = Field(0.0, allow_inf_nan=False, description="in unit, at raw zero")
-    delay: Si("s", "delay of the stamp relative to the quantity") = 0.0
-
-    @field_validator("scale")
-    @classmethod
-    def _not_zero(cls, value):
-        if value == 0:
-            raise ValueError("expected a number other than 0")
-        return value
-
-
-DEFAULT_CHANNELS = {
-    "x": Channel(topic="joint_states", name="piston", field="position"),
-    "v": Channel(topic="joint_states", name="piston", field="velocity"),
-    "force": Channel(topic="joint_states", name="piston", field="effort"),
-    "omega": Channel(topic="joint_states", name="pump", field="velocity"),
-    "x_d": Channel(topic="command", name="piston", field="position"),
-    "omega_d": Channel(topic="command", name="pump", field="velocity"),
-    "p1": Channel(topic="pressure/chamber_1", field="fluid_pressure"),
-    "p2": Channel(topic="pressure/chamber_2", field="fluid_pressure"),
-    "temperature": Channel(topic="temperature", field="temperature"),
-}
-
-
-def _fill_channels(given):
-    """Fill in what a ``channels`` section leaves out, channel by channel and key by key."""
-    if not isinstance(given, dict):
-        return given
-    filled = {name: channel.model_dump() for name, channel in DEFAULT_CHANNELS.items()}
-    for name, channel in given.items():
-        if isinstance(channel, dict) and name in filled and "topic" not in channel:
-            channel = {**filled[name], **channel}
-        filled[name] = channel
-    return filled
+    rated_pressure: Si("Pa", "pressure difference across the piston at which leakage, efficiency "
+                             "and stall force are reported: rated pressure, or that of the "
+                             "relief valve",
+                       ge=1e5, optional=True) = None
+    rated_speed: Si("rad/s", "speed of the pump at which its efficiency is reported", gt=0,
+                    le=2500, optional=True) = None
+    oil_temperature: Si("°C", "oil temperature for recordings without the channel temperature",
+                        ge=-60, le=200, optional=True) = None
+    oil_temperature_stddev: Si("K", "one standard deviation of the oil temperature, measured or "
+                                    "given", ge=0, le=50) = 2.0
+    air_free_modulus: Si("Pa", "effective bulk modulus without free air, including hoses and "
+                               "walls: from a healthy recording just after bleeding, or of the "
+                               "oil",
+                         ge=1e7, optional=True) = None
+    air_free_tolerance: float = Field(
+        0.1, ge=0.0, le=1.0, description="its relative standard deviation")
+    air_pressure: Si("Pa", "absolute pressure at which the free air volume is reported",
+                     gt=0) = 101325.0
+    polytropic_exponent: Si("1", "of the free air; null: unknown between 1 (slow, isothermal) "
+                                 "and 1.4 (fast, adiabatic), included in the "
+                                 "uncertainty", ge=1.0, le=1.67,
+                            optional=True) = None
+    leakage_limit: Si("m³/s", 'upper limit of the internal leakage, e.g. "50 mL/min"', gt=0,
+                      optional=True) = None
+    free_air_limit: Si("1", 'upper limit of the free air fraction, e.g. "1 %"', gt=0, le=1,
+                       optional=True) = None
+    friction_limit: Si("1", "upper limit of the dry friction over the stall force", gt=0,
+                       optional=True) = None
+    pump_efficiency_limit: Si("1", "lower limit of the volumetric efficiency", gt=0, le=1,
+                              optional=True) = None
+    drive_lag_limit: Si("s", "upper limit of the drive lag", gt=0, optional=True) = None
 
 
 class NoiseLevels(SensorNoise):
@@ -103,44 +85,36 @@ class StageTwo(Section):
     acceleration_noise: Si("m/s²", "unmodelled white acceleration on each sample", ge=0) = 0.0
 
 
+LIMITS = ("low_error", "low_warn", "high_warn", "high_error")
+
+
 class Limits(Section):
     """Thresholds of one parameter; null where there is none."""
 
-    low_error: Si("1", "below this: ERROR", optional=True) = None
-    low_warn: Si("1", "below this: WARN", optional=True) = None
-    high_warn: Si("1", "above this: WARN", optional=True) = None
-    high_error: Si("1", "above this: ERROR", optional=True) = None
+    low_error: float | None = None
+    low_warn: float | None = None
+    high_warn: float | None = None
+    high_error: float | None = None
     hysteresis: Si("1", "relative hysteresis before an alarm clears", ge=0, lt=1) = 0.02
     hold_time: Si("s", "time beyond a limit before the alarm is raised", ge=0) = 0.5
 
     @model_validator(mode="after")
     def _ordered(self):
-        present = [value for value in (self.low_error, self.low_warn, self.high_warn,
-                                       self.high_error) if value is not None]
+        present = [value for key in LIMITS if (value := getattr(self, key)) is not None]
         if present != sorted(present):
             raise ValueError("expected low_error <= low_warn <= high_warn <= high_error")
         return self
 
 
-LIMITS = ("low_error", "low_warn", "high_warn", "high_error")
+def _limits_in(unit: str) -> type[Limits]:
+    """Return the section of thresholds whose limits have a unit."""
+    words = {"low_error": "below this: ERROR", "low_warn": "below this: WARN",
+             "high_warn": "above this: WARN", "high_error": "above this: ERROR"}
+    return create_model("Limits", __base__=Limits, __doc__=Limits.__doc__, **{
+        key: (Si(unit, words[key], optional=True), None) for key in LIMITS})
 
 
-class DampingLimits(Limits):
-    """Thresholds of the viscous damping."""
-
-    low_error: Si("N·s/m", "below this: ERROR", optional=True) = None
-    low_warn: Si("N·s/m", "below this: WARN", optional=True) = None
-    high_warn: Si("N·s/m", "above this: WARN", optional=True) = None
-    high_error: Si("N·s/m", "above this: ERROR", optional=True) = None
-
-
-class ModulusLimits(Limits):
-    """Thresholds of the effective bulk modulus."""
-
-    low_error: Si("Pa", "below this: ERROR", optional=True) = None
-    low_warn: Si("Pa", "below this: WARN", optional=True) = None
-    high_warn: Si("Pa", "above this: WARN", optional=True) = None
-    high_error: Si("Pa", "above this: ERROR", optional=True) = None
+DampingLimits, ModulusLimits = _limits_in("N·s/m"), _limits_in("Pa")
 
 
 class Thresholds(Section):
@@ -249,7 +223,7 @@ class Settings(Section):
 
     rig: Rig = Field(Rig(), description="constants of the actuator")
     simulation: Simulation = Field(Simulation(), description="the simulator")
-    channels: Annotated[dict[Literal[CHANNELS], Channel], BeforeValidator(_fill_channels)] = Field(
+    channels: Annotated[dict[Literal[CHANNELS], Channel], BeforeValidator(fill_channels)] = Field(
         DEFAULT_CHANNELS, description="source of each channel; omitted channels and keys keep "
                                       "their defaults", json_schema_extra={
             "entries": {name: channel_about(name) for name in CHANNELS}})

@@ -1,4 +1,4 @@
-"""Terms of the config's ``effects`` that no entry of the catalogue has: tables and expressions.
+"""The section ``effects``: entries of the catalogue, and terms that it has not.
 
     worn_spot:     {adds: force, expression: "F*exp(-((x - x_0)/w)**2)", F: 38.0, x_0: 8e-3,
                     w: 4.1e-3}
@@ -13,11 +13,13 @@ import math
 import re
 
 import numpy as np
+from pydantic_core import PydanticCustomError
 
 from eha_monitor.physics import own_term as o
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.expression import parsed
 from eha_monitor.physics.signals import N_SIGNALS, P1, P2
+from eha_monitor.units import to_si
 
 KEY = "adds"  # by which such an entry is known
 _TABLE = ("adds", "of", "times", "scale", "first", "last", "values")
@@ -129,3 +131,57 @@ def slot_for(entry: dict) -> np.ndarray:
         entry["last"])
     q[o.VALUES : o.VALUES + len(values)] = values
     return q
+
+
+def _superscript(unit: str) -> str:
+    return unit.replace("^2", "²").replace("^3", "³").replace("*", "·")
+
+
+def effects_field(value):
+    """Check the ``effects`` section against the catalogue and return {effect: {name: value}}.
+
+    What has the key ``adds`` is a term of the rig's own.
+
+    A shape that is not given takes its default; a size that is not given is absent, as long as
+    the effect has another size that is.
+
+    Raises
+    ------
+    ValueError
+        Naming the effect, its parameter, the unit and the range that was expected.
+    """
+    if not isinstance(value, dict):
+        raise ValueError("expected a mapping from effect to its parameters")
+    found = {}
+    own = [name for name, given in value.items() if is_own(given)]
+    if len(own) > o.SLOTS:
+        raise ValueError(f"{own[o.SLOTS]}: expected at most {o.SLOTS} terms beyond the catalogue")
+    for name, given in value.items():
+        if name in own:
+            found[name] = checked(name, given)
+            continue
+        if name not in CATALOGUE:
+            raise ValueError(f"unknown effect {name!r}, expected a user-defined term with the "
+                             f"key adds, or one of {', '.join(CATALOGUE)}")
+        effect = CATALOGUE[name]
+        known = {p.name: p for p in effect.parameters}
+        if not isinstance(given, dict):
+            raise ValueError(f"{name}: expected its parameters {', '.join(known)}")
+        if extra := set(given) - set(known):
+            raise ValueError(f"{name}.{sorted(extra)[0]}: unknown key, "
+                             f"expected {', '.join(known)}")
+        some_size = any(given.get(p.name) is not None for p in effect.sizes)
+        found[name] = {}
+        for p in effect.parameters:
+            raw = given.get(p.name, p.default)
+            if (raw is None and p.default is None and some_size) or raw == math.inf == p.neutral:
+                raw = min(p.neutral, p.upper)  # a limit that is not there: its upper bound
+            try:
+                number = to_si(raw, _superscript(p.unit))
+            except PydanticCustomError as problem:
+                raise ValueError(f"{name}.{p.name}: {problem}") from problem
+            if not isinstance(number, (int, float)) or not p.lower <= number <= p.upper:
+                raise ValueError(f"{name}.{p.name}: expected a number in {p.unit} from "
+                                 f"{p.lower:g} to {p.upper:g}, got {number!r}")
+            found[name][p.name] = float(number)
+    return found

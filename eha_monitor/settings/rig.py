@@ -1,17 +1,49 @@
 """Config sections that describe the rig: constants, simulation, excitation, faults."""
 
 import math
+import operator
 from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
-from pydantic_core import PydanticCustomError
 
 from eha_monitor.physics.effects import CATALOGUE
-from eha_monitor.physics.own_term import SLOTS
-from eha_monitor.settings import own_terms
-from eha_monitor.settings.section import Section
-from eha_monitor.settings.tolerance import Tolerance
-from eha_monitor.units import Si, to_si
+from eha_monitor.units import LARGEST, Section, Si
+
+_RELATIVE = {"gt": 0.0, "le": 1.0}
+_FACTOR = {"gt": 1.0, "le": 100.0}
+
+
+class Tolerance(Section):
+    """One standard deviation of each configured number of the rig.
+
+    Relative for most; for a leakage and the make-up path, whose order of magnitude is all that a
+    data sheet gives, a factor.
+    """
+
+    area_1: float = Field(0.005, **_RELATIVE,
+                          description="of the piston area of chamber 1, relative")
+    area_2: float = Field(0.005, **_RELATIVE,
+                          description="of the piston area of chamber 2, relative")
+    volume_1: float = Field(0.1, **_RELATIVE,
+                          description="of the oil volume of chamber 1, relative")
+    volume_2: float = Field(0.1, **_RELATIVE,
+                          description="of the oil volume of chamber 2, relative")
+    mass: float = Field(0.05, **_RELATIVE, description="of the mass, relative")
+    leakage: float = Field(3.0, **_FACTOR, description="of the leakage, a factor")
+    pump_displacement: float = Field(0.03, **_RELATIVE,
+                                     description="of the pump displacement, relative")
+    position_gain: float = Field(0.03, **_RELATIVE, description="of the position gain, relative")
+    charge_pressure: float = Field(0.2, **_RELATIVE,
+                                   description="of the charge pressure, relative")
+    makeup_conductance: float = Field(3.0, **_FACTOR,
+                                      description="of the make-up conductance, a factor")
+
+    def log_spread(self, key: str) -> float:
+        """Return the standard deviation of the logarithm of a rig key (``mass``)."""
+        value = getattr(self, key)
+        field = type(self).model_fields[key]
+        factor = any(getattr(one, "gt", None) == 1.0 for one in field.metadata)
+        return math.log(value) if factor else value
 
 
 class Rig(Section):
@@ -135,55 +167,54 @@ class Simulation(Section):
     faults: dict[str, Fault] = Field({}, description="parameters that change, by name")
 
 
-def _superscript(unit: str) -> str:
-    return unit.replace("^2", "²").replace("^3", "³").replace("*", "·")
+FIGURES = 6  # digits of a number in a config: more than any of them is known to
+_BOUNDS = (("gt", operator.gt, "more than"), ("ge", operator.ge, "at least"),
+           ("lt", operator.lt, "less than"), ("le", operator.le, "at most"))
 
 
-def effects_field(value):
-    """Check the ``effects`` section against the catalogue and return {effect: {name: value}}.
+def rounded(value: float) -> float:
+    """Return a number with as many digits as a written config has."""
+    return float(f"{value:.{FIGURES}g}")
 
-    What has the key ``adds`` is a term of the rig's own (:mod:`settings.own_terms`).
 
-    A shape that is not given takes its default; a size that is not given is absent, as long as
-    the effect has another size that is.
+def corrected(rig: Rig, found: dict[str, float]) -> tuple[dict[str, float], dict[str, str]]:
+    """Return what a rig must be changed in to have the found numbers.
 
-    Raises
-    ------
-    ValueError
-        Naming the effect, its parameter, the unit and the range that was expected.
+    Parameters
+    ----------
+    found : key of the rig -> number that a recording says, SI.
+
+    Returns
+    -------
+    changed : key -> value, SI; also of a key that has to follow another one.
+    refused : key -> why its number cannot stand in a config.
     """
-    if not isinstance(value, dict):
-        raise ValueError("expected a mapping from effect to its parameters")
-    checked = {}
-    own = [name for name, given in value.items() if own_terms.is_own(given)]
-    if len(own) > SLOTS:
-        raise ValueError(f"{own[SLOTS]}: expected at most {SLOTS} terms beyond the catalogue")
-    for name, given in value.items():
-        if name in own:
-            checked[name] = own_terms.checked(name, given)
-            continue
-        if name not in CATALOGUE:
-            raise ValueError(f"unknown effect {name!r}, expected a user-defined term with the "
-                             f"key adds, or one of {', '.join(CATALOGUE)}")
-        effect = CATALOGUE[name]
-        known = {p.name: p for p in effect.parameters}
-        if not isinstance(given, dict):
-            raise ValueError(f"{name}: expected its parameters {', '.join(known)}")
-        if extra := set(given) - set(known):
-            raise ValueError(f"{name}.{sorted(extra)[0]}: unknown key, "
-                             f"expected {', '.join(known)}")
-        some_size = any(given.get(p.name) is not None for p in effect.sizes)
-        checked[name] = {}
-        for p in effect.parameters:
-            raw = given.get(p.name, p.default)
-            if (raw is None and p.default is None and some_size) or raw == math.inf == p.neutral:
-                raw = min(p.neutral, p.upper)  # a limit that is not there: its upper bound
-            try:
-                number = to_si(raw, _superscript(p.unit))
-            except PydanticCustomError as problem:
-                raise ValueError(f"{name}.{p.name}: {problem}") from problem
-            if not isinstance(number, (int, float)) or not p.lower <= number <= p.upper:
-                raise ValueError(f"{name}.{p.name}: expected a number in {p.unit} from "
-                                 f"{p.lower:g} to {p.upper:g}, got {number!r}")
-            checked[name][p.name] = float(number)
-    return checked
+    changed, refused = {}, {}
+    for key, value in found.items():
+        why = _refusal(key, value)
+        if why:
+            refused[key] = why
+        else:
+            changed[key] = rounded(value)
+    leakage = changed.get("leakage", rig.leakage)
+    makeup = changed.get("makeup_conductance", rig.makeup_conductance)
+    if makeup > leakage:  # the make-up path is a part of the leakage
+        follows = "makeup_conductance" if "leakage" in changed else "leakage"
+        changed[follows] = makeup if follows == "leakage" else leakage
+    return changed, refused
+
+
+def _refusal(key: str, value: float) -> str:
+    """Return why a key cannot hold a value, or nothing."""
+    field = Rig.model_fields.get(key)
+    if field is None or not isinstance(field.json_schema_extra, dict):
+        return "is no number of the config's rig"
+    unit = field.json_schema_extra["unit"]
+    if not abs(value) <= LARGEST:
+        return f"the recording gives no plausible value, in {unit}"
+    for name, holds, words in _BOUNDS:
+        for rule in field.metadata:
+            bound = getattr(rule, name, None)
+            if bound is not None and not holds(value, bound):
+                return f"expected {words} {bound:g} {unit}, the recording says {value:g}"
+    return ""

@@ -16,7 +16,7 @@ from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.write import write_recording
 from eha_monitor.settings.load import load_settings, settings_from_tree, text_tree
 from eha_monitor.settings.monitor import Settings
-from eha_monitor.settings.tolerance import Tolerance
+from eha_monitor.settings.rig import Tolerance
 
 START_NS = 1_700_000_000_000_000_000
 DRY = ("coulomb_friction", "stribeck_friction", "presliding_friction")

@@ -32,7 +32,7 @@ from eha_monitor.mismatch.name.unnamed import Unnamed, columns_of, unnamed_of
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import BASE_KEYS, effect_values
 from eha_monitor.physics.signals import B
-from eha_monitor.settings.tolerance import Tolerance
+from eha_monitor.settings.rig import Tolerance
 
 ALWAYS = ""  # owner of what every model has
 SHARE = 0.7  # of a tolerance: the standard deviation of a number that nobody doubts

@@ -1,14 +1,31 @@
-"""The unit in which a recorded channel comes: ``unit: mm``, ``bar``, ``bar gauge``, ``rpm``.
+"""The channels: what they mean, and where and in which unit they come (topics, columns).
 
-SI value = factor * (scale * raw + offset) + zero.  ``factor`` and ``zero`` are the unit's;
-``scale`` and ``offset`` make of the raw number a number in that unit, so that a transducer's
-sheet ("4095 counts are 250 bar") is written as it stands.  Without a unit they give SI.
+SI value = factor * (scale * raw + offset) + zero.  ``factor`` and ``zero`` are the unit's
+(``unit: mm``, ``bar``, ``bar gauge``, ``rpm``); ``scale`` and ``offset`` make of the raw number a
+number in that unit, so that a transducer's sheet ("4095 counts are 250 bar") is written as it
+stands.  Without a unit they give SI.
 """
 
 import re
 from dataclasses import dataclass
 from functools import cache
+from typing import Annotated, Literal
 
+from pydantic import BeforeValidator, Field, field_validator
+
+from eha_monitor.units import Section, Si
+
+_ABSOLUTE = "absolute (above vacuum), not gauge; of a gauge sensor: unit bar gauge"
+# Every channel there can be, in the order in which tables show them: SI unit and meaning.
+_MEANING = {"x": ("m", "piston position"), "v": ("m/s", "piston velocity"),
+            "x_d": ("m", "demanded position"), "omega": ("rad/s", "pump speed"),
+            "omega_d": ("rad/s", "demanded pump speed"),
+            "p1": ("Pa", f"pressure of chamber 1, {_ABSOLUTE}"),
+            "p2": ("Pa", f"pressure of chamber 2, {_ABSOLUTE}"),
+            "force": ("N", "force that drives the piston, if measured"),
+            "temperature": ("°C", "oil temperature")}
+CHANNELS = tuple(_MEANING)
+CHANNEL_UNITS = {name: unit for name, (unit, _) in _MEANING.items()}
 ATMOSPHERE = 101_325.0  # Pa; what a gauge pressure is counted from
 
 # Spellings of headers and data sheets, in several languages, for pint.  "1/min" of a shaft are
@@ -146,3 +163,102 @@ class Measured:
         """SI value at raw zero."""
         unit = unit_of(self.unit)
         return unit.factor * self.offset + unit.zero if self.unit else self.offset
+
+
+def _name(value):
+    """Take an index as text, so that a column is always named in one way."""
+    return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
+
+
+class Column(Section, Measured):
+    """One column of a table: scale * cell + offset is in ``unit``, taken ``delay`` earlier."""
+
+    column: Annotated[str, BeforeValidator(_name)] = Field(
+        min_length=1, description="CSV: name or index from 0; MAT: variable, or variable[:,k]")
+    unit: str = Field("", description="unit of the cells, such as mm, rpm, bar, bar gauge; "
+                      "empty: SI")
+    scale: float = Field(1.0, allow_inf_nan=False, description="of unit, per unit of the file")
+    offset: float = Field(0.0, allow_inf_nan=False, description="in unit, at zero of the file")
+    negative_scale: float | None = Field(
+        None, allow_inf_nan=False, description="scale of cells below zero, if different: a pump "
+                                               "whose valves switch it from one piston area to "
+                                               "the other")
+    delay: Si("s", "delay of the row relative to the quantity") = 0.0
+
+    @property
+    def negative_gain(self) -> float:
+        """SI units per unit of the file, of cells below zero."""
+        if self.negative_scale is None:
+            return self.gain
+        return unit_of(self.unit).factor * self.negative_scale
+
+
+class Table(Section):
+    """A table of a recording, as other makers write it."""
+
+    kind: Literal["auto", "csv", "mat"] = Field(
+        "auto", description="auto: from the file extension")
+    delimiter: Literal["auto", ",", ";", "tab", "space"] = Field(
+        "auto", description="between the cells of a CSV")
+    header: Literal["auto", "present", "absent"] = Field(
+        "auto", description="whether the first row of a CSV names the columns")
+    skip_rows: int = Field(0, ge=0, le=100_000,
+                           description="lines of a CSV above the row of names")
+    time: Annotated[str, BeforeValidator(_name)] = Field(
+        "", description="column of the time; without it, rows are rig.sample_time apart")
+    time_scale: Si("s", "seconds per unit of the time column", gt=0) = 1.0
+    columns: dict[Literal[CHANNELS], Column] = Field(
+        {}, description="channel <- column, by channel")
+
+
+def channel_about(name: str) -> str:
+    """Return unit and meaning of a channel, ``[Pa] pressure of chamber 1, absolute ...``."""
+    unit, words = _MEANING[name]
+    return f"[{unit}] {words}"
+
+
+class Channel(Section, Measured):
+    """Where a channel comes from: scale * raw + offset is in ``unit``, taken ``delay`` earlier."""
+
+    topic: str = Field("", description="topic (relative names get the namespace) or, for an "
+                       "import, unused")
+    name: str = Field("", description="entry of a JointState, or column of an imported table")
+    field: str = Field("", description="message field, e.g. position, velocity, effort, "
+                       "fluid_pressure, temperature, data")
+    unit: str = Field("", description="unit of scale * raw + offset, such as mm, rpm, bar, bar "
+                      "gauge; empty: SI")
+    scale: float = Field(1.0, allow_inf_nan=False, description="of unit, per raw unit, not 0")
+    offset: float = Field(0.0, allow_inf_nan=False, description="in unit, at raw zero")
+    delay: Si("s", "delay of the stamp relative to the quantity") = 0.0
+
+    @field_validator("scale")
+    @classmethod
+    def _not_zero(cls, value):
+        if value == 0:
+            raise ValueError("expected a number other than 0")
+        return value
+
+
+DEFAULT_CHANNELS = {
+    "x": Channel(topic="joint_states", name="piston", field="position"),
+    "v": Channel(topic="joint_states", name="piston", field="velocity"),
+    "force": Channel(topic="joint_states", name="piston", field="effort"),
+    "omega": Channel(topic="joint_states", name="pump", field="velocity"),
+    "x_d": Channel(topic="command", name="piston", field="position"),
+    "omega_d": Channel(topic="command", name="pump", field="velocity"),
+    "p1": Channel(topic="pressure/chamber_1", field="fluid_pressure"),
+    "p2": Channel(topic="pressure/chamber_2", field="fluid_pressure"),
+    "temperature": Channel(topic="temperature", field="temperature"),
+}
+
+
+def fill_channels(given):
+    """Fill in what a ``channels`` section leaves out, channel by channel and key by key."""
+    if not isinstance(given, dict):
+        return given
+    filled = {name: channel.model_dump() for name, channel in DEFAULT_CHANNELS.items()}
+    for name, channel in given.items():
+        if isinstance(channel, dict) and name in filled and "topic" not in channel:
+            channel = {**filled[name], **channel}
+        filled[name] = channel
+    return filled
