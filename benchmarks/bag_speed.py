@@ -1,21 +1,26 @@
 """Messages per second of reading and writing a bag: the package's own way and the libraries'.
 
     python benchmarks/bag_speed.py [--seconds 60] [--rounds 5]
+    python benchmarks/bag_speed.py --memory --seconds 3600
 
 The bag holds four topics at 1 kHz.  Every way of reading ends with the same: for each topic the
 stamps and the numbers of its messages as arrays; ``rosbags, decoded`` makes message objects.
 Every way of writing begins with the same serialised messages.  All are measured in one run,
 medians, and their ratio to the own way.
+
+``--memory`` reads a bag with its columns put on the grid as they come, then with all messages
+kept until the end; the peak resident set of a process of its own, less that of an empty bag's.
 """
 
 import argparse
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from eha_monitor.recordings.serialise import messages_of
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
@@ -24,8 +29,8 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
 from eha_monitor.recordings.bag import Bag
-from eha_monitor.recordings.read import _Collector as Collector
-from eha_monitor.recordings.write import BagWriter
+from eha_monitor.recordings.read import Collector, read_recording
+from eha_monitor.recordings.write import BagWriter, messages_of
 from eha_monitor.settings import Settings
 
 STEP_NS = 1_000_000
@@ -151,12 +156,37 @@ def median(run: Callable[[], None], rounds: int) -> float:
     return float(np.median(times[1:]))
 
 
+def memory(seconds: float) -> None:
+    """Print the peak memory of both ways of reading."""
+    with tempfile.TemporaryDirectory() as folder:
+        for name, length in (("short", 1.0), ("long", seconds)):
+            writes_own(messages(length), Path(folder) / name)
+        for how in ("streamed", "kept"):
+            peaks = []
+            for name in ("short", "long"):
+                peaks.append(float(subprocess.run(
+                    [sys.executable, __file__, "--read", how, f"{folder}/{name}"], check=True,
+                    capture_output=True, text=True).stdout))
+            print(f"{how:10s} {peaks[1] - peaks[0]:6.0f} MB beyond the {peaks[0]:.0f} MB of a "
+                  "bag of one second", flush=True)
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--memory", action="store_true")
+    parser.add_argument("--read", nargs=2, help=argparse.SUPPRESS)
     asked = parser.parse_args()
+    if asked.read:
+        read_recording(asked.read[1], Settings(), streamed=asked.read[0] == "streamed")
+        status = Path("/proc/self/status").read_text().split("VmHWM:")[1]
+        print(int(status.split()[0]) / 1024)
+        return
+    if asked.memory:
+        memory(asked.seconds)
+        return
     streams = messages(asked.seconds)
     count = sum(len(one.stamps) for one in streams)
     with tempfile.TemporaryDirectory() as folder:

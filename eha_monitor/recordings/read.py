@@ -1,5 +1,6 @@
 """Bags to recordings: which topic is which channel, and what was lost."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,13 +18,14 @@ from eha_monitor.settings.monitor import Settings
 BATCH_BYTES = 8_000_000  # small chunks are joined, so that the work for each is paid once
 
 
-def read_recording(path: str | Path, settings: Settings) -> Recording:
+def read_recording(path: str | Path, settings: Settings, streamed: bool = True) -> Recording:
     """Read a rosbag2 mcap bag through the channel map of the config.
 
     Parameters
     ----------
     path : folder with metadata.yaml and .mcap files, or one .mcap file; whole or cut off.
     settings : ``channels``, ``monitor.namespace`` and ``rig.sample_time`` are read.
+    streamed : whether a long bag is put on its grid as it comes, where its stamps are even.
 
     Raises
     ------
@@ -31,14 +33,14 @@ def read_recording(path: str | Path, settings: Settings) -> Recording:
         If there is no bag, or none of its messages gives a channel.
     """
     try:
-        return _read(path, settings, streamed=True)
+        return _read(path, settings, streamed)
     except NotEvenError:
         return _read(path, settings, streamed=False)
 
 
 def _read(path: str | Path, settings: Settings, streamed: bool) -> Recording:
     bag = Bag(path)
-    collector = _Collector(settings, streamed)
+    collector = Collector(settings, streamed)
     for file, block in bag.blocks():
         collector.take(file, block)
     collector.flush(last=True)
@@ -50,19 +52,13 @@ def _read(path: str | Path, settings: Settings, streamed: bool) -> Recording:
         recording = align(collector.channels(str(path), losses, found), settings,
                           source=str(path), losses=losses)
     if any(file.truncated_at is not None for file in bag.files):
-        recording = _tell_recovered(recording)
+        recording = replace(recording, losses=tuple(
+            f"{loss}: {recording.duration:.3f} s recovered" if "truncated at byte" in loss
+            else loss for loss in recording.losses))
     return recording
 
 
-def _tell_recovered(recording: Recording) -> Recording:
-    from dataclasses import replace
-
-    told = tuple(f"{text}: {recording.duration:.3f} s recovered" if "truncated at byte" in text
-                 else text for text in recording.losses)
-    return replace(recording, losses=told)
-
-
-class _Collector:
+class Collector:
     """Sorts the messages of a bag into the topics that channels may come from."""
 
     def __init__(self, settings: Settings, streamed: bool = False):
