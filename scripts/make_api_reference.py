@@ -19,7 +19,7 @@ PARTS = {
                         "ModelStatus", "Mismatch", "Taint", "Event"),
     "filters.observability": ("ObservabilityTable", "ObservabilityRow"),
     "health.alarms": ("Alarm",),
-    "recordings.finding": ("ChannelFinding",),
+    "recordings.recording": ("ChannelFinding",),
     "mismatch.diagnosis": ("NamedEffect", "Value", "RigFinding", "LearnedTerm", "Change",
                            "Location", "SignalFit"),
     "mismatch.advise.tells": ("Known", "Confusion", "Sight"),

@@ -14,9 +14,8 @@ from rosbags.highlevel import AnyReader
 
 from eha_monitor.errors import InputError
 from eha_monitor.recordings.bag import iter_raw, topics
-from eha_monitor.recordings.limits import LARGEST
 from eha_monitor.recordings.read import read_recording
-from eha_monitor.recordings.recording import CHANNELS, Recording
+from eha_monitor.recordings.recording import CHANNELS, LARGEST, Recording
 from eha_monitor.recordings.write import BagWriter, TopicType, messages_of, write_recording
 from eha_monitor.settings import Settings
 

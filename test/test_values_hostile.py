@@ -18,9 +18,8 @@ from eha_monitor.filters.live import LiveEstimator
 from eha_monitor.filters.pipeline import estimate
 from eha_monitor.filters.rows import Rows, Source
 from eha_monitor.mismatch.diagnose import diagnose
-from eha_monitor.recordings.limits import LARGEST, LIMITS
 from eha_monitor.recordings.read import read_recording
-from eha_monitor.recordings.recording import Recording
+from eha_monitor.recordings.recording import LARGEST, LIMITS, Recording
 from eha_monitor.recordings.write import write_recording
 from eha_monitor.settings import Settings
 

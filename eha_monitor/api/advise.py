@@ -20,7 +20,7 @@ from eha_monitor.mismatch.advise.separate import Doubt
 from eha_monitor.mismatch.advise.tells import Confusion, Known, Sight
 from eha_monitor.mismatch.advise.words import motion_sentence, sentences
 from eha_monitor.quantity import SYMBOLS, number, with_uncertainty
-from eha_monitor.recordings.finding import ChannelFinding
+from eha_monitor.recordings.recording import ChannelFinding
 from eha_monitor.words import effect_words, listed
 
 if TYPE_CHECKING:

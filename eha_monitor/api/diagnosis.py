@@ -25,7 +25,7 @@ from eha_monitor.mismatch.diagnosis import (
 )
 from eha_monitor.mismatch.diagnosis import Diagnosis as Inner
 from eha_monitor.quantity import SYMBOLS
-from eha_monitor.recordings.finding import ChannelFinding
+from eha_monitor.recordings.recording import ChannelFinding
 from eha_monitor.reports.diagnosis_words import probability, value_words
 from eha_monitor.words import effect_words, listed
 

@@ -30,8 +30,7 @@ from eha_monitor.filters.results import (
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.quantity import SYMBOLS
-from eha_monitor.recordings.finding import ChannelFinding
-from eha_monitor.recordings.recording import SHORTEST_S
+from eha_monitor.recordings.recording import SHORTEST_S, ChannelFinding
 from eha_monitor.recordings.recording import Recording as InnerRecording
 
 if TYPE_CHECKING:

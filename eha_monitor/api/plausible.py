@@ -12,8 +12,7 @@ from eha_monitor.api.config import Config
 from eha_monitor.errors import InputError
 from eha_monitor.plausibility.corrections import corrected
 from eha_monitor.plausibility.judge import plausibility_of
-from eha_monitor.recordings.finding import ChannelFinding
-from eha_monitor.recordings.recording import SHORTEST_S, Recording
+from eha_monitor.recordings.recording import SHORTEST_S, ChannelFinding, Recording
 from eha_monitor.settings.document import annotated
 from eha_monitor.settings.monitor import Settings
 

@@ -1,4 +1,4 @@
-"""From a recording and answers to a draft that the recording itself has been asked about."""
+"""From a recording and answers to a draft, mended by what the recording itself shows, as YAML."""
 
 from dataclasses import dataclass, replace
 from json import dumps
@@ -10,10 +10,9 @@ from eha_monitor.draft.rig import Answers, Entry, Seen, full_scale, number, rig_
 from eha_monitor.draft.sources import Source
 from eha_monitor.errors import InputError
 from eha_monitor.plausibility.judge import Plausibility, plausibility_of
-from eha_monitor.recordings.finding import ChannelFinding
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.read import read_recording
-from eha_monitor.recordings.recording import Recording
+from eha_monitor.recordings.recording import ChannelFinding, Recording
 from eha_monitor.settings.channels import check_unit, unit_of
 from eha_monitor.settings.load import settings_from_tree, text_tree
 from eha_monitor.settings.monitor import Settings

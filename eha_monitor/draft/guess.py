@@ -1,4 +1,4 @@
-"""Which column is which channel, in which unit, and why."""
+"""Which column is which channel, in which unit, and why: from headers and from the numbers."""
 
 from dataclasses import dataclass, replace
 

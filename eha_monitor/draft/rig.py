@@ -1,4 +1,4 @@
-"""The rig of a draft: what was answered, what follows from it, what the recording shows."""
+"""The rig of a draft: what was answered (``--set``), what follows, what the recording shows."""
 
 import difflib
 import re

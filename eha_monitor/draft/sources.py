@@ -1,4 +1,7 @@
-"""The columns of a CSV, a MAT file or a bag, whichever comes, as candidates for channels."""
+"""The columns of a CSV, a MAT file or a bag, whichever comes, as candidates for channels.
+
+Of a CSV also how it is laid out: what parts its cells, where names, units and numbers stand.
+"""
 
 import re
 from dataclasses import dataclass, field

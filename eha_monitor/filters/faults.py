@@ -13,7 +13,7 @@ import numpy as np
 
 from eha_monitor.filters.rows import Counts, Rows, Source
 from eha_monitor.filters.stillness import Stillness
-from eha_monitor.recordings.limits import LARGEST, LIMITS
+from eha_monitor.recordings.recording import LARGEST, LIMITS
 
 # A sentence stands for so long after its last evidence.
 HELD_S = 3.0

@@ -33,8 +33,7 @@ from eha_monitor.physics.contributions import circuit_of
 from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.recordings.columns import let_go, mapped
-from eha_monitor.recordings.finding import ChannelFinding
-from eha_monitor.recordings.recording import Recording
+from eha_monitor.recordings.recording import ChannelFinding, Recording
 from eha_monitor.settings.monitor import Settings
 
 CONTINUOUS, SAMPLED, AUTO = "continuous", "sampled", "auto"

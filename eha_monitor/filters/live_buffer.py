@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from eha_monitor.recordings.limits import LARGEST
-from eha_monitor.recordings.recording import CHANNELS, Recording
+from eha_monitor.recordings.recording import CHANNELS, LARGEST, Recording
 
 # Columns beside the channels: damping in force and its variance, both stages' innovations, and
 # what drive and pump remember after the row.

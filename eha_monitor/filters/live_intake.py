@@ -8,7 +8,7 @@ from eha_monitor.breakdown import begins_anew
 from eha_monitor.filters.inputs import missing
 from eha_monitor.filters.live_buffer import LiveBuffer
 from eha_monitor.filters.results import Event
-from eha_monitor.recordings.limits import LARGEST
+from eha_monitor.recordings.recording import LARGEST
 
 WARM_UP = 256  # rows from which the sample time and the noise are first measured
 BATCH = 10  # rows taken at a time, at least

@@ -16,8 +16,7 @@ from eha_monitor.filters.noise import noise_levels
 from eha_monitor.physics import signals as s
 from eha_monitor.recordings import columns
 from eha_monitor.recordings.columns import Table
-from eha_monitor.recordings.recording import Recording
-from eha_monitor.recordings.sample import rows_of, sample_of
+from eha_monitor.recordings.recording import Recording, rows_of, sample_of
 from eha_monitor.settings.monitor import Settings
 
 BESIDE = 32  # rows on both sides that holds, smoothing and spikes look at

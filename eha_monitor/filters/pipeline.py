@@ -33,8 +33,7 @@ from eha_monitor.filters.supervision import gave_up, new_supervision
 from eha_monitor.physics.signals import M as MASS_PLACE
 from eha_monitor.quantity import SYMBOLS, quantity, with_uncertainty
 from eha_monitor.recordings.columns import Table, any_of, first_where, mapped, steps_to
-from eha_monitor.recordings.recording import Recording
-from eha_monitor.recordings.sample import sample_of
+from eha_monitor.recordings.recording import Recording, sample_of
 from eha_monitor.settings.monitor import Settings
 
 MISSING_ONE = "the force balance M x'' = F - B x' lacks an effect, or a sensor is wrong"

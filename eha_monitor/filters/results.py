@@ -7,8 +7,7 @@ from typing import Literal
 import numpy as np
 
 from eha_monitor.quantity import with_uncertainty
-from eha_monitor.recordings.finding import ChannelFinding
-from eha_monitor.recordings.recording import Recording
+from eha_monitor.recordings.recording import ChannelFinding, Recording
 from eha_monitor.settings.monitor import Settings
 
 Status = Literal["converged", "not_excited", "diverged", "no_data"]

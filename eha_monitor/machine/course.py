@@ -15,8 +15,7 @@ from eha_monitor.filters.inputs import force_missing, force_of
 from eha_monitor.filters.noise import noise_levels, without_spikes
 from eha_monitor.mismatch.data.inputs import filled
 from eha_monitor.mismatch.data.stops import between_stops
-from eha_monitor.recordings.recording import Recording
-from eha_monitor.recordings.sample import sample_of
+from eha_monitor.recordings.recording import Recording, sample_of
 from eha_monitor.settings.monitor import Settings
 
 MOTION, BAND = 20.0, 5.0  # Hz: pass bands of the motion, and of every balance

@@ -6,7 +6,7 @@ import numpy as np
 
 from eha_monitor.machine.baseline import Baseline
 from eha_monitor.machine.machine import Machine
-from eha_monitor.recordings.finding import ChannelFinding
+from eha_monitor.recordings.recording import ChannelFinding
 
 VERDICTS = ("consistent", "mismatch", "unexplained", "insufficient_data")
 GATES = ("unseen_error", "bound", "member", "sign")

@@ -3,7 +3,7 @@
 from typing import Any
 
 from eha_monitor.plausibility.mistakes import Mistake
-from eha_monitor.recordings.finding import ChannelFinding
+from eha_monitor.recordings.recording import ChannelFinding
 from eha_monitor.settings.load import merge, settings_from_tree
 from eha_monitor.settings.monitor import Settings
 

@@ -12,8 +12,7 @@ from eha_monitor.plausibility.mistakes import EVERYDAY, Mistake, mistakes_for
 from eha_monitor.plausibility.moments import Moments, moments_of
 from eha_monitor.plausibility.reading import Reading, Source
 from eha_monitor.plausibility.relations import Check, checks, unexplained
-from eha_monitor.recordings.finding import ChannelFinding
-from eha_monitor.recordings.recording import Recording
+from eha_monitor.recordings.recording import ChannelFinding, Recording
 from eha_monitor.settings.channels import ATMOSPHERE, unit_of
 from eha_monitor.settings.monitor import Settings
 

@@ -11,7 +11,7 @@ from math import log, log10, pi
 
 from eha_monitor.plausibility.reading import Reading, Source
 from eha_monitor.plausibility.relations import Check
-from eha_monitor.recordings.finding import Kind
+from eha_monitor.recordings.recording import Kind
 
 EVERYDAY, RARE, RAREST = -3.0, -4.5, -6.0
 DECADE = -0.3  # log units for each power of ten that a number is off

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from eha_monitor.recordings.columns import blocks, let_go, spans_of
-from eha_monitor.recordings.recording import Recording
-from eha_monitor.recordings.sample import sample_of
+from eha_monitor.recordings.recording import Recording, sample_of
 
 LONGEST = 32_768  # samples that are looked at: those of the piece with the most motion
 SHORTEST = 64

@@ -8,8 +8,7 @@ import numpy as np
 from eha_monitor.errors import InputError, one_line
 from eha_monitor.recordings.cdr import Series
 from eha_monitor.recordings.grid import GAP, JITTER, Grid, fit_grid, period_of, repair, tell_gaps
-from eha_monitor.recordings.limits import within_limits
-from eha_monitor.recordings.recording import CHANNELS, Recording
+from eha_monitor.recordings.recording import CHANNELS, Recording, within_limits
 from eha_monitor.settings.monitor import Settings
 
 CLOCKS = 2**61  # ns; stamps are held within this range, so that differences do not overflow

@@ -65,7 +65,12 @@ class Messages:
 
 
 class BulkWriter(Writer):
-    """An mcap writer that also takes messages by the thousand."""
+    """An mcap writer that also takes messages by the thousand, byte for byte as one by one.
+
+    ``mcap`` builds each message's record in Python, which takes longer than all else that writing
+    a simulated recording does (docs/dependencies.md).  Here the records of a stretch are made as
+    one array; file, chunks, compression and summary stay the library's.
+    """
 
     def add_messages(self, channels: list[Messages]) -> None:
         """Add messages of several channels in the order of time, then of the list."""

@@ -1,4 +1,4 @@
-"""The uniform grid under stamps that jitter, drift, or have holes."""
+"""The uniform grid under stamps that jitter, drift, jump, repeat or have holes."""
 
 from dataclasses import dataclass
 

@@ -1,23 +1,89 @@
-"""The one type that all offline work reads: aligned channels on a uniform time grid."""
+"""The one type that all offline work reads: aligned channels on a uniform time grid.
+
+With it: which numbers can be measurements, parts that fit into memory, and what channels show
+about how they were configured.
+"""
 
 from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
 import numpy as np
 
-from eha_monitor.recordings.columns import any_of
-from eha_monitor.recordings.limits import LARGEST, within_limits
+from eha_monitor.errors import InputError
+from eha_monitor.recordings import columns
+from eha_monitor.recordings.columns import any_of, let_go
 from eha_monitor.settings.channels import CHANNELS as CHANNELS
 
+# Channel -> largest absolute value that can be a measurement, and its unit.  Far beyond any
+# sensor, and beyond any mistake of unit that is worth naming (micrometres for metres, bar for
+# pascals a second time, rpm for rad/s), so that such recordings are read and the mistake is
+# reported.  What lies further out is no measurement: a damaged message, or a simulation that ran
+# away.
+LIMITS = {"x": (1e9, "m"), "v": (1e9, "m/s"), "x_d": (1e9, "m"), "omega": (1e9, "rad/s"),
+          "omega_d": (1e9, "rad/s"), "p1": (1e13, "Pa"), "p2": (1e13, "Pa"),
+          "force": (1e12, "N"), "temperature": (1e6, "°C")}
+LARGEST = {name: largest for name, (largest, _) in LIMITS.items()}
 # Stamps before 2000 count from the start of a computer or of a simulation.
 CALENDAR_NS = 946_684_800 * 10**9
 SHORTEST_S = 0.5  # from less nothing is estimated, and nothing is explained
+STRETCH = 4096  # rows of each stretch of a sample
+Kind = Literal["swapped", "sign", "unit", "offset", "hold"]
+FEW = 3  # samples in a row, or in all, that a channel may spend out there at its end
+SHARE = 0.01  # of a channel's numbers
+
+
+def within_limits(name: str, values: np.ndarray, time: np.ndarray, source: str
+                  ) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Return a channel with NaN for what is no measurement, and sentences about it.
+
+    A few such values are left out; a channel that goes there and stays is refused, because what it
+    showed on the way there is no measurement either.
+
+    Parameters
+    ----------
+    name : channel; one that has no limit is only freed of infinities.
+    values : (n,) SI, NaN where nothing was measured.
+    time : (n,) s, for the sentences.
+    source : file (and topic), for errors.
+
+    Raises
+    ------
+    InputError
+        If the channel ran away: it went beyond the limit and did not come back, or is there for
+        more than 1 % of its numbers.
+    """
+    limit, unit = LIMITS.get(name, (np.inf, ""))
+    finite = min(limit, np.finfo(float).max)
+    if np.fmax.reduce(values, initial=0.0) <= finite and (
+            np.fmin.reduce(values, initial=0.0) >= -finite):
+        return values, ()
+    infinite = np.isinf(values)
+    beyond = (np.abs(values) > limit) & ~infinite
+    said = []
+    if infinite.any():
+        said.append(f"{name}: {int(infinite.sum())} of {len(values)} values are infinite, "
+                    "left out")
+    if beyond.any():
+        first = int(np.argmax(beyond))
+        where = (f"{values[first]:.3g} {unit} at t = {time[first]:.3f} s, beyond ±{limit:.0e} "
+                 f"{unit}")
+        numbers = np.flatnonzero(np.isfinite(values))
+        good = numbers[~beyond[numbers]]
+        after = int(np.sum(numbers > good[-1])) if len(good) else len(numbers)
+        if after > FEW or beyond.sum() > max(FEW, SHARE * len(numbers)):
+            raise InputError(
+                f"{source}: {name} is out of range: {where}, as {int(beyond.sum())} of its "
+                f"{len(numbers)} numbers are; expected a measurement in SI")
+        said.append(f"{name}: {int(beyond.sum())} of {len(values)} values are not valid "
+                    f"measurements ({where}), left out")
+    return np.where(infinite | beyond, np.nan, values), tuple(said)
 
 
 @dataclass(frozen=True)
 class Recording:
     """Aligned channels of one recording, SI units, gaps as NaN.
 
-    Every number in it lies where a sensor can show it (:mod:`limits`): whoever makes one of
+    Every number in it lies where a sensor can show it (:data:`LIMITS`): whoever makes one of
     channels that run away gets an InputError, and what was left out stands in ``losses``.
 
     Attributes
@@ -82,3 +148,43 @@ class Recording:
         return replace(
             self, channels={name: values[start:stop] for name, values in self.channels.items()},
             start_ns=self.start_ns + round(start * self.sample_time * 1e9))
+
+
+def sample_of(recording: Recording) -> Recording:
+    """Return stretches from all over a long recording, a missing row between two; or itself."""
+    rows, count = len(recording), max(columns.IN_MEMORY // (STRETCH + 1), 1)
+    if rows <= columns.IN_MEMORY:
+        return recording
+    starts = np.linspace(0, rows - STRETCH, count).astype(int)
+    channels = {}
+    for name, values in recording.channels.items():
+        channels[name] = np.concatenate([
+            part for start in starts.tolist()
+            for part in (values[start:start + STRETCH], [np.nan])])
+        let_go(values)
+    return replace(recording, channels=channels)
+
+
+def rows_of(recording: Recording, start: int, stop: int) -> Recording:
+    """Return rows of a recording, in memory."""
+    part = {name: values[start:stop].copy() for name, values in recording.channels.items()}
+    let_go(*recording.channels.values())
+    return replace(recording, channels=part, losses=())
+
+
+@dataclass(frozen=True)
+class ChannelFinding:
+    """One thing that the channels of a recording say about their configuration.
+
+    Attributes
+    ----------
+    finding : a sentence with its evidence in numbers.
+    kind : ``swapped``, ``sign``, ``unit``, ``offset`` or ``hold``.
+    channels : the channels, or keys of the rig, that it concerns.
+    correction : fragment of a config that mends it, by section; empty where no key does.
+    """
+
+    finding: str
+    kind: Kind
+    channels: tuple[str, ...]
+    correction: dict[str, Any] = field(default_factory=dict)

@@ -1,4 +1,7 @@
-"""The last minutes of serialised messages in memory, compressed, within a bound."""
+"""The last minutes of serialised messages in memory, compressed, within a bound, and saved.
+
+Saving goes on in a thread, so that nothing else waits.
+"""
 
 import struct
 import threading

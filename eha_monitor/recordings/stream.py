@@ -15,8 +15,7 @@ from eha_monitor.recordings import align as whole
 from eha_monitor.recordings.cdr import Series, TopicReader, Want
 from eha_monitor.recordings.columns import PIECE, Column
 from eha_monitor.recordings.grid import JITTER, Grid, fit_grid, repair, tell_gaps
-from eha_monitor.recordings.limits import LARGEST
-from eha_monitor.recordings.recording import CHANNELS, Recording
+from eha_monitor.recordings.recording import CHANNELS, LARGEST, Recording
 from eha_monitor.settings.monitor import Settings
 
 FEWEST = 1000  # samples of the reference from which its grid is told

@@ -1,4 +1,4 @@
-"""Cells of CSV and MAT files as arrays of numbers."""
+"""Cells of CSV and MAT files as arrays of numbers, dates and times of day as stamps."""
 
 import codecs
 import csv

@@ -15,8 +15,7 @@ from eha_monitor.errors import InputError
 from eha_monitor.recordings.bag_writer import BagWriter, TopicType, check_bag_target
 from eha_monitor.recordings.cdr import STAMP, Want, locate
 from eha_monitor.recordings.columns import any_of, let_go
-from eha_monitor.recordings.limits import within_limits
-from eha_monitor.recordings.recording import Recording
+from eha_monitor.recordings.recording import Recording, within_limits
 from eha_monitor.settings.monitor import Settings
 
 JOINT = "sensor_msgs/msg/JointState"

@@ -24,8 +24,7 @@ from eha_monitor.physics.effect import Ranges
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.physics.plant import N_OUTPUTS
 from eha_monitor.physics.signals import K_POS
-from eha_monitor.recordings.recording import Recording
-from eha_monitor.recordings.sample import rows_of, sample_of
+from eha_monitor.recordings.recording import Recording, rows_of, sample_of
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 

@@ -13,8 +13,7 @@ import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.filters.inputs import force_of
-from eha_monitor.recordings.recording import Recording
-from eha_monitor.recordings.sample import rows_of
+from eha_monitor.recordings.recording import Recording, rows_of
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
