@@ -106,15 +106,16 @@ class Limits(Section):
         return self
 
 
-def _limits_in(unit: str) -> type[Limits]:
-    """Return the section of thresholds whose limits have a unit."""
+def _limits_in(unit: str, name: str) -> type[Limits]:
+    """Return the section of thresholds whose limits have a unit; it is pickled by its name."""
     words = {"low_error": "below this: ERROR", "low_warn": "below this: WARN",
              "high_warn": "above this: WARN", "high_error": "above this: ERROR"}
-    return create_model("Limits", __base__=Limits, __doc__=Limits.__doc__, **{
+    return create_model(name, __base__=Limits, __doc__=Limits.__doc__, __module__=__name__, **{
         key: (Si(unit, words[key], optional=True), None) for key in LIMITS})
 
 
-DampingLimits, ModulusLimits = _limits_in("N·s/m"), _limits_in("Pa")
+DampingLimits = _limits_in("N·s/m", "DampingLimits")
+ModulusLimits = _limits_in("Pa", "ModulusLimits")
 
 
 class Thresholds(Section):
