@@ -197,7 +197,7 @@ def test_bad_input_is_the_line_of_the_command(words, monkeypatch, capsys):
     (lambda: em.diagnose(AIR, without="friction"), "without: friction: expected an effect of the"),
     (lambda: em.diagnose(AIR, held_out=AIR), "held_out names a bag that is fitted"),
     (lambda: em.diagnose(AIR, references=HIDDEN, without="added_mass"), "references: expected ne"),
-    (lambda: em.diagnose(AIR, hypothesis={"name": "mine"}), "hypothesis: adds: Field required"),
+    (lambda: em.diagnose(AIR, hypothesis={"name": "mine"}), "hypothesis: adds: field required"),
     (lambda: em.diagnose(AIR, 5), "config: expected an em.Config, a YAML file, a mapping or None"),
     (lambda: em.simulate(duration="2 m"), "duration: expected seconds, more than 0, got '2 m'"),
     (lambda: em.simulate(seed=-1), "seed: expected a whole number from 0 on, got -1"),
