@@ -9,9 +9,7 @@ from ros_tools import Recorder, levels, listen, start
 from std_msgs.msg import Float64
 
 from eha_monitor.filters.results import ParameterEstimate
-from eha_monitor.ros.outputs import LATCHED
-from eha_monitor.ros.quality import clashes
-from eha_monitor.ros.subscriptions import INPUT_QOS
+from eha_monitor.ros.qos import INPUT_QOS, LATCHED, clashes
 
 LATCHING = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
                       durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -16,7 +16,7 @@ from eha_monitor.quantity import SYMBOLS, with_uncertainty
 from eha_monitor.ros import running
 from eha_monitor.ros.findings import MISMATCH
 from eha_monitor.ros.messages import findings_of
-from eha_monitor.ros.outputs import LATCHED
+from eha_monitor.ros.qos import LATCHED
 
 _LINE_EVERY = 1.0  # s
 
