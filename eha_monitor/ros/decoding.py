@@ -86,7 +86,7 @@ class Layout:
             values = np.full((n, len(places)), np.nan)
             for k, (at, dtype, gain, zero) in enumerate(places):
                 if dtype is not None:
-                    values[:, k] = self._column(raw, n, at, dtype)  # in double precision from here on
+                    values[:, k] = self._column(raw, n, at, dtype)  # double from here on
                     values[:, k] = gain * values[:, k] + zero
             streams.append(values)
         whole = self._complete and all(np.isfinite(values).any(axis=1).all()
