@@ -11,7 +11,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from eha_monitor.dashboard.events import ACKNOWLEDGED, EventLog
@@ -21,9 +20,9 @@ from eha_monitor.filters.rows import Source
 from eha_monitor.health.alarms import WATCHED
 from eha_monitor.ros import running
 from eha_monitor.ros.inputs import Topic, topics_of
-from eha_monitor.ros.messages import findings_of
+from eha_monitor.ros.messages import findings_of, subscribe_to_monitor
 from eha_monitor.ros.parameters import settings_of_node
-from eha_monitor.ros.qos import LATCHED, SHOWN_QOS
+from eha_monitor.ros.qos import SHOWN_QOS
 from eha_monitor.ros.subscriptions import TopicInput
 from eha_monitor.settings import Settings
 
@@ -74,15 +73,7 @@ class Listener:
                              (FOLLOW_PERIOD, lambda: self.state.watch(time.monotonic())),
                              (TAKE_PERIOD, self._take_measured)):
             node.create_timer(period, work, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        for watched in WATCHED:
-            for suffix, take in (("", self.state.take_value),
-                                 ("_stddev", self.state.take_stddev)):
-                node.create_subscription(
-                    Float64, f"monitor/{watched.section}{suffix}",
-                    lambda message, take=take, symbol=watched.symbol:
-                        take(symbol, message.data, time.monotonic()), 10)
-        node.create_subscription(JointState, "monitor/joint_states", self._take_estimated, 10)
-        node.create_subscription(DiagnosticArray, "monitor/health", self._take_health, LATCHED)
+        subscribe_to_monitor(node, self._take_number, self._take_estimated, self._take_health)
         node.create_service(Trigger, "dashboard/acknowledge", self._on_acknowledge)
 
     def close(self) -> None:
@@ -98,6 +89,10 @@ class Listener:
         for batch in self.measured.read(messages, came, stamps_ns):
             for stamp_ns, values in zip(batch.stamps, batch.values, strict=True):
                 self.state.take_position("measured", float(stamp_ns) * 1e-9, float(values[0]), now)
+
+    def _take_number(self, symbol: str, suffix: str, value: float) -> None:
+        take = self.state.take_stddev if suffix else self.state.take_value
+        take(symbol, value, time.monotonic())
 
     def _take_estimated(self, message: JointState) -> None:
         if message.position:

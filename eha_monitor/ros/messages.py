@@ -5,7 +5,7 @@ Each message is also kept for the bag of the last minutes.
 
 import math
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -114,6 +114,26 @@ def findings_of(message: DiagnosticArray) -> list[Finding]:
     return [Finding(entry.name.rpartition(": ")[2], _LEVEL_NAMES[entry.level], entry.message,
                     {pair.key: pair.value for pair in entry.values})
             for entry in message.status if entry.level in _LEVEL_NAMES]
+
+
+def subscribe_to_monitor(node: Node, take_number: Callable[[str, str, float], None],
+                         take_state: Callable[[JointState], None],
+                         take_health: Callable[[DiagnosticArray], None]) -> None:
+    """Subscribe to what a monitor publishes in a node's namespace.
+
+    Parameters
+    ----------
+    take_number : called with symbol, ``""`` or ``"_stddev"``, and the number.
+    take_state, take_health : called with the messages.
+    """
+    for watched in WATCHED:
+        for suffix in ("", "_stddev"):
+            node.create_subscription(
+                Float64, f"monitor/{watched.section}{suffix}",
+                lambda message, symbol=watched.symbol, suffix=suffix:
+                    take_number(symbol, suffix, message.data), QUEUED)
+    node.create_subscription(JointState, "monitor/joint_states", take_state, QUEUED)
+    node.create_subscription(DiagnosticArray, "monitor/health", take_health, LATCHED)
 
 
 def alarm_finding(alarm: Alarm, values: dict[str, float]) -> Finding:

@@ -152,8 +152,8 @@ def _entry(name: str, value: Any, field, context: str) -> Declared:
             upper = getattr(constraint, "le", getattr(constraint, "lt", upper))
     text = ": ".join(part for part in (context, description) if part)
     return Declared(name, value, text, unit, lower, upper,
-                 not name.startswith(f"{RUNTIME_SECTION}."),
-                 float in kinds or isinstance(value, float), type(None) in kinds)
+                    not name.startswith(f"{RUNTIME_SECTION}."),
+                    float in kinds or isinstance(value, float), type(None) in kinds)
 
 
 def overridden(settings: Settings, changes: dict[str, Any], source: str,

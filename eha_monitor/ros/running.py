@@ -52,7 +52,7 @@ def ros_session(arguments: list[str]) -> Iterator[None]:
         if unknown:
             raise InputError(f"{unknown[0]}: unknown argument, expected options or --ros-args")
         rclpy.init(args=readable, signal_handler_options=SignalHandlerOptions.NO)
-    with _signals_noted() as noted:
+    with _Signals() as noted:
         try:
             with until_shutdown():
                 yield
@@ -75,19 +75,19 @@ class _Signals:
 
     came: int | None = None
 
-    def __init__(self):
+    def __enter__(self) -> "_Signals":
         _Signals.came = None
         self._before = {number: signal.signal(number, self._note)
                         for number in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def __exit__(self, *_) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
 
     @staticmethod
     def _note(number: int, frame) -> None:
         _Signals.came = number
-
-    def close(self) -> None:
-        """Put back the handlers that were there."""
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
 
     def hand_on(self) -> None:
         """Give a signal that came to the handler of whoever called us, if there is one."""
@@ -95,15 +95,6 @@ class _Signals:
         handler = self._before.get(number)
         if callable(handler) and handler is not signal.default_int_handler:
             handler(number, None)
-
-
-@contextlib.contextmanager
-def _signals_noted() -> Iterator[_Signals]:
-    signals = _Signals()
-    try:
-        yield signals
-    finally:
-        signals.close()
 
 
 @contextlib.contextmanager
