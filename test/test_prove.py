@@ -30,7 +30,8 @@ from eha_monitor.settings import settings_from_tree
 pytestmark = pytest.mark.timeout(600)  # 20 s; minutes where all has to be compiled first
 ROOT = Path(__file__).parents[1]
 CASES = (Case("c001", (("coulomb_friction", 1.0),), motion="short", seed=11),
-         Case("c002", motion="short", seed=12))
+         Case("c002", motion="short", seed=12),
+         Case("c003", (("position_delay", 1.0),), motion="short", seed=13))
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +65,7 @@ def test_key_is_sealed_before_any_recording_is_read(trial, done):
 
 def test_result_is_the_contracts(done):
     found, _, _ = done
-    assert found["schema"] == "eha_monitor/proof/1" and found["cases"] == 2
+    assert found["schema"] == "eha_monitor/proof/1" and found["cases"] == 3
     assert not found["failed"], [row["message"] for row in found["rows"]]
     for mark in ("exact", "within_class", "located", "null_false_alarm",
                  "sensor_blamed_on_physics", "held_out_error_removed"):
@@ -75,7 +76,7 @@ def test_result_is_the_contracts(done):
     assert rows["c001"]["truth"] == ["coulomb_friction"]
     assert rows["c001"]["located"] == "force" and rows["c001"]["within_class"]
     assert rows["c001"]["after_rms"] < 0.2 * rows["c001"]["before_rms"]
-    assert rows["c002"]["exact"] and rows["c002"]["truth"] == []
+    assert rows["c002"]["exact"] and rows["c003"]["truth"] == ["position_delay"]
     assert found["by_effect"]["coulomb_friction"]["n"] == 1
 
 
@@ -94,8 +95,8 @@ def test_nothing_that_is_there_is_done_again(trial, done):
 
 @pytest.mark.parametrize(("change", "words"), [
     ({"seed": 5}, "another seed (4), expected 5"),
-    ({"cases": CASES[:1]}, "another number of cases (2), expected 1"),
-    ({"cases": (CASES[0], replace(CASES[1], seed=1))}, "another generator of cases"),
+    ({"cases": CASES[:2]}, "another number of cases (3), expected 2"),
+    ({"cases": (CASES[0], CASES[1], replace(CASES[2], seed=1))}, "another generator of cases"),
 ])
 def test_another_trials_folder_is_refused(trial, done, change, words):
     with pytest.raises(InputError, match=re.escape(words)):
@@ -114,7 +115,7 @@ def test_an_opened_key_must_be_the_sealed_one(trial, done):
 
 
 def test_command_refuses_another_seed_in_one_line(trial, done, capsys):
-    assert main(["prove", "--cases", "2", "--seed", "9", "--work", str(trial.work)]) == 2
+    assert main(["prove", "--cases", "3", "--seed", "9", "--work", str(trial.work)]) == 2
     err = capsys.readouterr().err
     assert err.count("\n") == 1 and "belongs to a trial with another seed (4), expected 9" in err
 
@@ -128,7 +129,7 @@ def test_report_shows_marks_hash_and_misses(trial, done):
     rest = [dict(row, within_class=True) for row in found["rows"][1:]]
     page = proof_page({**found, "rows": [missed, *rest]}, trial.work)
     assert found["sealed_key_sha256"] in page and 'data-mark="exact"' in page
-    assert "Misses: 1 of 2" in page and "spring load" in page and "data:image/png" in page
+    assert "Misses: 1 of 3" in page and "spring load" in page and "data:image/png" in page
     assert "http" not in re.sub(r"<meta[^>]*>", "", page)
 
 
