@@ -21,6 +21,8 @@ from eha_monitor.filters.rows import Batch
 from eha_monitor.recordings.cdr import STAMP, Want, locate
 from eha_monitor.ros.inputs import STEP, Entry, Topic, message_class
 
+# Known once for all: to read the definitions takes 15 ms, and messages wait meanwhile.
+TYPES = get_typestore(Stores.ROS2_JAZZY).fielddefs
 LAYOUTS = 8  # of messages on one topic; more are those of a publisher that changes them
 
 
@@ -47,10 +49,11 @@ class Layout:
         wants = [[Want(channel.field, entry.name) for _, channel in entry.channels]
                  for entry in entries]
         stamp = tuple(Want(field) for field in STAMP) if stamped else ()
-        found = locate(data, get_typestore(Stores.ROS2_JAZZY).fielddefs, type_name,
+        found = locate(data, TYPES, type_name,
                        (*(want for stream in wants for want in stream), *stamp))
         self._length = len(data)
-        self._fixed = [(place, bytes(data[place])) for place in _runs(found.positions)]
+        self._fixed = [(place, bytes(data[place]), np.frombuffer(data[place], dtype=np.uint8))
+                       for place in _runs(found.positions)]
         # An entry that is there may lack a number, as a list may be empty: that is a NaN.
         self._complete = all(any(want in found.places for want in stream) for stream in wants)
         self._columns = [[(*found.places.get(want, (0, None)), channel.gain, channel.zero)
@@ -61,22 +64,21 @@ class Layout:
     def fits(self, data: bytes) -> bool:
         """Return whether a message is of this layout."""
         return len(data) == self._length and all(
-            data[place] == content for place, content in self._fixed)
+            data[place] == content for place, content, _ in self._fixed)
 
-    def fit(self, messages: Sequence[bytes]) -> bool:
-        """Return whether all messages are of this layout."""
+    def fit(self, messages: Sequence[bytes], raw: bytes) -> bool:
+        """Return whether all messages are of this layout; ``raw`` is all of them."""
         if set(map(len, messages)) != {self._length}:
             return False
-        table = np.frombuffer(b"".join(messages), dtype=np.uint8).reshape(-1, self._length)
-        return all((table[:, place] == np.frombuffer(content, dtype=np.uint8)).all()
-                   for place, content in self._fixed)
+        table = np.frombuffer(raw, dtype=np.uint8).reshape(-1, self._length)
+        return all((table[:, place] == content).all() for place, _, content in self._fixed)
 
-    def read(self, messages: Sequence[bytes]) -> tuple[np.ndarray, list[np.ndarray]] | None:
+    def read(self, raw: bytes) -> tuple[np.ndarray, list[np.ndarray]] | None:
         """Return (n,) stamps in ns, zeros without, and the (n, k) values of each entry, SI.
 
-        None where an entry has no number in one of the messages.
+        None where an entry has no number in one of the messages, of which ``raw`` is all.
         """
-        raw, n = b"".join(messages), len(messages)
+        n = len(raw) // self._length
         stamps = np.zeros(n, dtype=np.int64)
         if self._stamp_at is not None:
             for dtype, at, unit in (("<i4", 0, 1_000_000_000), ("<u4", 4, 1)):
@@ -170,11 +172,11 @@ class TopicReader:
             self._layouts = []
             return None
         brought: dict[str, list[tuple]] = {}
-        for number, chosen in places.items():
+        for number, (chosen, raw) in places.items():
             layout = self._layouts[number]
             if not layout.entries:
                 continue
-            read = layout.read([messages[k] for k in chosen])
+            read = layout.read(raw)
             if read is None or (self._stamped and not read[0].all()):
                 return None
             stamps = read[0] if self._stamped else now_ns[chosen]
@@ -184,22 +186,27 @@ class TopicReader:
         for entry, decoder in zip(self._topic.entries, self._decoders, strict=True):
             one = _joined(brought.get(entry.source.name, []), len(entry.channels))
             last = one[0][-1] if len(one[0]) else -1
-            decoder.note(sorted({name for number, chosen in places.items() if chosen[-1] > last
-                                 for name in self._layouts[number].names}))
+            decoder.note({name for number, (chosen, _) in places.items() if chosen[-1] > last
+                          for name in self._layouts[number].names})
             found.append(one)
         return found
 
-    def _by_layout(self, messages: Sequence[bytes]) -> dict[int, np.ndarray]:
-        """Return by number of a layout which messages are of it; nothing if one has none."""
-        if self._layouts and self._layouts[0].fit(messages):
-            return {0: np.arange(len(messages))}
+    def _by_layout(self, messages: Sequence[bytes]) -> dict[int, tuple[np.ndarray, bytes]]:
+        """Return by number of a layout which messages are of it, and these as one.
+
+        Nothing if a message is of none.
+        """
+        raw = b"".join(messages)
+        if self._layouts and self._layouts[0].fit(messages, raw):
+            return {0: (np.arange(len(messages)), raw)}
         places: dict[int, list[int]] = {}
         for k, data in enumerate(messages):
             number = self._layout_of(data)
             if number is None:
                 return {}
             places.setdefault(number, []).append(k)
-        return {number: np.array(chosen) for number, chosen in places.items()}
+        return {number: (np.array(chosen), b"".join([messages[k] for k in chosen]))
+                for number, chosen in places.items()}
 
     def _layout_of(self, data: bytes) -> int | None:
         """Return the number of the layout of a message, None where none can be found."""
@@ -323,10 +330,10 @@ class Decoder:
         """Whether the last message had the entry."""
         return self._index >= 0
 
-    def note(self, others: Sequence[str]) -> None:
+    def note(self, others: set[str]) -> None:
         """Note that messages were read as columns, and the joints in those after its own."""
         self.problem = None
-        self.absent = self.lacks(others) if others else None
+        self.absent = self.lacks(sorted(others)) if others else None
 
     def lacks(self, names: Sequence[str]) -> str:
         """Return in a sentence that a message with these names has not the entry."""
