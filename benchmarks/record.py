@@ -67,9 +67,9 @@ def write(name: str, figures: dict[str, dict], measures: tuple[str, ...],
     measures : tuple of str
         Folders or files of source, from the root of the repository, that the figures measure.
     held_by : {"source", "commit"}
-        ``source``: a test fails as soon as what is measured has changed, for benchmarks of a
-        minute.  ``commit``: the table says at which commit it was, for longer ones, and for those
-        that need a quiet machine.
+        ``source``: ``tables.py --again`` measures it again where the code has changed, for
+        benchmarks of a minute.  ``commit``: the table says at which commit it was, for longer
+        ones, and for those that need a quiet machine.
     """
     words = [str(Path(sys.argv[0]).resolve().relative_to(ROOT)), *sys.argv[1:]]
     commit, dirty = commit_now()

@@ -128,15 +128,5 @@ def too_old(file: Path) -> list[str]:
             if known != digest(part)]
 
 
-def not_of_this_history(file: Path) -> list[str]:
-    """Return a line where the file names a commit that HEAD does not come from."""
-    made = read(file)
-    done = subprocess.run(["git", "merge-base", "--is-ancestor", made["commit"], "HEAD"],
-                          cwd=ROOT, capture_output=True)
-    return [] if done.returncode == 0 else [
-        f"{file.relative_to(ROOT)} names commit {made['commit']}, expected one that HEAD comes "
-        f"from: run `{made['command']}`, then `make figures`"]
-
-
 if __name__ == "__main__":
     main()

@@ -1,6 +1,7 @@
 """The reference is that of the docstrings, and the notebook's figures are those of the program."""
 
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -28,17 +29,44 @@ def figures(notebook) -> dict:
     return json.loads(notebook.cells[-1].outputs[0].text)
 
 
-@pytest.mark.timeout(300)
-def test_the_notebook_executes_to_the_figures_that_it_shows():
+def notebook():
+    """Return the notebook as it is kept."""
     nbformat = pytest.importorskip("nbformat", reason="nbformat is not installed (extra test)")
-    from make_notebook import NOTEBOOK, executed
+    from make_notebook import NOTEBOOK
 
     assert NOTEBOOK.stat().st_size < LARGEST
     shown = nbformat.read(NOTEBOOK, as_version=4)
     nbformat.validate(shown)
+    return NOTEBOOK, shown
+
+
+def kinds_of(made) -> list:
+    """Return what each cell of code has put out."""
+    return [[sorted(output.get("data", {"text": ""})) for output in cell.outputs]
+            for cell in made.cells if cell.cell_type == "code"]
+
+
+def test_the_notebook_is_kept_whole_and_its_code_is_that_of_the_package():
+    """Each cell was executed, in order, and each name that it takes of the package exists."""
+    import eha_monitor as em
+
+    _, shown = notebook()
     code = [cell for cell in shown.cells if cell.cell_type == "code"]
     assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))
-    now = executed(NOTEBOOK)
+    taken = {name for cell in code for name in re.findall(r"\bem\.(\w+)", cell.source)}
+    assert taken and taken <= set(em.__all__)
+    assert figures(shown)["effects"] == ["coulomb_friction"]
+    assert sum(["image/png", "text/plain"] in kind for kind in kinds_of(shown)) == 3  # pictures
+
+
+# A diagnosis, a study and a report: what the docstrings' examples run in test_api_examples.py.
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_the_notebook_executes_to_the_figures_that_it_shows():
+    from make_notebook import executed
+
+    place, shown = notebook()
+    now = executed(place)
     before, after = figures(shown), figures(now)
     # What is known of the two recordings, whatever the program says.
     assert (after["verdict"], after["effects"]) == ("mismatch", ["coulomb_friction"])
@@ -48,8 +76,4 @@ def test_the_notebook_executes_to_the_figures_that_it_shows():
     assert after["study"] == pytest.approx([300.0, 600.0, 1200.0], abs=0.5)
     for key in ("F_c", "B_before", "B_after", "B_completed", "beta_e_with_air", "study"):
         assert after[key] == pytest.approx(before[key], rel=2e-3), f"{key}: make notebook"
-    kinds = [[sorted(output.get("data", {"text": ""})) for output in cell.outputs]
-             for cell in shown.cells if cell.cell_type == "code"]
-    assert kinds == [[sorted(output.get("data", {"text": ""})) for output in cell.outputs]
-                     for cell in now.cells if cell.cell_type == "code"]
-    assert sum(["image/png", "text/plain"] in kind for kind in kinds) == 3  # pictures
+    assert kinds_of(shown) == kinds_of(now)

@@ -4,6 +4,7 @@ import json
 import os
 import re
 import shutil
+from functools import partial
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -76,16 +77,18 @@ def complaint(capsys, *arguments) -> str:
     return err
 
 
+def here(function, tasks, jobs, alone=0, asked=None):
+    """Make the answers in this process, in place of ``on_this_machine``."""
+    for task in tasks:
+        if asked is not None:
+            asked.append(task.name)
+        yield task, function(task), ""
+
+
 def counted(monkeypatch) -> list[str]:
     """Let answers be made in this process, without the page; returns the bags that are."""
     asked = []
-
-    def here(function, tasks, jobs, alone=0):
-        for task in tasks:
-            asked.append(task.name)
-            yield task, function(task), ""
-
-    monkeypatch.setattr("eha_monitor.archive.run.on_this_machine", here)
+    monkeypatch.setattr("eha_monitor.archive.run.on_this_machine", partial(here, asked=asked))
     monkeypatch.setattr("eha_monitor.reports.archive_report.write_archive_report",
                         lambda *arguments: None)
     return asked
@@ -152,14 +155,15 @@ def test_other_programs_read_the_table(answered):
     assert set(table.columns) | {"bag"} == {c.name for c in COLUMNS if c.only != "diagnose"}
 
 
-def test_a_row_leads_to_the_report_of_its_recording(folder, tmp_path, capsys):
+def test_a_row_leads_to_the_report_of_its_recording(folder, tmp_path, monkeypatch, capsys):
     few, out = tmp_path / "few", tmp_path / "table"
     shutil.copytree(folder / "october", few / "a #1")
-    assert main(["estimate", str(few), "--out", str(out), "--jobs", "2"]) == 0
+    monkeypatch.setattr("eha_monitor.archive.run.on_this_machine", here)
+    assert main(["estimate", str(few), "--out", str(out)]) == 0
     page = Page((out / "estimate.html").read_text(encoding="utf-8"))
     assert "--reports" in page.text and not (out / "estimate_reports").exists()
     # Rows that have none are made again; the address is one that a browser finds.
-    assert main(["estimate", str(few), "--out", str(out), "--jobs", "2", "--reports"]) == 0
+    assert main(["estimate", str(few), "--out", str(out), "--reports"]) == 0
     page = Page((out / "estimate.html").read_text(encoding="utf-8"))
     led = [r for r in page.references if r.startswith("estimate_reports/")]
     assert len(led) == 2 and all("%20%23" in one for one in led)

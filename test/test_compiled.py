@@ -91,14 +91,21 @@ def copy_of(folder):
     return folder
 
 
+@pytest.fixture(scope="module")
+def compiled_once(tmp_path_factory):
+    """A cache with what one function needs; a test that changes it takes a copy."""
+    folder = tmp_path_factory.mktemp("compiled")
+    assert told(ran(PACKAGE.parent, ONE_FUNCTION, folder / "cache", folder))[0] > 0
+    return folder / "cache"
+
+
 def test_every_copy_of_the_package_shares_what_was_compiled_once(tmp_path):
     first, line, err = told(ran(PACKAGE.parent, ONE_FUNCTION, None, tmp_path))
     place = next((tmp_path / "home" / ".cache" / "eha_monitor").glob("numba-*"))
     assert first, line
     assert err.count("compiling") == err.count("\n") == 1 and str(place) in err, err
-    for name in ("a", "b"):
-        again = told(ran(copy_of(tmp_path / name), ONE_FUNCTION, None, tmp_path))
-        assert again[0] == 0 and not again[2], again
+    again = told(ran(copy_of(tmp_path / "a"), ONE_FUNCTION, None, tmp_path))
+    assert again[0] == 0 and not again[2], again
 
 
 def test_processes_that_compile_at_once_leave_nothing_out_and_nothing_broken(tmp_path):
@@ -109,9 +116,8 @@ def test_processes_that_compile_at_once_leave_nothing_out_and_nothing_broken(tmp
     assert not list(cache.rglob("*.tmp"))
 
 
-def test_a_damaged_file_is_compiled_again(tmp_path):
-    cache = tmp_path / "cache"
-    told(ran(PACKAGE.parent, ONE_FUNCTION, cache, tmp_path))
+def test_a_damaged_file_is_compiled_again(tmp_path, compiled_once):
+    cache = shutil.copytree(compiled_once, tmp_path / "cache")
     for place in cache.rglob("*.nbc"):
         raw = bytearray(place.read_bytes())
         raw[len(raw) // 2] ^= 0xff
@@ -128,16 +134,18 @@ def test_a_cache_that_cannot_be_written_costs_no_answer(tmp_path):
     assert told(ran(PACKAGE.parent, ONE_FUNCTION, cache, tmp_path))[0] > 0
 
 
-def test_a_user_with_an_empty_home_takes_what_the_set_up_compiled(tmp_path):
+def test_a_user_with_an_empty_home_takes_what_the_set_up_compiled(tmp_path, compiled_once):
     """A prefix of its own stands for the virtual environment."""
-    cache, prefix = tmp_path / "cache", tmp_path / "venv"
-    told(ran(PACKAGE.parent, ONE_FUNCTION, cache, tmp_path))
-    shutil.copytree(cache, prefix / "share" / "eha_monitor" / "compiled")
+    prefix = tmp_path / "venv"
+    shutil.copytree(compiled_once, prefix / "share" / "eha_monitor" / "compiled")
     script = f"import sys; sys.prefix = {str(prefix)!r}\n" + ONE_FUNCTION
     count, line, err = told(ran(PACKAGE.parent, script, None, tmp_path))
     assert count == 0 and not err, (line, err)
 
 
+# Two processes with two diagnoses each; test_no_compilation.py runs what takes seconds of them.
+@pytest.mark.slow
+@pytest.mark.timeout(300)
 def test_a_second_process_compiles_nothing(tmp_path):
     """Estimate, diagnosis and live, with all channels and with positions alone; elsewhere."""
     told(ran(PACKAGE.parent, COMMANDS, CACHE.parent, tmp_path))

@@ -15,9 +15,10 @@ from std_msgs.msg import Float64
 from test_ros_monitor import listen, start
 from test_ros_processes import PATIENCE, command, end
 
+from eha_monitor.cli import main
 from eha_monitor.quantity import FLOOR, number
 from eha_monitor.ros.messages import findings_of
-from eha_monitor.ros.outputs import LATCHED
+from eha_monitor.ros.qos import LATCHED
 
 DESK, PHONE = {"width": 1280, "height": 900}, {"width": 400, "height": 800}
 STAGES = ("stage_one", "stage_two")
@@ -199,12 +200,12 @@ def test_an_alarm_shows_within_a_second_and_does_not_outlive_the_monitor(graph, 
     assert "nothing is received from the monitor" in eyes.read("silence")
 
 
-def test_a_taken_port_is_one_line_and_status_2():
+def test_a_taken_port_is_one_line_and_status_2(capfd):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        with command("dashboard", "--port", port) as process:
-            out, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 2 and not out
+        assert main(["dashboard", "--port", str(port)]) == 2
+    out, err = capfd.readouterr()
+    assert not out
     assert err == (f"eha_monitor: --port {port}: cannot serve on 127.0.0.1:{port} "
                    "(Address already in use), expected a free port\n")
 

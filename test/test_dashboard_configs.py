@@ -11,7 +11,7 @@ from ruamel.yaml import YAML
 from test_ros_monitor import Recorder, listen, start
 
 from eha_monitor.filters.results import Consistency, LiveSnapshot
-from eha_monitor.ros.outputs import LATCHED
+from eha_monitor.ros.qos import LATCHED
 
 CONFIG = Path(__file__).parents[1] / "config"
 FILTER = re.compile(r'\{name=="([^"]+)"\}')

@@ -6,7 +6,9 @@ import urllib.error
 import urllib.request
 
 import pytest
-from test_ros_processes import PATIENCE, command, end
+from test_ros_processes import command, end
+
+from eha_monitor.cli import main
 
 pytest.importorskip("nicegui", reason="nicegui is not installed (pip install '.[dashboard]')")
 client = pytest.importorskip("websockets.sync.client", reason="websockets is not installed")
@@ -130,17 +132,16 @@ def test_a_person_without_the_token_is_told_what_to_do(served, browser):
     (("--config", "a.yaml", "--actuator", "left="), "--config: expected either it or --actuator"),
     (("--actuator", "left"), "--actuator left: expected NAME=CONFIG"),
 ])
-def test_what_cannot_be_served_is_one_line_and_status_2(arguments, said):
-    with command("dashboard", "--port", 0, *arguments) as process:
-        out, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 2 and not out
-    assert said in err and err.count("\n") == 1, err
+def test_what_cannot_be_served_is_one_line_and_status_2(capfd, arguments, said):
+    assert main(["dashboard", "--port", "0", *arguments]) == 2
+    out, err = capfd.readouterr()
+    assert not out and said in err and err.count("\n") == 1, err
 
 
-def test_a_given_token_is_asked_for_on_loopback_too_and_not_printed(monkeypatch):
+def test_a_given_token_is_asked_for_on_loopback_too_and_not_printed(monkeypatch, capfd):
     monkeypatch.setenv("EHA_MONITOR_TOKEN", "a token" * 3)
-    with command("dashboard", "--port", 0) as process:
-        assert "without spaces" in process.communicate(timeout=PATIENCE)[1]
+    assert main(["dashboard", "--port", "0"]) == 2
+    assert "without spaces" in capfd.readouterr().err
     monkeypatch.setenv("EHA_MONITOR_TOKEN", "correct-horse-battery")
     with command("dashboard", "--port", 0) as process:
         address = process.stdout.readline().removeprefix("dashboard: ").strip()

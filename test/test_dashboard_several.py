@@ -17,7 +17,7 @@ from test_ros_processes import command, end
 from eha_monitor.health.alarms import ALARM_NAMES, WATCHED
 from eha_monitor.health.finding import Finding
 from eha_monitor.ros import messages
-from eha_monitor.ros.outputs import LATCHED
+from eha_monitor.ros.qos import LATCHED
 
 pytest.importorskip("nicegui", reason="nicegui is not installed (pip install '.[dashboard]')")
 

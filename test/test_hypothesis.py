@@ -121,6 +121,8 @@ def test_a_right_one_is_named_with_its_numbers(worn, tmp_path):
     assert written.effects["worn_spot"]["F"] == pytest.approx(60.0, rel=0.03)
 
 
+@pytest.mark.slow  # 25 s: a whole diagnosis that learns a term, beside that of the right one
+@pytest.mark.timeout(300)
 def test_a_wrong_one_is_considered_and_lost(worn, tmp_path):
     found = diagnose([worn], settings(), hypothesis=loaded(tmp_path, CAM))
     assert "cam" not in {effect.name for effect in found.effects} | set(found.config_effects)

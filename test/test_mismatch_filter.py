@@ -226,6 +226,7 @@ def test_likelihood_counts_a_slow_channel_as_often_as_it_was_measured():
 # ---- fit --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow  # a statistic of 14 fits; that each is a maximum is tested below
 def test_fit_is_unbiased_and_its_deviation_is_the_scatter_over_seeds(run):
     fits = [nominal_fit(experiment_of([run.recording(seed)], settings(
         stage_one={"prior": 900.0}, stage_two={"prior": 9e8}))) for seed in range(14)]

@@ -14,7 +14,7 @@ from ros_tools import Feeder, Recorder, listen
 from eha_monitor.health.overload import LoadWatch
 from eha_monitor.ros.messages import findings_of
 from eha_monitor.ros.monitor_node import Monitor
-from eha_monitor.ros.outputs import LATCHED
+from eha_monitor.ros.qos import LATCHED
 from eha_monitor.settings import Settings
 
 
@@ -129,6 +129,8 @@ def over_udp(monkeypatch):
     monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
 
 
+# 9 s beside those of the monitor that falls behind: the same sentence, of a process that stood.
+@pytest.mark.slow
 def test_a_monitor_that_is_held_up_names_what_it_missed(over_udp, graph):
     """The real process, stopped by a signal while samples come."""
     process = subprocess.Popen([sys.executable, "-m", "eha_monitor", "monitor"],

@@ -245,6 +245,8 @@ def test_an_own_term_is_simulated_and_estimated_as_the_catalogues_is(known, own)
         assert second.value == pytest.approx(first.value, rel=1e-6)
 
 
+# Two whole diagnoses; what each stage makes of own and learned terms is tested by itself.
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_the_page_of_own_terms_says_what_happens(tmp_path):
     """Its config and its commands are run as they stand."""

@@ -99,6 +99,7 @@ def test_a_formula_of_the_angle_says_how_often_in_a_revolution():
     assert start == pytest.approx({"F": 3.0, "n": 7.0, "a": 0.5})
 
 
+@pytest.mark.slow  # a whole diagnosis that may fail guards nothing every day
 @pytest.mark.xfail(reason="since the merge of 2026-11-24 the formula's phases end at another "
                    "optimum, 8 % behind the table, which then stands; right on each branch")
 def test_a_pumps_ripple_is_learned_from_a_recording_with_its_order():

@@ -12,7 +12,7 @@ from std_srvs.srv import Trigger
 from test_ros_processes import PATIENCE, command, end
 
 from eha_monitor.recordings.bag import iter_raw, topics
-from eha_monitor.ros.outputs import LATCHED
+from eha_monitor.ros.qos import LATCHED
 from eha_monitor.ros.simulator_node import SimulatorNode
 from eha_monitor.settings import settings_from_tree
 

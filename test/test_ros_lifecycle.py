@@ -10,8 +10,9 @@ from std_msgs.msg import Float64
 from test_ros_processes import PATIENCE, command, end
 
 from eha_monitor.errors import InputError
-from eha_monitor.ros.managed_node import ManagedMonitor, actuators_of
-from eha_monitor.ros.outputs import LATCHED
+from eha_monitor.ros.managed_node import ManagedMonitor
+from eha_monitor.ros.qos import LATCHED
+from eha_monitor.ros.running import actuators_of
 from eha_monitor.settings import Settings, settings_from_tree
 
 NODE = "/eha/monitor"

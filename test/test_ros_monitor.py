@@ -17,7 +17,6 @@ from eha_monitor.filters.rows import Rows
 from eha_monitor.ros import messages
 from eha_monitor.ros.inputs import topics_of
 from eha_monitor.ros.monitor_node import Monitor
-from eha_monitor.ros.outputs import LATCHED
 from eha_monitor.ros.parameters import (
     MONITOR_KEYS,
     declare,
@@ -25,6 +24,7 @@ from eha_monitor.ros.parameters import (
     parameter_table,
     settings_of_node,
 )
+from eha_monitor.ros.qos import LATCHED
 from eha_monitor.settings import Settings, settings_from_tree
 
 STATUSES = ["viscous_damping_high", "viscous_damping_low", "bulk_modulus_high",

@@ -12,8 +12,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from eha_monitor.cli import main
 from eha_monitor.errors import InputError
 from eha_monitor.ros import running
-from eha_monitor.ros.parameters import MONITOR_KEYS, declare, settings_of_node
-from eha_monitor.ros.params_file import with_namespace
+from eha_monitor.ros.parameters import MONITOR_KEYS, declare, settings_of_node, with_namespace
 from eha_monitor.settings import Settings, load_settings
 
 ROOT = Path(__file__).parents[1]

@@ -32,6 +32,8 @@ def start(words: list[str]) -> subprocess.Popen:
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
 
 
+# Three processes until βe has converged; test_ros_processes.py and test_dashboard.py run each.
+@pytest.mark.slow
 @pytest.mark.timeout(120)
 def test_three_commands_show_a_rig(tmp_path):
     readme = (ROOT / "README.md").read_text(encoding="utf-8")

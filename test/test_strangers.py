@@ -49,6 +49,8 @@ def test_a_drawn_rig_is_the_same_each_time_and_its_sheet_is_within_the_tolerance
                        settings.rig.charge_pressure}
 
 
+@pytest.mark.slow  # make proof plays all newcomers; test_cli_readme.py goes through the steps
+@pytest.mark.timeout(300)
 def test_a_newcomer_is_told_no_wrong_number(tmp_path):
     story = newcomer.play(MICRO, tmp_path, 0, False, 60.0)
     assert [step.command for step in story.steps] == ["estimate"]

@@ -61,7 +61,7 @@ def monitor(ros_args: list[str], config: Path | None, actuators: tuple[str, ...]
 def dashboard(ros_args: list[str], config: Path | None, actuators: tuple[str, ...],
               duration: float | None, **served) -> int:
     """Serve a live page: estimates, alarms, events, residual, the actuator moving."""
-    module = ros_module("dashboard_run")
+    module = ros_module("dashboard_node")
     return module.run_dashboard(config, ros_args, module.Served(**served), duration, actuators)
 
 

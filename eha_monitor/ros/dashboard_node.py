@@ -1,16 +1,16 @@
-"""The dashboard node: the topics of rig and monitor into the state that a page shows."""
+"""The dashboard: for each actuator a node that keeps what a page shows, and the web server."""
 
+import contextlib
 import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from eha_monitor.dashboard.events import ACKNOWLEDGED, EventLog
@@ -18,15 +18,15 @@ from eha_monitor.dashboard.state import State
 from eha_monitor.errors import InputError
 from eha_monitor.filters.rows import Source
 from eha_monitor.health.alarms import WATCHED
+from eha_monitor.ros import running
 from eha_monitor.ros.inputs import Topic, topics_of
-from eha_monitor.ros.messages import findings_of
-from eha_monitor.ros.outputs import LATCHED
+from eha_monitor.ros.messages import findings_of, subscribe_to_monitor
+from eha_monitor.ros.parameters import settings_of_node
+from eha_monitor.ros.qos import SHOWN_QOS
 from eha_monitor.ros.subscriptions import TopicInput
 from eha_monitor.settings import Settings
 
 FOLLOW_PERIOD, TAKE_PERIOD = 1.0, 0.05  # s
-# What is shown may miss samples, and must not be late: the newest of each turn are enough.
-SHOWN_QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def position_topic(settings: Settings, source: str,
@@ -73,15 +73,7 @@ class Listener:
                              (FOLLOW_PERIOD, lambda: self.state.watch(time.monotonic())),
                              (TAKE_PERIOD, self._take_measured)):
             node.create_timer(period, work, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        for watched in WATCHED:
-            for suffix, take in (("", self.state.take_value),
-                                 ("_stddev", self.state.take_stddev)):
-                node.create_subscription(
-                    Float64, f"monitor/{watched.section}{suffix}",
-                    lambda message, take=take, symbol=watched.symbol:
-                        take(symbol, message.data, time.monotonic()), 10)
-        node.create_subscription(JointState, "monitor/joint_states", self._take_estimated, 10)
-        node.create_subscription(DiagnosticArray, "monitor/health", self._take_health, LATCHED)
+        subscribe_to_monitor(node, self._take_number, self._take_estimated, self._take_health)
         node.create_service(Trigger, "dashboard/acknowledge", self._on_acknowledge)
 
     def close(self) -> None:
@@ -97,6 +89,10 @@ class Listener:
         for batch in self.measured.read(messages, came, stamps_ns):
             for stamp_ns, values in zip(batch.stamps, batch.values, strict=True):
                 self.state.take_position("measured", float(stamp_ns) * 1e-9, float(values[0]), now)
+
+    def _take_number(self, symbol: str, suffix: str, value: float) -> None:
+        take = self.state.take_stddev if suffix else self.state.take_value
+        take(symbol, value, time.monotonic())
 
     def _take_estimated(self, message: JointState) -> None:
         if message.position:
@@ -117,3 +113,82 @@ class Listener:
         self.state.take_findings(hardware, findings_of(message), time.monotonic())
 
 
+@dataclass(frozen=True)
+class Served:
+    """What is served and where.
+
+    Attributes
+    ----------
+    port, host : of the page; port 0 takes any that is free.
+    token : asked of everyone; None asks for none on loopback, and makes one elsewhere.
+    metrics : whether ``/metrics`` is there.
+    foxglove : port of a Foxglove WebSocket on loopback, or None for none.
+    names : further host names to answer to; a token is asked for then.
+    """
+
+    port: int
+    host: str
+    token: str | None = None
+    metrics: bool = False
+    foxglove: int | None = None
+    names: tuple[str, ...] = ()
+
+
+@contextlib.contextmanager
+def _optional(what: str, extra: str) -> Iterator[None]:
+    """Say in one line which extra is missing, where an import inside the block fails."""
+    try:
+        yield
+    except ImportError as problem:
+        if (problem.name or "").startswith("eha_monitor"):
+            raise  # a defect of ours is no missing package
+        raise InputError(f"{what}: {problem}; install eha_monitor[{extra}]") from problem
+
+
+def run_dashboard(config: Path | None, ros_args: list[str], served: Served,
+                  duration: float | None = None, actuators: tuple[str, ...] = ()) -> int:
+    """Serve the page until a signal or for ``duration`` s; returns the exit status.
+
+    Parameters
+    ----------
+    actuators : ``NAME=CONFIG`` for each of several actuators; else ``config`` is the only one.
+
+    Raises
+    ------
+    InputError
+        If the port is taken, or the address, config, a parameter or a ROS argument is wrong.
+    """
+    with _optional("dashboard", "dashboard"):
+        from eha_monitor.dashboard.actuators import Actuator
+        from eha_monitor.dashboard.events import EventLog
+        from eha_monitor.dashboard.serve import claim, metrics_text, serving
+    metrics = None
+    if served.metrics:
+        with _optional("--metrics", "dashboard"):
+            metrics = metrics_text()
+    if served.foxglove is not None:
+        with _optional("--foxglove", "foxglove"):
+            from eha_monitor.ros.foxglove_server import serving_foxglove
+    wanted = running.actuators(config, actuators, ros_args, "dashboard")
+    log, shown, nodes = EventLog(), {}, []
+    with contextlib.ExitStack() as open_:
+        door = claim(served.port, served.host, served.token, served.names)
+        open_.callback(door.listener.close)
+        open_.enter_context(running.ros_session(ros_args))
+        for settings, source in wanted:
+            node = open_.enter_context(running.node("dashboard", settings.monitor.namespace))
+            settings = settings_of_node(node, settings)
+            heard = Listener(node, settings, source, log)
+            open_.callback(heard.close)
+            nodes.append((node, settings))
+            shown[settings.rig.name] = Actuator(
+                settings.rig.name, node.get_namespace(), node.context.get_domain_id(),
+                heard.state, heard.topics)
+        running.check_apart([node for node, _ in nodes])
+        if served.foxglove is not None:
+            socket_ = open_.enter_context(serving_foxglove(nodes, served.foxglove))
+            print(f"foxglove: {socket_}", flush=True)
+        page = open_.enter_context(serving(shown, log, door, metrics))
+        print(f"dashboard: {page}", flush=True)
+        running.spin([node for node, _ in nodes], duration)
+    return 0

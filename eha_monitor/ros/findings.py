@@ -1,19 +1,27 @@
 """What the monitor knows, as lines of the diagnostics; names and keys are stable."""
 
 import math
-from dataclasses import dataclass, field
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
+from eha_monitor.filters.faults import FaultWatch
 from eha_monitor.filters.results import Consistency, Event, ModelStatus, ParameterEstimate
+from eha_monitor.filters.rows import RowAligner
 from eha_monitor.health.alarms import ADVICE, WATCHED, AlarmBoard
 from eha_monitor.health.finding import Finding
+from eha_monitor.health.latency import LatencyMeter, ProcessorMeter
 from eha_monitor.health.overload import Overload
 from eha_monitor.ros.messages import ESTIMATE_LEVELS, alarm_finding
+from eha_monitor.ros.subscriptions import TopicInput
 from eha_monitor.settings.monitor import Settings
 
 STAGES = {"one": WATCHED[0], "two": WATCHED[1]}
 # Keys of the values that dashboards plot.
 KEYS = {"B": "viscous_damping_Ns_per_m", "beta_e": "bulk_modulus_Pa"}
 MISMATCH = "model_mismatch"
+# Channels that a parameter needs, besides the position: one of these sets.
+NEEDS = {"B": (("force",), ("p1", "p2")), "beta_e": (("x_d",),)}
 _MODEL_LEVEL = {"consistent": "OK", "mismatch": "WARN"}  # else STALE: it has not been tested
 
 
@@ -152,3 +160,86 @@ def _stage(stage: str, estimate: ParameterEstimate | None, consistency: Consiste
     if level == "ERROR" and estimate.name in data.unsettled:
         level = "WARN"
     return Finding(name, level, data.stopped or estimate.message or estimate.status, values)
+
+
+def unfed(symbol: str, seen: Mapping[str, int], row_ns: int, inputs: Sequence[TopicInput],
+          settings: Settings) -> str | None:
+    """Return why a parameter has no data now, or None if its channels come.
+
+    A channel that comes, or waits to be taken, but is in no row has another reason than one that
+    does not come.
+
+    Parameters
+    ----------
+    seen : by channel, stamp of the last row that held it, ns.
+    row_ns : stamp of the last row, ns.
+    """
+    limit = settings.monitor.stale_after * 1e9
+    topic_of = {channel: each.topic.full_name for each in inputs for entry in each.topic.entries
+                for channel, _ in entry.channels}
+    lacking = [[name for name in ("x", *choice) if row_ns - seen.get(name, -limit * 2) > limit]
+               for choice in NEEDS.get(symbol, ())]
+    if not lacking or not all(lacking):
+        return None
+    if coming := sorted(_coming(inputs, settings).intersection(lacking[-1])):
+        return (f"{' and '.join(coming)} {'come' if len(coming) > 1 else 'comes'}, but too late "
+                "for the samples of x, which wait no longer than "
+                f"{settings.monitor.latency:g} s (monitor.latency)")
+    named = [" and ".join(f"{name} (topic {topic_of.get(name, 'not configured')})"
+                          for name in missing) for missing in lacking]
+    return f"no data for {', or '.join(named)}"
+
+
+def _coming(inputs: Sequence[TopicInput], settings: Settings) -> set[str]:
+    """Return the channels beside those of the position's stream that came of late, or wait."""
+    now = time.monotonic()
+    return {channel for each in inputs for entry in each.topic.entries
+            for channel in entry.source.channels if "x" not in entry.source.channels
+            if each.waits or now - entry.source.heard_s <= settings.monitor.stale_after}
+
+
+def rates(inputs: Sequence[TopicInput], now: float) -> dict[str, float]:
+    """Return the messages per second of each topic since the last call.
+
+    Parameters
+    ----------
+    now : s, monotonic.
+    """
+    return {f"rate_{each.key}_Hz": each.rate(now) for each in inputs}
+
+
+def lost(aligner: RowAligner, watch: FaultWatch, missing_samples: int) -> dict[str, int]:
+    """Return how much was lost or dropped since the start."""
+    sources = aligner.sources
+    return {"lost_messages": watch.missing,
+            "missing_samples": missing_samples,
+            "incomplete_rows": aligner.incomplete,
+            "late_or_repeated_stamps": sum(s.late + s.repeated for s in sources),
+            "jumped_stamps": sum(s.jumped for s in sources)}
+
+
+def summary(rows: int, counts: Mapping[str, int], latency: LatencyMeter,
+            processor: ProcessorMeter) -> str:
+    """Return what was processed, lost and how late, in one line."""
+    lost_ = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in counts.items())
+    late = ", ".join(f"{key} {value:.2f} ms" for key, value in latency.percentiles().items())
+    return (f"rows {rows}; {lost_}; latency from {latency.counts_from} to "
+            f"published {late or 'not measured'}; "
+            f"CPU share {100 * processor.total():.1f} %")
+
+
+def with_bags(findings: Sequence[Finding], bags: Mapping[str, str]) -> list[Finding]:
+    """Return findings of which each alarm names the bag of the moment in which it was raised.
+
+    Parameters
+    ----------
+    bags : alarm -> bag; "" while the bag is due.
+    """
+    found = []
+    for finding in findings:
+        bag = bags.get(finding.name)
+        if bag is not None:
+            finding = replace(finding, values={
+                **finding.values, **({"bag": bag} if bag else {"bag_due": 1})})
+        found.append(finding)
+    return found

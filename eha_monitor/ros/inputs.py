@@ -1,11 +1,9 @@
-"""Which topics carry which channels, and numbers out of their messages."""
+"""Which topics carry which channels, and of which type they are."""
 
 import importlib
-import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 from eha_monitor.errors import InputError
 from eha_monitor.filters.rows import Source
@@ -22,7 +20,7 @@ DEFAULT_TYPES = {"position": "sensor_msgs/msg/JointState",
 HELD = frozenset({"temperature"})
 # What the diagnosis reads from recordings, and no stage of the live monitor.
 UNUSED = frozenset({"omega_d"})
-_STEP = re.compile(r"(\w+)(?:\[(\d+)\])?")
+STEP = re.compile(r"(\w+)(?:\[(\d+)\])?")
 
 
 @dataclass(frozen=True)
@@ -86,7 +84,7 @@ def topics_of(settings: Settings, source: str = "config",
             check_topic(channel.topic)
         except InputError as problem:
             raise InputError(f"{source}: channels.{name}.topic: {problem}") from problem
-        if not all(_STEP.fullmatch(part) for part in channel.field.split(".")):
+        if not all(STEP.fullmatch(part) for part in channel.field.split(".")):
             raise InputError(f"{source}: channels.{name}.field: expected a field path such as "
                              f"position or wrench.force.x, got {channel.field!r}")
         key = (channel.name, round(channel.delay * 1e9), name in HELD)
@@ -137,96 +135,3 @@ def message_class(type_name: str) -> type:
         return getattr(importlib.import_module(f"{parts[0]}.{parts[1]}"), parts[2])
     except (ImportError, AttributeError, ValueError) as problem:
         raise InputError(f"message type {type_name} is not installed") from problem
-
-
-def has_stamp(kind: type) -> bool:
-    """Tell whether messages of a class carry a header."""
-    return kind.get_fields_and_field_types().get("header") == "std_msgs/Header"
-
-
-class Decoder:
-    """Reads the channels of one entry out of a message.
-
-    The place of the entry among the message's names is kept until the names change, so that
-    JointStates may order their joints as they like.
-
-    Attributes
-    ----------
-    problem : why the last message gave nothing, as a sentence, or None.
-    absent : what came in place of an entry that has messages of its own, as a sentence, or None.
-    """
-
-    def __init__(self, entry: Entry):
-        self.problem: str | None = None
-        self.absent: str | None = None
-        self._entry = entry
-        self._names: list[str] | None = None
-        self._index = 0
-        self._fields = [(_reader(channel.field), channel.gain, channel.zero)
-                        for _, channel in entry.channels]
-
-    def __call__(self, message: Any) -> tuple[float, ...] | None:
-        """Return one SI value for each channel (NaN where there is none), or None for none."""
-        names = getattr(message, "name", None)
-        if names is not None and names != self._names:
-            self._find(names)
-        if self._index < 0:
-            self.problem = self.lacks(self._names)
-            return None
-        values = tuple([scale * read(message, self._index) + offset
-                        for read, scale, offset in self._fields])
-        for value in values:
-            if math.isfinite(value):
-                self.problem = None
-                return values
-        fields = ", ".join(channel.field for _, channel in self._entry.channels)
-        self.problem = f"{self._entry.source.name} holds no number in {fields}"
-        return None
-
-    @property
-    def found(self) -> bool:
-        """Whether the last message had the entry."""
-        return self._index >= 0
-
-    def lacks(self, names: Sequence[str]) -> str:
-        """Return in a sentence that a message with these names has not the entry."""
-        return (f"{self._entry.source.name}: no entry named {self._entry.name!r}, the message has "
-                f"{', '.join(names) or 'none'}")
-
-    def _find(self, names: list[str]) -> None:
-        self._names = list(names)
-        wanted = self._entry.name
-        if not wanted:
-            self._index = 0
-        elif wanted in self._names:
-            self._index = self._names.index(wanted)
-        else:
-            self._index = -1
-
-
-def _reader(path: str) -> Callable[[Any, int], float]:
-    """Return a function (message, index of the entry) -> number, NaN where there is none."""
-    steps = [_STEP.fullmatch(part).groups() for part in path.split(".")]
-    if len(steps) == 1 and steps[0][1] is None:  # the hot path: position, fluid_pressure, data
-        name = steps[0][0]
-
-        def simple(message, index):
-            value = getattr(message, name, math.nan)
-            if isinstance(value, float | int):
-                return value
-            try:
-                return float(value[index])
-            except (IndexError, TypeError, ValueError):
-                return math.nan
-        return simple
-
-    def deep(message, index):
-        try:
-            for name, place in steps:
-                message = getattr(message, name)
-                if place is not None:
-                    message = message[int(place)]
-            return float(message if isinstance(message, float | int) else message[index])
-        except (AttributeError, IndexError, TypeError, ValueError):
-            return math.nan
-    return deep

@@ -1,7 +1,6 @@
 """The monitor as managed nodes: one process, one node for each actuator."""
 
 import gc
-import re
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -14,14 +13,12 @@ from eha_monitor.errors import InputError
 from eha_monitor.ros import running
 from eha_monitor.ros.monitor_node import Monitor
 from eha_monitor.ros.parameters import MONITOR_KEYS, declare, settings_of_node
-from eha_monitor.ros.params_file import with_namespace
-from eha_monitor.settings import Settings, load_settings
+from eha_monitor.settings import Settings
 
 # Past the first second, when stage two is run and the model is tested.
 WARM_UP_ROWS = 3000
 # How long one thread of Python runs while another waits: a bag is written beside the filter.
 SWITCH_S = 0.0005
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
 class ManagedMonitor(LifecycleNode):
@@ -180,33 +177,6 @@ def warm_up() -> None:
     estimator.rehearse()
 
 
-def actuators_of(given: tuple[str, ...]) -> list[tuple[Settings, str]]:
-    """Return settings and config's name of each ``NAME=CONFIG``.
-
-    The name becomes the namespace of the topics and the ``hardware_id`` of the diagnostics; an
-    empty CONFIG is the paper's EHA.
-
-    Raises
-    ------
-    InputError
-        If one has no name, or a name comes twice, or a config is wrong.
-    """
-    found: dict[str, tuple[Settings, str]] = {}
-    for text in given:
-        name, equals, config = text.partition("=")
-        if not equals or not _NAME.fullmatch(name):
-            raise InputError(f"--actuator {text}: expected NAME=CONFIG, the name in letters, "
-                             "digits and underscores")
-        if name in found:
-            raise InputError(f"--actuator {text}: {name} exists already, expected another name")
-        settings = load_settings(Path(config) if config else None)
-        found[name] = (settings.model_copy(update={
-            "rig": settings.rig.model_copy(update={"name": name}),
-            "monitor": settings.monitor.model_copy(update={"namespace": f"/{name}"})}),
-            config or "default config")
-    return list(found.values())
-
-
 def run_monitor(config: Path | None, ros_args: list[str], duration: float | None = None,
                 actuators: tuple[str, ...] = (), inactive: bool = False) -> int:
     """Run the monitor until a signal or for ``duration`` s; returns the exit status.
@@ -221,18 +191,11 @@ def run_monitor(config: Path | None, ros_args: list[str], duration: float | None
     InputError
         If a config, a parameter or a ROS argument is wrong.
     """
-    if actuators and config is not None:
-        raise InputError("--config: expected either it or --actuator NAME=CONFIG")
-    wanted = actuators_of(actuators) or [
-        (with_namespace(load_settings(config), ros_args, "monitor"),
-         str(config or "default config"))]
+    wanted = running.actuators(config, actuators, ros_args, "monitor")
     with running.ros_session(ros_args), ExitStack() as stack:
         nodes = [stack.enter_context(running.made("monitor", ManagedMonitor, *which))
                  for which in wanted]
-        names = [node.get_fully_qualified_name() for node in nodes]
-        if len(set(names)) < len(names):
-            raise InputError(f"ROS arguments: two actuators would both be {names[0]}, expected no "
-                             "remap of the namespace or the node's name")
+        running.check_apart(nodes)
         warm_up()
         sys.setswitchinterval(SWITCH_S)
         for node in nodes:

@@ -1,17 +1,30 @@
-"""The one module that fills messages: plain floats, level constants, stamps."""
+"""What the monitor publishes: messages filled with plain floats and levels, and the publishers.
+
+Each message is also kept for the bag of the last minutes.
+"""
 
 import math
-from collections.abc import Iterable
+import time
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from eha_monitor.filters.results import ParameterEstimate
 from eha_monitor.health.alarms import WATCHED, Alarm
 from eha_monitor.health.finding import Finding
+from eha_monitor.ros.keeper import Keeper
+from eha_monitor.ros.qos import LATCHED, QUEUED, clashes
+from eha_monitor.settings import Settings
 
+ESTIMATES = "monitor/estimates"  # each with its deviation, unit and status, in one stamped message
 LEVELS = {"OK": DiagnosticStatus.OK, "WARN": DiagnosticStatus.WARN,
           "ERROR": DiagnosticStatus.ERROR, "STALE": DiagnosticStatus.STALE}
 # How serious it is that a parameter has a status.
@@ -103,8 +116,106 @@ def findings_of(message: DiagnosticArray) -> list[Finding]:
             for entry in message.status if entry.level in _LEVEL_NAMES]
 
 
+def subscribe_to_monitor(node: Node, take_number: Callable[[str, str, float], None],
+                         take_state: Callable[[JointState], None],
+                         take_health: Callable[[DiagnosticArray], None]) -> None:
+    """Subscribe to what a monitor publishes in a node's namespace.
+
+    Parameters
+    ----------
+    take_number : called with symbol, ``""`` or ``"_stddev"``, and the number.
+    take_state, take_health : called with the messages.
+    """
+    for watched in WATCHED:
+        for suffix in ("", "_stddev"):
+            node.create_subscription(
+                Float64, f"monitor/{watched.section}{suffix}",
+                lambda message, symbol=watched.symbol, suffix=suffix:
+                    take_number(symbol, suffix, message.data), QUEUED)
+    node.create_subscription(JointState, "monitor/joint_states", take_state, QUEUED)
+    node.create_subscription(DiagnosticArray, "monitor/health", take_health, LATCHED)
+
+
 def alarm_finding(alarm: Alarm, values: dict[str, float]) -> Finding:
     """Return an alarm as a finding, with the numbers that it was judged on."""
     return Finding(alarm.name, alarm.level, alarm.message,
                    {**values, "since_s": float(alarm.time_s),
                     "not_judged": int(alarm.not_judged)})
+
+
+class Outputs:
+    """The monitor's publishers.
+
+    Parameters
+    ----------
+    node : node in the namespace of the topics.
+    keeper : keeps what is published.
+    settings : validated config; names frame and hardware.
+    """
+
+    def __init__(self, node: Node, keeper: Keeper, settings: Settings):
+        self._node, self._keeper = node, keeper
+        self._frame, self._hardware = settings.frame_id, settings.rig.name
+        self._publishers: list[Publisher] = []
+        self._topics: list[str] = []
+        self._numbers = {}
+        for watched in WATCHED:
+            topic = f"monitor/{watched.section}"
+            self._numbers[watched.symbol] = (self._make(Float64, topic),
+                                             self._make(Float64, f"{topic}_stddev"))
+        self._estimates = self._make(DiagnosticArray, ESTIMATES)
+        self._state = self._make(JointState, "monitor/joint_states")
+        self._health = self._make(DiagnosticArray, "monitor/health", LATCHED)
+        # The same messages as the health: once in the bag is enough.
+        self._diagnostics = self._make(DiagnosticArray, "/diagnostics", kept=False)
+
+    def parameters(self, time_ns: int, found: Mapping[str, ParameterEstimate]) -> None:
+        """Publish the estimates of the data up to a stamp in ns, those by symbol."""
+        for symbol, estimate in found.items():
+            if estimate.status != "no_data":
+                for output, value in zip(self._numbers[symbol],
+                                         (estimate.value, estimate.stddev), strict=True):
+                    self._publish(output, number(value))
+        self._publish(self._estimates, estimates(
+            time_ns, self._frame, [found[symbol] for symbol in self._numbers if symbol in found],
+            self._hardware))
+
+    def state(self, time_ns: int, name: str, position: float, velocity: float) -> None:
+        """Publish the estimated motion, m and m/s, at a stamp in ns."""
+        self._publish(self._state, joint_state(
+            time_ns, name, position, velocity, self._frame))
+
+    def health(self, findings: list[Finding]) -> None:
+        """Publish the health, latched, and as diagnostics."""
+        message = diagnostics(self._node.get_clock().now().nanoseconds, findings,
+                                       self._hardware)
+        self._publish(self._health, message)
+        self._publish(self._diagnostics, message)
+
+    def clashes(self) -> list[str]:
+        """Return in sentences which subscribers get nothing, as they ask for another QoS."""
+        return [clash for topic in self._topics for clash in clashes(self._node, topic)]
+
+    def close(self) -> None:
+        """End the publishers."""
+        for publisher in self._publishers:
+            self._node.destroy_publisher(publisher)
+
+    def _make(self, kind: type, topic: str, qos: QoSProfile = QUEUED,
+              kept: bool = True) -> tuple[Publisher, int | None]:
+        publisher = self._node.create_publisher(kind, topic, qos)
+        self._topics.append(topic)
+        self._publishers.append(publisher)
+        if not kept or self._keeper.ring is None:
+            return publisher, None
+        type_name = f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
+        return publisher, self._keeper.stream(topic, type_name, latched=qos is LATCHED)
+
+    def _publish(self, output: tuple[Publisher, int | None], message: Any) -> None:
+        publisher, stream = output
+        if stream is None:
+            publisher.publish(message)
+            return
+        data = serialize_message(message)
+        self._keeper.ring.append(stream, time.time_ns(), data)
+        publisher.publish(data)

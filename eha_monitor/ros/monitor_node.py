@@ -17,15 +17,19 @@ from eha_monitor.filters.rows import RowAligner, Rows
 from eha_monitor.health.alarms import Alarm, AlarmBoard
 from eha_monitor.health.latency import LatencyMeter, ProcessorMeter
 from eha_monitor.health.overload import BEHIND_S
-from eha_monitor.ros.accounts import lost, rates, summary, with_bags
-from eha_monitor.ros.drain import Drain
-from eha_monitor.ros.feeding import unfed
-from eha_monitor.ros.findings import DataState, all_findings
+from eha_monitor.ros.findings import (
+    DataState,
+    all_findings,
+    lost,
+    rates,
+    summary,
+    unfed,
+    with_bags,
+)
 from eha_monitor.ros.inputs import topics_of
 from eha_monitor.ros.keeper import Keeper
-from eha_monitor.ros.load import Load
-from eha_monitor.ros.outputs import Outputs
-from eha_monitor.ros.subscriptions import TopicInput
+from eha_monitor.ros.messages import Outputs
+from eha_monitor.ros.subscriptions import Drain, Load, TopicInput
 from eha_monitor.settings import Settings
 
 # Health is judged at this spacing of the data's own time, so that a replay at ten times the

@@ -7,16 +7,16 @@ from pathlib import Path
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from eha_monitor.errors import InputError
 from eha_monitor.health.alarms import WATCHED
 from eha_monitor.recordings.write import BagWriter, TopicType
 from eha_monitor.ros import running
 from eha_monitor.ros.inputs import check_topic, message_class
-from eha_monitor.ros.outputs import ESTIMATES
-from eha_monitor.ros.params_file import with_namespace
-from eha_monitor.settings import Settings, load_settings
+from eha_monitor.ros.messages import ESTIMATES
+from eha_monitor.ros.qos import profile
+from eha_monitor.settings import Settings
 
 # Nothing but messages: rmw_fastrtps 8.4 waits for itself forever where an EventsExecutor takes the
 # event of a lost message while the next one is lost (its pull request 890), as on a busy machine.
@@ -84,12 +84,7 @@ class Recorder:
             write(topic, now(), data)
 
         self._node.create_subscription(
-            kind, topic, on_message, raw=True, qos_profile=QoSProfile(
-                depth=DEPTH,
-                reliability=(ReliabilityPolicy.RELIABLE if reliable
-                             else ReliabilityPolicy.BEST_EFFORT),
-                durability=(DurabilityPolicy.TRANSIENT_LOCAL if latched
-                            else DurabilityPolicy.VOLATILE)),
+            kind, topic, on_message, raw=True, qos_profile=profile(DEPTH, reliable, latched),
             event_callbacks=NO_EVENTS)
 
 
@@ -107,7 +102,7 @@ def run_record(out: Path, ros_args: list[str], topics: tuple[str, ...] | None = 
     InputError
         If the bag cannot be written, or the config or a ROS argument is wrong.
     """
-    settings = with_namespace(load_settings(config), ros_args, "record")
+    settings, _ = running.configured(config, ros_args, "record")
     topics = tuple(topics or topics_to_record(settings))
     for topic in topics:
         check_topic(topic)

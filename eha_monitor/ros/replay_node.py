@@ -11,7 +11,6 @@ from pathlib import Path
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rosbags.rosbag2 import ReaderError
 from rosbags.rosbag2.metadata import parse_qos
@@ -22,6 +21,7 @@ from eha_monitor.errors import InputError, one_line
 from eha_monitor.recordings.bag import Bag, Topic, iter_raw, topics
 from eha_monitor.ros import messages, running
 from eha_monitor.ros.inputs import check_topic, message_class
+from eha_monitor.ros.qos import OUTPUT_QOS, profile
 
 # A message due within this time goes out now: waiting is not finer than that.
 SLACK = 0.0005
@@ -111,12 +111,9 @@ class Replay:
             except InputError as problem:
                 self._warn(f"{self.bag}: {name} is left out: {problem}")
                 continue
-            latched = _latched(topic.qos)
-            made[name] = self.node.create_publisher(kind, name, QoSProfile(
-                depth=max(1, min(topic.count, 10)) if latched else 1000,
-                reliability=ReliabilityPolicy.RELIABLE,
-                durability=(DurabilityPolicy.TRANSIENT_LOCAL if latched
-                            else DurabilityPolicy.VOLATILE)))
+            made[name] = self.node.create_publisher(
+                kind, name, profile(max(1, min(topic.count, 10)), latched=True)
+                if _latched(topic.qos) else OUTPUT_QOS)
         if not made:
             raise InputError(f"{self.bag}: expected a topic with a name and a message type that "
                              "this ROS knows, found none")

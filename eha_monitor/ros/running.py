@@ -1,9 +1,11 @@
-"""Starting and ending a node: arguments, signals, the executor."""
+"""Starting and ending a node: config, arguments, signals, the executor."""
 
 import contextlib
+import re
 import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 
 import rclpy
 from rclpy.duration import Duration
@@ -16,13 +18,15 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from eha_monitor.errors import InputError
-from eha_monitor.ros.params_file import for_rcl
+from eha_monitor.ros.parameters import for_rcl, with_namespace
+from eha_monitor.settings import Settings, load_settings
 
 # So often the loop looks up whether it is to end: while nothing comes, signals wait.
 _LOOK_UP = 1.0
 # So long a node that ends waits for subscribers to confirm its last messages, in seconds; one
 # that was killed never does.
 _DELIVERY = 2.0
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
 @contextlib.contextmanager
@@ -48,7 +52,7 @@ def ros_session(arguments: list[str]) -> Iterator[None]:
         if unknown:
             raise InputError(f"{unknown[0]}: unknown argument, expected options or --ros-args")
         rclpy.init(args=readable, signal_handler_options=SignalHandlerOptions.NO)
-    with _signals_noted() as noted:
+    with _Signals() as noted:
         try:
             with until_shutdown():
                 yield
@@ -71,19 +75,19 @@ class _Signals:
 
     came: int | None = None
 
-    def __init__(self):
+    def __enter__(self) -> "_Signals":
         _Signals.came = None
         self._before = {number: signal.signal(number, self._note)
                         for number in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def __exit__(self, *_) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
 
     @staticmethod
     def _note(number: int, frame) -> None:
         _Signals.came = number
-
-    def close(self) -> None:
-        """Put back the handlers that were there."""
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
 
     def hand_on(self) -> None:
         """Give a signal that came to the handler of whoever called us, if there is one."""
@@ -91,15 +95,6 @@ class _Signals:
         handler = self._before.get(number)
         if callable(handler) and handler is not signal.default_int_handler:
             handler(number, None)
-
-
-@contextlib.contextmanager
-def _signals_noted() -> Iterator[_Signals]:
-    signals = _Signals()
-    try:
-        yield signals
-    finally:
-        signals.close()
 
 
 @contextlib.contextmanager
@@ -182,3 +177,70 @@ def spin(nodes: Node | Sequence[Node], duration: float | None = None,
         for each in nodes:
             executor.remove_node(each)
         executor.shutdown()
+
+
+def configured(config: Path | None, ros_args: list[str], name: str) -> tuple[Settings, str]:
+    """Return the settings of a node of this name, and what its config is called in errors.
+
+    Raises
+    ------
+    InputError
+        If the config or a parameter file is wrong.
+    """
+    return (with_namespace(load_settings(config), ros_args, name),
+            str(config or "default config"))
+
+
+def actuators(config: Path | None, given: tuple[str, ...], ros_args: list[str], name: str
+              ) -> list[tuple[Settings, str]]:
+    """Return settings and config's name of each ``NAME=CONFIG``, or else of the one actuator.
+
+    Raises
+    ------
+    InputError
+        If there are both, or a config or an actuator is wrong.
+    """
+    if given and config is not None:
+        raise InputError("--config: expected either it or --actuator NAME=CONFIG")
+    return actuators_of(given) or [configured(config, ros_args, name)]
+
+
+def actuators_of(given: tuple[str, ...]) -> list[tuple[Settings, str]]:
+    """Return settings and config's name of each ``NAME=CONFIG``.
+
+    The name becomes the namespace of the topics and the ``hardware_id`` of the diagnostics; an
+    empty CONFIG is the paper's EHA.
+
+    Raises
+    ------
+    InputError
+        If one has no name, or a name comes twice, or a config is wrong.
+    """
+    found: dict[str, tuple[Settings, str]] = {}
+    for text in given:
+        name, equals, config = text.partition("=")
+        if not equals or not _NAME.fullmatch(name):
+            raise InputError(f"--actuator {text}: expected NAME=CONFIG, the name in letters, "
+                             "digits and underscores")
+        if name in found:
+            raise InputError(f"--actuator {text}: {name} exists already, expected another name")
+        settings = load_settings(Path(config) if config else None)
+        found[name] = (settings.model_copy(update={
+            "rig": settings.rig.model_copy(update={"name": name}),
+            "monitor": settings.monitor.model_copy(update={"namespace": f"/{name}"})}),
+            config or "default config")
+    return list(found.values())
+
+
+def check_apart(nodes: Sequence[Node]) -> None:
+    """Refuse nodes of which two have the same name.
+
+    Raises
+    ------
+    InputError
+        With the name.
+    """
+    names = [each.get_fully_qualified_name() for each in nodes]
+    if len(set(names)) < len(names):
+        raise InputError(f"ROS arguments: two actuators would both be {names[0]}, expected no "
+                         "remap of the namespace or the node's name")

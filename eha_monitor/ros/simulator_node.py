@@ -9,7 +9,6 @@ from typing import Any
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
 from eha_monitor.errors import InputError
@@ -17,11 +16,9 @@ from eha_monitor.physics.simulator import Simulator
 from eha_monitor.ros import running
 from eha_monitor.ros.inputs import HELD, Entry, message_class, topics_of
 from eha_monitor.ros.parameters import SIMULATOR_KEYS, declare, settings_of_node
-from eha_monitor.ros.params_file import with_namespace
-from eha_monitor.settings import Settings, load_settings
+from eha_monitor.ros.qos import OUTPUT_QOS
+from eha_monitor.settings import Settings
 
-# Reliable suits subscribers of either kind.
-OUTPUT_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 # Samples go out in bursts of this spacing: fewer wake-ups, and little against 20 ms of latency.
 BURST = 0.002
 # The plant is simulated in blocks, as one call costs as much as a hundred samples.
@@ -190,12 +187,12 @@ def run_simulator(config: Path | None, ros_args: list[str], duration: float | No
     InputError
         If the config, a parameter or a ROS argument is wrong.
     """
-    settings = with_namespace(load_settings(config), ros_args, "simulator")
+    settings, source = running.configured(config, ros_args, "simulator")
     with (running.ros_session(ros_args),
           running.node("simulator", settings.monitor.namespace) as node):
         settings = settings_of_node(node, settings)
         declare(node, settings, SIMULATOR_KEYS)
-        simulator = SimulatorNode(node, settings, seed, str(config or "default config"))
+        simulator = SimulatorNode(node, settings, seed, source)
         gc.collect()
         gc.freeze()  # a collection of everything loaded would hold up the samples
         running.spin(node, duration)

@@ -1,29 +1,31 @@
-"""Subscriptions of the channel map: messages in, stamped samples of the sources out.
+"""Subscriptions of the channel map: messages in, samples out, and whether the monitor keeps up.
 
 No callback runs: the messages are drained from the middleware's history, some tens of times a
 second, which costs a tenth of an executor's way to a callback for each.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.serialization import deserialize_message
+from rclpy.qos import QoSProfile
 from rclpy.type_support import check_is_valid_msg_type
 
 from eha_monitor.errors import InputError
-from eha_monitor.filters.rows import Batch
-from eha_monitor.ros.inputs import Decoder, Entry, Topic, has_stamp, message_class
-from eha_monitor.ros.parts import Part, Parts
-from eha_monitor.ros.quality import clashes
-from eha_monitor.ros.raw import RawReader
+from eha_monitor.filters.rows import Batch, RowAligner
+from eha_monitor.health.overload import LoadWatch, Overload
+from eha_monitor.ros.decoding import Decoder, TopicReader
+from eha_monitor.ros.inputs import Topic
+from eha_monitor.ros.keeper import Keeper
+from eha_monitor.ros.qos import INPUT_QOS, clashes
 
-# Best effort takes from every publisher; the depth holds ten seconds of a process that stands.
-INPUT_QOS = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT)
 AT_ONCE = 500  # messages of a topic that are taken before those of the next
+
+LONGEST_S = 60.0  # that a message can have waited; more is a step of the wall clock
+LOOK_S = 0.15  # between two looks, at least
+EARLY = 0.25  # of a period: a timer's jitter must not put what is due off to the next
 
 # Neither stage needs these; that a rig does not have them is no fault.
 OPTIONAL = frozenset({"temperature", "v", "omega", "force"})
@@ -43,6 +45,7 @@ class TopicInput:
     key : of the topic in the diagnostics: its name in the config, or that of a remap.
     messages : how many came.
     type : of the messages, such as ``sensor_msgs/msg/JointState``; None before it is known.
+    reader : of messages of that type.
     waits : whether more were waiting than could be taken the last time.
     """
 
@@ -54,11 +57,11 @@ class TopicInput:
         self.messages = 0
         self.type: str | None = None
         self.waits = False
+        self.reader: TopicReader | None = None
         self._node, self._qos = node, qos
         self._decoders = [Decoder(entry) for entry in topic.entries]
         self._subscription = None
         self._type_problem: str | None = None
-        self._zero_stamps = 0
         self._counted = (0, time.monotonic())
         self.follow_graph()
 
@@ -74,20 +77,17 @@ class TopicInput:
         if wanted is None or wanted == self.type:
             return
         try:
-            kind = message_class(wanted)
+            reader = TopicReader(self.topic, wanted, self._decoders)
         except InputError as problem:
             self._type_problem = f"{self.topic.full_name}: {problem}"
             return
         self.close()
-        check_is_valid_msg_type(kind)
+        check_is_valid_msg_type(reader.kind)
         # Beside the node's own: an executor would wake up for each message, and take it.
         with self._node.handle:
             self._subscription = rclpy_implementation.Subscription(
-                self._node.handle, kind, self.topic.name, self._qos.get_c_qos_profile())
-        self.type, self._type_problem = wanted, None
-        self._kind, self._stamped = kind, has_stamp(kind)
-        self._read = RawReader(self.topic, wanted)
-        self._parts = Parts(self.topic, wanted, kind)
+                self._node.handle, reader.kind, self.topic.name, self._qos.get_c_qos_profile())
+        self.type, self.reader, self._type_problem = wanted, reader, None
 
     def take(self) -> tuple[list[bytes], list[int], int]:
         """Take what waits.
@@ -100,7 +100,7 @@ class TopicInput:
         messages, received, sent_ns = [], [], 0
         subscription = self._subscription
         if subscription is not None:
-            kind = self._kind
+            kind = self.reader.kind
             with subscription:
                 take = subscription.take_message
                 for _ in range(AT_ONCE):
@@ -117,65 +117,13 @@ class TopicInput:
 
     def read(self, messages: Sequence[bytes], came: np.ndarray, now_ns: np.ndarray
              ) -> list[Batch]:
-        """Return the samples of each stream in some messages, of which there is one at least.
+        """Return the samples of each stream in messages of :meth:`take`.
 
         Parameters
         ----------
         came, now_ns : (n,) when each was received: s, monotonic, and ns on the node's clock.
         """
-        found = None if self._parts.several else self._read.read_all(messages)
-        if found is not None and (not self._stamped or found[0].all()):
-            for decoder in self._decoders:
-                decoder.problem = None
-            stamps = found[0] if self._stamped else now_ns
-            return [Batch(entry.source, stamps - entry.delay_ns, values, came)
-                    for entry, values in zip(self.topic.entries, found[1], strict=True)]
-        parts = self._parts.read_all(messages) if self._stamped else None
-        if parts is None:
-            return self._read_singly(messages, came, now_ns)
-        self._note_parts(parts)
-        return [Batch(entry.source, part.stamps - entry.delay_ns, part.values, came[part.places])
-                for entry, part in zip(self.topic.entries, parts, strict=True)]
-
-    def _note_parts(self, parts: list[Part]) -> None:
-        """Note which entries came, and what was there in place of those that did not."""
-        for decoder, part in zip(self._decoders, parts, strict=True):
-            decoder.problem = None
-            decoder.absent = decoder.lacks(part.others) if part.others else None
-
-    def _read_singly(self, messages: Sequence[bytes], came: np.ndarray, now_ns: np.ndarray
-                     ) -> list[Batch]:
-        """Read messages of which some differ from the others, or lack a number."""
-        times, taken = [], []
-        streams: list[list[tuple[int, tuple[float, ...] | None, bool | None]]] = [
-            [] for _ in self._decoders]
-        apart = self._parts.several
-        for k, data in enumerate(messages):
-            found = None if apart else self._read(data)
-            if found is not None:
-                time_ns, values_of = found
-                for decoder in self._decoders:
-                    decoder.problem = None
-            else:
-                message = deserialize_message(data, self._kind)
-                values_of = [decoder(message) for decoder in self._decoders]
-                stamp = message.header.stamp if self._stamped else None
-                time_ns = stamp.sec * 1_000_000_000 + stamp.nanosec if self._stamped else 0
-            if self._stamped and time_ns == 0:
-                # One zero may be the start of simulated time, two are no stamps at all.
-                self._zero_stamps += 1
-                if self._zero_stamps == 1:
-                    continue
-            for stream, decoder, values in zip(streams, self._decoders, values_of, strict=True):
-                if apart and not decoder.found:  # another message brings it
-                    decoder.problem = None
-                    continue
-                stream.append((len(times), values, None if values is not None else decoder.found))
-            times.append(time_ns or int(now_ns[k]))
-            taken.append(k)
-        stamps, came = np.array(times, dtype=np.int64), came[taken]
-        return [_batch(entry, stream, stamps, came)
-                for entry, stream in zip(self.topic.entries, streams, strict=True)]
+        return self.reader.read(messages, came, now_ns)
 
     def close(self) -> None:
         """End the subscription."""
@@ -197,7 +145,7 @@ class TopicInput:
             elif silent and not entry.source.held:
                 found.append(f"{entry.source.name}: nothing new for {silent_after:g} s, "
                              f"so no {channels}")
-        if self._zero_stamps > 1:
+        if self.reader is not None and self.reader.zero_stamps > 1:
             found.append(f"{self.topic.full_name}: stamps are zero, the time of receipt is taken")
         return found
 
@@ -211,12 +159,123 @@ class TopicInput:
         return (self.messages - count) / max(now - since, 1e-9)
 
 
-def _batch(entry: Entry, stream: list[tuple], stamps: np.ndarray, came: np.ndarray) -> Batch:
-    """Return what messages brought of an entry: place, values or None, whether a number lacks."""
-    places, values_of, lacking = zip(*stream, strict=True) if stream else ((), (), ())
-    nothing = (np.nan,) * len(entry.channels)
-    chosen = np.array(places, dtype=int)
-    return Batch(entry.source, stamps[chosen] - entry.delay_ns, np.array(
-        [nothing if values is None else values for values in values_of],
-        dtype=float).reshape(-1, len(nothing)), came[chosen],
-        None if all(lacks is None for lacks in lacking) else lacking)
+class Drain:
+    """Takes what waits on the topics: messages to the rows, and to what is kept of them.
+
+    Parameters
+    ----------
+    node : its clock stamps messages that carry no stamp.
+    inputs : the topics.
+    aligner : takes the samples.
+    keeper : keeps the messages as they came.
+
+    Attributes
+    ----------
+    oldest : age of the oldest message when it was worked on, s, the worst since :meth:`look`.
+    """
+
+    def __init__(self, node: Node, inputs: list[TopicInput], aligner: RowAligner,
+                 keeper: Keeper):
+        self._node, self._inputs, self._aligner, self._keeper = node, inputs, aligner, keeper
+        self._streams: dict[tuple[str, str], int] = {}
+        self._transport = np.inf  # the least from sending to reception, on two clocks, s
+        self.oldest = 0.0
+
+    def take(self) -> bool:
+        """Take what waits, or much of it; return whether more may wait."""
+        batches, kept = [], []
+        wall_ns, now = time.time_ns(), time.monotonic()
+        clock_ns = self._node.get_clock().now().nanoseconds
+        for each in self._inputs:
+            messages, received, sent_ns = each.take()
+            if not messages:
+                continue
+            # Where the middleware does not say when: now.
+            waited = np.zeros(len(received)) if not received[0] else np.minimum(np.maximum(
+                (wall_ns - np.array(received)) * 1e-9, 0.0), LONGEST_S)
+            batches += each.read(messages, now - waited,
+                                 clock_ns - np.rint(waited * 1e9).astype(np.int64))
+            transport = (received[0] - sent_ns) * 1e-9
+            self._transport = min(self._transport, transport)
+            self.oldest = max(self.oldest, float(waited[0]) + transport - self._transport)
+            if self._keeper.ring is not None:
+                kept += zip(received, (self._stream(each),) * len(messages), messages,
+                            strict=True)
+        if batches:
+            self._aligner.take(batches)
+        if kept:
+            kept.sort()
+            self._keeper.ring.extend(kept)
+        return any(each.waits for each in self._inputs)
+
+    def worked_on(self, came: float) -> None:
+        """Note that what came at ``came`` (s, monotonic) has its turn only now."""
+        self.oldest = max(self.oldest, min(time.monotonic() - came, LONGEST_S))
+
+    def look(self) -> float:
+        """Return the age of the oldest message since the last call, s; 0 where none came."""
+        oldest, self.oldest = self.oldest, 0.0
+        return oldest
+
+    def _stream(self, each: TopicInput) -> int:
+        key = each.topic.name, each.type
+        if key not in self._streams:
+            self._streams[key] = self._keeper.stream(*key)
+        return self._streams[key]
+
+
+class Load:
+    """What is due, and how far the monitor is behind its inputs.
+
+    Parameters
+    ----------
+    jobs : period in s and what to do, of each thing that is due again and again.
+    stale_after : see :class:`LoadWatch`.
+    """
+
+    def __init__(self, jobs: Sequence[tuple[float, Callable[[], None]]], stale_after: float):
+        now = time.monotonic()
+        self.watch = LoadWatch(stale_after)
+        self.period = min((period for period, _ in jobs), default=LOOK_S)
+        self._jobs = [[period, now + period, job] for period, job in jobs]
+        self._ran = self._looked = now
+        self._away = self._waited = 0.0
+        self._busy = False
+
+    def run(self, now: float) -> float:
+        """Note that the monitor runs at ``now`` (s, monotonic); return for how long not, s."""
+        away, self._ran = now - self._ran, now
+        self._away = max(self._away, away)
+        return away
+
+    def tick(self, now: float) -> None:
+        """Do what is due at ``now`` (s, monotonic)."""
+        if self._busy:
+            return
+        self._busy = True
+        try:
+            for job in self._jobs:
+                if now >= job[1] - EARLY * self.period:
+                    job[1] = max(job[1] + job[0], now)
+                    job[2]()
+        finally:
+            self._busy = False
+
+    def look(self, waited: float, rows: int, missing: int) -> None:
+        """See whether the monitor keeps up, some times a second.
+
+        Parameters
+        ----------
+        waited : longest that a message waited since the last look, s; a period is as it should be.
+        rows, missing : samples so far, and those that lack between them.
+        """
+        now = time.monotonic()
+        self._waited = max(self._waited, waited - self.period)
+        if now - self._looked < LOOK_S:
+            return
+        self.watch.look(now, rows, missing, self._waited, self._away)
+        self._looked, self._away, self._waited = now, 0.0, 0.0
+
+    def found(self) -> Overload | None:
+        """Return what is wrong now, or None."""
+        return self.watch.found(time.monotonic())

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64
 
 from eha_monitor.health.alarms import ALARM_NAMES, WATCHED, Watched
 from eha_monitor.health.finding import Finding
@@ -15,8 +14,7 @@ from eha_monitor.health.overload import OVERLOADED
 from eha_monitor.quantity import SYMBOLS, with_uncertainty
 from eha_monitor.ros import running
 from eha_monitor.ros.findings import MISMATCH
-from eha_monitor.ros.messages import findings_of
-from eha_monitor.ros.outputs import LATCHED
+from eha_monitor.ros.messages import findings_of, subscribe_to_monitor
 
 _LINE_EVERY = 1.0  # s
 
@@ -65,20 +63,13 @@ class Watcher:
         self._now_ns: int | None = None  # stamp of the newest estimate
         self._latest: dict[str, float] = {}
         self._levels: dict[str, str] = {}
-        for watched in WATCHED:
-            for suffix in ("", "_stddev"):
-                node.create_subscription(
-                    Float64, f"monitor/{watched.section}{suffix}",
-                    self._keep(watched.symbol + suffix), 10)
-        node.create_subscription(JointState, "monitor/joint_states", self._take_state, 10)
-        node.create_subscription(DiagnosticArray, "monitor/health", self._take_health, LATCHED)
+        subscribe_to_monitor(node, self._take_number, self._take_state, self._take_health)
         node.create_timer(_LINE_EVERY, self._tell)
 
-    def _keep(self, key: str) -> Callable[[Float64], None]:
-        def keep(message: Float64) -> None:
-            self._latest[key] = message.data
-            self.seen.estimates[key] = self.seen.estimates.get(key, 0) + 1
-        return keep
+    def _take_number(self, symbol: str, suffix: str, value: float) -> None:
+        key = symbol + suffix
+        self._latest[key] = value
+        self.seen.estimates[key] = self.seen.estimates.get(key, 0) + 1
 
     def _tell(self) -> None:
         if self._latest:
