@@ -8,7 +8,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from ros_tools import Recorder, levels, listen, start
 from std_msgs.msg import Float64
 
-from eha_monitor.filters.results import ParameterEstimate
+from eha_monitor.estimation.results import ParameterEstimate
 from eha_monitor.ros.outputs import LATCHED
 from eha_monitor.ros.quality import clashes
 from eha_monitor.ros.subscriptions import INPUT_QOS

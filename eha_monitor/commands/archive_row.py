@@ -18,17 +18,17 @@ from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.source import source_digest
 
 if TYPE_CHECKING:
-    from eha_monitor.filters.results import Estimate
+    from eha_monitor.estimation.results import Estimate
     from eha_monitor.mismatch.diagnosis import Diagnosis
     from eha_monitor.recordings.recording import Recording
     from eha_monitor.settings import Settings
 
 # What has a part in an answer, and in the row that is made of it.
 _ROOMS = {
-    "estimate": ("physics", "filters", "recordings", "settings", "health", "plausibility",
+    "estimate": ("physics", "estimation", "recordings", "settings", "health", "plausibility",
                  "indicators", "api/answer.py", "api/plausible.py", "api/estimate.py",
                  "api/indicators.py", "commands/archive_row.py", "quantity.py"),
-    "diagnose": ("physics", "filters", "recordings", "settings", "health", "mismatch",
+    "diagnose": ("physics", "estimation", "recordings", "settings", "health", "mismatch",
                  "plausibility", "indicators", "api/answer.py", "api/plausible.py",
                  "api/estimate.py", "api/diagnosis_answer.py", "api/indicators.py",
                  "api/rotary.py", "commands/archive_row.py", "quantity.py", "words.py"),
@@ -87,7 +87,7 @@ def _fill(row: dict, task: Task) -> None:
     from eha_monitor.api.indicators import of_diagnosis, of_estimate
     from eha_monitor.api.plausible import checked
     from eha_monitor.compiled import load_runtime
-    from eha_monitor.filters.pipeline import estimate
+    from eha_monitor.estimation.pipeline import estimate
     from eha_monitor.recordings.read import read_recording
 
     load_runtime()
@@ -115,7 +115,7 @@ def _fill(row: dict, task: Task) -> None:
         if task.command == "diagnose":
             _diagnosis_report(task, recording, diagnosis, indicators)
         else:
-            from eha_monitor.filters.observability import observability
+            from eha_monitor.estimation.observability import observability
             from eha_monitor.reports.estimate_report import write_estimate_report
 
             write_estimate_report(task.report, found, alarms, history, observability(found),

@@ -3,10 +3,10 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from eha_monitor.filters.faults import FaultWatch
-from eha_monitor.filters.rows import RowAligner
 from eha_monitor.health.finding import Finding
 from eha_monitor.health.latency import LatencyMeter, ProcessorMeter
+from eha_monitor.live.faults import FaultWatch
+from eha_monitor.live.rows import RowAligner
 from eha_monitor.ros.subscriptions import TopicInput
 
 

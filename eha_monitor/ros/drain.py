@@ -5,7 +5,7 @@ import time
 import numpy as np
 from rclpy.node import Node
 
-from eha_monitor.filters.rows import RowAligner
+from eha_monitor.live.rows import RowAligner
 from eha_monitor.ros.keeper import Keeper
 from eha_monitor.ros.subscriptions import TopicInput
 

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, field
 
-from eha_monitor.filters.results import Consistency, Event, ModelStatus, ParameterEstimate
+from eha_monitor.estimation.results import Consistency, Event, ModelStatus, ParameterEstimate
 from eha_monitor.health.alarms import ADVICE, WATCHED, AlarmBoard
 from eha_monitor.health.finding import Finding
 from eha_monitor.health.overload import Overload

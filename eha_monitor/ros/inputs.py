@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from eha_monitor.errors import InputError
-from eha_monitor.filters.rows import Source
+from eha_monitor.live.rows import Source
 from eha_monitor.settings.monitor import Channel, Settings
 
 # Type of a topic that nobody publishes yet, told by the field that is read from it.

@@ -15,7 +15,7 @@ from rclpy.serialization import deserialize_message
 from rclpy.type_support import check_is_valid_msg_type
 
 from eha_monitor.errors import InputError
-from eha_monitor.filters.rows import Batch
+from eha_monitor.live.rows import Batch
 from eha_monitor.ros.inputs import Decoder, Entry, Topic, has_stamp, message_class
 from eha_monitor.ros.parts import Part, Parts
 from eha_monitor.ros.quality import clashes
