@@ -161,10 +161,11 @@ class StageInputs:
     def rows_two(self, b: np.ndarray | float, b_variance: np.ndarray | float,
                  stop: int | None = None) -> RowsTwo:
         """Return what stage two takes of the samples up to ``stop``, with a damping for each."""
-        given = (np.array(np.broadcast_to(values, self.rows), dtype=float)
-                 for values in (b, b_variance))
-        return RowsTwo(*(values[:stop] for values in (
-            self.x, *self.drive, *given, self.leak_flow, self.mean)))
+        size = self.rows if stop is None else stop
+        given = (np.full(size, values, dtype=float) if np.ndim(values) == 0
+                 else np.array(values[:size], dtype=float) for values in (b, b_variance))
+        return RowsTwo(self.x[:stop], *(values[:stop] for values in self.drive), *given,
+                       self.leak_flow[:stop], self.mean[:stop])
 
     def pieces(self, recording: Recording | None = None, begin: int = 0) -> Iterator[Piece]:
         """Yield the rows of ``recording`` from ``begin`` on at once, see :class:`PiecedInputs`."""
