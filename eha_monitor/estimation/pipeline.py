@@ -91,7 +91,7 @@ def estimate_held(recording: Recording, settings: Settings, size: int | None = N
     joint = run_joint(inputs, recording, settings, one, two, since)
     return Estimate(
         recording, settings, one, two, joint,
-        within(tested_model((one, two), joint, settings, inputs, damping[0][-1]),
+        within(tested_model((one, two), joint, settings, inputs, damping[0]),
                beyond(ranges_of(settings), sample_of(recording).channels, recording.sample_time,
                       settings.rig.position_gain), 0.0),
         tuple(sorted(events, key=lambda event: event.time_s)), inputs.noise,
@@ -264,10 +264,10 @@ def hand_over(one: StageResult, settings: Settings, recording: Recording, events
 
 
 def tested_model(stages: tuple[StageResult, StageResult], joint: JointResult | None,
-                 settings: Settings, inputs: Inputs, damping: float) -> ModelStatus:
+                 settings: Settings, inputs: Inputs, damping: np.ndarray) -> ModelStatus:
     """Return the verdict on the model with the misfits behind it and what they taint.
 
-    ``damping`` is the B that stage two had at the end.
+    ``damping`` is the (n,) B that stage two had.
     """
     one, two = stages
     status = model_status((one.consistency, two.consistency), joint)
@@ -282,7 +282,7 @@ def tested_model(stages: tuple[StageResult, StageResult], joint: JointResult | N
     for part in _looks(found, stages, inputs):
         reaches.note(0.0, finished(reaches_of(
             [m.stage for m in found], part, settings,
-            {"B": one.estimate, "beta_e": two.estimate}, (damping, two.sensitivity))))
+            {"B": one.estimate, "beta_e": two.estimate}, (damping[-1], two.sensitivity))))
     return replace(status, mismatches=tuple(found),
                    tainted=tainted_by(found, abs(two.sensitivity * bias), reaches.most()))
 
