@@ -19,7 +19,7 @@ from eha_monitor.api.plausible import checked
 from eha_monitor.concealed.strangers.draw import KINDS, StrangerRig, draw_rig
 from eha_monitor.concealed.strangers.generate import recorded, settings_of
 from eha_monitor.errors import InputError
-from eha_monitor.filters.pipeline import estimate
+from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.mismatch.compare.compared import compared
 from eha_monitor.mismatch.diagnose import diagnose
 

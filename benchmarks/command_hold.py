@@ -17,8 +17,8 @@ from hold_parts.draws import Draw, drawn
 from rich.console import Console
 from rich.table import Table
 
-from eha_monitor.filters.hold_choice import resolved
-from eha_monitor.filters.pipeline import estimate
+from eha_monitor.estimation.hold_choice import resolved
+from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.settings import settings_from_tree
 
 DRAWS, SEED = 100, 7

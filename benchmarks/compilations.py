@@ -32,12 +32,12 @@ HEAD = '''"""What commands call of what is compiled, with the types: generated, 
 
 import importlib
 
-from numba.core.types import Array, NamedTuple, UniTuple, bool, float64, int64, uint8
+from numba.core.types import Array, BaseTuple, UniTuple, bool, float64, int64, uint8
 
 
-def named(module: str, name: str, *fields) -> NamedTuple:
+def named(module: str, name: str, *fields) -> BaseTuple:
     """Return the type of a named tuple of the package."""
-    return NamedTuple(fields, getattr(importlib.import_module(module), name))
+    return BaseTuple.from_types(fields, getattr(importlib.import_module(module), name))
 
 
 SIGNATURES = (
@@ -78,7 +78,7 @@ for names in (("x", "x_d", "omega", "p1", "p2"), ("x", "omega"), ("x", "p1", "p2
 # Each kind of config, row by row: as a monitor that is asked for nothing but its state.
 PUSHED = """
 import sys
-from eha_monitor.filters.live import LiveEstimator
+from eha_monitor.live.estimator import LiveEstimator
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.settings import load_settings
 

@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
-from eha_monitor.filters.euler import printed_constants, printed_step
-from eha_monitor.filters.pipeline import Estimate, estimate
+from eha_monitor.estimation.euler import Printed, printed_step
+from eha_monitor.estimation.pipeline import Estimate, estimate
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.recording import Recording
@@ -31,8 +31,7 @@ def largest_pole(beta: float) -> float:
     """Return the largest modulus of the poles of Eq. 5 at 1 ms, beta_e held."""
     theta, _ = theta_of(Settings().rig, {})
     f = np.empty((4, 4))
-    stiff, gain, leak = printed_constants(theta)
-    printed_step(np.array([0.0, 0.0, 0.0, beta]), 600.0, 0.0, 1e-3, 20.0, stiff, gain, leak, f)
+    printed_step(np.array([0.0, 0.0, 0.0, beta]), 600.0, 0.0, Printed.of(theta, 20.0, 1e-3), f)
     return float(np.abs(np.linalg.eigvals(f[:3, :3])).max())
 
 
@@ -89,7 +88,7 @@ def main() -> None:
         figure.savefig(given.figure)
         print(given.figure)
     if given.record:
-        record.write("discretisation", figures, ("eha_monitor/filters", "eha_monitor/physics"))
+        record.write("discretisation", figures, ("eha_monitor/estimation", "eha_monitor/physics"))
 
 
 def recorded(case: str, exact: Estimate, euler: Estimate) -> dict[str, dict]:

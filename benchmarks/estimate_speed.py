@@ -24,12 +24,12 @@ from rich.console import Console
 from rich.table import Table
 from rosbags.rosbag2 import Reader
 
-from eha_monitor.filters import filterpy_stages, kernel_one, kernel_two
-from eha_monitor.filters.inputs import StageInputs
-from eha_monitor.filters.known import new_known_memory
-from eha_monitor.filters.pipeline import estimate
-from eha_monitor.filters.run_two import start_compliance
-from eha_monitor.filters.supervision import new_supervision
+from eha_monitor.estimation import filterpy_stages, stage_one, stage_two
+from eha_monitor.estimation.inputs import StageInputs
+from eha_monitor.estimation.pipeline import estimate
+from eha_monitor.estimation.stage_one import new_state_one
+from eha_monitor.estimation.stage_two import new_state_two
+from eha_monitor.estimation.stages import constants_one, constants_two, start_compliance
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import Recording
@@ -58,8 +58,7 @@ class Stages:
         self.settings = settings
         self.inputs = StageInputs.of(recording, settings)
         n = len(recording)
-        self.b, self.b_variance = np.full(n, 600.0), np.full(n, 0.01)
-        self.start = start_compliance(self.inputs, settings, self.b)
+        self.start = start_compliance(self.inputs, settings, np.full(n, 600.0))
         self.out_one, self.out_two = np.empty((6, n)), np.empty((8, n))
         self.events = np.empty((200, 4))
 
@@ -70,11 +69,11 @@ class Stages:
 
     def compiled_one(self) -> None:
         """Run stage one over all samples."""
-        self._one(kernel_one.run_one, len(self.inputs.x))
+        self._one(stage_one.run_one, len(self.inputs.x))
 
     def compiled_two(self) -> None:
         """Run stage two over all samples."""
-        self._two(kernel_two.run_two, len(self.inputs.x))
+        self._two(stage_two.run_two, len(self.inputs.x))
 
     def filterpy(self) -> None:
         """Run both stages on filterpy over the first samples."""
@@ -82,26 +81,15 @@ class Stages:
         self._two(filterpy_stages.run_two, FILTERPY_SAMPLES)
 
     def _one(self, run, n: int) -> None:
-        i, s = self.inputs, self.settings
-        model, force = i.model, i.force
-        p = np.zeros(6)
-        p[5] = s.stage_one.prior_stddev**2
-        run(i.x[:n], force.start[:n], force.end[:n], force.variance[:n], i.p1[:n], i.p2[:n], i.dt,
-            s.rig.mass, i.position_variance, p[5], False, model.theta, model.plain,
-            model.remembering, new_known_memory(), np.array([np.nan, 0.0, s.stage_one.prior]), p,
-            new_supervision(), 0, self.out_one, self.events)
+        constants = constants_one(self.inputs, self.settings)
+        state = new_state_one(self.settings.stage_one.prior, constants.prior_variance)
+        run(self.inputs.rows_one(n), constants, self.inputs.model.effects, state, 0, self.out_one,
+            self.events)
 
     def _two(self, run, n: int) -> None:
-        i = self.inputs
-        model, drive = i.model, i.drive
-        q = np.zeros((4, 4))
-        q[3, 3] = self.start[1]
-        run(i.x[:n], drive.start[:n], drive.end[:n], drive.variance[:n], drive.instrument[:n],
-            self.b[:n], self.b_variance[:n], model.hydraulics, model.leak, i.leak_flow[:n], i.dt,
-            i.position_variance, 0.0, 4.0, i.mean[:n], model.theta, model.plain,
-            model.remembering, model.flows, new_known_memory(),
-            np.array([np.nan, 0.0, 0.0, self.start[0]]), q, np.zeros(4), new_supervision(),
-            *kernel_two.new_step(model.hydraulics), 0, self.out_two, self.events)
+        model, constants = self.inputs.model, constants_two(self.inputs, self.settings)
+        run(self.inputs.rows_two(600.0, 0.01, n), constants, model.effects,
+            new_state_two(model.hydraulics, *self.start), 0, self.out_two, self.events)
 
 
 def read_plainly(bag: Path) -> float:
@@ -170,7 +158,7 @@ def main() -> None:
             np.median(rows["plain_reading"][2]) / rows["reading"][2], "times as fast")
         figures["wall_s"] = record.spread(reported, "s")
         record.write("speed", figures, (
-            "eha_monitor/filters", "eha_monitor/physics", "eha_monitor/recordings"))
+            "eha_monitor/estimation", "eha_monitor/physics", "eha_monitor/recordings"))
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ import record
 
 DIFFERENT = 8  # bags that are simulated
 FLEET, CLUSTER = 1000, 100  # bags, and cores on paper
-MEASURES = ("eha_monitor/archive", "eha_monitor/recordings", "eha_monitor/filters",
+MEASURES = ("eha_monitor/archive", "eha_monitor/recordings", "eha_monitor/estimation",
             "eha_monitor/mismatch")
 COMMANDS = ("estimate", "diagnose")
 

@@ -14,7 +14,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from eha_monitor.filters.pipeline import estimate
+from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.recording import Recording

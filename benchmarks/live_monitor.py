@@ -31,8 +31,8 @@ import record
 
 TARGET = 0.15  # of the reference
 MARGIN_MS = 10.0  # beyond one publishing period, 99 % of the rows
-MEASURED = ("eha_monitor/filters", "eha_monitor/health", "eha_monitor/recordings",
-            "eha_monitor/ros")
+MEASURED = tuple(f"eha_monitor/{room}" for room in (
+    "estimation", "live", "health", "recordings", "ros"))
 UNITS = {"p50": "ms", "p99": "ms", "most": "ms", "share": "% of a core"}
 
 

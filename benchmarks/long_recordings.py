@@ -19,7 +19,7 @@ import numpy as np
 import record
 
 COMMANDS = ("simulate", "estimate", "diagnose", "record")
-MEASURES = ("eha_monitor/recordings", "eha_monitor/filters", "eha_monitor/mismatch",
+MEASURES = ("eha_monitor/recordings", "eha_monitor/estimation", "eha_monitor/mismatch",
             "eha_monitor/commands")
 # s of processor for an hour (diagnose: of 1 and 4 minutes), and MB, as asked.
 ASKED = {"simulate": 60.0, "estimate": 15.0, "diagnose": 30.0}

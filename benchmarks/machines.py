@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 from stranger_parts.commands import ROOT, answer_of, shell, shown
 
-MEASURES = ("eha_monitor/filters", "eha_monitor/mismatch", "benchmarks/machines.py")
+MEASURES = ("eha_monitor/estimation", "eha_monitor/mismatch", "benchmarks/machines.py")
 SECONDS, SUBSTEPS = 12.0, 40
 ATMOSPHERE = 101_325.0
 SMOOTH = 1e-3  # of the tanh of dry friction, m/s or rad/s

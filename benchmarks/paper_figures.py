@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from eha_monitor.filters.pipeline import estimate
+from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.physics import signals
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.read import read_recording
@@ -133,7 +133,7 @@ def main() -> None:
     console.print(table)
     if given.record:
         record.write("accuracy", {"draws": record.spread(seeds)} | recorded(rows),
-                     ("eha_monitor/filters", "eha_monitor/physics"), held_by="commit")
+                     ("eha_monitor/estimation", "eha_monitor/physics"), held_by="commit")
 
 
 def recorded(rows: list[tuple]) -> dict[str, dict]:

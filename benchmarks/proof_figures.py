@@ -16,7 +16,7 @@ from pathlib import Path
 
 import record
 
-MEASURED = ("eha_monitor/mismatch", "eha_monitor/filters", "eha_monitor/physics")
+MEASURED = ("eha_monitor/mismatch", "eha_monitor/estimation", "eha_monitor/physics")
 STRENGTHS = ("1", "0.3", "0.05")
 
 

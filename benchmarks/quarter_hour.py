@@ -34,7 +34,7 @@ from eha_monitor.concealed.strangers.shown import Drive, Sensors, recording
 from eha_monitor.settings import load_settings
 
 MEASURES = ("eha_monitor/draft", "eha_monitor/plausibility", "eha_monitor/recordings",
-            "eha_monitor/filters", "benchmarks/strangers", "benchmarks/quarter_hour.py")
+            "eha_monitor/estimation", "benchmarks/strangers", "benchmarks/quarter_hour.py")
 ATMOSPHERE, RPM = 101_325.0, pi / 30
 GOOD = 1e-4  # relative: a factor of a guess is right
 Shown = dict[str, np.ndarray]

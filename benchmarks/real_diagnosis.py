@@ -139,7 +139,7 @@ def main() -> None:
     Console(width=190).print(table)
     if options.record:
         record.write("real_diagnosis", {"rows": kept}, (
-            "eha_monitor/mismatch", "eha_monitor/filters", "eha_monitor/physics"),
+            "eha_monitor/mismatch", "eha_monitor/estimation", "eha_monitor/physics"),
             held_by="commit")
 
 

@@ -87,7 +87,7 @@ def main() -> None:
     Console(width=150).print(table)
     if given.record:
         record.write("real_recordings", figures, (
-            "eha_monitor/filters", "eha_monitor/physics", "eha_monitor/recordings"),
+            "eha_monitor/estimation", "eha_monitor/physics", "eha_monitor/recordings"),
             held_by="commit")
 
 

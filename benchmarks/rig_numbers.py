@@ -11,7 +11,7 @@ import argparse
 
 import record
 
-from eha_monitor.filters.pipeline import estimate
+from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import Settings, settings_from_tree
@@ -51,7 +51,7 @@ def main() -> None:
                     for name, change in zip(names, changes, strict=True)}
         figures[f"{key}_model"] = {"value": found.model.status}
     if given.record:
-        record.write("rig_numbers", figures, ("eha_monitor/filters", "eha_monitor/physics"))
+        record.write("rig_numbers", figures, ("eha_monitor/estimation", "eha_monitor/physics"))
 
 
 def told(change: float) -> str:

@@ -113,8 +113,8 @@ def main() -> int:
           f"{os.cpu_count()} cores")
     missed, figures = report(faults, seen, status, said)
     if given.record:
-        record.write("soak", figures, ("eha_monitor/filters", "eha_monitor/health",
-                                       "eha_monitor/ros"), held_by="commit")
+        record.write("soak", figures, tuple(f"eha_monitor/{room}" for room in (
+            "estimation", "live", "health", "ros")), held_by="commit")
     return int(missed)
 
 

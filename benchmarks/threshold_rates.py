@@ -23,14 +23,14 @@ from rich.console import Console
 from rich.table import Table
 
 from eha_monitor.api.answer import series_of
-from eha_monitor.filters.pipeline import estimate
+from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.health.proposal import Healthy, healthy_of, proposed, thresholds_tree
 from eha_monitor.health.series import judge_series
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import settings_from_tree
 
-MEASURES = ("eha_monitor/health", "eha_monitor/filters", "benchmarks/threshold_rates.py")
+MEASURES = ("eha_monitor/health", "eha_monitor/estimation", "benchmarks/threshold_rates.py")
 RATE, LEAST, SECONDS = 0.05, 0.0, 6.0
 SPREADS = {"normal, 5 %": (False, 0.05), "normal, 20 %": (False, 0.2),
            "lognormal, 20 %": (True, 0.2)}

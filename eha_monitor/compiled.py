@@ -26,7 +26,7 @@ def _source_hash() -> str:
     digest = hashlib.sha256()
     digest.update(Path(__file__).read_bytes())  # the options are here
     sources = {path: path.read_bytes()
-               for folder in ("physics", "filters", "recordings", "mismatch", "concealed")
+               for folder in ("physics", "estimation", "recordings", "mismatch", "concealed")
                for path in (root / folder).rglob("*.py")}
     # What is compiled, physics with its constants, and where these have constants from: a constant
     # is part of the compiled code, a function that is not compiled is not.

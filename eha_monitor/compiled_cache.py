@@ -218,7 +218,7 @@ def written(given: tuple | types.Type) -> str:
     """Return types as :mod:`eha_monitor.signatures` has them."""
     if isinstance(given, tuple):
         return f"({', '.join(map(written, given))}{',' * (len(given) == 1)})"
-    if isinstance(given, types.NamedTuple):
+    if isinstance(given, types.BaseNamedTuple):
         made = given.instance_class
         return f"named({made.__module__!r}, {made.__name__!r}, {', '.join(map(written, given))})"
     if isinstance(given, types.Array) and given.ndim and given.mutable and given.aligned:

@@ -5,18 +5,52 @@
 
 import importlib
 
-from numba.core.types import Array, NamedTuple, UniTuple, bool, float64, int64, uint8
+from numba.core.types import Array, BaseTuple, UniTuple, bool, float64, int64, uint8
 
 
-def named(module: str, name: str, *fields) -> NamedTuple:
+def named(module: str, name: str, *fields) -> BaseTuple:
     """Return the type of a named tuple of the package."""
-    return NamedTuple(fields, getattr(importlib.import_module(module), name))
+    return BaseTuple.from_types(fields, getattr(importlib.import_module(module), name))
 
 
 SIGNATURES = (
-    ("filters.hold_evidence", "log_likelihood", (
-        float64[:, ::1], float64[::1], float64[::1], float64[::1], float64[::1], bool[::1],
-        float64[::1], float64, float64, float64, float64, float64, float64, float64,
+    ("estimation.stage_two", "log_likelihood_two", (
+        named('eha_monitor.estimation.stage_two', 'RowsTwo', float64[::1], float64[::1],
+        float64[::1], float64[::1], float64[:, ::1], float64[::1], float64[::1], float64[::1],
+        float64[::1]), named('eha_monitor.estimation.stage_two', 'ConstantsTwo', float64[::1],
+        float64, float64, float64, float64, float64), named('eha_monitor.estimation.modelled',
+        'Effects', float64[::1], int64[::1], int64[::1], int64[::1]), float64,
+    )),
+    ("estimation.hold_evidence", "log_likelihood", (
+        named('eha_monitor.estimation.hold_evidence', 'Stretch', float64[:, ::1], float64[::1],
+        float64[::1], bool[::1], float64[::1], float64, float64, float64, UniTuple(float64, 2),
+        float64, float64), float64[::1], float64[::1], float64, float64, float64, float64,
+    )),
+    ("estimation.stage_one", "run_one", (
+        named('eha_monitor.estimation.stage_one', 'RowsOne', float64[::1], float64[::1],
+        float64[::1], float64[::1], float64[::1], float64[::1]),
+        named('eha_monitor.estimation.stage_one', 'ConstantsOne', float64, float64, float64,
+        float64, bool), named('eha_monitor.estimation.modelled', 'Effects', float64[::1],
+        int64[::1], int64[::1], int64[::1]), named('eha_monitor.estimation.stage_one', 'StateOne',
+        float64[::1], float64[::1], float64[::1], float64[:, ::1]), int64, float64[:, ::1],
+        float64[:, ::1],
+    )),
+    ("estimation.stage_two", "run_two", (
+        named('eha_monitor.estimation.stage_two', 'RowsTwo', float64[::1], float64[::1],
+        float64[::1], float64[::1], float64[:, ::1], float64[::1], float64[::1], float64[::1],
+        float64[::1]), named('eha_monitor.estimation.stage_two', 'ConstantsTwo', float64[::1],
+        float64, float64, float64, float64, float64), named('eha_monitor.estimation.modelled',
+        'Effects', float64[::1], int64[::1], int64[::1], int64[::1]),
+        named('eha_monitor.estimation.stage_two', 'StateTwo', float64[::1], float64[:, ::1],
+        float64[::1], float64[::1], float64[:, ::1], float64[:, ::1], float64[::1]), int64,
+        float64[:, ::1], float64[:, ::1],
+    )),
+    ("estimation.joint", "filter_joint", (
+        named('eha_monitor.estimation.joint', 'RowsJoint', float64[::1], float64[::1],
+        float64[::1], float64[::1], float64[::1], float64[:, ::1]),
+        named('eha_monitor.estimation.joint', 'ConstantsJoint', float64[::1], float64, float64,
+        float64, bool), named('eha_monitor.estimation.joint', 'StateJoint', float64[::1],
+        float64[:, ::1], float64[:, :, ::1], float64[::1]), int64, float64[:, ::1],
     )),
     ("mismatch.likelihood.tangent_pass", "carried_on", (
         named('eha_monitor.mismatch.likelihood.tangent_motion', 'Model', int64, float64, int64,
@@ -35,11 +69,6 @@ SIGNATURES = (
         float64[:, :, ::1], float64[:, ::1]), float64[::1], float64[:, ::1], float64[:, :, ::1],
         float64[::1], float64, int64[::1], float64[:, :, ::1],
     )),
-    ("filters.kernel_two", "log_likelihood_two", (
-        float64[::1], float64[::1], float64[::1], float64[::1], float64[:, ::1], float64,
-        float64, float64[::1], float64, float64[::1], float64, float64, float64, float64[::1],
-        float64[::1], int64[::1], int64[::1], int64[::1], float64[:, ::1],
-    )),
     ("physics.plant", "run", (
         float64[::1], float64, float64, int64, float64[:, ::1], int64, int64, float64[:, ::1],
         bool[::1], float64[:, ::1], float64[:, ::1], int64, float64[:, ::1], float64[:, ::1],
@@ -52,22 +81,6 @@ SIGNATURES = (
     ("mismatch.likelihood.innovations", "transition", (
         int64, float64, int64, float64[::1], bool[::1], float64[:, ::1], float64, float64[::1],
         float64[:, ::1], float64[::1], float64[:, ::1], float64[:, ::1],
-    )),
-    ("filters.kernel_one", "run_one", (
-        float64[::1], float64[::1], float64[::1], float64[::1], float64[::1], float64[::1],
-        float64, float64, float64, float64, bool, float64[::1], int64[::1], int64[::1],
-        float64[:, ::1], float64[::1], float64[::1], float64[::1], int64, float64[:, ::1],
-        float64[:, ::1],
-    )),
-    ("filters.kernel_two", "run_two", (
-        float64[::1], float64[::1], float64[::1], float64[::1], float64[:, ::1], float64[::1],
-        float64[::1], float64[::1], float64, float64[::1], float64, float64, float64, float64,
-        float64[::1], float64[::1], int64[::1], int64[::1], int64[::1], float64[:, ::1],
-        float64[::1], float64[:, ::1], float64[::1], float64[::1], float64[:, ::1], float64[::1],
-        int64, float64[:, ::1], float64[:, ::1],
-    )),
-    ("filters.kernel_two", "new_step", (
-        float64[::1],
     )),
     ("mismatch.likelihood.tangent_points", "look", (
         named('eha_monitor.mismatch.likelihood.tangent_motion', 'Model', int64, float64, int64,
@@ -84,27 +97,12 @@ SIGNATURES = (
         float64[:, ::1], float64[:, ::1], float64[::1], float64[::1], float64[:, ::1], bool[::1],
         float64[:, :, ::1],
     )),
-    ("filters.euler", "_run", (
-        float64[::1], float64[::1], float64[::1], float64, float64, float64, float64, float64,
-        float64, float64, float64[::1], float64[:, ::1], float64[:, ::1],
-    )),
-    ("filters.kernel_two", "advance_two", (
-        float64[::1], float64[:, ::1], float64[::1], float64, float64, float64, float64, float64,
-        float64[::1], float64, float64, float64, float64, float64, float64, float64[::1],
-        int64[::1], int64[::1], int64[::1], float64[:, ::1], float64[:, ::1], bool,
-        float64[:, ::1], float64[::1], float64[:, :, ::1], float64[::1], float64[::1],
-    )),
     ("mismatch.likelihood.tangent_motion", "jacobians", (
         named('eha_monitor.mismatch.likelihood.tangent_motion', 'Model', int64, float64, int64,
         float64[::1], float64[::1], bool, float64, float64, int64[::1], int64[::1], int64[::1]),
         named('eha_monitor.mismatch.likelihood.tangent_motion', 'Motion', float64[:, ::1],
         float64[::1], float64[::1], float64[:, ::1], float64[:, ::1], float64[:, ::1],
         float64[:, ::1]), float64[::1], float64[:, ::1], float64[:, :, ::1],
-    )),
-    ("filters.kernel_joint", "run_joint", (
-        float64[::1], float64[::1], float64[::1], float64[::1], float64[::1], float64[:, ::1],
-        float64[::1], float64, float64, float64, float64, bool, float64[::1], float64[:, ::1],
-        float64[:, :, ::1], float64[::1], int64, float64[:, ::1],
     )),
     ("mismatch.likelihood.tangent_motion", "slopes_along", (
         named('eha_monitor.mismatch.likelihood.tangent_motion', 'Model', int64, float64, int64,
@@ -115,10 +113,6 @@ SIGNATURES = (
     )),
     ("physics.contributions", "circuit_of", (
         float64[::1], bool[::1],
-    )),
-    ("filters.drive", "follow", (
-        int64, float64[::1], float64[::1], float64[::1], float64, bool, float64, float64[::1],
-        int64[::1], float64[::1], float64[:, ::1], float64[:, ::1], float64[::1], float64[::1],
     )),
     ("mismatch.name.gram", "injected", (
         float64[:, ::1], bool[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1],
@@ -147,9 +141,6 @@ SIGNATURES = (
         Array(uint8, 1, 'C', readonly=True, aligned=True), int64, int64[::1], int64[::1],
         int64[::1], int64[::1], int64[::1], int64[::1], int64[::1],
     )),
-    ("filters.kernel_one", "start_one", (
-        float64[::1], float64[::1], float64, float64, float64, bool,
-    )),
     ("mismatch.name.gram", "powers_at", (
         float64[:, ::1], bool[:, ::1], bool[::1], float64[:, ::1], float64[:, ::1],
         float64[:, :, ::1], float64[:, :, :, ::1], float64[:, :, ::1],
@@ -172,13 +163,13 @@ SIGNATURES = (
         float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[::1], float64, float64[::1],
         float64[:, ::1], float64[::1],
     )),
-    ("filters.stage_one", "predict_one", (
+    ("estimation.stage_one", "predict_one", (
         float64, float64, float64, float64, float64, float64, float64,
     )),
-    ("filters.stage_one", "slopes_one", (
+    ("estimation.stage_one", "slopes_one", (
         float64, float64, float64, float64, float64, float64, float64, float64,
     )),
-    ("filters.known", "contributions", (
+    ("estimation.modelled", "contributions", (
         float64[::1], float64[::1], int64[::1], float64[:, ::1], float64[::1],
     )),
     ("mismatch.likelihood.along", "played", (
@@ -187,7 +178,7 @@ SIGNATURES = (
     ("mismatch.likelihood.tangent_motion", "lags", (
         float64[::1],
     )),
-    ("filters.stage_one", "predict_one_euler", (
+    ("estimation.stage_one", "predict_one_euler", (
         float64, float64, float64, float64, float64, float64,
     )),
     ("concealed.plant", "run", (
@@ -200,4 +191,14 @@ SIGNATURES = (
         float64[::1], float64[:, ::1], float64[::1],
     )),
     ("physics.own_term", "expressed", (float64[::1], float64[::1])),
+    ("estimation.drive", "follow", (
+        named('eha_monitor.estimation.drive', 'Course', int64, float64[::1], float64[::1],
+        float64[::1], float64, bool), float64, float64[::1], int64[::1], float64[::1],
+        float64[:, ::1],
+    )),
+    ("estimation.euler", "_run", (
+        UniTuple(float64[::1], 3), named('eha_monitor.estimation.euler', 'Printed', float64,
+        float64, float64, float64, float64), float64, float64, float64[::1], float64[:, ::1],
+        float64[:, ::1],
+    )),
 )

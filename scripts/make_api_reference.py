@@ -15,9 +15,9 @@ ROOT = Path(__file__).parents[1]
 HEAD = "<!-- Made by scripts/make_api_reference.py of the docstrings: edit those. -->\n"
 # Records that stand in others, by the module that has them.
 PARTS = {
-    "filters.results": ("ParameterEstimate", "StageResult", "Consistency", "JointResult",
+    "estimation.results": ("ParameterEstimate", "StageResult", "Consistency", "JointResult",
                         "ModelStatus", "Mismatch", "Taint", "Event"),
-    "filters.observability": ("ObservabilityTable", "ObservabilityRow"),
+    "estimation.observability": ("ObservabilityTable", "ObservabilityRow"),
     "health.alarms": ("Alarm",),
     "recordings.recording": ("ChannelFinding",),
     "mismatch.diagnosis": ("NamedEffect", "Value", "RigFinding", "LearnedTerm", "Change",

@@ -8,7 +8,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import FluidPressure, JointState
 from std_srvs.srv import Trigger
 
-from eha_monitor.filters.results import Event, ModelStatus, ParameterEstimate
+from eha_monitor.estimation.results import Event, ModelStatus, ParameterEstimate
 from eha_monitor.ros import messages
 from eha_monitor.ros.monitor_node import Monitor
 from eha_monitor.settings import settings_from_tree
@@ -79,7 +79,7 @@ class Recorder:
         pass
 
     def snapshot(self):
-        from eha_monitor.filters.live import LiveSnapshot
+        from eha_monitor.live.estimator import LiveSnapshot
         make = ParameterEstimate
         return LiveSnapshot(
             time_s=self.rows[-1][0], position=0.01, velocity=0.02, temperature=None,

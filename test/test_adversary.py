@@ -5,7 +5,7 @@ import json
 import pytest
 
 from eha_monitor.cli import main
-from eha_monitor.filters.pipeline import estimate
+from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.output import write_text
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.recording import Recording

@@ -7,9 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eha_monitor.filters.model_watch import TRIAL_S
-from eha_monitor.filters.results import ParameterEstimate, Taint
-from eha_monitor.filters.status import converged_where, judge_parameter
+from eha_monitor.estimation.model_watch import TRIAL_S
+from eha_monitor.estimation.results import (
+    ParameterEstimate,
+    Taint,
+    converged_where,
+    judge_parameter,
+)
 from eha_monitor.health.series import ParameterSeries, judge_series
 from eha_monitor.settings import Settings
 

@@ -60,7 +60,7 @@ def test_every_sample_keeps_its_place(kind, shared):
 
 @pytest.mark.parametrize("shared", [False, True])
 def test_the_estimate_does_not_mind(shared):
-    from eha_monitor.filters.pipeline import estimate
+    from eha_monitor.estimation.pipeline import estimate
 
     for kind in ("uniform 200", "normal 200"):
         found = estimate(jittered(kind, shared), SETTINGS).parameters

@@ -19,10 +19,10 @@ from hold_parts.draws import drawn
 from hold_parts.plant import PHYSICS, Motion, Noise, Rig, recorded
 
 from eha_monitor.errors import InputError
-from eha_monitor.filters.hold import hold_of
-from eha_monitor.filters.hold_choice import resolved
-from eha_monitor.filters.live import LiveEstimator
-from eha_monitor.filters.pipeline import estimate
+from eha_monitor.estimation.hold import hold_of
+from eha_monitor.estimation.hold_choice import resolved
+from eha_monitor.estimation.pipeline import estimate
+from eha_monitor.live.estimator import LiveEstimator
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.likelihood.simulated import simulated
 from eha_monitor.mismatch.name.nominal import nominal

@@ -36,7 +36,7 @@ assert with_term(np.ones(N_EFFECTS, dtype=bool)).any()
 COMMANDS = COUNT + """
 from pathlib import Path
 from eha_monitor.cli import main
-from eha_monitor.filters.live import LiveEstimator
+from eha_monitor.live.estimator import LiveEstimator
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.write import write_recording
@@ -168,7 +168,7 @@ def test_the_set_up_compiles_all_there_is(tmp_path):
 
     # Written into their callers, or the catalogue's "does nothing".
     never = {"damped_mass_integrals", "no_term", "no_update", "no_circuit"}
-    for room in ("physics", "filters", "recordings", "mismatch"):
+    for room in ("physics", "estimation", "recordings", "mismatch"):
         path = [str(PACKAGE / room)]
         for module in pkgutil.walk_packages(path, f"{eha_monitor.__name__}.{room}."):
             for name, made in vars(importlib.import_module(module.name)).items():

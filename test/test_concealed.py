@@ -36,7 +36,7 @@ PACKAGE = Path(__file__).parents[1] / "eha_monitor"
 SIMULATOR = Path(__file__).parents[2] / "shared" / "data" / "fluid_power_sim"
 NOISE = {"x": 2e-6, "omega": 0.1, "p1": 2e3, "p2": 2e3}
 TRIANGLE = triangle(np.arange(3000) * 1e-3, 4.0, 0.04)  # the paper's, as far as needed
-BARRED = ("physics", "filters", "mismatch", "prove", "health", "settings")
+BARRED = ("physics", "estimation", "mismatch", "prove", "health", "settings")
 # The modules that make recordings and configs; their reach stops at what they call.
 WRITING = ("eha_monitor.recordings", "eha_monitor.draft", "eha_monitor.settings",
            "eha_monitor.output", "eha_monitor.errors", "eha_monitor.compiled")
@@ -81,7 +81,7 @@ def test_only_the_generators_know_bags():
 
 
 def test_nothing_that_is_fitted_knows_the_generator():
-    for room in ("physics", "filters", "recordings", "settings", "health"):
+    for room in ("physics", "estimation", "recordings", "settings", "health"):
         for path in (PACKAGE / room).rglob("*.py"):
             assert not any("concealed" in name for name in imports_of(path)), path
 

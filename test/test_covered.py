@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from rig_tools import settings, simulated
 
-from eha_monitor.filters.covered import beyond, ranges_of, within
-from eha_monitor.filters.live import LiveEstimator
-from eha_monitor.filters.pipeline import estimate
-from eha_monitor.filters.results import ModelStatus
+from eha_monitor.estimation.covered import beyond, ranges_of, within
+from eha_monitor.estimation.pipeline import estimate
+from eha_monitor.estimation.results import ModelStatus
+from eha_monitor.live.estimator import LiveEstimator
 from eha_monitor.settings.own_terms import checked
 
 TABLE = {"adds": "force", "of": "x", "first": -0.012, "last": 0.012,

@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from ruamel.yaml import YAML
 from test_ros_monitor import Recorder, listen, start
 
-from eha_monitor.filters.results import Consistency, LiveSnapshot
+from eha_monitor.estimation.results import Consistency, LiveSnapshot
 from eha_monitor.ros.qos import LATCHED
 
 CONFIG = Path(__file__).parents[1] / "config"

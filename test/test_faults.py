@@ -9,8 +9,8 @@ import pytest
 from rig_tools import BETA, SINE, simulated
 from test_live_estimator import Stream, rows_of
 
-from eha_monitor.filters.faults import HELD_S, FaultWatch
-from eha_monitor.filters.rows import RowAligner, Source
+from eha_monitor.live.faults import HELD_S, FaultWatch
+from eha_monitor.live.rows import RowAligner, Source
 
 MS = 1_000_000
 LOOK = 200  # samples

@@ -8,7 +8,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from ros_tools import Recorder, levels, listen, start
 from std_msgs.msg import Float64
 
-from eha_monitor.filters.results import ParameterEstimate
+from eha_monitor.estimation.results import ParameterEstimate
 from eha_monitor.ros.qos import INPUT_QOS, LATCHED, clashes
 
 LATCHING = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,

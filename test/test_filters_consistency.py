@@ -7,9 +7,9 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from eha_monitor.filters.consistency import judge, variance_ratios, while_changing
-from eha_monitor.filters.status import judge_parameter, no_data
-from eha_monitor.filters.supervision import (
+from eha_monitor.estimation.consistency import Window, judge, variance_ratios, while_changing
+from eha_monitor.estimation.results import judge_parameter, no_data
+from eha_monitor.estimation.supervision import (
     BLOCK,
     INFORMATION,
     SCORE,
@@ -23,7 +23,9 @@ DT = 1e-3
 
 
 def verdict(e, sigma=1e-6, **more):
-    return judge(sigma * e, np.full(len(e), sigma), DT, "stage one", "something is missing",
+    window = Window(DT, **{name: more.pop(name) for name in ("quantum", "start", "seconds")
+                           if name in more})
+    return judge(sigma * e, np.full(len(e), sigma), window, "stage one", "something is missing",
                  **more)
 
 

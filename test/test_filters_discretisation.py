@@ -11,10 +11,15 @@ from hypothesis import strategies as st
 from rig_tools import BETA, C_T, D_P, K_POS, T_S, V0, A, B, M, settings
 from scipy.linalg import expm
 
-from eha_monitor.filters.euler import printed_constants, printed_step
-from eha_monitor.filters.phi import damped_mass_integrals, matrix_phi
-from eha_monitor.filters.stage_one import predict_one, predict_one_euler
-from eha_monitor.filters.stage_two import discretise, discretise_at, hydraulics
+from eha_monitor.estimation.discretisation import (
+    damped_mass_integrals,
+    discretise,
+    discretise_at,
+    hydraulics,
+    matrix_phi,
+)
+from eha_monitor.estimation.euler import Printed, printed_step
+from eha_monitor.estimation.stage_one import predict_one, predict_one_euler
 from eha_monitor.physics.parameters import theta_of
 
 LEAK = C_T / V0  # C_T/2 (1/V1 + 1/V2)
@@ -179,8 +184,9 @@ def test_air_in_the_model_softens_the_step():
                                          (300.0, 2e9, 5e-4), (600.0, 6e8, 4e-3)])
 def test_derivatives_of_the_step(loop, b, beta, dt):
     k, c = constants(loop), 5e8 / beta
-    step, d_c, d_cc, d_b, d_leak = np.empty((5, 3, 7))
-    discretise(k, b, c, LEAK, dt, np.empty((10, 3, 3)), step, d_c, d_cc, d_b, d_leak)
+    made = np.empty((5, 3, 7))
+    discretise(k, b, c, LEAK, dt, np.empty((10, 3, 3)), made)
+    step, d_c, d_cc, d_b, d_leak = made
     assert np.array_equal(step, discretised(k, b, c, LEAK, dt))
 
     def at(db=0.0, dc=0.0, dl=0.0):
@@ -256,7 +262,7 @@ def test_printed_equation_4():
 def printed(beta, state=(0.002, 0.1, -3.0), u=0.005, b=B):
     theta, _ = theta_of(settings().rig, {})
     m, f = np.array([*state, beta]), np.empty((4, 4))
-    printed_step(m, b, u, T_S, M, *printed_constants(theta), f)
+    printed_step(m, b, u, Printed.of(theta, M, T_S), f)
     return m, f
 
 

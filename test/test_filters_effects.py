@@ -8,8 +8,8 @@ import pytest
 from rig_tools import settings, with_channels, without
 from test_live_estimator import Stream, rows_of
 
-from eha_monitor.filters.pipeline import estimate
-from eha_monitor.filters.sensors import before_play, earlier
+from eha_monitor.estimation.pipeline import estimate
+from eha_monitor.estimation.sensors import before_play, earlier
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "benchmarks"))
 from known_effects import answer, reached, recording_of

@@ -20,8 +20,8 @@ from rig_tools import (
 )
 from scipy.linalg import expm
 
-from eha_monitor.filters.observability import observability
-from eha_monitor.filters.pipeline import estimate
+from eha_monitor.estimation.observability import observability
+from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.physics import signals as s
 
 SHAPES = {"triangle": TRIANGLE, "sine": SINE, "multisine": MULTISINE, "chirp": CHIRP}

@@ -23,11 +23,11 @@ from rig_tools import (
 )
 from scipy.linalg import expm
 
-from eha_monitor.filters import filterpy_stages, kernel_one, kernel_two
-from eha_monitor.filters.inputs import StageInputs, moved_mass
-from eha_monitor.filters.known import new_known_memory
-from eha_monitor.filters.stage_two import states_beside_c
-from eha_monitor.filters.supervision import FROZEN, HELD, new_supervision
+from eha_monitor.estimation import filterpy_stages, stage_one, stage_two
+from eha_monitor.estimation.inputs import StageInputs
+from eha_monitor.estimation.stage_one import ConstantsOne, new_state_one
+from eha_monitor.estimation.stage_two import ConstantsTwo, new_state_two
+from eha_monitor.estimation.stages import constants_one, constants_two
 
 SAME = 1e-8  # between processors rounding differs: 1.1e-9 was seen in 32 samples of stage two
 # Stage two's covariance falls by twelve orders of magnitude: what rounding makes of that at first,
@@ -89,66 +89,39 @@ class One:
     """Stage one with all that it takes and leaves; ``run`` is an engine's."""
 
     def __init__(self, inputs, config):
-        one, self.inputs = config.stage_one, inputs
-        self.m = np.array([np.nan, 0.0, one.prior])
-        self.p = np.array([0, 0, 0, 0, 0, one.prior_stddev**2])
-        self.memory, self.watch = new_known_memory(), new_supervision()
-        self.prior_variance, self.euler = one.prior_stddev**2, config.discretisation == "euler"
+        self.inputs, self.constants = inputs, constants_one(inputs, config)
+        self.left = new_state_one(config.stage_one.prior, self.constants.prior_variance)
         self.out, self.events = np.empty((6, len(inputs.x))), np.empty((50, 4))
         self.found = 0
 
     @property
     def state(self):
-        return {"m": self.m, "p": self.p, "memory": self.memory, "watch": self.watch}
+        return self.left._asdict()
+
+    def rows(self, stop):
+        return self.inputs.rows_one(stop)
 
     def take(self, run, first, stop):
-        inputs, model, force, cut = self.inputs, self.inputs.model, self.inputs.force, slice(stop)
         events = np.empty((50, 4))
-        found = run(
-            inputs.x[cut], force.start[cut], force.end[cut], force.variance[cut], inputs.p1[cut],
-            inputs.p2[cut], inputs.dt, moved_mass(model, inputs.dt), inputs.position_variance,
-            self.prior_variance, self.euler, model.theta, model.plain, model.remembering,
-            self.memory, self.m, self.p, self.watch, first, self.out, events)
+        found = run(self.rows(stop), self.constants, self.inputs.model.effects, self.left, first,
+                    self.out, events)
         self.events[self.found : self.found + found] = events[:found]
         self.found += found
 
 
-class Two:
+class Two(One):
     """Stage two likewise; B doubles half way where ``change``."""
 
     def __init__(self, inputs, config, held, change):
-        model, two, n = inputs.model, config.stage_two, len(inputs.x)
-        self.inputs = inputs
+        n = len(inputs.x)
+        self.inputs, self.constants = inputs, constants_two(inputs, config)
         self.b, self.b_variance = np.full(n, 600.0), np.full(n, 4.0)
         self.b[n // 2 :] = 900.0 if change else 600.0
-        self.prior_variance = (two.prior_stddev / two.prior) ** 2
-        self.q_f = (config.rig.mass * two.acceleration_noise) ** 2
-        size = states_beside_c(model.hydraulics) + 1
-        self.m, self.p, self.sens = np.zeros(size), np.zeros((size, size)), np.zeros(size)
-        self.m[0], self.m[3], self.p[3, 3] = np.nan, 0.8, 0.05**2
-        self.memory, self.watch = new_known_memory(), new_supervision()
-        if held:
-            self.watch[FROZEN] = HELD
-        self.matrices, self.at = kernel_two.new_step(model.hydraulics)
+        self.left = new_state_two(inputs.model.hydraulics, 0.8, 0.05**2, held=held)
         self.out, self.events, self.found = np.empty((8, n)), np.empty((50, 4)), 0
 
-    @property
-    def state(self):
-        return {"m": self.m, "p": self.p, "sens": self.sens, "memory": self.memory,
-                "watch": self.watch, "matrices": self.matrices, "at": self.at}
-
-    def take(self, run, first, stop):
-        inputs, model, drive, cut = self.inputs, self.inputs.model, self.inputs.drive, slice(stop)
-        events = np.empty((50, 4))
-        found = run(
-            inputs.x[cut], drive.start[cut], drive.end[cut], drive.variance[cut],
-            drive.instrument[cut], self.b[cut], self.b_variance[cut], model.hydraulics, model.leak,
-            inputs.leak_flow[cut], inputs.dt, inputs.position_variance, self.q_f,
-            self.prior_variance, inputs.mean[cut], model.theta, model.plain, model.remembering,
-            model.flows, self.memory, self.m, self.p, self.sens, self.watch, self.matrices,
-            self.at, first, self.out, events)
-        self.events[self.found : self.found + found] = events[:found]
-        self.found += found
+    def rows(self, stop):
+        return self.inputs.rows_two(self.b, self.b_variance, stop)
 
 
 def of_case(name, stage):
@@ -159,7 +132,7 @@ def of_case(name, stage):
 
 
 BOTH = [("one", name) for name in CASES] + [("two", name) for name in CASES if name != "euler"]
-COMPILED = {"one": kernel_one.run_one, "two": kernel_two.run_two}
+COMPILED = {"one": stage_one.run_one, "two": stage_two.run_two}
 FILTERPY = {"one": filterpy_stages.run_one, "two": filterpy_stages.run_two}
 
 
@@ -170,9 +143,9 @@ def check_same(stage, reference, compiled, rows, tolerance):
     for i, (theirs, mine) in enumerate(zip(reference.out, compiled.out, strict=True)):
         assert relative(theirs[rows], mine[rows]) < tolerance, i
     for key, value in compiled.state.items():
-        if key == "p" and value.ndim == 2:
+        if key == "P" and value.ndim == 2:
             scale = np.sqrt(np.outer(np.diag(value), np.diag(value)))
-            assert np.abs((reference.p - value) / scale).max() < GROWN[stage]
+            assert np.abs((reference.left.P - value) / scale).max() < GROWN[stage]
         else:
             assert relative(reference.state[key], value) < tolerance, key
 
@@ -193,9 +166,10 @@ def test_filterpy_runs_the_stages_to_the_same_numbers(stage, name):
     assert name != "change" or compiled.found > 0
     check_same(stage, reference, compiled, slice(None), GROWN[stage])
     if name == "held" and stage == "two":  # considered: neither value nor sigma moves
-        assert (compiled.m[3], compiled.p[3, 3]) == (0.8, 0.05**2) and compiled.p[2, 3] != 0.0
+        x, P = compiled.left.x, compiled.left.P
+        assert (x[3], P[3, 3]) == (0.8, 0.05**2) and P[2, 3] != 0.0
     if name == "memory" and stage == "two":
-        assert len(compiled.m) == 6  # a line has two states
+        assert len(compiled.left.x) == 6  # a line has two states
 
 
 @pytest.mark.parametrize(("stage", "name"), BOTH)
@@ -254,12 +228,9 @@ def test_with_b_known_stage_one_is_a_linear_kalman_filter():
         expected[:, k] = [plain.x[0, 0], plain.x[1, 0], plain.y[0, 0], plain.S[0, 0] ** 0.5]
     assert hold.variance.min() == pytest.approx(
         A**2 * (inputs.noise["p1"].value ** 2 + inputs.noise["p2"].value ** 2), rel=1e-9)
-    m, p = np.array([np.nan, 0.0, B]), np.array([0, 0, 0, 0, 0, 1e-12])
     out = np.empty((6, len(inputs.x)))
-    model = inputs.model
-    kernel_one.run_one(inputs.x, hold.start, hold.end, hold.variance, inputs.p1, inputs.p2, T_S,
-                       M, r, 1e-12, False, model.theta, model.plain, model.remembering,
-                       new_known_memory(), m, p, new_supervision(), 0, out, np.empty((5, 4)))
+    stage_one.run_one(inputs.rows_one(), ConstantsOne(T_S, M, r, 1e-12, False),
+                      inputs.model.effects, new_state_one(B, 1e-12), 0, out, np.empty((5, 4)))
     assert np.all(out[2] == pytest.approx(B, abs=1e-6))
     sd = np.nanmax(expected[3])
     assert np.nanmax(np.abs(out[0, 1:] - expected[0, 1:])) < 1e-6 * sd
@@ -292,19 +263,14 @@ def test_with_both_known_stage_two_is_a_linear_kalman_filter():
         plain.update(x[k])
         expected[:, k] = [plain.x[0, 0], plain.x[1, 0], plain.y[0, 0], plain.S[0, 0] ** 0.5]
     log_likelihood = -np.nansum(0.5 * (expected[2] / expected[3]) ** 2 + np.log(expected[3]))
-    flat = np.zeros(len(x))
-    model = inputs.model
-    known = model.theta, model.plain, model.remembering, model.flows, new_known_memory()
-    found = kernel_two.log_likelihood_two(
-        x, drive.start, drive.end, flat, drive.instrument, B, 5e8 / beta, model.hydraulics,
-        model.leak, flat, T_S, r, 0.0, inputs.mean, *known)
+    model, effects = inputs.model, inputs.model.effects
+    rows = inputs.rows_two(B, 0.0)._replace(Q_u=np.zeros(len(x)))
+    known = ConstantsTwo(model.hydraulics, model.leak, T_S, r, 0.0, 1.0)
+    found = stage_two.log_likelihood_two(rows, known, effects, 5e8 / beta)
     assert found == pytest.approx(log_likelihood, abs=0.02)
-    m, p = np.array([np.nan, 0.0, 0.0, 5e8 / beta]), np.diag([0, 0, 0, 1e-20])
     out = np.empty((8, len(x)))
-    kernel_two.run_two(x, drive.start, drive.end, flat, drive.instrument, np.full(len(x), B),
-                       flat, model.hydraulics, model.leak, flat, T_S, r, 0.0, 1.0, inputs.mean,
-                       *known, m, p, np.zeros(4), new_supervision(),
-                       *kernel_two.new_step(model.hydraulics), 0, out, np.empty((5, 4)))
+    stage_two.run_two(rows, known, effects, new_state_two(model.hydraulics, 5e8 / beta, 1e-20), 0,
+                      out, np.empty((5, 4)))
     late = slice(50, None)
     assert np.abs(out[0] - expected[0])[late].max() < 1e-4 * expected[3][late].max()
     assert np.abs(out[6] - expected[2])[late].max() < 1e-4 * expected[3][late].max()
@@ -315,18 +281,14 @@ def test_sensitivity_to_b_is_the_derivative_of_the_estimate():
     """stage two's sigma counts what an error of B does: compare with running at two B."""
     recording = simulated(SINE, 3.0).recording(4, position=1e-7)
     inputs = StageInputs.of(recording, settings())
-    model, drive, n = inputs.model, inputs.drive, len(inputs.x)
+    model = inputs.model
 
     def run(b):
-        m, p, sens = np.array([np.nan, 0, 0, 5 / 6]), np.diag([0, 0, 0, 1e-4]), np.zeros(4)
-        out = np.empty((8, n))
-        kernel_two.run_two(inputs.x, drive.start, drive.end, drive.variance, drive.instrument,
-                           np.full(n, b), np.zeros(n), model.hydraulics, model.leak, np.zeros(n),
-                           T_S, inputs.position_variance, 0.0, 1.0, inputs.mean, model.theta,
-                           model.plain, model.remembering, model.flows, new_known_memory(), m, p,
-                           sens, new_supervision(True), *kernel_two.new_step(model.hydraulics),
-                           0, out, np.empty((5, 4)))
-        return m[3], sens[3]
+        state = new_state_two(model.hydraulics, 5 / 6, 1e-4, frozen=True)
+        known = ConstantsTwo(model.hydraulics, model.leak, T_S, inputs.position_variance, 0.0, 1.0)
+        stage_two.run_two(inputs.rows_two(b, 0.0), known, model.effects, state, 0,
+                          np.empty((8, inputs.rows)), np.empty((5, 4)))
+        return state.x[3], state.sens[3]
 
     low, here, high = run(599.0), run(600.0), run(601.0)
     assert here[1] == pytest.approx((high[0] - low[0]) / 2, rel=0.02)

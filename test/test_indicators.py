@@ -12,7 +12,7 @@ from test_reports import Page
 
 from eha_monitor.cli import main
 from eha_monitor.errors import InputError
-from eha_monitor.filters.pipeline import estimate
+from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.indicators.assemble import indicators
 from eha_monitor.indicators.found import evidence, of_estimate
 from eha_monitor.indicators.indicator import NAMES, Evidence, propagated

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eha_monitor.filters.least_squares import fitted_with_signs, local_derivatives
+from eha_monitor.estimation.hold_choice import fitted_with_signs, local_derivatives
 from eha_monitor.plausibility.moments import quick_length
 
 RNG = np.random.default_rng(0)

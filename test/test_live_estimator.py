@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from rig_tools import BETA, LOUD, SINE, TRIANGLE, settings, simulated, with_channels, without
 
-from eha_monitor.filters.live import LiveEstimator
-from eha_monitor.filters.pipeline import estimate
+from eha_monitor.estimation.pipeline import estimate
+from eha_monitor.live.estimator import LiveEstimator
 
 FIXED = {"noise": {"fixed": True}}
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from mismatch_tools import case_of, diagnosed, fitted, recorded
 
-from eha_monitor.filters.hold_choice import other_hold, with_hold
+from eha_monitor.estimation.hold_choice import other_hold, with_hold
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnose import (
     diagnose,

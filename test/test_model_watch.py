@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eha_monitor.filters.consistency import judge, normal_deviate
-from eha_monitor.filters.model_watch import (
+from eha_monitor.estimation.consistency import Window, judge, normal_deviate
+from eha_monitor.estimation.model_watch import (
     CHANCE_S,
     FITTING_S,
     LONGEST_FITTING_S,
@@ -18,7 +18,7 @@ from eha_monitor.filters.model_watch import (
     Trial,
     tainted_by,
 )
-from eha_monitor.filters.results import Consistency, Mismatch, Taint
+from eha_monitor.estimation.results import Consistency, Mismatch, Taint
 
 
 def verdict(consistent=False, decisive=True, first=3.0):
@@ -181,7 +181,7 @@ def test_a_parameter_that_drifts_excuses_its_lag_and_hopping_does_not():
     hops[:, 1], hops[:, 2] = 600.0 + rows % 1000.0, 1100.0 - rows % 1000.0
 
     def found(changes):
-        return judge(1e-6 * e, np.full(len(e), 1e-6), 1e-3, "stage one", "x", changes,
-                     window_s=10.0).consistent
+        return judge(1e-6 * e, np.full(len(e), 1e-6), Window(1e-3, seconds=10.0), "stage one", "x",
+                     changes).consistent
 
     assert not found(None) and found(drift) and not found(hops)

@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from eha_monitor.cli import main
-from eha_monitor.filters.live import LiveEstimator
+from eha_monitor.live.estimator import LiveEstimator
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.write import write_recording
@@ -68,7 +68,7 @@ live.rehearse()
 # A signature that no command asks for.
 ANOTHER = """
 import numpy as np
-from eha_monitor.filters.small_matrices import times
+from eha_monitor.estimation.small_matrices import times
 times(np.eye(2, dtype=np.float32), np.eye(2))
 """
 
@@ -96,5 +96,5 @@ def test_no_command_compiles_after_the_set_up(tmp_path):
 def test_another_signature_is_told(tmp_path):
     compiled = run(ANOTHER, tmp_path, tmp_path / "cache")
     assert [line[:3] for line in compiled if line[0] == 0] == [
-        [0, "eha_monitor.filters.small_matrices", "times"]]
+        [0, "eha_monitor.estimation.small_matrices", "times"]]
     assert compiled[-1][4] == "(float32[:, ::1], float64[:, ::1])"

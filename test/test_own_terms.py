@@ -19,7 +19,7 @@ from ruamel.yaml import YAML
 
 from eha_monitor.api.diagnosis_answer import written_config
 from eha_monitor.errors import InputError
-from eha_monitor.filters.pipeline import estimate
+from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.physics import own_term as o
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import (

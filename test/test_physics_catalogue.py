@@ -9,7 +9,7 @@ import pytest
 from rig_tools import settings
 from test_physics_effects import VALUES, contributions, signal_row
 
-from eha_monitor.filters.known import speaks_of
+from eha_monitor.estimation.rig_model import added_by
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import (
     N_EFFECTS,
@@ -22,7 +22,7 @@ from eha_monitor.physics.contributions import (
     with_term,
     with_update,
 )
-from eha_monitor.physics.effect import Ranges
+from eha_monitor.physics.effect import Ranges, no_term
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of, theta_of
 
@@ -113,10 +113,44 @@ def test_only_friction_remembers_a_place_and_families_are_of_one_balance():
             assert effect.family == CATALOGUE[inner].family
 
 
+@pytest.mark.parametrize("name", [name for name, effect in CATALOGUE.items()
+                                  if effect.term is not no_term])
+def test_an_entry_declares_what_it_reads_and_what_it_adds_to(name):
+    """Held on draws of signals and memory: what is declared matters, and nothing else."""
+    draw, place = np.random.default_rng(0), NAMES.index(name)
+    size = {s.X: 0.05, s.V: 0.2, s.P1: 8e6, s.P2: 8e6, s.OMEGA: 300.0}
+    added, read = set(), set()
+    for k in range(400):
+        row = np.zeros(s.N_SIGNALS)
+        for which, most in size.items():
+            row[which] = draw.uniform(0.0 if which in (s.P1, s.P2) else -most, most)
+        row[s.V] *= 10.0 ** draw.uniform(-6.0, 0.0)
+        if k % 2:  # cavitation
+            row[[s.P1, s.P2]] *= draw.uniform(0.0, 0.02, 2)
+        memory = np.array([draw.uniform(-20.0, 20.0), row[s.X] + draw.uniform(-1e-5, 1e-5)])
+
+        def terms(row, memory=memory):
+            whole = new_memory()
+            whole[place] = memory
+            return contributions(row, {name: VALUES[name]}, whole)
+
+        here = terms(row)
+        added |= set(np.flatnonzero(here).tolist())
+        for which, most in size.items():
+            other = row.copy()
+            other[which] = row[which] * 1.01 + 1e-6 * most
+            if (terms(other) != here).any():
+                read.add(which)
+    assert added == set(CATALOGUE[name].adds)
+    declared = set(CATALOGUE[name].reads)
+    # A seal that turns over at once does not read the place that it remembers.
+    assert read <= declared <= read | {s.X}
+
+
 def test_what_changes_the_pump_and_remembers_is_a_resonance():
     """Stage two follows the pump without memory; a line's is a state of its own."""
     remembering = with_update(np.ones(N_EFFECTS, dtype=np.bool_), np.zeros(N_THETA))
-    assert {NAMES[i] for i in remembering if speaks_of(i, np.zeros(N_THETA), "SPEED")} == {
+    assert {NAMES[i] for i in remembering if s.SPEED in added_by(i, np.zeros(N_THETA))} == {
         name for name, effect in CATALOGUE.items() if effect.resonant}
 
 

@@ -29,7 +29,7 @@ from rig_tools import (
 from scipy.linalg import expm
 
 from eha_monitor.api.answer import judged
-from eha_monitor.filters.pipeline import estimate
+from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.physics import signals as s
 from eha_monitor.recordings.recording import Recording
 

@@ -327,7 +327,7 @@ def test_an_archive_tells_it_of_each_bag(bag, capfd):
 def look_on(recording, config, seconds):
     from test_live_estimator import rows_of
 
-    from eha_monitor.filters.live import LiveEstimator
+    from eha_monitor.live.estimator import LiveEstimator
 
     live = LiveEstimator(config)
     for time, row in rows_of(recording.part(0, round(seconds / recording.sample_time))):

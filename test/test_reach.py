@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from rig_tools import BETA, CHIRP, MULTISINE, SINE, TRIANGLE, B, settings, simulated
 
-from eha_monitor.filters.inputs import StageInputs
-from eha_monitor.filters.pipeline import estimate
-from eha_monitor.filters.reach import Look, Reaches, explain, finished, reach_one, reach_two
+from eha_monitor.estimation.inputs import StageInputs
+from eha_monitor.estimation.pipeline import estimate
+from eha_monitor.estimation.reach import Look, Reaches, explain, finished, reach_one, reach_two
 
 MOTIONS = {"multisine": MULTISINE, "chirp": CHIRP, "sine": SINE, "triangle": TRIANGLE,
            "fast": {**MULTISINE, "amplitude": 0.01, "frequency": 0.5, "frequency_end": 40.0,

@@ -15,8 +15,8 @@ import pytest
 from eha_monitor.api.answer import judged
 from eha_monitor.commands.table import show
 from eha_monitor.errors import InputError
-from eha_monitor.filters.pipeline import estimate
-from eha_monitor.filters.results import Event, ModelStatus
+from eha_monitor.estimation.pipeline import estimate
+from eha_monitor.estimation.results import Event, ModelStatus
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.quantity import NOTE, with_uncertainty

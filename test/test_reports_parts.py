@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eha_monitor.filters.results import Event
+from eha_monitor.estimation.results import Event
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.reports.alarm_timeline import alarm_timeline, spans
 from eha_monitor.reports.axes import time_scale

@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from test_ros_keeper import LIMITS, play, tree
 
-from eha_monitor.filters.results import ParameterEstimate
+from eha_monitor.estimation.results import ParameterEstimate
 from eha_monitor.recordings.bag import iter_raw, topics
 from eha_monitor.ros import running
 from eha_monitor.ros.managed_node import ManagedMonitor

@@ -8,7 +8,7 @@ from test_live_offline import BAG, raised
 from test_ros_processes import PATIENCE, command, end
 
 from eha_monitor.api.answer import judged
-from eha_monitor.filters.pipeline import estimate
+from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.ros.watch import Watcher
 

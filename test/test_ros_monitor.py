@@ -13,7 +13,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float32, Float64
 
 from eha_monitor.errors import InputError
-from eha_monitor.filters.rows import Rows
+from eha_monitor.live.rows import Rows
 from eha_monitor.ros import messages
 from eha_monitor.ros.inputs import topics_of
 from eha_monitor.ros.monitor_node import Monitor

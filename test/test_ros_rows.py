@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eha_monitor.filters.rows import RowAligner, Source
+from eha_monitor.live.rows import RowAligner, Source
 
 MS = 1_000_000
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eha_monitor.filters.small_matrices import (
+from eha_monitor.estimation.small_matrices import (
     add,
     solved,
     symmetric,

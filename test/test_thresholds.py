@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from eha_monitor.api.answer import series_of
 from eha_monitor.cli import main
-from eha_monitor.filters.pipeline import estimate
-from eha_monitor.filters.results import ParameterEstimate
+from eha_monitor.estimation.pipeline import estimate
+from eha_monitor.estimation.results import ParameterEstimate
 from eha_monitor.health.proposal import Healthy, healthy_of, implied, proposed, thresholds_tree
 from eha_monitor.health.series import ParameterSeries, judge_series
 from eha_monitor.recordings.read import read_recording

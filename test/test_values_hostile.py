@@ -13,10 +13,10 @@ from rig_tools import SINE, settings, simulated
 from eha_monitor.breakdown import computing
 from eha_monitor.cli import main
 from eha_monitor.errors import InputError
-from eha_monitor.filters.faults import FaultWatch
-from eha_monitor.filters.live import LiveEstimator
-from eha_monitor.filters.pipeline import estimate
-from eha_monitor.filters.rows import Rows, Source
+from eha_monitor.estimation.pipeline import estimate
+from eha_monitor.live.estimator import LiveEstimator
+from eha_monitor.live.faults import FaultWatch
+from eha_monitor.live.rows import Rows, Source
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import LARGEST, LIMITS, Recording

@@ -8,8 +8,8 @@ from eha_monitor.commands.answer import judged
 from eha_monitor.commands.rotary import of_rig
 
 from eha_monitor.commands.prove import drawn_cases
-from eha_monitor.filters.observability import observability
-from eha_monitor.filters.pipeline import estimate
+from eha_monitor.estimation.observability import observability
+from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.mismatch.compare.compared import compared
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.physics.simulator import Simulator

@@ -6,10 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from eha_monitor.filters.observability import ObservabilityTable
-from eha_monitor.filters.pieces import time_of
-from eha_monitor.filters.results import Estimate, ParameterEstimate, StageResult
-from eha_monitor.filters.status import converged_where
+from eha_monitor.estimation.inputs import time_of
+from eha_monitor.estimation.observability import ObservabilityTable
+from eha_monitor.estimation.results import (
+    Estimate,
+    ParameterEstimate,
+    StageResult,
+    converged_where,
+)
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.health.series import ParameterSeries, judge_series
 from eha_monitor.recordings.columns import blocks

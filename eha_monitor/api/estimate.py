@@ -17,10 +17,10 @@ from eha_monitor.api.record import Record, chosen, frame_of, read_only
 from eha_monitor.api.recording import Recording
 from eha_monitor.compiled import load_runtime
 from eha_monitor.errors import InputError
-from eha_monitor.filters.observability import ObservabilityTable, observability
-from eha_monitor.filters.pipeline import estimate as run
-from eha_monitor.filters.results import Estimate as Inner
-from eha_monitor.filters.results import (
+from eha_monitor.estimation.observability import ObservabilityTable, observability
+from eha_monitor.estimation.pipeline import estimate as run
+from eha_monitor.estimation.results import Estimate as Inner
+from eha_monitor.estimation.results import (
     Event,
     JointResult,
     ModelStatus,

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from eha_monitor.filters.results import Estimate
+from eha_monitor.estimation.results import Estimate
 from eha_monitor.indicators import diagnosed
 from eha_monitor.indicators import found as evidence
 from eha_monitor.indicators.assemble import indicators

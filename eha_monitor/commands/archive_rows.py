@@ -28,7 +28,7 @@ from eha_monitor.settings import Settings, load_settings
 from eha_monitor.source import PACKAGE, source_digest
 
 if TYPE_CHECKING:
-    from eha_monitor.filters.results import Estimate
+    from eha_monitor.estimation.results import Estimate
     from eha_monitor.mismatch.diagnosis import Diagnosis
     from eha_monitor.recordings.recording import Recording
 
@@ -215,7 +215,7 @@ def _fill(row: dict, task: Task) -> None:
     from eha_monitor.api.indicators import of_diagnosis, of_estimate
     from eha_monitor.api.plausible import checked
     from eha_monitor.compiled import load_runtime
-    from eha_monitor.filters.pipeline import estimate
+    from eha_monitor.estimation.pipeline import estimate
     from eha_monitor.recordings.read import read_recording
 
     load_runtime()
@@ -243,7 +243,7 @@ def _fill(row: dict, task: Task) -> None:
         if task.command == "diagnose":
             _diagnosis_report(task, recording, diagnosis, indicators)
         else:
-            from eha_monitor.filters.observability import observability
+            from eha_monitor.estimation.observability import observability
             from eha_monitor.reports.estimate_report import write_estimate_report
 
             write_estimate_report(task.report, found, alarms, history, observability(found),

@@ -129,7 +129,7 @@ def _first_estimate(draft) -> None:
     from eha_monitor.api.answer import judged
     from eha_monitor.commands.table import show
     from eha_monitor.compiled import load_runtime
-    from eha_monitor.filters.pipeline import estimate
+    from eha_monitor.estimation.pipeline import estimate
 
     load_runtime()
     try:

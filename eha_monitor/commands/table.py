@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from eha_monitor.filters.results import Estimate
+from eha_monitor.estimation.results import Estimate
 from eha_monitor.health.alarms import NOT_JUDGED, Alarm
 from eha_monitor.indicators.indicator import AVAILABLE, NEEDS, NONE, NOT_LOOKED_FOR, Indicator
 from eha_monitor.quantity import NOTE, SYMBOLS

@@ -74,8 +74,8 @@ def _healthy(bags, settings, config):
     from eha_monitor.api.estimate import refuse_short
     from eha_monitor.api.plausible import checked
     from eha_monitor.compiled import load_runtime
-    from eha_monitor.filters.pieces import time_of
-    from eha_monitor.filters.pipeline import estimate
+    from eha_monitor.estimation.inputs import time_of
+    from eha_monitor.estimation.pipeline import estimate
     from eha_monitor.health.proposal import healthy_of
     from eha_monitor.recordings.read import read_recording
 
@@ -105,7 +105,7 @@ def _healthy(bags, settings, config):
 
 def _show(proposals, told, seconds, settings) -> None:
     from eha_monitor.commands.table import console, table
-    from eha_monitor.filters.status import units_of
+    from eha_monitor.estimation.results import units_of
     from eha_monitor.quantity import SYMBOLS, quantity
 
     to = console()

@@ -5,7 +5,7 @@ import math
 from eha_monitor.dashboard.events import csv_text, utc
 from eha_monitor.dashboard.history import Row
 from eha_monitor.dashboard.state import ESTIMATES_EVERY, STAGES, State
-from eha_monitor.filters.status import units_of
+from eha_monitor.estimation.results import units_of
 from eha_monitor.health.alarms import WATCHED
 
 

@@ -5,7 +5,7 @@ deviations.  An alarm is raised when its limit was passed for the whole of ``hol
 clears when the value itself is back inside by the relative ``hysteresis``.  A parameter that
 the motion does not excite is not judged: an alarm that was raised before is held.  A model
 mismatch that taints a parameter holds back what it can have brought about, and nothing else: an
-alarm whose limit lies farther away than the mismatch reaches (:mod:`filters.reach`) is raised,
+alarm whose limit lies farther away than the mismatch reaches (:mod:`estimation.reach`) is raised,
 one that it may have moved across is not judged (``monitor.on_mismatch``).
 """
 
@@ -13,8 +13,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from eha_monitor.filters.results import ParameterEstimate, Taint
-from eha_monitor.filters.status import units_of
+from eha_monitor.estimation.results import ParameterEstimate, Taint, units_of
 from eha_monitor.health.judge import (
     NOT_JUDGED,
     RAISED,

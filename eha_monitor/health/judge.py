@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
-from eha_monitor.filters.model_watch import LONGEST_TRIAL_S
+from eha_monitor.estimation.model_watch import LONGEST_TRIAL_S
 from eha_monitor.settings.monitor import Limits
 
 Level = Literal["OK", "WARN", "ERROR", "STALE"]
@@ -216,7 +216,7 @@ def _ran(since: float | None, time_s: float, wait: float) -> bool:
 def doubt_of(symbol: str, value: float, reach: float) -> Doubt:
     """Return how far a value may be off by what the model lacks.
 
-    A missing force adds to B, a missing flow scales beta_e (:mod:`filters.reach`).
+    A missing force adds to B, a missing flow scales beta_e (:mod:`estimation.reach`).
     """
     if symbol == "B":
         return Doubt(value - reach, value + reach)

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eha_monitor.filters.model_watch import Trial
-from eha_monitor.filters.results import ParameterEstimate, Taint
+from eha_monitor.estimation.model_watch import Trial
+from eha_monitor.estimation.results import ParameterEstimate, Taint
 from eha_monitor.health.alarms import Alarm, AlarmBoard
 from eha_monitor.recordings.columns import blocks, chosen
 from eha_monitor.settings.monitor import Settings

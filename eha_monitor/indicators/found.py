@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from eha_monitor.filters.results import Estimate
+from eha_monitor.estimation.results import Estimate
 from eha_monitor.indicators.indicator import Evidence
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings

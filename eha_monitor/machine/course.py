@@ -11,8 +11,8 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from eha_monitor.errors import InputError
-from eha_monitor.filters.inputs import force_missing, force_of
-from eha_monitor.filters.noise import noise_levels, without_spikes
+from eha_monitor.estimation.rig_model import force_missing, force_of
+from eha_monitor.estimation.sensors import noise_levels, without_spikes
 from eha_monitor.mismatch.data.inputs import filled
 from eha_monitor.mismatch.data.stops import between_stops
 from eha_monitor.recordings.recording import Recording, sample_of

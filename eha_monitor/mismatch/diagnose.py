@@ -10,7 +10,7 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.breakdown import computing
 from eha_monitor.errors import InputError
-from eha_monitor.filters.hold_choice import other_hold, resolved
+from eha_monitor.estimation.hold_choice import other_hold, resolved
 from eha_monitor.machine.baseline import Baseline, baseline
 from eha_monitor.machine.machine import Machine, machine_of
 from eha_monitor.machine.policy import POLICY

@@ -117,6 +117,8 @@ class Effect:
     rig_check : what to look at on the rig.
     term : compiled ``term(s, p, m, c)``; reads signals ``s``, parameters ``p`` and memory ``m``
         and adds to the contributions ``c`` (indices in :mod:`eha_monitor.physics.signals`).
+    adds, reads : the contributions that the term adds to and the signals that it reads, by their
+        indices.
     rig_numbers : places of the rig's numbers that stand in ``p`` behind the term's parameters.
     update : compiled ``update(s, p, h, m)``; carries the memory ``m`` over an integration step of
         ``h`` seconds that has ended at the signals ``s``.  A new memory is all zero.
@@ -147,6 +149,8 @@ class Effect:
     rig_check: str
     starts: Callable[[Ranges], tuple[dict[str, float], ...]]
     term: Callable = no_term
+    adds: tuple[int, ...] = ()
+    reads: tuple[int, ...] = ()
     rig_numbers: tuple[int, ...] = ()
     update: Callable = no_update
     circuit: Callable = no_circuit

@@ -49,8 +49,8 @@ CONSTANTS = CODES + MOST_CODES
 PHASE = WIDTH - 1  # of both: the angle at which a recording begins, rad
 
 # To what a term adds -> the contributions that read it, and its unit.
-BALANCES = {"force": ("FORCE",), "flow": ("FLOW_1", "FLOW_2"), "flow_1": ("FLOW_1",),
-            "flow_2": ("FLOW_2",), "speed": ("SPEED",)}
+BALANCES = {"force": (FORCE,), "flow": (FLOW_1, FLOW_2), "flow_1": (FLOW_1,),
+            "flow_2": (FLOW_2,), "speed": (SPEED,)}
 ADDED_UNITS = {"force": "N", "flow": "m³/s", "flow_1": "m³/s", "flow_2": "m³/s",
                "speed": "rad/s"}
 ADDED = tuple(BALANCES)
@@ -285,15 +285,15 @@ def reads(q: np.ndarray) -> set[str]:
             if FIRST_SIGNAL <= code < FIRST_CONSTANT}
 
 
-def speaks(q: np.ndarray, *names: str) -> bool:
-    """Tell whether a slot's term adds to one of these contributions, or reads such a signal.
+def added(q: np.ndarray) -> tuple[int, ...]:
+    """Return the contributions that a slot's term adds to.
 
-    One of the shaft's angle says nothing there: the stages do not follow the angle, over which it
-    is as often positive as negative.
+    None for one of the shaft's angle: the stages do not follow the angle, over which it is as
+    often positive as negative.
     """
-    if turns(q):
-        return False
-    used = set(BALANCES[ADDED[int(q[ADDS])]])
-    if reads(q) & set(PRESSURES):
-        used |= {"P1", "P2"}
-    return bool(used & set(names))
+    return () if turns(q) else BALANCES[ADDED[int(q[ADDS])]]
+
+
+def reads_pressure(q: np.ndarray) -> bool:
+    """Tell whether a slot's term is a function of a pressure."""
+    return not turns(q) and not reads(q).isdisjoint(PRESSURES)

@@ -23,7 +23,7 @@ import warnings
 from collections.abc import Callable
 
 # Rooms that are loaded whole: what the commands load only when they are asked.
-ROOMS = ("commands", "api", "mismatch", "plausibility", "filters", "physics", "recordings",
+ROOMS = ("commands", "api", "mismatch", "plausibility", "estimation", "physics", "recordings",
          "settings")
 MOST_WORDS = 100_000  # bytes of a complaint that are kept
 

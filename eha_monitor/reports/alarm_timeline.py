@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from eha_monitor.filters.results import Event
+from eha_monitor.estimation.results import Event
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.quantity import number
 from eha_monitor.reports.axes import time_scale

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eha_monitor.filters.results import Estimate
+from eha_monitor.estimation.results import Estimate
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.output import write_text
@@ -20,7 +20,7 @@ from eha_monitor.reports.parameter_figures import parameter_block
 from eha_monitor.reports.verdict import verdict
 
 if TYPE_CHECKING:
-    from eha_monitor.filters.observability import ObservabilityTable
+    from eha_monitor.estimation.observability import ObservabilityTable
 
 _LARGEST = 1e60  # SI; beyond it squares and matplotlib's own sums overflow
 

@@ -3,8 +3,8 @@
 import numpy as np
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from eha_monitor.filters.consistency import variance_ratios, whitened
-from eha_monitor.filters.results import Estimate, StageResult
+from eha_monitor.estimation.consistency import variance_ratios, whitened
+from eha_monitor.estimation.results import Estimate, StageResult
 from eha_monitor.quantity import number, quantity
 from eha_monitor.reports.axes import time_scale
 from eha_monitor.reports.drawing import (

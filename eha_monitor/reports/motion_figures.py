@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eha_monitor.filters.results import Estimate
+from eha_monitor.estimation.results import Estimate
 from eha_monitor.quantity import quantity
 from eha_monitor.reports.axes import axis_scale, scale_of, time_scale
 from eha_monitor.reports.drawing import (

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from eha_monitor.filters.results import Estimate, StageResult
+from eha_monitor.estimation.results import Estimate, StageResult
 from eha_monitor.quantity import SYMBOLS, quantity
 from eha_monitor.reports.axes import axis_scale, stated, time_scale
 from eha_monitor.reports.drawing import (

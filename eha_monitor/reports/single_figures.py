@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 from matplotlib.figure import Figure
 
-from eha_monitor.filters.results import Estimate
+from eha_monitor.estimation.results import Estimate
 from eha_monitor.mismatch.diagnosis import Diagnosis
 from eha_monitor.physics.excitation import demanded_position, total_duration
 from eha_monitor.recordings.columns import sampled

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from eha_monitor.filters.results import Estimate, JointResult, ParameterEstimate
+from eha_monitor.estimation.results import Estimate, JointResult, ParameterEstimate
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.own_term import ADDED_UNITS

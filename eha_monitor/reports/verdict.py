@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from eha_monitor.filters.results import Estimate, ParameterEstimate
+from eha_monitor.estimation.results import Estimate, ParameterEstimate
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.quantity import SYMBOLS
 from eha_monitor.reports.parameter_figures import NAMES

@@ -16,8 +16,8 @@ from std_srvs.srv import Trigger
 from eha_monitor.dashboard.events import ACKNOWLEDGED, EventLog
 from eha_monitor.dashboard.state import State
 from eha_monitor.errors import InputError
-from eha_monitor.filters.rows import Source
 from eha_monitor.health.alarms import WATCHED
+from eha_monitor.live.rows import Source
 from eha_monitor.ros import running
 from eha_monitor.ros.inputs import Topic, topics_of
 from eha_monitor.ros.messages import findings_of, subscribe_to_monitor

@@ -17,7 +17,7 @@ import numpy as np
 from rclpy.serialization import deserialize_message
 from rosbags.typesys import Stores, get_typestore
 
-from eha_monitor.filters.rows import Batch
+from eha_monitor.live.rows import Batch
 from eha_monitor.recordings.cdr import LITTLE_ENDIAN, STAMP, Want, locate
 from eha_monitor.ros.inputs import STEP, Entry, Topic, message_class
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from eha_monitor.errors import InputError
-from eha_monitor.filters.rows import Source
+from eha_monitor.live.rows import Source
 from eha_monitor.settings.channels import Channel
 from eha_monitor.settings.monitor import Settings
 

@@ -165,7 +165,7 @@ def warm_up() -> None:
 
     Otherwise the first hand-over stops the node for a second while messages come.
     """
-    from eha_monitor.filters.live import LiveEstimator
+    from eha_monitor.live.estimator import LiveEstimator
     from eha_monitor.physics.simulator import Simulator
 
     settings = Settings()

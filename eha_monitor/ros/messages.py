@@ -17,7 +17,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
-from eha_monitor.filters.results import ParameterEstimate
+from eha_monitor.estimation.results import ParameterEstimate
 from eha_monitor.health.alarms import WATCHED, Alarm
 from eha_monitor.health.finding import Finding
 from eha_monitor.ros.keeper import Keeper

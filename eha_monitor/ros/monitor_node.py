@@ -11,12 +11,12 @@ from rclpy.node import Node
 from rclpy.timer import Timer
 from std_srvs.srv import Trigger
 
-from eha_monitor.filters.faults import CONSEQUENCES, FaultWatch
-from eha_monitor.filters.results import Event, ModelStatus, ParameterEstimate
-from eha_monitor.filters.rows import RowAligner, Rows
+from eha_monitor.estimation.results import Event, ModelStatus, ParameterEstimate
 from eha_monitor.health.alarms import Alarm, AlarmBoard
 from eha_monitor.health.latency import LatencyMeter, ProcessorMeter
 from eha_monitor.health.overload import BEHIND_S
+from eha_monitor.live.faults import CONSEQUENCES, FaultWatch
+from eha_monitor.live.rows import RowAligner, Rows
 from eha_monitor.ros.findings import (
     DataState,
     all_findings,
@@ -59,7 +59,7 @@ class Monitor:
                  estimator_factory: Callable[[Settings], object] | None = None,
                  source: str = "config", active: bool = True):
         if estimator_factory is None:
-            from eha_monitor.filters.live import LiveEstimator as estimator_factory
+            from eha_monitor.live.estimator import LiveEstimator as estimator_factory
         self.node, self.settings = node, settings
         self.board = AlarmBoard(settings)
         self._topics = topics_of(settings, source, node.resolve_topic_name)

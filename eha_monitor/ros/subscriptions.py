@@ -14,8 +14,8 @@ from rclpy.qos import QoSProfile
 from rclpy.type_support import check_is_valid_msg_type
 
 from eha_monitor.errors import InputError
-from eha_monitor.filters.rows import Batch, RowAligner
 from eha_monitor.health.overload import LoadWatch, Overload
+from eha_monitor.live.rows import Batch, RowAligner
 from eha_monitor.ros.decoding import Decoder, TopicReader
 from eha_monitor.ros.inputs import Topic
 from eha_monitor.ros.keeper import Keeper

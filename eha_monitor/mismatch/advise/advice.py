@@ -7,7 +7,7 @@ import numpy as np
 
 from eha_monitor.breakdown import computing
 from eha_monitor.errors import InputError
-from eha_monitor.filters.hold_choice import resolved
+from eha_monitor.estimation.hold_choice import resolved
 from eha_monitor.mismatch.advise.motions import Limits, Motion, limits_for, looped
 from eha_monitor.mismatch.advise.separate import (
     DECISIVE,

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from eha_monitor.breakdown import computing
-from eha_monitor.filters.hold_choice import resolved
+from eha_monitor.estimation.hold_choice import resolved
 from eha_monitor.mismatch.compare.changes import ENOUGH, Comparison, Explanation
 from eha_monitor.mismatch.compare.healthy import FALSE, Healthy, healthy_of
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of

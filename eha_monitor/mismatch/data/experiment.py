@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from eha_monitor.errors import InputError
-from eha_monitor.filters.inputs import force_of, without_spikes
-from eha_monitor.filters.noise import noise_levels, quantum
+from eha_monitor.estimation.rig_model import force_of
+from eha_monitor.estimation.sensors import noise_levels, quantum, without_spikes
 from eha_monitor.mismatch.data.inputs import (
     CLOSED,
     FORCED,

@@ -2,17 +2,16 @@
 
 import numpy as np
 
+from eha_monitor.estimation.hold import JUMP, VISIBLE, largest_neighbour
 from eha_monitor.settings.rig import Rig
 
 CLOSED, OPEN, FORCED = 0, 1, 2  # input: x_d with the loop, pump speed, force
-JUMP = 20.0  # times the neighbouring steps: a jump, held until its stamp
 REACH = 25  # samples over which an input's own change is told from its noise
 GOVERNS = 10.0  # times the steps' variance
 KEPT = 0.95  # share of the smallest squares that count: jumps and spikes aside
 # A corner's bend is a change of slope, of first order in the sample time; a curve's is of second
 # order, also where the curve begins.
 CORNER = 20.0  # times the bends outside: a corner lies between two samples
-VISIBLE = 6.0  # noise sigmas by which a jump or corner must stand out
 
 
 JUMPED = 3.0**-0.5  # rms of what a jump at any time between two stamps adds to the mean
@@ -53,7 +52,7 @@ def course_of(u: np.ndarray, sigma: float, sampled: bool = False) -> tuple[np.nd
     c[:, 3] = (-p_ + 3 * p0 - 3 * p1 + p2) / 6
 
     step = np.abs(p1 - p0)
-    beside = _largest_beside(step, 2)
+    beside = largest_neighbour(step, 2)
     jump = step > JUMP * beside + VISIBLE * 2.0 * sigma
     near_jump = (np.roll(jump, 1) | np.roll(jump, -1)) & ~jump
 
@@ -79,14 +78,6 @@ def course_of(u: np.ndarray, sigma: float, sampled: bool = False) -> tuple[np.nd
     off[np.convolve(corner | jump, np.ones(7), "same") > 0.5] = 0.0  # as far as five samples reach
     off[jump] = JUMPED * step[jump]
     return c, off
-
-
-def _largest_beside(values: np.ndarray, reach: int) -> np.ndarray:
-    """Return the largest value within ``reach`` places, the place itself left out; (n,)."""
-    n = len(values)
-    padded = np.pad(values, reach)
-    return np.max([padded[reach + d : reach + d + n] for d in range(-reach, reach + 1) if d],
-                  axis=0)
 
 
 def filled(u: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eha_monitor import ties
-from eha_monitor.filters.inputs import force_of
+from eha_monitor.estimation.inputs import force_of
 from eha_monitor.recordings.recording import Recording, rows_of
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig

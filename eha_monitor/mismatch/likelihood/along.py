@@ -3,7 +3,7 @@
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.filters.small_matrices import copied
+from eha_monitor.estimation.small_matrices import copied
 from eha_monitor.mismatch.data.experiment import Experiment, Stretch
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.physics import signals as s

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.filters.small_matrices import (
+from eha_monitor.estimation.small_matrices import (
     copied,
     solved,
     symmetric,

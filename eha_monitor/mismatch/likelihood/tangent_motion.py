@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.filters.small_matrices import copied
+from eha_monitor.estimation.small_matrices import copied
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.mismatch.likelihood.innovations import FREE, N_FILTERED
 from eha_monitor.physics.balances import acceleration, drive_speed, rates

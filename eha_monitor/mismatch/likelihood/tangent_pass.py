@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.filters.small_matrices import copied
+from eha_monitor.estimation.small_matrices import copied
 from eha_monitor.mismatch.data.inputs import CLOSED
 from eha_monitor.mismatch.likelihood.innovations import FREE, N_FILTERED
 from eha_monitor.mismatch.likelihood.tangent_lanes import compare

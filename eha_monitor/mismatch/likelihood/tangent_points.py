@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.filters.small_matrices import copied
+from eha_monitor.estimation.small_matrices import copied
 from eha_monitor.mismatch.data.inputs import FORCED
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED
 from eha_monitor.mismatch.likelihood.tangent_motion import (

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.filters.small_matrices import copied
+from eha_monitor.estimation.small_matrices import copied
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit, spread
 from eha_monitor.mismatch.likelihood.gains import (

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from eha_monitor.filters.pipeline import estimate
+from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.stretch import cut
 from eha_monitor.mismatch.diagnosis import Piece, Value

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eha_monitor.filters.consistency import variance_ratios
+from eha_monitor.estimation.consistency import variance_ratios
 from eha_monitor.machine.baseline import Baseline
 from eha_monitor.machine.course import STANDING
 from eha_monitor.mismatch.data.experiment import Experiment

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eha_monitor.breakdown import computing
-from eha_monitor.filters.hold_choice import resolved
+from eha_monitor.estimation.hold_choice import resolved
 from eha_monitor.mismatch.data.experiment import OUTPUTS, Experiment, Stretch, experiment_of
 from eha_monitor.mismatch.data.inputs import CLOSED, OPEN
 from eha_monitor.mismatch.likelihood.fit import Fit, filtered, spread

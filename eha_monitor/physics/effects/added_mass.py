@@ -20,6 +20,7 @@ EFFECT = Effect(
         Parameter("dM", "kg", "moving mass beyond the configured one", 0.0, 1e6, 5.0),
     ),
     term=term,
+    adds=(MASS,),
     statement="the moving mass is {dM} beyond the configured mass",
     rig_check="Weigh what moves, the load included; on a step of speed the peak of the pressure "
     "force grows with it.",

@@ -33,6 +33,8 @@ EFFECT = Effect(
                   1e5),
     ),
     term=term,
+    adds=(FLOW_1, FLOW_2),
+    reads=(P1, P2),
     statement="a check valve feeds a chamber below {p_min}, with {k} of pressure deficit",
     rig_check="Watch the lower pressure in a fast move: it must stay flat at p_min.",
     starts=starts,

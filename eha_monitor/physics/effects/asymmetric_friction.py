@@ -17,7 +17,7 @@ from eha_monitor.physics.dry_friction import (
     sliding,
 )
 from eha_monitor.physics.effect import Effect, Parameter
-from eha_monitor.physics.signals import FORCE, V
+from eha_monitor.physics.signals import FORCE, V, X
 
 
 @njit(forceinline=True)
@@ -67,6 +67,8 @@ EFFECT = Effect(
         W,
     ),
     term=term,
+    adds=(FORCE,),
+    reads=(X, V),
     update=update,
     statement="friction differs by direction: {F_c} of dry friction on average, to which "
     "positive motion adds {dF:+} and {dB:+}, and negative motion the opposite",

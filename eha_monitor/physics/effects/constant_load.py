@@ -20,6 +20,7 @@ EFFECT = Effect(
         Parameter("F_0", "N", "load, positive against positive motion", -1e7, 1e7, 100.0),
     ),
     term=term,
+    adds=(FORCE,),
     statement="a constant load of {F_0} pushes against positive motion",
     rig_check="Hold the actuator at rest: the pressure force that remains is the load.",
     starts=lambda r: ({"F_0": 0.01 * r.force},),

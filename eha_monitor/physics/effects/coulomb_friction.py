@@ -14,7 +14,7 @@ from eha_monitor.physics.dry_friction import (
     sliding,
 )
 from eha_monitor.physics.effect import Effect, Parameter
-from eha_monitor.physics.signals import FORCE
+from eha_monitor.physics.signals import FORCE, V, X
 
 
 @njit
@@ -44,6 +44,8 @@ EFFECT = Effect(
         W,
     ),
     term=term,
+    adds=(FORCE,),
+    reads=(X, V),
     update=update,
     statement="Coulomb friction of {F_c} opposes the motion at every speed",
     rig_check="Push the depressurised rod by hand with a spring balance: the force at which it "

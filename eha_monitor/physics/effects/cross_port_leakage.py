@@ -22,6 +22,8 @@ EFFECT = Effect(
         Parameter("L", "m^3/(s*Pa)", "added laminar leakage coefficient", -1e-8, 1e-8, 1e-12),
     ),
     term=term,
+    adds=(FLOW_1, FLOW_2),
+    reads=(P1, P2),
     statement="{L} of laminar leakage crosses the piston or the pump beyond "
     "the configured value",
     rig_check="Block the rod and hold the pump speed that keeps 1 MPa: that flow over 1 MPa is "

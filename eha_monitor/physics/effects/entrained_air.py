@@ -36,6 +36,8 @@ EFFECT = Effect(
         Parameter("n", "1", "polytropic exponent", 1.0, 1.67, 0.2, 1.4),
     ),
     term=term,
+    adds=(COMPLIANCE_1, COMPLIANCE_2),
+    reads=(P1, P2),
     statement="{alpha:%} of free air (at atmospheric pressure) softens the oil at low pressure",
     rig_check="Raise the charge pressure: the apparent bulk modulus must rise with it.",
     starts=lambda r: ({"alpha": 1e-3, "n": 1.4},),

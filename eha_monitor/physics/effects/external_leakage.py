@@ -28,6 +28,8 @@ EFFECT = Effect(
         Parameter("L_2", "m^3/(s*Pa)", "leakage of chamber 2 to the tank", 0.0, 1e-8, 1e-12),
     ),
     term=term,
+    adds=(FLOW_1, FLOW_2),
+    reads=(P1, P2),
     rig_numbers=(P_AMBIENT,),
     statement="chamber 1 leaks {L_1} and chamber 2 {L_2} to the outside",
     rig_check="Look for oil at the rod seal and measure the case drain: both pressures must fall "

@@ -28,6 +28,8 @@ EFFECT = Effect(
                   1e4, 1e4),
     ),
     term=term,
+    adds=(FLOW_1, FLOW_2),
+    reads=(P1, P2),
     family="gap",
     statement="a flow of {Q_0} leaks across the piston, independent of the pressure difference",
     rig_check="Block the rod and hold a small and a large pressure difference: the flow to hold "

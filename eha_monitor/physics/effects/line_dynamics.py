@@ -72,6 +72,8 @@ EFFECT = Effect(
                   1.0, 1e7, 1e4, 1e4),
     ),
     term=term,
+    adds=(SPEED,),
+    reads=(OMEGA,),
     update=update,
     statement="the oil in the line rings with a period of 2 pi times {T_l}, damping ratio "
     "{zeta}: flow reaches the chambers late",

@@ -22,6 +22,8 @@ EFFECT = Effect(
                   0.0, 0.1, 5e-4),
     ),
     term=term,
+    adds=(VOLUME_1, VOLUME_2),
+    reads=(X,),
     statement="the oil volumes change with position as under a piston of {A_v}",
     rig_check="Excite the oil column at both ends of the travel: its resonance must shift between "
     "them.",

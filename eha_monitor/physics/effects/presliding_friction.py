@@ -13,7 +13,7 @@ from eha_monitor.physics.dry_friction import (
     sliding,
 )
 from eha_monitor.physics.effect import Effect, Parameter
-from eha_monitor.physics.signals import FORCE
+from eha_monitor.physics.signals import FORCE, V, X
 
 
 @njit
@@ -44,6 +44,8 @@ EFFECT = Effect(
         W,
     ),
     term=term,
+    adds=(FORCE,),
+    reads=(X, V),
     update=update,
     statement="dry friction of {F_c} builds up over {z_0} of travel after each "
     "reversal",

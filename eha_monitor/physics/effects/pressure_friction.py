@@ -14,7 +14,7 @@ from eha_monitor.physics.dry_friction import (
     sliding,
 )
 from eha_monitor.physics.effect import Effect, Parameter
-from eha_monitor.physics.signals import FORCE, P1, P2
+from eha_monitor.physics.signals import FORCE, P1, P2, V, X
 
 
 @njit(forceinline=True)
@@ -51,6 +51,8 @@ EFFECT = Effect(
         W,
     ),
     term=term,
+    adds=(FORCE,),
+    reads=(X, V, P1, P2),
     update=update,
     statement="seal friction of {mu} times the sum of the chamber pressures opposes the "
     "motion",

@@ -20,6 +20,8 @@ EFFECT = Effect(
         Parameter("omega_0", "rad/s", "shaft speed below which no flow is made", 0.0, 1e4, 5.0),
     ),
     term=term,
+    adds=(SPEED,),
+    reads=(OMEGA,),
     statement="the pump delivers no flow below {omega_0}, and the same speed is lost above it",
     rig_check="Turn the pump slowly with the rod free: the rod must not move below omega_0.",
     starts=lambda r: ({"omega_0": 0.003 * r.pump_speed[3]},),  # it shows at small speeds

@@ -20,6 +20,8 @@ EFFECT = Effect(
         Parameter("k", "1", "relative error of the displacement", -0.9, 10.0, 0.05),
     ),
     term=term,
+    adds=(SPEED,),
+    reads=(OMEGA,),
     statement="the pump gives {k:+%} flow at every speed, against the configured displacement",
     rig_check="Turn the pump by hand for a number of turns without load: the rod's travel times "
     "its area over the angle is the displacement.",

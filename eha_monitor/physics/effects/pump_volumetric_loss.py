@@ -38,6 +38,8 @@ EFFECT = Effect(
                   "always takes from the speed", -1.0, 1.0, 1.0, 1.0, fitted=False),
     ),
     term=term,
+    adds=(SPEED,),
+    reads=(P1, P2, OMEGA),
     statement="the pump has a volumetric loss of {k} of pressure difference",
     rig_check="Hold the same pump speed at two loads: the rod must be slower by k times the "
     "difference in pressure.",

@@ -20,6 +20,8 @@ EFFECT = Effect(
         Parameter("a_1", "N*s^2/m^2", "force over the square of the speed", 0.0, 1e9, 2000.0),
     ),
     term=term,
+    adds=(FORCE,),
+    reads=(V,),
     statement="a force of {a_1} times the square of the speed opposes the motion",
     rig_check="Hold two steady speeds, one twice the other: beyond the viscous part the force "
     "must be four times as large.",

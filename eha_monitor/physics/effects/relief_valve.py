@@ -31,6 +31,8 @@ EFFECT = Effect(
         Parameter("p_c", "Pa", "cracking pressure difference", 0.0, 1e9, 2e6, 5e6),
     ),
     term=term,
+    adds=(FLOW_1, FLOW_2),
+    reads=(P1, P2),
     statement="a relief valve opens at {p_c} between the chambers and passes {k} of pressure "
               "beyond that",
     rig_check="Read the setting of the relief valves; drive against a stop: the pressure "

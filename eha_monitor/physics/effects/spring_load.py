@@ -22,6 +22,8 @@ EFFECT = Effect(
                   fitted=False),
     ),
     term=term,
+    adds=(FORCE,),
+    reads=(X,),
     statement="a spring of {k} pulls back to x = {x_0}",
     rig_check="Hold the actuator at rest at both ends of its travel: the pressure force must "
     "differ by k times the distance.",

@@ -17,7 +17,7 @@ from eha_monitor.physics.dry_friction import (
     sliding,
 )
 from eha_monitor.physics.effect import Effect, Parameter
-from eha_monitor.physics.signals import FORCE, V
+from eha_monitor.physics.signals import FORCE, V, X
 
 
 @njit(forceinline=True)
@@ -85,6 +85,8 @@ EFFECT = Effect(
                   "tail", 0.0, 1.0, 0.25, 0.0),
     ),
     term=term,
+    adds=(FORCE,),
+    reads=(X, V),
     update=update,
     statement="dry friction of {F_c} at speed rises by {F_d} below {v_s}",
     rig_check="Let the rod creep at a few speeds below v_s: the force to keep it moving must fall "

@@ -28,6 +28,8 @@ EFFECT = Effect(
                   1e4),
     ),
     term=term,
+    adds=(FLOW_1, FLOW_2),
+    reads=(P1, P2),
     family="gap",
     statement="turbulent leakage of {c} of the pressure difference crosses the piston or the "
     "pump",

@@ -103,7 +103,7 @@ def linear_fit(shape: str, state: str = "normal") -> dict:
 
     The piston's speed, or its amplitude, is that of the pump at ``PUMP_SPEED``.
     """
-    from eha_monitor.filters.pipeline import estimate
+    from eha_monitor.estimation.pipeline import estimate
     from eha_monitor.recordings.recording import Recording
     from eha_monitor.settings.load import settings_from_tree
 

@@ -102,7 +102,7 @@ def judged(case: Case, advice: dict, work: Path) -> dict:
 
 def linear_fit(case: Case, work: Path) -> float:
     """Return B as the monitor's linear model reads it from the triangle, N s/m."""
-    from eha_monitor.filters.pipeline import estimate
+    from eha_monitor.estimation.pipeline import estimate
     from eha_monitor.recordings.read import read_recording
     from eha_monitor.settings import load_settings
 

@@ -1,0 +1,350 @@
+"""Whether a drive holds its command over each sample: asked of the recording, once.
+
+A controller that computes K_pos (x_d - x) once in a sample and holds it turns the pump half a
+sample later on average.  Read as a continuous one, beta_e pays for that half sample.  Both inputs
+compete by :mod:`hold_evidence`; a late sensor or a slow drive, which a held command can be
+mistaken for, compete as well.  Below this nothing knows of a third kind: the settings have the
+hold decided.
+"""
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eha_monitor import ties
+from eha_monitor.estimation.discretisation import LINE_TIME, LOOP
+from eha_monitor.estimation.drive import drive_input
+from eha_monitor.estimation.hold import Hold
+from eha_monitor.estimation.hold_evidence import Point, Stretch, climbed, fitted, later
+from eha_monitor.estimation.results import NoiseEstimate
+from eha_monitor.estimation.rig_model import LINE, RigModel, force_of, force_variance, missing
+from eha_monitor.estimation.sensors import noise_levels, undo_sensors, without_spikes
+from eha_monitor.estimation.stages import most_telling
+from eha_monitor.physics.contributions import circuit_of
+from eha_monitor.physics.effects import NAMES
+from eha_monitor.physics.parameters import theta_of
+from eha_monitor.recordings.columns import let_go, mapped
+from eha_monitor.recordings.recording import ChannelFinding, Recording
+from eha_monitor.settings.monitor import Settings
+
+CONTINUOUS, SAMPLED, AUTO = "continuous", "sampled", "auto"
+ASKED = 3000  # samples: the stretch in which the drive moves most
+FEWEST = 300
+DECISIVE = 30.0  # log units; the likelihoods know the physics only so well
+LATE = (2.0, 3.0)  # samples by which an input may come late, beside a half and one
+CLEARLY = 2.0 * DECISIVE
+COINCIDENCE = 8.0  # log units that a delay must gain: it could have any length
+BEYOND = 1e15  # SI
+FINEST = 1e-15  # least noise of a sensor, SI
+UNSURE = 4.0  # times the usual variance of the input
+SMOOTH_S, SMOOTHED = 0.012, 7  # s and least samples over which velocity is taken
+IDEAL, BLOCK = 1.5, 16  # variance over that of the noise, sample by sample and in means
+CUBIC = 4  # coefficients
+CREEP = 0.02  # of the highest speed, over which dry friction builds up
+
+
+@dataclass(frozen=True)
+class HoldDecision:
+    """What a recording says about the hold.
+
+    Attributes
+    ----------
+    hold : ``continuous`` or ``sampled``; ``continuous`` where the recording cannot tell.
+    evidence : log units by which it is the better one.
+    decided : whether that is enough.
+    channel : that the hold is of: ``x_d`` or ``omega``.
+    """
+
+    hold: str
+    evidence: float
+    decided: bool
+    channel: str
+
+    @property
+    def sentence(self) -> str:
+        """Say it in words."""
+        much = f"{self.evidence:.0f} log units"
+        if not self.decided:
+            return ("the recording does not show whether the drive holds its command over each "
+                    f"sample ({much})")
+        if self.hold == SAMPLED:
+            return ("the drive holds its command over each sample (a digital controller): "
+                    f"{much} over a continuous one")
+        return f"the drive's command is continuous: {much} over one that is held over each sample"
+
+    @property
+    def findings(self) -> tuple[ChannelFinding, ...]:
+        """What a user must know of it: a held command."""
+        if not self.decided or self.hold != SAMPLED:
+            return ()
+        return (ChannelFinding(self.sentence, "hold", (self.channel,),
+                               {"command_hold": SAMPLED}),)
+
+
+def with_hold(settings: Settings, hold: str) -> Settings:
+    """Return the settings with this hold."""
+    return settings.model_copy(update={"command_hold": hold})
+
+
+def other_hold(settings: Settings) -> Settings:
+    """Return the settings with the hold that they do not say."""
+    return with_hold(settings, CONTINUOUS if settings.command_hold == SAMPLED else SAMPLED)
+
+
+def resolved(recordings: list[Recording], settings: Settings
+             ) -> tuple[Settings, HoldDecision | None]:
+    """Return the settings with the hold decided, and what the recordings say about it.
+
+    Parameters
+    ----------
+    recordings : of one rig, which has one hold.
+
+    Returns
+    -------
+    settings : as given where ``command_hold`` is not ``auto``.
+    decision : None where nothing was asked: the config says it, or no recording has a drive
+        input beside a position.
+    """
+    if settings.command_hold != AUTO:
+        return settings, None
+    found = [one for recording in recordings
+             if (one := evidence_of(recording, settings)) is not None]
+    if not found:
+        return with_hold(settings, CONTINUOUS), None
+    evidence = sum(one for one, _ in found)
+    decided = abs(evidence) >= DECISIVE
+    hold = SAMPLED if decided and evidence > 0.0 else CONTINUOUS
+    return with_hold(settings, hold), HoldDecision(hold, abs(evidence), decided, found[0][1])
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The stretch that is asked, and both inputs on it.
+
+    ``stretches`` differ in the friction that they take as known.
+    """
+
+    stretches: list[Stretch]
+    continuous: Hold
+    sampled: Hold
+    channel: str
+
+
+def evidence_of(recording: Recording, settings: Settings) -> tuple[float, str] | None:
+    """Return the log units for a held command over a continuous one, and of which channel.
+
+    None where the recording has no drive input, or too little of it.
+    """
+    names = [name for name in recording.channels if recording.has(name)]
+    if missing(settings, names)[1] is not None or len(recording) < FEWEST:
+        return None
+    asked = asked_of(recording, settings)
+    if asked is None:
+        return None
+    held, flowing = later(asked.sampled, 0.0), later(asked.continuous, 0.0)
+    first, second = fitted(asked.stretches, flowing), fitted(asked.stretches, held)
+    # Each from where the other has come to, too: a search ends at the top of one hill.
+    l_flowing, at = ties.best(
+        [first, (*_from(second, flowing),)], lambda one: one[0], within=ties.GUESS)[::2]
+    l_held, at_held = ties.best(
+        [second, (*_from(first, held),)], lambda one: one[0], within=ties.GUESS)[::2]
+    if not (np.isfinite(l_held) and np.isfinite(l_flowing)):
+        return None
+
+    def delayed(by: float) -> float:
+        return climbed(first[1], later(asked.continuous, by), at)[0]
+
+    # A held command is half a sample late on average: what is late by just that is taken for one
+    # unless it is clearly better, since any other length would be as likely.
+    half, one = delayed(0.5), delayed(1.0)
+    late = max([one, *map(delayed, LATE)] if one > l_flowing else [one])
+    if max(late - COINCIDENCE, half - CLEARLY) > max(l_flowing, l_held - CLEARLY):
+        l_held = max(l_held, max(climbed(
+            second[1], later(asked.sampled, by - 0.5), at_held)[0]
+            for by in (1.0, *LATE)) - COINCIDENCE)
+        l_flowing = max(l_flowing, late - COINCIDENCE, half - CLEARLY)
+    return float(l_held - l_flowing), asked.channel
+
+
+def _from(found: tuple[float, Stretch, Point], lines) -> tuple[float, Stretch, Point]:
+    """Return the fit of another input that starts where one has ended."""
+    best, at = climbed(found[1], lines, found[2])
+    return best, found[1], at
+
+
+def asked_of(recording: Recording, settings: Settings) -> Asked | None:
+    """Return the stretch of a recording that tells most, and both inputs on it."""
+    rig, dt = settings.rig, recording.sample_time
+    commanded = rig.position_gain is not None and recording.has("x_d")
+    raw = (mapped(lambda x_d, x: rig.position_gain * (x_d - x), recording.get("x_d"),
+                  recording.get("x")) if commanded else recording.get("omega"))
+    length = min(len(raw), ASKED)
+    start = most_telling(raw, recording.get("x"), length)
+    let_go(raw)
+    if settings.effects.get(NAMES[LINE]):
+        return None  # a line is late by itself, and is not in this filter
+    cut = {name: np.where(np.isfinite(values[start:start + length]),
+                          values[start:start + length], np.nan)
+           for name, values in recording.channels.items()}
+    part = Recording(dt, {name: values for name, values in cut.items()
+                          if np.isfinite(values).any()})
+    if any(np.nanmax(np.abs(values)) > BEYOND for values in part.channels.values()):
+        return None  # no rig does that, and squares of it would not fit into a number
+    if missing(settings, part.channels)[1] is not None:
+        return None
+    noise = noise_levels(part, settings.noise)
+    recorded, _ = without_spikes(dict(part.channels), noise)
+    circuit = circuit_of(*theta_of(rig, settings.effects))
+    channels, noise = undo_sensors(recorded, noise, circuit, dt * (start + np.arange(length)))
+    if commanded and not follows(channels, noise, rig.position_gain):
+        channels = {name: values for name, values in channels.items() if name != "x_d"}
+    if missing(settings, channels)[1] is not None:
+        return None  # the pump does not do as told, and what it does is not recorded
+    by_demand = "x_d" in channels and rig.position_gain is not None
+    inputs = [open_input(recorded, channels, noise, settings, hold, dt)
+              for hold in (CONTINUOUS, SAMPLED)]
+    if any(one is None for one in inputs):
+        return None
+    continuous, sampled = inputs
+    sigma = noise["x"].value * abs(rig.position_gain) if by_demand else noise["omega"].value
+    return Asked(stretches_of(channels, noise, settings, continuous, sigma, dt), continuous,
+                 sampled, "x_d" if by_demand else "omega")
+
+
+def follows(channels: dict[str, np.ndarray], noise: dict[str, NoiseEstimate],
+            gain: float) -> bool:
+    """Tell whether the pump follows K_pos (x_d - x) at each stamp, or is not recorded.
+
+    Where it does not, the drive has a lag, a delay or a limit, and the speed that it made is the
+    better input.
+    """
+    if "omega" not in channels:
+        return True
+    left = channels["omega"] - gain * (channels["x_d"] - channels["x"])
+    left = left[np.isfinite(left)] / np.hypot(noise["omega"].value, gain * noise["x"].value)
+    blocks = len(left) // BLOCK
+    if not blocks:
+        return True
+    means = left[: blocks * BLOCK].reshape(blocks, BLOCK).mean(axis=1) * np.sqrt(BLOCK)
+    return bool(np.mean(left**2) < IDEAL and np.mean(means**2) < IDEAL)
+
+
+def open_input(recorded: dict, channels: dict, noise: dict, settings: Settings, hold: str,
+               dt: float) -> Hold | None:
+    """Return the pump's speed in each sample under a hold, without gaps; None where none came."""
+    model = RigModel.of(with_hold(settings, hold), commanded="x_d" in channels)
+    model = replace(model, loop=False)
+    made = drive_input(model, recorded, channels, noise, dt).hold
+    lines = []
+    for line in (made.start, made.end):
+        good = np.isfinite(line)
+        if good.sum() < FEWEST:
+            return None
+        index = np.arange(len(line))
+        lines.append(np.interp(index, index[good], line[good]))
+    return made._replace(start=lines[0], end=lines[1])
+
+
+def stretches_of(channels: dict, noise: dict, settings: Settings, drive: Hold, sigma: float,
+                 dt: float) -> list[Stretch]:
+    """Return the samples that are asked: without friction of their own, and with it."""
+    rig = settings.rig
+    model = RigModel.of(settings, commanded=False)
+    constants = model.hydraulics.copy()
+    constants[LOOP] = constants[LINE_TIME] = 0.0
+    x, force = channels["x"], force_of(rig, channels)
+    unsure = ~(drive.variance <= UNSURE * np.nanmedian(drive.variance))
+    speed = float(np.sqrt(np.mean(drive.start**2)))
+    # Without a force a wrong B looks like a late input: it may be off by as much as itself.
+    wide = max(rig.viscous_damping, settings.stage_two.damping_stddev)
+    ranges = [(np.zeros(len(x)), (rig.viscous_damping, wide))]
+    z, levels = x[:, None], [noise["x"].value]
+    usual = rig.viscous_damping * speed * rig.pump_displacement / rig.area_1
+    if force is not None and np.isfinite(force).any():
+        ranges = [friction_of(x, force, settings, dt, terms) for terms in (0, 2)]
+        z = np.column_stack([x, force])
+        levels.append(np.sqrt(force_variance(rig, noise, 0.0)))
+        usual = float(np.sqrt(np.nanmean(force**2)))
+    return [Stretch(np.ascontiguousarray(z), np.maximum(levels, FINEST), known, unsure, constants,
+                    model.leak, dt, sigma, damping, max(usual, 1e-9), max(speed, 1e-9))
+            for known, damping in ranges]
+
+
+def friction_of(x: np.ndarray, force: np.ndarray, settings: Settings, dt: float, terms: int
+                ) -> tuple[np.ndarray, tuple[float, float]]:
+    """Return the force that is not viscous, N (n,), and B with no limit to its deviation.
+
+    F - M a = F_0 + B v + F_c tanh(v/v_c) + a_2 v |v| by least squares, friction never negative; of
+    the last two ``terms`` are taken.
+    """
+    rig, index = settings.rig, np.arange(len(x))
+    good = np.isfinite(x)
+    window = max(SMOOTHED, round(SMOOTH_S / dt) // 2 * 2 + 1)
+    filled = np.interp(index, index[good], x[good])
+    v, a = local_derivatives(filled, window, dt)
+    highest = max(float(np.abs(v).max()), 1e-12)
+    columns = np.column_stack([np.ones(len(v)), v / highest, np.tanh(v / (CREEP * highest)),
+                               v * np.abs(v / highest) / highest][: 2 + terms])
+    rest = force - rig.mass * a
+    rows = np.isfinite(rest)
+    weights = fitted_with_signs(columns[rows], rest[rows])
+    damping = max(weights[1] / highest, 0.1 * rig.viscous_damping)
+    return weights[0] + columns[:, 2:] @ weights[2:], (damping, np.inf)
+
+
+# Two fits in numpy alone: importing scipy takes as long as the estimate.
+
+
+def local_derivatives(x: np.ndarray, window: int, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return x' and x'' of the cubic through each ``window`` samples (Savitzky and Golay 1964).
+
+    Parameters
+    ----------
+    x : (n,) at least ``window`` samples.
+    window : odd; the first and the last half of it are read from the outermost cubics.
+    dt : s.
+
+    Raises
+    ------
+    ValueError
+        There are fewer samples.
+    """
+    if len(x) < window:
+        raise ValueError(f"expected at least {window} samples, found {len(x)}")
+    half = window // 2
+    place = np.arange(-half, half + 1) / half
+    fit = np.linalg.pinv(np.vander(place, CUBIC, increasing=True))  # (CUBIC, window)
+    before, after = fit @ x[:window], fit @ x[-window:]
+    found = []
+    for order in (1, 2):
+        inner = np.convolve(x, order * fit[order][::-1], mode="valid")
+        ends = [np.polynomial.polynomial.polyval(
+            part, np.polynomial.polynomial.polyder(cubic, order))
+            for cubic, part in ((before, place[:half]), (after, place[half + 1:]))]
+        found.append(np.concatenate([ends[0], inner, ends[1]]) / (half * dt) ** order)
+    return found[0], found[1]
+
+
+def fitted_with_signs(columns: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the weights that fit ``y`` best, all but the first of them not negative.
+
+    Parameters
+    ----------
+    columns : (n, k), k a few: every choice of those that are 0 is tried, and the best is the
+        answer, because the problem is convex.
+    y : (n,).
+    """
+    k = columns.shape[1]
+    size = np.sqrt(np.mean(columns**2, axis=0))
+    unit = columns / np.where(size > 0.0, size, 1.0)
+    gram, side = unit.T @ unit, unit.T @ y
+    best, least = np.zeros(k), np.inf
+    for kept in itertools.product((False, True), repeat=k - 1):
+        taken = np.flatnonzero((True, *kept))
+        part = np.linalg.lstsq(gram[np.ix_(taken, taken)], side[taken], rcond=None)[0]
+        left = float(part @ gram[np.ix_(taken, taken)] @ part - 2.0 * part @ side[taken])
+        if (part[1:] >= 0.0).all() and left < least:
+            best, least = np.zeros(k), left
+            best[taken] = part
+    return best / np.where(size > 0.0, size, 1.0)

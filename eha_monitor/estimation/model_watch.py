@@ -1,0 +1,191 @@
+"""From verdicts on windows to a mismatch that stands: when it begins and ends, what it taints.
+
+Pure decisions on times and numbers, for live rows and for recordings alike.
+"""
+
+import math
+from collections import deque
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+from eha_monitor.estimation.results import Consistency, JointResult, Mismatch, ModelStatus, Taint
+from eha_monitor.quantity import quantity
+
+CHANCE_S = 12.0  # a mismatch that chance could bring about must stand for longer than a window
+FITTING_S = 2.0  # for so long must window after window fit before a mismatch is over
+SOON_S = 30.0  # one that comes back within so long was not over
+LONGEST_FITTING_S = 60.0
+# A value that has moved so far is on trial for so long before it may raise an alarm.
+MOVED = 0.05
+TRIAL_S = 2.5
+LONGEST_TRIAL_S = 5.0  # dry friction that appears is told within so long (measured: 2 to 5 s)
+MATTERS = 0.02  # relative change of beta_e by a wrong B that matters
+
+_ORDER = ("one", "two", "joint")
+
+
+class StageWatch:
+    """One stage's mismatch, with hysteresis.
+
+    It begins with a window that chance does not explain, or with doubtful windows for longer
+    than a window lasts.  It ends when the windows have fitted for ``FITTING_S``; that time
+    doubles whenever the mismatch comes back soon, because a motion that shows it now and then
+    must not make alarms flutter.
+
+    Parameters
+    ----------
+    stage : ``one`` or ``two``.
+
+    Attributes
+    ----------
+    standing : the mismatch, or None.
+    """
+
+    def __init__(self, stage: str):
+        self.stage = stage
+        self.standing: Mismatch | None = None
+        self._doubted: float | None = None  # since when the windows are doubtful
+        self._fitting: float | None = None  # since when they fit
+        self._required = FITTING_S
+        self._ended = -math.inf
+
+    def update(self, time_s: float, verdict: Consistency | None,
+               trial: Taint | None = None) -> bool:
+        """Take the verdict on the window that ends at ``time_s``; True if a mismatch begins.
+
+        A parameter that was on ``trial`` has moved because of it: it began no later.
+        """
+        if verdict is None or verdict.consistent:
+            self._doubted = None
+            return False
+        if self._doubted is None:
+            self._doubted = time_s
+        if self.standing is not None:
+            self.standing = self._mismatch(verdict, self.standing.since_s)
+            return False
+        if not (verdict.decisive or time_s - self._doubted > CHANCE_S):
+            return False
+        soon = time_s - self._ended < max(SOON_S, 2.0 * self._required)
+        self._required = min(2.0 * self._required, LONGEST_FITTING_S) if soon else FITTING_S
+        self._fitting = None
+        first = verdict.first_time_s
+        since = min(first, time_s) if math.isfinite(first) else time_s
+        since = min(since, trial.since_s) if trial is not None else since
+        self.standing = self._mismatch(verdict, max(since, self._ended))
+        return True
+
+    def _mismatch(self, verdict: Consistency, since: float) -> Mismatch:
+        return replace(Mismatch.of(self.stage, verdict), since_s=since)
+
+    def test(self, time_s: float, fits: bool | None) -> bool:
+        """Take whether the last window fits by itself; True if the mismatch ends.
+
+        None, e.g. at rest, says nothing: the mismatch stays, and the time does not run.
+        """
+        if self.standing is None:
+            return False
+        if not fits:
+            self._fitting = None
+            return False
+        if self._fitting is None:
+            self._fitting = time_s
+        if time_s - self._fitting < self._required:
+            return False
+        self.standing, self._doubted, self._ended = None, None, time_s
+        return True
+
+
+class Trial:
+    """Whether a value that has moved has stood the test of the model since.
+
+    A friction that appears looks like damping until the motion shows otherwise.  A value is on
+    trial while it differs by more than ``MOVED`` from what it was at any time in the last
+    ``TRIAL_S``, or is no older than that.  So a slow drift is never on trial; one that goes on
+    moving stays on trial, but holds an alarm back no longer than ``LONGEST_TRIAL_S``
+    (:meth:`health.judge.Judge.judge`).
+
+    Parameters
+    ----------
+    unit : of the value, SI.
+    """
+
+    def __init__(self, unit: str):
+        self._unit = unit
+        self._low: deque[tuple[float, float]] = deque()  # (s, value), rising: the least first
+        self._high: deque[tuple[float, float]] = deque()
+        self._known = self._began = math.inf
+        self.taint: Taint | None = None
+
+    def update(self, time_s: float, value: float | None) -> Taint | None:
+        """Take the value, None while it is not known; return the doubt that it deserves."""
+        if value is None or not math.isfinite(value):
+            self.__init__(self._unit)
+            return None
+        self._known = min(self._known, time_s)
+        low, high = self._extremes(time_s, value)
+        before = max(low, high, key=lambda other: abs(value - other) / max(abs(other), 1e-300))
+        moved = abs(value - before) > MOVED * abs(before)
+        if not moved and time_s - self._known >= TRIAL_S:
+            self.taint = None
+            return None
+        if self.taint is None:
+            self._began = time_s
+        since = max(self._began, time_s - LONGEST_TRIAL_S)
+        what = (f"it has moved from {quantity(before, self._unit)} to "
+                f"{quantity(value, self._unit)}") if moved else "it is new"
+        self.taint = Taint(f"{what}, and the model is being tested on the data since "
+                           f"t = {since:.1f} s", since, True)
+        return self.taint
+
+    def _extremes(self, time_s: float, value: float) -> tuple[float, float]:
+        """Return the least and the largest value of the last ``TRIAL_S``."""
+        for kept, sign in ((self._low, 1.0), (self._high, -1.0)):
+            while kept and sign * (kept[-1][1] - value) >= 0:
+                kept.pop()
+            kept.append((time_s, value))
+            while time_s - kept[0][0] > TRIAL_S - 1e-6:
+                kept.popleft()
+        return self._low[0][1], self._high[0][1]
+
+
+def tainted_by(mismatches: Iterable[Mismatch], by_damping: float = math.inf,
+               reaches: Mapping[str, float] = MappingProxyType({})) -> dict[str, Taint]:
+    """Return which of ``B`` and ``beta_e`` the mismatches that stand put in doubt, and why.
+
+    Parameters
+    ----------
+    mismatches : those that stand.
+    by_damping : relative change of beta_e that a wrong B could have made; inf if unknown.
+    reaches : by symbol, how far they can have moved it, see :class:`Taint`.
+    """
+    found: dict[str, Taint] = {}
+    for mismatch in sorted(mismatches, key=lambda m: _ORDER.index(m.stage)):
+        taint = Taint(f"the model does not fit since t = {mismatch.since_s:.1f} s "
+                      f"({mismatch.balance})", mismatch.since_s)
+        if mismatch.stage in ("one", "joint"):
+            found["B"] = taint
+        if mismatch.stage in ("two", "joint"):
+            found["beta_e"] = taint  # its own reason goes before that of B
+        elif not by_damping <= MATTERS:
+            found["beta_e"] = replace(taint, reason=f"{taint.reason}; the estimate of the bulk "
+                                                    "modulus uses that B")
+    return {name: replace(taint, reach=reaches.get(name, math.inf))
+            for name, taint in found.items()}
+
+
+def model_status(verdicts: Iterable[Consistency | None],
+                 joint: JointResult | None = None) -> ModelStatus:
+    """Return one verdict from the stages' innovations and from the joint filter's fit."""
+    judged = [verdict for verdict in verdicts if verdict is not None]
+    wrong = [verdict for verdict in judged if not verdict.consistent]
+    if wrong:
+        return ModelStatus("mismatch", "; ".join(verdict.message for verdict in wrong))
+    if joint is not None and not joint.fits:
+        return ModelStatus("mismatch", "each stage fits its own channels, but position, pressure "
+                           f"and drive do not fit together ({joint.message}): check the scale of "
+                           "the sensors and the pump")
+    if not judged:
+        return ModelStatus("not_judged", "no stage has had enough data, or motion, to test the "
+                           "model")
+    return ModelStatus("consistent", "; ".join(verdict.message for verdict in judged))

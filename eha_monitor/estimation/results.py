@@ -1,0 +1,342 @@
+"""What estimation returns: immutable records with a status and a sentence."""
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from eha_monitor.quantity import FLOOR, SYMBOLS, quantity, share, with_uncertainty
+from eha_monitor.recordings.recording import ChannelFinding, Recording
+from eha_monitor.settings.monitor import Settings
+
+CONVERGED = 0.10  # relative standard deviation
+GAINED = 2.0  # so many times sharper than the prior, or the motion has told nothing
+NEGATIVE = 3.0  # standard deviations below zero that no physical coefficient can be
+HUGE = 100.0  # times the prior and its sigma: no longer a coefficient of this rig
+BALANCE = {"one": "force balance or a sensor", "two": "flow balance, drive or a sensor",
+           "joint": "a sensor's scale or the pump"}
+Status = Literal["converged", "not_excited", "diverged", "no_data"]
+
+
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """One estimated parameter.
+
+    Attributes
+    ----------
+    name : ``B``, ``beta_e`` or ``L`` (leakage coefficient C_T of the joint estimator).
+    value, stddev : SI; NaN (null in JSON) when the status is ``no_data``.
+    unit : as shown to people, e.g. ``N·s/m``.
+    status : see the interface contract.
+    message : the status as a full sentence with its reason.
+    """
+
+    name: str
+    value: float
+    stddev: float
+    unit: str
+    status: Status
+    message: str = ""
+
+    @property
+    def shown(self) -> str:
+        """The value as people read it, ``600.0 ± 0.2 MPa``."""
+        return with_uncertainty(self.value, self.stddev, self.unit)
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """How the innovations compare with what the filter expects of them.
+
+    Attributes
+    ----------
+    samples : innovations judged.
+    nis : mean normalised innovation squared; 1 when the noise levels are right.
+    variance_ratio : largest ratio of the variance of block sums of the whitened innovations to
+        that of white noise, over block lengths; 1 when they are white.
+    block_length_s : length of the blocks where the ratio is largest, s.
+    peak_time_s : where the largest windowed excess lies, s; NaN if none.
+    consistent : the verdict.
+    message : the verdict as a sentence.
+    first_time_s : where the first windowed excess lies; the start where none stands out.
+    decisive : False where chance, asked anew for days, would bring such a mismatch about.
+    """
+
+    samples: int
+    nis: float
+    variance_ratio: float
+    block_length_s: float
+    peak_time_s: float
+    consistent: bool
+    message: str
+    first_time_s: float = math.nan
+    decisive: bool = False
+
+
+@dataclass(frozen=True)
+class StageResult:
+    """One stage over a recording.
+
+    Attributes
+    ----------
+    stage : ``one`` or ``two``.
+    estimate : the final parameter.
+    time : (n,) s, on the recording's grid; empty arrays throughout when there is no data.
+    value, stddev : (n,) the parameter as it converges, SI.
+    position, velocity, acceleration : (n,) estimated states, SI; NaN where the stage has none.
+    innovation, innovation_stddev : (n,) m; NaN where nothing was measured.
+    consistency : verdict on the innovations, or None without data.
+    sensitivity : of stage two: relative change of its parameter with B, per N·s/m.
+    changes : (k, 4) detected changes of the parameter: sample, before, after, samples that
+        showed it.
+    """
+
+    stage: str
+    estimate: ParameterEstimate
+    time: np.ndarray
+    value: np.ndarray
+    stddev: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    innovation: np.ndarray
+    innovation_stddev: np.ndarray
+    consistency: Consistency | None
+    sensitivity: float = math.nan
+    changes: np.ndarray = field(default_factory=lambda: np.empty((0, 4)))
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that a stage did: converged, handed over, re-ran, saw a change, was reset."""
+
+    time_s: float
+    stage: str
+    message: str
+
+
+@dataclass(frozen=True)
+class JointResult:
+    """B, beta_e and leakage at once, from dp and omega.
+
+    ``parameters`` maps ``B``, ``beta_e``, ``L`` to estimates; ``correlation`` is (3, 3) in that
+    order; ``fits`` tells whether position, force and drive agree on them at all.
+    """
+
+    parameters: dict[str, ParameterEstimate]
+    correlation: np.ndarray
+    message: str
+    fits: bool
+
+
+@dataclass(frozen=True)
+class Mismatch:
+    """A misfit that stands.
+
+    Attributes
+    ----------
+    stage : ``one``, ``two`` or ``joint``: whose innovations show it.
+    balance : what it points to, in words.
+    since_s : when it began, s.
+    nis, variance_ratio, worst_time_s : of the last window that showed it, see
+        :class:`Consistency`; NaN for ``joint``.
+    message : a sentence.
+    """
+
+    stage: str
+    balance: str
+    since_s: float
+    nis: float
+    variance_ratio: float
+    worst_time_s: float
+    message: str
+
+    @classmethod
+    def of(cls, stage: str, verdict: Consistency) -> "Mismatch":
+        """Return the misfit that a verdict on a stage's innovations shows."""
+        return cls(stage, BALANCE[stage], verdict.first_time_s, verdict.nis,
+                   verdict.variance_ratio, verdict.peak_time_s, verdict.message)
+
+
+@dataclass(frozen=True)
+class Taint:
+    """Why a parameter deserves doubt, and since when, s.
+
+    ``testing``: it has just moved, and the model is being tested on what came since.
+    ``reach``: how far what the model lacks can have moved it (:mod:`estimation.reach`), B in its
+    unit, beta_e as a logarithm; inf where that is not known.
+    """
+
+    reason: str
+    since_s: float
+    testing: bool = False
+    reach: float = math.inf
+
+
+@dataclass(frozen=True)
+class ModelStatus:
+    """Whether the model explains the recording: ``consistent``, ``mismatch``, ``not_judged``.
+
+    ``mismatches`` are those that stand; ``tainted`` maps ``B`` and ``beta_e`` to the reason for
+    which the value is in doubt.
+    """
+
+    status: str
+    message: str
+    mismatches: tuple[Mismatch, ...] = ()
+    tainted: dict[str, Taint] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class LiveSnapshot:
+    """What the live estimator knows now; ``events`` are those since the last snapshot.
+
+    ``state_time_s`` is the time of position and velocity: they lag ``time_s`` by the rows that
+    wait for their neighbours, and a piston goes millimetres meanwhile.  ``implausible`` is what
+    in the rows contradicts the config, "" where nothing does.
+    """
+
+    time_s: float
+    parameters: dict[str, ParameterEstimate]
+    position: float
+    velocity: float
+    model: ModelStatus
+    events: tuple[Event, ...]
+    temperature: float | None
+    consistency: dict[str, Consistency | None]
+    state_time_s: float = math.nan
+    implausible: str = ""
+
+
+@dataclass(frozen=True)
+class NoiseEstimate:
+    """White noise of a channel: what was assumed, SI, and whether the data told it."""
+
+    value: float
+    measured: bool
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Everything that ``estimate`` finds in one recording.
+
+    ``settings`` have the hold decided; ``channels`` is what was found out about the channels.
+    """
+
+    recording: Recording
+    settings: Settings
+    stage_one: StageResult
+    stage_two: StageResult
+    joint: JointResult | None
+    model: ModelStatus
+    events: tuple[Event, ...]
+    noise: dict[str, NoiseEstimate]
+    wall_s: float = 0.0
+    warnings: tuple[str, ...] = field(default=())
+    channels: tuple[ChannelFinding, ...] = ()
+
+    @property
+    def parameters(self) -> dict[str, ParameterEstimate]:
+        """``B`` of stage one and ``beta_e`` of stage two."""
+        return {"B": self.stage_one.estimate, "beta_e": self.stage_two.estimate}
+
+
+def units_of(motion: str) -> dict[str, str]:
+    """Return the units of B, beta_e and L as people write them."""
+    damping = "N·m·s/rad" if motion == "rotary" else "N·s/m"
+    return {"B": damping, "beta_e": "Pa", "L": "m³/(s·Pa)"}
+
+
+def no_data(name: str, unit: str, reason: str) -> ParameterEstimate:
+    """Return an estimate without a number."""
+    return ParameterEstimate(name, math.nan, math.nan, unit, "no_data", reason)
+
+
+def judge_parameter(name: str, value: float, stddev: float, unit: str, prior: float,
+                    prior_stddev: float, largest: float = math.inf) -> ParameterEstimate:
+    """Give a value its status from how much sharper it is than its prior.
+
+    ``largest`` is more than the parameter can be.
+    """
+    symbol = SYMBOLS.get(name, name)
+    if not (math.isfinite(value) and math.isfinite(stddev)):
+        return ParameterEstimate(name, math.nan, math.nan, unit, "diverged",
+                                 f"{symbol} is no longer a finite number")
+    limit = min(HUGE * (prior + prior_stddev), largest)
+    # Beyond the limit, the inverse of the value (a compliance) must be so within its own sigma.
+    beyond = abs(value) > limit and (1.0 + NEGATIVE * stddev / abs(value)) / abs(value) < 1 / limit
+    if value < -NEGATIVE * stddev or beyond:
+        return ParameterEstimate(
+            name, math.nan, math.nan, unit, "diverged",
+            f"{symbol} went to {quantity(value, unit, 3)}, which is not physical: the model, the "
+            "config or a sign is wrong")
+    shown = with_uncertainty(value, stddev, unit)
+    if stddev > CONVERGED * abs(value) or GAINED * stddev > prior_stddev:
+        before = with_uncertainty(prior, prior_stddev, unit)
+        return ParameterEstimate(
+            name, value, stddev, unit, "not_excited",
+            f"too little motion to identify {symbol}: {shown}, prior {before}")
+    told = share(max(stddev / abs(value) if value else 0.0, FLOOR), 2)
+    return ParameterEstimate(name, value, stddev, unit, "converged",
+                             f"{symbol} = {shown}, identified to ± {told}")
+
+
+def converged_where(value: np.ndarray, stddev: np.ndarray, prior: float, prior_stddev: float,
+                    largest: float = math.inf) -> np.ndarray:
+    """Return (n,) bool, where :func:`judge_parameter` would say ``converged``."""
+    limit = min(HUGE * (prior + prior_stddev), largest)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        size = np.abs(value)
+        beyond = (size > limit) & ((1.0 + NEGATIVE * stddev / size) / size < 1.0 / limit)
+        lost = (value < -NEGATIVE * stddev) | beyond
+        return (np.isfinite(value) & np.isfinite(stddev) & ~lost
+                & ~(stddev > CONVERGED * size) & ~(prior_stddev < 2.0 * stddev))
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What tells the stages apart.
+
+    Attributes
+    ----------
+    key, words : ``one`` or ``two``; "stage one".
+    parameter : symbol of what it estimates.
+    missing : what a misfit of its innovations points to, in words.
+    value, stddev, innovation, innovation_stddev : rows of what its kernel writes.
+    """
+
+    key: str
+    words: str
+    parameter: str
+    missing: str
+    value: int
+    stddev: int
+    innovation: int
+    innovation_stddev: int
+
+    def unit(self, settings: Settings) -> str:
+        """Return the unit of its parameter as people write it."""
+        return units_of(settings.rig.motion)[self.parameter]
+
+    def prior(self, settings: Settings):
+        """Return its section of the config."""
+        return settings.stage_one if self.key == "one" else settings.stage_two
+
+    def judged(self, settings: Settings, value: float, stddev: float) -> ParameterEstimate:
+        """Return the parameter with its status."""
+        prior = self.prior(settings)
+        return judge_parameter(self.parameter, value, stddev, self.unit(settings), prior.prior,
+                               prior.prior_stddev, getattr(prior, "largest", math.inf))
+
+    def no_data(self, settings: Settings, reason: str) -> ParameterEstimate:
+        """Return the parameter without a number."""
+        return no_data(self.parameter, self.unit(settings), reason)
+
+
+ONE = Stage("one", "stage one", "B",
+            "the force balance M x'' = F - B x' lacks an effect, or a sensor is wrong", 2, 3, 4, 5)
+TWO = Stage("two", "stage two", "beta_e",
+            "the flow balance or the drive lacks an effect, a sensor is late or wrong, or B is "
+            "wrong here", 3, 5, 6, 7)
+STAGES = {stage.key: stage for stage in (ONE, TWO)}

@@ -1,0 +1,162 @@
+"""How rows come into the live estimator: gathered, then put to their places on a uniform grid."""
+
+import math
+
+import numpy as np
+
+from eha_monitor.recordings.recording import CHANNELS, LARGEST, Recording
+
+WARM_UP = 256  # rows from which the sample time and the noise are first measured
+BATCH = 10  # rows taken at a time, at least
+BUFFER_S = 20.0
+NEARER = 0.05  # sample times
+LONG_GAP_S = 0.5  # a longer gap starts the buffer anew
+# Columns beside the channels: damping in force and its variance, both stages' innovations, and
+# what drive and pump remember after the row.
+EXTRA = ("b", "b_variance", "nu_one", "sd_one", "nu_two", "sd_two", "kept")
+Columns = dict[str, np.ndarray]
+
+
+class Gathered:
+    """Rows that wait: those that came one by one, and those of the first moments."""
+
+    def __init__(self):
+        self._single: list[tuple[float, dict[str, float]]] = []
+        self._early: list[tuple[np.ndarray, Columns]] = []
+
+    def add(self, time_s: float, row: dict[str, float]) -> bool:
+        """Let one row wait; True where they make a batch."""
+        self._single.append((time_s, row))
+        return len(self._single) >= BATCH
+
+    def singles(self) -> tuple[np.ndarray, Columns]:
+        """Hand out the rows that came one by one."""
+        waiting, self._single = self._single, []
+        names = {name for _, row in waiting for name in row}
+        return np.array([time for time, _ in waiting]), {
+            name: np.array([row.get(name, math.nan) for _, row in waiting]) for name in names}
+
+    def warm(self, times: np.ndarray, columns: Columns) -> bool:
+        """Let rows of the first moments wait; True where they are enough to start.
+
+        Without a model nothing is carried over a long gap.
+        """
+        last = self._early[-1][0][-1] if self._early else times[0]
+        gaps = np.flatnonzero(np.diff(times, prepend=last) > LONG_GAP_S)
+        if len(gaps):
+            self._early.clear()
+            times = times[gaps[-1]:]
+            columns = {name: values[gaps[-1]:] for name, values in columns.items()}
+        self._early.append((times, columns))
+        return sum(len(part) for part, _ in self._early) >= WARM_UP
+
+    def first(self) -> list[tuple[np.ndarray, Columns]]:
+        """Hand out the rows of the first moments."""
+        early, self._early = self._early, []
+        return early
+
+
+class LiveBuffer:
+    """Rows ``first`` to ``end`` (absolute numbers) of the grid, NaN where nothing came.
+
+    Parameters
+    ----------
+    seconds : how much is kept at least.
+    dt : sample time, s.
+    seen : channels that came before, though not in these rows.
+    """
+
+    def __init__(self, seconds: float, dt: float, seen: frozenset[str] = frozenset()):
+        self.dt = dt
+        self.length = round(seconds / dt)
+        self._columns = {name: np.full(2 * self.length, np.nan) for name in (*CHANNELS, *EXTRA)}
+        self.first = 0
+        self.end = 0
+        self.seen: set[str] = set(seen)
+
+    @property
+    def at_once(self) -> int:
+        """How many rows may be written at a time."""
+        return max(self.length // 4, 1)
+
+    def write(self, numbers: np.ndarray, columns: dict[str, np.ndarray]) -> None:
+        """Write rows of rising ``numbers``, the first no earlier than the last one.
+
+        Rows between stay NaN, and so does what is NaN or beyond all sensors.
+        """
+        last = int(numbers[-1])
+        if last - self.first >= 2 * self.length:
+            self._compact(last)
+        places = numbers - self.first
+        for name, values in columns.items():
+            good = np.abs(values) <= LARGEST[name]  # a measurement
+            if good.any():
+                self._columns[name][places[good]] = values[good]
+                self.seen.add(name)
+        self.end = last + 1
+
+    def _compact(self, number: int) -> None:
+        new_first = max(number - self.length + 1, 0)
+        shift = new_first - self.first
+        for column in self._columns.values():
+            column[:-shift] = column[shift:]
+            column[-shift:] = np.nan
+        self.first = new_first
+
+    def column(self, name: str, start: int, stop: int) -> np.ndarray:
+        """Return a view of rows ``start`` to ``stop`` (absolute, clipped to what is held)."""
+        return self._columns[name][max(start - self.first, 0) : stop - self.first]
+
+    def channels(self, start: int, stop: int) -> dict[str, np.ndarray]:
+        """Return the recorded channels of a stretch."""
+        return {name: self.column(name, start, stop) for name in CHANNELS if name in self.seen}
+
+    def recording(self, start: int, stop: int) -> Recording:
+        """Return a stretch as a recording."""
+        return Recording(self.dt, {name: values.copy()
+                                   for name, values in self.channels(start, stop).items()})
+
+
+class Grid:
+    """The buffer, and the times at which its rows stand.
+
+    Attributes
+    ----------
+    buffer : the last seconds.
+    origin : time of row 0, s.
+    """
+
+    def __init__(self, origin: float, dt: float, seen: frozenset[str] = frozenset()):
+        self.buffer, self.origin, self.dt = LiveBuffer(BUFFER_S, dt, seen), origin, dt
+        self._off = 0.0  # of the last row, in sample times
+
+    def time_of(self, number: int) -> float:
+        """Return the time of a row, s."""
+        return self.origin + number * self.dt
+
+    def place(self, times: np.ndarray, columns: Columns, taken: int) -> int:
+        """Put rows to their places, up to a long gap; return how many.
+
+        Parameters
+        ----------
+        taken : rows of the grid that have been filtered: they stand.
+        """
+        buffer, long, done = self.buffer, LONG_GAP_S / self.dt, 0
+        while done < len(times):
+            places = (times[done:] - self.origin) / self.dt
+            numbers = np.rint(places).astype(np.int64)
+            off = np.abs(places - numbers)
+            end, count = buffer.end, 1
+            if numbers[0] - end > long:
+                break
+            # The same place again: the nearer one stands, else the first, if not yet filtered.
+            if numbers[0] >= end or (numbers[0] == end - 1 >= taken
+                                     and off[0] < self._off - NEARER):
+                steps = np.diff(numbers[: buffer.at_once])
+                breaks = np.flatnonzero((steps <= 0) | (steps > long))
+                count = int(breaks[0]) + 1 if len(breaks) else len(steps) + 1
+                buffer.write(numbers[:count], {
+                    name: values[done : done + count] for name, values in columns.items()})
+                self._off = float(off[count - 1])
+            done += count
+        return done
