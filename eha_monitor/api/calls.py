@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from eha_monitor.errors import InputError
 
 Progress = bool | Callable[[str, float], None]
+READING = 0.03  # of a diagnosis' progress is the reading
 _WIDTH = 78  # of a line of progress
 _one = threading.RLock()
 

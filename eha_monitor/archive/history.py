@@ -9,8 +9,7 @@ from eha_monitor.archive.columns import INDICATORS
 from eha_monitor.archive.forecast import Outlook, outlook
 from eha_monitor.archive.store import nanoseconds_of
 from eha_monitor.archive.trend import LEAST, Trend, trend
-from eha_monitor.indicators.indicator import UNITS
-from eha_monitor.indicators.limits import limits_of_indicator
+from eha_monitor.indicators.indicator import UNITS, limits_of_indicator
 from eha_monitor.recordings.recording import CALENDAR_NS
 from eha_monitor.settings.monitor import Settings
 

@@ -54,12 +54,12 @@ def export(config: Path, fmu: Path | None, platforms: tuple[str, ...], modelica:
         check_target(target)
     check_outputs(targets, bags, config)
 
-    from eha_monitor.api.rotary import UNITS
     from eha_monitor.exports.model import Model
+    from eha_monitor.quantity import ROTARY
     from eha_monitor.settings import load_settings
 
     model = Model(load_settings(config), config.name)
-    units = UNITS if model.rotary else {}
+    units = ROTARY if model.rotary else {}
     makers: dict[str, Callable] = {
         "--fmu": lambda: _fmu(model, units, platforms),
         "--modelica": lambda: _modelica(model, units),

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def show(console: Console, indicators: Sequence[Indicator], settings: "Settings") -> None:
     """Print those that are told, why others are not, and which keys are missing."""
-    from eha_monitor.indicators.limits import passed
+    from eha_monitor.indicators.indicator import passed
 
     shown = [one for one in indicators if one.status not in (NEEDS, NONE)
              and one.message != NOT_LOOKED_FOR]

@@ -1,11 +1,14 @@
 """From what was found and the config to the indicators."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from eha_monitor.filters.results import Estimate
+from eha_monitor.indicators import evidence
+from eha_monitor.indicators.evidence import Evidence
 from eha_monitor.indicators.indicator import (
     AVAILABLE,
     NEEDS,
@@ -13,7 +16,6 @@ from eha_monitor.indicators.indicator import (
     NOT_LOOKED_FOR,
     UNITS,
     UNKNOWN,
-    Evidence,
     Indicator,
     propagated,
 )
@@ -28,7 +30,9 @@ from eha_monitor.indicators.laws import (
     volumetric_efficiency,
 )
 from eha_monitor.indicators.oil import viscosity_ratio
+from eha_monitor.mismatch.diagnosis import Diagnosis
 from eha_monitor.quantity import number, quantity
+from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import effect_words, listed
 
@@ -50,6 +54,17 @@ LAWS = {
     "drive_lag": "time constant plus dead time from speed command to speed",
 }
 Values = Mapping[str, float]
+
+
+def of_estimate(found: Estimate) -> tuple[Indicator, ...]:
+    """Return the indicators of an estimate."""
+    return indicators(evidence.of_estimate(found), found.settings)
+
+
+def of_diagnosis(found: Diagnosis, recordings: Sequence[Recording], settings: Settings
+                 ) -> tuple[Indicator, ...]:
+    """Return the indicators of a diagnosis of these recordings."""
+    return indicators(evidence.of_diagnosis(found, list(recordings), settings), settings)
 
 
 def indicators(found: Evidence, settings: Settings) -> tuple[Indicator, ...]:
