@@ -35,7 +35,7 @@ SCHEMA = "eha_monitor/advice/1"
 
 def advise(recordings: Several, config: Config | str | os.PathLike | dict | None = None, *,
            check: bool = True, progress: Progress = False) -> "Advice":
-    """Say what recordings can and cannot tell apart, and which motion would, cheaply.
+    """Say what recordings can and cannot distinguish, and which motion would, cheaply.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def advise(recordings: Several, config: Config | str | os.PathLike | dict | None
     check : bool
         Put the proposed motion to a simulation with noise.
     progress : bool or callable
-        True: a line on the standard error; a function is told (text, share from 0 to 1).
+        True: a line on the standard error; a function is called with (text, share from 0 to 1).
 
     Returns
     -------

@@ -40,7 +40,7 @@ def words_of(problem: OSError) -> str:
 
 
 def reporter(progress: Progress) -> Callable[[str, float], None]:
-    """Return what a calculation tells its progress to: (text, share from 0 to 1).
+    """Return what a calculation reports its progress to: (text, share from 0 to 1).
 
     Parameters
     ----------

@@ -85,7 +85,7 @@ def diagnose(recordings: Several, config: Config | str | os.PathLike | dict | No
         A machine that several recordings have shown before: the one recording is judged against
         it, by its balances alone, in a fraction of a second (docs/one_machine.md).
     progress : bool or callable
-        True: a line on the standard error; a function is told (text, share from 0 to 1).
+        True: a line on the standard error; a function is called with (text, share from 0 to 1).
 
     Returns
     -------

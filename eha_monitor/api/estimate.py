@@ -44,7 +44,7 @@ def estimate(recording: Given, config: Config | str | os.PathLike | dict | None 
         The rig and how to judge it; without it what the recording was read or simulated with,
         and of a path the paper's EHA.
     progress : bool or callable
-        True: a line on the standard error; a function is told (text, share from 0 to 1).
+        True: a line on the standard error; a function is called with (text, share from 0 to 1).
 
     Returns
     -------

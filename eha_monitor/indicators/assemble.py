@@ -36,8 +36,8 @@ from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import effect_words, listed
 
-CLEAR = 2.0  # standard deviations from nothing: what is less is not told
-SIDE = 1.96  # standard deviations of the bound that is told in its place
+CLEAR = 2.0  # standard deviations from nothing: what is less is not reported
+SIDE = 1.96  # standard deviations of the bound that is reported in its place
 SLOW, FAST = 1.0, 1.4  # polytropic exponent of air that keeps, and of air that loses, no heat
 LAWS = {
     "leakage": "flow that the pump must deliver to hold the rated pressure with the rod blocked, "
@@ -68,7 +68,7 @@ def of_diagnosis(found: Diagnosis, recordings: Sequence[Recording], settings: Se
 
 
 def indicators(found: Evidence, settings: Settings) -> tuple[Indicator, ...]:
-    """Return every indicator, told or not, in the order of ``NAMES``."""
+    """Return every indicator, known or not, in the order of ``NAMES``."""
     friction = _friction(found, settings)
     return (_leakage(found, settings), _doubted(_free_air(found, settings), "beta_e", found),
             _doubted(_damping(found, settings), "B", found), friction,

@@ -32,7 +32,7 @@ class Evidence:
     channels : that were recorded.
     pressures : (m,) absolute pressures of both chambers at times spread over the recording, Pa;
         empty where they were not measured.
-    temperature : of the oil, °C, or None; ``measured`` tells whether a channel gave it.
+    temperature : of the oil, °C, or None; ``measured`` says whether a channel gave it.
     diagnosed : whether effects were looked for; ``settled``: and what was found explains it.
     """
 

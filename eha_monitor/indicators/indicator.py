@@ -31,15 +31,15 @@ class Indicator:
     ----------
     name : one of ``NAMES``; ``words`` says it.
     value, stddev : in ``unit``; NaN where nothing could be computed.  A ``value`` may be there
-        without being told by itself: a trend over many recordings may tell what one cannot.
+        without being reported: a trend over many recordings may show what one cannot.
     noise : the part of ``stddev`` that differs from one recording to the next; the rest (an
         air-free modulus, an exponent) is the same in all of one rig.
     status : ``available``, ``none_named`` (the recording shows none), ``cannot_be_told``, or
         ``needs_config``, with the missing keys in ``missing``.
-    message : the conditions it holds at, or the reason why it is not told.
+    message : the conditions it holds at, or the reason why it is not reported.
     law : equation and its limits, in a sentence.
     doubtful : what it is made of is tainted by a model that does not fit; ``message`` says why.
-    below : where it is not told, what it is below (above, of the efficiency) with 97.5 %; NaN
+    below : where it is not reported, what it is below (above, of the efficiency) with 97.5 %; NaN
         where that is not known.
     """
 
@@ -62,16 +62,16 @@ class Indicator:
 
     @property
     def shown(self) -> str:
-        """The value as people read it, a dash where it is not told."""
+        """The value as people read it, a dash where it is not reported."""
         if self.status != AVAILABLE:
             return "—"
         return f"{' ± '.join(rounded(self.value, self.stddev))} {self.unit}"
 
     def tree(self) -> dict:
-        """Return what stands in a JSON answer; value and stddev only where they are told."""
-        told = self.status == AVAILABLE
-        return {"name": self.name, "words": self.words, "value": self.value if told else None,
-                "stddev": self.stddev if told else None, "noise": self.noise if told else None,
+        """Return what stands in a JSON answer; value and stddev only where they are known."""
+        known = self.status == AVAILABLE
+        return {"name": self.name, "words": self.words, "value": self.value if known else None,
+                "stddev": self.stddev if known else None, "noise": self.noise if known else None,
                 "unit": self.unit, "status": self.status, "message": self.message,
                 "law": self.law, "missing": list(self.missing),
                 "below": self.below if math.isfinite(self.below) else None}

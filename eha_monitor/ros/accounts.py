@@ -5,8 +5,8 @@ from dataclasses import replace
 
 from eha_monitor.filters.faults import FaultWatch
 from eha_monitor.filters.rows import RowAligner
-from eha_monitor.health.finding import Finding
-from eha_monitor.health.latency import LatencyMeter, ProcessorMeter
+from eha_monitor.health.judge import Finding
+from eha_monitor.health.overload import LatencyMeter, ProcessorMeter
 from eha_monitor.ros.subscriptions import TopicInput
 
 

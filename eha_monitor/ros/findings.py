@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from eha_monitor.filters.results import Consistency, Event, ModelStatus, ParameterEstimate
 from eha_monitor.health.alarms import ADVICE, WATCHED, AlarmBoard
-from eha_monitor.health.finding import Finding
+from eha_monitor.health.judge import Finding
 from eha_monitor.health.overload import Overload
 from eha_monitor.ros.messages import ESTIMATE_LEVELS, alarm_finding
 from eha_monitor.settings.monitor import Settings

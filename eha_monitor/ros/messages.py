@@ -10,7 +10,7 @@ from std_msgs.msg import Float64
 
 from eha_monitor.filters.results import ParameterEstimate
 from eha_monitor.health.alarms import WATCHED, Alarm
-from eha_monitor.health.finding import Finding
+from eha_monitor.health.judge import Finding
 
 LEVELS = {"OK": DiagnosticStatus.OK, "WARN": DiagnosticStatus.WARN,
           "ERROR": DiagnosticStatus.ERROR, "STALE": DiagnosticStatus.STALE}

@@ -15,8 +15,7 @@ from eha_monitor.filters.faults import CONSEQUENCES, FaultWatch
 from eha_monitor.filters.results import Event, ModelStatus, ParameterEstimate
 from eha_monitor.filters.rows import RowAligner, Rows
 from eha_monitor.health.alarms import Alarm, AlarmBoard
-from eha_monitor.health.latency import LatencyMeter, ProcessorMeter
-from eha_monitor.health.overload import BEHIND_S
+from eha_monitor.health.overload import BEHIND_S, LatencyMeter, ProcessorMeter
 from eha_monitor.ros.accounts import lost, rates, summary, with_bags
 from eha_monitor.ros.drain import Drain
 from eha_monitor.ros.feeding import unfed

@@ -14,7 +14,7 @@ from std_msgs.msg import Float64
 
 from eha_monitor.filters.results import ParameterEstimate
 from eha_monitor.health.alarms import WATCHED
-from eha_monitor.health.finding import Finding
+from eha_monitor.health.judge import Finding
 from eha_monitor.ros import messages
 from eha_monitor.ros.keeper import Keeper
 from eha_monitor.ros.quality import clashes
