@@ -142,8 +142,7 @@ def draw(kind: str, i: int, seed: int, folder: Path) -> tuple[list[Path], Path, 
     from dataclasses import replace
 
     from eha_monitor.concealed.cases import Case, effect_names, outside_names
-    from eha_monitor.concealed.configured import misconfigured
-    from eha_monitor.concealed.draws import FAMILIES, draw_rig
+    from eha_monitor.concealed.draws import FAMILIES, draw_rig, misconfigured
     from eha_monitor.concealed.generate import write_case
 
     rng = np.random.default_rng([seed, list(KINDS).index(kind), i])

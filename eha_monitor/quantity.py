@@ -10,8 +10,12 @@ in it (``DIAGNOSED``).
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, fields, is_dataclass, replace
 from decimal import Decimal
+from typing import TypeVar
 
 FLOOR = 3e-4  # of the value; no ± is written smaller
 NOTE = ("± is one standard deviation due to noise, shown as at least "
@@ -47,6 +51,11 @@ _OTHER = {
 _SPELT = (("^0.5", "^½"), ("^2", "²"), ("^3", "³"), ("*", "·"))  # the catalogue has plain text
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _LEAST, _MOST = 1e-4, 1e7  # numbers beyond are written with a power of ten
+# Of a rig that turns, in place of those of a linear one: its equations are the same.
+ROTARY = {"N": "N·m", "N·s/m": "N·m·s/rad", "N·s²/m²": "N·m·s²/rad²", "N/m": "N·m/rad",
+          "kg": "kg·m²", "m": "rad", "m/s": "rad/s", "m/s²": "rad/s²", "m²": "m²·m/rad"}
+_motion: ContextVar[str] = ContextVar("motion", default="linear")  # of the rig in question
+Answer = TypeVar("Answer")
 
 
 @dataclass(frozen=True)
@@ -55,6 +64,39 @@ class Scale:
 
     factor: float
     unit: str
+
+
+@contextmanager
+def rig_motion(motion: str) -> Iterator[None]:
+    """Write quantities in the units of a rig, ``linear`` or ``rotary``, within the block.
+
+    The diagnosis computes with the units of a linear rig, whose equations are the same.
+    """
+    before = _motion.set(motion)
+    try:
+        yield
+    finally:
+        _motion.reset(before)
+
+
+def in_units(answer: Answer, name: str = "") -> Answer:
+    """Return a record whose units, at any depth, are those of the rig of :func:`rig_motion`.
+
+    What stands in the fields and keys ``unit`` and ``against_unit`` is changed; ``name`` is that
+    of the part itself.
+    """
+    if _motion.get() != "rotary":
+        return answer
+    if isinstance(answer, str):
+        return ROTARY.get(spelt(answer), answer) if name in ("unit", "against_unit") else answer
+    if is_dataclass(answer) and not isinstance(answer, type):
+        return replace(answer, **{one.name: in_units(getattr(answer, one.name), one.name)
+                                  for one in fields(answer)})
+    if isinstance(answer, dict):
+        return {key: in_units(part, key) for key, part in answer.items()}
+    if isinstance(answer, (tuple, list)):
+        return type(answer)(in_units(one, name) for one in answer)
+    return answer
 
 
 def spelt(unit: str) -> str:
@@ -67,9 +109,17 @@ def spelt(unit: str) -> str:
 def readable(magnitude: float, unit: str) -> Scale:
     """Return the scale in which ``magnitude`` (SI, any sign) has few digits before the point.
 
-    Unknown units and sizes that no prefix fits stay as they are.
+    Unknown units and sizes that no prefix fits stay as they are.  The unit is that of the rig of
+    :func:`rig_motion`, with the prefix that a linear one has.
     """
-    unit, size = spelt(unit), abs(magnitude)
+    unit = spelt(unit)
+    scale = _linear(abs(magnitude), unit)
+    if _motion.get() != "rotary" or unit not in ROTARY:
+        return scale
+    return Scale(scale.factor, scale.unit.removesuffix(unit) + ROTARY[unit])
+
+
+def _linear(size: float, unit: str) -> Scale:
     if not 1e-18 <= size < 1e13:
         return Scale(1.0, unit)
     if unit in _OTHER:
@@ -101,7 +151,7 @@ def quantity(value: float | None, unit: str, digits: int = 4) -> str:
     """Return an SI value in a readable unit, e.g. ``600 MPa``; a dash where there is none."""
     if value is None or not math.isfinite(value):
         return number(value)
-    scale = readable(value, unit) if value else Scale(1.0, spelt(unit))
+    scale = readable(value, unit)
     return f"{number(value * scale.factor, digits)} {scale.unit}".rstrip()
 
 

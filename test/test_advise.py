@@ -11,7 +11,7 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from mismatch_tools import nominal_fit
 
-from eha_monitor.api.advice_answer import written_excitation
+from eha_monitor.api.advise import written_excitation
 from eha_monitor.cli import main
 from eha_monitor.concealed.cases import Case
 from eha_monitor.concealed.generate import nominal_config, recording_of

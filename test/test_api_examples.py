@@ -7,6 +7,7 @@ import json
 import multiprocessing
 import os
 import pickle
+import re
 from pathlib import Path
 
 import pytest
@@ -109,7 +110,7 @@ def test_a_diagnosis_is_frozen_pickled_shown_and_drawn(examples, tmp_path):
         with pytest.raises(TypeError, match="cannot be changed"):
             one.after["B"] = None
         with pytest.raises(ValueError, match="read-only"):
-            one.inner.curves[0].measured[0] = 0.0
+            one.curves[0].measured[0] = 0.0
     assert "Coulomb friction" in d._repr_html_() and "±" in d._repr_html_()
     for what in ("missing", "fit", "B", "beta_e"):
         assert d.plot(what)._repr_png_()[0].startswith(b"\x89PNG")
@@ -125,6 +126,22 @@ def test_a_diagnosis_is_frozen_pickled_shown_and_drawn(examples, tmp_path):
     rig = d.completed()
     assert rig.rig.viscous_damping == pytest.approx(600.0, abs=5.0)
     assert rig.effects["coulomb_friction"]["F_c"] == pytest.approx(40.0, abs=0.5)
+
+
+def test_a_rig_that_turns_is_answered_in_radians_and_newton_metres():
+    from eha_monitor.physics.effects import CATALOGUE
+
+    sine = {"kind": "sine", "amplitude": 0.02, "frequency": 1.0, "duration": 2.0}
+    turning = em.Config(rig={"motion": "rotary"})
+    d = em.diagnose(em.simulate(turning.changed(
+        effects={"coulomb_friction": {"F_c": 40.0}}, simulation={"excitation": {"sine": sine}}),
+        seed=1), turning, without=[name for name in CATALOGUE if name != "coulomb_friction"])
+    assert "40 N·m" in d.effects[0].statement and d.effects[0].size == "40 N·m"
+    assert d.effects[0].parameters["F_c"].unit == "N·m"
+    assert d.after["B"].unit == "N·m·s/rad"
+    assert set(d.to_frame("fit")["unit"]) == {"rad", "Pa", "rad/s", "N·m"}
+    linear = re.compile(r"[0-9] [kMmµ]?(N|kg|m|N·s/m|N/m|m/s)(?![\w·/²])")
+    assert not linear.search(json.dumps(d.to_dict(), ensure_ascii=False))
 
 
 def test_advice_is_frozen_shown_and_drawn(examples):

@@ -22,11 +22,18 @@ from eha_monitor.concealed.cases import (
     rig_off,
     truth_of,
 )
-from eha_monitor.concealed.configured import KINDS, SHARES, TWINS, misconfigured
-from eha_monitor.concealed.draws import FAMILIES, draw_cases, mcmaster_case
+from eha_monitor.concealed.draws import (
+    FAMILIES,
+    KINDS,
+    SHARES,
+    TWINS,
+    draw_cases,
+    mcmaster_case,
+    misconfigured,
+)
 from eha_monitor.concealed.generate import nominal_config, recording_of, write_case
 from eha_monitor.concealed.motions import triangle
-from eha_monitor.concealed.places import OMEGA, P1, P2, V, X
+from eha_monitor.concealed.plant import OMEGA, P1, P2, V, X
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.settings import settings_from_tree
 from eha_monitor.settings.load import load_settings

@@ -17,7 +17,7 @@ from eha_monitor.dashboard.exports import estimates_csv
 from eha_monitor.dashboard.history import LongHistory, thinned
 from eha_monitor.dashboard.span import Span
 from eha_monitor.dashboard.state import HEALTH_STALE_AFTER, State
-from eha_monitor.health.finding import Finding
+from eha_monitor.health.judge import Finding
 from eha_monitor.settings import Settings
 
 HIGH = "viscous_damping_high"

@@ -15,7 +15,7 @@ from test_dashboard import PHONE, Eyes
 from test_ros_processes import command, end
 
 from eha_monitor.health.alarms import ALARM_NAMES, WATCHED
-from eha_monitor.health.finding import Finding
+from eha_monitor.health.judge import Finding
 from eha_monitor.ros import messages
 from eha_monitor.ros.qos import LATCHED
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from eha_monitor.dashboard import actuator, charts, words
 from eha_monitor.dashboard.history import History
 from eha_monitor.dashboard.state import ESTIMATES_EVERY, State, alarms
-from eha_monitor.health.finding import Finding
+from eha_monitor.health.judge import Finding
 from eha_monitor.quantity import Scale
 from eha_monitor.settings import Settings, settings_from_tree
 

@@ -10,7 +10,6 @@ from diagnosis_tools import ALL, CHARGE, MASS, NAN, coulomb, damping, everything
 from test_reports import Page
 
 from eha_monitor.api.diagnosis_answer import answer, mismatched, written_config
-from eha_monitor.api.rotary import of_rig
 from eha_monitor.commands.diagnosis_table import show
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import (
@@ -23,7 +22,7 @@ from eha_monitor.mismatch.diagnosis import (
     Value,
     Window,
 )
-from eha_monitor.quantity import DIAGNOSED
+from eha_monitor.quantity import DIAGNOSED, in_units, quantity, rig_motion, with_uncertainty
 from eha_monitor.reports.diagnosis_figures import telling
 from eha_monitor.reports.diagnosis_report import diagnosis_page, write_diagnosis_report
 from eha_monitor.reports.diagnosis_words import (
@@ -306,10 +305,18 @@ def test_numbers_found_beside_an_unexplained_rest_are_not_written(tmp_path):
 
 
 def test_a_rig_that_turns_has_newton_metres_everywhere(capsys):
-    found = replace(everything(), health=("12 kg at 3 mm/s² and 1.5 kN/m; 68.5 cm³, 5 min, 7 m",))
-    assert of_rig(found, "linear") is found
-    turned = of_rig(found, "rotary")
-    assert of_rig(turned, "rotary").effects == turned.effects  # what is turned stays so
+    found = everything()
+    assert in_units(found) is found
+    assert quantity(12.0, "kg") == "12 kg"
+    with rig_motion("rotary"):
+        said = (f"{quantity(12, 'kg')} at {quantity(3e-3, 'm/s^2')} and {quantity(15e3, 'N/m')}; "
+                f"{quantity(68.5e-6, 'm³')}, {with_uncertainty(1.4e-12, 1e-13, 'N')}")
+        turned = replace(in_units(found), health=(said,))
+        assert in_units(turned).effects == turned.effects  # what is turned stays so
+        # Already the rig's own unit, and no unit of a linear one.
+        assert quantity(7.0, "N·m·s/rad") == "7 N·m·s/rad" and quantity(2.0, "rad/s") == "2 rad/s"
+        assert quantity(0.0, "m") == "0 rad" and quantity(5e-4, "m²") == "5 cm²·m/rad"
+    assert quantity(7.0, "m") == "7 m"
     assert turned.bags == found.bags and turned.config_effects == found.config_effects
     show(turned, [])
     table = " ".join(capsys.readouterr().out.split())
@@ -317,12 +324,12 @@ def test_a_rig_that_turns_has_newton_metres_everywhere(capsys):
     page = Page(diagnosis_page(turned, rotary)).text
     tree = answer(turned)
     for text in (table, page, json.dumps(tree, ensure_ascii=False)):
-        assert "Coulomb friction of 40 N·m opposes" in text
-        assert "12 kg·m² at 3 mrad/s² and 1.5 kN·m/rad; 68.5 cm³, 5 min, 7 rad" in text
+        assert "12 kg·m² at 3 mrad/s² and 15 kN·m/rad; 68.5 cm³, (1.40 ± 0.10)·10⁻¹² N·m" in text
     for text in (table, page):
-        assert "40.03 ± 0.08 N·m" in text and "25.10 ± 0.20 kg·m²" in text
+        assert "40.03 ± 0.08 N·m" in text
         assert "601.2 ± 1.1 N·m·s/rad" in text
     assert tree["effects"][0]["parameters"]["F"]["unit"] == "N·m"
+    assert {one["key"]: one["found"]["unit"] for one in tree["rig_data"]}["mass"] == "kg·m²"
 
 
 def test_report_that_cannot_be_written(tmp_path):

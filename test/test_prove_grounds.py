@@ -13,8 +13,16 @@ from eha_monitor.concealed.draws import MCMASTER, MCMASTER_RIG, mcmaster_case
 from eha_monitor.concealed.generate import nominal_config, recording_of
 from eha_monitor.errors import InputError
 from eha_monitor.prove.files import write_json
-from eha_monitor.prove.grounds import mcmaster, simulator, strangers, triangle
-from eha_monitor.prove.grounds.ground import Ground, compared_row, said_of, with_ground
+from eha_monitor.prove.grounds import (
+    Ground,
+    compared_row,
+    mcmaster,
+    said_of,
+    simulator,
+    strangers,
+    triangle,
+    with_ground,
+)
 from eha_monitor.prove.score import row_of
 from eha_monitor.prove.trial import Question
 from eha_monitor.recordings.read import read_recording
@@ -269,4 +277,4 @@ def test_options_of_a_ground_are_checked_in_one_line(words, wrong, capsys, tmp_p
 def test_questions_of_a_trial(tmp_path):
     case = replace(mcmaster_case("normal"), name="a")
     trial = Ground(tmp_path).trial((case,))
-    assert trial.asked() == (Question("a", ("a",)),)
+    assert trial.all_questions() == (Question("a", ("a",)),)

@@ -3,8 +3,7 @@
 import pytest
 
 from eha_monitor.prove import score
-from eha_monitor.prove.curve import binned, curve_of, curves_of
-from eha_monitor.prove.reliability import calibration_error, reliability_of
+from eha_monitor.prove.curves import binned, calibration_error, curve_of, curves_of, reliability_of
 from eha_monitor.reports.proof_report import proof_page
 from eha_monitor.reports.proof_text import result_text
 

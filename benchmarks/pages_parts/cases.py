@@ -4,9 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from eha_monitor.commands.answer import judged
-from eha_monitor.commands.rotary import of_rig
-
+from eha_monitor.api.answer import judged
 from eha_monitor.commands.prove import drawn_cases
 from eha_monitor.estimation.observability import observability
 from eha_monitor.estimation.pipeline import estimate
@@ -14,6 +12,7 @@ from eha_monitor.mismatch.compare.compared import compared
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.prove.trial import Trial, prove
+from eha_monitor.quantity import in_units, rig_motion
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import Recording
@@ -124,8 +123,8 @@ def valve(folder: Folder) -> tuple | None:
     free = [read_table(file, settings) for file in files
             if file.name.startswith("unit_5")][:REAL]
     loaded = next(file for file in files if file.name.startswith("unit_1"))
-    found = compared([read_table(loaded, settings)], free, settings)
-    return of_rig(found, settings.rig.motion), settings
+    with rig_motion(settings.rig.motion):
+        return in_units(compared([read_table(loaded, settings)], free, settings)), settings
 
 
 def nights(command: str, count: int, seconds: float) -> Callable:

@@ -1,38 +1,41 @@
 """``advise`` in Python: what a recording leaves open, and the cheapest motion that settles it."""
 
 import os
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eha_monitor.api.advice_answer import answer, excited
-from eha_monitor.api.calls import Progress, calling, reporter
+from eha_monitor.api.answer import finite
+from eha_monitor.api.calls import READING, Progress, calling, reporter
 from eha_monitor.api.config import Config
 from eha_monitor.api.plausible import checked, finding_tree
 from eha_monitor.api.read import Several, config_for, distinct, recordings_of, several
-from eha_monitor.api.record import Record, chosen, frame_of, read_only
-from eha_monitor.api.rotary import of_rig
+from eha_monitor.api.record import Record, chosen, frame_of
 from eha_monitor.compiled import load_runtime
 from eha_monitor.mismatch.advise.advice import advise as run
-from eha_monitor.mismatch.advise.motions import Motion
-from eha_monitor.mismatch.advise.separate import Advice as Inner
+from eha_monitor.mismatch.advise.motions import Motion, excitation_tree
+from eha_monitor.mismatch.advise.separate import Advice as Found
 from eha_monitor.mismatch.advise.separate import Doubt
 from eha_monitor.mismatch.advise.tells import Confusion, Known, Sight
 from eha_monitor.mismatch.advise.words import motion_sentence, sentences
-from eha_monitor.quantity import SYMBOLS, number, with_uncertainty
+from eha_monitor.quantity import SYMBOLS, in_units, number, rig_motion, with_uncertainty
 from eha_monitor.recordings.recording import ChannelFinding
+from eha_monitor.settings.document import annotated
+from eha_monitor.settings.load import settings_from_tree
+from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import effect_words, listed
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-READING = 0.03  # share of the progress
+SCHEMA = "eha_monitor/advice/1"
 
 
 def advise(recordings: Several, config: Config | str | os.PathLike | dict | None = None, *,
            check: bool = True, progress: Progress = False) -> "Advice":
-    """Say what recordings can and cannot tell apart, and which motion would, cheaply.
+    """Say what recordings can and cannot distinguish, and which motion would, cheaply.
 
     Parameters
     ----------
@@ -44,7 +47,7 @@ def advise(recordings: Several, config: Config | str | os.PathLike | dict | None
     check : bool
         Put the proposed motion to a simulation with noise.
     progress : bool or callable
-        True: a line on the standard error; a function is told (text, share from 0 to 1).
+        True: a line on the standard error; a function is called with (text, share from 0 to 1).
 
     Returns
     -------
@@ -76,18 +79,27 @@ def advise(recordings: Several, config: Config | str | os.PathLike | dict | None
         load_runtime()
         read = recordings_of(given, config, "recordings")
         channels = checked(read, config.settings)
-        naming, found = run(read, config.settings, bool(check), lambda text, share: say(
-            text, READING + (1 - READING) * share))
+        with rig_motion(config.rig.motion):
+            naming, found = run(read, config.settings, bool(check), lambda text, share: say(
+                text, READING + (1 - READING) * share))
+            found = in_units(found)
         say("advised", 1.0)
-    return Advice(found, config, tuple(one.source for one in read), naming.after.named, channels)
+    return Advice(**vars(found), config=config, bags=tuple(one.source for one in read),
+                  named=naming.after.named, channels=channels)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Advice(Record):
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Advice(Record, Found):
     """What :func:`advise` found; SI, of a rig that turns in rad and N·m.
 
     Attributes
     ----------
+    confusions : tuple of Confusion
+        B or beta_e and an effect that take one another's part; :class:`Confusion`.
+    doubts : tuple of Doubt
+        Questions that the recording leaves open; :class:`Doubt`.
+    motion : Motion or None
+        The cheapest motion that settles them: name, words, segments, duration (s); or None.
     config : Config
         What it was made with.
     bags : tuple of str
@@ -98,45 +110,26 @@ class Advice(Record):
         What the channels say of the config where it may be wrong.
     """
 
-    inner: Inner
     config: Config
     bags: tuple[str, ...]
     named: tuple[str, ...]
     channels: tuple[ChannelFinding, ...]
 
-    @cached_property
-    def _shown(self) -> Inner:
-        return read_only(of_rig(self.inner, self.config.rig.motion))
-
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What the recording tells and leaves open, and what to record, in sentences."""
-        return tuple(of_rig(sentences(self.inner), self.config.rig.motion))
+        """What the recording distinguishes and leaves open, and what to record, in sentences."""
+        with rig_motion(self.config.rig.motion):
+            return tuple(sentences(self))
 
     @property
     def parameters(self) -> tuple[Known, ...]:
         """The fitted parameters, and with what each is confused most; :class:`Known`."""
-        return self._shown.known
-
-    @property
-    def confusions(self) -> tuple[Confusion, ...]:
-        """B or beta_e and an effect that take one another's part; :class:`Confusion`."""
-        return self._shown.confusions
+        return self.known
 
     @property
     def visible_from(self) -> tuple[Sight, ...]:
         """From which size on each effect shows in this recording; :class:`Sight`."""
-        return self._shown.sights
-
-    @property
-    def doubts(self) -> tuple[Doubt, ...]:
-        """Questions that the recording leaves open; :class:`Doubt`."""
-        return self._shown.doubts
-
-    @property
-    def motion(self) -> Motion | None:
-        """The cheapest motion that settles them: name, words, segments, duration (s); or None."""
-        return self._shown.motion
+        return self.sights
 
     def excitation(self) -> Config | None:
         """Return the config with the proposed motion, as ``--write-excitation`` does.
@@ -146,8 +139,8 @@ class Advice(Record):
         Config or None
             ``simulate`` runs the motion; None where none is proposed.
         """
-        return None if self.inner.motion is None else Config.of(
-            excited(self.inner.motion, self.config.settings))
+        return None if self.motion is None else Config.of(
+            excited(self.motion, self.config.settings))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the answer as JSON's plain types.
@@ -162,8 +155,24 @@ class Advice(Record):
         >>> a.to_dict()["schema"]
         'eha_monitor/advice/1'
         """
-        return of_rig(answer(self.bags, self.named, self.inner), self.config.rig.motion) | {
-            "channels": finding_tree(self.channels)}
+        motion = self.motion
+        with rig_motion(self.config.rig.motion):
+            shown = None if motion is None else {
+                "name": motion.name, "words": motion_sentence(motion),
+                "duration_s": motion.duration, "excitation": excitation_tree(motion)}
+        return finite({
+            "schema": SCHEMA, "bag": ", ".join(self.bags), "named": self.named,
+            "advice": self.sentences,
+            "parameters": [asdict(one) for one in self.known],
+            "plateaus": self.plateaus,
+            "confusions": [asdict(one) for one in self.confusions],
+            "visible_from": [asdict(one) for one in self.sights],
+            "groups": self.groups,
+            "doubts": [asdict(one) for one in self.doubts],
+            "motion": shown,
+            "considered": self._considered(),
+            "checks": [asdict(one) for one in self.checks],
+            "channels": finding_tree(self.channels)})
 
     def to_frame(self, table: str = "visible_from") -> "pandas.DataFrame":
         """Return a table of the answer.
@@ -202,9 +211,7 @@ class Advice(Record):
             "doubts": lambda: frame_of(
                 map(asdict, self.doubts), tuple(Doubt.__dataclass_fields__), "effect"),
             "considered": lambda: frame_of(
-                ({"name": one.motion.name, "duration_s": one.motion.duration,
-                  "log_units": one.gains} for one in self._shown.tried),
-                ("name", "duration_s", "log_units"), "name")}, "table")()
+                self._considered(), ("name", "duration_s", "log_units"), "name")}, "table")()
 
     def plot(self) -> "Figure":
         """Draw the proposed motion: demanded position against time.
@@ -216,8 +223,14 @@ class Advice(Record):
         """
         from eha_monitor.reports.single_figures import motion_figure
 
-        return motion_figure(None if self.motion is None else (
-            self.motion.segments, motion_sentence(self.motion)), self.config.rig.motion)
+        with rig_motion(self.config.rig.motion):
+            shown = None if self.motion is None else (self.motion.segments,
+                                                      motion_sentence(self.motion))
+        return motion_figure(shown, self.config.rig.motion)
+
+    def _considered(self) -> list[dict]:
+        return [{"name": one.motion.name, "duration_s": one.motion.duration,
+                 "log_units": one.gains} for one in self.tried]
 
     def _short(self):
         health = [one for one in self.parameters if one.name in ("B", "beta_e")
@@ -229,3 +242,18 @@ class Advice(Record):
             listed([effect_words(name) for name in self.named]) or "nothing"),
             ("parameter", "value", "variance inflation", "most correlated with"), rows,
             self.sentences)
+
+
+def excited(motion: Motion, settings: Settings) -> Settings:
+    """Return the config with the motion as its ``simulation.excitation``."""
+    tree = settings.model_dump()
+    tree["simulation"]["excitation"] = excitation_tree(motion)
+    return settings_from_tree(tree, "advice")
+
+
+def written_excitation(motion: Motion, settings: Settings, bags: Sequence[str | Path]) -> str:
+    """Return the config with the motion as its ``simulation.excitation``, an annotated file."""
+    given = ", ".join(map(str, bags))
+    title = " ".join(f"Written by advise of {given}: its simulation.excitation is "
+                     f"{motion_sentence(motion)}.".split())
+    return annotated(excited(motion, settings), title)

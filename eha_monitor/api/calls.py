@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from eha_monitor.errors import InputError
 
 Progress = bool | Callable[[str, float], None]
+READING = 0.03  # of a diagnosis' progress is the reading
 _WIDTH = 78  # of a line of progress
 _one = threading.RLock()
 
@@ -39,7 +40,7 @@ def words_of(problem: OSError) -> str:
 
 
 def reporter(progress: Progress) -> Callable[[str, float], None]:
-    """Return what a calculation tells its progress to: (text, share from 0 to 1).
+    """Return what a calculation reports its progress to: (text, share from 0 to 1).
 
     Parameters
     ----------

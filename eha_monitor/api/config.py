@@ -306,7 +306,7 @@ def _plain(given: Any) -> Any:
 
 
 def _merge(tree: dict, given: dict, section: type[BaseModel] | None) -> None:
-    """Complete a tree with what is given, in place; whatever is wrong, validation tells."""
+    """Complete a tree with what is given, in place; whatever is wrong, validation reports."""
     for key, value in given.items():
         annotation = section.model_fields[key].annotation if (
             section is not None and key in section.model_fields) else None

@@ -3,14 +3,15 @@
 import os
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from eha_monitor.api.calls import Progress, calling, reporter
+from eha_monitor.api.answer import finite
+from eha_monitor.api.calls import READING, Progress, calling, reporter
 from eha_monitor.api.config import Config, path_of
-from eha_monitor.api.diagnosis import Diagnosis
-from eha_monitor.api.indicators import of_diagnosis
-from eha_monitor.api.plausible import checked
+from eha_monitor.api.diagnosis_answer import answer, completed
+from eha_monitor.api.plausible import checked, finding_tree
 from eha_monitor.api.read import (
     Given,
     Several,
@@ -19,28 +20,46 @@ from eha_monitor.api.read import (
     recordings_of,
     several,
 )
+from eha_monitor.api.record import Record, chosen, frame_of
 from eha_monitor.api.recording import Recording
-from eha_monitor.api.rotary import of_rig
 from eha_monitor.archive.find import find_bags, is_archive
 from eha_monitor.compiled import load_runtime
 from eha_monitor.errors import InputError
+from eha_monitor.indicators.assemble import of_diagnosis
+from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.machine.judge import judge
 from eha_monitor.machine.machine import load
 from eha_monitor.mismatch.compare.compared import compared
 from eha_monitor.mismatch.diagnose import diagnose as run
+from eha_monitor.mismatch.diagnosis import Change
+from eha_monitor.mismatch.diagnosis import Diagnosis as Found
 from eha_monitor.mismatch.show.machine import judged_diagnosis
 from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.quantity import SYMBOLS, in_units, rig_motion
+from eha_monitor.reports.diagnosis_words import probability, value_words
 from eha_monitor.settings.hypothesis import Hypothesis, hypothesis_of, load_hypothesis
+from eha_monitor.words import effect_words, listed
 
-__all__ = ["Diagnosis", "diagnose"]
-READING = 0.03  # share of the progress
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+_EFFECT = ("name", "probability", "balance", "size", "statement", "log_evidence",
+           "indistinguishable_from", "rig_check")
+_VALUE = ("name", "symbol", "value", "stddev", "unit")
+_RIG = ("key", "configured", "value", "stddev", "unit", "probability", "statement")
+_CHANGE = ("what", "symbol", "balance", "reference", "reference_stddev", "now", "now_stddev",
+           "unit", "statement")
+_FIT = ("signal", "unit", "before_rms", "after_rms", "noise_rms", "before_whiteness",
+        "after_whiteness", "signal_rms")
+_CURVE = ("balance", "against", "against_unit", "unit", "x", "measured", "spread", "modelled")
 
 
 def diagnose(recordings: Several, config: Config | str | os.PathLike | dict | None = None, *,
              held_out: Given | None = None, references: Several = (),
              hypothesis: Hypothesis | str | os.PathLike | dict | None = None,
              without: str | Sequence[str] = (), vary: str | Sequence[str] = (),
-             machine: str | os.PathLike | None = None, progress: Progress = False) -> Diagnosis:
+             machine: str | os.PathLike | None = None, progress: Progress = False) -> "Diagnosis":
     """Say where model and recordings differ, which physics that is, and show the fit improve.
 
     Parameters
@@ -66,7 +85,7 @@ def diagnose(recordings: Several, config: Config | str | os.PathLike | dict | No
         A machine that several recordings have shown before: the one recording is judged against
         it, by its balances alone, in a fraction of a second (docs/one_machine.md).
     progress : bool or callable
-        True: a line on the standard error; a function is told (text, share from 0 to 1).
+        True: a line on the standard error; a function is called with (text, share from 0 to 1).
 
     Returns
     -------
@@ -123,20 +142,225 @@ def diagnose(recordings: Several, config: Config | str | os.PathLike | dict | No
         def further(text: str, share: float) -> None:
             say(text, READING + (1 - READING) * share)
 
-        if known is not None:
-            started = time.perf_counter()
-            found = judged_diagnosis(judge(known, read[0], config.settings), known, read[0],
-                                     started)
-        elif references:
-            found = compared(read, references, config.settings, further)
-        else:
-            found = run(read, config.settings, kept[0] if kept else None, further, suspicion,
-                        without, vary)
-        found = of_rig(found, config.rig.motion)
+        with rig_motion(config.rig.motion):
+            if known is not None:
+                started = time.perf_counter()
+                found = judged_diagnosis(judge(known, read[0], config.settings), known, read[0],
+                                         started)
+            elif references:
+                found = compared(read, references, config.settings, further)
+            else:
+                found = run(read, config.settings, kept[0] if kept else None, further, suspicion,
+                            without, vary)
+            found = in_units(found)
         say("diagnosed", 1.0)
-    return Diagnosis(found, config, (*channels, *found.channels), tuple(
-        f"{one.source}: {loss}" for one in read for loss in one.losses),
-        of_diagnosis(found, read, config.settings))
+    return Diagnosis(**vars(found) | {"channels": (*channels, *found.channels)}, config=config,
+                     losses=tuple(f"{one.source}: {loss}" for one in read for loss in one.losses),
+                     indicators=of_diagnosis(found, read, config.settings))
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Diagnosis(Record, Found):
+    """What :func:`diagnose` found; SI, of a rig that turns in rad and N·m.
+
+    Attributes
+    ----------
+    verdict : str
+        ``consistent``, ``mismatch``, ``unexplained`` or ``insufficient_data``.
+    message : str
+        The verdict as a sentence.
+    bags : tuple of str
+        What the recordings are called.
+    probability : Mapping of str to float
+        Probability of ``consistent`` and of ``unexplained``, 0 to 1.
+    effects : tuple of NamedEffect
+        The physics that was left out, most important first; see :class:`NamedEffect`.
+    rig_data : tuple of RigFinding
+        Numbers of the rig that the recordings contradict; see :class:`RigFinding`.
+    learned : tuple of LearnedTerm
+        A model of what has no name, where one holds on unseen data; :class:`LearnedTerm`.
+    changes : tuple of Change
+        What has changed against the references; see :class:`Change`.
+    location : Location
+        Where model and recording disagree: balance, regime, intervals_s.
+    before : Mapping of str to Value
+        ``B`` and ``beta_e`` as the nominal model reads them: value, stddev, unit.
+    after : Mapping of str to Value
+        ``B`` and ``beta_e`` with the left-out physics in the model.
+    signals : Mapping of str to SignalFit
+        Free-run error of each signal on unseen data, before and after, SI.
+    health : tuple of str
+        Sentences on what the mismatch did to B and beta_e.
+    advice : tuple of str
+        Sentences on what to record next.
+    config : Config
+        The nominal config that it was made with.
+    channels : tuple of ChannelFinding
+        What the channels say of the config where it may be wrong, or of the hold of the demand.
+    losses : tuple of str
+        Sentences about what was lost in reading the recordings.
+    indicators : tuple of Indicator
+        Health in units to act on, leakage to drive lag; estimated, or why not (docs/health.md).
+    """
+
+    config: Config
+    losses: tuple[str, ...] = ()
+    indicators: tuple[Indicator, ...] = ()
+
+    @property
+    def healthy(self) -> bool:
+        """Whether the nominal model explains the recording: exit status 0 with ``--exit-code``."""
+        return self.verdict not in ("mismatch", "unexplained")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the answer as JSON's plain types.
+
+        Returns
+        -------
+        dict
+            What ``eha-monitor diagnose --json`` writes (schema ``eha_monitor/diagnosis/1``).
+
+        Examples
+        --------
+        >>> d.to_dict()["effects"][0]["name"]
+        'coulomb_friction'
+        """
+        return answer(self) | {"channels": finding_tree(self.channels),
+                                     "indicators": [one.tree() for one in self.indicators]}
+
+    def to_frame(self, table: str = "effects") -> "pandas.DataFrame":
+        """Return a table of the answer.
+
+        Parameters
+        ----------
+        table : str
+            ``effects`` (a row for each), ``values`` (a row for each of their parameters),
+            ``rig_data``, ``changes``, ``parameters`` (B and beta_e before and after), ``fit``
+            (free-run errors on unseen data), ``considered`` (what was tried and not named) or
+            ``curves`` (the missing terms against motion).
+
+        Returns
+        -------
+        pandas.DataFrame
+            SI units.
+
+        Raises
+        ------
+        InputError
+            If there is no such table.
+
+        Examples
+        --------
+        >>> d.to_frame("values").set_index("symbol").loc["F_c", "value"].round(1)
+        np.float64(40.0)
+        """
+        return chosen(table, {
+            "effects": lambda: frame_of(map(asdict, self.effects), _EFFECT, "name"),
+            "values": lambda: frame_of(({"name": effect.name, "symbol": symbol} | asdict(value)
+                                        for effect in self.effects
+                                        for symbol, value in effect.parameters.items()),
+                                       _VALUE, "name"),
+            "rig_data": lambda: frame_of((asdict(one) | asdict(one.found)
+                                          for one in self.rig_data), _RIG, "key"),
+            "changes": lambda: frame_of(map(_change, self.changes), _CHANGE, "what"),
+            "parameters": lambda: frame_of((
+                {"when": when, "parameter": name} | asdict(value)
+                for when, values in (("before", self.before), ("after", self.after))
+                for name, value in values.items()),
+                ("when", "parameter", "value", "stddev", "unit"), "parameter"),
+            "fit": lambda: frame_of(({"signal": name} | asdict(fit)
+                                     for name, fit in self.signals.items()), _FIT, "signal"),
+            "considered": lambda: frame_of(map(asdict, self.considered),
+                                           ("name", "gain", "beside", "why"), "name"),
+            "curves": lambda: frame_of(
+                ({**{key: getattr(curve, key) for key in _CURVE[:4]},
+                  **dict(zip(_CURVE[4:], point, strict=True))} for curve in self.curves
+                 for point in zip(*(getattr(curve, key) for key in _CURVE[4:]), strict=True)),
+                _CURVE)}, "table")()
+
+    def plot(self, what: str = "missing") -> "Figure":
+        """Draw the proof.
+
+        Parameters
+        ----------
+        what : str
+            ``missing``: what the recording shows and the model lacks, and what the named physics
+            makes; ``fit``: both models running free on unseen data; ``B`` or ``beta_e``: the
+            parameter from each part of the recording, before and after.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            A notebook shows it; ``figure.savefig("diagnosis.png")`` keeps it.
+
+        Raises
+        ------
+        InputError
+            If there is no such picture.
+        """
+        from eha_monitor.reports.single_figures import DIAGNOSIS_FIGURES
+
+        return chosen(what, DIAGNOSIS_FIGURES, "what")(self)
+
+    def completed(self) -> Config:
+        """Return the nominal config completed with what was found, as ``--write-config`` does.
+
+        Returns
+        -------
+        Config
+            With the named effects, the corrected numbers of the rig, B and beta_e; ``estimate``
+            with it carries no error of the model.  Unchanged where nothing explains the mismatch.
+
+        Examples
+        --------
+        >>> round(d.completed().effects["coulomb_friction"]["F_c"])
+        40
+        """
+        return Config.of(completed(self, self.config.settings)[0])
+
+    def report(self, path: str | os.PathLike, *, command: str = "") -> Path:
+        """Write the self-contained HTML report of ``eha-monitor diagnose --report``.
+
+        Parameters
+        ----------
+        path : str or path
+            The file; it is replaced when the new one is complete.
+        command : str
+            What made the answer, for its foot.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        InputError
+            If it cannot be written.
+        """
+        from eha_monitor.reports.diagnosis_report import write_diagnosis_report
+
+        with calling():
+            place = path_of(path, "a file to write")
+            write_diagnosis_report(place, self, self.config.settings, [
+                *self.losses, *(finding.finding for finding in self.channels)], command,
+                self.indicators)
+            return place
+
+    def _short(self):
+        rows = [[effect_words(effect.name), probability(effect.probability), effect.size,
+                 ", ".join(f"{symbol} = {value_words(value)}"
+                           for symbol, value in effect.parameters.items())]
+                for effect in self.effects]
+        rows += [[f"rig.{one.key}", probability(one.probability), "", one.statement]
+                 for one in self.rig_data]
+        rows += [["learned", "", term.size, term.statement] for term in self.learned]
+        rows += [["changed", "", one.what, one.statement] for one in self.changes]
+        rows += [[f"{SYMBOLS.get(name, name)}, before → after", "", "",
+                  f"{value_words(self.before.get(name))} → {value_words(self.after.get(name))}"]
+                 for name in dict.fromkeys((*self.before, *self.after))]
+        return (f"{listed(self.bags)}: {self.verdict}", self.message,
+                ("what", "probability", "size", "numbers"), rows, self.health)
 
 
 def known_effects(names: str | Sequence[str], option: str) -> tuple[str, ...]:
@@ -184,3 +408,9 @@ def _hypothesis(given: Any) -> Hypothesis | None:
     if isinstance(given, Mapping):
         return hypothesis_of(dict(given), "hypothesis")
     return load_hypothesis(path_of(given, "a file with a hypothesis, or an installed name"))
+
+
+def _change(change: Change) -> dict[str, Any]:
+    return finite(asdict(change)) | {
+        "reference": change.reference.value, "reference_stddev": change.reference.stddev,
+        "now": change.now.value, "now_stddev": change.now.stddev}

@@ -2,7 +2,7 @@
 
 import os
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from eha_monitor.api.answer import answer, judged, unhealthy
 from eha_monitor.api.calls import Progress, calling, reporter
 from eha_monitor.api.config import Config, path_of
-from eha_monitor.api.indicators import of_estimate, trees
 from eha_monitor.api.plausible import checked, finding_tree
 from eha_monitor.api.read import Given, config_for, recordings_of
 from eha_monitor.api.record import Record, chosen, frame_of, read_only
@@ -19,18 +18,13 @@ from eha_monitor.compiled import load_runtime
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.observability import ObservabilityTable, observability
 from eha_monitor.estimation.pipeline import estimate as run
-from eha_monitor.estimation.results import Estimate as Inner
-from eha_monitor.estimation.results import (
-    Event,
-    JointResult,
-    ModelStatus,
-    ParameterEstimate,
-    StageResult,
-)
+from eha_monitor.estimation.results import Estimate as Found
+from eha_monitor.estimation.results import ParameterEstimate
 from eha_monitor.health.alarms import Alarm
+from eha_monitor.indicators.assemble import of_estimate
 from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.quantity import SYMBOLS
-from eha_monitor.recordings.recording import SHORTEST_S, ChannelFinding
+from eha_monitor.recordings.recording import SHORTEST_S
 from eha_monitor.recordings.recording import Recording as InnerRecording
 
 if TYPE_CHECKING:
@@ -50,7 +44,7 @@ def estimate(recording: Given, config: Config | str | os.PathLike | dict | None 
         The rig and how to judge it; without it what the recording was read or simulated with,
         and of a path the paper's EHA.
     progress : bool or callable
-        True: a line on the standard error; a function is told (text, share from 0 to 1).
+        True: a line on the standard error; a function is called with (text, share from 0 to 1).
 
     Returns
     -------
@@ -77,29 +71,46 @@ def estimate(recording: Given, config: Config | str | os.PathLike | dict | None 
         load_runtime()
         started = time.perf_counter()
         say(f"reading {_named(recording)}", 0.0)
-        found, *others = recordings_of(recording, config, "recording")
+        recorded, *others = recordings_of(recording, config, "recording")
         if others:
             raise InputError(f"recording: expected one, got {1 + len(others)}: "
                              "[em.estimate(one) for one in ...]")
-        channels = checked([found], config.settings)
-        refuse_short(found)  # a clock that runs wrong has been told before
+        channels = checked([recorded], config.settings)
+        refuse_short(recorded)  # a clock that runs wrong has been reported before
         say("estimating", 0.2)
-        inner = run(found, config.settings)
-        channels = (*channels, *inner.channels)
-        alarms, history = judged(inner)
-        # What a user waits for: the file is read within this time.
-        inner = replace(inner, wall_s=time.perf_counter() - started, warnings=(
-            *inner.warnings, *(finding.finding for finding in channels)))
+        found = run(recorded, config.settings)
+        channels = (*channels, *found.channels)
+        alarms, history = judged(found)
+        made = Estimate(**vars(found) | {
+            "recording": Recording.of(recorded, config), "channels": channels,
+            "warnings": (*found.warnings, *(finding.finding for finding in channels)),
+            # What a user waits for: the file is read within this time.
+            "wall_s": time.perf_counter() - started},
+            config=config, alarms=alarms, alarm_history=history)
         say("estimated", 1.0)
-    return Estimate(inner, config, alarms, history, channels)
+    return made
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Estimate(Record):
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Estimate(Record, Found):
     """What :func:`estimate` found in one recording; B in N·s/m, beta_e in Pa.
 
     Attributes
     ----------
+    recording : Recording
+        What was recorded.
+    joint : JointResult or None
+        B, beta_e and leakage L at once, of pressures and pump speed; None without them.
+    model : ModelStatus
+        Whether the model explains the recording: status, message, mismatches.
+    stage_one : StageResult
+        Stage one over time: time, value and stddev of B, states, innovations; (n,) each.
+    stage_two : StageResult
+        Stage two over time: time, value and stddev of beta_e, states, innovations.
+    events : tuple of Event
+        What the stages did: converged, detected a change, were reset.
+    warnings : tuple of str
+        Sentences on what limits the answer.
     config : Config
         What it was made with.
     alarms : tuple of Alarm
@@ -110,77 +121,36 @@ class Estimate(Record):
         What the channels say of the config where it may be wrong, or of the hold of the demand.
     """
 
-    inner: Inner
+    recording: Recording
     config: Config
     alarms: tuple[Alarm, ...]
     alarm_history: tuple[Alarm, ...]
-    channels: tuple[ChannelFinding, ...]
-
-    def __getstate__(self) -> dict:
-        return {key: value for key, value in self.__dict__.items() if key != "_shown"}
-
-    @cached_property
-    def _shown(self) -> Inner:
-        return read_only(self.inner)
-
-    @cached_property
-    def observability(self) -> ObservabilityTable:
-        """Which combination of channels would tell B, beta_e and leakage, and how well.
-
-        Relative standard deviations (Cramér-Rao bound); computed when first asked for.
-        """
-        with calling():
-            return observability(self.inner)
-
-    @cached_property
-    def indicators(self) -> tuple[Indicator, ...]:
-        """Health in units to act on, leakage to drive lag; told, or why not (docs/health.md)."""
-        return of_estimate(self.inner)
-
-    @property
-    def recording(self) -> Recording:
-        """What was recorded."""
-        return Recording.of(self.inner.recording, self.config)
 
     @property
     def parameters(self) -> dict[str, ParameterEstimate]:
         """``B`` of stage one, ``beta_e`` of stage two: value, stddev, unit, status, message."""
-        return read_only(self._shown.parameters)
+        return read_only(super().parameters)
 
-    @property
-    def joint(self) -> JointResult | None:
-        """B, beta_e and leakage L at once, of pressures and pump speed; None without them."""
-        return self._shown.joint
+    @cached_property
+    def observability(self) -> ObservabilityTable:
+        """Which combination of channels would estimate B, beta_e and leakage, and how well.
 
-    @property
-    def model(self) -> ModelStatus:
-        """Whether the model explains the recording: status, message, mismatches."""
-        return self._shown.model
+        Relative standard deviations (Cramér-Rao bound); computed when first requested.
+        """
+        with calling():
+            # The filters take arrays that can be written.
+            return observability(Found(**{one.name: getattr(self, one.name) for one in
+                                          fields(Found)} | {"recording": self.recording.inner}))
 
-    @property
-    def stage_one(self) -> StageResult:
-        """Stage one over time: time, value and stddev of B, states, innovations; (n,) each."""
-        return self._shown.stage_one
-
-    @property
-    def stage_two(self) -> StageResult:
-        """Stage two over time: time, value and stddev of beta_e, states, innovations."""
-        return self._shown.stage_two
-
-    @property
-    def events(self) -> tuple[Event, ...]:
-        """What the stages did: converged, saw a change, were reset."""
-        return self._shown.events
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Sentences on what limits the answer."""
-        return self._shown.warnings
+    @cached_property
+    def indicators(self) -> tuple[Indicator, ...]:
+        """Health in units to act on, leakage to drive lag; or why not (docs/health.md)."""
+        return of_estimate(self)
 
     @property
     def healthy(self) -> bool:
         """Whether no alarm stands and the model fits: exit status 0 with ``--exit-code``."""
-        return not unhealthy(self.inner, self.alarms)
+        return not unhealthy(self, self.alarms)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the answer as JSON's plain types.
@@ -195,8 +165,9 @@ class Estimate(Record):
         >>> e.to_dict()["schema"]
         'eha_monitor/estimate/1'
         """
-        return answer(self.inner, self.alarms, self.alarm_history, self.observability) | {
-            "channels": finding_tree(self.channels), "indicators": trees(self.indicators)}
+        return answer(self, self.alarms, self.alarm_history, self.observability) | {
+            "channels": finding_tree(self.channels),
+            "indicators": [one.tree() for one in self.indicators]}
 
     def to_frame(self, table: str = "parameters") -> "pandas.DataFrame":
         """Return a table of the answer.
@@ -254,7 +225,7 @@ class Estimate(Record):
 
         names = chosen(what, {"parameters": lambda: ("B", "beta_e"), "B": lambda: ("B",),
                               "beta_e": lambda: ("beta_e",)}, "what")()
-        return estimate_figure(self.inner, names)
+        return estimate_figure(self, names)
 
     def report(self, path: str | os.PathLike) -> Path:
         """Write the self-contained HTML report of ``eha-monitor estimate --report``.
@@ -278,7 +249,7 @@ class Estimate(Record):
 
         with calling():
             place = path_of(path, "a file to write")
-            write_estimate_report(place, self.inner, self.alarms, self.alarm_history,
+            write_estimate_report(place, self, self.alarms, self.alarm_history,
                                   self.observability, self.indicators)
             return place
 
@@ -311,10 +282,10 @@ class Estimate(Record):
                 for estimator, p in self._rows()]
         rows += [["alarm", alarm.name, alarm.message, alarm.word] for alarm in self.alarms
                  if alarm.level != "OK"]
-        return (self.inner.recording.source or "recording",
+        return (self.recording.source or "recording",
                 f"model: {self.model.status}: {self.model.message}",
                 ("estimator", "parameter", "value", "status"), rows,
-                tuple(f"lost: {loss}" for loss in self.inner.recording.losses)
+                tuple(f"lost: {loss}" for loss in self.recording.losses)
                 + tuple(f"note: {warning}" for warning in self.warnings))
 
 

@@ -40,7 +40,7 @@ class ImplausibleError(InputError):
                  recordings: Sequence[Recording] = ()):
         super().__init__(f"{reason} ({way})")
         self.reason, self.channels, self.corrected, self.way = reason, channels, corrected, way
-        self.recordings = tuple(recordings)  # all that were asked; not kept in a pickle
+        self.recordings = tuple(recordings)  # all that were checked; not kept in a pickle
 
     def __reduce__(self):
         return partial(type(self), way=self.way), (self.reason, self.channels, self.corrected)
@@ -55,7 +55,7 @@ def checked(recordings: Sequence[Recording], settings: Settings) -> tuple[Channe
 
     Parameters
     ----------
-    recordings : of one rig; each is asked by itself.
+    recordings : of one rig; each is checked by itself.
 
     Raises
     ------
@@ -65,12 +65,12 @@ def checked(recordings: Sequence[Recording], settings: Settings) -> tuple[Channe
     found: dict[str, ChannelFinding] = {}
     blocking: list[str] = []
     for recording in recordings:
-        asked = plausibility_of(recording, settings)
-        if recording.duration < SHORTEST_S and {f.channels for f in asked.findings} != {TIME}:
+        said = plausibility_of(recording, settings)
+        if recording.duration < SHORTEST_S and {f.channels for f in said.findings} != {TIME}:
             continue  # too short to say more of than that its clock is wrong
-        found |= {finding.finding: finding for finding in asked.findings}
-        if asked.blocking:
-            blocking.append(f"{recording.source}: {asked.message}")
+        found |= {finding.finding: finding for finding in said.findings}
+        if said.blocking:
+            blocking.append(f"{recording.source}: {said.message}")
     findings = tuple(found.values())
     if not blocking or settings.implausible == "warn":
         return findings

@@ -146,7 +146,7 @@ def distinct(recordings: Sequence[Recording | Path], held_out: Recording | Path 
 
 
 def _place(one: Recording | Path) -> Any:
-    """Return what tells a recording from others: where it lies, or itself."""
+    """Return what identifies a recording: where it lies, or itself."""
     return id(one) if isinstance(one, Recording) else one.resolve()
 
 

@@ -49,7 +49,7 @@ def read_only(part: Part) -> Part:
         return ReadOnly((key, read_only(value)) for key, value in part.items())
     if isinstance(part, (tuple, list)):
         return tuple(read_only(one) for one in part)
-    if is_dataclass(part) and not isinstance(part, type):
+    if is_dataclass(part) and not isinstance(part, (type, Record)):
         made = copy.copy(part)  # not replace: nothing is checked or measured again
         for field in fields(part):
             object.__setattr__(made, field.name, read_only(getattr(part, field.name)))
@@ -58,7 +58,23 @@ def read_only(part: Part) -> Part:
 
 
 class Record:
-    """A record that a notebook shows as a short table, and whose arrays cannot be written."""
+    """A record that a notebook shows as a short table.
+
+    The answers are dataclasses that extend what the calculation returns (its records know
+    nothing of tables and pages); :meth:`_protect` keeps their mappings and arrays from being
+    written.
+    """
+
+    def _protect(self) -> None:
+        for one in fields(self):
+            object.__setattr__(self, one.name, read_only(getattr(self, one.name)))
+
+    __post_init__ = _protect
+
+    def __setstate__(self, state: dict) -> None:
+        """Take the state of a pickle, which does not keep that arrays cannot be written."""
+        self.__dict__.update(state)
+        self._protect()
 
     def _repr_html_(self) -> str:
         """Return the short table of a notebook, escaped."""

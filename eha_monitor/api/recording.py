@@ -26,8 +26,8 @@ UNITS = ReadOnly(x="m", v="m/s", x_d="m", omega="rad/s", omega_d="rad/s", p1="Pa
 UNEVEN = 1e-3  # of a step: by which the steps of a table may differ
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Recording(Record):
+@dataclass(frozen=True, init=False, eq=False, repr=False)
+class Recording(Record, Inner):
     """Channels of one recording on one time grid, SI; gaps are NaN.
 
     :func:`read` and :func:`simulate` return one; one of your own arrays is
@@ -51,6 +51,13 @@ class Recording(Record):
     config : Config or None
         What it was read or simulated with; the functions take it where they are given no other.
 
+    Attributes
+    ----------
+    duration : float
+        Seconds from the first to behind the last row.
+    time : (n,) array
+        Seconds since the first row.
+
     Raises
     ------
     InputError
@@ -66,52 +73,41 @@ class Recording(Record):
     (4.0, np.float64(0.00841))
     """
 
-    channels: Mapping[str, np.ndarray]
-    sample_time: float
-    start_ns: int = 0
-    source: str = ""
-    losses: tuple[str, ...] = ()
     config: Config | None = None
-    inner: Inner = field(init=False)
     kind: str = field(init=False, default="")  # "bag", "table"; "" of arrays
+    # What the filters read: compiled code takes arrays that can be written.
+    inner: Inner = field(init=False)
 
-    def __post_init__(self):
-        source = self.source or "recording"
-        if not isinstance(self.channels, Mapping) or not self.channels:
-            raise InputError(f"{source}: channels: expected a mapping of channel to array, such "
-                             f"as {{'x': x}}, got {type(self.channels).__name__}")
-        columns = {name: _column(source, name, values) for name, values in self.channels.items()}
+    def __init__(self, channels: Mapping[str, np.ndarray], sample_time: float, start_ns: int = 0,
+                 source: str = "", losses: tuple[str, ...] = (), config: Config | None = None):
+        said = source or "recording"
+        if not isinstance(channels, Mapping) or not channels:
+            raise InputError(f"{said}: channels: expected a mapping of channel to array, such "
+                             f"as {{'x': x}}, got {type(channels).__name__}")
+        columns = {name: _column(said, name, values) for name, values in channels.items()}
         lengths = {name: len(values) for name, values in columns.items()}
         if len(set(lengths.values())) > 1:
-            raise InputError(f"{source}: channels differ in length: " + ", ".join(
+            raise InputError(f"{said}: channels differ in length: " + ", ".join(
                 f"{name} {length}" for name, length in lengths.items()))
-        step = _positive(source, "sample_time", self.sample_time)
-        if self.config is not None and not isinstance(self.config, Config):
-            raise InputError(f"{source}: config: expected an em.Config or None, got "
-                             f"{type(self.config).__name__}")
-        self._show(Inner(step, columns, int(self.start_ns), str(self.source),
-                         tuple(self.losses)))
+        step = _positive(said, "sample_time", sample_time)
+        if config is not None and not isinstance(config, Config):
+            raise InputError(f"{said}: config: expected an em.Config or None, got "
+                             f"{type(config).__name__}")
+        self._set(Inner(step, columns, int(start_ns), str(source), tuple(losses)), config, "")
 
-    def _show(self, inner: Inner) -> None:
-        for name, value in (("channels", read_only(inner.channels)),
-                            ("sample_time", inner.sample_time), ("start_ns", inner.start_ns),
-                            ("source", inner.source), ("losses", inner.losses),
-                            ("inner", inner)):
+    def _set(self, inner: Inner, config: Config | None, kind: str) -> "Recording":
+        for name, value in {**vars(read_only(inner)), "inner": inner, "config": config,
+                            "kind": kind}.items():
             object.__setattr__(self, name, value)
+        return self
 
-    def __setstate__(self, state: dict) -> None:
-        object.__setattr__(self, "config", state["config"])
-        object.__setattr__(self, "kind", state.get("kind", ""))
-        self._show(state["inner"])
+    def __reduce__(self):
+        return type(self).of, (self.inner, self.config, self.kind)
 
     @classmethod
     def of(cls, inner: Inner, config: Config | None = None, kind: str = "") -> "Recording":
         """Return an inner recording as it is; for the functions of this room."""
-        made = cls.__new__(cls)
-        object.__setattr__(made, "config", config)
-        object.__setattr__(made, "kind", kind)
-        made._show(inner)
-        return made
+        return cls.__new__(cls)._set(inner, config, kind)
 
     @classmethod
     def from_frame(cls, frame: "pandas.DataFrame", sample_time: float | None = None, *,
@@ -149,19 +145,6 @@ class Recording(Record):
             sample_time = _step_of(frame.index, source or "table")
         return cls({str(name): frame[name] for name in frame.columns}, sample_time,
                    source=source)
-
-    @property
-    def duration(self) -> float:
-        """Seconds from the first to behind the last row."""
-        return self.inner.duration
-
-    @property
-    def time(self) -> np.ndarray:
-        """(n,) seconds since the first row."""
-        return read_only(self.inner.time)
-
-    def __len__(self) -> int:
-        return len(self.inner)
 
     def between(self, start: float, stop: float) -> "Recording":
         """Return a part of it as a recording of its own.

@@ -40,7 +40,7 @@ def simulate(config: Config | str | os.PathLike | dict | None = None, *,
     seed : int, optional
         Seed of the sensor noise; without it the config's.
     progress : bool or callable
-        True: a line on the standard error; a function is told (text, share from 0 to 1).
+        True: a line on the standard error; a function is called with (text, share from 0 to 1).
 
     Returns
     -------
@@ -102,7 +102,7 @@ def simulate_bag(out: Path, config: Config, *, duration: float | None = None,
 
 
 def _plant(config: Config, duration: Any, seed: Any) -> tuple[Simulator, int]:
-    """Return the simulator and how many samples are asked of it."""
+    """Return the simulator and how many samples are requested."""
     if seed is not None and (isinstance(seed, bool) or not hasattr(seed, "__index__")
                              or seed < 0):
         raise InputError(f"seed: expected a whole number from 0 on, got {seed!r}")

@@ -7,8 +7,7 @@ import numpy as np
 
 from eha_monitor.archive.forecast import Outlook, outlook
 from eha_monitor.archive.store import INDICATORS, nanoseconds_of
-from eha_monitor.indicators.indicator import UNITS
-from eha_monitor.indicators.limits import limits_of_indicator
+from eha_monitor.indicators.indicator import UNITS, limits_of_indicator
 from eha_monitor.recordings.recording import CALENDAR_NS
 from eha_monitor.settings.monitor import Settings
 

@@ -2,6 +2,7 @@
 
 from io import StringIO
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -14,6 +15,9 @@ from eha_monitor.commands.common import (
     progress_bar,
 )
 from eha_monitor.output import write_json, write_text
+
+if TYPE_CHECKING:
+    from eha_monitor.api.advise import Advice
 
 
 @click.command()
@@ -31,8 +35,8 @@ def advise(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
     The motion keeps within the travel and the pump speed of BAG.  Its gain is predicted, then
     checked in simulation.
     """
-    from eha_monitor.api.advice_answer import written_excitation
     from eha_monitor.api.advise import advise as run
+    from eha_monitor.api.advise import written_excitation
     from eha_monitor.api.config import config_of
     from eha_monitor.api.read import distinct
 
@@ -41,12 +45,12 @@ def advise(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
     given = config_of(config)
     with progress_bar() as told:
         found = run(bags, given, check=check, progress=told)
-    motion = found.inner.motion
+    motion = found.motion
     if json_file:
         write_json(json_file, found.to_dict())
     if excitation_file and motion is not None:
         write_text(excitation_file, written_excitation(motion, given.settings, bags))
-    show(bags, found.named, found.inner, given.rig.motion)
+    show(bags, found)
     for finding in found.channels:
         click.echo(f"note: {finding.finding}")
     for path in (json_file, excitation_file):
@@ -56,32 +60,31 @@ def advise(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
             click.echo(f"{path}: not written, no motion is proposed")
 
 
-def show(bags: tuple[Path, ...], effects: tuple[str, ...], found, motion: str) -> None:
-    """Print what the recording tells, what it leaves open, and the motion as YAML."""
+def show(bags: tuple[Path, ...], found: "Advice") -> None:
+    """Print what the recording distinguishes and leaves open, and the motion as YAML."""
     from rich.markup import escape
     from ruamel.yaml import YAML
 
-    from eha_monitor.api.rotary import of_rig
     from eha_monitor.commands.table import console, table
     from eha_monitor.mismatch.advise.motions import excitation_tree
-    from eha_monitor.mismatch.advise.words import doubt_words, sentences
+    from eha_monitor.mismatch.advise.words import doubt_words
     from eha_monitor.quantity import NOTE, SYMBOLS, number, with_uncertainty
     from eha_monitor.reports.diagnosis_words import log_units, sentence
     from eha_monitor.words import effect_words, listed
 
     to = console()
-    named = listed([effect_words(name) for name in effects]) or "nothing"
+    named = listed([effect_words(name) for name in found.named]) or "nothing"
     to.print(escape(f"{', '.join(map(str, bags))}: named beside B and βe: {named}"))
     rows = table("parameter", "value", "variance inflation", "most correlated with")
     for one in found.known:
-        if one.name in ("B", "beta_e") or one.name.partition(".")[0] in effects:
+        if one.name in ("B", "beta_e") or one.name.partition(".")[0] in found.named:
             rows.add_row(SYMBOLS.get(one.name, one.name),
-                          with_uncertainty(one.value, one.stddev, of_rig(one, motion).unit),
-                          number(one.inflation, 3),
-                          f"{one.most_with} ({number(one.correlation, 3)})")
+                         with_uncertainty(one.value, one.stddev, one.unit),
+                         number(one.inflation, 3),
+                         f"{one.most_with} ({number(one.correlation, 3)})")
     to.print(rows)
     to.print(NOTE, style="dim")
-    for text in of_rig(sentences(found), motion):
+    for text in found.sentences:
         to.print(f"- {escape(sentence(text))}")
     if found.tried:
         rows = table("motion", "s", *(escape(doubt_words(d)) for d in found.doubts),

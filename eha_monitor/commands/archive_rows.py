@@ -212,10 +212,10 @@ def error_row(task: Task, error: str) -> dict:
 
 def _fill(row: dict, task: Task) -> None:
     from eha_monitor.api.estimate import refuse_short
-    from eha_monitor.api.indicators import of_diagnosis, of_estimate
     from eha_monitor.api.plausible import checked
     from eha_monitor.compiled import load_runtime
     from eha_monitor.estimation.pipeline import estimate
+    from eha_monitor.indicators.assemble import of_diagnosis, of_estimate
     from eha_monitor.recordings.read import read_recording
 
     load_runtime()
@@ -229,10 +229,11 @@ def _fill(row: dict, task: Task) -> None:
     row.update(estimate_columns(answer(found, alarms, history)), **_at_reference(found))
     if task.command == "diagnose":
         from eha_monitor.api.diagnosis_answer import answer as diagnosis_answer
-        from eha_monitor.api.rotary import of_rig
         from eha_monitor.mismatch.diagnose import diagnose
+        from eha_monitor.quantity import in_units, rig_motion
 
-        diagnosis = of_rig(diagnose([recording], task.settings), task.settings.rig.motion)
+        with rig_motion(task.settings.rig.motion):
+            diagnosis = in_units(diagnose([recording], task.settings))
         row.update(diagnosis_columns(diagnosis_answer(diagnosis)))
         indicators = of_diagnosis(diagnosis, [recording], task.settings)
     else:

@@ -106,13 +106,13 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
     if json_file:
         write_json(json_file, found.to_dict())
     if machine_file and several:
-        if found.inner.machine is None:
+        if found.machine is None:
             raise InputError("--machine: expected at least three BAGs that move, with the force "
                              "of the piston")
-        save(found.inner.machine, machine_file)
+        save(found.machine, machine_file)
     if config_file:
-        write_text(config_file, written_config(found.inner, given.settings, config))
-        if not completed(found.inner, given.settings)[1]:
+        write_text(config_file, written_config(found, given.settings, config))
+        if not completed(found, given.settings)[1]:
             notes.append(f"{config_file}: the config as it was, since nothing was identified")
     if report_file:
         found.report(report_file, command=command_line(bags, config, held_out, hypothesis_file,
@@ -120,10 +120,10 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
 
     from eha_monitor.commands.diagnosis_table import show
 
-    show(found.inner, [path for path in (json_file, report_file, config_file,
+    show(found, [path for path in (json_file, report_file, config_file,
                                      machine_file if several else None) if path],
          notes, found.indicators, given.settings)
-    write_out_bag(out_bag, found.inner, bags, given.settings)
+    write_out_bag(out_bag, found, bags, given.settings)
     return int(exit_code and not found.healthy)
 
 

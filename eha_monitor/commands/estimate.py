@@ -64,7 +64,7 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
 
     from eha_monitor.commands.table import show
 
-    show(found.inner, found.alarms, [path for path in (json_file, report_file) if path],
+    show(found, found.alarms, [path for path in (json_file, report_file) if path],
          found.indicators)
     if config_file:
         click.echo(f"{config_file}: written" if corrects else f"{config_file}: not written, since "

@@ -52,16 +52,16 @@ def export(config: Path, fmu: Path | None, platforms: tuple[str, ...], modelica:
         check_target(target)
     check_outputs(targets, bags, config)
 
-    from eha_monitor.api.rotary import UNITS
     from eha_monitor.exports import fmu as of_fmi
     from eha_monitor.exports import joints
     from eha_monitor.exports.model import Model
     from eha_monitor.exports.modelica import modelica_of
+    from eha_monitor.quantity import ROTARY
     from eha_monitor.recordings.read import read_recording
     from eha_monitor.settings import load_settings
 
     model = Model(load_settings(config), config.name)
-    units = UNITS if model.rotary else {}
+    units = ROTARY if model.rotary else {}
     makers: dict[str, Callable] = {
         "--fmu": lambda: of_fmi.fmu_of(model, units, platforms),
         "--modelica": lambda: modelica_of(model, units),

@@ -90,7 +90,7 @@ def prove(config: Path | None, ground: str, cases: int | None, data: Path | None
             found = run(Trial(drawn_cases(config, draw, cases or DRAWS, seed, rig), seed, work,
                               oracle, jobs or 0, keep), click.echo, told)
         else:
-            from eha_monitor.prove.grounds.ground import Ground
+            from eha_monitor.prove.grounds import Ground
 
             found = on_ground(ground, Ground(work, seed, cases or 0, jobs or 0, keep), data,
                               config, told)

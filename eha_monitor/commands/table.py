@@ -100,7 +100,7 @@ def _alarms(alarms: tuple[Alarm, ...]) -> Table:
 
 def show_indicators(to: Console, indicators: Sequence[Indicator], settings: Settings) -> None:
     """Print those that are told, why others are not, and which keys are missing."""
-    from eha_monitor.indicators.limits import passed
+    from eha_monitor.indicators.indicator import passed
 
     shown = [one for one in indicators if one.status not in (NEEDS, NONE)
              and one.message != NOT_LOOKED_FOR]

@@ -16,8 +16,7 @@ from eha_monitor.concealed.hidden import (
     Reach,
 )
 from eha_monitor.concealed.motions import LENGTHS, demanded_position
-from eha_monitor.concealed.places import N_CONSTANTS, NAMES, OMEGA, P1, P2
-from eha_monitor.concealed.plant import bristle_stiffness, run
+from eha_monitor.concealed.plant import N_CONSTANTS, NAMES, OMEGA, P1, P2, bristle_stiffness, run
 
 # Key of Case.rig -> (constant of the plant, the paper's value).
 RIG = {

@@ -1,9 +1,23 @@
-"""Draws for the trial: rigs, motions, strengths, sets of effects; and the second published EHA."""
+"""Draws for the trial: rigs, motions, strengths, sets of effects, what the config says of the rig.
+
+On a real rig every configured number is a little wrong, and now and then one is wrong by much: a
+data sheet of another pump, a charge pressure that somebody turned.  The plant always runs on the
+true numbers; only the config that goes with the recording is changed.
+"""
+
+from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
-from eha_monitor.concealed.cases import RIG, Case, effect_names, outside_names
-from eha_monitor.concealed.configured import misconfigured
+from eha_monitor.concealed.cases import (
+    RIG,
+    TOLERANCES,
+    Case,
+    effect_names,
+    outside_names,
+    rig_of,
+)
 from eha_monitor.concealed.hidden import SIGNED
 
 # At most one of each: with two, one contains or undoes the other.
@@ -26,6 +40,14 @@ CHANNELS = {
 # Effects in a case -> share of the cases; "outside" is one that has no name in the catalogue.
 SETS = {0: 0.15, 1: 0.45, 2: 0.2, 3: 0.1, "outside": 0.1}
 STRENGTHS = (0.03, 1.2)
+# Kind -> its share of the cases of ``mixed``.
+SHARES = {"exact": 0.4, "within": 0.4, "beyond": 0.2}
+KINDS = (*SHARES, "mixed")
+BEYOND = (3.0, 10.0)  # tolerances by which one number is off
+FARTHEST = 300.0  # factor by which nobody errs, not even in a leakage
+# A number and an effect that are one equation: with both concealed there is no one answer.
+TWINS = {"M": "added_mass", "D_p": "pump_flow_gain", "C_T": "cross_port_leakage",
+         "K_pos": "drive_gain"}
 # McMaster (Gadsden, Habibi): friction a2 v + (a1 v^2 + a3) sgn v, leakage L dp + Q_L0 sgn dp.
 MCMASTER_RIG = {
     "A": 1.52e-3, "D_p": 5.57e-7, "M": 7.376, "V": 1.08e-3, "beta_e": 2.07e8,
@@ -69,7 +91,7 @@ def draw_cases(n: int, seed: int, *, paper_rig: float = 0.3, rig: str = "mixed",
     n : how many.
     seed : of everything.
     paper_rig : share of the cases on the paper's own rig.
-    rig : what the nominal configs say of it, one of :data:`configured.KINDS`.
+    rig : what the nominal configs say of it, one of :data:`KINDS`.
     sets : effects in a case -> share of the cases.
     """
     cases = [_draw(f"c{i + 1:03d}", np.random.default_rng([seed, i]), paper_rig, sets)
@@ -133,3 +155,66 @@ def mcmaster_case(state: str, *, motion: str = "rich", seed: int = 0,
     return Case(f"mcmaster_{state}", tuple((name, 1.0) for name in parameters), motion=motion,
                 seed=seed, rig={**MCMASTER_RIG, "B": a_2}, options=parameters, demand=demand,
                 nominal={"B": MCMASTER["normal"][3], "beta_e": MCMASTER_RIG["beta_e"]})
+
+
+def misconfigured(cases: Iterable[Case], seed: int, kind: str = "mixed") -> list[Case]:
+    """Return the cases with the nominal configs of a kind; the i-th depends on seed and i only.
+
+    Parameters
+    ----------
+    cases : whose nominal configs have the true numbers.
+    seed : of the draws.
+    kind : ``exact``; ``within``: each number off by a normal draw of one tolerance; ``beyond``:
+        one number off by 3 to 10 tolerances, the others exact; ``mixed``: each at its share.
+    """
+    if kind not in KINDS:
+        raise ValueError(f"no kind {kind!r} of rig numbers, expected one of {', '.join(KINDS)}")
+    return [_one(case, np.random.default_rng([seed, i, 8]), kind) for i, case in enumerate(cases)]
+
+
+def _one(case: Case, rng: np.random.Generator, kind: str) -> Case:
+    drawn = str(rng.choice(list(SHARES), p=list(SHARES.values())))
+    kind = drawn if kind == "mixed" else kind
+    if kind == "exact":
+        return case
+    values = _within(case, rng) if kind == "within" else _beyond(case, rng)
+    return replace(case, nominal=case.nominal | values)
+
+
+def _within(case: Case, rng: np.random.Generator) -> dict[str, float]:
+    """Return all numbers, each off by a normal draw of one tolerance."""
+    spreads = TOLERANCES | case.tolerances
+    while True:
+        said = _said(case, {symbol: spread * rng.standard_normal()
+                            for symbol, spread in spreads.items()})
+        if _possible(case, said):
+            return said
+
+
+def _beyond(case: Case, rng: np.random.Generator) -> dict[str, float]:
+    """Return one number, off by 3 to 10 tolerances; none that a concealed effect is twin to."""
+    hidden = {name for name, _ in case.effects}
+    spreads = TOLERANCES | case.tolerances
+    true = rig_of(case)
+    symbols = [symbol for symbol in TOLERANCES
+               if TWINS.get(symbol) not in hidden and true[RIG[symbol][0]] > 0.0]
+    symbol = str(rng.choice(symbols))
+    nearest = BEYOND[0] * spreads[symbol]
+    farthest = max(min(BEYOND[1] * spreads[symbol], np.log(FARTHEST)), nearest)
+    while True:
+        said = _said(case, {symbol: rng.choice([-1.0, 1.0]) * rng.uniform(nearest, farthest)})
+        if _possible(case, said):
+            return said
+
+
+def _said(case: Case, errors: dict[str, float]) -> dict[str, float]:
+    """Return what the config says, by symbol, given the errors of the logarithms."""
+    true = rig_of(case)
+    return {symbol: float(f"{true[RIG[symbol][0]] * np.exp(error):.6g}")
+            for symbol, error in errors.items() if true[RIG[symbol][0]] > 0.0}
+
+
+def _possible(case: Case, said: dict[str, float]) -> bool:
+    """Tell whether a config may say so: the make-up path is part of the leakage."""
+    true = rig_of(case)
+    return said.get("G", true[RIG["G"][0]]) <= said.get("C_T", true[RIG["C_T"][0]])

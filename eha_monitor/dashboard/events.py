@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from itertools import islice
 
 from eha_monitor.health.alarms import ALARM_NAMES, NOT_JUDGED
-from eha_monitor.health.finding import Finding
+from eha_monitor.health.judge import Finding
 
 MISMATCH = "model_mismatch"
 QUALITY = "data quality"

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from eha_monitor.dashboard.events import ACKNOWLEDGED, Change, EventLog, changes
 from eha_monitor.dashboard.history import History, LongHistory, Row
 from eha_monitor.health.alarms import ALARM_NAMES, SEVERITY, WATCHED
-from eha_monitor.health.finding import Finding
+from eha_monitor.health.judge import Finding
 from eha_monitor.settings import Settings
 
 # How long and how densely things are kept, s.

@@ -15,7 +15,7 @@ from eha_monitor.dashboard.state import (
 )
 from eha_monitor.estimation.results import units_of
 from eha_monitor.health.alarms import NOT_JUDGED, SEVERITY
-from eha_monitor.health.finding import Finding
+from eha_monitor.health.judge import Finding
 from eha_monitor.quantity import SYMBOLS, Scale, number, readable, with_uncertainty
 from eha_monitor.settings import Settings
 

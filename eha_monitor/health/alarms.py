@@ -22,10 +22,10 @@ from eha_monitor.health.judge import (
     Doubt,
     Judge,
     Level,
+    Rebase,
     Watched,
     doubt_of,
 )
-from eha_monitor.health.rebase import Rebase
 from eha_monitor.indicators.oil import viscosity_ratio
 from eha_monitor.quantity import quantity, share, with_uncertainty
 from eha_monitor.settings.monitor import Settings, Viscosity
@@ -40,8 +40,8 @@ ALARM_NAMES = tuple(f"{w.section}_{side}" for w in WATCHED for side in ("high", 
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """A value at the reference temperature, rebased where asked for; ``shown`` makes its words.
+class _Read:
+    """A value at the reference temperature, rebased where configured; ``shown`` makes its words.
 
     ``taint`` is why it deserves doubt and ``doubt`` how far it may be off by that; ``note`` is
     what a reader should know.
@@ -108,13 +108,13 @@ class AlarmBoard:
         if self._last is not None and not 0 <= time_s - self._last <= self._longest_step:
             self._forget()
         self._last = time_s
-        changed, seen = [], {}
+        changed, now = [], {}
         for symbol in self._rebase:
-            seen[symbol] = self._see(symbol, time_s, parameters.get(symbol), temperature,
+            now[symbol] = self._see(symbol, time_s, parameters.get(symbol), temperature,
                                      (tainted or {}).get(symbol))
         for judge in self._judges:
             symbol = judge.watched.symbol
-            if self._judge_one(judge, time_s, parameters.get(symbol), seen[symbol]):
+            if self._judge_one(judge, time_s, parameters.get(symbol), now[symbol]):
                 changed.append(self._alarm(judge))
         self.history += changed
         return changed
@@ -139,7 +139,7 @@ class AlarmBoard:
         return judge.take("STALE", time_s, ("stale", reason, judge.raised))
 
     def _see(self, symbol: str, time_s: float, estimate: ParameterEstimate | None,
-             temperature: float | None, taint: Taint | None) -> _Seen | None:
+             temperature: float | None, taint: Taint | None) -> _Read | None:
         """Return a value as the limits should see it, or None where there is none to judge."""
         if (estimate is None or estimate.status != "converged"
                 or not (math.isfinite(estimate.value) and math.isfinite(estimate.stddev))):
@@ -153,32 +153,32 @@ class AlarmBoard:
         shown = self._shown(symbol, estimate, value, stddev, temperature)
         if taint is None:
             self._rebase[symbol].fits(value)
-            return _Seen(value, stddev, shown)
+            return _Read(value, stddev, shown)
         if self._on_mismatch == "ignore":
-            return _Seen(value, stddev, shown, note=f"in doubt: {taint.reason}")
+            return _Read(value, stddev, shown, note=f"in doubt: {taint.reason}")
         if taint.testing:
-            return _Seen(value, stddev, shown, taint, Doubt(value, value, trial=True))
+            return _Read(value, stddev, shown, taint, Doubt(value, value, trial=True))
         if self._on_mismatch == "rebase":
             rebase = self._rebase[symbol]
             read = rebase.read(time_s, value, stddev, taint.since_s)
             if read is not None:
                 settled, before = (quantity(x, self._units[symbol])
                                    for x in (rebase.settled, rebase.before))
-                return _Seen(*read, shown, note=f"judged by its change from {settled}, where it "
+                return _Read(*read, shown, note=f"judged by its change from {settled}, where it "
                                                 f"settled, relative to {before} before: "
                                                 f"{taint.reason}")
         reach = taint.reach * (factor if symbol == "B" else 1.0)
-        return _Seen(value, stddev, shown, taint, doubt_of(symbol, value, reach))
+        return _Read(value, stddev, shown, taint, doubt_of(symbol, value, reach))
 
     def _judge_one(self, judge: Judge, time_s: float, estimate: ParameterEstimate | None,
-                   seen: _Seen | None) -> bool:
+                   now: _Read | None) -> bool:
         if judge.off:
             return judge.take("OK", time_s, ("off",))
         if estimate is None or estimate.status == "no_data":
             judge.forget()
             reason = estimate.message if estimate else ""
             return self._take_stale(judge, time_s, reason or "no data for this parameter")
-        if seen is None:
+        if now is None:
             judge.forget()
             known = math.isfinite(estimate.value) and math.isfinite(estimate.stddev)
             reason = estimate.message or (
@@ -186,14 +186,14 @@ class AlarmBoard:
             if judge.raised:
                 return judge.take(RAISED[judge.raised], time_s, ("held", reason))
             return judge.take("STALE", time_s, ("unjudged", reason), not_judged=True)
-        margin = self._confidence * seen.stddev
-        if seen.taint is not None and not seen.taint.testing:
-            judge.recall(seen.taint.since_s, seen.value, margin, seen.doubt)
-        judge.judge(time_s, seen.value, margin, seen.doubt)
-        level, not_judged = judge.verdict(time_s, seen.doubt)
-        held = not_judged or (judge.raised > 0 and seen.doubt is not None and (
-            seen.doubt.trial or not judge.evident(0.0, seen.doubt, seen.value)))
-        return judge.take(level, time_s, ("held back" if held else "judged", seen), not_judged)
+        margin = self._confidence * now.stddev
+        if now.taint is not None and not now.taint.testing:
+            judge.recall(now.taint.since_s, now.value, margin, now.doubt)
+        judge.judge(time_s, now.value, margin, now.doubt)
+        level, not_judged = judge.verdict(time_s, now.doubt)
+        held = not_judged or (judge.raised > 0 and now.doubt is not None and (
+            now.doubt.trial or not judge.evident(0.0, now.doubt, now.value)))
+        return judge.take(level, time_s, ("held back" if held else "judged", now), not_judged)
 
     def _shown(self, symbol: str, estimate: ParameterEstimate, value: float, stddev: float,
                temperature: float | None) -> Callable[[], str]:
@@ -224,24 +224,24 @@ class AlarmBoard:
         if kind == "stale":
             before = f" (was {RAISED[rest[1]]} before)" if rest[1] else ""
             return f"no judgement: {rest[0]}{before}"
-        seen = rest[0]
-        value = f"{judge.watched.words} {seen.shown()}"
+        now = rest[0]
+        value = f"{judge.watched.words} {now.shown()}"
         if kind == "held back":
-            advice = "" if seen.taint.testing else f"{self._moved(judge, seen)}; {ADVICE}"
+            advice = "" if now.taint.testing else f"{self._moved(judge, now)}; {ADVICE}"
             head = f"{RAISED[judge.raised]} held" if judge.raised else NOT_JUDGED
-            return f"{head}: {value}, but {seen.taint.reason}{advice}"
-        text = f"{value} {self._against_limit(judge, seen.value)}"
-        if seen.taint is not None and not seen.taint.testing:
-            text = f"{text}; {seen.taint.reason}{self._moved(judge, seen)}"
-        return f"{text}; {seen.note}" if seen.note else text
+            return f"{head}: {value}, but {now.taint.reason}{advice}"
+        text = f"{value} {self._against_limit(judge, now.value)}"
+        if now.taint is not None and not now.taint.testing:
+            text = f"{text}; {now.taint.reason}{self._moved(judge, now)}"
+        return f"{text}; {now.note}" if now.note else text
 
     @staticmethod
-    def _moved(judge: Judge, seen: _Seen) -> str:
+    def _moved(judge: Judge, now: _Read) -> str:
         """Return in words how far a value may be off by what the model lacks."""
-        off = max(seen.doubt.highest - seen.value, seen.value - seen.doubt.lowest)
-        if judge.watched.symbol != "B" and off < abs(seen.value):
-            return f", which may have moved it by {share(off / abs(seen.value), 2)}"
-        if judge.watched.symbol == "B" and math.isfinite(seen.taint.reach):
+        off = max(now.doubt.highest - now.value, now.value - now.doubt.lowest)
+        if judge.watched.symbol != "B" and off < abs(now.value):
+            return f", which may have moved it by {share(off / abs(now.value), 2)}"
+        if judge.watched.symbol == "B" and math.isfinite(now.taint.reach):
             return f", which may have moved it by {quantity(off, judge.watched.unit, 2)}"
         return ", which may have moved it by any amount"
 

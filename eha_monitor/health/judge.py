@@ -1,10 +1,13 @@
 """One alarm: the limits of one side of one parameter, its clocks, and the level that they give.
 
+A line of the diagnostics (:class:`Finding`) has the same levels.
+
 A level is a judgement (OK, WARN, ERROR), or there is none: STALE without data, and "not judged"
 where the value came but cannot be judged.  What is not judged is never OK.
 """
 
 import math
+from collections import deque
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -14,15 +17,31 @@ from eha_monitor.settings.monitor import Limits
 Level = Literal["OK", "WARN", "ERROR", "STALE"]
 RAISED: tuple[Level, ...] = ("OK", "WARN", "ERROR")
 NOT_JUDGED = "not judged"
-# As people are told it; what counts most comes last.
+# As it is reported; what counts most comes last.
 SEVERITY: tuple[str, ...] = ("OK", "STALE", NOT_JUDGED, "WARN", "ERROR")
 
+SETTLE_S = 10.0  # a value has settled when it has stayed within ...
+WITHIN = 0.05  # ... so much of itself for so long
 # Sums of sample times miss the hold time by rounding.
 _TIME_TOLERANCE = 1e-6
 
 
+class Reported:
+    """The level of an alarm, or of a line of the diagnostics, in words."""
+
+    @property
+    def word(self) -> str:
+        """The level as it is reported: OK, WARN, ERROR, STALE or ``not judged``."""
+        return NOT_JUDGED if self.unjudged else self.level
+
+    @property
+    def raised(self) -> bool:
+        """Whether it is WARN or ERROR by judgement."""
+        return self.word in ("WARN", "ERROR")
+
+
 @dataclass(frozen=True)
-class Alarm:
+class Alarm(Reported):
     """State of one alarm at one time.
 
     Attributes
@@ -30,7 +49,7 @@ class Alarm:
     name : ``viscous_damping_high``, ``viscous_damping_low``, ``bulk_modulus_high`` or
         ``bulk_modulus_low``.
     level : STALE without data; of what is not judged STALE too, or WARN where the value as it
-        stands is beyond a limit: that must be seen.
+        stands is beyond a limit: that must be reported.
     message : the reason, as a sentence.
     time_s : when it took this level.
     not_judged : the value came, but says nothing about the limits; ``level`` is no judgement.
@@ -43,14 +62,32 @@ class Alarm:
     not_judged: bool = False
 
     @property
-    def word(self) -> str:
-        """The level as people are told it: OK, WARN, ERROR, STALE or ``not judged``."""
-        return NOT_JUDGED if self.not_judged else self.level
+    def unjudged(self) -> bool:
+        """Whether the level is no judgement."""
+        return self.not_judged
+
+
+@dataclass(frozen=True)
+class Finding(Reported):
+    """One line of the diagnostics.
+
+    Attributes
+    ----------
+    name : stable, without the hardware's name.
+    level : ``OK``, ``WARN``, ``ERROR`` or ``STALE``.
+    message : a sentence.
+    values : key -> number or text; numbers are written so that plotting tools read them.
+    """
+
+    name: str
+    level: str
+    message: str
+    values: dict[str, float | int | str] = field(default_factory=dict)
 
     @property
-    def raised(self) -> bool:
-        """Whether it is judged to be beyond a limit."""
-        return self.word in ("WARN", "ERROR")
+    def unjudged(self) -> bool:
+        """Whether the level is no judgement."""
+        return str(self.values.get("not_judged", "0")) == "1"
 
 
 @dataclass(frozen=True)
@@ -180,12 +217,12 @@ class Judge:
             return RAISED[self.raised], False
         limit = self.limits[self.first]
         bad = doubt.highest if self.sign > 0 else doubt.lowest
-        seen = _ran(self.beyond, time_s, self.hold_time)
+        evident = _ran(self.beyond, time_s, self.hold_time)
         if doubt.trial:
-            return ("WARN", True) if seen else ("OK", False)
+            return ("WARN", True) if evident else ("OK", False)
         if self.sign * (bad - limit) <= 0:
             return "OK", False  # inside, wherever the model's error may have moved it from
-        return ("WARN" if seen else "STALE"), True
+        return ("WARN" if evident else "STALE"), True
 
     def _cleared(self, limit: float, value: float) -> bool:
         inside = limit - self.sign * self.hysteresis * abs(limit)
@@ -222,3 +259,57 @@ def doubt_of(symbol: str, value: float, reach: float) -> Doubt:
         return Doubt(value - reach, value + reach)
     factor = math.exp(min(reach, 700.0))
     return Doubt(value / factor, value * factor)
+
+
+class Rebase:
+    """Reading a value under a model that does not fit by how it changes from where it settled.
+
+    It knows what one parameter read before a mismatch and what it reads under it.  A force that
+    the model lacks adds to B, so B is read by the difference; a flow that it lacks scales beta_e,
+    so beta_e is read by the ratio.
+
+    Parameters
+    ----------
+    nominal : value that stands for the one before, where the mismatch was there from the start.
+    by_ratio : read by the ratio instead of the difference.
+    """
+
+    def __init__(self, nominal: float, by_ratio: bool):
+        self.before, self._by_ratio = nominal, by_ratio
+        self.settled: float | None = None
+        self._since: float | None = None
+        self._recent: deque[tuple[float, float]] = deque()
+
+    def fits(self, value: float) -> None:
+        """Note a value while the model fits."""
+        self.before, self.settled, self._since = value, None, None
+        self._recent.clear()
+
+    def read(self, time_s: float, value: float, stddev: float, since_s: float
+             ) -> tuple[float, float] | None:
+        """Return value and standard deviation as the limits should see them.
+
+        None while the value has not yet settled under the mismatch that began at ``since_s``.
+        """
+        if since_s != self._since:
+            self._since, self.settled = since_s, None
+            self._recent.clear()
+        if self.settled is None and not self._settle(time_s, value):
+            return None
+        if self._by_ratio:
+            factor = self.before / self.settled
+            return factor * value, factor * stddev
+        return value + self.before - self.settled, stddev
+
+    def _settle(self, time_s: float, value: float) -> bool:
+        recent = self._recent
+        recent.append((time_s, value))
+        while time_s - recent[0][0] > SETTLE_S + 1e-6:
+            recent.popleft()
+        values = [v for _, v in recent]
+        mean = math.fsum(values) / len(values)
+        if (time_s - recent[0][0] < 0.9 * SETTLE_S or mean == 0
+                or max(values) - min(values) > WITHIN * abs(mean)):
+            return False
+        self.settled = mean
+        return True

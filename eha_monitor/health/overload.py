@@ -1,12 +1,16 @@
-"""Whether the monitor keeps up with the samples that come, from counts and times alone.
+"""Whether the live monitor keeps up: latency, processor, and samples that are missing.
 
 A monitor that cannot keep up looks like a rig with poor data: its queues overflow, so samples are
 missing, and what it works on is old.  Missing samples alone may have been lost on the way; they
 are the monitor's own where messages wait for it, or where it did not run for a while.
 """
 
+import math
+import time
 from collections import deque
 from dataclasses import dataclass
+
+import numpy as np
 
 WINDOW_S = 5.0  # shares are of the last so many seconds
 # A usual machine keeps a process waiting for some hundredths of a second, and a re-run of stage
@@ -18,6 +22,9 @@ LATE_S = 0.5  # behind for so long it warns though nothing is missing yet: the q
 FEW_MISSING = 0.03
 # With more missing than there is, what the drive did between the samples is a guess.
 MOST_MISSING = 0.5
+# Stamps further than this from the wall clock are on another clock (a bag, a simulation).
+SAME_CLOCK_S = 5.0
+WAITING = 1000  # batches of rows that may wait for their estimates
 OVERLOADED = "the monitor cannot keep up"
 WHAT_TO_DO = ("lower the publishers' rate, raise monitor.latency, or give the monitor a core of "
               "its own")
@@ -94,3 +101,82 @@ class LoadWatch:
         of_now = ", so the estimates are not current" if worst else ""
         return Overload("ERROR" if worst else "WARN", f"{OVERLOADED}: "
                         f"{' and '.join(parts)}{of_now}; {WHAT_TO_DO}")
+
+
+class LatencyMeter:
+    """How long after a row's stamp the first estimates that know of it were published.
+
+    Where the stamps are on another clock than the wall's, it counts from the row's receipt.
+
+    Parameters
+    ----------
+    keep : latencies kept; 60 000 are one minute at 1 kHz.
+
+    Attributes
+    ----------
+    counts_from : ``stamp`` or ``receipt``.
+    """
+
+    def __init__(self, keep: int = 60_000):
+        self._values = np.empty(keep)
+        self._count = 0
+        self._wall_clock: bool | None = None
+        self._waiting: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=WAITING)
+
+    def came(self, stamps: np.ndarray, came: np.ndarray) -> None:
+        """Take rows that wait for their estimates: (n,) stamps in ns, and receipt, s monotonic."""
+        self._waiting.append((stamps, came))
+
+    def published(self, until_ns: float = math.inf) -> None:
+        """Note that estimates are out that know of all rows up to a stamp, ns."""
+        now_ns, now = time.time_ns(), time.monotonic()
+        while self._waiting and self._waiting[0][0][0] <= until_ns:
+            stamps, came = self._waiting.popleft()
+            count = int(np.searchsorted(stamps, until_ns, side="right"))
+            if count < len(stamps):
+                self._waiting.appendleft((stamps[count:], came[count:]))
+            late = (now_ns - stamps[:count]) * 1e-9
+            wall_clock = bool(abs(late[-1]) < SAME_CLOCK_S)
+            if wall_clock != self._wall_clock:
+                self._wall_clock, self._count = wall_clock, 0
+            self._add(late if wall_clock else now - came[:count])
+
+    def restart(self) -> None:
+        """The rows that wait will not be known of."""
+        self._waiting.clear()
+
+    @property
+    def counts_from(self) -> str:
+        """What the latencies count from."""
+        return "stamp" if self._wall_clock else "receipt"
+
+    def _add(self, seconds: np.ndarray) -> None:
+        places = (self._count + np.arange(len(seconds))) % len(self._values)
+        self._values[places] = seconds
+        self._count += len(seconds)
+
+    def percentiles(self) -> dict[str, float]:
+        """Return p50, p95, p99 and max in ms, or nothing before the first row."""
+        kept = self._values[:min(self._count, len(self._values))]
+        if not len(kept):
+            return {}
+        found = np.percentile(kept, [50, 95, 99, 100]) * 1e3
+        return dict(zip(("p50", "p95", "p99", "max"), found.tolist(), strict=True))
+
+
+class ProcessorMeter:
+    """Share of one core that this process takes."""
+
+    def __init__(self):
+        self._start = self._last = (time.process_time(), time.monotonic())
+
+    def share(self) -> float:
+        """Return the share since the last call, 1 is one core."""
+        now = (time.process_time(), time.monotonic())
+        before, self._last = self._last, now
+        return (now[0] - before[0]) / max(now[1] - before[1], 1e-9)
+
+    def total(self) -> float:
+        """Return the share since the beginning."""
+        return (time.process_time() - self._start[0]) / max(
+            time.monotonic() - self._start[1], 1e-9)

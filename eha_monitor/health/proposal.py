@@ -49,7 +49,7 @@ class Healthy:
 class Limit:
     """A proposed limit.
 
-    ``rate`` is the share of healthy recordings that would raise it, NaN where nothing tells it;
+    ``rate`` is the share of healthy recordings that would raise it, NaN where it is not known;
     ``factor`` is the limit over the mean.
     """
 
@@ -145,7 +145,7 @@ def _limit(symbol: str, side: str, level: str, healthy: list[Healthy], rate: flo
     key, n = f"{side}_{level}", len(healthy)
     sign = -1.0 if side == "low" else 1.0
     if n == 1:
-        # Nothing tells the spread between recordings: the paper's limits, about this mean.
+        # The spread between recordings is not known: the paper's limits, about this mean.
         paper = getattr(getattr(Thresholds(), SECTIONS[symbol]), key)
         return Limit(key, mean * paper / NOMINAL[symbol], math.nan, paper / NOMINAL[symbol])
     middle, spread = _extremes(side, healthy)

@@ -13,7 +13,7 @@ from eha_monitor.settings.monitor import Settings
 
 # Judgements per second, as live; health changes over seconds, and hold times are tenths of one.
 JUDGE_RATE = 10.0
-STEPS = 100_000  # from which the rate is told
+STEPS = 100_000  # from which the rate is taken
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,8 @@ class ParameterSeries:
     ----------
     final : the estimate at the end, with its status and its reason.
     value, stddev : (n,) SI.
-    converged : (n,) bool, where the motion had told the value: nothing else is judged; or what
-        tells it from values and standard deviations.
+    converged : (n,) bool, where the motion had excited the value: nothing else is judged; or
+        what decides that from values and standard deviations.
     """
 
     final: ParameterEstimate

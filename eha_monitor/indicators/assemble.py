@@ -1,11 +1,14 @@
 """From what was found and the config to the indicators."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from eha_monitor.estimation.results import Estimate
+from eha_monitor.indicators import evidence
+from eha_monitor.indicators.evidence import Evidence
 from eha_monitor.indicators.indicator import (
     AVAILABLE,
     NEEDS,
@@ -13,7 +16,6 @@ from eha_monitor.indicators.indicator import (
     NOT_LOOKED_FOR,
     UNITS,
     UNKNOWN,
-    Evidence,
     Indicator,
     propagated,
 )
@@ -28,12 +30,14 @@ from eha_monitor.indicators.laws import (
     volumetric_efficiency,
 )
 from eha_monitor.indicators.oil import viscosity_ratio
+from eha_monitor.mismatch.diagnosis import Diagnosis
 from eha_monitor.quantity import number, quantity
+from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import effect_words, listed
 
-CLEAR = 2.0  # standard deviations from nothing: what is less is not told
-SIDE = 1.96  # standard deviations of the bound that is told in its place
+CLEAR = 2.0  # standard deviations from nothing: what is less is not reported
+SIDE = 1.96  # standard deviations of the bound that is reported in its place
 SLOW, FAST = 1.0, 1.4  # polytropic exponent of air that keeps, and of air that loses, no heat
 LAWS = {
     "leakage": "flow that the pump must deliver to hold the rated pressure with the rod blocked, "
@@ -52,8 +56,19 @@ LAWS = {
 Values = Mapping[str, float]
 
 
+def of_estimate(found: Estimate) -> tuple[Indicator, ...]:
+    """Return the indicators of an estimate."""
+    return indicators(evidence.of_estimate(found), found.settings)
+
+
+def of_diagnosis(found: Diagnosis, recordings: Sequence[Recording], settings: Settings
+                 ) -> tuple[Indicator, ...]:
+    """Return the indicators of a diagnosis of these recordings."""
+    return indicators(evidence.of_diagnosis(found, list(recordings), settings), settings)
+
+
 def indicators(found: Evidence, settings: Settings) -> tuple[Indicator, ...]:
-    """Return every indicator, told or not, in the order of ``NAMES``."""
+    """Return every indicator, known or not, in the order of ``NAMES``."""
     friction = _friction(found, settings)
     return (_leakage(found, settings), _doubted(_free_air(found, settings), "beta_e", found),
             _doubted(_damping(found, settings), "B", found), friction,

@@ -1,12 +1,13 @@
-"""What an indicator of health says, and what it is made of."""
+"""An indicator of health: what it says, its uncertainty, its limits."""
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from eha_monitor.quantity import rounded
+from eha_monitor.settings.monitor import Settings
 
 NAMES = ("leakage", "free_air", "damping", "friction", "friction_share", "pump_efficiency",
          "drive_lag")
@@ -16,8 +17,9 @@ WORDS = {"leakage": "internal leakage", "free_air": "free air", "damping": "visc
 # Factor from SI, and the unit that people act on; damping and friction have the rig's own.
 UNITS = {"leakage": (6e7, "mL/min"), "free_air": (100.0, "%"), "friction_share": (100.0, "%"),
          "pump_efficiency": (100.0, "%"), "drive_lag": (1e3, "ms")}
+# Parameter -> its thresholds, where it is shown beside the indicators.
+WORST = {"B": "viscous_damping", "beta_e": "bulk_modulus"}
 AVAILABLE, NONE, UNKNOWN, NEEDS = "available", "none_named", "cannot_be_told", "needs_config"
-
 NOT_LOOKED_FOR = "estimated by `diagnose`, not by `estimate`"
 
 
@@ -29,15 +31,15 @@ class Indicator:
     ----------
     name : one of ``NAMES``; ``words`` says it.
     value, stddev : in ``unit``; NaN where nothing could be computed.  A ``value`` may be there
-        without being told by itself: a trend over many recordings may tell what one cannot.
+        without being reported: a trend over many recordings may show what one cannot.
     noise : the part of ``stddev`` that differs from one recording to the next; the rest (an
         air-free modulus, an exponent) is the same in all of one rig.
     status : ``available``, ``none_named`` (the recording shows none), ``cannot_be_told``, or
         ``needs_config``, with the missing keys in ``missing``.
-    message : the conditions it holds at, or the reason why it is not told.
+    message : the conditions it holds at, or the reason why it is not reported.
     law : equation and its limits, in a sentence.
     doubtful : what it is made of is tainted by a model that does not fit; ``message`` says why.
-    below : where it is not told, what it is below (above, of the efficiency) with 97.5 %; NaN
+    below : where it is not reported, what it is below (above, of the efficiency) with 97.5 %; NaN
         where that is not known.
     """
 
@@ -60,63 +62,19 @@ class Indicator:
 
     @property
     def shown(self) -> str:
-        """The value as people read it, a dash where it is not told."""
+        """The value as people read it, a dash where it is not reported."""
         if self.status != AVAILABLE:
             return "—"
         return f"{' ± '.join(rounded(self.value, self.stddev))} {self.unit}"
 
     def tree(self) -> dict:
-        """Return what stands in a JSON answer; value and stddev only where they are told."""
-        told = self.status == AVAILABLE
-        return {"name": self.name, "words": self.words, "value": self.value if told else None,
-                "stddev": self.stddev if told else None, "noise": self.noise if told else None,
+        """Return what stands in a JSON answer; value and stddev only where they are known."""
+        known = self.status == AVAILABLE
+        return {"name": self.name, "words": self.words, "value": self.value if known else None,
+                "stddev": self.stddev if known else None, "noise": self.noise if known else None,
                 "unit": self.unit, "status": self.status, "message": self.message,
                 "law": self.law, "missing": list(self.missing),
                 "below": self.below if math.isfinite(self.below) else None}
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """What an estimate or a diagnosis found, as plain numbers.
-
-    Attributes
-    ----------
-    values : ``B``, ``beta_e``, ``leakage`` (C_T), ``pump_displacement``, and
-        ``<effect>.<parameter>`` of each named effect; SI.
-    covariance : (k, k) in their order.
-    assumed : effects that the config has and that were therefore not measured.
-    why : name of a value -> why it is not there; ``doubts``: why it is there and in doubt.
-    channels : that were recorded.
-    pressures : (m,) absolute pressures of both chambers at times spread over the recording, Pa;
-        empty where they were not measured.
-    temperature : of the oil, °C, or None; ``measured`` tells whether a channel gave it.
-    diagnosed : whether effects were looked for; ``settled``: and what was found explains it.
-    """
-
-    values: Mapping[str, float]
-    covariance: np.ndarray
-    assumed: tuple[str, ...] = ()
-    why: Mapping[str, str] = field(default_factory=dict)
-    doubts: Mapping[str, str] = field(default_factory=dict)
-    channels: tuple[str, ...] = ()
-    pressures: np.ndarray = field(default_factory=lambda: np.empty(0))
-    temperature: float | None = None
-    measured: bool = False
-    diagnosed: bool = False
-    settled: bool = True
-
-    def part(self, *names: str) -> tuple[dict[str, float], np.ndarray]:
-        """Return those of the values that are there, and their covariance."""
-        order = list(self.values)
-        kept = [name for name in order if name in names]
-        places = [order.index(name) for name in kept]
-        return ({name: self.values[name] for name in kept},
-                np.asarray(self.covariance, dtype=float)[np.ix_(places, places)])
-
-    def named(self, *effects: str) -> list[str]:
-        """Return which of the effects were named."""
-        there = {name.partition(".")[0] for name in self.values if "." in name}
-        return [effect for effect in effects if effect in there]
 
 
 def propagated(function: Callable[[Mapping[str, float]], float], values: Mapping[str, float],
@@ -140,3 +98,40 @@ def propagated(function: Callable[[Mapping[str, float]], float], values: Mapping
             low = function({**values, name: values[name] - step})
             slopes[i] = (high - low) / (2.0 * step)
     return float(middle), float(math.sqrt(max(float(slopes @ covariance @ slopes), 0.0)))
+
+
+def limits_of_indicator(name: str, settings: Settings) -> tuple[float | None, float | None]:
+    """Return what an indicator or a parameter must stay above and below; None for no limit.
+
+    They are in the unit in which the indicator is shown; of B and beta_e they are the ERROR
+    thresholds, or those of WARN where there is no other.
+
+    Parameters
+    ----------
+    name : of an indicator, or ``B`` or ``beta_e``.
+    """
+    if name in WORST or name == "damping":
+        limits = getattr(settings.thresholds, WORST.get(name, "viscous_damping"))
+        low = limits.low_warn if limits.low_error is None else limits.low_error
+        high = limits.high_warn if limits.high_error is None else limits.high_error
+        return low, high
+    key = "friction" if name == "friction_share" else name
+    limit = getattr(settings.health, f"{key}_limit")
+    if limit is None:
+        return None, None
+    if name == "friction":
+        areas = settings.rig.area_1, settings.rig.area_2
+        if settings.health.rated_pressure is None or None in areas:
+            return None, None
+        return None, limit * settings.health.rated_pressure * min(areas)
+    shown = limit * UNITS[name][0]
+    return (shown, None) if name == "pump_efficiency" else (None, shown)
+
+
+def passed(one: Indicator, settings: Settings) -> bool:
+    """Tell whether a value lies beyond its limit by ``thresholds.confidence`` of its stddev."""
+    low, high = limits_of_indicator(one.name, settings)
+    margin = settings.thresholds.confidence * one.stddev
+    return one.status == AVAILABLE and (
+        (low is not None and one.value < low - margin)
+        or (high is not None and one.value > high + margin))

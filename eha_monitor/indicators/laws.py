@@ -43,11 +43,11 @@ def volumetric_efficiency(found: Mapping[str, float], displacement: float, speed
     """Return the flow into a load at a pressure difference over D_p omega of the config.
 
     eta = (D/D_p)(1 + k_gain)(1 - k_loss dp) - Q_leak/(D_p omega)  (Merritt 1967, Sec. 4-3), with
-    every leak counted as the pump's: between the same two ports nothing tells them apart.
+    every leak counted as the pump's: between the same two ports nothing distinguishes them.
 
     Parameters
     ----------
-    found : as for :func:`leakage_flow`, and ``pump_displacement`` D as the recording tells it.
+    found : as for :func:`leakage_flow`, and ``pump_displacement`` D as the recording has it.
     displacement : D_p of the config, m³/rad; ``speed`` in rad/s.
     """
     given = found.get("pump_displacement", displacement) / displacement

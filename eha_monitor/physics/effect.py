@@ -133,8 +133,8 @@ class Effect:
         where it is large.
     within : (size, other) pairs: the first is at most as large as the second, or it is another
         effect (friction that differs by more than itself is a load).
-    rig_twin : number of the rig that does the same when it is wrong: one cannot be told from the
-        other.
+    rig_twin : number of the rig that does the same when it is wrong: one cannot be distinguished
+        from the other.
     rarity : the larger, the less common on rigs; decides where a recording cannot.
     starts : ``starts(ranges)`` returns where a fit begins: dicts of parameter values, each a
         *small but visible* instance of the effect.  Several where the effect has a threshold.

@@ -74,7 +74,7 @@ def read_motion(path: str) -> np.ndarray:
     """Return (n, 2) time in s and position in m from a CSV with columns ``t`` and ``x_d``."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # numpy warns of an empty file; the error tells it
+            warnings.simplefilter("ignore")  # numpy warns of an empty file; the error says it
             table = np.genfromtxt(Path(path), delimiter=",", names=True)
         motion = np.column_stack([table["t"], table["x_d"]])
     except (OSError, ValueError, IndexError, TypeError, KeyError) as problem:

@@ -20,12 +20,12 @@ ROLES = ("x", "v", "x_d", "omega", "p1", "p2", "force")
 NUMBERS = ("area_1", "area_2", "volume_1", "volume_2", "mass", "viscous_damping",
            "pump_displacement", "position_gain", "sample_time")
 DECIDES = 3.0  # log units by which mistakes must be better than none
-RIVAL = 2.0  # log units within which another explanation is told as well
+RIVAL = 2.0  # log units within which another explanation is reported as well
 BROKEN = 4.0  # log units of wrong signs and sizes from which on a reading is worth explaining
 LOOSE = 6.0  # log units of unexplained signals from which on
 MOST = 3  # mistakes at once
 AGAIN = 0.5  # share of an everyday unit's cost that a further one saves
-ALIKE = 0.25  # difference of logarithms within which two factors are told as one
+ALIKE = 0.25  # difference of logarithms within which two factors are reported as one
 MENDS = 0.5  # log units that a mistake must mend
 KEPT = 16  # sets that are carried on
 BELOW_VACUUM = 0.5 * ATMOSPHERE  # below zero: nearer to a gauge's lowest than to an absolute one's
@@ -107,10 +107,10 @@ def explained(reading: Reading, mistakes: tuple[Mistake, ...],
     """
     for mistake in mistakes:
         reading = mistake.applied(reading)
-    seen = tuple(checks(reading))
-    lost = len(set(expected) - {check.name for check in seen}) * unexplained(0.0)
+    made = tuple(checks(reading))
+    lost = len(set(expected) - {check.name for check in made}) * unexplained(0.0)
     return Explanation(mistakes, prior_of(mistakes) - lost - sum(
-        check.penalty + (check.fit or 0.0) for check in seen), seen)
+        check.penalty + (check.fit or 0.0) for check in made), made)
 
 
 def prior_of(mistakes: tuple[Mistake, ...]) -> float:
@@ -127,7 +127,7 @@ def explain(reading: Reading) -> tuple[Explanation, list[Explanation]]:
         return given, []
     expected = tuple(check.name for check in given.checks if check.fit is not None)
     catalogue = mistakes_for(reading, given.checks)
-    seen = front = [given]
+    scored = front = [given]
     for number in range(MOST):
         # A further mistake is looked for where one more sign or size is wrong.
         front = [one for one in front if not number or one.broken > BROKEN]
@@ -145,11 +145,11 @@ def explain(reading: Reading) -> tuple[Explanation, list[Explanation]]:
             catalogue = [one.mistakes[0] for one in further.values()
                          if one.score - one.mistakes[0].prior > given.score + MENDS]
         front = ties.ordered(further.values(), lambda one: one.score, within=ties.GUESS)[:KEPT]
-        seen = [*seen, *front]
-    best = ties.best(seen, lambda one: one.score, lambda one: len(one.mistakes), ties.GUESS)
+        scored = [*scored, *front]
+    best = ties.best(scored, lambda one: one.score, lambda one: len(one.mistakes), ties.GUESS)
     if best.score < given.score + DECIDES:
         return given, []
-    rivals = [one for one in ties.ordered(seen, lambda one: one.score, within=ties.GUESS)
+    rivals = [one for one in ties.ordered(scored, lambda one: one.score, within=ties.GUESS)
               if one is not best and one is not given and one.score > best.score - RIVAL]
     return best, rivals
 
@@ -180,13 +180,13 @@ def finding_of(mistake: Mistake, best: Explanation, rivals: list[Explanation], r
 
 def others_of(best: Explanation, rivals: list[Explanation]) -> str:
     """Return the explanations that are nearly as good, as the end of a sentence."""
-    told = []
+    claims = []
     for one in rivals:
         further = all(any(mine is mistake for mine in one.mistakes) for mistake in best.mistakes)
         vague = any(mistake.without for mistake in one.mistakes)
         if not (further or vague or mends_alike(one.mistakes, best.mistakes)):
-            told.append(" and ".join(mistake.claim for mistake in one.mistakes))
-    return f" (or {', or '.join(told[:2])})" if told else ""
+            claims.append(" and ".join(mistake.claim for mistake in one.mistakes))
+    return f" (or {', or '.join(claims[:2])})" if claims else ""
 
 
 def mends_alike(ones: tuple[Mistake, ...], others: tuple[Mistake, ...]) -> bool:

@@ -188,10 +188,10 @@ def number_mistakes(reading: Reading) -> list[Mistake]:
 
 def fitted_numbers(reading: Reading, given: tuple[Check, ...]) -> list[Mistake]:
     """Return each number of the rig that is off by just what one relation shows."""
-    seen = {check.name: check.ratio for check in given if check.ratio is not None}
+    ratios = {check.name: check.ratio for check in given if check.ratio is not None}
     found = []
     for keys, name, relation, power in FITTED:
-        off = seen.get(relation, 0.0)
+        off = ratios.get(relation, 0.0)
         if off <= 0 or any(not reading.rig[key] for key in keys):
             continue
         factor = off**power

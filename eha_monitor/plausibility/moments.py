@@ -1,6 +1,6 @@
 """Smoothed channels, their derivatives, and the products of all of them.
 
-Every relation that is asked is linear in the channels and their derivatives, and every mistake
+Every relation that is checked is linear in the channels and their derivatives, and every mistake
 that is tried (a sign, a unit, a swap, a clock) only scales or renames them.  So the recording is
 gone through once; a hypothesis then costs a small matrix, whatever the recording's length.
 """
@@ -19,7 +19,7 @@ PRESENT = 0.5  # share of a stretch that a channel must have
 MEAN_OF = 0.1  # s
 ORDERS = 3  # the channel and two derivatives
 DIRECTION = 3  # place of the smoothed sign of the first derivative, after the derivatives
-SLOW = 0.1  # of the rms speed: below, the direction is not told
+SLOW = 0.1  # of the rms speed: below, the direction is not known
 BAND = 0.2  # of the sampling rate: what lies above is not looked at
 # Share of the acceleration's power that the position's noise may be in the band that is used.
 NOISE_SHARE = 0.04
@@ -136,9 +136,9 @@ def stretch_of(recording: Recording) -> tuple[int, int]:
               for a in range(int(start), int(stop), LONGEST)]
     def motion(piece: tuple[int, int]) -> float:
         values = x[slice(*piece)]
-        told = np.nansum((values - np.nanmean(values)) ** 2)
+        power = np.nansum((values - np.nanmean(values)) ** 2)
         let_go(x)
-        return told
+        return power
 
     start, stop = moving(x, *max(pieces, key=motion))
     # One sample more than a length whose transform is quick.
@@ -152,12 +152,12 @@ def moving(x: np.ndarray, start: int, stop: int) -> tuple[int, int]:
     it hardly ever stands, all samples are.
     """
     here = x[start:stop]
-    told = np.flatnonzero(np.isfinite(here))
-    if not len(told):
+    finite = np.flatnonzero(np.isfinite(here))
+    if not len(finite):
         return start, stop
-    away = AWAY * np.ptp(here[told])
-    left = told[np.abs(here[told] - here[told[0]]) > away]
-    back = told[np.abs(here[told] - here[told[-1]]) > away]
+    away = AWAY * np.ptp(here[finite])
+    left = finite[np.abs(here[finite] - here[finite[0]]) > away]
+    back = finite[np.abs(here[finite] - here[finite[-1]]) > away]
     if not len(left) or not len(back) or back[-1] - left[0] < SHORTEST:
         return start, stop
     if back[-1] - left[0] > (1.0 - STANDS) * len(here):
@@ -206,7 +206,7 @@ def spectrum(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def cutoff(x: np.ndarray) -> int:
-    """Return the bin of the spectrum up to which the position tells the acceleration, or 0."""
+    """Return the bin of the spectrum up to which the position shows the acceleration, or 0."""
     power = np.abs(spectrum(x)[0]) ** 2
     last, floor = int(2 * BAND * len(power)), floor_of(power)
     fourth = np.arange(last, dtype=float) ** 4
@@ -217,7 +217,7 @@ def cutoff(x: np.ndarray) -> int:
 
 
 def floor_of(power: np.ndarray) -> float:
-    """Return the power of white noise in each bin, told by the bins above the band.
+    """Return the power of white noise in each bin, estimated from the bins above the band.
 
     Such a bin's power is exponentially distributed, with a median of ln 2 times its mean.
     """
@@ -232,15 +232,15 @@ def derivatives(values: np.ndarray, band: int, dt: float) -> tuple[list[np.ndarr
     columns : each (m,), SI; variances.
     """
     n = len(values)
-    seen, line = spectrum(values)
-    bins = np.arange(len(seen))
+    bent, line = spectrum(values)
+    bins = np.arange(len(bent))
     # A cosine flank over the last third of the band: a sharp edge rings.
     flank = 0.5 + 0.5 * np.cos(np.pi * np.clip(3.0 * bins / band - 2.0, 0.0, 1.0))
     s = 1j * np.pi * bins / ((n - 1) * dt)
-    floor = 2.0 * floor_of(np.abs(seen) ** 2) / (2 * (n - 1)) ** 2
+    floor = 2.0 * floor_of(np.abs(bent) ** 2) / (2 * (n - 1)) ** 2
     white = [floor * float(np.sum((flank * np.abs(s) ** order) ** 2)) for order in range(ORDERS)]
-    seen *= flank
+    bent *= flank
     slope = (line, (line[-1] - line[0]) / ((n - 1) * dt), 0.0)
     cut = slice(int(MARGIN * n), n - int(MARGIN * n))
-    return [(np.fft.irfft(seen * s**order, 2 * (n - 1))[:n] + slope[order])[cut]
+    return [(np.fft.irfft(bent * s**order, 2 * (n - 1))[:n] + slope[order])[cut]
             for order in range(ORDERS)], white

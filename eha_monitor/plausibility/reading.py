@@ -86,13 +86,13 @@ def ratio(reading: Reading, left: np.ndarray, right: np.ndarray, *beside: np.nda
     if c[1][1] < DISTINCT * other or c[0][0] < 1e-12 * whole:
         return None
     # White noise of the sensors is no physics that is missing, and draws no slope to zero.
-    told = c[1][1] - right_blur
-    if told < NOISY * c[1][1]:
+    signal = c[1][1] - right_blur
+    if signal < NOISY * c[1][1]:
         return None
-    explains = c[0][1] ** 2 / told
+    explains = c[0][1] ** 2 / signal
     rest = max(c[0][0] - explains - left_blur, 1e-9 * c[0][0])
     rho = copysign(sqrt(explains / (explains + rest)), c[0][1])
-    return Ratio(c[0][1] / told, rho, min(max(1.0 - rest / whole, 0.0), 1.0))
+    return Ratio(c[0][1] / signal, rho, min(max(1.0 - rest / whole, 0.0), 1.0))
 
 
 def swept(c: list[list[float]]) -> None:

@@ -1,4 +1,4 @@
-"""Relations that hold on every rig, asked of a recording as one hypothesis reads it.
+"""Relations that hold on every rig, checked on a recording as one hypothesis reads it.
 
 Each is a regression of one side on the other with what honest physics adds beside it, and each
 answers with a ratio that is 1 where signals and config are of one rig.  ``penalty`` is how many
@@ -53,7 +53,7 @@ class Check:
     ----------
     name : of the relation.
     penalty : log units that it costs to believe the reading, for the relation's sign and size.
-    fit : log units for what it leaves unexplained; it tells readings apart, and says little
+    fit : log units for what it leaves unexplained; it distinguishes readings, and says little
         by itself.  None where another check of the same relation has it.
     size : what the relation shows, in words.
     ratio : what should be 1, where the relation has such a thing.

@@ -73,7 +73,7 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Asked:
+class Questions:
     """Questions of one kind.
 
     Attributes
@@ -92,30 +92,30 @@ class Asked:
     what: str
 
 
-def children(asked: Asked, names: Sequence[str], jobs: int,
+def children(questions: Questions, names: Sequence[str], jobs: int,
              say: Callable[[str, float], None]) -> None:
     """Have each name answered by a process of its own, ``jobs`` at a time, each on its cores."""
     jobs = max(1, min(jobs, len(names)))
     cores = sorted(os.sched_getaffinity(0))
-    places = [Place(asked.module, cores[i::jobs]) for i in range(jobs)]
+    places = [Place(questions.module, cores[i::jobs]) for i in range(jobs)]
     free, stop = list(places), threading.Event()
 
     def one(name: str) -> None:
         if stop.is_set():
             return
         place = free.pop()
-        target = asked.folder / f"{name}.json"
+        target = questions.folder / f"{name}.json"
         target.unlink(missing_ok=True)
         started = time.perf_counter()
         try:
-            status, complaint = place.ask(asked.arguments(name))
+            status, complaint = place.ask(questions.arguments(name))
         finally:
             free.append(place)
         if stop.is_set():
             return
         fine = status == 0 and read_json(target) is not None
-        write_json(asked.folder / f"{name}.run.json", {
-            "status": status, "seconds": time.perf_counter() - started, "source": asked.source,
+        write_json(questions.folder / f"{name}.run.json", {
+            "status": status, "seconds": time.perf_counter() - started, "source": questions.source,
             "cores": len(place.cores),
             "error": "" if fine else (complaint.splitlines() or ["no answer"])[-1]})
 
@@ -127,7 +127,7 @@ def children(asked: Asked, names: Sequence[str], jobs: int,
                 for future in as_completed([pool.submit(one, name) for name in batch]):
                     future.result()
                     ended += 1
-                    say(f"{asked.what}, {ended} of {len(names)}", ended / len(names))
+                    say(f"{questions.what}, {ended} of {len(names)}", ended / len(names))
         except BaseException:
             stop.set()
             for place in places:
@@ -137,10 +137,10 @@ def children(asked: Asked, names: Sequence[str], jobs: int,
         place.leave()
 
 
-def kept(asked: Asked, name: str, keep: str) -> bool:
+def kept(questions: Questions, name: str, keep: str) -> bool:
     """Tell whether an answer is there that may stay: of the ``same`` source, ``all``, ``none``."""
-    run = read_json(asked.folder / f"{name}.run.json") or {}
+    run = read_json(questions.folder / f"{name}.run.json") or {}
     if keep == "none" or run.get("status") != 0 or (
-            keep == "same" and run.get("source") != asked.source):
+            keep == "same" and run.get("source") != questions.source):
         return False
-    return read_json(asked.folder / f"{name}.json") is not None
+    return read_json(questions.folder / f"{name}.json") is not None

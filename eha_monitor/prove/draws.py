@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from eha_monitor.concealed.cases import CONFIG_KEYS, TOLERANCES, Case, effect_names
-from eha_monitor.concealed.configured import misconfigured
-from eha_monitor.concealed.draws import SETS, draw_cases
+from eha_monitor.concealed.draws import SETS, draw_cases, misconfigured
 from eha_monitor.concealed.hidden import SIGNED
 from eha_monitor.errors import InputError
 from eha_monitor.settings.monitor import Settings
@@ -25,7 +24,7 @@ def cases_of(draw: str, count: int, seed: int, rig: str = "mixed",
     draw : ``mixed`` (rigs, motions, sets of 0 to 3 effects, outside the catalogue), ``ladder``
         (one effect on rich motion, each effect at strengths that fill the scale evenly) or
         ``outside`` (rigs and motions; what no catalogue has, alone).
-    rig : what the nominal configs say of the rig, one of :data:`configured.KINDS`.
+    rig : what the nominal configs say of the rig, one of :data:`KINDS`.
     settings : config on whose rig all cases are, ``source`` its name; drawn rigs without it.
     """
     cases = (tuple(rung(i, seed) for i in range(count)) if draw == "ladder" else

@@ -1,6 +1,6 @@
-"""The oracle of a trial: a fit that is told the effects, for what can be reached.
+"""The oracle of a trial: a fit that knows the effects, for what can be reached.
 
-It is told which effects there are, with their values, and which numbers of the rig are beyond
+It knows which effects there are, with their values, and which numbers of the rig are beyond
 their tolerance.  Within it nobody knows a number, and no more does the oracle: as in the diagnosis
 it is fitted with the prior of its tolerance, beside the effects and without them.  So an effect
 that the tolerances hide (a drive gain of 0.5 % beside a position gain known to 3 %) is none that
@@ -152,7 +152,7 @@ def oracle(recordings: list[Recording], settings: Settings, truth: dict) -> dict
     names = tuple(name for name in known if name != RESOLUTION and possible(name, experiment))
     after = first
     if names or rig.wrong:
-        after = told(rig, first, {name: known[name] for name in names}, truth)
+        after = fit_of_truth(rig, first, {name: known[name] for name in names}, truth)
     aim = after.log_likelihood
     without = {name: rig.lacking(without_effect(experiment, after, name), aim) for name in names}
     within = {number: replace(rig, wrong=rig.wrong - {number}).lacking(after, aim)
@@ -176,7 +176,7 @@ def oracle(recordings: list[Recording], settings: Settings, truth: dict) -> dict
                 number: best - fit.log_likelihood for number, fit in within.items()}}
 
 
-def told(rig: RigNumbers, first: Fit, known: dict[str, dict], truth: dict) -> Fit:
+def fit_of_truth(rig: RigNumbers, first: Fit, known: dict[str, dict], truth: dict) -> Fit:
     """Return the best fit with all effects, from the key's values.
 
     The true numbers of the rig are a start, no more.  Where that leaves something, since key and
@@ -188,18 +188,18 @@ def told(rig: RigNumbers, first: Fit, known: dict[str, dict], truth: dict) -> Fi
     true = {f"rig.{one['key']}": one["true"] for one in truth.get("rig_off", ())}
     for f in rig.free(tuple(known)):
         theta[f.place] = true.get(f.name, theta[f.place])
-    begun = replace(first, theta=theta)
+    start_fit = replace(first, theta=theta)
     starts = {name: true_start(experiment, name, parameters)
               for name, parameters in known.items()}
     for start in starts.values():
-        begun = entered_at(begun, start)
-    fit = rig.fitted(at_level(experiment, rig.beside(begun)))
+        start_fit = entered_at(start_fit, start)
+    fit = rig.fitted(at_level(experiment, rig.beside(start_fit)))
     if not known or not leaves(experiment, fit):
         return fit
     for name, start in starts.items():
-        begun = looked(rig, without_effect(experiment, begun, name),
+        start_fit = looked(rig, without_effect(experiment, start_fit, name),
                        [start, *starts_of(name, experiment)])
-    other = rig.fitted(at_level(experiment, rig.beside(begun)), aim=fit.log_likelihood)
+    other = rig.fitted(at_level(experiment, rig.beside(start_fit)), aim=fit.log_likelihood)
     return max(fit, other, key=lambda one: one.log_likelihood)
 
 
@@ -220,8 +220,8 @@ def instead(rig: RigNumbers, after: Fit, name: str, other: str, without: Fit) ->
     starts = starts_of(other, rig.experiment)
     starts.append(replace(starts[0], values=tuple(
         (symbol, shared.get(symbol, value)) for symbol, value in starts[0].values)))
-    begun = replace(without_effect(rig.experiment, after, name), unknowns=without.unknowns)
-    return rig.fitted(rig.beside(looked(rig, begun, starts)), aim=after.log_likelihood)
+    start_fit = replace(without_effect(rig.experiment, after, name), unknowns=without.unknowns)
+    return rig.fitted(rig.beside(looked(rig, start_fit, starts)), aim=after.log_likelihood)
 
 
 def best_of(experiment: Experiment, fit: Fit, name: str) -> Fit:

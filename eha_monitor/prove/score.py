@@ -2,11 +2,11 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from statistics import median
 
 from eha_monitor.prove import numbers
-from eha_monitor.prove.learned import LEARNED, learned_row, learned_score
-from eha_monitor.prove.reliability import calibration_error, reliability_of, statements_of
+from eha_monitor.prove.curves import calibration_error, reliability_of, statements_of
 
 LARGEST_CLASS = 3  # members of a declared class: the name and at most two rivals
 DETECTABLE = 20.0  # log units that an oracle gains within the tolerances: less need not be found
@@ -23,6 +23,35 @@ MEAN_PRESSURE = {"external_leakage", "anti_cavitation", "entrained_air",
 CONTAINED = {"stribeck_friction": ("coulomb_friction",),
              "asymmetric_friction": ("coulomb_friction",),
              "presliding_friction": ("coulomb_friction",)}
+LEARNED_NEAR = 0.03  # of B and beta_e, beside a learned term
+INSIDE = 0.9  # share of the places at which the true curve is in the band
+# As :data:`MARKS`: words, aim as text and as a number, whether more is better.
+LEARNED = {
+    "learned_told": ("outside: a term learned of it", "", None, True),
+    "learned_removed": ("outside: error on unseen data removed by it, median", "at least 80 %",
+                        0.8, True),
+    "learned_worse": ("outside: worse on unseen data than the model before", "never", 0.0, False),
+    "learned_B": ("outside: B within 3 % beside a learned term", "", None, True),
+    "learned_beta_e": ("outside: bulk modulus within 3 % beside a learned term", "", None, True),
+    "learned_inside": ("outside: true curve in the band at 90 % of the places, where the term is "
+                       "of the right signals", "", None, True),
+    "learned_shape": ("outside: signals and shape of the formula right", "at least 50 %", 0.5,
+                      True),
+}
+# What was concealed -> signals that it is a function of, its true curve (None where the key does
+# not hold all its numbers), names of its shape.
+LAWS: dict[str, tuple[tuple[str, ...], Callable[[float, dict], float] | None, tuple[str, ...]]] = {
+    "position_friction_hump": (("x", "v"), lambda x, p: p["F"] * math.exp(
+        -(((x - p["x"]) / p["width"]) ** 2)), ("a bump", "a bump on a constant")),
+    "position_dependent_leak": (("x", "dp"), lambda x, p: -p["L"] * math.exp(
+        -(((x - p["x"]) / p["width"]) ** 2)), ("a bump", "a bump on a constant")),
+    "lever_load": (("x",), lambda x, p: p["F"] * math.sin(2.0 * math.pi * x / p["length"]),
+                   ("a sine",)),
+    "end_cushion": (("x", "v"), lambda x, p: p["d"] * max(abs(x) - p["x"], 0.0),
+                    ("a rise beyond",)),
+    "pump_ripple": (("angle", "omega"), None, ("a ripple", "a ripple with its second harmonic")),
+    "widening_gap": (("dp",), lambda dp, p: -p["L_3"] * dp**3, ("a cube",)),
+}
 # Mark -> words, aim as text, aim as a number, whether more is better.
 MARKS = {
     "exact": ("named exactly, with nothing added", "", None, True),
@@ -61,7 +90,7 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
     ----------
     truth : its entry in the key.
     answer : JSON of ``diagnose``; None where it failed.
-    oracle : what a fit reached that was told the effects, and of the rig what the config says.
+    oracle : what a fit reached that knows the effects, and of the rig what the config says.
     run : how the diagnosis ran: ``seconds``, ``error``.
     """
     answer = answer or {"verdict": FAILED, "effects": [], "location": {"balance": {}},
@@ -105,9 +134,9 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
         nothing = not known and not rig_known and not said
         within = nothing or (all_paired and {*known, *rig_known} <= set(pairs))
     # Without an oracle nobody knows whether this recording shows a wrong number of the rig; and
-    # where something is there that cannot be seen, nobody knows what "consistent" is worth.
-    seen = bool(shown or known or (oracle and rig_known))
-    consistent = False if seen else True if null and not loose else None
+    # where something is there that cannot be detected, nobody knows what "consistent" is worth.
+    detectable = bool(shown or known or (oracle and rig_known))
+    consistent = False if detectable else True if null and not loose else None
     lost = [one for one in truth["effects"] if one["name"] not in pairs
             and (one["balance"] == "sensor" or one["name"] in TIMING)]
     blaming = [one["name"] for one in answer["effects"]
@@ -257,9 +286,9 @@ def share(flags: Iterable[bool]) -> float | None:
 
 
 def score_of(rows: Sequence[dict]) -> dict:
-    """Return the marks of all cases together; None where no case tells."""
+    """Return the marks of all cases together; None where no case applies."""
     hidden = [row for row in rows if row["kind"] != "null"]
-    told = [row for row in hidden if row["expected"] or row["rig_expected"] or (
+    locatable = [row for row in hidden if row["expected"] or row["rig_expected"] or (
         row["kind"] == "outside" and row["detectable"])]
     able = [row for row in hidden if row["detectable"] and row["kind"] != "outside"]
     outside = [row for row in rows if row["kind"] == "outside"]
@@ -268,7 +297,7 @@ def score_of(rows: Sequence[dict]) -> dict:
     return {
         "exact": share(row["exact"] for row in rows),
         "within_class": share(row["within_class"] for row in rows),
-        "located": share(row["located_right"] for row in told),
+        "located": share(row["located_right"] for row in locatable),
         "null_false_alarm": share(not row["exact"] for row in rows if row["kind"] == "null"),
         "sensor_blamed_on_physics": share(row["sensor_blamed"] for row in rows
                                           if row["sensor_or_timing"]),
@@ -293,8 +322,8 @@ def reliability(rows: Sequence[dict]) -> list[dict]:
 def parameter_score(rows: Sequence[dict]) -> dict:
     """Return how many parameters of exactly named cases are close, and inside their 2 sigma.
 
-    Close can only be asked for where the config's numbers are right: a volume that is 10 % off
-    is 10 % of the bulk modulus.  Its standard deviation has to say so, so that is asked of all.
+    Close can only be required where the config's numbers are right: a volume that is 10 % off
+    is 10 % of the bulk modulus.  Its standard deviation has to say so, so that is required of all.
     """
     every = [one for row in rows for one in row["parameters"]]
     known = [one for row in rows if row["rig"] == "exact" for one in row["parameters"]]
@@ -398,3 +427,52 @@ def detection(rows: Sequence[dict]) -> list[dict]:
                      "unexplained" if row["verdict"] == UNEXPLAINED else "nothing"),
         })
     return found
+
+
+def learned_row(truth: dict, answer: dict) -> dict | None:
+    """Return how a learned term compares with what was concealed; None where that has a name.
+
+    Returns
+    -------
+    dict
+        ``told``, ``removed`` of the error on unseen data (0 without a term), ``errors`` relative
+        of B and beta_e, ``inside`` the share of the places at which the true curve is in the
+        band, ``shape`` whether the formula's is right; None where it does not apply.
+    """
+    outside = [one for one in truth["effects"] if not one["in_catalogue"]]
+    if not outside:
+        return None
+    terms = answer.get("learned") or []
+    if not terms:
+        return {"told": False, "removed": 0.0, "errors": {}, "inside": None,
+                "shape": False}
+    term, after = terms[0], answer["parameters"]["after"]
+    errors = {name: abs(after[name]["value"] / truth[name] - 1.0)
+              for name in ("B", "beta_e") if name in after}
+    of, law, shapes = LAWS.get(outside[0]["name"], ((), None, ()))
+    inside = None
+    found = tuple(term["of"]) == of and term["balance"] == outside[0]["balance"]
+    if law is not None and found:
+        parameters = outside[0]["parameters"]
+        near = [abs(y - law(x, parameters)) <= SIGMAS * band
+                for x, y, band in zip(term["x"], term["curve"], term["band"], strict=True)]
+        inside = sum(near) / len(near)
+    return {"told": True, "removed": term["held_out_error_removed"], "errors": errors,
+            "inside": inside, "shape": found and term["shape"] in shapes}
+
+
+def learned_score(rows: Sequence[dict]) -> dict[str, float | None]:
+    """Return the marks of all cases with something outside the catalogue that shows."""
+    mine = [row for row in rows if row.get("learned") and row["detectable"]]
+    learned = [row["learned"] for row in mine if row["learned"]["told"]]
+    return {
+        "learned_told": share(row["learned"]["told"] for row in mine),
+        "learned_removed": median(row["learned"]["removed"] for row in mine) if mine else None,
+        "learned_worse": share(row["after_rms"] > 1.01 * row["before_rms"] for row in mine
+                               if row["before_rms"] and row["after_rms"]),
+        **{f"learned_{name}": share(one["errors"][name] <= LEARNED_NEAR for one in learned
+                                    if name in one["errors"]) for name in ("B", "beta_e")},
+        "learned_inside": share(one["inside"] >= INSIDE for one in learned
+                                if one["inside"] is not None),
+        "learned_shape": share(row["learned"]["shape"] for row in mine),
+    }

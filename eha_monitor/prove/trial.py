@@ -11,7 +11,7 @@ A trial's folder::
     key/key.json          all of these: the sealed key
     recordings/c001       bag; c001.yaml its nominal config
     answers/c001.json     what diagnose said; c001.run.json how it ran
-    oracles/c001.json     what a fit reaches that is told the effects, not the true rig
+    oracles/c001.json     what a fit reaches that knows the effects, not the true rig
     proof.json            the result
 """
 
@@ -28,8 +28,8 @@ from pathlib import Path
 from eha_monitor.concealed.cases import Case, truth_of
 from eha_monitor.errors import InputError
 from eha_monitor.prove import score
-from eha_monitor.prove.children import Asked, children, kept
-from eha_monitor.prove.curve import binned, curves_of
+from eha_monitor.prove.children import Questions, children, kept
+from eha_monitor.prove.curves import binned, curves_of
 from eha_monitor.prove.files import digest_of, read_json, write_json
 from eha_monitor.source import source_digest as digest_of_source
 
@@ -46,7 +46,7 @@ Report = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Question:
-    """One process that is asked, with what it is handed.
+    """One process that answers, with what it is handed.
 
     Attributes
     ----------
@@ -71,11 +71,11 @@ class Trial:
     cases : what is concealed.
     seed : of the draws.
     work : folder of the trial.
-    oracle : also fit each case with a model that was told the effects, not the true rig.
+    oracle : also fit each case with a model that knows the effects, not the true rig.
     jobs : processes at a time; each gets its share of the cores.
     keep : which answers of an earlier run stay: of the ``same`` source, ``all``, ``none``.
     groups : case -> name of a group that is marked by itself.
-    questions : what is asked; without them one diagnosis of each recording by itself.
+    questions : to be answered; without them one diagnosis of each recording by itself.
     conceal : writes the recording of a case into a folder and returns what is true of it.
     complete : given the opened key, returns it with what lies elsewhere and was sealed by digest.
     """
@@ -91,8 +91,8 @@ class Trial:
     conceal: Callable[[Case, Path], dict] | None = None
     complete: Callable[[dict], dict] | None = None
 
-    def asked(self) -> tuple[Question, ...]:
-        """Return what is asked."""
+    def all_questions(self) -> tuple[Question, ...]:
+        """Return the questions, one for each recording unless given."""
         return self.questions or tuple(Question(case.name, (case.name,)) for case in self.cases)
 
 
@@ -102,8 +102,8 @@ def prove(trial: Trial, announce: Callable[[str], None] = print,
 
     Parameters
     ----------
-    announce : told the key's SHA-256 before any recording is read.
-    progress : told what is done and how far it is, 0 to 1.
+    announce : called with the key's SHA-256 before any recording is read.
+    progress : called with what is done and how far it is, 0 to 1.
 
     Raises
     ------
@@ -214,7 +214,7 @@ def opened(trial: Trial, sealed: str) -> dict:
 
 def answer(trial: Trial, say: Report, what: str = "diagnosing") -> None:
     """Have every question answered by a process that sees its bags and nominal config only."""
-    questions = {question.name: question for question in trial.asked()}
+    questions = {question.name: question for question in trial.all_questions()}
 
     def arguments(name: str) -> list[str]:
         question = questions[name]
@@ -225,25 +225,25 @@ def answer(trial: Trial, say: Report, what: str = "diagnosing") -> None:
                  *(["--held-out", *unseen] if unseen else [])]
         return [*map(str, (trial.work, *bags, *unseen, config, answer, "--", *words))]
 
-    ask(trial, tuple(questions), Asked("eha_monitor.prove.blind", trial.work / "answers",
+    ask(trial, tuple(questions), Questions("eha_monitor.prove.blind", trial.work / "answers",
                                        source_digest(), arguments, what), say)
 
 
 def ask_oracle(trial: Trial, say: Report) -> None:
-    """Have every case fitted by a process that is told its effects."""
+    """Have every case fitted by a process that knows its effects."""
     def arguments(name: str) -> list[str]:
         bag, config, answer = places(trial, name, "oracles")
         return [*map(str, (trial.work / "key" / "key.json", name, bag, config, answer))]
 
     source = source_digest() + digest_of((PACKAGE / "prove" / "oracle.py").read_bytes())
     names = tuple(case.name for case in trial.cases)
-    ask(trial, names, Asked("eha_monitor.prove.oracle", trial.work / "oracles",
+    ask(trial, names, Questions("eha_monitor.prove.oracle", trial.work / "oracles",
                             digest_of(source.encode())[:16], arguments, "asking the oracle"), say)
 
 
-def ask(trial: Trial, names: Sequence[str], asked: Asked, say: Report) -> None:
+def ask(trial: Trial, names: Sequence[str], questions: Questions, say: Report) -> None:
     """Have all of these answered that have no answer which may stay."""
-    children(asked, [name for name in names if not kept(asked, name, trial.keep)],
+    children(questions, [name for name in names if not kept(questions, name, trial.keep)],
              jobs_of(trial), say)
 
 
@@ -257,7 +257,7 @@ def result(trial: Trial, key: dict, sealed: str) -> dict:
     """Score the answers against the opened key; the contract's keys, then what extends it."""
     rows, sources, groups = [], {}, dict(trial.groups)
     truths = {truth["case"]: truth for truth in key["cases"]}
-    for question in trial.asked():
+    for question in trial.all_questions():
         if question.command != "diagnose":
             continue
         name, truth = question.name, truths[question.bags[0]]
@@ -287,7 +287,7 @@ def result(trial: Trial, key: dict, sealed: str) -> dict:
 
 
 def jobs_of(trial: Trial) -> int:
-    """Return how many processes run at a time: as many as there are cores, unless told."""
+    """Return how many processes run at a time: as many as there are cores, unless given."""
     return trial.jobs or len(os.sched_getaffinity(0))
 
 

@@ -22,9 +22,9 @@ import traceback
 import warnings
 from collections.abc import Callable
 
-# Rooms that are loaded whole: what the commands load only when they are asked.
-ROOMS = ("commands", "api", "mismatch", "plausibility", "estimation", "physics", "recordings",
-         "settings")
+# Rooms that are loaded whole: what the commands load only when they are run.
+ROOMS = ("commands", "api", "mismatch", "plausibility", "estimation", "live", "physics",
+         "recordings", "settings")
 MOST_WORDS = 100_000  # bytes of a complaint that are kept
 
 
@@ -35,7 +35,7 @@ def answered(main: Callable[[list[str]], None], arguments: list[str], seconds: f
     Parameters
     ----------
     seconds : that it may take.
-    started : told the number of the fork's process, and 0 when it has ended.
+    started : called with the number of the fork's process, and 0 when it has ended.
     """
     reading, writing = os.pipe()
     child = os.fork()

@@ -6,8 +6,7 @@ import matplotlib.dates
 import numpy as np
 
 from eha_monitor.archive.history import LEAST, MONTH, History
-from eha_monitor.indicators.indicator import WORDS
-from eha_monitor.indicators.limits import limits_of_indicator
+from eha_monitor.indicators.indicator import WORDS, limits_of_indicator
 from eha_monitor.quantity import SYMBOLS, number, quantity, with_uncertainty
 from eha_monitor.reports.axes import axis_scale, stated
 from eha_monitor.reports.drawing import (

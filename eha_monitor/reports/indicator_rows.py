@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from eha_monitor.indicators.indicator import AVAILABLE, Indicator
-from eha_monitor.indicators.limits import limits_of_indicator, passed
+from eha_monitor.indicators.indicator import AVAILABLE, Indicator, limits_of_indicator, passed
 from eha_monitor.quantity import number
 from eha_monitor.settings.monitor import Settings
 

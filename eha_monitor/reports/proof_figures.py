@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
 from eha_monitor.mismatch.diagnosis import Curve, Diagnosis, Location, NamedEffect
-from eha_monitor.prove.curve import wilson
+from eha_monitor.prove.curves import wilson
 from eha_monitor.reports.diagnosis_figures import curve_picture, telling
 from eha_monitor.reports.drawing import (
     ERROR_LINE,

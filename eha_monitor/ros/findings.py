@@ -7,9 +7,8 @@ from dataclasses import dataclass, field, replace
 
 from eha_monitor.estimation.results import Consistency, Event, ModelStatus, ParameterEstimate
 from eha_monitor.health.alarms import ADVICE, WATCHED, AlarmBoard
-from eha_monitor.health.finding import Finding
-from eha_monitor.health.latency import LatencyMeter, ProcessorMeter
-from eha_monitor.health.overload import Overload
+from eha_monitor.health.judge import Finding
+from eha_monitor.health.overload import LatencyMeter, Overload, ProcessorMeter
 from eha_monitor.live.faults import FaultWatch
 from eha_monitor.live.rows import RowAligner
 from eha_monitor.ros.messages import ESTIMATE_LEVELS, alarm_finding

@@ -19,7 +19,7 @@ from std_msgs.msg import Float64
 
 from eha_monitor.estimation.results import ParameterEstimate
 from eha_monitor.health.alarms import WATCHED, Alarm
-from eha_monitor.health.finding import Finding
+from eha_monitor.health.judge import Finding
 from eha_monitor.ros.keeper import Keeper
 from eha_monitor.ros.qos import LATCHED, QUEUED, clashes
 from eha_monitor.settings import Settings

@@ -13,8 +13,7 @@ from std_srvs.srv import Trigger
 
 from eha_monitor.estimation.results import Event, ModelStatus, ParameterEstimate
 from eha_monitor.health.alarms import Alarm, AlarmBoard
-from eha_monitor.health.latency import LatencyMeter, ProcessorMeter
-from eha_monitor.health.overload import BEHIND_S
+from eha_monitor.health.overload import BEHIND_S, LatencyMeter, ProcessorMeter
 from eha_monitor.live.faults import CONSEQUENCES, FaultWatch
 from eha_monitor.live.rows import RowAligner, Rows
 from eha_monitor.ros.findings import (

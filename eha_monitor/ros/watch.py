@@ -9,7 +9,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from eha_monitor.health.alarms import ALARM_NAMES, WATCHED, Watched
-from eha_monitor.health.finding import Finding
+from eha_monitor.health.judge import Finding
 from eha_monitor.health.overload import OVERLOADED
 from eha_monitor.quantity import SYMBOLS, with_uncertainty
 from eha_monitor.ros import running

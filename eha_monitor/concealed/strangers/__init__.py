@@ -1,4 +1,4 @@
-"""Rigs of people who have never seen this project, drawn from a seed; by their own equations.
+"""Rigs of people who do not know this project, drawn from a seed; by their own equations.
 
     from eha_monitor.concealed.strangers.draw import draw_rig
     from eha_monitor.concealed.strangers.generate import record, settings_of, truth_of

@@ -2,23 +2,20 @@
 
 import math
 from functools import lru_cache
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
+from eha_monitor.concealed.generate import START_NS, write_both
 from eha_monitor.concealed.strangers.draw import Setting, StrangerRig
 from eha_monitor.concealed.strangers.plant import DAHL, NO_FRICTION
 from eha_monitor.concealed.strangers.shown import ATMOSPHERE, PREROLL, recording
 from eha_monitor.draft.rig import Answers, rig_entries, seen_in
-from eha_monitor.output import write_text
 from eha_monitor.recordings.recording import Recording
-from eha_monitor.recordings.write import write_recording
-from eha_monitor.settings.load import load_settings, settings_from_tree, text_tree
+from eha_monitor.settings.load import settings_from_tree, text_tree
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Tolerance
 
-START_NS = 1_700_000_000_000_000_000
 DRY = ("coulomb_friction", "stribeck_friction", "presliding_friction")
 # What is as good a name as the effect's own on these rigs: dry friction of another law is the
 # family's, and a leak to the tank is the make-up path's to a lower pressure.
@@ -71,8 +68,8 @@ def tree_of(rig: StrangerRig) -> dict:
         "charge_pressure": f"{1e-5 * sheet.charge:g} bar"}
     if sheet.gain is not None:
         answers["position_gain"] = f"{sheet.gain:.3g}"
-    seen = seen_in(recorded(rig, rig.settings[0], 0))
-    entries = rig_entries(Answers(answers, {}), seen, False, rig.name)
+    shown = seen_in(recorded(rig, rig.settings[0], 0))
+    entries = rig_entries(Answers(answers, {}), shown, False, rig.name)
     return text_tree("rig:\n" + "".join(f"  {one.key}: {one.value}\n" for one in entries),
                      rig.name)
 
@@ -89,10 +86,10 @@ def truth_of(rig: StrangerRig, setting: Setting, length: float | None = None) ->
         numbers beside the true ones, in tolerances.
     """
     c, length = rig.plant, length or setting.length
-    begun = PREROLL - min(setting.motion.before, 0.0)
-    warm = 1.0 - np.exp(-(begun + np.array([0.0, length])) / c.warming)
+    running = PREROLL - min(setting.motion.before, 0.0)
+    warm = 1.0 - np.exp(-(running + np.array([0.0, length])) / c.warming)
     mean = 1.0 - c.warming / length * float(
-        np.exp(-begun / c.warming) - np.exp(-(begun + length) / c.warming))
+        np.exp(-running / c.warming) - np.exp(-(running + length) / c.warming))
     ends = setting.damping * (1.0 - c.damping_drop * warm)
     return {"rig": rig.name, "kind": rig.kind, "law": rig.law,
             "B": setting.damping * (1.0 - c.damping_drop * mean),
@@ -148,14 +145,5 @@ def rig_off(rig: StrangerRig) -> list[dict]:
 def write(rig: StrangerRig, setting: Setting, folder: Path, seed: int,
           length: float | None = None) -> tuple[Path, Path]:
     """Write ``RIG_SETTING`` (a bag) and ``RIG_SETTING.yaml`` (its config) into ``folder``."""
-    from ruamel.yaml import YAML
-
-    folder.mkdir(parents=True, exist_ok=True)
-    name, text, yaml = f"{rig.name}_{setting.name}", StringIO(), YAML(typ="safe")
-    yaml.default_flow_style = False
-    yaml.dump(tree_of(rig), text)
-    config = folder / f"{name}.yaml"
-    write_text(config, text.getvalue())
-    bag = write_recording(folder / name, recorded(rig, setting, seed, length),
-                          load_settings(config), overwrite=True)
-    return bag, config
+    return write_both(folder, f"{rig.name}_{setting.name}", tree_of(rig),
+                      recorded(rig, setting, seed, length))

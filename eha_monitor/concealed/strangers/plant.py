@@ -188,10 +188,10 @@ def run(y, c, demand, demand_rate, h, steps, period, phase, encoder, noise, out)
     for i in range(steps + 1):
         if period > 0:
             if i >= phase and (i - phase) % period == 0:
-                seen = shown_place(y, c) + noise[tick % len(noise)]
+                read = shown_place(y, c) + noise[tick % len(noise)]
                 if encoder > 0.0:
-                    seen = encoder * floor(seen / encoder + 0.5)
-                held = wanted_speed(demand[2 * i], demand_rate[2 * i], seen, c)
+                    read = encoder * floor(read / encoder + 0.5)
+                held = wanted_speed(demand[2 * i], demand_rate[2 * i], read, c)
                 tick += 1
             begin = held
         else:

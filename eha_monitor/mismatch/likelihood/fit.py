@@ -12,6 +12,7 @@ import os
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
@@ -119,7 +120,8 @@ def spread(function: Callable, items: Iterable) -> list:
     """Map over all cores; within a worker, which must not wait for its own pool, in turn."""
     if threading.current_thread().name.startswith("mismatch"):
         return [function(item) for item in items]
-    return list(workers().map(function, items))
+    context = copy_context()  # of the units in which sentences are written
+    return list(workers().map(lambda item: context.copy().run(function, item), items))
 
 
 def innovations(experiment: Experiment, theta: np.ndarray, active: np.ndarray,

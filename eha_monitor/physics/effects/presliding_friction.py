@@ -1,4 +1,4 @@
-"""Dry friction whose presliding is seen: the seal bends before it slides."""
+"""Dry friction whose presliding shows: the seal bends before it slides."""
 
 from eha_monitor.compiled import njit
 from eha_monitor.physics.dry_friction import (

@@ -15,8 +15,14 @@ from eha_monitor.concealed.cases import SAMPLE_TIME, Case
 from eha_monitor.concealed.draws import MCMASTER, MCMASTER_RIG, mcmaster_case
 from eha_monitor.concealed.generate import nominal_config, recording_of
 from eha_monitor.concealed.motions import triangle
-from eha_monitor.prove.files import read_json
-from eha_monitor.prove.grounds.ground import Ground, compared_row, said_of, with_ground
+from eha_monitor.prove.grounds import (
+    Ground,
+    after_of,
+    answer_of,
+    compared_row,
+    said_of,
+    with_ground,
+)
 from eha_monitor.prove.trial import prove
 
 CLOSE = 0.1
@@ -51,22 +57,21 @@ def case_of(i: int, seed: int) -> Case:
 
 def parameters(case: Case, work: Path) -> list[dict]:
     """Return the published parameters of a recording beside what the diagnosis found."""
-    answer = read_json(work / "answers" / f"{case.name}.json") or {}
+    answer = answer_of(work, case.name)
     true = {name: next(iter(values.values())) for name, values in case.options.items()}
     base = 0.5 * MCMASTER_RIG["C_T"]
     state = case.name.partition("_")[2]
-    after = answer.get("parameters", {}).get("after", {})
     return [
         compared_row(state, "a1", true["quadratic_friction"],
                      said_of(answer, "quadratic_friction", "a_1"), CLOSE),
-        compared_row(state, "a2", case.rig["B"], after.get("B"), CLOSE),
+        compared_row(state, "a2", case.rig["B"], after_of(answer, "B"), CLOSE),
         compared_row(state, "a3", true["coulomb_friction"],
                      dry_friction(answer), CLOSE),
         compared_row(state, "L", base + true["cross_port_leakage"],
                      leakage(answer, base), CLOSE),
         compared_row(state, "Q_L0", true["leakage_offset"],
                      said_of(answer, "leakage_offset", "Q_0"), CLOSE),
-        compared_row(state, "βe", MCMASTER_RIG["beta_e"], after.get("beta_e"), 0.0),
+        compared_row(state, "βe", MCMASTER_RIG["beta_e"], after_of(answer, "beta_e"), 0.0),
     ]
 
 

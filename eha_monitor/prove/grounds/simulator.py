@@ -16,7 +16,14 @@ import numpy as np
 from eha_monitor.errors import InputError
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.prove.files import digest_of, read_json
-from eha_monitor.prove.grounds.ground import Ground, compared_row, said_of, with_ground
+from eha_monitor.prove.grounds import (
+    Ground,
+    after_of,
+    answer_of,
+    compared_row,
+    said_of,
+    with_ground,
+)
 from eha_monitor.prove.trial import Question, prove
 
 KEY = "key.json"
@@ -65,7 +72,7 @@ def prove_simulator(ground: Ground, data: Path, config: Path,
     ground : ``cases`` counts rigs; 0 takes all.
     data : folder of ``RIG_MOTION.csv.gz`` and ``key.json``.
     config : nominal config with the ``table`` section for the import.
-    motions : what is asked of each rig: names of motions, and ``both``; all unless told.
+    motions : the questions of each rig: names of motions, and ``both``; all unless given.
     """
     tables = tables_of(data, config, ground)
     questions = questions_of(tables, motions)
@@ -88,7 +95,7 @@ def prove_simulator(ground: Ground, data: Path, config: Path,
 
 
 def tables_of(data: Path, config: Path, ground: Ground) -> tuple[Table, ...]:
-    """Return the recordings of a folder, of the first rigs that are asked for."""
+    """Return the recordings of a folder, of the first rigs that are requested."""
     files = sorted(data.glob(f"*_*{SUFFIX}")) if data.is_dir() else []
     if not files or not (data / KEY).is_file():
         raise InputError(f"{data}: expected RIG_MOTION{SUFFIX} files and {KEY}")
@@ -194,11 +201,10 @@ def translated(parameters: dict) -> dict[str, float]:
 
 def parameters(question: Question, truth: dict, work: Path) -> list[dict]:
     """Return the true parameters of a rig beside what one answer says."""
-    answer = read_json(work / "answers" / f"{question.name}.json") or {}
+    answer = answer_of(work, question.name)
     rows = [compared_row(question.name, f"{one['name']}.{symbol}", true,
                          said_of(answer, one["name"], symbol), CLOSE)
             for one in truth["effects"] for symbol, true in one["parameters"].items() if true]
-    after = answer.get("parameters", {}).get("after", {})
-    rows += [compared_row(question.name, name, truth[name], after.get(name), CLOSE)
+    rows += [compared_row(question.name, name, truth[name], after_of(answer, name), CLOSE)
              for name in ("B", "beta_e")]
     return rows

@@ -12,8 +12,14 @@ from pathlib import Path
 
 from eha_monitor.concealed.strangers.draw import draw_rig
 from eha_monitor.concealed.strangers.generate import truth_of, write
-from eha_monitor.prove.files import read_json
-from eha_monitor.prove.grounds.ground import Ground, compared_row, said_of, with_ground
+from eha_monitor.prove.grounds import (
+    Ground,
+    after_of,
+    answer_of,
+    compared_row,
+    said_of,
+    with_ground,
+)
 from eha_monitor.prove.score import SIGMAS
 from eha_monitor.prove.trial import Question, prove
 
@@ -80,9 +86,9 @@ def parameters(question: Question, truths: dict[str, dict], work: Path) -> list[
 
     B holds where it is inside its ± of any value that B had: it drifts, and differs with the oil.
     """
-    answer = read_json(work / "answers" / f"{question.name}.json") or {}
+    answer = answer_of(work, question.name)
     mine = [truths[name] for name in question.bags]
-    said = answer.get("parameters", {}).get("after", {}).get("B")
+    said = after_of(answer, "B")
     spans = [value for one in mine for value in one["B_span"]]
     rows = [_row(question.name, "B", mine[0]["B"], said, min(spans), max(spans))]
     for one in mine[0]["effects"]:

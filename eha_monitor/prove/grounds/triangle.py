@@ -14,8 +14,14 @@ import numpy as np
 from eha_monitor.concealed.cases import SAMPLE_TIME, Case
 from eha_monitor.concealed.generate import write_case
 from eha_monitor.physics.excitation import demanded_position, total_duration
-from eha_monitor.prove.files import read_json
-from eha_monitor.prove.grounds.ground import Ground, compared_row, said_of, with_ground
+from eha_monitor.prove.grounds import (
+    Ground,
+    after_of,
+    answer_of,
+    compared_row,
+    said_of,
+    with_ground,
+)
 from eha_monitor.prove.trial import Question, answer, begin, made, opened, result, seal
 from eha_monitor.settings.rig import Segment
 
@@ -24,7 +30,7 @@ CLOSE = 0.05  # of F_c and of B with the second recording
 DECISIVE = 20.0  # log units
 COULOMB = "coulomb_friction"
 RIGS = 3
-CONFUSED = 0.999  # correlation of what cannot be told apart
+CONFUSED = 0.999  # correlation of what cannot be distinguished
 SHIFT_CLOSE = 0.05
 
 
@@ -41,7 +47,7 @@ def prove_triangle(ground: Ground, announce: Callable[[str], None],
     sealed = seal(trial)
     announce(f"sealed key: SHA-256 {sealed}")
     answer(trial, lambda text, share: say(text, 0.05 + 0.4 * share), "asking for advice")
-    advice = {case.name: read_json(ground.work / "answers" / f"{case.name}_advice.json") or {}
+    advice = {case.name: answer_of(ground.work, f"{case.name}_advice")
               for case in triangles}
     questions = [Question(case.name, (case.name,)) for case in triangles]
     for case in triangles:  # as the advice has it, on the rig that was sealed
@@ -82,7 +88,7 @@ def judged(case: Case, advice: dict, work: Path) -> dict:
                  and one["effect"] == COULOMB), {})
     # By how much B is off for the friction that the answer speaks of: F_c / v0.
     amount, shift = said.get("amount") or 0.0, abs(said.get("plateau_shift") or 0.0)
-    both = read_json(work / "answers" / f"{case.name}_both.json") or {}
+    both = answer_of(work, f"{case.name}_both")
     motion = advice.get("motion") or {}
     gain = max((one["then"] or 0.0 for one in advice.get("doubts", ())
                 if one["effect"] == COULOMB and one["parameter"] == "B"), default=0.0)
@@ -95,7 +101,7 @@ def judged(case: Case, advice: dict, work: Path) -> dict:
         "named": [one["name"] for one in both.get("effects", ())],
         "verdict": both.get("verdict", ""),
         "F_c_said": said_of(both, COULOMB, "F_c"),
-        "B_said": both.get("parameters", {}).get("after", {}).get("B"),
+        "B_said": after_of(both, "B"),
         "data": both.get("fit", {}).get("data", ""),
     }
 
@@ -115,13 +121,12 @@ def parameters(case: Case, work: Path) -> list[dict]:
     """Return B and F_c beside what the triangle alone and both recordings gave."""
     rows = []
     for name, words in ((case.name, "triangle"), (f"{case.name}_both", "both")):
-        said = read_json(work / "answers" / f"{name}.json") or {}
+        said = answer_of(work, name)
         aim = CLOSE if words == "both" else 0.0
-        after = said.get("parameters", {}).get("after", {})
         group = f"{case.name}, {words}"
         rows += [compared_row(group, "F_c", case.options[COULOMB]["F_c"],
                               said_of(said, COULOMB, "F_c"), aim),
-                 compared_row(group, "B", case.rig["B"], after.get("B"), aim)]
+                 compared_row(group, "B", case.rig["B"], after_of(said, "B"), aim)]
     return rows
 
 
@@ -135,8 +140,8 @@ def facts_of(rows: list[dict]) -> list[str]:
     decided = sum(row["decides"] for row in rows)
     named = sum(row["named"] == [COULOMB] and row["verdict"] == "mismatch" for row in rows)
     return [
-        f"{confused} of {count}: the advice says that the plateaus cannot tell B from Coulomb "
-        f"friction, and by how much B may be off (F_c / v0 within {SHIFT_CLOSE:.0%})",
+        f"{confused} of {count}: the advice says that the plateaus cannot distinguish B from "
+        f"Coulomb friction, and by how much B may be off (F_c / v0 within {SHIFT_CLOSE:.0%})",
         f"{decided} of {count}: it names a second motion that decides",
         f"{named} of {count}: both recordings together name Coulomb friction and nothing else",
         *facts]
