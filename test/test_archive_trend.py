@@ -6,7 +6,7 @@ import pytest
 from eha_monitor.archive.history import history
 from eha_monitor.archive.store import iso_time
 from eha_monitor.archive.trend import MONTH, trend
-from eha_monitor.reports.archive_figures import history_block, trend_words
+from eha_monitor.reports.history_figures import history_block, trend_words
 from eha_monitor.settings import Settings
 
 DAY = 86_400.0

@@ -5,8 +5,7 @@ import pytest
 from eha_monitor.prove import score
 from eha_monitor.prove.curve import binned, curve_of, curves_of
 from eha_monitor.prove.reliability import calibration_error, reliability_of
-from eha_monitor.reports.proof_report import proof_page
-from eha_monitor.reports.proof_text import result_text
+from eha_monitor.reports.proof_report import proof_page, result_text
 
 
 def concealed(*effects, outside=()) -> dict:

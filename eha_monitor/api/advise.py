@@ -214,9 +214,9 @@ class Advice(Record):
         matplotlib.figure.Figure
             A notebook shows it; without a motion it says so.
         """
-        from eha_monitor.reports.single_figures import motion_figure
+        from eha_monitor.reports.api_figures import motion_drawing
 
-        return motion_figure(None if self.motion is None else (
+        return motion_drawing(None if self.motion is None else (
             self.motion.segments, motion_sentence(self.motion)), self.config.rig.motion)
 
     def _short(self):

@@ -235,9 +235,9 @@ class Diagnosis(Record):
         InputError
             If there is no such picture.
         """
-        from eha_monitor.reports.single_figures import DIAGNOSIS_FIGURES
+        from eha_monitor.reports.api_figures import DIAGNOSIS_DRAWINGS
 
-        return chosen(what, DIAGNOSIS_FIGURES, "what")(self.inner)
+        return chosen(what, DIAGNOSIS_DRAWINGS, "what")(self.inner)
 
     def completed(self) -> Config:
         """Return the nominal config completed with what was found, as ``--write-config`` does.

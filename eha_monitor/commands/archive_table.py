@@ -9,9 +9,8 @@ from rich.table import Table
 from eha_monitor.commands.table import PIPE_WIDTH, PipeConsole
 from eha_monitor.health.alarms import NOT_JUDGED
 from eha_monitor.quantity import NOTE
-from eha_monitor.reports.archive_figures import trend_words
 from eha_monitor.reports.archive_report import histories_of, phrases, summary_words
-from eha_monitor.reports.outlook import outlook_words
+from eha_monitor.reports.history_figures import outlook_words, trend_words
 from eha_monitor.settings import Settings
 
 MOST = 20  # recordings shown; all are in the table
