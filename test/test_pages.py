@@ -10,6 +10,7 @@ import pytest
 from diagnosis_tools import ALL
 from test_reports import case_of, simulated
 
+from eha_monitor.quantity import Scale
 from eha_monitor.reports import page, plotly_chart
 from eha_monitor.reports.diagnosis_report import diagnosis_page
 from eha_monitor.reports.figure import Band, Curve, Figure, Level, Panel, Side, Span
@@ -182,14 +183,16 @@ def axes_of(made) -> dict:
 def described() -> Figure:
     """A figure of two panels on one time axis, with a band, a line, marks, a level, a span."""
     t = np.linspace(0.0, 2.0, 50)
-    top = Panel(Side(limits=(0.0, 2.0)), Side("position", "mm"))
-    top.add(Band(t, t - 1.0, t + 1.0, "band", "#0072B2", 0.2),
-            Curve(t, t, "line", "#0072B2", dash="dash"), Level(0.5, "", "#8A6100", dash="dot"),
+    top = Panel(Side(limits=(0.0, 2.0)), Side("position", Scale(1e3, "mm")))
+    top.add(Band(t, 1e-3 * t - 1.0, 1e-3 * t + 1.0, "band", "#0072B2", 0.2),
+            Curve(t, 1e-3 * t, "line", "#0072B2", dash="dash"),
+            Level(0.5e-3, "", "#8A6100", dash="dot"),
             Span(0.5, 1.0, "", "#F0E442", 0.4, True))
-    bottom = Panel(Side("time", "s", "whole record", (0.0, 2.0)), Side("residual", "mm"))
-    bottom.add(Curve(np.array([0.5, 1.5]), np.array([3.0, 4.0]), "line, residual", "#0072B2", 0.0,
-                     marker="square", y_error=np.array([0.1, 0.2]), legend=False))
-    return Figure((top, bottom), "words", (2.0, 1.0), clock=1.0)
+    bottom = Panel(Side("time", Scale(1.0, "s"), "whole record", (0.0, 2.0)),
+                   Side("residual", Scale(1e3, "mm")))
+    bottom.add(Curve(np.array([0.5, 1.5]), np.array([3e-3, 4e-3]), "line, residual", "#0072B2",
+                     0.0, marker="square", y_error=np.array([1e-4, 2e-4]), legend=False))
+    return Figure((top, bottom), "words", (2.0, 1.0), on_time=True)
 
 
 def test_a_chart_shows_what_is_described(described):
@@ -202,7 +205,8 @@ def test_a_chart_shows_what_is_described(described):
     assert read(marks["error_y"]["array"]) == pytest.approx([0.1, 0.2])
     assert read(line["y"]) == pytest.approx(np.linspace(0.0, 2.0, 50))
     level, span = sorted(made["layout"]["shapes"], key=lambda one: one["type"])
-    assert (level["y0"], level["line"]["dash"], level["xref"]) == (0.5, "dot", "x domain")
+    assert (level["y0"], level["line"]["dash"], level["xref"]) == (
+        pytest.approx(0.5), "dot", "x domain")
     assert (span["x0"], span["x1"], span["yref"]) == (0.5, 1.0, "y domain")
     assert set(axes_of(made)) == {"xaxis", "yaxis", "yaxis2"} and made["clock"] == 1.0
     assert made["layout"]["xaxis"]["title"]["text"] == "time, s — whole record"

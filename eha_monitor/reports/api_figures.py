@@ -1,6 +1,7 @@
 """What ``plot()`` of the API draws: a recording, an estimate, a diagnosis, a proposed motion."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -8,6 +9,7 @@ import numpy as np
 from eha_monitor.filters.results import Estimate
 from eha_monitor.mismatch.diagnosis import Diagnosis
 from eha_monitor.physics.excitation import demanded_position, total_duration
+from eha_monitor.quantity import Scale
 from eha_monitor.recordings.columns import sampled
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.reports import diagnosis_figures, estimate_figures
@@ -58,19 +60,19 @@ def recording_drawing(recording: Recording, names: Sequence[str], units: Mapping
     for name in names:
         groups.setdefault(_TOGETHER[name], []).append(name)
     clock = time_scale(recording.duration)
-    step = recording.sample_time * clock.factor
-    time = Side("time", clock.unit, limits=(0.0, max(len(recording) - 1, 1) * step))
+    step = recording.sample_time
+    time = Side("time", clock, limits=(0.0, max(len(recording) - 1, 1) * step))
     panels = []
     for quantity, members in groups.items():
         columns = [sampled(recording.channels[name]) for name in members]
         scale = scale_of(np.concatenate(columns), units[members[0]])
         low, high, _ = robust_range(columns)
         last = len(panels) == len(groups) - 1
-        panel = Panel(time if last else Side(limits=time.limits), Side(
-            quantity, scale.unit, limits=padded(low * scale.factor, high * scale.factor)))
+        panel = Panel(time if last else replace(time, name=""),
+                          Side(quantity, scale, limits=padded(low, high)))
         for name, values, colour in zip(members, columns, (STAGE_ONE, STAGE_TWO), strict=False):
             every = -(-len(recording) // max(len(values), 1))
-            panel.signal(np.arange(len(values)) * every * step, values * scale.factor,
+            panel.signal(np.arange(len(values)) * every * step, values,
                          _LABELS[name], colour, width=1.2, legend=len(members) > 1)
         panels.append(panel)
     return drawn(Figure(tuple(panels), "channels against time", (1.0,) * len(panels),
@@ -125,8 +127,8 @@ def motion_drawing(proposed: tuple[dict[str, Segment], str] | None, motion: str)
     time = np.linspace(0.0, total_duration(segments), _SAMPLES, endpoint=False)
     values = demanded_position(segments, time)
     scale = scale_of(values, "rad" if motion == "rotary" else "m")
-    panel = Panel(Side("time", "s"), Side("demanded position", scale.unit))
-    panel.signal(time, values * scale.factor, words, OTHER, width=1.5)
+    panel = Panel(Side("time", Scale(1.0, "s")), Side("demanded position", scale))
+    panel.signal(time, values, words, OTHER, width=1.5)
     return drawn(Figure((panel,), words, size=(WIDTH, _ROW + 2 * _FOOT)))
 
 

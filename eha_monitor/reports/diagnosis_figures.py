@@ -6,19 +6,21 @@ import numpy as np
 
 from eha_monitor.mismatch.diagnosis import (
     Agreement,
-    Curve,
     Diagnosis,
     LearnedTerm,
     Overlay,
     Value,
 )
+from eha_monitor.mismatch.diagnosis import (
+    Curve as MissingTerm,
+)
 from eha_monitor.quantity import SYMBOLS
-from eha_monitor.reports import figure as drawn
 from eha_monitor.reports.estimate_figures import NAMES
 from eha_monitor.reports.figure import (
     STAGE_ONE,
     STAGE_TWO,
     Band,
+    Curve,
     Figure,
     Level,
     Panel,
@@ -70,7 +72,7 @@ def axis_words(name: str) -> str:
     return _SYMBOL_OF.get(name.replace(" ", "_"), name.replace("_", " "))
 
 
-def informative(found: Diagnosis) -> list[Curve]:
+def informative(found: Diagnosis) -> list[MissingTerm]:
     """Return the curves that have something to draw, the most informative one first.
 
     A curve says much where its quantity decides the missing term: what it varies by is then
@@ -87,7 +89,7 @@ def informative(found: Diagnosis) -> list[Curve]:
         -_contrast(curve) * (_STAND_IN if (curve.balance, curve.against) == _INDIRECT else 1.0)))
 
 
-def _contrast(curve: Curve) -> float:
+def _contrast(curve: MissingTerm) -> float:
     """Return how much of the curve is a function of its quantity: variance over spread²."""
     known = np.isfinite(curve.measured) & np.isfinite(curve.x)
     spread = curve.spread[known]
@@ -97,7 +99,7 @@ def _contrast(curve: Curve) -> float:
                         1e-300)
 
 
-def curve_figure(found: Diagnosis, curve: Curve, large: bool = False) -> Figure:
+def curve_figure(found: Diagnosis, curve: MissingTerm, large: bool = False) -> Figure:
     """Draw the missing term against one quantity: dots measured, a line modelled."""
     order = np.argsort(curve.x)
     x, measured, spread, modelled = (values[order] for values in (
@@ -112,28 +114,26 @@ def curve_figure(found: Diagnosis, curve: Curve, large: bool = False) -> Figure:
     low, high, _ = robust_range([measured, measured - spread, measured + spread,
                                  *([modelled] if with_line else [])])
     scale = axis_scale(max(abs(low), abs(high)), curve.unit)
-    x, measured, spread, modelled = (x * across.factor, measured * scale.factor,
-                                     spread * scale.factor, modelled * scale.factor)
     what = MISSING.get(curve.balance, curve.balance)
-    panel = Panel(Side(axis_words(curve.against), across.unit), Side(
-        what, scale.unit, limits=padded(low * scale.factor, high * scale.factor)))
+    panel = Panel(Side(axis_words(curve.against), across),
+                      Side(what, scale, limits=padded(low, high)))
     panel.add(Level(0.0, width=0.8))
     label, width = "measured, with its spread", 2.2
     if curve.against == "time":  # it hops to and fro: lines, the model's thin on top
-        panel.add(drawn.Curve(x, measured, "measured", SEEN, 3.0, opacity=0.5))
+        panel.add(Curve(x, measured, "measured", SEEN, 3.0, opacity=0.5))
         width = 0.9
     elif len(x) > _MOST_BARS:
         panel.add(Band(x, measured - spread, measured + spread, colour=SEEN),
-                  drawn.Curve(x, measured, label, SEEN, 0.0, marker="circle", size=3.2))
+                  Curve(x, measured, label, SEEN, 0.0, marker="circle", size=3.2))
     else:
-        panel.add(drawn.Curve(x, measured, label, SEEN, 0.0, marker="circle", y_error=spread,
+        panel.add(Curve(x, measured, label, SEEN, 0.0, marker="circle", y_error=spread,
                               size=5.6 if large else 4.2, error_colour=_FAINT))
     if with_line:
-        panel.add(drawn.Curve(x, modelled, f"modelled: {named}", AFTER, width))
+        panel.add(Curve(x, modelled, f"modelled: {named}", AFTER, width))
     return Figure((panel,), f"{what} against {curve.against.replace('_', ' ')}: measured"
                             f"{' and modelled' if with_line else ''}",
                   size=LARGE if large else SMALL,
-                  clock=across.factor if curve.against == "time" else None)
+                  on_time=curve.against == "time")
 
 
 def learned_figure(term: LearnedTerm) -> Figure:
@@ -142,20 +142,17 @@ def learned_figure(term: LearnedTerm) -> Figure:
     low, high, _ = robust_range([*shown, term.measured])
     scale, across = axis_scale(max(abs(low), abs(high)), term.unit), scale_of(
         term.x, term.against_unit)
-    x, curve, band = term.x * across.factor, term.curve * scale.factor, term.band * scale.factor
+    x, curve, band = term.x, term.curve, 2.0 * term.band
     name, what = axis_words(term.of[0]), learned_words(term)
-    panel = Panel(Side(name, across.unit), Side(what, scale.unit, limits=padded(
-        low * scale.factor, high * scale.factor)))
+    panel = Panel(Side(name, across), Side(what, scale, limits=padded(low, high)))
     panel.add(
         Level(0.0, width=0.8),
-        drawn.Curve(term.at * across.factor, term.measured * scale.factor,
-                    "measured, with its spread", SEEN, 0.0, marker="circle",
-                    y_error=np.abs(term.spread) * scale.factor, error_colour=_FAINT, size=5.6),
-        Band(x, curve - 2.0 * band, curve + 2.0 * band, "learned, ± 2 standard deviations", AFTER,
-             0.25),
-        drawn.Curve(x, curve, "learned", AFTER, 2.2))
+        Curve(term.at, term.measured, "measured, with its spread", SEEN, 0.0,
+                  marker="circle", y_error=np.abs(term.spread), error_colour=_FAINT, size=5.6),
+        Band(x, curve - band, curve + band, "learned, ± 2 standard deviations", AFTER, 0.25),
+        Curve(x, curve, "learned", AFTER, 2.2))
     if len(shown) > 1:
-        panel.add(drawn.Curve(x, term.formula_curve * scale.factor,
+        panel.add(Curve(x, term.formula_curve,
                               "formula" if term.formula else "best formula, worse", BEFORE, 1.6,
                               "dash"))
     return Figure((panel,), f"{what} against {name}: measured, learned, and the formula",
@@ -179,10 +176,10 @@ def overlay_figure(overlay: Overlay, with_after: bool = True,
     if known.sum() < 2:
         return None
     start, stop = (float(overlay.time[known][place]) for place in (0, -1))
-    clock = time_scale(stop - start)
     # Milliseconds since the start of the recording are no place in it; seconds are.
-    factor, unit = (1.0, "s") if clock.unit == "ms" else (clock.factor, clock.unit)
-    t, ends = overlay.time * factor, padded(start * factor, stop * factor, 0.0)
+    t = overlay.time
+    time = Side("time", time_scale(max(stop - start, 1.0)),
+                    limits=padded(start, stop, 0.0))
     models = [(names[0] if with_after else "model", overlay.before, BEFORE,
                "dash" if with_after else "solid")]
     models += [(names[1], overlay.after, AFTER, "solid")] if with_after else []
@@ -190,21 +187,19 @@ def overlay_figure(overlay: Overlay, with_after: bool = True,
     errors = [overlay.measured - values for _, values, *_ in models]
     low, high, _ = robust_range(errors)
     error_scale = axis_scale(max(abs(low), abs(high)), overlay.unit)
-    bottom = Panel(Side("time", unit, limits=ends), Side(
-        "measured − model", error_scale.unit,
-        limits=padded(low * error_scale.factor, high * error_scale.factor)))
+    bottom = Panel(time, Side("measured − model", error_scale,
+                                      limits=padded(low, high)))
     low, high, _ = robust_range([overlay.measured], [values for _, values, *_ in models])
     words = overlay.signal.replace("_", " ")
-    top = Panel(Side(limits=ends), Side(words, scale.unit, limits=padded(
-        low * scale.factor, high * scale.factor)))
+    top = Panel(replace(time, name=""), Side(words, scale, limits=padded(low, high)))
     bottom.add(Level(0.0, width=0.8))
-    top.signal(t, overlay.measured * scale.factor, "measured", SEEN, width=3.2, opacity=0.55)
+    top.signal(t, overlay.measured, "measured", SEEN, width=3.2, opacity=0.55)
     for (name, values, colour, dash), error in zip(models, errors, strict=True):
-        top.signal(t, values * scale.factor, name, colour, width=1.3, dash=dash)
-        bottom.signal(t, error * error_scale.factor, f"{name}, error", colour, width=1.1,
+        top.signal(t, values, name, colour, width=1.3, dash=dash)
+        bottom.signal(t, error, f"{name}, error", colour, width=1.1,
                       dash=dash, legend=False)
     return Figure((top, bottom), f"{words}: measured and simulated by both models, and their "
-                                 "errors", (1.0, 1.0), (LARGE[0], LARGE[1] + 40), clock=factor,
+                                 "errors", (1.0, 1.0), (LARGE[0], LARGE[1] + 40), on_time=True,
                   stretch=f"{start:.4g} to {stop:.4g} s")
 
 
@@ -219,13 +214,13 @@ def agreement_figure(name: str, parts: tuple[Agreement, ...], before: Value | No
     known = [value for _, *pair in rows for value in pair if _drawable(value)]
     ends = [end for value in known for end in (value.value, *_ends(value, known))]
     scale = axis_scale(max(map(abs, ends)), known[0].unit)
-    low, high = min(ends) * scale.factor, max(ends) * scale.factor
+    low, high = min(ends), max(ends)
     margin = 0.06 * (high - low) or 0.1 * abs(high) or 1.0
     words = f"{NAMES.get(name, name)} {SYMBOLS.get(name, name)}"
-    panel = Panel(Side(words, scale.unit, limits=(low - margin, high + margin)),
+    panel = Panel(Side(words, scale, limits=(low - margin, high + margin)),
                   Side(rows=tuple(row[0] for row in rows)))
     if _drawable(after):
-        panel.add(Level(after.value * scale.factor, "", AFTER, dash="dash", upright=True))
+        panel.add(Level(after.value, "", AFTER, dash="dash", upright=True))
     for which, colour, shift, label, marker in ((1, BEFORE, 0.14, "before", "square"),
                                                 (2, AFTER, -0.14, "after", "circle")):
         mine = [(row[which], place + shift) for place, row in enumerate(rows)
@@ -233,10 +228,10 @@ def agreement_figure(name: str, parts: tuple[Agreement, ...], before: Value | No
         if mine:
             reach = np.array([_ends(value, known) for value, _ in mine]).T
             at = np.array([value.value for value, _ in mine])
-            panel.add(drawn.Curve(
-                at * scale.factor, np.array([place for _, place in mine]), f"{label}, ± 1σ",
+            panel.add(Curve(
+                at, np.array([place for _, place in mine]), f"{label}, ± 1σ",
                 colour, 0.0, marker=marker, size=7.5, error_width=2.0, cap=3.0,
-                x_error=np.maximum([at - reach[0], reach[1] - at], 0.0) * scale.factor))
+                x_error=np.maximum([at - reach[0], reach[1] - at], 0.0)))
     return Figure((panel,), f"{NAMES.get(name, name)} from each part of the record, before and "
                             "after modelling", size=(LARGE[0], 110 + 44 * len(rows)))
 

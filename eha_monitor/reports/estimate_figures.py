@@ -7,7 +7,7 @@ import numpy as np
 
 from eha_monitor.filters.consistency import variance_ratios, whitened
 from eha_monitor.filters.results import Estimate, StageResult
-from eha_monitor.quantity import SYMBOLS, number, quantity
+from eha_monitor.quantity import SYMBOLS, Scale, number, quantity
 from eha_monitor.reports.figure import (
     ERROR_LINE,
     HEIGHT,
@@ -26,7 +26,6 @@ from eha_monitor.reports.figure import (
     Panel,
     Side,
     Span,
-    Strokes,
     Text,
     axis_scale,
     cut_note,
@@ -176,30 +175,32 @@ def _settled(stage: StageResult) -> int:
 def _parameters(shown: list[_Watched], part: slice, views: list[tuple[float, float]], words: str
                 ) -> Figure:
     """Draw parameters one above the other over a part of the record; ``views`` SI."""
-    whole = shown[0].stage.time
-    clock = time_scale(float(whole[-1] - whole[0]))
-    t = whole[part] * clock.factor
-    ends = (float(t[0]), float(t[-1])) if len(t) > 1 and t[-1] > t[0] else None
-    time = Side("time", clock.unit, words, ends)
-    panels = tuple(_parameter_panel(one, part, view, time if one is shown[-1] else Side(
-        limits=ends)) for one, view in zip(shown, views, strict=True))
+    time = _time_side(shown[0].stage.time, part, words)
+    panels = tuple(_parameter_panel(one, part, view, time if one is shown[-1] else replace(
+        time, name="", note="")) for one, view in zip(shown, views, strict=True))
     last = [f"{NAMES[one.name]}, last value " + quantity(
         one.stage.value[np.isfinite(one.stage.value)][-1], one.stage.estimate.unit)
         for one in shown]
     return Figure(panels, f"{' and '.join(last)}: against time with the one-sigma band and the "
-                          f"limits, {words}", (1.0,) * len(panels), clock=clock.factor,
+                          f"limits, {words}", (1.0,) * len(panels), on_time=True,
                   stretch="" if part.start else _SHARED)
+
+
+def _time_side(time: np.ndarray, part: slice, words: str) -> Side:
+    """Return the axis of a part of (n,) times, s, in the unit that suits all of it."""
+    t = time[part]
+    return Side("time", time_scale(float(time[-1] - time[0])), words,
+                (float(t[0]), float(t[-1])) if len(t) > 1 and t[-1] > t[0] else None)
 
 
 def _parameter_panel(one: _Watched, part: slice, view: tuple[float, float], time: Side) -> Panel:
     """Return the curve, its band and the limits that fall into ``view``, SI."""
     stage, unit = one.stage, one.stage.estimate.unit
-    clock = time_scale(float(stage.time[-1] - stage.time[0]))
-    scale = axis_scale(max(map(abs, view)), unit)
-    t, value = stage.time[part] * clock.factor, stage.value[part] * scale.factor
-    spread = stated(stage.value[part], stage.stddev[part]) * scale.factor
-    low, high = padded(view[0] * scale.factor, view[1] * scale.factor, 0.12)
-    panel = Panel(time, Side(SYMBOLS[one.name], scale.unit, limits=(low, high)))
+    t, value = stage.time[part], stage.value[part]
+    spread = stated(value, stage.stddev[part])
+    low, high = padded(*view, 0.12)
+    panel = Panel(time, Side(SYMBOLS[one.name], axis_scale(max(map(abs, view)), unit),
+                             limits=(low, high)))
     band = band_envelope(t, np.clip(value - spread, low - 9 * (high - low), None),
                          np.clip(value + spread, None, high + 9 * (high - low)))
     if len(band[0]):
@@ -207,25 +208,23 @@ def _parameter_panel(one: _Watched, part: slice, view: tuple[float, float], time
         panel.add(Band(*band, "± 1σ (mostly thinner than the line)" if thin else "± 1σ",
                        one.colour))
     panel.signal(t, value, f"{SYMBOLS[one.name]} estimated", one.colour, width=1.8)
-    add_limits(panel, value, one.limits, scale.factor, unit)
+    add_limits(panel, value, one.limits, unit)
     return panel
 
 
-def add_limits(panel: Panel, value: np.ndarray, lines: list[tuple[float, str]], factor: float,
-               unit: str) -> None:
+def add_limits(panel: Panel, value: np.ndarray, lines: list[tuple[float, str]], unit: str
+               ) -> None:
     """Add the limits that fall into a panel, each with its name where ``value`` leaves room.
 
     Parameters
     ----------
     panel : with limits of its y axis.
-    value : (n,) what is shown, in the unit of the axis, in order of time.
-    lines : limit, SI, and its words.
-    factor, unit : of the axis, and the SI unit of the limits.
+    value : (n,) what is shown, SI, in order of time.
+    lines : limit, SI, and its words; ``unit`` is theirs.
     """
     bottom, top = panel.ends("y")
     taken: list[float] = []  # heights of labels, share of the picture
-    for limit, label in lines:
-        place = limit * factor
+    for place, label in lines:
         if not bottom < place < top:
             continue
         warn = label.startswith("WARN")
@@ -238,7 +237,7 @@ def add_limits(panel: Panel, value: np.ndarray, lines: list[tuple[float, str]], 
             continue
         taken.append(height)
         left = not _clear(value, place, top - bottom, -1) and _clear(value, place, top - bottom, 1)
-        panel.add(Text(0.0 if left else 1.0, place, f"{label} {quantity(limit, unit)}", colour,
+        panel.add(Text(0.0 if left else 1.0, place, f"{label} {quantity(place, unit)}", colour,
                        "left" if left else "right", "bottom" if above else "top", x_share=True,
                        shift=(4 if left else -4, 4 if above else -4)))
 
@@ -333,29 +332,28 @@ class _Motion:
         recording, (name, unit) = self.estimate.recording, named
         here = slice(part.start, part.stop)
         whole = part.stop - part.start == len(recording)
+        t = recording.time[here]
         clock = time_scale(recording.duration if whole else 1.0)
-        t = recording.time[here] * clock.factor
-        ends = (float(t[0]), float(t[-1])) if len(t) > 1 else None
+        time = Side("time", clock, part.words,
+                    (float(t[0]), float(t[-1])) if len(t) > 1 else None)
         low, high, peak = robust_range(
             [one.values[here] for one in signals if not one.estimated],
             [one.values[here] for one in signals if one.estimated])
-        top = Panel(Side("time", clock.unit, part.words, ends), Side(
-            name, scale.unit, limits=padded(low * scale.factor, high * scale.factor)))
+        top = Panel(time, Side(name, scale, limits=padded(low, high)))
         if whole and self.window.stop - self.window.start < len(t):
             top.add(Span(t[self.window.start], t[self.window.stop - 1], "", WINDOW, 0.45, True))
         for one in signals:
-            top.signal(t, one.values[here] * scale.factor, one.label, one.colour,
-                       width=one.width, dash=one.dash)
+            top.signal(t, one.values[here], one.label, one.colour, width=one.width, dash=one.dash)
         if peak:
             top.add(cut_note(quantity(peak, unit, 2)))
         panels = [top]
         if residuals:
-            panels = [replace(top, x=Side(limits=ends)), _residuals(
-                top.x, t, [(one, one.values[here]) for one in residuals], (unit, high - low))]
+            panels = [replace(top, x=replace(time, name="", note="")), _residuals(
+                time, t, [(one, one.values[here]) for one in residuals], (unit, high - low))]
         return Figure(tuple(panels), f"{name} against time, {part.words}: "
                       + ", ".join(one.label for one in signals),
                       (2.0, 1.0)[:len(panels)], (WIDTH, HEIGHT + (60 if residuals else -60)),
-                      clock=clock.factor, stretch=_SHARED if whole else "part")
+                      on_time=True, stretch=_SHARED if whole else "part")
 
 
 def _residuals(time: Side, t: np.ndarray, signals: list[tuple[_Signal, np.ndarray]],
@@ -368,12 +366,10 @@ def _residuals(time: Side, t: np.ndarray, signals: list[tuple[_Signal, np.ndarra
     half, peak = robust_peak(np.concatenate([values for _, values in signals]))
     if most > 0:
         half = min(half, most)
-    scale = axis_scale(half or 1.0, unit)
-    panel = Panel(time, Side("residual", scale.unit,
-                             limits=padded(-half * scale.factor, half * scale.factor)))
+    panel = Panel(time, Side("residual", axis_scale(half or 1.0, unit),
+                             limits=padded(-half, half)))
     for one, values in signals:
-        panel.signal(t, values * scale.factor, f"{one.label}, residual", one.colour, width=1.0,
-                     legend=False)
+        panel.signal(t, values, f"{one.label}, residual", one.colour, width=1.0, legend=False)
     panel.add(Level(0.0, width=0.8))
     if peak > 1.01 * half:
         panel.add(cut_note(quantity(peak, unit, 2)))
@@ -515,25 +511,24 @@ def _innovation_words(stage: StageResult, count: int) -> tuple[str, ...]:
 
 def _innovations(stage: StageResult, z: np.ndarray, colour: str) -> Figure:
     """Draw standardised innovations, and their RMS in windows, against time."""
-    clock = time_scale(float(stage.time[-1] - stage.time[0]))
-    t = stage.time * clock.factor
-    ends = (float(t[0]), float(t[-1])) if len(t) > 1 else None
+    t, time = stage.time, _time_side(stage.time, _WHOLE, "whole record")
     half, peak = robust_peak(z)
     half = max(4.5, 1.05 * half)
-    top = Panel(Side(limits=ends), Side("innovation / its σ", limits=(-half, half)))
+    top = Panel(replace(time, name="", note=""), Side("innovation / its σ",
+                                                      limits=(-half, half)))
     top.signal(t, z, "innovation / its σ", colour, width=0.8, legend=False)
     top.add(Level(-2.0, dash="dash"), Level(2.0, "±2: 95 % should lie within", dash="dash"))
     if peak > half:
         top.add(cut_note(number(peak, 2)))
     middle, rms = running_rms(z)
-    bottom = Panel(Side("time", clock.unit, "whole record", ends), Side(
+    bottom = Panel(time, Side(
         "running RMS,\nexpected 1", limits=(0.0, max(2.0, 1.1 * np.nanmax(rms, initial=0.0)))))
     bottom.add(Curve(np.interp(middle, np.arange(len(t)), t), rms, "running RMS", colour, 1.5,
                      marker="circle" if len(rms) < 4 else "", legend=False),
                Level(1.0, dash="dash"))
     return Figure((top, bottom), f"standardised innovations of stage {stage.stage} against time, "
                                  "and their running RMS", (2.0, 1.0), (WIDTH, HEIGHT + 40),
-                  clock=clock.factor, stretch=_SHARED)
+                  on_time=True, stretch=_SHARED)
 
 
 def _memory(stage: StageResult, z: np.ndarray, colour: str, dt: float) -> Figure | None:
@@ -543,16 +538,18 @@ def _memory(stage: StageResult, z: np.ndarray, colour: str, dt: float) -> Figure
     lengths, ratios = variance_ratios(judged)
     if not len(correlation) or len(lengths) < 2:
         return None
-    lag = np.arange(1, len(correlation) + 1) * dt * 1e3
+    lag = np.arange(1, len(correlation) + 1) * dt
     bound = 1.96 / np.sqrt(used)
     reach = max(3 * bound, 1.1 * float(np.nanmax(np.abs(correlation))))
-    top = Panel(Side("lag", "ms", limits=(0.0, lag[-1] + 0.5 * dt * 1e3)),
+    top = Panel(Side("lag", Scale(1e3, "ms"), limits=(0.0, lag[-1] + 0.5 * dt)),
                 Side("autocorrelation", limits=(-reach, reach)))
     top.add(Span(-bound, bound, "95 % of the lags of white noise"),
-            Strokes(lag, np.zeros(len(lag)), correlation, "", colour), Level(0.0, width=0.8))
+            Curve(lag, correlation, "autocorrelation", colour, 0.0, error_width=1.2, legend=False,
+                  y_error=np.maximum([correlation, -correlation], 0.0)), Level(0.0, width=0.8))
     block, chance = lengths * dt, 2 * np.sqrt(2 / (len(judged) // lengths))
     positive = ratios[ratios > 0]
-    bottom = Panel(Side("length of a block", "s", log=True, limits=(block[0], block[-1])),
+    bottom = Panel(Side("length of a block", Scale(1.0, "s"), log=True,
+                        limits=(block[0], block[-1])),
                    Side("block variance /\nwhite noise", log=True, limits=(
                        min(0.3, 0.7 * positive.min(initial=1.0)),
                        max(3.0, 1.5 * positive.max(initial=1.0)))))

@@ -1,12 +1,13 @@
-"""A figure, described once: its panels, and in the units of their axes what each shows.
+"""A figure, described once: its panels, and in SI units what each shows.
 
 :mod:`~eha_monitor.reports.plotly_chart` makes of it the chart that a browser zooms and reads
 off, :mod:`~eha_monitor.reports.still_image` the image for paper, for a browser without scripts,
-and for a notebook.  Neither looks at what the other has made.
+and for a notebook.  Neither looks at what the other has made; both draw :func:`in_units`.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +20,7 @@ MEASURED, STAGE_ONE, STAGE_TWO, OTHER = "#8c96a0", "#0072B2", "#D55E00", "#009E7
 WARN_LINE, ERROR_LINE, WINDOW = "#8A6100", "#A3150B", "#F0E442"
 
 WIDTH, HEIGHT = 580, 400  # CSS pixels of one figure; two stand side by side at 1280
+PLAIN = Scale(1.0, "")
 _FEW = 40  # samples up to which a line gets a mark at each
 
 
@@ -34,7 +36,8 @@ class Curve:
     dash : ``solid``, ``dash`` or ``dot``.
     marker : "", ``circle``, ``square``, ``x``, ``diamond``, ``triangle-up``, ``triangle-down``;
         ``size`` its diameter, pixels, ``face`` its colour inside, ``edge`` that of its rim.
-    x_error, y_error : half lengths of error bars, (n,), or (2, n) below and above.
+    x_error, y_error : half lengths of error bars, (n,), or (2, n) below and above; without line
+        and marker they are strokes.
     error_colour, error_width, cap : of the bars; ``cap`` is the length of their ends, pixels.
     """
 
@@ -67,19 +70,6 @@ class Band:
     label: str = ""
     colour: str = INK
     opacity: float = 0.22
-
-
-@dataclass(frozen=True)
-class Strokes:
-    """Upright strokes from ``low`` to ``high``, (n,) each; the cursor reads their upper ends."""
-
-    x: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    label: str = ""
-    colour: str = INK
-    width: float = 1.2
-    opacity: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -142,15 +132,16 @@ class Side:
 
     Attributes
     ----------
-    name, unit, note : ``time, s — whole record``.
-    limits : ends; None for the extent of what is shown.
+    name, note : ``time, s — whole record`` with the unit of the ``scale`` between.
+    scale : from SI to what is written at the axis.
+    limits : ends, SI; None for the extent of what is shown.
     log : whether the scale is logarithmic.
     rows : names of the rows 0, 1, ... in place of a scale.
-    dates : whether the values are s since the epoch.
+    dates : whether the values are s since the epoch, shown as dates.
     """
 
     name: str = ""
-    unit: str = ""
+    scale: Scale = PLAIN
     note: str = ""
     limits: tuple[float, float] | None = None
     log: bool = False
@@ -158,10 +149,15 @@ class Side:
     dates: bool = False
 
     @property
+    def unit(self) -> str:
+        """The unit at the axis, "" for none."""
+        return "" if self.scale.unit == "1" else self.scale.unit
+
+    @property
     def words(self) -> str:
         """What is written beside the axis."""
-        unit = "" if self.unit in ("", "1") else f", {self.unit}"
-        return f"{self.name}{unit}{f' — {self.note}' if self.note else ''}"
+        return ", ".join(filter(None, (self.name, self.unit))) + (
+            f" — {self.note}" if self.note else "")
 
 
 @dataclass
@@ -194,7 +190,7 @@ class Panel:
             return -0.6, len(about.rows) - 0.4
         values = [np.empty(0)]
         for one in self.shown:
-            if isinstance(one, Curve | Band | Strokes | Bars):
+            if isinstance(one, Curve | Band | Bars):
                 values += [np.asarray(part, dtype=float) for part in _extent(one, side)]
         known = np.concatenate([part[np.isfinite(part)] for part in values])
         if about.log:
@@ -236,8 +232,7 @@ class Figure:
     ratios : of the panels' heights.
     size : CSS pixels.
     shared : whether all panels have the x axis of the last one.
-    clock : units of the x axis for each second of the recording where that axis is its time;
-        charts with a clock share a cursor.
+    on_time : whether the x axis is the time of the recording; such charts share a cursor.
     stretch : charts of one name show the same stretch of time, and zoom together.
     """
 
@@ -246,8 +241,41 @@ class Figure:
     ratios: tuple[float, ...] = (1.0,)
     size: tuple[int, int] = (WIDTH, HEIGHT)
     shared: bool = True
-    clock: float | None = None
+    on_time: bool = False
     stretch: str = ""
+
+
+# What of each kind lies along x, and along y.
+_ALONG = {Curve: (("x", "x_error"), ("y", "y_error")), Band: (("x",), ("low", "high")),
+          Bars: (("x", "width"), ("height",))}
+
+
+def in_units(panel: Panel, dates: float = 1.0) -> Panel:
+    """Return a panel with all numbers in the units of its axes; ``dates`` counts a second."""
+    x = dates if panel.x.dates else panel.x.scale.factor
+    y = panel.y.scale.factor
+
+    def side(one: Side, factor: float) -> Side:
+        return replace(one, scale=Scale(1.0, one.scale.unit), limits=one.limits and (
+            one.limits[0] * factor, one.limits[1] * factor))
+
+    return Panel(side(panel.x, x), side(panel.y, y),
+                 [_scaled(one, x, y) for one in panel.shown])
+
+
+def _scaled(one: Any, x: float, y: float) -> Any:
+    """Return something that is shown, its numbers times the factor of their axis."""
+    if isinstance(one, Text):
+        return replace(one, x=one.x * (1.0 if one.x_share else x),
+                       y=one.y * (1.0 if one.y_share else y))
+    factor = x if isinstance(one, Level | Span) and one.upright else y
+    if isinstance(one, Level):
+        return replace(one, at=one.at * factor)
+    if isinstance(one, Span):
+        return replace(one, low=one.low * factor, high=one.high * factor)
+    return replace(one, **{name: np.multiply(getattr(one, name), factor)
+                           for names, factor in zip(_ALONG[type(one)], (x, y), strict=True)
+                           for name in names if getattr(one, name) is not None})
 
 
 @dataclass(frozen=True)

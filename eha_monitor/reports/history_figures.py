@@ -10,7 +10,7 @@ from eha_monitor.archive.history import History
 from eha_monitor.archive.trend import LEAST, MONTH
 from eha_monitor.indicators.indicator import WORDS
 from eha_monitor.indicators.limits import limits_of_indicator
-from eha_monitor.quantity import SYMBOLS, number, quantity, with_uncertainty
+from eha_monitor.quantity import SYMBOLS, Scale, number, quantity, with_uncertainty
 from eha_monitor.reports.estimate_figures import NAMES, add_limits, is_near, limits_of
 from eha_monitor.reports.figure import (
     ERROR_LINE,
@@ -179,23 +179,23 @@ def _figure(found: History, view: tuple[float, float], lines: list[tuple[float, 
     """Draw the values, their bars and the line, with the limits that fall into ``view``, SI."""
     colour = {"B": STAGE_ONE, "beta_e": STAGE_TWO}.get(found.name, _INDICATOR)
     scale = axis_scale(max(map(abs, view)), found.unit)
-    value = found.value * scale.factor
-    spread = stated(found.value, np.nan_to_num(found.stddev, posinf=0.0)) * scale.factor
-    bottom, top = padded(view[0] * scale.factor, view[1] * scale.factor, 0.12)
+    value = found.value
+    spread = stated(value, np.nan_to_num(found.stddev, posinf=0.0))
+    bottom, top = padded(*view, 0.12)
     start, stop = float(found.time[0]), float(found.time[-1])
     last = horizon(found) if which == _WHOLE else stop
     margin = 0.04 * (last - start) or _SOON
     dates = f"{_day(start)} to {_day(stop)}" if _day(start) != _day(stop) else _day(start)
-    panel = Panel(Side(dates, "UTC", which, (start - margin, last + margin), dates=True),
-                  Side(SYMBOLS.get(found.name) or WORDS[found.name], scale.unit,
+    panel = Panel(Side(dates, Scale(1.0, "UTC"), which, (start - margin, last + margin),
+                       dates=True),
+                  Side(SYMBOLS.get(found.name) or WORDS[found.name], scale,
                        limits=(bottom, top)))
     if found.line is not None:
         used = found.time[found.usable & (found.time >= found.since)]
         time = np.linspace(used[0], used[-1], 60)
         line, stddev = found.line.at(time)
-        panel.add(Band(time, (line - stddev) * scale.factor, (line + stddev) * scale.factor,
-                       opacity=0.13),
-                  Curve(time, line * scale.factor, "trend ± 1σ",
+        panel.add(Band(time, line - stddev, line + stddev, opacity=0.13),
+                  Curve(time, line, "trend ± 1σ",
                         dash="dash" if found.doubtful else "solid"))
     for chosen, face, words in ((found.reliable, colour, "value ± 1σ"),
                                 (~found.reliable, "#ffffff", "in doubt ± 1σ")):
@@ -210,20 +210,20 @@ def _figure(found: History, view: tuple[float, float], lines: list[tuple[float, 
             panel.add(Curve(found.time[outside], np.full(outside.sum(), bottom + place * (
                 top - bottom)), f"outside the plot ({int(outside.sum())})", colour, 0.0,
                 marker=marker, size=9.0, face="#ffffff"))
-    add_limits(panel, value, lines, scale.factor, found.unit)
-    _add_outlook(panel, found, scale.factor)
+    add_limits(panel, value, lines, found.unit)
+    _add_outlook(panel, found)
     return Figure((panel,), f"{title_of(found.name)} of {len(value)} recordings against the date, "
                             f"{which}; {trend_words(found)} {outlook_words(found)}".rstrip())
 
 
-def _add_outlook(panel: Panel, found: History, factor: float) -> None:
+def _add_outlook(panel: Panel, found: History) -> None:
     """Add steps as upright lines and the interval of the passage as a bar on the limit."""
     for place, jump in enumerate(found.outlook.jumps):
         panel.add(Level(jump, "" if place else "step", INK, 1.2, "dot", upright=True))
     bottom, top = panel.ends("y")
     right = panel.ends("x")[1]
     for one in _predicted(found):
-        height = one.limit * factor
+        height = one.limit
         if not bottom <= height <= top or one.early >= right:
             continue
         panel.add(Curve(np.array([one.early, min(one.late, right)]), np.full(2, height),

@@ -10,7 +10,6 @@ import gzip
 import importlib.util
 import json
 import math
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -25,8 +24,8 @@ from eha_monitor.reports.figure import (
     Level,
     Panel,
     Span,
-    Strokes,
     Text,
+    in_units,
 )
 
 _GAP, _GAP_WITH_LABEL = 0.07, 0.22  # between panels, share of the height
@@ -53,15 +52,20 @@ def chart_json(figure: Figure) -> str:
 
 
 def chart(figure: Figure) -> dict[str, Any]:
-    """Return ``data`` and ``layout`` of plotly.js, the ``clock``, whether it shows ``rows``."""
+    """Return ``data`` and ``layout`` of plotly.js, and what the page's script needs to know.
+
+    That is the ``clock``, the units of the x axis for each second of the recording where that is
+    its axis, and whether the y axis has ``rows``.
+    """
     layout: dict[str, Any] = {"shapes": [], "annotations": []}
     data: list[dict[str, Any]] = []
     for place, (panel, domain) in enumerate(zip(figure.panels, _domains(figure), strict=True), 1):
         number = "" if place == 1 else str(place)
         own = "" if figure.shared else number
-        _Drawing(panel, f"x{own}", f"y{number}", layout, data).draw(
+        _Drawing(in_units(panel, 1e3), f"x{own}", f"y{number}", layout, data).draw(
             own, number, domain, (domain[1] - domain[0]) * figure.size[1])
-    return {"data": data, "layout": layout, "clock": figure.clock,
+    clock = figure.panels[-1].x.scale.factor if figure.on_time else None
+    return {"data": data, "layout": layout, "clock": clock,
             "rows": bool(figure.panels[0].y.rows)}
 
 
@@ -92,7 +96,6 @@ class _Drawing:
     def __init__(self, panel: Panel, x: str, y: str, layout: dict, data: list):
         self.panel, self.x, self.y, self.layout, self.data = panel, x, y, layout, data
         self.legend = f"legend{y[1:]}"
-        self.milliseconds = 1e3 if panel.x.dates else 1.0  # of a date; plotly counts in them
         self.hover = "%{x:.4~g}" if panel.y.rows else (
             "%{y:.5~g}" + (f" {panel.y.unit}" if panel.y.unit else ""))
 
@@ -118,7 +121,7 @@ class _Drawing:
         if side.log:
             found["type"], ends = "log", tuple(math.log10(end) for end in ends)
         elif side.dates:
-            found["type"], ends = "date", tuple(1e3 * end for end in ends)
+            found["type"] = "date"
         if (ticks := self.panel.ticks(which)) is not None:
             found["tickvals"], found["ticktext"] = ticks
         found["range"] = [end if side.dates else float(f"{end:.8g}") for end in ends]
@@ -127,7 +130,6 @@ class _Drawing:
     def _trace(self, x: np.ndarray, y: np.ndarray, label: str, colour: str, legend: bool = True,
                **more: Any) -> None:
         again = any(one["legend"] == self.legend and one["name"] == label for one in self.data)
-        x = np.asarray(x, dtype=float) * self.milliseconds
         self.data.append({
             "type": "scatter", "x": numbers(x, exact=self.panel.x.dates), "y": numbers(y),
             "xaxis": self.x, "yaxis": self.y, "legend": self.legend, "legendgroup": colour,
@@ -135,8 +137,10 @@ class _Drawing:
             "hovertemplate": self.hover} | more)
 
     def _curve(self, one: Curve) -> None:
-        mode = "+".join([*(["lines"] if one.width else []), *(["markers"] if one.marker else [])])
-        look: dict[str, Any] = {"mode": mode}
+        mode = [*(["lines"] if one.width else []), *(["markers"] if one.marker else [])]
+        look: dict[str, Any] = {"mode": "+".join(mode)}
+        if not mode:  # strokes, at whose ends the cursor reads
+            look = {"mode": "markers", "marker": {"opacity": 0, "size": one.size}}
         if one.width:
             look["line"] = {"color": rgba(one.colour, one.opacity), "width": one.width,
                             "dash": one.dash}
@@ -144,13 +148,12 @@ class _Drawing:
             look["marker"] = {"symbol": one.marker, "size": one.size,
                               "color": rgba(one.face or one.colour, one.opacity),
                               "line": {"color": one.edge or one.colour, "width": 1.0}}
-        for key, error, scale in (("error_x", one.x_error, self.milliseconds),
-                                  ("error_y", one.y_error, 1.0)):
+        for key, error in (("error_x", one.x_error), ("error_y", one.y_error)):
             if error is not None:
                 below, above = np.broadcast_to(error, (2, len(one.x)))
                 look[key] = {"type": "data", "symmetric": False, "width": one.cap,
-                             "array": numbers(above * scale), "arrayminus": numbers(below * scale),
-                             "color": one.error_colour or one.colour,
+                             "array": numbers(above), "arrayminus": numbers(below),
+                             "color": rgba(one.error_colour or one.colour, one.opacity),
                              "thickness": one.error_width}
         self._trace(one.x, one.y, one.label, one.colour, one.legend, **look)
 
@@ -164,15 +167,6 @@ class _Drawing:
                 if parts else nothing for a, b in ((one.x, one.x), (one.high, one.low)))
         self._trace(x, y, one.label, one.colour, mode="lines", fill="toself", fillcolor=colour,
                     line={"width": 0, "color": colour}, hoverinfo="skip", hovertemplate=None)
-
-    def _strokes(self, one: Strokes) -> None:
-        x, y = (np.column_stack([low, high, np.full(len(low), np.nan)]).ravel()
-                for low, high in ((one.x, one.x), (one.low, one.high)))
-        self._trace(x, y, one.label, one.colour, mode="lines", hoverinfo="skip",
-                    hovertemplate=None,
-                    line={"color": rgba(one.colour, one.opacity), "width": one.width})
-        self._trace(one.x, one.high, self.panel.y.name, one.colour, False, mode="markers",
-                    marker={"opacity": 0, "size": 6})
 
     def _bars(self, one: Bars) -> None:
         self._trace(one.x, one.height, one.label or self.panel.y.name, one.colour, bool(one.label),
@@ -193,8 +187,7 @@ class _Drawing:
     def _shape(self, one: Level | Span, low: float, high: float, shape: dict[str, Any]) -> None:
         """Add a shape that goes all across the panel."""
         if one.upright:
-            scale = self.milliseconds
-            shape |= {"x0": low * scale, "x1": high * scale, "xref": self.x, "y0": 0, "y1": 1,
+            shape |= {"x0": low, "x1": high, "xref": self.x, "y0": 0, "y1": 1,
                       "yref": f"{self.y} domain"}
         else:
             shape |= {"x0": 0, "x1": 1, "xref": f"{self.x} domain", "y0": low, "y1": high,
@@ -204,9 +197,8 @@ class _Drawing:
         self.layout["shapes"].append(shape)
 
     def _text(self, one: Text) -> None:
-        at = replace(one, x=one.x * (1.0 if one.x_share else self.milliseconds))
-        x = math.log10(at.x) if self.panel.x.log and not at.x_share else at.x
-        y = math.log10(at.y) if self.panel.y.log and not at.y_share else at.y
+        x = math.log10(one.x) if self.panel.x.log and not one.x_share else one.x
+        y = math.log10(one.y) if self.panel.y.log and not one.y_share else one.y
         self.layout["annotations"].append({
             "text": one.words.replace("\n", "<br>"), "showarrow": False, "x": float(x),
             "y": float(y), "xref": self.x + (" domain" if one.x_share else ""),

@@ -20,7 +20,6 @@ from eha_monitor.reports.figure import (
     Panel,
     Side,
     Span,
-    Strokes,
     Text,
 )
 from eha_monitor.words import effect_words
@@ -56,7 +55,8 @@ def detection_figure(found: dict) -> Figure | None:
                   for name, curve in found["detection_curves"].items() if name in names]
         if points:
             row, at = np.array(points, dtype=float).T
-            panel.add(Strokes(at, row - 0.42, row + 0.42, width=2.0))
+            panel.add(Curve(at, row, "95 % point", width=0.0, error_width=2.0, legend=False,
+                                y_error=np.full(len(at), 0.42)))
     for said, (colour, marker, words) in _MARKS.items():
         mine = [one for one in detection if one["said"] == said
                 and (not by_units or one["units"] is not None)]
@@ -100,8 +100,8 @@ def reliability_figure(found: dict) -> Figure | None:
     above = Panel(Side(limits=ends), Side("share that was correct", limits=(-0.04, 1.06)))
     above.add(Curve(np.array([0.0, 1.0]), np.array([0.0, 1.0]),
                     "calibrated: right as often as stated", INK, 1.0, "dot"),
-              Strokes(said, np.minimum(right, said), np.maximum(right, said),
-                      "from stated to actual", ERROR_LINE, 5.0, 0.35),
+              Curve(said, right, "from stated to actual", ERROR_LINE, 0.0, opacity=0.35,
+                        error_width=5.0, y_error=np.maximum([right - said, said - right], 0.0)),
               Curve(said, right, "share that was correct, with its 68 % interval", STAGE_ONE, 0.0,
                     marker="circle", cap=2.5,
                     y_error=np.maximum([right - low, high - right], 0.0)))

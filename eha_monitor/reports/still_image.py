@@ -28,11 +28,11 @@ from eha_monitor.reports.figure import (
     Panel,
     Side,
     Span,
-    Strokes,
     Text,
+    in_units,
 )
 
-_DAY = 86400.0  # s; matplotlib counts dates in days
+_DAYS = 1.0 / 86400.0  # of a second; matplotlib counts dates in them
 _PIXELS_PER_INCH = 96
 _POINT = 72 / _PIXELS_PER_INCH  # points of a CSS pixel
 _COLOURS = 128  # of an image
@@ -75,9 +75,10 @@ def drawn(figure: Figure) -> Drawing:
                        dpi=_PIXELS_PER_INCH)
         FigureCanvasAgg(made)
         grid = made.subplots(len(figure.panels), 1, sharex=figure.shared, squeeze=False)[:, 0]
-        for axis, panel in zip(grid, figure.panels, strict=True):
+        for axis, panel in zip(grid, (in_units(one, _DAYS) for one in figure.panels),
+                               strict=True):
             for one in panel.shown:
-                _SHOW[type(one)](axis, one, _DAY if panel.x.dates else 1.0)
+                _SHOW[type(one)](axis, one)
             _scale(axis, panel, "x")
             _scale(axis, panel, "y")
             _legend(axis, figure.size[0])
@@ -107,57 +108,50 @@ def png(made: matplotlib.figure.Figure) -> bytes:
     return memory.getvalue()
 
 
-def _curve(axis: Axes, one: Curve, day: float) -> None:
+def _curve(axis: Axes, one: Curve) -> None:
     look = {"color": one.colour, "linewidth": one.width, "marker": _MARKERS[one.marker],
             "linestyle": _DASHES[one.dash] if one.width else "", "alpha": one.opacity,
             "markersize": one.size * _POINT, "markerfacecolor": one.face or one.colour,
             "markeredgecolor": one.edge or one.colour, "solid_joinstyle": "round",
             "label": one.label if one.legend else None}
-    x = np.asarray(one.x, dtype=float) / day
     if one.x_error is None and one.y_error is None:
-        axis.plot(x, one.y, **look)
+        axis.plot(one.x, one.y, **look)
         return
-    axis.errorbar(x, one.y, one.y_error, None if one.x_error is None else one.x_error / day,
-                  ecolor=one.error_colour or one.colour, elinewidth=one.error_width,
-                  capsize=one.cap, **look)
+    axis.errorbar(one.x, one.y, one.y_error, one.x_error, ecolor=one.error_colour or one.colour,
+                  elinewidth=one.error_width, capsize=one.cap, **look)
 
 
-def _band(axis: Axes, one: Band, day: float) -> None:
-    axis.fill_between(one.x / day, one.low, one.high, color=one.colour, alpha=one.opacity,
+def _band(axis: Axes, one: Band) -> None:
+    axis.fill_between(one.x, one.low, one.high, color=one.colour, alpha=one.opacity,
                       linewidth=0, label=one.label or None)
 
 
-def _strokes(axis: Axes, one: Strokes, day: float) -> None:
-    axis.vlines(one.x / day, one.low, one.high, color=one.colour, linewidth=one.width,
-                alpha=one.opacity, label=one.label or None)
-
-
-def _bars(axis: Axes, one: Bars, _: float) -> None:
+def _bars(axis: Axes, one: Bars) -> None:
     axis.bar(one.x, one.height, width=one.width, color=one.colour, label=one.label or None)
     for x, height in zip(one.x, one.height, strict=True):
-        _text(axis, Text(float(x), float(height), f"{height:g}", up="bottom", shift=(0, 2)), 1.0)
+        _text(axis, Text(float(x), float(height), f"{height:g}", up="bottom", shift=(0, 2)))
 
 
-def _level(axis: Axes, one: Level, day: float) -> None:
+def _level(axis: Axes, one: Level) -> None:
     look = {"color": one.colour, "linewidth": one.width, "linestyle": _DASHES[one.dash],
             "label": one.label or None}
     if one.upright:
-        axis.axvline(one.at / day, **look)
+        axis.axvline(one.at, **look)
     else:
         axis.axhline(one.at, **look)
 
 
-def _span(axis: Axes, one: Span, day: float) -> None:
+def _span(axis: Axes, one: Span) -> None:
     look = {"color": one.colour, "alpha": one.opacity, "linewidth": 0, "zorder": 0,
             "label": one.label or None}
     if one.upright:
-        axis.axvspan(one.low / day, one.high / day, **look)
+        axis.axvspan(one.low, one.high, **look)
     else:
         axis.axhspan(one.low, one.high, **look)
 
 
-def _text(axis: Axes, one: Text, day: float) -> None:
-    axis.annotate(one.words, (one.x / (1.0 if one.x_share else day), one.y),
+def _text(axis: Axes, one: Text) -> None:
+    axis.annotate(one.words, (one.x, one.y),
                   xycoords=("axes fraction" if one.x_share else "data",
                             "axes fraction" if one.y_share else "data"),
                   xytext=[_POINT * shift for shift in one.shift], textcoords="offset points",
@@ -166,7 +160,7 @@ def _text(axis: Axes, one: Text, day: float) -> None:
                                           "alpha": 0.75})
 
 
-_SHOW = {Curve: _curve, Band: _band, Strokes: _strokes, Bars: _bars, Level: _level, Span: _span,
+_SHOW = {Curve: _curve, Band: _band, Bars: _bars, Level: _level, Span: _span,
          Text: _text}
 
 
@@ -177,7 +171,6 @@ def _scale(axis: Axes, panel: Panel, which: str) -> None:
     if about.log:
         getattr(axis, f"set_{which}scale")("log")
     if about.dates:
-        low, high = low / _DAY, high / _DAY
         locator = matplotlib.dates.AutoDateLocator(minticks=3, maxticks=7)
         side.set_major_locator(locator)
         side.set_major_formatter(matplotlib.dates.ConciseDateFormatter(
