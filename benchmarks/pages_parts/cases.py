@@ -4,9 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from eha_monitor.commands.answer import judged
-from eha_monitor.commands.rotary import of_rig
-
+from eha_monitor.api.answer import judged
+from eha_monitor.api.rotary import of_rig
 from eha_monitor.commands.prove import drawn_cases
 from eha_monitor.filters.observability import observability
 from eha_monitor.filters.pipeline import estimate

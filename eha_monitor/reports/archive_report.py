@@ -197,8 +197,10 @@ def _parameter(row: dict, name: str, command: str) -> Cell:
         key, status, doubt = f"{name}_after", "", ""
     value, stddev = row.get(key), row.get(f"{key}_stddev")
     known = value is not None
-    return Cell(_value(value, stddev, unit), "value",
-                f"in doubt: {doubt}" if doubt else "", STATUS_WORDS.get(status, status), status,
+    badge, level = ("in doubt", "WARN") if doubt and status == "converged" else (
+        STATUS_WORDS.get(status, status), status)
+    return Cell(_value(value, stddev, unit), "value doubt" if doubt else "value", doubt, badge,
+                level,
                 (value, stddev) if known else None,
                 f"{value} {unit}, standard deviation {stddev}" if known else "")
 
