@@ -301,12 +301,12 @@ def _fit(found: Diagnosis) -> Table:
     rows = []
     for name, fit in found.signals.items():
         share = words.removed(fit)
-        row = [name.replace("_", " "), words.error_words(fit.before_rms, fit)]
-        if _compared(found):
-            row += [words.error_words(fit.after_rms, fit),
-                    words.percent(share) if math.isfinite(share) else "—"]
-        rows.append((*row, words.error_words(fit.noise_rms, fit)))
-    head = ((f"error on unseen data | {first} | {second} | removed | noise",
+        before, after, noise = (words.error_words(value, fit) for value in (
+            fit.before_rms, fit.after_rms, fit.noise_rms))
+        compared = (after, noise, words.percent(share) if math.isfinite(share) else "—")
+        rows.append((name.replace("_", " "), before,
+                     *(compared if _compared(found) else (noise,))))
+    head = ((f"error on unseen data | {first} | {second} | noise | removed",
              "number | value | value | number | number") if _compared(found)
             else ("error on unseen data | model | noise", "number | value | number"))
     return table(head[0], rows, head[1], "errors", "Root mean square." + (

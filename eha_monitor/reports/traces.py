@@ -33,8 +33,7 @@ def envelope(time: np.ndarray, values: np.ndarray, bins: int = 1500
     index = np.flatnonzero(np.isfinite(values))
     if not index.size:
         return np.empty(0), np.empty(0)
-    steps = np.diff(index)
-    gap_after = steps > 3 * np.median(steps) if steps.size else np.zeros(0, dtype=bool)
+    gap_after = _gap_after(index)
     t, v = time[index], values[index]
     if len(index) <= 4 * bins:
         breaks = np.flatnonzero(gap_after) + 1
@@ -62,8 +61,7 @@ def band_envelope(time: np.ndarray, lower: np.ndarray, upper: np.ndarray, bins: 
     index = np.flatnonzero(np.isfinite(lower) & np.isfinite(upper))
     if not index.size:
         return np.empty(0), np.empty(0), np.empty(0)
-    steps = np.diff(index)
-    gap_after = steps > 3 * np.median(steps) if steps.size else np.zeros(0, dtype=bool)
+    gap_after = _gap_after(index)
     column = (index * bins) // len(lower)
     starts = np.flatnonzero(np.r_[True, (np.diff(column) > 0) | gap_after])
     ends = np.r_[starts[1:], len(index)] - 1
@@ -73,6 +71,12 @@ def band_envelope(time: np.ndarray, lower: np.ndarray, upper: np.ndarray, bins: 
     breaks = 2 * (np.flatnonzero(gap_after[ends[:-1]]) + 1)
     return tuple(np.insert(values, breaks, fill) for values, fill in (
         (t, t[breaks - 1]), (low, np.nan), (high, np.nan)))
+
+
+def _gap_after(index: np.ndarray) -> np.ndarray:
+    """Return of (n,) places whether each is followed by more than three usual steps; (n - 1,)."""
+    steps = np.diff(index)
+    return steps > 3 * np.median(steps) if steps.size else np.zeros(0, dtype=bool)
 
 
 def _first_of(values: np.ndarray, starts: np.ndarray, extreme: np.ufunc) -> np.ndarray:
