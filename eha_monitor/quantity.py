@@ -125,7 +125,7 @@ def _linear(size: float, unit: str) -> Scale:
     if unit in _OTHER:
         return next(Scale(factor, shown) for shown, factor, start in _OTHER[unit]
                     if size >= start)
-    if unit in _PREFIXED and size >= 1e-9:
+    if unit in _PREFIXED and size >= 1e-12:
         prefix = next(prefix for prefix, start in _PREFIXED[unit] if size >= start)
         return Scale(1.0 / _POWER[prefix], prefix + unit)
     return Scale(1.0, unit)

@@ -11,11 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eha_monitor.dashboard import charts, words
-from eha_monitor.dashboard.acknowledge import who_is
+from eha_monitor.dashboard.elements import who_is
 from eha_monitor.dashboard.events import ACKNOWLEDGED, QUALITY, Change, EventLog
 from eha_monitor.dashboard.exports import estimates_csv
-from eha_monitor.dashboard.history import LongHistory, thinned
-from eha_monitor.dashboard.span import Span
+from eha_monitor.dashboard.history import LongHistory, Span, thinned
 from eha_monitor.dashboard.state import HEALTH_STALE_AFTER, State
 from eha_monitor.health.judge import Finding
 from eha_monitor.settings import Settings
@@ -181,10 +180,10 @@ def test_metrics_are_read_by_prometheus_own_parser(rig):
     pytest.importorskip("prometheus_client")
     from prometheus_client.parser import text_string_to_metric_families
 
-    from eha_monitor.dashboard import metrics
+    from eha_monitor.dashboard.exports import metrics
 
     def scraped():
-        families = text_string_to_metric_families(metrics.text({"left": rig.state}).decode())
+        families = text_string_to_metric_families(metrics({"left": rig.state}).decode())
         return {(s.name.removeprefix("eha_monitor_"), *sorted(
             v for k, v in s.labels.items() if k != "actuator")): s.value
             for family in families for s in family.samples}

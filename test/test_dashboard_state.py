@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eha_monitor.dashboard import actuator, charts, words
+from eha_monitor.dashboard import charts, words
 from eha_monitor.dashboard.history import History
 from eha_monitor.dashboard.state import ESTIMATES_EVERY, State, alarms
 from eha_monitor.health.judge import Finding
@@ -197,7 +197,7 @@ def test_an_axis_holds_the_limits_and_the_last_value(values, limits):
 
 def test_the_scale_of_the_drawing_is_round_and_holds_the_motion():
     for largest in (1e-6, 0.0011, 0.04, 0.05, 3.3):
-        half = actuator.half_range([0.0, -largest])
+        half = charts.half_range([0.0, -largest])
         assert largest <= half < 12.0 * max(largest, 1e-3)
-        assert abs(actuator.place(-largest, half)) <= 150.0
-    assert "−50 mm" in actuator.drawing(0.05, "m")
+        assert abs(charts.place(-largest, half)) <= 150.0
+    assert "−50 mm" in charts.drawing(0.05, "m")

@@ -23,7 +23,7 @@ from eha_monitor.mismatch.diagnosis import (
     Window,
 )
 from eha_monitor.quantity import DIAGNOSED, in_units, quantity, rig_motion, with_uncertainty
-from eha_monitor.reports.diagnosis_figures import telling
+from eha_monitor.reports.diagnosis_figures import informative
 from eha_monitor.reports.diagnosis_report import diagnosis_page, write_diagnosis_report
 from eha_monitor.reports.diagnosis_words import (
     head_words,
@@ -97,15 +97,16 @@ def test_text_of_others_is_escaped():
     assert "<script>alert" not in html and "<i>" not in html and "<u>" not in html
 
 
-def test_the_most_telling_curve_leads():
+def test_the_most_informative_curve_leads():
     found = coulomb()
-    assert [curve.against for curve in telling(found)][:2] == ["velocity", "pressure difference"]
+    assert [curve.against for curve in informative(found)][:2] == [
+        "velocity", "pressure difference"]
     late = replace(found, curves=(replace(found.curves[1], against="time"), found.curves[0]))
-    assert [curve.against for curve in telling(late)] == ["position", "time"]
-    assert telling(found)[-1].balance == "flow"
+    assert [curve.against for curve in informative(late)] == ["position", "time"]
+    assert informative(found)[-1].balance == "flow"
     wild = np.array([NAN, np.inf])
     none = Curve("force", "time", "s", "N", wild, wild, wild, wild)
-    assert telling(replace(found, curves=(none,))) == []
+    assert informative(replace(found, curves=(none,))) == []
 
 
 def spoilt(tree, number: float):

@@ -25,8 +25,7 @@ from eha_monitor.archive.forecast import (
     z_of,
 )
 from eha_monitor.archive.history import history
-from eha_monitor.reports.archive_figures import history_block
-from eha_monitor.reports.outlook import horizon, outlook_words
+from eha_monitor.reports.history_figures import history_block, horizon, outlook_words
 from eha_monitor.settings import settings_from_tree
 
 TIMES = START + DAY * np.arange(60.0)
@@ -178,6 +177,6 @@ def test_words_and_picture_say_when():
     assert block.title == "Internal leakage"
     assert "reaches 300 mL/min" in block.pictures[0].alt
     quiet = history(rows[:5], "leakage", "estimate", "now", settings)
-    assert "cannot be told yet" in outlook_words(quiet)
+    assert "cannot be predicted yet" in outlook_words(quiet)
     steady = history(rows, "B", "estimate", "now", limits(high_error=1500.0))
     assert "no growth" in outlook_words(steady)

@@ -32,7 +32,7 @@ from eha_monitor.physics.contributions import (
 )
 from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.expression import FUNCTIONS, parsed
-from eha_monitor.reports.tables import config_sections
+from eha_monitor.reports.shared_tables import config_tables
 from eha_monitor.settings import settings_from_tree
 from eha_monitor.settings.document import annotated
 from eha_monitor.settings.own_terms import checked, slot_for
@@ -281,10 +281,10 @@ def test_the_page_of_own_terms_says_what_happens(tmp_path):
 def test_reports_name_the_terms_that_a_config_has():
     config = settings(effects={"cam": TABLE, "spot": {
         "adds": "flow", "expression": "a*dp", "a": 2e-13}})
-    rows = next(one for one in config_sections(config) if one["name"] == "effects")["rows"]
-    assert [(row["key"], row["value"]) for row in rows] == [
+    rows = dict(config_tables(config))["Effects beyond the linear model"].rows
+    assert [(key.text, value.text) for key, value, _ in rows] == [
         ("cam", "4 values over x, -0.02 to 0.02"), ("spot", "a*dp with a = 2e-13")]
-    assert rows[1]["description"].endswith("adds to the flow in m³/s")
+    assert rows[1][2].text.endswith("adds to the flow in m³/s")
 
 
 def test_the_readable_filter_gives_the_same_numbers():

@@ -8,13 +8,14 @@ import time
 import numpy as np
 import pytest
 from diagnosis_tools import ALL
-from matplotlib.figure import Figure
 from test_reports import case_of, simulated
 
-from eha_monitor.reports import charts, page
+from eha_monitor.quantity import Scale
+from eha_monitor.reports import page, plotly_chart
 from eha_monitor.reports.diagnosis_report import diagnosis_page
-from eha_monitor.reports.drawing import draw, legend_above, new_figure, picture
-from eha_monitor.reports.interactive import chart, numbers
+from eha_monitor.reports.figure import Band, Curve, Figure, Level, Panel, Side, Span
+from eha_monitor.reports.plotly_chart import chart, chart_json, numbers
+from eha_monitor.reports.still_image import drawn
 from eha_monitor.reports.traces import band_envelope, envelope
 from eha_monitor.settings import Settings
 
@@ -75,7 +76,7 @@ def hovered(shown, box, share=0.6, height=0.3):
 def test_charts_read_zoom_and_go_together(opened, report):
     shown = opened(report)
     shown.evaluate("allCharts()")
-    assert shown.locator(".js-plotly-plot").count() == shown.locator(".chart > img").count() == 16
+    assert shown.locator(".js-plotly-plot").count() == shown.locator(".chart > img").count() == 17
     assert shown.evaluate("document.documentElement.scrollWidth") <= 1280
     shown.evaluate("document.querySelector('#position').scrollIntoView()")
     place = hovered(shown, "#position")
@@ -95,7 +96,7 @@ def test_charts_read_zoom_and_go_together(opened, report):
     until(shown, f"{RANGES}.every(([a, b]) => Math.abs(a - 1.5) < 0.05"
                             " && Math.abs(b - 3) < 0.05)")
     # Every chart of the whole record, none of the enlarged part.
-    assert len(shown.evaluate(RANGES)) == 8
+    assert len(shown.evaluate(RANGES)) == 9
     shown.mouse.dblclick(place["x"] + 0.4 * place["width"], y)
     until(shown, f"JSON.stringify({RANGES}) == '{json.dumps(start)}'"
                             ".replaceAll(' ', '')")
@@ -105,6 +106,7 @@ def test_charts_wait_until_they_are_near(opened, report):
     shown = opened(report)
     until(shown, "document.querySelectorAll('.js-plotly-plot').length > 0")
     assert shown.locator("#innovations-two .js-plotly-plot").count() == 0
+    shown.locator("details.researcher > summary").click()
     shown.locator("#innovations-two").scroll_into_view_if_needed()
     until(shown, "document.querySelectorAll('#innovations-two .js-plotly-plot').length > 0")
 
@@ -134,6 +136,28 @@ def test_without_scripts_and_on_paper_the_pictures_stand_there(opened, report):
     assert not shown.locator(".contents").is_visible()
 
 
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+def test_verdict_picture_and_what_to_do_share_the_first_screen(opened, report, tmp_path, size):
+    other = tmp_path / "diagnosis.html"
+    other.write_text(diagnosis_page(ALL["coulomb"](), Settings()), encoding="utf-8")
+    for path in (report, other):
+        shown = opened(path, size)
+        until(shown, "document.querySelectorAll('#hero .js-plotly-plot').length == 1")
+        for key in ("#verdict", "#curve", "#advice + ul > li:first-child"):
+            box = shown.locator(key).bounding_box()
+            assert box["y"] + box["height"] <= size["height"], (path.name, key)
+        text = shown.locator("#verdict, #hero").all_inner_texts()
+        assert not any(word in one for one in text for word in ("NIS", "log units", "variance"))
+
+
+def test_tables_are_cards_on_a_phone(opened, report):
+    shown = opened(report, PHONE)
+    shown.evaluate("document.querySelectorAll('details').forEach(one => one.open = true)")
+    wider = shown.evaluate("[...document.querySelectorAll('.scroll')].filter("
+                           "one => one.scrollWidth > one.clientWidth + 1).length")
+    assert wider == 0
+
+
 @pytest.mark.parametrize("name", ["coulomb", "consistent", "unexplained", "everything"])
 def test_pages_of_a_diagnosis(opened, tmp_path, name):
     path = tmp_path / f"{name}.html"
@@ -145,8 +169,8 @@ def test_pages_of_a_diagnosis(opened, tmp_path, name):
 
 
 def test_without_plotly_a_page_holds_its_pictures_alone(monkeypatch):
-    monkeypatch.setattr(charts.importlib.util, "find_spec", lambda name: None)
-    monkeypatch.setattr(page, "packed_library", charts.packed_library.__wrapped__)
+    monkeypatch.setattr(plotly_chart.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(page, "packed_library", plotly_chart.packed_library.__wrapped__)
     html = diagnosis_page(ALL["coulomb"](), Settings())
     assert "data:image/png" in html and "DecompressionStream" not in html
 
@@ -155,40 +179,60 @@ def axes_of(made) -> dict:
     return {key: value for key, value in made["layout"].items() if "axis" in key}
 
 
-def test_a_chart_says_what_the_figure_was_told():
-    figure, (top, bottom) = new_figure(2)
+@pytest.fixture
+def described() -> Figure:
+    """A figure of two panels on one time axis, with a band, a line, marks, a level, a span."""
     t = np.linspace(0.0, 2.0, 50)
-    top.fill_between(t, t - 1.0, t + 1.0, color="#0072B2", alpha=0.2, label="band")
-    draw(top, t, t, color="#0072B2", label="line", linestyle="--", marker=None)
-    top.axhline(0.5, color="#8A6100", linestyle=":")
-    top.axvspan(0.5, 1.0, color="#F0E442")
-    bottom.errorbar([0.5, 1.5], [3.0, 4.0], [0.1, 0.2], linestyle="", marker="s", color="#0072B2")
-    bottom.set_ylabel("residual, mm")
-    bottom.set_xlabel("time, s — whole record")
-    legend_above(top)
-    made = chart(figure, 1.0)
+    top = Panel(Side(limits=(0.0, 2.0)), Side("position", Scale(1e3, "mm")))
+    top.add(Band(t, 1e-3 * t - 1.0, 1e-3 * t + 1.0, "band", "#0072B2", 0.2),
+            Curve(t, 1e-3 * t, "line", "#0072B2", dash="dash"),
+            Level(0.5e-3, "", "#8A6100", dash="dot"),
+            Span(0.5, 1.0, "", "#F0E442", 0.4, True))
+    bottom = Panel(Side("time", Scale(1.0, "s"), "whole record", (0.0, 2.0)),
+                   Side("residual", Scale(1e3, "mm")))
+    bottom.add(Curve(np.array([0.5, 1.5]), np.array([3e-3, 4e-3]), "line, residual", "#0072B2",
+                     0.0, marker="square", y_error=np.array([1e-4, 2e-4]), legend=False))
+    return Figure((top, bottom), "words", (2.0, 1.0), on_time=True)
+
+
+def test_a_chart_shows_what_is_described(described):
+    made = chart(described)
     band, line, marks = made["data"]
     assert band["fill"] == "toself" and band["fillcolor"] == "rgba(0,114,178,0.2)"
     assert (line["name"], line["line"]["dash"], line["showlegend"]) == ("line", "dash", True)
     assert marks["yaxis"] == "y2" and marks["xaxis"] == "x" and marks["mode"] == "markers"
     assert marks["name"] == "line, residual" and not marks["showlegend"]
     assert read(marks["error_y"]["array"]) == pytest.approx([0.1, 0.2])
-    assert read(line["y"]) == pytest.approx(t)
+    assert read(line["y"]) == pytest.approx(np.linspace(0.0, 2.0, 50))
     level, span = sorted(made["layout"]["shapes"], key=lambda one: one["type"])
-    assert (level["y0"], level["line"]["dash"], level["xref"]) == (0.5, "dot", "x domain")
+    assert (level["y0"], level["line"]["dash"], level["xref"]) == (
+        pytest.approx(0.5), "dot", "x domain")
     assert (span["x0"], span["x1"], span["yref"]) == (0.5, 1.0, "y domain")
     assert set(axes_of(made)) == {"xaxis", "yaxis", "yaxis2"} and made["clock"] == 1.0
-    assert isinstance(figure, Figure) and json.loads(picture(figure, "words").chart)
+    assert made["layout"]["xaxis"]["title"]["text"] == "time, s — whole record"
+    assert json.loads(chart_json(described))["clock"] == 1.0
+
+
+def test_the_still_image_shows_the_same(described):
+    made = drawn(described)
+    top, bottom = made.axes
+    assert top.get_lines()[0].get_ydata() == pytest.approx(np.linspace(0.0, 2.0, 50))
+    assert top.get_xlim() == bottom.get_xlim() == (0.0, 2.0)
+    assert [text.get_text() for text in top.get_legend().get_texts()] == ["band", "line"]
+    assert bottom.get_legend() is None and bottom.get_xlabel() == "time, s — whole record"
+    assert made._repr_png_()[1] == {"width": 580, "height": 400}
 
 
 def test_scales_by_powers_and_rows_keep_their_labels():
-    figure, (axis,) = new_figure()
-    axis.plot([1.0, 100.0], [0, 1], linestyle="", marker="o")
-    axis.set_xscale("log")
-    axis.set_yticks([0, 1], ["leakage", "friction"])
+    panel = Panel(Side("strength", log=True), Side(rows=("leakage", "friction")))
+    panel.add(Curve(np.array([1.0, 100.0]), np.array([0.0, 1.0]), width=0.0, marker="circle"))
+    figure = Figure((panel,), "words")
     found = axes_of(chart(figure))
     assert found["yaxis"]["ticktext"] == ["leakage", "friction"]
     assert found["xaxis"]["type"] == "log" and "100" in found["xaxis"]["ticktext"]
+    axis = drawn(figure).axes[0]
+    assert [text.get_text() for text in axis.get_yticklabels()] == ["leakage", "friction"]
+    assert "100" in [text.get_text() for text in axis.get_xticklabels()]
 
 
 def read(packed: dict) -> np.ndarray:

@@ -23,8 +23,7 @@ from eha_monitor.prove.children import Place
 from eha_monitor.prove.draws import DRAWS, cases_of, on_rig
 from eha_monitor.prove.trial import Trial, prove
 from eha_monitor.prove.warm import answered
-from eha_monitor.reports.proof_report import proof_page
-from eha_monitor.reports.proof_text import write_result
+from eha_monitor.reports.proof_report import proof_page, write_result
 from eha_monitor.settings import settings_from_tree
 
 pytestmark = pytest.mark.timeout(600)  # 20 s; minutes where all has to be compiled first

@@ -26,8 +26,7 @@ from eha_monitor.prove.grounds import (
 from eha_monitor.prove.score import row_of
 from eha_monitor.prove.trial import Question
 from eha_monitor.recordings.read import read_recording
-from eha_monitor.reports.proof_report import proof_page
-from eha_monitor.reports.proof_text import write_result
+from eha_monitor.reports.proof_report import proof_page, write_result
 from eha_monitor.settings import load_settings, settings_from_tree
 
 ROOT = Path(__file__).parents[1]

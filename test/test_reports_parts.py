@@ -5,18 +5,18 @@ import pytest
 
 from eha_monitor.estimation.results import Event
 from eha_monitor.health.alarms import Alarm
-from eha_monitor.reports.alarm_timeline import alarm_timeline, spans
-from eha_monitor.reports.axes import time_scale
+from eha_monitor.reports.figure import time_scale
+from eha_monitor.reports.timeline import alarm_timeline, interval_timeline, spans
 from eha_monitor.reports.traces import (
     Smoother,
     autocorrelation,
     choose_smoother,
     envelope,
     in_gap,
+    informative_window,
     reversals,
     robust_range,
     running_rms,
-    telling_window,
 )
 
 
@@ -110,18 +110,18 @@ def test_windows_show_what_tells():
     t = np.arange(24_000) * dt
     triangle = 0.04 * (1 - 4 * np.abs(np.mod(0.25 * t + 0.25, 1) - 0.5))
     assert np.allclose(reversals(triangle) * dt, np.arange(1, 24, 2), atol=2 * dt)
-    start, stop, words = telling_window(triangle, dt)
+    start, stop, words = informative_window(triangle, dt)
     assert words == "a reversal" and start < 15_000 < stop and stop - start == 1000
-    start, stop, _ = telling_window(triangle, dt, near=3.2)
+    start, stop, _ = informative_window(triangle, dt, near=3.2)
     assert start < 3000 < stop
-    start, stop, words = telling_window(np.sin(2 * np.pi * 4 * t), dt)
+    start, stop, words = informative_window(np.sin(2 * np.pi * 4 * t), dt)
     assert words == "three periods" and stop - start == pytest.approx(750, abs=5)
     gap = triangle.copy()
     gap[14_900:15_100] = np.nan  # the favourite is not there
-    start, stop, _ = telling_window(gap, dt)
+    start, stop, _ = informative_window(gap, dt)
     assert np.isfinite(gap[start:stop]).all()
     for n in (0, 1, 3):
-        assert telling_window(np.zeros(n), dt)[1] <= n
+        assert informative_window(np.zeros(n), dt)[1] <= n
 
 
 def test_single_samples_do_not_set_the_limits():
@@ -130,6 +130,15 @@ def test_single_samples_do_not_set_the_limits():
     values[77] = -500.0
     low, high, peak = robust_range([values])
     assert -3 < low < -1 and high == pytest.approx(1, abs=0.01) and peak == 500.0
+
+
+def test_an_estimate_that_diverges_does_not_flatten_what_it_follows():
+    measured = 0.1 * np.sin(np.arange(10_000) / 50)
+    wild = np.linspace(0.0, 2e4, 10_000)
+    low, high, peak = robust_range([measured], [wild])
+    assert -0.31 < low < -0.09 and 0.09 < high < 0.31 and peak == 2e4
+    assert robust_range([measured], [1.1 * measured])[2] == 0.0
+    assert robust_range([np.full(9, np.nan)], [wild])[1] == 2e4
 
 
 def test_autocorrelation_of_known_noise():
@@ -180,5 +189,8 @@ def test_timeline_in_percent_with_marks_that_do_not_overlap():
     assert [(bar.left, bar.width, bar.level) for bar in bars] == [(0, 50, "OK"), (50, 50, "WARN")]
     assert [(mark.left, mark.label) for mark in timeline.marks] == [(0, "1–3"), (80, "4")]
     assert all(0 <= tick.left <= 100.01 for tick in timeline.ticks)
+    assert [mark.label for mark in timeline.ticks] == ["0", "2", "4", "6", "8", "10"]
+    assert interval_timeline("worst", ((2.0, 3.0),), 10.0).lanes[0][1][0].left == 20
+    assert interval_timeline("worst", ((float("nan"), 3.0),), 10.0) is None
     assert alarm_timeline((), (), (), 10.0).note
     assert alarm_timeline(alarms, history, (), 0.0).note

@@ -221,12 +221,12 @@ class Advice(Record, Found):
         matplotlib.figure.Figure
             A notebook shows it; without a motion it says so.
         """
-        from eha_monitor.reports.single_figures import motion_figure
+        from eha_monitor.reports.api_figures import motion_drawing
 
         with rig_motion(self.config.rig.motion):
             shown = None if self.motion is None else (self.motion.segments,
                                                       motion_sentence(self.motion))
-        return motion_figure(shown, self.config.rig.motion)
+        return motion_drawing(shown, self.config.rig.motion)
 
     def _considered(self) -> list[dict]:
         return [{"name": one.motion.name, "duration_s": one.motion.duration,

@@ -298,9 +298,9 @@ class Diagnosis(Record, Found):
         InputError
             If there is no such picture.
         """
-        from eha_monitor.reports.single_figures import DIAGNOSIS_FIGURES
+        from eha_monitor.reports.api_figures import DIAGNOSIS_DRAWINGS
 
-        return chosen(what, DIAGNOSIS_FIGURES, "what")(self)
+        return chosen(what, DIAGNOSIS_DRAWINGS, "what")(self)
 
     def completed(self) -> Config:
         """Return the nominal config completed with what was found, as ``--write-config`` does.

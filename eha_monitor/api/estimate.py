@@ -221,11 +221,11 @@ class Estimate(Record, Found):
         InputError
             If there is no such picture.
         """
-        from eha_monitor.reports.single_figures import estimate_figure
+        from eha_monitor.reports.api_figures import estimate_drawing
 
         names = chosen(what, {"parameters": lambda: ("B", "beta_e"), "B": lambda: ("B",),
                               "beta_e": lambda: ("beta_e",)}, "what")()
-        return estimate_figure(self, names)
+        return estimate_drawing(self, names)
 
     def report(self, path: str | os.PathLike) -> Path:
         """Write the self-contained HTML report of ``eha-monitor estimate --report``.

@@ -231,11 +231,11 @@ class Recording(Record, Inner):
         InputError
             If there is no such channel.
         """
-        from eha_monitor.reports.single_figures import recording_figure
+        from eha_monitor.reports.api_figures import recording_drawing
 
         for name in channels:
             chosen(name, dict.fromkeys(self.channels, len), "plot")
-        return recording_figure(self.inner, channels or tuple(self.channels), UNITS)
+        return recording_drawing(self.inner, channels or tuple(self.channels), UNITS)
 
     def write(self, path: str | os.PathLike, *, overwrite: bool = False) -> Path:
         """Write it as a rosbag2 mcap bag, with the topics of docs/topics.md.

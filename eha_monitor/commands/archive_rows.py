@@ -353,9 +353,8 @@ def show(rows: Sequence[dict], command: str, settings: Settings, made_with: str,
 
     from eha_monitor.commands.table import COLOURS, console, print_end, table
     from eha_monitor.quantity import NOTE
-    from eha_monitor.reports.archive_figures import trend_words
     from eha_monitor.reports.archive_report import histories_of, summary_words
-    from eha_monitor.reports.outlook import outlook_words
+    from eha_monitor.reports.history_figures import outlook_words, trend_words
 
     to = console()
     gone = sum(bool(row.get("gone")) for row in rows)

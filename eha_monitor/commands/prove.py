@@ -100,7 +100,7 @@ def prove(config: Path | None, ground: str, cases: int | None, data: Path | None
     if json_file:
         write_json(json_file, found)
     if text_file:
-        from eha_monitor.reports.proof_text import write_result
+        from eha_monitor.reports.proof_report import write_result
 
         write_result(text_file, found)
     for fact in found.get("facts", ()):

@@ -7,14 +7,18 @@ from collections.abc import Callable
 
 from nicegui import ui
 
-from eha_monitor.dashboard import actuator, charts, words
-from eha_monitor.dashboard.acknowledge import ask_for_acknowledgement
-from eha_monitor.dashboard.actuators import Actuator
-from eha_monitor.dashboard.elements import Level, button, heading, tagged, text
+from eha_monitor.dashboard import charts, words
+from eha_monitor.dashboard.elements import (
+    Level,
+    ask_for_acknowledgement,
+    button,
+    heading,
+    tagged,
+    text,
+)
 from eha_monitor.dashboard.events import MISMATCH
-from eha_monitor.dashboard.history import thinned
-from eha_monitor.dashboard.span import Span
-from eha_monitor.dashboard.state import STAGES, View, alarms
+from eha_monitor.dashboard.history import Span, thinned
+from eha_monitor.dashboard.state import STAGES, Actuator, View, alarms
 from eha_monitor.health.alarms import ALARM_NAMES, WATCHED
 from eha_monitor.quantity import NOTE, SYMBOLS, readable
 
@@ -65,8 +69,8 @@ class Detail:
         picture.on_click(lambda: self._save_picture(chart, name))
         return chart
 
-    def _dragged(self, told: dict) -> None:
-        batch = (told or {}).get("batch") or [{}]
+    def _dragged(self, event: dict) -> None:
+        batch = (event or {}).get("batch") or [{}]
         first, last = (_seconds(batch[0].get(key)) for key in ("startValue", "endValue"))
         zone = charts.zone_s()
         if self.span.drag(first - zone, last - zone):
@@ -188,16 +192,16 @@ class Detail:
             label.set_text(content)
         if self._half:
             self._drawing_box.style(
-                f"--measured: {actuator.place(view.measured, self._half)}; "
-                f"--estimated: {actuator.place(view.estimated, self._half)}")
+                f"--measured: {charts.place(view.measured, self._half)}; "
+                f"--estimated: {charts.place(view.estimated, self._half)}")
 
     def draw_position(self) -> None:
         """Bring the chart of the position up to date, and the scale of the drawing."""
         rows = self.state.positions()
-        half = actuator.half_range([row[1] for history in rows.values() for row in history])
+        half = charts.half_range([row[1] for history in rows.values() for row in history])
         if half > self._half or half * _SHRINK < self._half:
             self._half = half
-            self._drawing.set_content(actuator.drawing(half, self._unit))
+            self._drawing.set_content(charts.drawing(half, self._unit))
         _put(self._position_chart, charts.position_data(rows, self._position_scale))
 
     def draw_charts(self) -> None:
@@ -224,7 +228,7 @@ def _put(chart: ui.echart, data: dict) -> None:
 
 
 def _seconds(milliseconds: object) -> float:
-    """Return what a browser told as s; NaN where that is no number."""
+    """Return a time that a browser sent, s; NaN where that is no number."""
     number = isinstance(milliseconds, int | float) and not isinstance(milliseconds, bool)
     return 1e-3 * milliseconds if number else math.nan
 

@@ -19,7 +19,7 @@ ACKNOWLEDGED = (*ALARM_NAMES, MISMATCH)
 # So many events are kept; the oldest go first.
 MOST = 5000
 # In these an alarm is worth an entry of its own; that data began or stopped is one of `data`.
-_TOLD = ("WARN", "ERROR", NOT_JUDGED)
+_LOGGED = ("WARN", "ERROR", NOT_JUDGED)
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def changes(before: Mapping[str, Finding], after: Mapping[str, Finding]) -> Iter
 
 def _alarm(old: Finding | None, new: Finding) -> Iterator[Change]:
     was = old.word if old is not None else ""
-    if was == new.word or not {was, new.word}.intersection(_TOLD):
+    if was == new.word or not {was, new.word}.intersection(_LOGGED):
         return
     name = new.name.replace("_", " ").capitalize()
     words = f"{name}: {was} → {new.word}" if was else f"{name}: {new.word} when first heard"

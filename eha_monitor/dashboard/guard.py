@@ -31,7 +31,7 @@ autocomplete="off" required></label> <button>Open</button></form></body></html>"
 
 
 def token_for(loopback: bool, given: str | None) -> tuple[str | None, bool]:
-    """Return the token that is asked for, None for none, and whether it was made here.
+    """Return the token that is required, None for none, and whether it was made here.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def token_for(loopback: bool, given: str | None) -> tuple[str | None, bool]:
 def names_of(host: str, loopback: bool, more: tuple[str, ...] = ()) -> frozenset[str]:
     """Return the names to answer to, in small letters: those of loopback, ``host`` and ``more``.
 
-    Beyond loopback the machine's own name counts as well.  DNS is not asked: on a rig without
+    Beyond loopback the machine's own name counts as well.  DNS is not queried: on a rig without
     one that takes seconds.
     """
     names = {"127.0.0.1", "localhost", "::1", host.lower(), *(name.lower() for name in more)}
@@ -70,7 +70,7 @@ class Guard:
     app : what is guarded.
     names : host names that it answers to.
     any_address : whether it answers to every numerical address as well; those cannot be rebound.
-    token : asked of everyone; None lets everyone in.
+    token : required of everyone; None lets everyone in.
     cookie : name of the cookie that keeps it; cookies do not tell ports apart, names must.
     """
 
@@ -114,11 +114,11 @@ class Guard:
 
     def _ask(self, scope: Scope, headers: Headers) -> Response | None:
         query = parse_qsl(scope.get("query_string", b"").decode("latin-1"), keep_blank_values=True)
-        asked = next((value for key, value in query if key == "token"), None)
+        given = next((value for key, value in query if key == "token"), None)
         scheme, _, bearer = headers.get("authorization", "").partition(" ")
         if scheme.lower() == "bearer" and _same(bearer.strip(), self._token):
             return None
-        if asked is not None and _same(asked, self._token):
+        if given is not None and _same(given, self._token):
             if scope["type"] != "http" or scope["path"] != "/":
                 return None
             rest = urlencode([pair for pair in query if pair[0] != "token"])
@@ -127,9 +127,9 @@ class Guard:
                                                "Cache-Control": "no-store"})
             answer.set_cookie(self._cookie, self._proof, httponly=True, samesite="lax", path="/")
             return answer
-        if asked is None and _same(self._kept(headers), self._proof):
+        if given is None and _same(self._kept(headers), self._proof):
             return None
-        return _unauthorised(headers, "This token is wrong" if asked is not None or bearer
+        return _unauthorised(headers, "This token is wrong" if given is not None or bearer
                              else "This dashboard needs its token")
 
     def _kept(self, headers: Headers) -> str:

@@ -1,8 +1,9 @@
-"""What has come, kept for a while: a bounded, thinned series."""
+"""What has come, kept for a while in bounded, thinned series; the stretch of it that is shown."""
 
 import math
 from collections import deque
 from itertools import groupby
+from urllib.parse import urlencode
 
 Row = tuple[float, ...]
 
@@ -110,3 +111,53 @@ def _with_gaps(rows: list[Row], gap: float) -> list[Row]:
             kept.append((0.5 * (kept[-1][0] + row[0]), *[math.nan] * (len(row) - 1)))
         kept.append(row)
     return kept
+
+
+# ---- which stretch of time the charts show ----------------------------------------------------
+
+# Choices by their name; None is all that is kept.
+CHOICES: dict[str, float | None] = {"1 min": 60.0, "5 min": 300.0, "30 min": 1800.0, "all": None}
+FIRST = "5 min"
+# A shorter stretch than this is a click and no choice, s.
+SHORTEST = 1.0
+
+
+class Span:
+    """The choice of one page.
+
+    Attributes
+    ----------
+    choice : one of ``CHOICES``; it counts while nothing is zoomed.
+    zoom : the stretch that was dragged, time of day, s; None while the charts follow the data.
+    """
+
+    def __init__(self):
+        self.choice = FIRST
+        self.zoom: tuple[float, float] | None = None
+
+    def choose(self, choice: str) -> None:
+        """Follow the data again, over the time of a choice."""
+        self.choice, self.zoom = choice, None
+
+    def drag(self, first: float, last: float) -> bool:
+        """Stay at a stretch; returns whether it is one."""
+        if not (math.isfinite(first) and math.isfinite(last)) or last - first < SHORTEST:
+            return False
+        self.zoom = first, last
+        return True
+
+    def since(self, now: float) -> float:
+        """Return from when on rows are needed; ``now`` is the time of day, s."""
+        if self.zoom is not None:
+            return self.zoom[0]
+        length = CHOICES[self.choice]
+        return -math.inf if length is None else now - length
+
+    def query(self, actuator: str) -> str:
+        """Return the query of the same stretch as CSV."""
+        wanted: dict[str, str] = {"actuator": actuator}
+        if self.zoom is not None:
+            wanted |= {"since": f"{self.zoom[0]:.3f}", "until": f"{self.zoom[1]:.3f}"}
+        elif (length := CHOICES[self.choice]) is not None:
+            wanted["last"] = f"{length:g}"
+        return urlencode(wanted)

@@ -7,12 +7,11 @@ from urllib.parse import urlencode
 from nicegui import ui
 
 from eha_monitor.dashboard import words
-from eha_monitor.dashboard.actuators import Actuator
 from eha_monitor.dashboard.detail import Detail
 from eha_monitor.dashboard.elements import SCRIPT, Level, button, heading, tagged, text
 from eha_monitor.dashboard.events import QUALITY, EventLog
-from eha_monitor.dashboard.span import CHOICES, Span
-from eha_monitor.dashboard.state import View
+from eha_monitor.dashboard.history import CHOICES, Span
+from eha_monitor.dashboard.state import Actuator, View
 from eha_monitor.health.alarms import WATCHED
 
 STYLE = Path(__file__).with_name("page.css")
@@ -33,8 +32,8 @@ class Page:
 
     def __init__(self, shown: dict[str, Actuator], log: EventLog):
         self.shown, self.log, self.span = shown, log, Span()
-        asked = ui.context.client.request.query_params.get("actuator", "")
-        self.chosen = asked if asked in shown else next(iter(shown))
+        wanted = ui.context.client.request.query_params.get("actuator", "")
+        self.chosen = wanted if wanted in shown else next(iter(shown))
         self._logged = (-1, "")
         self._title = ""
         ui.colors(primary="#0d4f86")

@@ -16,11 +16,11 @@ import uvicorn
 from fastapi import FastAPI, HTTPException, Query, Response
 from nicegui import ui
 
-from eha_monitor.dashboard.actuators import Actuator
 from eha_monitor.dashboard.events import EventLog
-from eha_monitor.dashboard.exports import estimates_csv
+from eha_monitor.dashboard.exports import estimates_csv, metrics
 from eha_monitor.dashboard.guard import Guard, names_of, token_for
 from eha_monitor.dashboard.page import Page
+from eha_monitor.dashboard.state import Actuator
 from eha_monitor.errors import InputError
 
 HOST = "127.0.0.1"
@@ -37,10 +37,10 @@ class Door:
     Attributes
     ----------
     listener : listening socket.
-    host : as it was asked for.
+    host : as it was requested.
     loopback : whether nobody but this machine reaches it.
-    token : asked of everyone, or None.
-    made : whether the token was made here, so that it must be told.
+    token : required of everyone, or None.
+    made : whether the token was made here, so that it must be printed.
     names : further names to answer to, as those of a reverse proxy.
     """
 
@@ -53,7 +53,7 @@ class Door:
 
     @property
     def port(self) -> int:
-        """The port, the one that was free where any was asked for."""
+        """The port, the one that was free where any was requested."""
         return self.listener.getsockname()[1]
 
     @property
@@ -72,7 +72,7 @@ def claim(port: int, host: str = HOST, token: str | None = None,
           names: tuple[str, ...] = ()) -> Door:
     """Return a listening socket and who may come in; port 0 takes any that is free.
 
-    On another address than loopback, or under other names, a token is asked for; one is made
+    On another address than loopback, or under other names, a token is required; one is made
     where none is given.
 
     Raises
@@ -108,28 +108,28 @@ def claim(port: int, host: str = HOST, token: str | None = None,
 
 def metrics_text() -> Callable:
     """Return what writes the metrics; raises ImportError where prometheus_client is missing."""
-    from eha_monitor.dashboard import metrics
+    from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
 
-    return lambda states: Response(metrics.text(states), media_type=metrics.CONTENT_TYPE)
+    return lambda states: Response(metrics(states), media_type=CONTENT_TYPE_PLAIN_0_0_4)
 
 
 @contextlib.contextmanager
 def serving(shown: dict[str, Actuator], log: EventLog, door: Door,
-            metrics: Callable | None = None) -> Iterator[str]:
+            write_metrics: Callable | None = None) -> Iterator[str]:
     """Serve the page for the time of a block; gives its address.
 
     Parameters
     ----------
     shown : the actuators by name, in the order of the page.
     door : from :func:`claim`.
-    metrics : from :func:`metrics_text`, or None for no ``/metrics``.
+    write_metrics : from :func:`metrics_text`, or None for no ``/metrics``.
     """
     # No page of FastAPI's own: those load their scripts from the internet.
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
     _add_downloads(app, shown, log)
     states = {name: each.state for name, each in shown.items()}
     absent = Response("start the dashboard with --metrics\n", 404, media_type="text/plain")
-    app.add_api_route("/metrics", lambda: metrics(states) if metrics else absent,
+    app.add_api_route("/metrics", lambda: write_metrics(states) if write_metrics else absent,
                       response_class=Response)
     app.add_middleware(Guard, names=names_of(door.host, door.loopback, door.names),
                        any_address=not door.loopback, token=door.token,

@@ -26,7 +26,7 @@ HEALTH_STALE_AFTER = 3.0
 STAGES = ("stage_one", "stage_two")
 # A clock that was set goes at least so far at once; less is what it is steered by, s.
 CLOCK_SET = 0.5
-# A reset that is told twice within this time is one, s.
+# A reset that is reported twice within this time is one, s.
 SAME_RESET = 2.5
 # Keys of the innovations in the statuses of the stages.
 NIS, VARIANCE_RATIO, SAMPLES = ("innovation_nis", "innovation_variance_ratio",
@@ -88,7 +88,7 @@ class State:
     ----------
     settings : config: limits until the monitor's own are heard, and when data count as stopped.
     wall_clock : gives the time of day, s since the epoch.
-    log : takes what changes; without it nobody is told.
+    log : takes what changes; without it nothing is logged.
     """
 
     def __init__(self, settings: Settings, wall_clock: Callable[[], float],
@@ -99,7 +99,7 @@ class State:
         self._offset = math.inf
         self._acknowledged: dict[str, Acknowledgement] = {}
         self._heard = False
-        self._reset_told = ("", -math.inf)
+        self._last_reset = ("", -math.inf)
         self._lock = threading.Lock()
         self._values = {w.symbol: _Number() for w in WATCHED}
         self._stddevs = {w.symbol: _Number() for w in WATCHED}
@@ -159,11 +159,11 @@ class State:
             before, self._findings = self._findings, {f.name: f for f in findings}
             self._health_came = now
             if before and not self._heard:
-                self._tell(Change("monitor", "OK", "the monitor is heard again"))
+                self._note(Change("monitor", "OK", "the monitor is heard again"))
             self._heard = True
             for change in changes(before, self._findings):
                 if change.kind != "reset" or self._is_new(change.text, now):
-                    self._tell(change)
+                    self._note(change)
             self._drop_acknowledgements()
             for stage in STAGES:
                 finding = self._findings.get(stage)
@@ -177,7 +177,7 @@ class State:
         with self._lock:
             if self._heard and now - self._health_came > HEALTH_STALE_AFTER:
                 self._heard = False
-                self._tell(Change("monitor", "STALE",
+                self._note(Change("monitor", "STALE",
                                   f"the monitor is not heard for {HEALTH_STALE_AFTER:g} s"))
 
     def acknowledge(self, names: Iterable[str], who: str) -> list[str]:
@@ -193,7 +193,7 @@ class State:
                         name in self._acknowledged):
                     continue
                 self._acknowledged[name] = Acknowledgement(who, self._wall_clock(), finding.word)
-                self._tell(Change("acknowledged", finding.word,
+                self._note(Change("acknowledged", finding.word,
                                   f"{name.replace('_', ' ').capitalize()}: {finding.word} "
                                   f"acknowledged by {who}"))
                 done.append(name)
@@ -207,11 +207,11 @@ class State:
                 del self._acknowledged[name]
 
     def _is_new(self, text: str, now: float) -> bool:
-        """Tell whether a reset is another one: its event and its count may come apart."""
-        told, self._reset_told = self._reset_told, (text, now)
-        return told[0] != text or now - told[1] > SAME_RESET
+        """Return whether a reset is another one: its event and its count may come apart."""
+        before, self._last_reset = self._last_reset, (text, now)
+        return before[0] != text or now - before[1] > SAME_RESET
 
-    def _tell(self, change: Change) -> None:
+    def _note(self, change: Change) -> None:
         self.log.add(self._wall_clock(), self.name, change)
 
     def time_of_day(self, monotonic: float, now: float) -> float:
@@ -285,6 +285,26 @@ class State:
                 if limit is not None and math.isfinite(limit):
                     found.append((side, degree.upper(), float(limit)))
         return found
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """One of the actuators on the page.
+
+    Attributes
+    ----------
+    name : by which it is chosen; the name of its rig where it is the only one.
+    namespace : of its topics.
+    domain : ROS domain id that is listened to.
+    state : what was heard of it.
+    topics : full names of the topics, by those keys of ``View.silence`` that are looked at.
+    """
+
+    name: str
+    namespace: str
+    domain: int
+    state: State
+    topics: dict[str, str]
 
 
 def alarms(view: View) -> list[Finding]:

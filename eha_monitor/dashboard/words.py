@@ -19,9 +19,9 @@ from eha_monitor.health.judge import Finding
 from eha_monitor.quantity import SYMBOLS, Scale, number, readable, with_uncertainty
 from eha_monitor.settings import Settings
 
-# A level has a sign and a word, so that it is told without its colour.
+# A level has a sign and a word, so that it is readable without its colour.
 SIGNS = {"OK": "✓", NOT_JUDGED: "?", "WARN": "▲", "ERROR": "✖", "STALE": "◌"}
-# Of all that the status `data` holds, what tells whether messages arrive, and its words.
+# Of all that the status `data` holds, what shows whether messages arrive, and its words.
 _DATA = {"rows": "{} rows so far", "rate_joint_states_Hz": "{} messages a second on joint_states",
          "lost_messages": "{} messages lost", "missing_samples": "{} samples missing",
          "latency_p50_ms": "half of the rows done within {} ms",
@@ -93,7 +93,7 @@ def overall(view: View) -> tuple[str, str]:
     mismatch = [view.findings["model_mismatch"]] if "model_mismatch" in view.findings else []
     listed = alarms(view)
     judged = [finding for finding in listed if finding.word not in ("STALE", NOT_JUDGED)]
-    # A value beyond its limit that a misfit holds back must be seen.
+    # A value beyond its limit that a misfit holds back must be visible.
     held = [one for one in listed if one.word == NOT_JUDGED and one.level == "WARN"]
     if not (judged or held):
         return "STALE", "◌ not judged yet"
@@ -120,7 +120,7 @@ def waiting(view: View) -> list[str]:
 
 
 def quiet(view: View) -> bool:
-    """Tell whether something is raised and all of that has been acknowledged."""
+    """Return whether something is raised and all of that has been acknowledged."""
     raised = any(view.findings[name].raised for name in ACKNOWLEDGED if name in view.findings)
     return raised and not waiting(view)
 

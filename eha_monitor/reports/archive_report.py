@@ -3,6 +3,7 @@
 import shlex
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from eha_monitor.archive.history import History, history
@@ -10,11 +11,11 @@ from eha_monitor.archive.store import INDICATORS, PARAMETERS
 from eha_monitor.health.alarms import NOT_JUDGED
 from eha_monitor.mismatch.diagnosis import Value
 from eha_monitor.output import write_text
-from eha_monitor.quantity import SYMBOLS, number, quantity
-from eha_monitor.reports.archive_figures import history_block
+from eha_monitor.quantity import number, quantity
 from eha_monitor.reports.diagnosis_words import probability, value_words
-from eha_monitor.reports.page import render
-from eha_monitor.reports.verdict import STATUS_WORDS
+from eha_monitor.reports.estimate_words import STATUS_WORDS
+from eha_monitor.reports.history_figures import history_block
+from eha_monitor.reports.page import Cell, Table, render, table
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import effect_words, listed
 
@@ -35,7 +36,7 @@ def write_archive_report(path: str | Path, rows: Sequence[dict], command: str,
     settings : its thresholds are drawn.
     folder : of the bags.
     made_with : digest of what the rows are made with now; others are marked as older.
-    reports : bag -> address of its report, seen from the page.
+    reports : bag -> address of its report, relative to the page.
 
     Raises
     ------
@@ -50,30 +51,33 @@ def archive_page(rows: Sequence[dict], command: str, settings: Settings, folder:
     """Return the page as HTML text."""
     reports = reports or {}
     shown = sorted(rows, key=lambda row: (row.get("start") or "", row["bag"]), reverse=True)
-    cells = [_row(row, command, made_with) | {"report": reports.get(row["bag"], "")}
-             for row in shown]
     name = folder.resolve().name or str(folder)  # of "." too
+    diagnosed = command == "diagnose"
+    heads = "recording | start, UTC | length | B | βe | alarm | model" + (
+        " | wrong or left out" if diagnosed else "")
     return render(
         "archive.html.j2", title=f"EHA monitor: {command} of {name}", name=name,
-        heading=heading(rows, command, settings), summary=summary_words(rows, command),
-        kind=_kind(rows), diagnosed=command == "diagnose",
+        facts=_facts(rows, command, settings), summary=summary_words(rows, command),
+        kind=_kind(rows), diagnosed=diagnosed, linked=any(row["bag"] in reports for row in shown),
         histories=[history_block(one, settings)
                    for one in histories_of(rows, command, made_with, settings)],
-        effects=effect_counts(rows), rows=cells,
-        linked=any(row["report"] for row in cells),
-        broken=[row for row in cells if row["error"]],
+        effects=_effect_counts(rows),
+        broken=table("recording | why", [(row["bag"], row["error"]) for row in shown
+                                         if row.get("error")], " | message error-text", "broken"),
+        recordings=table(heads, [_row(row, command, made_with, reports.get(row["bag"], ""))
+                                 for row in shown], key="recordings"),
         command=f"eha-monitor {command} {shlex.quote(str(folder))}/BAG --report BAG.html")
 
 
 def histories_of(rows: Sequence[dict], command: str, made_with: str, settings: Settings
                  ) -> list[History]:
-    """Return the histories of B and beta_e, and of the indicators that any recording tells."""
+    """Return the histories of B and beta_e, and of the indicators that any recording has."""
     found = [history(rows, name, command, made_with, settings)
              for name in (*PARAMETERS, *INDICATORS.values())]
     return [one for one in found if one.name in PARAMETERS or len(one.time)]
 
 
-def heading(rows: Sequence[dict], command: str, settings: Settings) -> list[tuple[str, str]]:
+def _facts(rows: Sequence[dict], command: str, settings: Settings) -> list[tuple[str, str]]:
     """Return the facts at the head of the page."""
     facts = [("Command", command), ("Rig", settings.rig.name),
              ("Recordings", str(len(rows)))]
@@ -94,36 +98,37 @@ def heading(rows: Sequence[dict], command: str, settings: Settings) -> list[tupl
 def summary_words(rows: Sequence[dict], command: str) -> str:
     """Return the count of what was found, in one or two sentences."""
     broken = sum(bool(row.get("error")) for row in rows)
-    told = [row for row in rows if not row.get("error")]
-    alarms = Counter(row.get("alarm") for row in told)
+    answered = [row for row in rows if not row.get("error")]
+    alarms = Counter(row.get("alarm") for row in answered)
     parts = [f"{alarms[level]} with {level}" for level in ("ERROR", "WARN") if alarms[level]]
     if alarms[NOT_JUDGED]:
         parts.append(f"{alarms[NOT_JUDGED]} {NOT_JUDGED}")
     words = [", ".join(parts) if parts else "no alarm at the end of any recording"]
-    misfits = sum(row.get("model") == "mismatch" for row in told)
+    misfits = sum(row.get("model") == "mismatch" for row in answered)
     if misfits:
         words.append(f"in {misfits} the model does not fit")
     if command == "diagnose":
-        verdicts = Counter(row.get("verdict") for row in told)
+        verdicts = Counter(row.get("verdict") for row in answered)
         words.append("verdicts: " + (", ".join(
             f"{count} {str(name).replace('_', ' ')}" for name, count in verdicts.most_common())
             or "none"))
-    text = f"{len(told)} of {len(rows)} recordings were processed: {'; '.join(words)}."
+    text = f"{len(answered)} of {len(rows)} recordings were processed: {'; '.join(words)}."
     if broken:
         text += f" {broken} failed."
     return text
 
 
-def effect_counts(rows: Sequence[dict]) -> list[dict]:
+def _effect_counts(rows: Sequence[dict]) -> Table:
     """Return each named effect with the recordings that show it, the frequent ones first."""
     found: dict[str, list[dict]] = {}
     for row in rows:
         for effect in row.get("effects") or ():
             found.setdefault(effect["name"], []).append(row)
     ordered = sorted(found.items(), key=lambda one: (-len(one[1]), one[0]))
-    return [{"name": effect_words(name), "count": len(mine),
-             "last": max((_moment(row["start"]) for row in mine if row.get("start")),
-                         default="—")} for name, mine in ordered]
+    return table("effect | recordings | last seen", [
+        (effect_words(name), len(mine),
+         max((_moment(row["start"]) for row in mine if row.get("start")), default="—"))
+        for name, mine in ordered], " | number | number", "effects")
 
 
 def phrases(row: dict) -> list[str]:
@@ -162,41 +167,42 @@ def _kind(rows: Sequence[dict]) -> str:
     return "unknown" if NOT_JUDGED in levels else "ok"
 
 
-def _row(row: dict, command: str, made_with: str) -> dict:
-    """Return a row as the template shows it."""
-    marks = []
-    if row.get("gone"):
-        marks.append("no longer in the folder")
-    if row["made_with"] != made_with:
-        marks.append("of another config or source")
-    return {
-        "bag": row["bag"], "marks": ", ".join(marks), "error": row.get("error") or "",
-        "start": _moment(row["start"]).removesuffix(" UTC") if row.get("start") else "—",
-        "duration": quantity(row["duration_s"], "s") if row.get("duration_s") else "—",
-        "parameters": [] if row.get("error") and row.get("B_status") is None else [
-            _parameter(row, name, command) for name in PARAMETERS],
-        "alarm": row.get("alarm") or "", "alarm_message": row.get("alarm_message") or "",
-        "model": row.get("model") or "", "balance": row.get("model_balance") or "",
-        "verdict": (row.get("verdict") or "").replace("_", " "),
-        "fits": _FITS.get(row.get("verdict"), "") if command == "diagnose" else (
-            row.get("model") or ""),
-        "effects": phrases(row),
-        "losses": row.get("losses") or "",
-    }
+def _row(row: dict, command: str, made_with: str, report: str) -> tuple[Cell, ...]:
+    """Return the cells of a recording."""
+    marks = [words for words, holds in (
+        ("no longer in the folder", row.get("gone")),
+        ("of another config or source", row["made_with"] != made_with)) if holds]
+    error = row.get("error") or ""
+    cells = [Cell(row["bag"], note="; ".join(filter(None, (", ".join(marks), row.get("losses")))),
+                  link=report),
+             Cell(_moment(row["start"]).removesuffix(" UTC") if row.get("start") else "—",
+                  "number"),
+             Cell(quantity(row["duration_s"], "s") if row.get("duration_s") else "—", "number"),
+             *(_parameter(row, name, command) for name in PARAMETERS),
+             Cell("", "message", row.get("alarm_message") or "", row.get("alarm") or ""),
+             Cell("", "message", "; ".join(filter(None, (row.get("model_balance"), error))),
+                  (row.get("verdict") or "").replace("_", " ") or row.get("model") or "",
+                  _FITS.get(row.get("verdict"), "none") if command == "diagnose" else "")]
+    if command == "diagnose":
+        cells.append(Cell("; ".join(phrases(row)) or "—", "effects"))
+    return tuple(replace(one, kind=f"{one.kind} none") for one in cells) if marks else tuple(cells)
 
 
-def _parameter(row: dict, name: str, command: str) -> dict:
+def _parameter(row: dict, name: str, command: str) -> Cell:
     """Return one parameter of a row: of a diagnosis the value with the named effects."""
-    status = row.get(f"{name}_status") or ""
-    found = {"symbol": SYMBOLS[name], "unit": row.get(f"{name}_unit") or "", "status": status,
-             "words": STATUS_WORDS.get(status, status), "doubt": row.get(f"{name}_doubt") or ""}
+    status, unit = row.get(f"{name}_status") or "", row.get(f"{name}_unit") or ""
+    doubt = row.get(f"{name}_doubt") or ""
     key = name
     if command == "diagnose":
-        key = f"{name}_after"
-        found |= {"words": "", "doubt": ""}
+        key, status, doubt = f"{name}_after", "", ""
     value, stddev = row.get(key), row.get(f"{key}_stddev")
-    return found | {"value": value, "stddev": stddev,
-                    "shown": "—" if value is None else _value(value, stddev, found["unit"])}
+    known = value is not None
+    badge, level = ("in doubt", "WARN") if doubt and status == "converged" else (
+        STATUS_WORDS.get(status, status), status)
+    return Cell(_value(value, stddev, unit), "value doubt" if doubt else "value", doubt, badge,
+                level,
+                (value, stddev) if known else None,
+                f"{value} {unit}, standard deviation {stddev}" if known else "")
 
 
 def _value(value: float | None, stddev: float | None, unit: str) -> str:

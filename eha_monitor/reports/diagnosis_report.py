@@ -1,8 +1,8 @@
 """The HTML report of ``diagnose``: what is missing, where, how it is known, what it did."""
 
 import math
+import shlex
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,6 @@ import numpy as np
 from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.machine.baseline import Baseline
 from eha_monitor.mismatch.diagnosis import (
-    Change,
     Considered,
     Curve,
     Diagnosis,
@@ -24,27 +23,25 @@ from eha_monitor.output import write_text
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import DIAGNOSED, SYMBOLS, number, quantity
 from eha_monitor.reports import diagnosis_words as words
-from eha_monitor.reports.alarm_timeline import time_ticks
 from eha_monitor.reports.diagnosis_figures import (
-    agreement_picture,
-    curve_picture,
-    learned_picture,
-    overlay_picture,
-    telling,
+    agreement_figure,
+    curve_figure,
+    informative,
+    learned_figure,
+    overlay_figure,
+    presentable,
 )
-from eha_monitor.reports.drawing import Block, Picture
-from eha_monitor.reports.indicator_rows import indicator_rows
-from eha_monitor.reports.page import render
-from eha_monitor.reports.parameter_figures import NAMES
-from eha_monitor.reports.tables import config_sections
+from eha_monitor.reports.estimate_figures import NAMES
+from eha_monitor.reports.figure import Block
+from eha_monitor.reports.page import FirstScreen, Table, render, table
+from eha_monitor.reports.shared_tables import config_tables, indicator_table, law_table
+from eha_monitor.reports.timeline import interval_timeline
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.own_terms import is_own
 from eha_monitor.settings.rig import Tolerance, corrected
 from eha_monitor.words import effect_words, listed
 
-_LARGEST = 1e60  # SI; beyond it squares and matplotlib's own sums overflow
 _MOST_CURVES = 6
-_MOST_OPEN = 6  # rows of a table of rivals that are shown without a click
 
 
 def write_diagnosis_report(path: str | Path, found: Diagnosis, settings: Settings,
@@ -59,7 +56,7 @@ def write_diagnosis_report(path: str | Path, found: Diagnosis, settings: Setting
     settings : the config it was made with.
     losses : sentences about what was lost in reading the recordings.
     command : the command that makes the same answer again.
-    indicators : of the health, told or not.
+    indicators : of the health, with a value or without.
 
     Raises
     ------
@@ -74,195 +71,87 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
     """Return the report as HTML text."""
     found = presentable(found)
     name = listed([Path(bag).name or bag for bag in found.bags]) or settings.rig.name
-    kind = words.head_of(found)[0]
-    curves = telling(found)
+    curves = informative(found)
+    _, statistics = words.advice_in_parts(found)
     return render(
-        "diagnosis.html.j2",
-        plus_minus=DIAGNOSED,
-        title=f"EHA diagnosis: {name}",
-        name=name,
-        heading=_heading(found, settings),
-        kind=kind,
-        verdict=found.verdict,
-        head=words.head_words(found),
-        message=words.message_words(found, probable=True),
-        wrong=[_rig(finding, settings.rig.tolerance) for finding in found.rig_data],
-        within=[_rig(finding, settings.rig.tolerance) for finding in found.rig_within],
-        doubts=[f"In this recording {effect_words(effect.name)} is indistinguishable from "
-                f"{_rivals(effect.indistinguishable_from)}." for effect in found.effects
-                if effect.indistinguishable_from],
-        hero=learned_picture(found.learned[0]) if found.learned else
-        curve_picture(found, curves[0], large=True) if curves else None,
-        hero_words=_learned_note(found.learned[0]) if found.learned else
-        _curve_note(found, curves[0]) if curves else "",
-        summary=_summary(found),
-        indicators=indicator_rows(indicators, settings),
-        health=[words.sentence(text) for text in found.health],
+        "diagnosis.html.j2", plus_minus=DIAGNOSED, title=f"EHA diagnosis: {name}", name=name,
+        first=_first_screen(found, curves), facts=_facts(found, settings), losses=losses,
+        verdict=found.verdict, references=len(found.references), compared=_compared(found),
+        indicators=indicator_table(indicators, settings), laws=law_table(indicators),
+        changes=_changes(found), pieces=_pieces(found), machine=_machine(found),
+        wrong=_rig_table(found.rig_data, settings.rig.tolerance),
+        within=_rig_table(found.rig_within, settings.rig.tolerance, "rig-within"),
         learned=[_learned(term) for term in found.learned],
-        changes=[_change(one) for one in found.changes],
-        references=len(found.references),
-        compared=_compared(found),
-        pieces=_pieces(found),
-        gates=[words.sentence(gate.statement) for gate in found.gates],
-        machine=_machine(found),
-        first_view=[row for one in found.baselines for row in _first_view(one)],
-        location=_location(found),
-        curves=[curve_picture(found, curve)
-                for curve in curves[0 if found.learned else 1 : _MOST_CURVES]],
         effects=[_effect(effect, found.duration_s) for effect in found.effects],
-        considered=_considered(found.considered),
-        fit=_fit(found),
-        by_balances="position" not in found.signals,
-        fit_data=words.DATA.get(found.data, found.data),
-        overlays=_overlays(found),
-        agreement=_agreement(found),
-        advice=[words.sentence(text) for text in found.advice],
-        certainty=words.certainty(found),
-        windows=words.windows_words(found),
-        losses=losses,
-        command=command,
-        config=config_sections(settings),
-        **_for_config(found, settings),
-        rotary=settings.rig.motion == "rotary",
-    )
+        location=_location(found),
+        curves=[curve_figure(found, curve)
+                for curve in curves[0 if found.learned else 1 : _MOST_CURVES]],
+        fit=_fit(found), fit_data=words.DATA.get(found.data, found.data),
+        by_balances="position" not in found.signals, overlays=_overlays(found),
+        evidence=_evidence(found), gates=[words.sentence(one.statement) for one in found.gates],
+        considered=_considered(found.considered), agreement=_agreement(found),
+        first_view=_first_view(found.baselines), memory=_memory_table(found),
+        statistics=[words.sentence(text) for text in statistics],
+        certainty=words.certainty(found), windows=words.windows_words(found),
+        command=command, config=config_tables(settings), **_for_config(found, settings),
+        rotary=settings.rig.motion == "rotary")
 
 
 def _compared(found: Diagnosis) -> bool:
-    """Tell whether there is a model after the one of the config."""
+    """Whether there is a model after the one of the config."""
     return bool(found.effects or found.rig_data or found.rig_within or found.pieces
                 or found.learned or found.references)
 
 
-def _change(change: Change) -> dict[str, str]:
-    """Return a row of what has changed."""
-    name = (f"{effect_words(change.what)} {change.symbol}" if change.symbol
-            else f"{NAMES.get(change.what, change.what)} {SYMBOLS.get(change.what, '')}")
-    return {"name": name.strip(), "reference": words.value_words(change.reference),
-            "now": words.value_words(change.now),
-            "rivals": _rivals(change.indistinguishable_from)}
+def _names(found: Diagnosis) -> tuple[str, str]:
+    """Return what the two models are called, as on the terminal."""
+    return ("healthy", "now") if found.references else ("before", "after")
 
 
-def _first_view(one: Baseline) -> list[dict[str, str]]:
-    """Return the rows of what least squares on a recording's balances say."""
-    rows = []
-    for balance, fit in (("force", one.force), ("flow", one.flow)):
-        for term in fit.terms if fit is not None else ():
-            value = Value(term.value, term.stddev, term.unit)
-            shown = (words.value_words(value) if term.determined else "none" if term.at_bound
-                     and np.isfinite(term.stddev) else "not determined")
-            rows.append({"balance": balance, "what": term.words, "value": shown,
-                         "left": words.percent(fit.unseen_share)})
-    return rows
+# ---- the first screen -----------------------------------------------------------------------
+
+def _first_screen(found: Diagnosis, curves: list[Curve]) -> FirstScreen:
+    """Return the verdict, the missing term, B and beta_e before and after, what to do."""
+    picture, caption = None, ""
+    if found.learned:
+        picture, caption = learned_figure(found.learned[0]), _learned_note(found.learned[0])
+    elif curves:
+        picture = curve_figure(found, curves[0], large=True)
+        caption = _curve_note(found, curves[0])
+    shown = (found.before, found.after) if _compared(found) else (found.before,)
+    heads = ("parameter", *(_names(found) if _compared(found) else ("model of the config",)))
+    parameters = table(" | ".join(heads), [
+        (_symbol(name), *(words.value_words(values.get(name)) for values in shown))
+        for name in dict.fromkeys((*found.before, *found.after))],
+        " | ".join(("", *["value"] * len(shown))), "summary")
+    return FirstScreen(
+        words.head_of(found)[0], words.head_words(found), words.message_words(found, True),
+        tuple(f"In this recording {effect_words(effect.name)} is indistinguishable from "
+              f"{_rivals(effect.indistinguishable_from)}." for effect in found.effects
+              if effect.indistinguishable_from),
+        tuple((words.rig_words(one), (one.indistinguishable_from
+               and f"In this recording {one.key} is indistinguishable from "
+                   f"{_rivals(one.indistinguishable_from)}.") or "") for one in found.rig_data),
+        picture, caption, parameters or None, tuple(map(words.sentence, found.health)),
+        words.next_steps(found, shlex.join(found.bags)), found.verdict)
 
 
-def _machine(found: Diagnosis) -> dict[str, Any] | None:
-    """Return what the page says of the machine that several recordings show; None without one."""
-    machine = found.machine
-    if machine is None or found.references:
-        return None
-    parameters = [
-        {"what": p.words, "balance": one.balance,
-         "value": words.value_words(Value(p.value, p.stddev, p.unit)),
-         "between": f"± {words.percent(p.between / abs(p.value))}" if p.value and p.between
-         else "none seen"} for one in machine.balances for p in one.parameters]
-    settings = [s for one in machine.balances for s in one.settings]
-    rows = [{"name": source, "shown": [
-        *(words.value_words(Value(s.value[i], s.stddev[i], s.unit)) for s in settings),
-        *(words.percent(one.error[i]) for one in machine.balances)]}
-        for i, source in enumerate(machine.sources)]
-    return {"count": len(machine.sources), "parameters": parameters, "rows": rows,
-            "heads": [*(s.words for s in settings),
-                      *(f"{one.balance} unexplained" for one in machine.balances)]}
-
-
-def _learned(term: LearnedTerm) -> dict[str, Any]:
-    """Return what the page says of a learned term."""
-    ends = (quantity(term.x[0], term.against_unit, 3), quantity(term.x[-1], term.against_unit, 3))
-    return {"statement": words.sentence(term.statement),
-            "formula": term.formula, "removed": words.percent(term.removed),
-            "gained": words.log_units(term.gained), "ends": ends,
-            "rivals": [(shown, words.log_units(behind)) for shown, behind in term.rivals]}
-
-
-def _rig(finding: RigFinding, tolerance: Tolerance) -> dict[str, str]:
-    configured, said = words.rig_values(finding)
-    return {"key": finding.key, "words": words.rig_words(finding), "configured": configured,
-            "found": said, "tolerance": words.tolerance_words(tolerance, finding.key),
-            "beyond": words.beyond_words(tolerance, finding),
-            "probability": words.probability(finding.probability),
-            "rivals": _rivals(finding.indistinguishable_from)}
-
-
-def _for_config(found: Diagnosis, settings: Settings) -> dict[str, Any]:
-    """Return what ``--write-config`` would put into a config, and what it cannot."""
-    if found.verdict != "mismatch" and not found.learned:
-        return {"config_rig": {}, "config_effects": {}, "config_lacks": ""}
-    rig, _ = corrected(settings.rig, {finding.key: finding.found.value
-                                      for finding in found.rig_data})
-    return {"config_rig": rig,
-            "config_effects": {name: _flow_text(values)
-                               for name, values in found.config_effects.items()
-                               if name in CATALOGUE or is_own(values)},
-            "config_lacks": listed([effect_words(effect.name)
-                                          for effect in found.effects
-                                          if effect.name not in found.config_effects])}
-
-
-def _flow_text(values: dict) -> str:
-    """Return an entry of ``effects`` on one line of YAML."""
-    def text(value) -> str:
-        if isinstance(value, str):
-            return f'"{value}"' if "(" in value or "*" in value else value
-        if isinstance(value, (list, tuple)):
-            return f"[{', '.join(map(text, value))}]"
-        return f"{value:.6g}"
-
-    return "{" + ", ".join(f"{key}: {text(value)}" for key, value in values.items()) + "}"
-
-
-def presentable(found: Diagnosis) -> Diagnosis:
-    """Return the diagnosis with NaN for sizes that no picture can show, spreads positive."""
-    curves = tuple(replace(curve, x=_tame(curve.x), measured=_tame(curve.measured),
-                           spread=np.abs(_tame(curve.spread)), modelled=_tame(curve.modelled))
-                   for curve in found.curves)
-    overlays = tuple(replace(one, time=_tame(one.time), measured=_tame(one.measured),
-                             before=_tame(one.before), after=_tame(one.after))
-                     for one in found.overlays)
-    agreement = tuple(replace(part, before=_known(part.before), after=_known(part.after))
-                      for part in found.agreement)
-    return replace(found, curves=curves, overlays=overlays, agreement=agreement,
-                   before=_known(found.before), after=_known(found.after))
-
-
-def _tame(values: np.ndarray) -> np.ndarray:
-    with np.errstate(invalid="ignore"):
-        return np.where(np.abs(values) < _LARGEST, values, np.nan)
-
-
-def _known(values: dict[str, Value]) -> dict[str, Value]:
-    return {name: value for name, value in values.items() if abs(value.value) < _LARGEST}
-
-
-def _heading(found: Diagnosis, settings: Settings) -> list[tuple[str, str]]:
-    facts = [("Recordings" if len(found.bags) > 1 else "Recording",
-              ", ".join(found.bags) or "no file"), ("Rig", settings.rig.name)]
-    if found.duration_s > 0:
-        facts.append(("Duration", f"{number(found.duration_s)} s"))
-    if found.wall_s > 0:
-        facts.append(("Computed in", f"{number(found.wall_s, 3)} s"))
-    return facts
+def _symbol(name: str) -> str:
+    return f"{NAMES.get(name, name)} {SYMBOLS.get(name, name)}"
 
 
 def _curve_note(found: Diagnosis, curve: Curve) -> str:
     dots, line = ("Grey", "Blue") if curve.against == "time" else ("Dots", "Line")
     if found.effects:
-        return (f"{dots}: measured term that the linear model lacks. {line}: the identified "
+        note = (f"{dots}: measured term that the linear model lacks. {line}: the identified "
                 "effects.")
-    if found.rig_data:
-        return f"{dots}: measured term that the model of the config lacks."
-    if found.verdict == "consistent":
-        return "Residual of the model: noise about zero."
-    return f"{dots}: measured term that the model lacks. No effect of the catalogue fits."
+    elif found.rig_data:
+        note = f"{dots}: measured term that the model of the config lacks."
+    elif found.verdict == "consistent":
+        note = "Residual of the model: noise about zero."
+    else:
+        note = f"{dots}: measured term that the model lacks. No effect of the catalogue fits."
+    return note
 
 
 def _learned_note(term: LearnedTerm) -> str:
@@ -273,129 +162,221 @@ def _learned_note(term: LearnedTerm) -> str:
             f"with its band. {formula} Outside the ends there are no data.")
 
 
-def _summary(found: Diagnosis) -> list[dict[str, str]]:
-    """Return the rows beside the first picture: parameters, then the errors."""
+def _facts(found: Diagnosis, settings: Settings) -> list[tuple[str, str]]:
+    facts = [("Recordings" if len(found.bags) > 1 else "Recording",
+              ", ".join(found.bags) or "no file"), ("Rig", settings.rig.name)]
+    if found.duration_s > 0:
+        facts.append(("Duration", f"{number(found.duration_s)} s"))
+    if found.wall_s > 0:
+        facts.append(("Computed in", f"{number(found.wall_s, 3)} s"))
+    return facts
+
+
+# ---- what was found -------------------------------------------------------------------------
+
+def _changes(found: Diagnosis) -> Table:
+    """Return what has changed against healthy recordings."""
     rows = []
-    for name in dict.fromkeys((*found.before, *found.after)):
-        before, after = found.before.get(name), found.after.get(name)
-        rows.append({"name": f"{NAMES.get(name, name)} {SYMBOLS.get(name, name)}",
-                     "before": words.value_words(before), "after": words.value_words(after),
-                     "noise": ""})
-    for name, fit in found.signals.items():
-        rows.append({"name": f"{name.replace('_', ' ')} error",
-                     "before": words.error_words(fit.before_rms, fit),
-                     "after": words.error_words(fit.after_rms, fit),
-                     "noise": words.error_words(fit.noise_rms, fit)})
-    return rows
+    for one in found.changes:
+        name = (f"{effect_words(one.what)} {one.symbol}" if one.symbol
+                else f"{NAMES.get(one.what, one.what)} {SYMBOLS.get(one.what, '')}").strip()
+        rows.append((name, words.value_words(one.reference), words.value_words(one.now),
+                     _rivals(one.indistinguishable_from) or "–"))
+    return table("number | healthy | now | indistinguishable from", rows, " | value | value | ",
+                 note=f"Healthy: mean of {len(found.references)} recordings, ± their standard "
+                      "deviation from one to the next. Now: this recording, ± its uncertainty "
+                      "due to noise.")
 
 
-def _pieces(found: Diagnosis) -> dict[str, Any] | None:
-    """Return the table of what changed, or None where nothing did."""
+def _pieces(found: Diagnosis) -> Table | None:
+    """Return the data in pieces, or None where nothing changed."""
     if not found.pieces:
         return None
     names = list(found.pieces[0].values)
-    return {"names": [f"{NAMES.get(name, name)} {SYMBOLS.get(name, name)}" for name in names],
-            "rows": [{"bag": piece.bag, "start": f"{piece.start_s:.1f}",
-                      "stop": f"{piece.stop_s:.1f}",
-                      "shown": [words.value_words(piece.values.get(name)) for name in names]}
-                     for piece in found.pieces]}
+    return table(" | ".join(("recording", "from, s", "to, s", *map(_symbol, names))), [
+        (one.bag, f"{one.start_s:.1f}", f"{one.stop_s:.1f}",
+         *(words.value_words(one.values.get(name)) for name in names)) for one in found.pieces],
+        " | ".join(("", "number", "number", *["value"] * len(names))),
+        note="Each piece was fitted separately with the model of the config. The intervals "
+             "between pieces, where the parameter changes, are left out.")
+
+
+def _machine(found: Diagnosis) -> tuple[Table, Table] | None:
+    """Return what several recordings of a machine share, and what differs; None without one."""
+    machine = found.machine
+    if machine is None or found.references:
+        return None
+    parameters = [
+        (p.words, one.balance, words.value_words(Value(p.value, p.stddev, p.unit)),
+         f"± {words.percent(p.between / abs(p.value))}" if p.value and p.between else "none seen")
+        for one in machine.balances for p in one.parameters]
+    settings = [s for one in machine.balances for s in one.settings]
+    rows = [(source, *(words.value_words(Value(s.value[i], s.stddev[i], s.unit))
+                       for s in settings),
+             *(words.percent(one.error[i]) for one in machine.balances))
+            for i, source in enumerate(machine.sources)]
+    heads = ("recording", *(s.words for s in settings),
+             *(f"{one.balance} unexplained" for one in machine.balances))
+    return (table("number | balance | value | between recordings", parameters,
+                  " |  | value | value",
+                  note=f"Parameters that all {len(machine.sources)} recordings share, ± the "
+                       "deviation of the value, and the spread from one recording to the next."),
+            table(" | ".join(heads), rows, " | ".join(("", *["value"] * (len(heads) - 1))),
+                  note="What belongs to each recording's setting, and the share of each balance "
+                       "that stays unexplained when the fit leaves that recording out."))
+
+
+def _rig_table(findings: Sequence[RigFinding], tolerance: Tolerance, key: str = "") -> Table:
+    """Return numbers of the rig as configured and as the recording has them."""
+    wrong = not key
+    rows = []
+    for one in findings:
+        configured, said = words.rig_values(one)
+        row = [one.key, configured, words.tolerance_words(tolerance, one.key), said]
+        if wrong:
+            row += [words.beyond_words(tolerance, one), words.probability(one.probability),
+                    _rivals(one.indistinguishable_from) or "–"]
+        rows.append(row)
+    return table("number | config | its tolerance | recording"
+                 + (" | off by | probability | indistinguishable from" if wrong else ""), rows,
+                 "key | number | number | value" + (" | number | value | " if wrong else ""), key)
+
+
+def _learned(term: LearnedTerm) -> dict[str, Any]:
+    """Return what the page says of a learned term."""
+    rivals = [f"{shown} ({words.log_units(behind)} log units "
+              f"{'better' if behind < 0 else 'worse'})" for shown, behind in term.rivals]
+    ends = [quantity(end, term.against_unit, 3) for end in (term.x[0], term.x[-1])]
+    return {"statement": words.sentence(term.statement), "facts": [
+        ("formula", term.formula or "none fits as well as the curve"),
+        *(("other formulas" if not i else "", one) for i, one in enumerate(rivals)),
+        ("unseen data", f"{words.percent(term.removed)} less squared error beyond the sensor "
+                        "noise than the same model without it"),
+        ("valid from", f"{ends[0]} to {ends[1]}; outside, there are no data, and the curve keeps "
+                       "its last value")]}
+
+
+def _effect(effect: NamedEffect, duration_s: float) -> dict[str, Any]:
+    """Return what the page says of an effect."""
+    known = CATALOGUE.get(effect.name)
+    about = {p.name: p.description for p in known.parameters} if known else {}
+    source = f" ({known.source})" if known and known.source else ""
+    probability = words.probability(effect.probability)
+    balance = words.BALANCES.get(effect.balance, effect.balance)
+    facts = [("probability", probability if probability != "—" else ""),
+             ("indistinguishable from", _rivals(effect.indistinguishable_from)
+              or "none of the alternatives that were compared"),
+             ("check at the rig", words.sentence(effect.rig_check)),
+             ("equation", effect.equation and effect.equation + source)]
+    return {"key": effect.name, "name": effect_words(effect.name),
+            "balance": f"{balance}, {effect.size}" if effect.size else balance,
+            "statement": words.sentence(effect.statement),
+            "intervals": words.interval_words(effect.intervals_s),
+            "timeline": interval_timeline("acts", effect.intervals_s, duration_s),
+            "facts": [(label, text) for label, text in facts if text],
+            "parameters": table("parameter | value | what it is", [
+                (symbol, words.value_words(value), about.get(symbol, ""))
+                for symbol, value in effect.parameters.items()], "key | value | ")}
 
 
 def _location(found: Diagnosis) -> dict[str, Any] | None:
-    """Return bars of the balances, the regime and the intervals on the time axis, or None."""
+    """Return the share of each balance, the regime and the intervals on the time axis, or None."""
     shares = {name: share for name, share in found.location.balance.items()
               if math.isfinite(share)}
     if not any(share > 0 for share in shares.values()):
         return None
-    spans, ticks = _spans(found.location.intervals_s, found.duration_s)
-    return {"bars": [{"name": words.BALANCES.get(name, name), "share": words.percent(share),
-                      "width": round(100 * min(max(share, 0.0), 1.0), 2)}
+    return {"bars": [(words.BALANCES.get(name, name), words.percent(share),
+                      round(100 * min(max(share, 0.0), 1.0), 2))
                      for name, share in sorted(shares.items(), key=lambda item: -item[1])],
             "regime": words.REGIMES.get(found.location.regime,
                                         found.location.regime.replace("_", " ")),
-            "spans": spans, "ticks": ticks,
+            "timeline": interval_timeline("worst", found.location.intervals_s, found.duration_s),
             "intervals": words.interval_words(found.location.intervals_s)}
 
 
-def _spans(intervals_s: tuple[tuple[float, float], ...], duration_s: float
-           ) -> tuple[list[dict[str, Any]], Sequence]:
-    """Return intervals as places on the time axis of the recording, in per cent, and its ticks."""
-    known = [(start, stop) for start, stop in intervals_s
-             if math.isfinite(start) and math.isfinite(stop)]
-    end = max([duration_s, *(stop for _, stop in known)])
-    if not (known and 0 < end < _LARGEST):
-        return [], ()
-    return [{"left": round(100 * max(start, 0.0) / end, 3),
-             "width": round(max(100 * (stop - start) / end, 0.4), 3),
-             "title": f"{number(start)} s to {number(stop)} s"}
-            for start, stop in known], time_ticks(end)
-
-
-def _effect(effect: NamedEffect, duration_s: float) -> dict[str, Any]:
-    known = CATALOGUE.get(effect.name)
-    about = {p.name: p.description for p in known.parameters} if known else {}
-    spans, ticks = _spans(effect.intervals_s, duration_s)
-    return {"key": effect.name, "name": effect_words(effect.name),
-            "balance": words.BALANCES.get(effect.balance, effect.balance), "size": effect.size,
-            "statement": words.sentence(effect.statement), "equation": effect.equation,
-            "source": known.source if known else "",
-            "rig_check": words.sentence(effect.rig_check),
-            "probability": words.probability(effect.probability),
-            "evidence": words.log_units(effect.log_evidence),
-            "intervals": words.interval_words(effect.intervals_s), "spans": spans,
-            "ticks": ticks,
-            "parameters": [{"symbol": symbol, "shown": words.value_words(value),
-                            "about": about.get(symbol, "")}
-                           for symbol, value in effect.parameters.items()],
-            "rivals": _rivals(effect.indistinguishable_from)}
-
-
-def _rivals(names: tuple[str, ...]) -> str:
-    return listed([effect_words(name) for name in names], "or")
-
-
-def _considered(considered: tuple[Considered, ...]) -> list[dict[str, Any]]:
-    """Return the tables of what was tried, one for each set of effects named by then."""
-    groups: dict[tuple[str, ...], list[Considered]] = {}
-    for one in considered:
-        groups.setdefault(one.beside, []).append(one)
-    tables = []
-    for beside, members in sorted(groups.items(), key=lambda item: len(item[0])):
-        members = sorted(members, key=lambda one: -one.gain if math.isfinite(one.gain)
-                         else math.inf)
-        rows = [{"name": effect_words(one.name), "gain": words.log_units(one.gain),
-                 "balance": words.BALANCES.get(CATALOGUE[one.name].balance)
-                 if one.name in CATALOGUE else "", "why": words.sentence(one.why)}
-                for one in members]
-        title = "Beside " + listed([effect_words(b) for b in beside]) if beside \
-            else "Before any effect is identified"
-        shown = _MOST_OPEN if len(rows) > _MOST_OPEN + 2 else len(rows)
-        tables.append({"title": title, "open": rows[:shown], "rest": rows[shown:]})
-    return tables
-
-
-def _fit(found: Diagnosis) -> list[dict[str, str]]:
+def _fit(found: Diagnosis) -> Table:
+    """Return the errors on unseen data."""
+    first, second = _names(found)
     rows = []
     for name, fit in found.signals.items():
         share = words.removed(fit)
-        rows.append({"name": name.replace("_", " "),
-                     "before": words.error_words(fit.before_rms, fit),
-                     "after": words.error_words(fit.after_rms, fit),
-                     "noise": words.error_words(fit.noise_rms, fit),
-                     "removed": words.percent(share) if math.isfinite(share) else "—",
-                     "memory_before": _memory(fit.before_whiteness),
-                     "memory_after": _memory(fit.after_whiteness)})
-    return rows
+        before, after, noise = (words.error_words(value, fit) for value in (
+            fit.before_rms, fit.after_rms, fit.noise_rms))
+        compared = (after, noise, words.percent(share) if math.isfinite(share) else "—")
+        rows.append((name.replace("_", " "), before,
+                     *(compared if _compared(found) else (noise,))))
+    head = ((f"error on unseen data | {first} | {second} | noise | removed",
+             "number | value | value | number | number") if _compared(found)
+            else ("error on unseen data | model | noise", "number | value | number"))
+    return table(head[0], rows, head[1], "errors", "Root mean square." + (
+        " Removed: of what exceeds the sensor noise." if _compared(found) else ""))
+
+
+def _overlays(found: Diagnosis) -> list:
+    names = ("healthy model", "model now") if found.references else ("model before", "model after")
+    made = [overlay_figure(overlay, _compared(found), names) for overlay in found.overlays]
+    return [one for one in made if one is not None]
+
+
+# ---- for the researcher ---------------------------------------------------------------------
+
+def _evidence(found: Diagnosis) -> Table:
+    """Return the evidence of each effect and of each learned term."""
+    return table("effect | log units lost without it", [
+        *((effect_words(one.name), words.log_units(one.log_evidence)) for one in found.effects),
+        *((f"learned: missing {one.balance}", words.log_units(one.gained))
+          for one in found.learned)], " | number")
+
+
+def _memory_table(found: Diagnosis) -> Table:
+    """Return how far the one-step errors are from white."""
+    first, second = _names(found)
+    return table(f"memory of the one-step errors | {first} | {second}", [
+        (name.replace("_", " "), _memory(fit.before_whiteness), _memory(fit.after_whiteness))
+        for name, fit in found.signals.items()], " | number | number",
+        note="Variance of sums of one-step errors over that of white noise; 1 if the model is "
+             "right.")
 
 
 def _memory(ratio: float) -> str:
     return f"{ratio:.2f}" if 0 <= ratio < 10 else number(ratio, 3)
 
 
-def _overlays(found: Diagnosis) -> list[Picture]:
-    names = ("healthy model", "model now") if found.references else ("model before", "model after")
-    made = [overlay_picture(overlay, _compared(found), names) for overlay in found.overlays]
-    return [one for one in made if one is not None]
+def _first_view(baselines: Sequence[Baseline]) -> Table:
+    """Return what least squares on a recording's balances give."""
+    rows = []
+    for balance, fit in ((name, fit) for one in baselines
+                         for name, fit in (("force", one.force), ("flow", one.flow))):
+        for term in fit.terms if fit is not None else ():
+            shown = (words.value_words(Value(term.value, term.stddev, term.unit))
+                     if term.determined else "none" if term.at_bound and np.isfinite(term.stddev)
+                     else "not determined")
+            rows.append((term.words, balance, shown, words.percent(fit.unseen_share)))
+    return table("number | balance | value | of the balance unexplained", rows,
+                 " |  | value | number",
+                 note="Each balance by itself, on the samples that move; no search. An "
+                      "explanation that leaves more of the force on unseen data than this is "
+                      "refused.")
+
+
+def _considered(considered: tuple[Considered, ...]) -> list[tuple[str, Table]]:
+    """Return what was tried: title and table, one for each set of effects named by then."""
+    groups: dict[tuple[str, ...], list[Considered]] = {}
+    for one in considered:
+        groups.setdefault(one.beside, []).append(one)
+    found = []
+    for beside, members in sorted(groups.items(), key=lambda item: len(item[0])):
+        members = sorted(members, key=lambda one: -one.gain if math.isfinite(one.gain)
+                         else math.inf)
+        rows = [(effect_words(one.name),
+                 words.BALANCES.get(CATALOGUE[one.name].balance, "")
+                 if one.name in CATALOGUE else "", words.log_units(one.gain),
+                 words.sentence(one.why)) for one in members]
+        title = "Beside " + listed([effect_words(b) for b in beside]) if beside \
+            else "Before any effect is identified"
+        found.append((title, table("effect | balance | gain, log units | why it was rejected",
+                                   rows, " |  | number | message", fold=True)))
+    return found
 
 
 def _agreement(found: Diagnosis) -> Block | None:
@@ -403,8 +384,8 @@ def _agreement(found: Diagnosis) -> Block | None:
     names = dict.fromkeys(name for part in found.agreement for name in (*part.before, *part.after))
     pictures, notes = [], []
     for name in names:
-        one = agreement_picture(name, found.agreement, found.before.get(name),
-                                found.after.get(name))
+        one = agreement_figure(name, found.agreement, found.before.get(name),
+                               found.after.get(name))
         if one is None:
             continue
         pictures.append(one)
@@ -417,6 +398,38 @@ def _agreement(found: Diagnosis) -> Block | None:
                          if known else "unknown")
         notes.append(f"{SYMBOLS.get(name, name)} from the parts: {spans[0]} before, "
                      f"{spans[1]} after.")
-    if not pictures:
-        return None
-    return Block("agreement", "", tuple(pictures), tuple(notes))
+    return Block("agreement", "", tuple(pictures), tuple(notes)) if pictures else None
+
+
+def _rivals(names: tuple[str, ...]) -> str:
+    return listed([effect_words(name) for name in names], "or")
+
+
+# ---- the config -----------------------------------------------------------------------------
+
+def _for_config(found: Diagnosis, settings: Settings) -> dict[str, Any]:
+    """Return what ``--write-config`` would put into a config, and what it cannot."""
+    if found.verdict != "mismatch" and not found.learned:
+        return {"config_lines": "", "config_lacks": ""}
+    rig, _ = corrected(settings.rig, {finding.key: finding.found.value
+                                      for finding in found.rig_data})
+    effects = {name: _flow_text(values) for name, values in found.config_effects.items()
+               if name in CATALOGUE or is_own(values)}
+    lines = [*(["rig:"] if rig else []), *(f"  {key}: {value:.6g}" for key, value in rig.items()),
+             *(["effects:"] if effects else []),
+             *(f"  {name}: {text}" for name, text in effects.items())]
+    return {"config_lines": "\n".join(lines),
+            "config_lacks": listed([effect_words(effect.name) for effect in found.effects
+                                    if effect.name not in found.config_effects])}
+
+
+def _flow_text(values: dict) -> str:
+    """Return an entry of ``effects`` on one line of YAML."""
+    def text(value) -> str:
+        if isinstance(value, str):
+            return f'"{value}"' if "(" in value or "*" in value else value
+        if isinstance(value, (list, tuple)):
+            return f"[{', '.join(map(text, value))}]"
+        return f"{value:.6g}"
+
+    return "{" + ", ".join(f"{key}: {text(value)}" for key, value in values.items()) + "}"

@@ -42,6 +42,7 @@ BALANCES = {"force": "force balance", "flow": "flow balance", "drive": "drive",
 DATA = {"held_out": "a held-out part of the recording",
         "held_out_bag": "another recording, not used in the fit"}
 _MOST_INTERVALS = 6
+_STATISTICS = "variance inflation"  # of every sentence on how well parameters are separated
 
 
 def head_of(found: Diagnosis) -> tuple[str, str]:
@@ -55,6 +56,29 @@ def head_of(found: Diagnosis) -> tuple[str, str]:
     if found.verdict == "mismatch" and found.rig_data and not found.effects:
         return WRONG_NUMBERS
     return VERDICTS.get(found.verdict, ("unknown", found.verdict))
+
+
+def advice_in_parts(found: Diagnosis) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the advice for whoever stands at the rig, and that on correlations."""
+    statistics = tuple(text for text in found.advice if _STATISTICS in text)
+    return tuple(text for text in found.advice if text not in statistics), statistics
+
+
+def next_steps(found: Diagnosis, bags: str) -> tuple[str, ...]:
+    """Return what to do, the most important first; commands stand between backticks.
+
+    ``bags`` are the recordings as a command takes them.
+    """
+    steps = [f"correct {finding.key} in the config, or find out why it is "
+             f"{value_words(finding.found)}" for finding in found.rig_data]
+    steps += [effect.rig_check for effect in found.effects[:1] if effect.rig_check]
+    if found.verdict == "mismatch" or found.learned:
+        steps.append(f"use B and βe of the completed config: `eha-monitor diagnose {bags} "
+                     "--write-config FILE`")
+    elif found.verdict == "unexplained":
+        steps.append("do not act on B and βe: they carry what is missing")
+    steps += advice_in_parts(found)[0]
+    return tuple(map(sentence, dict.fromkeys(steps))) or ("Nothing.",)
 
 
 def windows_words(found: Diagnosis) -> str:
@@ -102,12 +126,12 @@ def in_brackets(share_of_one: float) -> str:
 
 
 def message_words(found: Diagnosis, probable: bool = False) -> str:
-    """Return the message as a sentence, without the numbers of the rig, which are told before it.
+    """Return the message as a sentence, without the numbers of the rig, which stand before it.
 
     ``probable`` puts its probability behind each effect.
     """
-    told = {finding.statement for finding in found.rig_data}
-    text = "; ".join(part for part in found.message.split("; ") if part not in told)
+    before = {finding.statement for finding in found.rig_data}
+    text = "; ".join(part for part in found.message.split("; ") if part not in before)
     for effect in found.effects if probable else ():
         text = text.replace(effect.statement,
                             effect.statement + in_brackets(effect.probability))

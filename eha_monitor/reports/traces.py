@@ -5,6 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+LARGEST = 1e60  # SI; beyond it squares and the sums of a drawing library overflow
+
+
+def tamed(values: np.ndarray) -> np.ndarray:
+    """Return (n,) values with NaN for infinities and for sizes that no picture can show."""
+    with np.errstate(invalid="ignore"):
+        wild = ~(np.abs(values) < LARGEST)
+    return np.where(wild, np.nan, values) if wild.any() else values
+
 
 def envelope(time: np.ndarray, values: np.ndarray, bins: int = 1500
              ) -> tuple[np.ndarray, np.ndarray]:
@@ -24,8 +33,7 @@ def envelope(time: np.ndarray, values: np.ndarray, bins: int = 1500
     index = np.flatnonzero(np.isfinite(values))
     if not index.size:
         return np.empty(0), np.empty(0)
-    steps = np.diff(index)
-    gap_after = steps > 3 * np.median(steps) if steps.size else np.zeros(0, dtype=bool)
+    gap_after = _gap_after(index)
     t, v = time[index], values[index]
     if len(index) <= 4 * bins:
         breaks = np.flatnonzero(gap_after) + 1
@@ -53,8 +61,7 @@ def band_envelope(time: np.ndarray, lower: np.ndarray, upper: np.ndarray, bins: 
     index = np.flatnonzero(np.isfinite(lower) & np.isfinite(upper))
     if not index.size:
         return np.empty(0), np.empty(0), np.empty(0)
-    steps = np.diff(index)
-    gap_after = steps > 3 * np.median(steps) if steps.size else np.zeros(0, dtype=bool)
+    gap_after = _gap_after(index)
     column = (index * bins) // len(lower)
     starts = np.flatnonzero(np.r_[True, (np.diff(column) > 0) | gap_after])
     ends = np.r_[starts[1:], len(index)] - 1
@@ -64,6 +71,12 @@ def band_envelope(time: np.ndarray, lower: np.ndarray, upper: np.ndarray, bins: 
     breaks = 2 * (np.flatnonzero(gap_after[ends[:-1]]) + 1)
     return tuple(np.insert(values, breaks, fill) for values, fill in (
         (t, t[breaks - 1]), (low, np.nan), (high, np.nan)))
+
+
+def _gap_after(index: np.ndarray) -> np.ndarray:
+    """Return of (n,) places whether each is followed by more than three usual steps; (n - 1,)."""
+    steps = np.diff(index)
+    return steps > 3 * np.median(steps) if steps.size else np.zeros(0, dtype=bool)
 
 
 def _first_of(values: np.ndarray, starts: np.ndarray, extreme: np.ufunc) -> np.ndarray:
@@ -97,14 +110,14 @@ class Smoother:
         """Return a known derivative, (n,), treated exactly as :meth:`of` treats ``measured``.
 
         It is summed up ``order`` times first (the constants of summation drop out again) and
-        seen only where the measured values are.
+        kept only where the measured values are.
         """
         finite = np.isfinite(derivative)
         total = np.where(finite, derivative, 0.0)
         for _ in range(self.order):
             total = np.concatenate([[0.0], np.cumsum(0.5 * (total[1:] + total[:-1]))]) * self.dt
-        seen = np.where(finite & np.isfinite(measured), total, np.nan)
-        return _fitted(_bridged(seen), self.window, self.order, self.dt)
+        kept = np.where(finite & np.isfinite(measured), total, np.nan)
+        return _fitted(_bridged(kept), self.window, self.order, self.dt)
 
 
 def choose_smoother(values: np.ndarray, dt: float, order: int) -> Smoother | None:
@@ -222,7 +235,7 @@ def reversals(values: np.ndarray) -> np.ndarray:
     return thin[np.array(found, dtype=int)]
 
 
-def telling_window(motion: np.ndarray, dt: float, near: float | None = None
+def informative_window(motion: np.ndarray, dt: float, near: float | None = None
                    ) -> tuple[int, int, str]:
     """Return a window worth a closer look: (start, stop, what it shows).
 
@@ -262,24 +275,45 @@ def telling_window(motion: np.ndarray, dt: float, near: float | None = None
     return start, start + width, words
 
 
-def robust_range(curves: list[np.ndarray]) -> tuple[float, float, float]:
+def robust_range(curves: list[np.ndarray], followed: list[np.ndarray] = ()
+                 ) -> tuple[float, float, float]:
     """Return limits for a plot, and the size of the largest sample that they cut off (or 0).
 
     The limits hold everything unless a few samples tower over the rest.
+
+    Parameters
+    ----------
+    curves : (n,) each; they set the limits.
+    followed : such as estimates of what is measured; they widen the limits by the whole span at
+        each end and no more, so that one that diverges does not flatten what it should follow.
     """
-    finite = [curve[np.isfinite(curve)] for curve in curves]
-    finite = [curve for curve in finite if curve.size]
-    if not finite:
-        return 0.0, 0.0, 0.0
-    low, high = min(map(np.min, finite)), max(map(np.max, finite))
-    ends = [np.percentile(curve, (0.2, 99.8)) for curve in finite]
-    inner_low, inner_high = min(end[0] for end in ends), max(end[1] for end in ends)
+    if not any(np.isfinite(curve).any() for curve in curves):
+        curves, followed = followed, ()
+    low, high, inner_low, inner_high = _extremes(curves)
     span = inner_high - inner_low
-    if not span > 0 or high - low <= 4 * span:
-        return float(low), float(high), 0.0
-    inner_low, inner_high = max(low, inner_low - 0.5 * span), min(high, inner_high + 0.5 * span)
-    beyond = low if inner_low - low > high - inner_high else high
-    return float(inner_low), float(inner_high), float(abs(beyond))
+    if span > 0 and high - low > 4 * span:
+        inner_low = max(low, inner_low - 0.5 * span)
+        inner_high = min(high, inner_high + 0.5 * span)
+    else:
+        inner_low, inner_high = low, high
+    if any(np.isfinite(curve).any() for curve in followed):
+        least, most, *_ = _extremes(followed)
+        low, high = min(low, least), max(high, most)
+        span = inner_high - inner_low or max(abs(inner_low), abs(inner_high))
+        inner_low, inner_high = (max(min(inner_low, least), inner_low - span),
+                                 min(max(inner_high, most), inner_high + span))
+    if inner_low <= low and high <= inner_high:
+        return inner_low, inner_high, 0.0
+    return inner_low, inner_high, abs(low if inner_low - low > high - inner_high else high)
+
+
+def _extremes(curves: list[np.ndarray]) -> tuple[float, float, float, float]:
+    """Return the least and the largest value, and those without the outer 0.2 %; 0 of nothing."""
+    finite = [curve[np.isfinite(curve)] for curve in curves]
+    finite = [curve for curve in finite if curve.size] or [np.zeros(1)]
+    inner = [np.percentile(curve, (0.2, 99.8)) for curve in finite]
+    return (float(min(map(np.min, finite))), float(max(map(np.max, finite))),
+            float(min(low for low, _ in inner)), float(max(high for _, high in inner)))
 
 
 def robust_peak(values: np.ndarray) -> tuple[float, float]:

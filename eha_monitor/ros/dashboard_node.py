@@ -159,9 +159,9 @@ def run_dashboard(config: Path | None, ros_args: list[str], served: Served,
         If the port is taken, or the address, config, a parameter or a ROS argument is wrong.
     """
     with _optional("dashboard", "dashboard"):
-        from eha_monitor.dashboard.actuators import Actuator
         from eha_monitor.dashboard.events import EventLog
         from eha_monitor.dashboard.serve import claim, metrics_text, serving
+        from eha_monitor.dashboard.state import Actuator
     metrics = None
     if served.metrics:
         with _optional("--metrics", "dashboard"):

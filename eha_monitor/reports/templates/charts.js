@@ -47,7 +47,7 @@
   const layoutOf = (spec, box) => {
     const [ink, grid, paper] = dark.matches ? ["#dfe6ec", "#303a43", "#151b21"]
       : ["#22303c", "#dfe4e8", "#ffffff"];
-    const layout = spec.layout, rows = "ticktext" in layout.yaxis;
+    const layout = spec.layout, rows = spec.rows;
     for (const [key, axis] of Object.entries(layout)) {
       if (/^[xy]axis/.test(key)) side(axis, ink, grid);
       if (/^legend/.test(key)) Object.assign(axis, {
@@ -57,6 +57,8 @@
     layout.xaxis.title.text = wrapped(layout.xaxis.title.text, box.clientWidth / (rows ? 17 : 10));
     for (const shape of layout.shapes) if (shape.showlegend) shape.legendgroup = shape.name;
     const narrow = box.clientWidth < 520;
+    if (narrow && box.closest(".hero"))  // a low picture: the lines' own words would hide it
+      for (const one of layout.annotations) one.font.size = 9.5;
     return Object.assign(layout, {
       font: {family: getComputedStyle(document.body).fontFamily, size: 12.5, color: ink},
       paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", autosize: true,
@@ -80,7 +82,7 @@
 
   const rangeOf = plot => plot.layout.xaxis.range.map(Number);
 
-  // As if the mouse stood there; the last argument keeps it from being told as a movement.
+  // As if the mouse stood there; the last argument keeps it from counting as a movement.
   const hover = (plot, share) => {
     const target = plot.querySelector(".nsewdrag"), box = target.getBoundingClientRect();
     Plotly.Fx.hover(plot, {target, clientX: box.left + share * box.width,
@@ -166,8 +168,8 @@
 
   const start = () => {
     if (typeof DecompressionStream === "undefined") return;  // the pictures do
-    const watch = new IntersectionObserver(seen => {
-      for (const one of seen) if (one.isIntersecting) {
+    const watch = new IntersectionObserver(found => {
+      for (const one of found) if (one.isIntersecting) {
         watch.unobserve(one.target);
         draw(one.target).catch(problem => {
           one.target.classList.remove("live");

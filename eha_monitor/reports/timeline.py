@@ -1,21 +1,25 @@
-"""The alarm timeline: one lane for each alarm, events as numbered marks.
+"""Lanes over the time of a recording: levels of alarms, intervals in which something acts.
 
-Lanes are HTML, not a picture, so that they fill a wide screen and stay readable on a phone.
+They are HTML, not a picture, so that they fill a wide screen and stay readable on a phone.
 """
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.ticker import MaxNLocator
 
 from eha_monitor.estimation.results import Event
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.quantity import number
-from eha_monitor.reports.axes import time_scale
+from eha_monitor.reports.figure import time_scale
+from eha_monitor.reports.traces import LARGEST
 
-ALARM_WORDS = {"viscous_damping_high": "B high", "viscous_damping_low": "B low",
-               "bulk_modulus_high": "βe high", "bulk_modulus_low": "βe low"}
+_ALARM_WORDS = {"viscous_damping_high": "B high", "viscous_damping_low": "B low",
+                "bulk_modulus_high": "βe high", "bulk_modulus_low": "βe low"}
 _OVERLAP = 5.5  # percent of the width within which two marks share a label
+_MOST_TICKS = 8
+_STEPS = (1.0, 2.0, 2.5, 3.0, 5.0, 6.0, 10.0)  # between ticks, times a power of ten
 
 
 @dataclass(frozen=True)
@@ -59,7 +63,7 @@ class Timeline:
 
 def alarm_words(name: str) -> str:
     """Return an alarm's name as people say it."""
-    return ALARM_WORDS.get(name, name.replace("_", " "))
+    return _ALARM_WORDS.get(name, name.replace("_", " "))
 
 
 def spans(name: str, alarms: tuple[Alarm, ...], history: tuple[Alarm, ...], duration: float
@@ -90,27 +94,42 @@ def alarm_timeline(alarms: tuple[Alarm, ...], history: tuple[Alarm, ...],
         return Timeline(note="No alarm is configured and there was no event.")
     if not duration > 0:
         return Timeline(note="The recording has no duration, so there is no timeline.")
+    lanes = tuple((alarm_words(name), tuple(_bar(span, duration) for span in
+                                            spans(name, alarms, history, duration)))
+                  for name in names)
+    return _over(duration, lanes, _marks(events, duration))
+
+
+def interval_timeline(name: str, intervals_s: Sequence[tuple[float, float]], duration: float
+                      ) -> Timeline | None:
+    """Return a lane of intervals, s, on the time of the recording; None where there are none."""
+    known = [(start, stop) for start, stop in intervals_s
+             if math.isfinite(start) and math.isfinite(stop)]
+    end = max([duration, *(stop for _, stop in known)])
+    if not (known and 0 < end < LARGEST):
+        return None
+    return _over(end, ((name, tuple(_bar(Span(max(start, 0.0), stop, ""), end)
+                                    for start, stop in known)),))
+
+
+def _over(duration: float, lanes: tuple, marks: tuple[Mark, ...] = ()) -> Timeline:
+    """Return lanes over an axis of ``duration`` seconds, in the unit that suits it."""
     clock = time_scale(duration)
-    return Timeline(
-        tuple((alarm_words(name), tuple(_bar(span, duration) for span in
-                                        spans(name, alarms, history, duration)))
-              for name in names),
-        _marks(events, duration),
-        time_ticks(duration * clock.factor), clock.unit)
-
-
-def time_ticks(end: float) -> tuple[Mark, ...]:
-    """Return the ticks of an axis from 0 to ``end``, in its unit."""
-    ticks = MaxNLocator(8, steps=[1, 2, 2.5, 3, 5, 6, 10]).tick_values(0, end)
-    return tuple(Mark(100 * tick / end, f"{tick:g}") for tick in ticks
-                 if 0 <= tick <= 1.0001 * end)
+    end = duration * clock.factor
+    power = 10.0 ** math.floor(math.log10(end / _MOST_TICKS))
+    step = next(one * power for one in _STEPS if end / (one * power) <= _MOST_TICKS)
+    ticks = tuple(Mark(100 * i * step / end, f"{i * step:g}")
+                  for i in range(int(end / step * 1.0001) + 1))
+    return Timeline(lanes, marks, ticks, clock.unit)
 
 
 def _bar(span: Span, duration: float) -> Bar:
     width = max(100 * (span.stop - span.start) / duration, 0.3)  # the last may have no length
     left = min(100 * span.start / duration, 100 - width)
+    words = f"{number(span.start)} s to {number(span.stop)} s"
     return Bar(round(left, 3), round(width, 3), span.level,
-               f"{span.level} from {number(span.start)} s to {number(span.stop)} s", width > 14)
+               f"{span.level} from {words}" if span.level else words,
+               bool(span.level) and width > 14)
 
 
 def _marks(events: tuple[Event, ...], duration: float) -> tuple[Mark, ...]:

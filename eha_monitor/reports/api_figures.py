@@ -1,0 +1,136 @@
+"""What ``plot()`` of the API draws: a recording, an estimate, a diagnosis, a proposed motion."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from eha_monitor.estimation.results import Estimate
+from eha_monitor.mismatch.diagnosis import Diagnosis
+from eha_monitor.physics.excitation import demanded_position, total_duration
+from eha_monitor.quantity import Scale
+from eha_monitor.recordings.columns import sampled
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.reports import diagnosis_figures, estimate_figures
+from eha_monitor.reports.diagnosis_figures import (
+    agreement_figure,
+    curve_figure,
+    informative,
+    learned_figure,
+    overlay_figure,
+)
+from eha_monitor.reports.estimate_figures import NAMES, parameter_figure
+from eha_monitor.reports.figure import (
+    OTHER,
+    STAGE_ONE,
+    STAGE_TWO,
+    WIDTH,
+    Figure,
+    Panel,
+    Side,
+    padded,
+    scale_of,
+    time_scale,
+)
+from eha_monitor.reports.still_image import Drawing, drawn, words_drawn
+from eha_monitor.reports.traces import robust_range
+from eha_monitor.settings.rig import Segment
+
+# Channels that are drawn on the same axes, and what these are called.
+_TOGETHER = {"x": "position", "x_d": "position", "v": "velocity", "omega": "pump speed",
+             "omega_d": "pump speed", "p1": "pressure", "p2": "pressure", "force": "force",
+             "temperature": "temperature"}
+_LABELS = {"x": "x", "x_d": "x_d, demanded", "v": "v", "omega": "ω", "omega_d": "ω_d, demanded",
+           "p1": "p₁", "p2": "p₂", "force": "force", "temperature": "temperature"}
+_ROW, _FOOT = 150, 60  # CSS pixels
+_SAMPLES = 4000  # of a demanded motion
+
+
+def recording_drawing(recording: Recording, names: Sequence[str], units: Mapping[str, str]
+                      ) -> Drawing:
+    """Draw channels against time, those of one quantity on the same axes.
+
+    Parameters
+    ----------
+    names : channels, in order.
+    units : channel -> SI unit.
+    """
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        groups.setdefault(_TOGETHER[name], []).append(name)
+    clock = time_scale(recording.duration)
+    step = recording.sample_time
+    time = Side("time", clock, limits=(0.0, max(len(recording) - 1, 1) * step))
+    panels = []
+    for quantity, members in groups.items():
+        columns = [sampled(recording.channels[name]) for name in members]
+        scale = scale_of(np.concatenate(columns), units[members[0]])
+        low, high, _ = robust_range(columns)
+        last = len(panels) == len(groups) - 1
+        panel = Panel(time if last else replace(time, name=""),
+                          Side(quantity, scale, limits=padded(low, high)))
+        for name, values, colour in zip(members, columns, (STAGE_ONE, STAGE_TWO), strict=False):
+            every = -(-len(recording) // max(len(values), 1))
+            panel.signal(np.arange(len(values)) * every * step, values,
+                         _LABELS[name], colour, width=1.2, legend=len(members) > 1)
+        panels.append(panel)
+    return drawn(Figure(tuple(panels), "channels against time", (1.0,) * len(panels),
+                        (WIDTH, _ROW * len(groups) + _FOOT)))
+
+
+def estimate_drawing(estimate: Estimate, names: Sequence[str]) -> Drawing:
+    """Draw ``B``, ``beta_e`` or both as they converge, with band and limits."""
+    return _drawn(parameter_figure(estimate_figures.presentable(estimate), names), "; ".join(
+        f"{NAMES[name]}: {estimate.parameters[name].message or 'no data'}" for name in names))
+
+
+def diagnosis_drawing(found: Diagnosis, what: str) -> Drawing:
+    """Draw ``missing``, ``fit``, ``B`` or ``beta_e``.
+
+    ``missing`` is what the recording shows and the model lacks, the head of the report; ``fit``
+    the first signal of unseen data with both models running free; ``B`` and ``beta_e`` a
+    parameter as each part of the record gives it.
+    """
+    found = diagnosis_figures.presentable(found)
+    if what == "missing":
+        curves = informative(found)
+        figure = (learned_figure(found.learned[0]) if found.learned
+                  else curve_figure(found, curves[0], large=True) if curves else None)
+        return _drawn(figure, found.message)
+    if what == "fit":
+        compared = bool(found.effects or found.rig_data or found.learned or found.pieces
+                        or found.references)
+        made = (overlay_figure(one, compared) for one in found.overlays)
+        return _drawn(next(filter(None, made), None),
+                      "No data were held out to run the models on.")
+    return _drawn(agreement_figure(what, found.agreement, found.before.get(what),
+                                   found.after.get(what)),
+                  f"{NAMES[what]}: no value from parts of the recording")
+
+
+DIAGNOSIS_DRAWINGS = {what: partial(diagnosis_drawing, what=what)
+                      for what in ("missing", "fit", "B", "beta_e")}
+
+
+def motion_drawing(proposed: tuple[dict[str, Segment], str] | None, motion: str) -> Drawing:
+    """Draw a proposed motion, demanded position against time.
+
+    Parameters
+    ----------
+    proposed : its segments and its sentence, or None.
+    motion : of the rig, ``linear`` or ``rotary``.
+    """
+    if proposed is None:
+        return words_drawn("No motion is proposed: nothing is in doubt, or no motion resolves it.")
+    segments, words = proposed
+    time = np.linspace(0.0, total_duration(segments), _SAMPLES, endpoint=False)
+    values = demanded_position(segments, time)
+    scale = scale_of(values, "rad" if motion == "rotary" else "m")
+    panel = Panel(Side("time", Scale(1.0, "s")), Side("demanded position", scale))
+    panel.signal(time, values, words, OTHER, width=1.5)
+    return drawn(Figure((panel,), words, size=(WIDTH, _ROW + 2 * _FOOT)))
+
+
+def _drawn(figure: Figure | None, otherwise: str) -> Drawing:
+    return words_drawn(otherwise) if figure is None else drawn(figure)
