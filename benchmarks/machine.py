@@ -20,24 +20,24 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import numpy as np
 import record
 
+from eha_monitor.balances.alone import alone
+from eha_monitor.balances.baseline import baseline
+from eha_monitor.balances.candidates import Scale, candidates_of
+from eha_monitor.balances.course import course_of
+from eha_monitor.balances.machine import Machine, machine_of, rms
+from eha_monitor.balances.policy import POLICY
+from eha_monitor.balances.table import tables_of
+from eha_monitor.balances.together import Recordings, unseen
 from eha_monitor.concealed.strangers.draw import draw_rig
 from eha_monitor.concealed.strangers.generate import record as recorded
 from eha_monitor.concealed.strangers.generate import truth_of
 from eha_monitor.errors import InputError
-from eha_monitor.machine.alone import alone
-from eha_monitor.machine.baseline import baseline
-from eha_monitor.machine.candidates import Scale, candidates_of
-from eha_monitor.machine.course import course_of
-from eha_monitor.machine.machine import Machine, machine_of, rms
-from eha_monitor.machine.policy import POLICY
-from eha_monitor.machine.table import tables_of
-from eha_monitor.machine.together import Recordings, unseen
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.settings import load_settings
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data" / "ivliev_eha_days"
-MEASURES = ("eha_monitor/machine", "benchmarks/machine.py")
+MEASURES = ("eha_monitor/balances", "benchmarks/machine.py")
 DAYS, LOADS = (18, 21), (1, 2, 3, 4, 5)
 KINDS = ("force", "flow")
 TRIAL = {"force": 0.104, "flow": 0.081}  # design/one_machine.md: boosted trees, same recordings

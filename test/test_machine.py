@@ -8,17 +8,17 @@ import pytest
 from machine_tools import stranger, stranger_settings
 from test_machine_baseline import read
 
+from eha_monitor.balances.alone import alone, probability_of
+from eha_monitor.balances.candidates import Scale, candidates_of, stop, taken_up
+from eha_monitor.balances.course import course_of
+from eha_monitor.balances.discrepancy import learned
+from eha_monitor.balances.judge import judge
+from eha_monitor.balances.machine import load, machine_of, save
+from eha_monitor.balances.policy import POLICY
+from eha_monitor.balances.table import tables_of
+from eha_monitor.balances.together import Recordings, gain, pooled, without
 from eha_monitor.commands.diagnose import diagnose as command
 from eha_monitor.errors import InputError
-from eha_monitor.machine.alone import alone, probability_of
-from eha_monitor.machine.candidates import Scale, candidates_of, stop, taken_up
-from eha_monitor.machine.course import course_of
-from eha_monitor.machine.discrepancy import learned
-from eha_monitor.machine.judge import judge
-from eha_monitor.machine.machine import load, machine_of, save
-from eha_monitor.machine.policy import POLICY
-from eha_monitor.machine.table import tables_of
-from eha_monitor.machine.together import Recordings, gain, pooled, without
 from eha_monitor.recordings.write import write_recording
 
 LOADS = (338.0, 120.0, 560.0, 250.0)
@@ -135,7 +135,7 @@ def test_the_next_recording_is_judged(machine, settings, tmp_path):
 def test_bad_machines_are_refused_in_one_line(recordings, settings, tmp_path):
     with pytest.raises(InputError, match="at least 3 recordings"):
         machine_of(recordings[:2], settings)
-    for text in ("{", '{"schema": "other"}', "[]", '{"schema": "eha_monitor/machine/1"}'):
+    for text in ("{", '{"schema": "other"}', "[]", '{"schema": "eha_monitor/balances/1"}'):
         path = tmp_path / "bad.json"
         path.write_text(text)
         with pytest.raises(InputError, match="expected a machine"):
@@ -174,7 +174,7 @@ def test_the_command_writes_and_reads_a_machine(recordings, settings, tmp_path, 
     bags = [str(write_recording(tmp_path / f"run_{i}", one, settings))
             for i, one in enumerate(recordings)]
     file, answer = tmp_path / "machine.json", tmp_path / "answer.json"
-    from eha_monitor.machine import machine as room
+    from eha_monitor.balances import machine as room
 
     save(room.machine_of(recordings, settings), file)
     done = CliRunner().invoke(command, [bags[1], "--config", str(config), "--machine", str(file),

@@ -22,10 +22,10 @@ from eha_monitor.api.read import (
 from eha_monitor.api.recording import Recording
 from eha_monitor.api.rotary import of_rig
 from eha_monitor.archive.find import find_bags, is_archive
+from eha_monitor.balances.judge import judge
+from eha_monitor.balances.machine import load
 from eha_monitor.compiled import load_runtime
 from eha_monitor.errors import InputError
-from eha_monitor.machine.judge import judge
-from eha_monitor.machine.machine import load
 from eha_monitor.mismatch.compare.compared import compared
 from eha_monitor.mismatch.diagnose import diagnose as run
 from eha_monitor.mismatch.show.machine import judged_diagnosis

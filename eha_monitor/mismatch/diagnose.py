@@ -8,12 +8,12 @@ from itertools import pairwise
 import numpy as np
 
 from eha_monitor import ties
+from eha_monitor.balances.baseline import Baseline, baseline
+from eha_monitor.balances.machine import Machine, machine_of
+from eha_monitor.balances.policy import POLICY
 from eha_monitor.breakdown import computing
 from eha_monitor.errors import InputError
 from eha_monitor.filters.hold_choice import other_hold, resolved
-from eha_monitor.machine.baseline import Baseline, baseline
-from eha_monitor.machine.machine import Machine, machine_of
-from eha_monitor.machine.policy import POLICY
 from eha_monitor.mismatch.advise import advice as advise
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.data.inputs import FORCED

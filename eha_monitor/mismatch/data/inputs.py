@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from eha_monitor.recordings.gaps import filled
 from eha_monitor.settings.rig import Rig
 
 CLOSED, OPEN, FORCED = 0, 1, 2  # input: x_d with the loop, pump speed, force
@@ -87,15 +88,6 @@ def _largest_beside(values: np.ndarray, reach: int) -> np.ndarray:
     padded = np.pad(values, reach)
     return np.max([padded[reach + d : reach + d + n] for d in range(-reach, reach + 1) if d],
                   axis=0)
-
-
-def filled(u: np.ndarray) -> np.ndarray:
-    """Return the samples with short gaps bridged linearly, (n,)."""
-    good = np.isfinite(u)
-    if good.all() or not good.any():
-        return u
-    index = np.arange(len(u))
-    return np.interp(index, index[good], u[good])
 
 
 def present(u: np.ndarray, x: np.ndarray, longest: int) -> list[tuple[int, int]]:

@@ -12,9 +12,10 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from eha_monitor.filters.along import contributions_along
 from eha_monitor.mismatch.data.experiment import Experiment, Stretch
 from eha_monitor.mismatch.diagnosis import Gate
-from eha_monitor.mismatch.likelihood.along import contributions_along, signals_along
+from eha_monitor.mismatch.likelihood.along import signals_along
 from eha_monitor.mismatch.likelihood.equation_error import motion_of
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, filtered
 from eha_monitor.physics import signals as s

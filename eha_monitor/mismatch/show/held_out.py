@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eha_monitor.balances.baseline import Baseline
+from eha_monitor.balances.course import STANDING
 from eha_monitor.filters.consistency import variance_ratios
-from eha_monitor.machine.baseline import Baseline
-from eha_monitor.machine.course import STANDING
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.data.inputs import FORCED, filled
+from eha_monitor.mismatch.data.inputs import FORCED
 from eha_monitor.mismatch.data.stretch import Stretch
 from eha_monitor.mismatch.diagnosis import Agreement, Gate, Overlay, SignalFit, Value
 from eha_monitor.mismatch.likelihood.along import signals_along
@@ -22,6 +22,7 @@ from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import ALL_NAMES, circuit_of
 from eha_monitor.physics.plant import N_OUTPUTS, Y_P1, Y_P2, Y_V, Y_X
 from eha_monitor.quantity import quantity, share
+from eha_monitor.recordings.gaps import filled
 
 SIGNALS = ("position", "velocity", "pressure_1", "pressure_2", "pump_speed")
 UNITS = ("m", "m/s", "Pa", "Pa", "rad/s")

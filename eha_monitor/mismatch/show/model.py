@@ -26,8 +26,6 @@ INVERSE_BLOCK = 10  # compared samples of the balances, a second
 TWICE = (("area_1", "area_2"), ("volume_1", "volume_2"))
 ALIKE = 0.99  # correlation of their errors where both are the same number
 COARSE = 0.5  # times the configured noise: rounding that makes it a tenth larger is worth a name
-NOTABLE = 0.02  # relative change of a health parameter that is worth a sentence
-HEALTH_WORDS = {"B": "B", "beta_e": "the effective bulk modulus"}
 
 
 def values_of(experiment: Experiment, fit: Fit) -> dict[str, Value]:
@@ -202,29 +200,3 @@ def quantised(experiment: Experiment) -> NamedEffect | None:
     return NamedEffect("position_quantisation", entry.balance, entry.said({"q": step}),
                        {"q": Value(step, 0.0, "m")}, float(against), (), entry.equation,
                        entry.rig_check, quantity(step, "m", 3))
-
-
-def health_sentences(experiment: Experiment, before: dict[str, Value], after: dict[str, Value],
-                     effects: tuple[NamedEffect, ...]) -> tuple[str, ...]:
-    """Return in plain words what the mismatch did to the health estimates."""
-    found = []
-    plant = [effect for effect in effects if effect.balance in ("force", "flow")] or list(effects)
-    for name, first in before.items():
-        if name not in after or not effects:
-            continue
-        then = after[name].value
-        change = first.value - then
-        if abs(change) < NOTABLE * abs(then) or abs(change) < 3.0 * after[name].stddev:
-            continue
-        cause = " and ".join(f"{effect.size} of {effect_words(effect.name)}".strip()
-                             for effect in plant[:3])
-        read = f"{HEALTH_WORDS[name]} read {quantity(first.value, first.unit, 3)}"
-        sense = "not wear" if name == "B" else "not the fluid"
-        if change > 0:
-            found.append(f"{read}; {quantity(change, first.unit, 3)} of it is {cause}, {sense}")
-        else:
-            found.append(f"{read}, {quantity(-change, first.unit, 3)} too little, because of "
-                         f"{cause}")
-    return tuple(found)
-
-
