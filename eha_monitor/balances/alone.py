@@ -89,21 +89,21 @@ class Alone:
         return {name.term: name.value for name in self.names}
 
 
-def alone(table: Table, policy: Policy, load_varied: bool = False, without: Sequence[str] = (),
+def alone(table: Table, policy: Policy, varied: Sequence[str] = (), without: Sequence[str] = (),
           seed: int = 0) -> Alone:
     """Return what one balance of one recording says, or of two that are pooled."""
-    return _Choice(table, policy, load_varied, without, seed).answer()
+    return _Choice(table, policy, varied, without, seed).answer()
 
 
 class _Choice:
     """Halves of a table, and what sets of terms leave of them."""
 
-    def __init__(self, table: Table, policy: Policy, load_varied: bool, without: Sequence[str],
+    def __init__(self, table: Table, policy: Policy, varied: Sequence[str], without: Sequence[str],
                  seed: int):
         self.table, self.policy = table, policy
         self.of = {one.name: one for one in table.candidates}
         self.always = [one.name for one in table.candidates if one.always]
-        self.allowed = [one for one in allowed_of(table.candidates, load_varied, without)
+        self.allowed = [one for one in allowed_of(table.candidates, varied, without)
                         if one in self.always or not self.beyond([*self.always, one])]
         rng, count, self.halves = np.random.default_rng(seed), len(table.blocks), []
         for _ in range(policy.halves):

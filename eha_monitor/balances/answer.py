@@ -74,11 +74,11 @@ def answered(recordings: Sequence[Recording], settings: Settings, asked: Asked =
         own = () if candidate is None else (candidate,)
         untestable = () if own else (untested(asked.hypothesis),)
     if len(courses) >= policy.fewest:
-        machine = machine_from(courses, rig, "load" in asked.vary, asked.without, policy)
+        machine = machine_from(courses, rig, asked.vary, asked.without, policy)
         models = [of_machine(one, courses, rig, machine.scale, policy)
                   for one in machine.balances]
     else:
-        varied = len(courses) > 1 and ("load" in asked.vary or pressure_varied(courses, policy))
+        varied = (*asked.vary, *(("pressure",) if pressure_varied(courses, policy) else ()))
         models = [of_recordings(courses, rig, scale, balance, policy, (varied, asked.without),
                                 tuple(c for c in own if c.balance == balance))
                   for balance in balances_in(courses, rig)]
@@ -204,7 +204,8 @@ def _effect(name: str, terms: Sequence[Term], model: Model, rig: Rig) -> NamedEf
         said = "; ".join(_said(term) for term in terms)
     spread = [f"± {share(t.between / abs(t.value), 2)} between recordings" for t in terms
               if t.between and t.value]
-    rivals = tuple(dict.fromkeys(r for term in terms for r in term.rivals))
+    rivals = tuple(dict.fromkeys(r for term in terms for r in (
+        *term.rivals, *term.candidate.twins)))
     if name == "constant_load" and rig.area_1 and rig.area_2:
         rivals += tuple(r for r in FORCE_OF_SENSORS if r not in rivals)
     return NamedEffect(
@@ -274,7 +275,8 @@ def _said(term: Term) -> str:
 
 def size_of(terms: Sequence[Term], model: Model) -> str:
     """Return how much terms do at their largest, in words."""
-    made = np.concatenate([np.abs(one) for one in _made(terms, model)])
+    made = np.concatenate([np.abs(one[table.good]) for one, table in zip(
+        _made(terms, model), model.tables, strict=True)])
     return quantity(float(np.quantile(made, LARGEST)), SIDES[model.balance], 3)
 
 

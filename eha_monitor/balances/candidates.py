@@ -58,8 +58,10 @@ class Candidate:
     variant : one of several shapes of its effect; only one of them enters.
     limit : a larger parameter is no physics of this rig, but the error of another term.
     between : relative spread between recordings where it is not the policy's.
-    needs_load : a recording of one load cannot separate it from what it resembles.
+    needs : what must vary between recordings, ``load`` or ``pressure``, before it can be
+        separated from what it resembles; "" nothing.
     symbol, shape : the catalogue's parameter that it is, and those that its shape stands for.
+    twins : effects that are the same column to first order.
     odd : it changes its sign with the direction of motion.
     power : it grows with this power of the speed.
     """
@@ -75,11 +77,12 @@ class Candidate:
     setting: bool = False
     family: str = ""
     variant: bool = False
-    needs_load: bool = False
+    needs: str = ""
     limit: float = np.inf
     between: float | None = None
     symbol: str = ""
     shape: tuple[tuple[str, float], ...] = ()
+    twins: tuple[str, ...] = ()
     odd: bool = True
     power: float = 0.0
 
@@ -179,11 +182,20 @@ def candidates_of(balance: str, scale: Scale, rig: Rig) -> tuple[Candidate, ...]
             "drive": drive_candidates}[balance](scale, rig)
 
 
-def allowed_of(candidates: Sequence[Candidate], load_varied: bool, without: Sequence[str] = ()
-               ) -> list[str]:
-    """Return the names that a choice may take."""
+def allowed_of(candidates: Sequence[Candidate], varied: Sequence[str] = (),
+               without: Sequence[str] = ()) -> list[str]:
+    """Return the names that a choice may take.
+
+    Where the force is made of pressures a load alone moves both at once: friction that grows with
+    pressure and is bent as well would take up the load, unless the mean pressure was set.
+
+    Parameters
+    ----------
+    varied : what differs between the recordings: ``load``, ``pressure``.
+    """
+    met = {"", *varied, *(("load",) if "pressure" in varied else ())}
     return [one.name for one in candidates if one.always or (
-        (load_varied or not one.needs_load) and one.effect not in without)]
+        one.needs in met and one.effect not in without)]
 
 
 def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
@@ -204,7 +216,7 @@ def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             family="dry", variant=True, symbol="F_c", shape=(("v_e", standing),)),
         one("mu", "pressure_friction", "m²", "dry friction per sum of pressures", 1,
             lambda c, r: None if c.p1 is None else sum_of_pressures(c) * c.direction,
-            family="dry", variant=True, needs_load=True, symbol="mu",
+            family="dry", variant=True, needs="load", symbol="mu",
             shape=(("v_e", standing),)),
         one("F_v", "valve_direction", "N", "force in the direction of valve or pump", 0,
             lambda c, r: direction_of(c) if valves(c, r) else None),
@@ -226,12 +238,13 @@ def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
         found.append(one(
             f"mu_z{i}", "pressure_friction", "m²", "dry friction per sum of pressures, bent over "
             f"{far(share)}", 1, lambda c, r, d=share * scale.travel: None if c.p1 is None else
-            sum_of_pressures(c) * stop(c.x, d), family="dry", variant=True, needs_load=True,
+            sum_of_pressures(c) * stop(c.x, d), family="dry", variant=True, needs="pressure",
             symbol="mu", shape=(("z_0", share * scale.travel), ("v_e", 1e-3 * scale.speed))))
     for i, share in enumerate(SLACK, start=1):
         found.append(one(
             f"F_l{i}", "one_sided_load", "N", f"load while extending, met {far(share)} after a "
-            "turn", 0, lambda c, r, d=share * scale.travel: taken_up(c.x, d, d / 7.0),
+            "turn", 0, lambda c, r, d=share * scale.travel: None if c.omega is None else
+            taken_up(c.x, d, d / 7.0),
             setting=scale.turns, variant=True, odd=False))
     for i, share in enumerate(TURNS, start=1):
         found.append(one(
@@ -321,7 +334,7 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
         one("dD_p", "pump_loss_by_direction", "m³/rad", "further displacement where it retracts",
             0, lambda c, r: np.minimum(c.omega, 0.0), odd=False, power=1.0),
         one("C_h", "compliance", "m³/Pa", "compliance of a chamber", 1,
-            lambda c, r: -pressure_rate(c, r), always=True, family="compliance", power=1.0),
+            lambda c, r: -pressure_rate(c, r), family="compliance", power=1.0),
         one("alpha", "entrained_air", "1", "share of air, at atmospheric pressure", 1, _air,
             family="compliance", symbol="alpha", shape=(("n", AIR_EXPONENT),), power=1.0,
             limit=0.5),
@@ -356,11 +369,11 @@ def drive_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
 
     found = [
         one("tau", "drive_lag", "s", "time constant of the drive", 1,
-            lambda c, r: -np.gradient(c.omega, c.dt), family="late", symbol="tau", power=2.0,
-            limit=1.0),
-        one("T", "command_delay", "s", "delay of the command", 1,
-            lambda c, r: -np.gradient(c.wanted, c.dt), family="late", symbol="T", power=2.0,
-            limit=0.5),
+            lambda c, r: -np.gradient(c.omega, c.dt), variant=True, symbol="tau", power=2.0,
+            limit=1.0, twins=("command_delay",)),
+        one("tau_d", "drive_lag", "s", "time constant of the drive", 1,
+            lambda c, r: -np.gradient(c.wanted, c.dt), variant=True, symbol="tau", power=2.0,
+            limit=1.0, twins=("command_delay",)),
         one("k_d", "drive_gain", "1", "gain of the drive beyond the config's", 0,
             lambda c, r: c.wanted, symbol="k", power=1.0),
     ]

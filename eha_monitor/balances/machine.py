@@ -213,7 +213,7 @@ def machine_of(recordings: Sequence[Recording], settings: Settings, vary: Sequen
         raise InputError(f"expected at least {policy.fewest} recordings of one machine, got "
                          f"{len(recordings)}")
     courses = [course_of(recording, settings) for recording in recordings]
-    return machine_from(courses, settings.rig, "load" in vary, without, policy)
+    return machine_from(courses, settings.rig, vary, without, policy)
 
 
 def healthy_machine(recordings: Sequence[Recording], settings: Settings,
@@ -230,9 +230,9 @@ def healthy_machine(recordings: Sequence[Recording], settings: Settings,
     """
     courses = [course_of(recording, settings) for recording in recordings]
     if len(courses) >= policy.fewest:
-        return machine_from(courses, settings.rig, False, (), policy)
+        return machine_from(courses, settings.rig, (), (), policy)
     return machine_from([part for one in courses for part in _parts(
-        one, -(-PIECES // len(courses)))], settings.rig, False, (), policy, pieces=True)
+        one, -(-PIECES // len(courses)))], settings.rig, (), (), policy, pieces=True)
 
 
 def _parts(course: Course, count: int) -> list[Course]:
@@ -243,44 +243,54 @@ def _parts(course: Course, count: int) -> list[Course]:
             for i in range(count)]
 
 
-def machine_from(courses: Sequence[Course], rig: Rig, load_varied: bool, without: Sequence[str],
+def machine_from(courses: Sequence[Course], rig: Rig, vary: Sequence[str], without: Sequence[str],
                  policy: Policy, pieces: bool = False) -> Machine:
     """Return the machine that measured motions show.
 
     Parameters
     ----------
+    vary : what is known to differ between them.
     pieces : they are parts of few recordings, of one setting.
     """
     scale = Scale.of(courses)
     if pieces:
         scale = replace(scale, turns=False)
-    varied, found = load_varied or pressure_varied(courses, policy), []
+    varied, found = list(vary), []
+    if pressure_varied(courses, policy):
+        varied.append("pressure")
     for kind in balances_in(courses, rig):
         table = tables_of(courses, rig, kind, candidates_of(kind, scale, rig), policy)
         one = _balance(courses, table, scale, rig, (varied, without, pieces), policy)
-        if kind == "force" and not varied and any(
+        if kind == "force" and "load" not in varied and any(
                 s.varies and s.effect != "presliding_friction" for s in one.settings):
-            varied = True  # now friction that grows with pressure can be separated from load
+            varied.append("load")  # now friction that grows with pressure can be separated from load
             one = _balance(courses, table, scale, rig, (varied, without, pieces), policy)
         found.append(one)
     sources = tuple(Path(one.source).name or f"recording {i + 1}"
                     for i, one in enumerate(courses))
-    return Machine(rig.name, sources, scale, varied, pieces, tuple(found),
+    return Machine(rig.name, sources, scale, bool(varied), pieces, tuple(found),
                    _odd(sources, found, policy), policy)
 
 
 def pressure_varied(courses: Sequence[Course], policy: Policy) -> bool:
-    """Tell whether recordings differ in the mean pressure by more than it moves within one."""
+    """Tell whether the mean pressure was set otherwise in some recordings, whatever the force.
+
+    What of it goes with the force, which the pressures make, is no setting.
+    """
     if len(courses) < 2 or any(course.p1 is None for course in courses):
         return False
     sums = [sum_of_pressures(course)[course.good] for course in courses]
-    levels = np.array([np.median(one) for one in sums])
-    moves = float(np.median([np.std(one) for one in sums]))
-    return bool(np.ptp(levels) > max(policy.varied * moves, 0.2 * np.abs(levels).max()))
+    forces = [np.abs(course.force[course.good]) for course in courses]
+    slope = np.polyfit(np.concatenate(forces), np.concatenate(sums), 1)[0]
+    own = [one - slope * force for one, force in zip(sums, forces, strict=True)]
+    levels = np.array([np.median(one) for one in own])
+    moves = float(np.median([np.std(one) for one in own]))
+    largest = max(float(np.median(one)) for one in sums)
+    return bool(np.ptp(levels) > max(policy.varied * moves, 0.2 * largest))
 
 
 def _balance(courses: Sequence[Course], tables: list[Table], scale: Scale, rig: Rig,
-             how: tuple[bool, Sequence[str], bool], policy: Policy) -> MachineBalance:
+             how: tuple[Sequence[str], Sequence[str], bool], policy: Policy) -> MachineBalance:
     (varied, out, pieces), kind = how, tables[0].candidates[0].balance
     recordings = Recordings(tables)
     of, allowed = recordings.candidates, allowed_of(tables[0].candidates, varied, out)

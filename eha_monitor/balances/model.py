@@ -114,12 +114,12 @@ class Model:
 
 
 def of_recordings(courses: Sequence[Course], rig: Rig, scale: Scale, balance: str, policy: Policy,
-                  how: tuple[bool, Sequence[str]], more: tuple[Candidate, ...] = ()) -> Model:
+                  how: tuple[Sequence[str], Sequence[str]], more: tuple[Candidate, ...] = ()) -> Model:
     """Return the model of one balance of one recording, or of two.
 
     Parameters
     ----------
-    how : whether the load was varied; effects that are not considered.
+    how : what was varied; effects that are not considered.
     more : candidates beside the usual ones.
     """
     tables = tables_of(courses, rig, balance, (*candidates_of(balance, scale, rig), *more),
@@ -142,7 +142,7 @@ def of_recordings(courses: Sequence[Course], rig: Rig, scale: Scale, balance: st
 
 
 def _terms_alone(whole: Table, found: Alone, count: int, policy: Policy,
-                 how: tuple[bool, Sequence[str]]) -> tuple[Term, ...]:
+                 how: tuple[Sequence[str], Sequence[str]]) -> tuple[Term, ...]:
     """Return the terms of a pooled table; a setting's numbers as one term."""
     of = {one.name: one for one in whole.candidates}
     terms, loads = [], [name for name in found.names if of[name.term].always
@@ -175,7 +175,7 @@ def _left(table: Table, names: Sequence[str]) -> float:
 
 
 def _instead(table: Table, rest: Sequence[str], error: float, effect: str, policy: Policy,
-             how: tuple[bool, Sequence[str]]) -> tuple[str, ...]:
+             how: tuple[Sequence[str], Sequence[str]]) -> tuple[str, ...]:
     """Return the effects of which one, in place of what was left out, fits as well."""
     of = {one.name: one for one in table.candidates}
     there = {of[name].effect for name in rest}

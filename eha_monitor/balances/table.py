@@ -12,7 +12,7 @@ from eha_monitor.balances.least_squares import independent, minimum_norm, signed
 from eha_monitor.balances.policy import Policy
 from eha_monitor.settings.rig import Rig
 
-CANCELS = 2.0
+CANCELS, TOP = 2.0, 0.998  # quantile that is a column's largest value
 PARTS = 8  # of a short recording at least, so that some can be left out
 
 
@@ -93,9 +93,12 @@ class Table:
 
         A term that is larger than ``CANCELS`` times the whole left side only makes up for another.
         """
-        whole = np.sum((self.rows[self.good, 0] + self.known[self.good]) ** 2)
-        most = CANCELS * np.sqrt(whole / np.maximum(np.diag(self.gram), 1e-300))
-        limits = [np.inf if one.always else one.limit for one in self.candidates]
+        whole = np.quantile(np.abs(self.rows[self.good, 0] + self.known[self.good]), TOP)
+        most = CANCELS * whole / np.maximum(
+            np.quantile(np.abs(self.rows[self.good]), TOP, axis=0), 1e-300)
+        # A force beyond any that was measured is the tail of a law at speeds that were not.
+        limits = [min(one.limit, CANCELS * whole) if one.unit == "N" else one.limit
+                  for one in self.candidates]
         free = [one.always for one in self.candidates]
         return np.array([np.inf, *np.where(free, np.inf, np.minimum(limits, most[1:]))])
 

@@ -171,7 +171,7 @@ class Recordings:
             steps.append(best[:3])
             errors = best[3]
             names, errors = self._pruned(names, errors, policy)
-            names, errors = self._reshaped(names, errors)
+            names, errors = self._reshaped(names, errors, allowed)
         return Chosen(tuple(names), errors, tuple(steps),
                       self._named(names, errors, allowed, policy))
 
@@ -229,14 +229,16 @@ class Recordings:
                 return names, errors
             names, errors = worst[1:]
 
-    def _reshaped(self, names: list[str], errors: np.ndarray) -> tuple[list[str], np.ndarray]:
+    def _reshaped(self, names: list[str], errors: np.ndarray, allowed: list[str]
+                  ) -> tuple[list[str], np.ndarray]:
         """Move each shape to the variant that fits best beside the other terms."""
         for i, name in enumerate(names):
             one = self.candidates[name]
             if not one.variant:
                 continue
             for other in self.candidates.values():
-                if other.effect == one.effect and other.name != names[i]:
+                if (other.effect == one.effect and other.name != names[i]
+                        and other.name in allowed):
                     trial = [*names[:i], other.name, *names[i + 1 :]]
                     found = self.errors(trial)
                     if np.log(found).mean() < np.log(errors).mean() - 1e-9:
