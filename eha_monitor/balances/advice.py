@@ -33,15 +33,17 @@ def advice_of(models: Sequence[Model], rig: Rig, policy: Policy, machine: Machin
     for model in models:
         for words, by in narrowed(model).items():
             for term, factor in by[:2]:
-                much = "determine" if factor > FAR else "narrow"
-                found.append((factor, f"a recording {words} would {much} the {term.candidate.words}"
-                              + ("" if factor > FAR else f" by about {number(factor, 2)}")))
+                what = term.candidate.words
+                found.append((factor, f"a recording {words} would " + (
+                    f"determine the {what}" if factor > FAR else
+                    f"narrow the {what} by about {number(factor, 2)} times")))
     said = [text for _, text in sorted(found, key=lambda one: -one[0])][:3]
     named = {t.candidate.effect: t for model in models for t in model.named}
     for name, term in named.items():
         if term.rivals:
-            said.append(f"{effect_words(name)} and {listed([effect_words(r) for r in term.rivals])}"
-                        " are indistinguishable in these recordings")
+            others = listed([effect_words(r) for r in term.rivals], "or")
+            said.append(f"{effect_words(name)} is indistinguishable from {others} in these "
+                        "recordings")
     varied = machine.load_varied if machine is not None else False
     if not varied and any(t.candidate.family == "dry" for t in named.values()):
         said.append("vary the load between recordings: without it, friction that grows with "

@@ -24,21 +24,20 @@ def candidate_of(hypothesis: Hypothesis, rig: Rig) -> Candidate | None:
     start = {key: one.start for key, one in hypothesis.parameters.items()}
     for key, one in hypothesis.parameters.items():
         if start[key] and _linear(hypothesis, start, key):
-            size = start[key]
             return Candidate(
                 hypothesis.name, hypothesis.name, "force" if hypothesis.adds == "force"
                 else "flow", one.unit or "1", hypothesis.name.replace("_", " "),
                 1 if one.lower >= 0.0 else -1 if one.upper <= 0.0 else 0,
-                lambda c, r: _column(hypothesis, start, c, r) / size, symbol=key,
+                lambda c, r, key=key: _column(hypothesis, start, key, c, r), symbol=key,
                 limit=max(abs(one.lower), abs(one.upper)))
     return None
 
 
 def untested(hypothesis: Hypothesis) -> Considered:
     """Return why a hypothesis was not tested."""
-    return Considered(hypothesis.name, np.nan, (), "these recordings are judged by their balances, "
-                      "which test what is proportional to one of its parameters, on one recording "
-                      "or two")
+    return Considered(hypothesis.name, np.nan, (), "these recordings are judged by their "
+                      "balances, which test what is proportional to one of its parameters, on one "
+                      "recording or two")
 
 
 def _linear(hypothesis: Hypothesis, start: dict[str, float], key: str) -> bool:
@@ -62,10 +61,10 @@ def _made(hypothesis: Hypothesis, values: dict[str, float], track: np.ndarray, d
     return found
 
 
-def _column(hypothesis: Hypothesis, values: dict[str, float], course: Course, rig: Rig
+def _column(hypothesis: Hypothesis, values: dict[str, float], key: str, course: Course, rig: Rig
             ) -> np.ndarray | None:
-    """Return the term along a recording, in its balance, (m,)."""
-    c = _made(hypothesis, values, course.track(), course.dt)
+    """Return the term along a recording, in its balance, by a parameter of 1; (m,)."""
+    c = _made(hypothesis, values, course.track(), course.dt) / values[key]
     if hypothesis.adds == "force":
         return c[:, s.FORCE]
     if not has_flow(course, rig):

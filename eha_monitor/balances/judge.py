@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from eha_monitor import ties
+from eha_monitor.balances.alone import parameters_of
 from eha_monitor.balances.candidates import candidates_of
 from eha_monitor.balances.course import course_of
 from eha_monitor.balances.machine import Machine, MachineBalance
@@ -25,7 +26,7 @@ class Moved:
 
     Attributes
     ----------
-    name, effect, balance, words, unit : of its candidate.
+    name, effect, balance, words, unit, symbol : of its candidate.
     here, stddev : in the recording; ``machine``, ``spread`` over the machine's own.
     deviations : Student's t; ``limit`` beyond which it has changed.
     removed : by how much the change lowers the error, as a share of the signal.
@@ -45,6 +46,7 @@ class Moved:
     limit: float
     removed: float = 0.0
     rivals: tuple[str, ...] = ()
+    symbol: str = ""
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,7 @@ class JudgedBalance:
         changes, ``usual`` the largest of the machine's own recordings.
     changed : what has changed, the most important first; ``complete`` nothing else has.
     largest : the term that differs most, changed or not.
+    free : terms of the recording's own setting.
     """
 
     balance: str
@@ -70,6 +73,7 @@ class JudgedBalance:
     changed: tuple[Moved, ...]
     complete: bool
     largest: Moved | None
+    free: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -79,11 +83,13 @@ class Judged:
     Attributes
     ----------
     settings : the numbers of its setting, by name: (value, stddev).
+    values : each of the machine's parameters, as the recording has it, the same.
     """
 
     source: str
     balances: tuple[JudgedBalance, ...]
     settings: dict[str, tuple[float, float]] = field(default_factory=dict)
+    values: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def changed(self) -> tuple[Moved, ...]:
@@ -119,10 +125,10 @@ def judge(machine: Machine, recording: Recording, settings: Settings) -> Judged:
         If it has no force balance.
     """
     course, rig = course_of(recording, settings), settings.rig
-    found, own = [], {}
+    found, own, values = [], {}, {}
     for one in machine.balances:
         candidates = candidates_of(one.balance, machine.scale, rig)
-        if one.balance == "drive" and course.wanted is None or (
+        if (one.balance == "drive" and course.wanted is None) or (
                 one.balance == "flow" and course.omega is None):
             continue
         (table,) = tables_of([course], rig, one.balance, candidates, machine.policy)
@@ -134,7 +140,10 @@ def judge(machine: Machine, recording: Recording, settings: Settings) -> Judged:
         own |= {name: (float(v), float(d)) for name, v, d in zip(free, value, stddev,
                                                                  strict=True)}
         found.append(_judged(machine, one, table, held, free))
-    return Judged(recording.source, tuple(found), own)
+        fitted = [*held, *free]
+        values |= {name: row for name, *row in zip(fitted, *parameters_of(table, fitted),
+                                                   strict=True) if name in held}
+    return Judged(recording.source, tuple(found), own, values)
 
 
 def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str, float],
@@ -176,8 +185,8 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
         rivals = tuple(dict.fromkeys(
             other for j in equal[1:]
             if (other := table.candidates[of[left.names[j]]].effect) != effect))
-        changes.append((left.names[i], _moved(scatter, table, held, left, i, t[i], scatter.limit[i],
-                                              float(lower[i]), rivals)))
+        changes.append((left.names[i], _moved(scatter, table, held, left, i, t[i],
+                                              scatter.limit[i], float(lower[i]), rivals)))
         now[left.names[i]] = now.get(left.names[i], 0.0) + float(amount[i])
         left = left.moved(i, float(amount[i]))
 
@@ -187,7 +196,7 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
 
     return JudgedBalance(one.balance, table, held, now,
                          error(held), error(now), max(one.error),
-                         tuple(moved for _, moved in changes), complete, largest)
+                         tuple(moved for _, moved in changes), complete, largest, tuple(free))
 
 
 def _moved(scatter: Scatter, table: Table, held: dict[str, float], found: Amplitudes, i: int,
@@ -199,4 +208,4 @@ def _moved(scatter: Scatter, table: Table, held: dict[str, float], found: Amplit
     base = held.get(name, 0.0)
     return Moved(name, c.effect, c.balance, c.words, c.unit, base + float(found.value[i]),
                  float(found.stddev[i]), base + scatter.mean[i], scatter.spread[i],
-                 float(t), limit, removed, rivals)
+                 float(t), limit, removed, rivals, c.symbol)

@@ -263,7 +263,7 @@ def machine_from(courses: Sequence[Course], rig: Rig, vary: Sequence[str], witho
         one = _balance(courses, table, scale, rig, (varied, without, pieces), policy)
         if kind == "force" and "load" not in varied and any(
                 s.varies and s.effect != "presliding_friction" for s in one.settings):
-            varied.append("load")  # now friction that grows with pressure can be separated from load
+            varied.append("load")  # now friction that grows with pressure can be separated
             one = _balance(courses, table, scale, rig, (varied, without, pieces), policy)
         found.append(one)
     sources = tuple(Path(one.source).name or f"recording {i + 1}"

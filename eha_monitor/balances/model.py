@@ -114,7 +114,8 @@ class Model:
 
 
 def of_recordings(courses: Sequence[Course], rig: Rig, scale: Scale, balance: str, policy: Policy,
-                  how: tuple[Sequence[str], Sequence[str]], more: tuple[Candidate, ...] = ()) -> Model:
+                  how: tuple[Sequence[str], Sequence[str]], more: tuple[Candidate, ...] = ()
+                  ) -> Model:
     """Return the model of one balance of one recording, or of two.
 
     Parameters
@@ -231,7 +232,6 @@ def of_machine(one: MachineBalance, courses: Sequence[Course], rig: Rig, scale: 
 def on_held_out(model: Model, course: Course, rig: Rig, scale: Scale, policy: Policy) -> Model:
     """Return the model shown on another recording, whose load alone is fitted there."""
     (table,) = tables_of([course], rig, model.balance, tuple(model.tables[0].candidates), policy)
-    bare, _ = nominal_of(model.balance, rig)
     before = table.left({name: value for name, value, _ in model.nominal})
     free = [t.candidate.name for t in model.terms if t.candidate.setting]
     held = {t.candidate.name: t.value for t in model.terms

@@ -189,7 +189,7 @@ def tables_of(courses: Sequence[Course], rig: Rig, balance: str,
 
 
 def left_side(course: Course, rig: Rig, balance: str) -> np.ndarray:
-    """Return what a balance explains: the force, the flow that the piston takes, the pump speed."""
+    """Return what a balance explains: force, flow that the piston takes, pump speed; (m,)."""
     return {"force": lambda: course.force, "flow": lambda: rig.area_1 * course.v,
             "drive": lambda: course.omega}[balance]()
 

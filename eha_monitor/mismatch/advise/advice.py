@@ -33,12 +33,10 @@ from eha_monitor.mismatch.advise.tells import (
 )
 from eha_monitor.mismatch.advise.words import sentences
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
-from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
-from eha_monitor.mismatch.likelihood.gains import Unknowns
+from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.likelihood.information import Slope, Traces, free_slopes
-from eha_monitor.mismatch.name.base import limits_of, with_effect
+from eha_monitor.mismatch.name.base import with_effect
 from eha_monitor.mismatch.name.naming import Naming, name_effects
-from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
 from eha_monitor.quantity import quantity
@@ -48,17 +46,9 @@ from eha_monitor.settings.monitor import Settings
 COMMON = ("coulomb_friction", "quadratic_friction", "spring_load", "added_mass",
           "cross_port_leakage")  # what B and beta_e are most often mistaken for
 LEAST_MOTION = 20.0  # times the position's noise: less motion says nothing
-YIELDING = 300.0  # times the smallest unknowns, with which a filter follows a wrong model
 ATTEMPTS = 3  # motions that are put to a simulation
 MOST_QUESTIONS = 4
 Report = Callable[[str, float], None]
-
-
-def predicting(experiment: Experiment, fit: Fit) -> tuple[Experiment, Fit]:
-    """Return both as the filter takes them: a motion is judged by what its prediction shows."""
-    plain = replace(experiment, inverse=False)
-    unknowns = Unknowns(*(YIELDING * limits_of(plain)[0].as_array()))
-    return plain, settled(plain, with_unknowns(plain, fit, unknowns))
 
 
 def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
@@ -78,8 +68,6 @@ def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
     """
     say = report or (lambda text, share: None)
     say("computing what this recording identifies", 0.0)
-    if experiment.inverse:
-        experiment, fit = predicting(experiment, fit)
     limits = limits_for(experiment)
     if limits is not None:
         fit = looped(fit, limits)

@@ -159,8 +159,9 @@ def experiment_of(recordings: list[Recording], settings: Settings,
                       integration_steps(settings, mode, first.sample_time), used, sigma, theta,
                       active, tuple(parts), ranges, step, input_noise(mode, settings, levels),
                       spikes, wanted, circuit_drift(settings, mode, columns),
-                      by_pressures=mode == FORCED and settings.rig.area_1 is not None and "p1" in levels and "p2" in levels,
-                      held=is_held(mode, settings), windows=chosen is not None, without=without)
+                      by_pressures=mode == FORCED and settings.rig.area_1 is not None
+                      and "p1" in levels and "p2" in levels, held=is_held(mode, settings),
+                      windows=chosen is not None, without=without)
 
 
 def is_held(mode: int, settings: Settings) -> bool:

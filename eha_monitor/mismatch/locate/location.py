@@ -64,11 +64,6 @@ def parts_of(experiment: Experiment, term: Missing) -> list[places.Part]:
             experiment.stretches, term.tracks, term.measured, modelled, strict=True)]
 
 
-def told_location(experiment: Experiment, term: Missing) -> Location:
-    """Return where a model's own term acts: all of the disagreement is in its balance."""
-    return located(experiment, {name: float(name == term.balance) for name in BALANCES}, term)
-
-
 def located(experiment: Experiment, shares: dict[str, float], term: Missing) -> Location:
     """Return where a missing term is worst, beside the shares of the balances."""
     parts = parts_of(experiment, term)

@@ -16,7 +16,6 @@ from eha_monitor.filters.along import contributions_along
 from eha_monitor.mismatch.data.experiment import Experiment, Stretch
 from eha_monitor.mismatch.diagnosis import Gate
 from eha_monitor.mismatch.likelihood.along import signals_along
-from eha_monitor.mismatch.likelihood.equation_error import motion_of
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, filtered
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import new_memory
@@ -102,8 +101,7 @@ def _signs(experiment: Experiment, fit: Fit) -> Iterator[Gate]:
     if not any(laws.values()):
         return
     tracks = [_track(experiment, fit, stretch) for stretch in experiment.stretches]
-    dt = motion_of(experiment, experiment.stretches[0]).dt if experiment.inverse else (
-        experiment.dt)
+    dt = experiment.dt
     whole = np.concatenate(tracks)
     fastest = np.abs(whole[:, s.V]).max()
     for name in laws["motion"]:
@@ -163,8 +161,6 @@ def _surely_negative(fit: Fit, rows: Callable[[np.ndarray], np.ndarray],
 
 def _track(experiment: Experiment, fit: Fit, stretch: Stretch) -> np.ndarray:
     """Return the signals along a stretch, (n, N_SIGNALS)."""
-    if experiment.inverse:
-        return motion_of(experiment, stretch).track
     return signals_along(experiment, stretch, filtered(
         experiment, stretch, fit.theta, fit.active, fit.gains, states=True)[1])
 

@@ -42,8 +42,6 @@ def possible(name: str, experiment: Experiment) -> bool:
     effect = CATALOGUE[name]
     if name in experiment.without:
         return False
-    if experiment.inverse and (effect.balance == "sensor" or name in UNSEEN):
-        return False
     if name == "pressure_friction" and not any(
             np.ptp(stretch.p1) + np.ptp(stretch.p2) > 0.0 for stretch in experiment.stretches) \
             and experiment.mode == FORCED:
@@ -72,9 +70,6 @@ def starts_of(name: str, experiment: Experiment) -> list[Start]:
             value = given.get(p.name, p.default if p.default is not None else p.neutral)
             if np.isfinite(value):  # a limit that is not there stays at infinity
                 value = min(max(value, p.lower), p.upper)
-            if experiment.inverse and p.name == "dB":
-                # Ramps at one speed cannot tell it from dF, and friction would push one way.
-                value = p.neutral
             values.append((p.name, float(value)))
         found.append(Start(name, tuple(values), among=len(places)))
     return found
