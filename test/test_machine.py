@@ -71,15 +71,17 @@ def test_reduced_products_are_those_of_the_residuals():
 def test_errors_of_recordings_left_out_are_those_of_separate_fits(recordings, settings):
     courses = [course_of(one, settings) for one in recordings]
     candidates = tuple(c for c in candidates_of("force", Scale.of(courses), settings.rig)
-                       if c.name in ("B", "F_c"))
+                       if c.name in ("B", "F_0", "F_c"))
     tables = tables_of(courses, settings.rig, "force", candidates, POLICY)
     found = Recordings(tables).errors(["B", "F_c"])
     for i, table in enumerate(tables):
-        others = [(t.rows[t.good] * np.sqrt(t.weight)) for j, t in enumerate(tables) if j != i]
+        used = [0, table.places["B"], table.places["F_c"]]
+        others = [(t.rows[t.good][:, used] * np.sqrt(t.weight))
+                  for j, t in enumerate(tables) if j != i]
         stacked = np.concatenate(others)
         w = np.linalg.lstsq(stacked[:, 1:], stacked[:, 0], rcond=None)[0]
-        mine = table.rows[table.good]
-        expected = np.sqrt(np.mean((mine[:, 0] - mine[:, 1:] @ w) ** 2)) / np.std(mine[:, 0])
+        mine = table.rows[table.good][:, used]
+        expected = np.sqrt(np.mean((mine[:, 0] - mine[:, 1:] @ w) ** 2)) / table.size
         assert found[i] == pytest.approx(expected, rel=1e-6)
 
 
@@ -129,7 +131,9 @@ def test_the_next_recording_is_judged(machine, settings, tmp_path):
     worn = stranger(21, dry=260.0, rise=0.0, damping=(1500.0, 1500.0), seconds=16.0)
     found = judge(kept, worn, settings)
     assert not found.belongs
+    assert found.changed[0].effect in ("coulomb_friction", "presliding_friction")
     assert found.changed[0].here == pytest.approx(260.0, rel=0.03)
+    assert found.explained and found.balances[0].after < 0.5 * found.balances[0].error
 
 
 def test_bad_machines_are_refused_in_one_line(recordings, settings, tmp_path):

@@ -76,10 +76,10 @@ def advise(recordings: Several, config: Config | str | os.PathLike | dict | None
         load_runtime()
         read = recordings_of(given, config, "recordings")
         channels = checked(read, config.settings)
-        naming, found = run(read, config.settings, bool(check), lambda text, share: say(
+        named, found = run(read, config.settings, bool(check), lambda text, share: say(
             text, READING + (1 - READING) * share))
         say("advised", 1.0)
-    return Advice(found, config, tuple(one.source for one in read), naming.after.named, channels)
+    return Advice(found, config, tuple(one.source for one in read), named, channels)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

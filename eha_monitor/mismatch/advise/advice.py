@@ -8,6 +8,7 @@ import numpy as np
 from eha_monitor.breakdown import computing
 from eha_monitor.errors import InputError
 from eha_monitor.filters.hold_choice import resolved
+from eha_monitor.mismatch.advise.by_balances import advised_by_balances
 from eha_monitor.mismatch.advise.motions import Limits, Motion, limits_for, looped
 from eha_monitor.mismatch.advise.separate import (
     DECISIVE,
@@ -32,7 +33,7 @@ from eha_monitor.mismatch.advise.tells import (
     named_directions,
 )
 from eha_monitor.mismatch.advise.words import sentences
-from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
+from eha_monitor.mismatch.data.experiment import Experiment, by_balances, experiment_of
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.likelihood.information import Slope, Traces, free_slopes
 from eha_monitor.mismatch.name.base import with_effect
@@ -193,7 +194,7 @@ def small_timing(name: str, fit: Fit) -> bool:
 
 
 def advise(recordings: list[Recording], settings: Settings, check: bool = True,
-           report: Report | None = None) -> tuple[Naming, Advice]:
+           report: Report | None = None) -> tuple[tuple[str, ...], Advice]:
     """Name what recordings of one rig support, and say what they leave open.
 
     Parameters
@@ -209,11 +210,13 @@ def advise(recordings: list[Recording], settings: Settings, check: bool = True,
         break the calculation.
     """
     with computing(*(recording.source for recording in recordings)):
+        if by_balances(recordings, settings):
+            return advised_by_balances(recordings, settings)
         return _advised(recordings, settings, check, report or (lambda text, share: None))
 
 
 def _advised(recordings: list[Recording], settings: Settings, check: bool, say: Report
-             ) -> tuple[Naming, Advice]:
+             ) -> tuple[tuple[str, ...], Advice]:
     settings, _ = resolved(recordings, settings)
     experiment = experiment_of(recordings, settings, hold_out=False)
     moved = experiment.ranges.position
@@ -225,7 +228,7 @@ def _advised(recordings: list[Recording], settings: Settings, check: bool, say: 
     naming = name_effects(experiment, lambda text, share: say(text, 0.6 * share))
     found = advice(experiment, naming.after, naming.rivals, rival_fits(naming), check,
                    report=lambda text, share: say(text, 0.6 + 0.4 * share))
-    return naming, found
+    return naming.after.named, found
 
 
 def rival_fits(naming: Naming) -> dict[str, Fit]:

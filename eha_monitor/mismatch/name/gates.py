@@ -39,14 +39,17 @@ def at_bound(f: Free, value: float) -> bool:
 def allowed_end(fit: Fit, f: Free, value: float) -> bool:
     """Tell whether a parameter may stand at the end of its range.
 
-    A shape may where it only stops to matter (a presliding of no length); one size of several may
-    be absent (one chamber leaks, the other does not), unless a simpler effect is just that.
+    A shape may where it only stops to matter (a presliding of no length), and a share of two laws
+    where it is all of the other one (w, h = 1).  One size of several may be absent (one chamber
+    leaks, the other does not), unless a simpler effect is just that.
     """
     effect, _, symbol = f.name.partition(".")
     entry = CATALOGUE.get(effect)
     own = next((p for p in entry.parameters if p.name == symbol), None) if entry else None
-    if own is None or f.inward(value) >= f.inward(f.upper) - AT_BOUND * f.spread:
+    if own is None:
         return False
+    if f.inward(value) >= f.inward(f.upper) - AT_BOUND * f.spread:
+        return own.default is not None and not own.unit and (own.lower, own.upper) == (0.0, 1.0)
     if own.default is not None:
         return own.lower == 0.0
     places = [other.place for other in fit.free if other.name.partition(".")[0] == effect
