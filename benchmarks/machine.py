@@ -55,12 +55,12 @@ def alone_on_both_days(courses: dict, settings, amplitude: int) -> dict:
         found = []
         for day in DAYS:
             course = courses[day, load, amplitude]
-            candidates = candidates_of(kind, Scale.of([course]), settings.rig)
+            candidates = candidates_of(kind, Scale.of([course]), settings.rig, ())
             (table,) = tables_of([course], settings.rig, kind, candidates, POLICY)
             of = {one.name: one for one in table.candidates}
             names = alone(table, POLICY).names
             found.append({of[one.term].family or one.effect: (one, of[one.term])
-                          for one in names if not of[one.term].always} | {
+                          for one in names if one.named} | {
                           one.term: (one, of[one.term]) for one in names if of[one.term].always})
         same.append(set(found[0]) == set(found[1]))
         exact.append({one.effect for one, _ in found[0].values()}

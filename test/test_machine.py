@@ -159,7 +159,7 @@ def test_what_repeats_is_learned_and_noise_is_not():
 def test_one_recording_alone(recordings, settings):
     course = course_of(recordings[0], settings)
     (table,) = tables_of([course], settings.rig, "force", candidates_of(
-        "force", Scale.of([course]), settings.rig), POLICY)
+        "force", Scale.of([course]), settings.rig, ()), POLICY)
     found = alone(table, POLICY)
     dry = [name for name in found.names if name.effect in (
         "coulomb_friction", "presliding_friction")]

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.balances.candidates import Candidate, allowed_of
+from eha_monitor.balances.candidates import Candidate
 from eha_monitor.balances.least_squares import inverse_of, signed_solution
 from eha_monitor.balances.policy import Policy
 from eha_monitor.balances.table import Table
@@ -89,21 +89,19 @@ class Alone:
         return {name.term: name.value for name in self.names}
 
 
-def alone(table: Table, policy: Policy, varied: Sequence[str] = (), without: Sequence[str] = (),
-          seed: int = 0) -> Alone:
+def alone(table: Table, policy: Policy, seed: int = 0) -> Alone:
     """Return what one balance of one recording says, or of two that are pooled."""
-    return _Choice(table, policy, varied, without, seed).answer()
+    return _Choice(table, policy, seed).answer()
 
 
 class _Choice:
     """Halves of a table, and what sets of terms leave of them."""
 
-    def __init__(self, table: Table, policy: Policy, varied: Sequence[str], without: Sequence[str],
-                 seed: int):
+    def __init__(self, table: Table, policy: Policy, seed: int):
         self.table, self.policy = table, policy
         self.of = {one.name: one for one in table.candidates}
         self.always = [one.name for one in table.candidates if one.always]
-        self.allowed = [one for one in allowed_of(table.candidates, varied, without)
+        self.allowed = [one for one in self.of
                         if one in self.always or not self.beyond([*self.always, one])]
         rng, count, self.halves = np.random.default_rng(seed), len(table.blocks), []
         for _ in range(policy.halves):

@@ -176,26 +176,25 @@ def balances_in(courses: Sequence[Course], rig: Rig) -> tuple[str, ...]:
     return tuple(found)
 
 
-def candidates_of(balance: str, scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
-    """Return what a balance may hold."""
-    return {"force": force_candidates, "flow": flow_candidates,
-            "drive": drive_candidates}[balance](scale, rig)
-
-
-def allowed_of(candidates: Sequence[Candidate], varied: Sequence[str] = (),
-               without: Sequence[str] = ()) -> list[str]:
-    """Return the names that a choice may take.
+def candidates_of(balance: str, scale: Scale, rig: Rig, varied: Sequence[str] | None = None,
+                  without: Sequence[str] = ()) -> tuple[Candidate, ...]:
+    """Return what a balance may hold.
 
     Where the force is made of pressures a load alone moves both at once: friction that grows with
     pressure and is bent as well would take up the load, unless the mean pressure was set.
 
     Parameters
     ----------
-    varied : what differs between the recordings: ``load``, ``pressure``.
+    varied : what differs between the recordings: ``load``, ``pressure``; None for all candidates.
+    without : effects that are not considered.
     """
+    found = {"force": force_candidates, "flow": flow_candidates,
+             "drive": drive_candidates}[balance](scale, rig)
+    if varied is None:
+        return found
     met = {"", *varied, *(("load",) if "pressure" in varied else ())}
-    return [one.name for one in candidates if one.always or (
-        one.needs in met and one.effect not in without)]
+    return tuple(one for one in found if one.always or (
+        one.needs in met and one.effect not in without))
 
 
 def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:

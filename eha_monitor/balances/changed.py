@@ -163,9 +163,11 @@ def _health(machine: Machine, judged: Sequence[Judged], rig: Rig, before: bool
                 rows = [each.values[p.name] for each in judged if p.name in each.values]
                 value, stddev = (float(np.mean([row[i] for row in rows])) for i in (0, 1)
                                  ) if rows else (value, stddev)
+            if not stddev < value:  # these recordings do not determine it
+                continue
             if p.name == "B":
                 found["B"] = Value(value, stddev, "N·s/m")
-            elif rig.volume_1 and value > 0.0:
+            elif rig.volume_1:
                 found["beta_e"] = Value(rig.volume_1 / value, rig.volume_1 * stddev / value**2,
                                         "Pa")
     return found

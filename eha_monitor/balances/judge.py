@@ -127,7 +127,8 @@ def judge(machine: Machine, recording: Recording, settings: Settings) -> Judged:
     course, rig = course_of(recording, settings), settings.rig
     found, own, values = [], {}, {}
     for one in machine.balances:
-        candidates = candidates_of(one.balance, machine.scale, rig)
+        candidates = tuple(c for c in candidates_of(one.balance, machine.scale, rig)
+                           if c.name in {*one.terms, *one.scatter.names})
         if (one.balance == "drive" and course.wanted is None) or (
                 one.balance == "flow" and course.omega is None):
             continue

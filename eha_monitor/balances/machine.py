@@ -10,7 +10,6 @@ import numpy as np
 from eha_monitor.balances.alone import FIRST_VIEW, Refused
 from eha_monitor.balances.candidates import (
     Scale,
-    allowed_of,
     balances_in,
     candidates_of,
     sum_of_pressures,
@@ -259,12 +258,11 @@ def machine_from(courses: Sequence[Course], rig: Rig, vary: Sequence[str], witho
     if pressure_varied(courses, policy):
         varied.append("pressure")
     for kind in balances_in(courses, rig):
-        table = tables_of(courses, rig, kind, candidates_of(kind, scale, rig), policy)
-        one = _balance(courses, table, scale, rig, (varied, without, pieces), policy)
+        one = _balance(kind, courses, scale, rig, (varied, without, pieces), policy)
         if kind == "force" and "load" not in varied and any(
                 s.varies and s.effect != "presliding_friction" for s in one.settings):
             varied.append("load")  # now friction that grows with pressure can be separated
-            one = _balance(courses, table, scale, rig, (varied, without, pieces), policy)
+            one = _balance(kind, courses, scale, rig, (varied, without, pieces), policy)
         found.append(one)
     sources = tuple(Path(one.source).name or f"recording {i + 1}"
                     for i, one in enumerate(courses))
@@ -281,7 +279,9 @@ def pressure_varied(courses: Sequence[Course], policy: Policy) -> bool:
         return False
     sums = [sum_of_pressures(course)[course.good] for course in courses]
     forces = [np.abs(course.force[course.good]) for course in courses]
-    slope = np.polyfit(np.concatenate(forces), np.concatenate(sums), 1)[0]
+    within = [[row - row.mean() for row in rows] for rows in (forces, sums)]
+    x, y = (np.concatenate(rows) for rows in within)
+    slope = float(x @ y) / max(float(x @ x), 1e-300)
     own = [one - slope * force for one, force in zip(sums, forces, strict=True)]
     levels = np.array([np.median(one) for one in own])
     moves = float(np.median([np.std(one) for one in own]))
@@ -289,11 +289,12 @@ def pressure_varied(courses: Sequence[Course], policy: Policy) -> bool:
     return bool(np.ptp(levels) > max(policy.varied * moves, 0.2 * largest))
 
 
-def _balance(courses: Sequence[Course], tables: list[Table], scale: Scale, rig: Rig,
+def _balance(kind: str, courses: Sequence[Course], scale: Scale, rig: Rig,
              how: tuple[Sequence[str], Sequence[str], bool], policy: Policy) -> MachineBalance:
-    (varied, out, pieces), kind = how, tables[0].candidates[0].balance
+    varied, out, pieces = how
+    tables = tables_of(courses, rig, kind, candidates_of(kind, scale, rig, varied, out), policy)
     recordings = Recordings(tables)
-    of, allowed = recordings.candidates, allowed_of(tables[0].candidates, varied, out)
+    of, allowed = recordings.candidates, [one.name for one in tables[0].candidates]
     chosen, refused = gated(recordings, recordings.choose(policy, allowed), kind, policy)
     fit = recordings.fit(chosen.names)
     between = fit.between

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import stdtr
 
 from eha_monitor.balances.alone import Alone, Refused, alone, parameters_of
-from eha_monitor.balances.candidates import Candidate, Scale, allowed_of, candidates_of
+from eha_monitor.balances.candidates import Candidate, Scale, candidates_of
 from eha_monitor.balances.course import Course
 from eha_monitor.balances.machine import MachineBalance, rms
 from eha_monitor.balances.policy import Policy
@@ -123,10 +123,10 @@ def of_recordings(courses: Sequence[Course], rig: Rig, scale: Scale, balance: st
     how : what was varied; effects that are not considered.
     more : candidates beside the usual ones.
     """
-    tables = tables_of(courses, rig, balance, (*candidates_of(balance, scale, rig), *more),
+    tables = tables_of(courses, rig, balance, (*candidates_of(balance, scale, rig, *how), *more),
                        policy)
     whole = pooled_table(tables)
-    found = alone(whole, policy, *how)
+    found = alone(whole, policy)
     names = [name.term for name in found.names]
     lengths = np.cumsum([len(table.rows) for table in tables])[:-1]
     bare, held = nominal_of(balance, rig)
@@ -136,14 +136,13 @@ def of_recordings(courses: Sequence[Course], rig: Rig, scale: Scale, balance: st
     model = Model(
         balance, tuple(tables), tuple({k: v for k, v in row.items() if v is not None}
                                       for row in weights),
-        _terms_alone(whole, found, len(tables), policy, how), found.refused,
+        _terms_alone(whole, found, len(tables), policy), found.refused,
         _nominal(whole, balance, rig), tuple(np.split(whole.crosswise(bare, held), lengths)),
         tuple(np.split(whole.crosswise(names), lengths)), tuple(tables), found.effective_samples)
     return _unseen_gate(model, policy)
 
 
-def _terms_alone(whole: Table, found: Alone, count: int, policy: Policy,
-                 how: tuple[Sequence[str], Sequence[str]]) -> tuple[Term, ...]:
+def _terms_alone(whole: Table, found: Alone, count: int, policy: Policy) -> tuple[Term, ...]:
     """Return the terms of a pooled table; a setting's numbers as one term."""
     of = {one.name: one for one in whole.candidates}
     terms, loads = [], [name for name in found.names if of[name.term].always
@@ -166,7 +165,7 @@ def _terms_alone(whole: Table, found: Alone, count: int, policy: Policy,
             replace(one, name="F_0"), float(np.mean(values)), stddev, 0.0,
             tuple(values) if count > 1 and len(loads) > 1 else (), policy.certain, 1.0,
             whole.effective * float(np.log(both[1] / both[0])), named,
-            _instead(whole, rest, both[0], "constant_load", policy, how) if named else ()))
+            _instead(whole, rest, both[0], "constant_load", policy) if named else ()))
     return tuple(terms)
 
 
@@ -175,13 +174,13 @@ def _left(table: Table, names: Sequence[str]) -> float:
     return max(table.rms(table.crosswise(names)), 1e-9)
 
 
-def _instead(table: Table, rest: Sequence[str], error: float, effect: str, policy: Policy,
-             how: tuple[Sequence[str], Sequence[str]]) -> tuple[str, ...]:
+def _instead(table: Table, rest: Sequence[str], error: float, effect: str, policy: Policy
+             ) -> tuple[str, ...]:
     """Return the effects of which one, in place of what was left out, fits as well."""
     of = {one.name: one for one in table.candidates}
     there = {of[name].effect for name in rest}
     return tuple(dict.fromkeys(
-        of[name].effect for name in allowed_of(table.candidates, *how)
+        of[name].effect for name in of
         if of[name].effect not in (effect, *there) and not of[name].always
         and _left(table, [*rest, name]) <= error * np.exp(policy.gain)))
 
@@ -189,7 +188,9 @@ def _instead(table: Table, rest: Sequence[str], error: float, effect: str, polic
 def of_machine(one: MachineBalance, courses: Sequence[Course], rig: Rig, scale: Scale,
                policy: Policy) -> Model:
     """Return the model of one balance that several recordings show."""
-    tables = tables_of(courses, rig, one.balance, candidates_of(one.balance, scale, rig), policy)
+    tables = tables_of(courses, rig, one.balance, [
+        c for c in candidates_of(one.balance, scale, rig)
+        if c.name in {*one.terms, *one.scatter.names}], policy)
     of = {c.name: c for c in tables[0].candidates}
     bare, held = nominal_of(one.balance, rig)
     plain = [replace(table, rows=np.column_stack([table.left(held), table.rows[:, 1:]]))

@@ -161,7 +161,7 @@ class Table:
 
 
 def tables_of(courses: Sequence[Course], rig: Rig, balance: str,
-              candidates: tuple[Candidate, ...], policy: Policy) -> list[Table]:
+              candidates: Sequence[Candidate], policy: Policy) -> list[Table]:
     """Return the tables of recordings; candidates that one of them has no channel for go."""
     columns = []
     for course in courses:
