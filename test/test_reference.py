@@ -159,7 +159,7 @@ def test_both_directions_tell_a_load_from_friction(strokes):
 
 def test_a_single_reference_is_refused_where_it_is_too_short(strokes):
     settings, _, healthy = strokes
-    with pytest.raises(InputError, match="at least 4 reference recordings"):
+    with pytest.raises(InputError, match="at least 3 reference recordings"):
         compared(healthy[:1], healthy[1:2], settings)
 
 

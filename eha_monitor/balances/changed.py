@@ -2,14 +2,13 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from eha_monitor.balances.answer import overlay_of, place_of, size_of
 from eha_monitor.balances.candidates import SIDES
 from eha_monitor.balances.course import Course, course_of
-from eha_monitor.balances.judge import Judged, Moved, judge
+from eha_monitor.balances.judge import Judged, JudgedBalance, Moved, judge
 from eha_monitor.balances.machine import Machine
 from eha_monitor.balances.model import Model, Term, of_judged
 from eha_monitor.mismatch.diagnosis import (
@@ -29,6 +28,7 @@ from eha_monitor.words import effect_words, listed
 
 FASTER = 1.2  # times the references' speed: beyond it nothing is known of the machine
 WHAT = {"B": "B", "C_h": "beta_e", "D_p": "pump_displacement"}
+EFFECTS = {"viscous_damping": "B", "compliance": "beta_e"}
 WORDS = {"B": "viscous damping B", "C_h": "the effective bulk modulus",
          "D_p": "the pump's displacement"}
 
@@ -36,8 +36,6 @@ WORDS = {"B": "viscous damping B", "C_h": "the effective bulk modulus",
 def against(machine: Machine, recordings: Sequence[Recording], settings: Settings,
             references: tuple[str, ...]) -> Diagnosis:
     """Return what has changed in recordings of a machine, or that nothing has.
-
-    Of several recordings the changes are those that most of them show.
 
     Parameters
     ----------
@@ -49,15 +47,12 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
         If one of them has no force balance.
     """
     started, rig = time.perf_counter(), settings.rig
-    judged = [judge(machine, recording, settings) for recording in recordings]
+    judged = judge(machine, recordings, settings)
     courses = [course_of(recording, settings) for recording in recordings]
-    moved = _most(judged)
-    loud = [one for each in judged for one in each.loud]
-    complete = sum(each.explained for each in judged) * 2 > len(judged)
-    verdict = ("mismatch" if moved and complete else "unexplained" if moved or len(
-        loud) * 2 > len(judged) else "consistent")
-    models = [_model(judged, i, [one for one in moved if one.balance == balance.balance])
-              for i, balance in enumerate(judged[0].balances)]
+    moved = judged.changed
+    verdict = ("consistent" if judged.belongs else "mismatch" if judged.explained
+               else "unexplained")
+    models = [_model(one) for one in judged.balances]
     changes = tuple(_change(one, machine, rig, references) for one in moved
                     ) if verdict == "mismatch" else ()
     effects = tuple(_effect(one, change, models) for one, change in zip(
@@ -70,7 +65,7 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
         where = Location(weights, where.regime, where.intervals_s)
     return Diagnosis(
         tuple(one.source for one in recordings), verdict,
-        _message(verdict, changes, judged, loud, references), where, effects,
+        _message(verdict, changes, judged, references), where, effects,
         _health(machine, judged, rig, before=True), _health(machine, judged, rig, before=False),
         "held_out", {one.balance: SignalFit(
             SIDES[one.balance], one.nominal_error * one.size, one.error * one.size, one.floor,
@@ -83,34 +78,17 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
         policy=machine.policy.to_dict(), wall_s=time.perf_counter() - started)
 
 
-def _most(judged: Sequence[Judged]) -> list[Moved]:
-    """Return the changes that most recordings show, each with the mean of its values."""
-    found: dict[tuple[str, str], list[Moved]] = {}
-    for each in judged:
-        for one in each.changed:
-            found.setdefault((one.balance, one.effect), []).append(one)
-    most = [rows for rows in found.values() if 2 * len(rows) > len(judged)]
-    return sorted((replace(rows[0], here=float(np.mean([one.here for one in rows])),
-                           stddev=float(np.sqrt(np.mean([one.stddev**2 for one in rows]))))
-                   for rows in most), key=lambda one: -one.removed)
-
-
-def _model(judged: Sequence[Judged], place: int, moved: Sequence[Moved]) -> Model:
+def _model(one: JudgedBalance) -> Model:
     """Return a balance of the recordings as a model: the machine before, the changes after."""
-    rows = [each.balances[place] for each in judged]
-    before, after = [], []
-    for one in rows:
-        left, now = of_judged([one.table], one.held, one.now, one.free)
-        before += left
-        after += now
-    tables = tuple(one.table for one in rows)
-    candidates = {c.name: c for c in tables[0].candidates}
-    terms = tuple(Term(candidates[one.name], one.here, one.stddev, named=True,
-                       rivals=one.rivals) for one in moved)
-    weights = tuple({name: one.now.get(name, 0.0) - one.held.get(name, 0.0) for name in one.now}
-                    for one in rows)
-    return Model(rows[0].balance, tables, weights, terms, (), (), tuple(before), tuple(after),
-                 tables, float(sum(table.effective for table in tables)))
+    free = [name for name in one.each[0].places if name in {
+        own.partition(" ")[0] for own in one.free}]
+    before, after = of_judged(one.each, one.held, one.now, free)
+    candidates = {c.name: c for c in one.each[0].candidates}
+    terms = tuple(Term(candidates[moved.name], moved.here, moved.stddev, named=True,
+                       rivals=moved.rivals) for moved in one.changed)
+    weights = {name: one.now.get(name, 0.0) - one.held.get(name, 0.0) for name in one.now}
+    return Model(one.balance, one.each, (weights,) * len(one.each), terms, (), (), tuple(before),
+                 tuple(after), one.each, float(sum(table.effective for table in one.each)))
 
 
 def _in_words(moved: Moved, rig: Rig) -> tuple[Value, Value, str]:
@@ -133,7 +111,8 @@ def _change(moved: Moved, machine: Machine, rig: Rig, references: tuple[str, ...
             else f"{len(references)} healthy recordings")
     return Change(what, symbol, moved.balance, healthy, now, unit, (
         f"{words} is {with_uncertainty(now.value, now.stddev, unit)}, where {runs} have "
-        f"{with_uncertainty(healthy.value, healthy.stddev, unit)}"), moved.rivals)
+        f"{with_uncertainty(healthy.value, healthy.stddev, unit)}"),
+        tuple(EFFECTS.get(one, one) for one in moved.rivals))
 
 
 def _effect(moved: Moved, change: Change, models: Sequence[Model]) -> NamedEffect:
@@ -150,7 +129,7 @@ def _effect(moved: Moved, change: Change, models: Sequence[Model]) -> NamedEffec
                        effective_samples=model.effective)
 
 
-def _health(machine: Machine, judged: Sequence[Judged], rig: Rig, before: bool
+def _health(machine: Machine, judged: Judged, rig: Rig, before: bool
             ) -> dict[str, Value]:
     """Return B and beta_e of the machine with their spread, or those of the recordings."""
     found = {}
@@ -160,9 +139,7 @@ def _health(machine: Machine, judged: Sequence[Judged], rig: Rig, before: bool
                 continue
             value, stddev = p.value, float(np.hypot(p.between, p.stddev))
             if not before:
-                rows = [each.values[p.name] for each in judged if p.name in each.values]
-                value, stddev = (float(np.mean([row[i] for row in rows])) for i in (0, 1)
-                                 ) if rows else (value, stddev)
+                value, stddev = judged.values.get(p.name, (value, stddev))
             if not stddev < value:  # these recordings do not determine it
                 continue
             if p.name == "B":
@@ -173,14 +150,13 @@ def _health(machine: Machine, judged: Sequence[Judged], rig: Rig, before: bool
     return found
 
 
-def _message(verdict: str, changes: Sequence[Change], judged: Sequence[Judged], loud: Sequence,
+def _message(verdict: str, changes: Sequence[Change], judged: Judged,
              references: tuple[str, ...]) -> str:
     """Return the answer in a sentence."""
     if changes:
         return "; ".join(one.statement for one in changes)
     if verdict == "consistent":
-        largest = max((one.largest for each in judged for one in each.balances
-                       if one.largest is not None),
+        largest = max((one.largest for one in judged.balances if one.largest is not None),
                       key=lambda one: abs(one.deviations) / one.limit, default=None)
         most = "" if largest is None else (
             f": the largest difference is {effect_words(largest.effect)}, by "
@@ -188,7 +164,7 @@ def _message(verdict: str, changes: Sequence[Change], judged: Sequence[Judged], 
             f"{number(largest.limit, 2)}")
         return f"nothing has changed from {len(references)} healthy recordings{most}"
     said = [f"{one.balance}: {share(one.error, 2)} of it unexplained, at most "
-            f"{share(one.usual, 2)} in the healthy recordings" for one in loud]
+            f"{share(one.usual, 2)} in the healthy recordings" for one in judged.loud]
     return "an effect that is not in the catalogue has changed" + (
         f"; {listed(said)}" if said else "")
 

@@ -1,16 +1,17 @@
 """The next recording of a machine: what of it has changed, in a fraction of a second."""
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.balances.alone import parameters_of
-from eha_monitor.balances.candidates import candidates_of
+from eha_monitor.balances.candidates import balances_in, candidates_of
 from eha_monitor.balances.course import course_of
 from eha_monitor.balances.machine import Machine, MachineBalance
 from eha_monitor.balances.scatter import Amplitudes, Scatter, amplitudes_of
-from eha_monitor.balances.table import Table, tables_of
+from eha_monitor.balances.table import Table, pooled_table, tables_of
 from eha_monitor.balances.together import setting_of, unseen
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
@@ -55,7 +56,8 @@ class JudgedBalance:
 
     Attributes
     ----------
-    table : its columns; ``held`` the machine's parameters, ``now`` those with the changes.
+    table : its columns, all recordings as one; ``each`` those of each.
+    held : the machine's parameters; ``now`` those with the changes.
     error : share of the signal that is left with the machine's parameters; ``after`` with the
         changes, ``usual`` the largest of the machine's own recordings.
     changed : what has changed, the most important first; ``complete`` nothing else has.
@@ -74,6 +76,7 @@ class JudgedBalance:
     complete: bool
     largest: Moved | None
     free: tuple[str, ...] = ()
+    each: tuple[Table, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -116,35 +119,36 @@ class Judged:
             for one in self.balances)
 
 
-def judge(machine: Machine, recording: Recording, settings: Settings) -> Judged:
-    """Judge a recording against a machine: in a fraction of a second, by its balances alone.
+def judge(machine: Machine, recordings: Sequence[Recording], settings: Settings) -> Judged:
+    """Judge recordings of one state against a machine: together, by their balances alone.
 
     Raises
     ------
     InputError
-        If it has no force balance.
+        If one of them has no force balance.
     """
-    course, rig = course_of(recording, settings), settings.rig
-    found, own, values = [], {}, {}
+    courses, rig = [course_of(one, settings) for one in recordings], settings.rig
+    found, own, values, there = [], {}, {}, balances_in(courses, rig)
     for one in machine.balances:
+        if one.balance not in there:
+            continue
         candidates = tuple(c for c in candidates_of(one.balance, machine.scale, rig)
                            if c.name in {*one.terms, *one.scatter.names})
-        if (one.balance == "drive" and course.wanted is None) or (
-                one.balance == "flow" and course.omega is None):
-            continue
-        (table,) = tables_of([course], rig, one.balance, candidates, machine.policy)
+        tables = tables_of(courses, rig, one.balance, candidates, machine.policy)
+        table = pooled_table(tables)
         held = {p.name: p.value for p in one.parameters if p.name in table.places}
-        free = [s.name for s in one.settings if s.name in table.places]
+        loads = {s.name for s in one.settings}
+        free = [name for name in table.places if name.partition(" ")[0] in loads]
         value, stddev = setting_of(table, [table.places[name] for name in held],
                                    [table.places[name] for name in free],
                                    np.array(list(held.values())))
         own |= {name: (float(v), float(d)) for name, v, d in zip(free, value, stddev,
                                                                  strict=True)}
-        found.append(_judged(machine, one, table, held, free))
+        found.append(replace(_judged(machine, one, table, held, free), each=tuple(tables)))
         fitted = [*held, *free]
         values |= {name: row for name, *row in zip(fitted, *parameters_of(table, fitted),
                                                    strict=True) if name in held}
-    return Judged(recording.source, tuple(found), own, values)
+    return Judged(", ".join(one.source for one in recordings), tuple(found), own, values)
 
 
 def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str, float],

@@ -28,6 +28,7 @@ from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
 SCHEMA = "eha_monitor/balances/1"
+SHORTEST_S = 1.0  # of a part
 PIECES = 8  # in which fewer recordings than a machine needs are cut, together
 LEAST = 0.25  # of the typical spread: a few others may agree by chance
 LEVELS = (0.05, 0.95)  # quantiles of the force that stand for the load in the flexible reference
@@ -225,11 +226,16 @@ def healthy_machine(recordings: Sequence[Recording], settings: Settings,
     Raises
     ------
     InputError
-        If a recording has no force balance.
+        If a recording has no force balance, or so few are too short to be cut.
     """
     courses = [course_of(recording, settings) for recording in recordings]
     if len(courses) >= policy.fewest:
         return machine_from(courses, settings.rig, (), (), policy)
+    seconds = sum(float(course.good.sum()) * course.dt for course in courses)
+    if seconds < PIECES * SHORTEST_S:
+        raise InputError(
+            f"{recordings[0].source}: expected at least {policy.fewest} reference recordings, or "
+            f"{PIECES * SHORTEST_S:g} s of motion in them to cut in parts, found {seconds:.1f} s")
     return machine_from([part for one in courses for part in _parts(
         one, -(-PIECES // len(courses)))], settings.rig, (), (), policy, pieces=True)
 
