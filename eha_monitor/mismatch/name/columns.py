@@ -241,13 +241,6 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
     return Columns(tuple(what), values, len(others) + 2, copies)
 
 
-def inserted(columns: Columns, what: Sequence[Column], values: np.ndarray) -> Columns:
-    """Return the columns of one block with more, (n, c, k), before those that are copies."""
-    first = len(columns.what) - len(columns.copies)
-    return replace(columns, what=(*columns.what[:first], *what, *columns.what[first:]),
-                   values=[np.concatenate([columns.values[0], values], axis=2)])
-
-
 def tame(column: np.ndarray, present: np.ndarray) -> bool:
     """Tell whether a column (n, c) is a number wherever something was measured."""
     return bool((np.abs(column[np.isfinite(present)]) < ASTRAY).all())

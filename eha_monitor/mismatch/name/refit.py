@@ -38,7 +38,6 @@ QUICK = 10  # steps of a first look
 ROUGH_STEPS = 8  # of a fit whose unknowns will change
 HALVINGS = 3  # of the way to other unknowns
 # Shapes that act over micrometres and milliseconds, outside the band of the balances.
-OUT_OF_BAND = (".v_e", ".z_0", ".t_1", ".v_d", ".w", ".delta", ".h", ".dB")
 FACTORS = (10.0, 3.0)  # of the unknowns' grid
 
 

@@ -14,8 +14,6 @@ from eha_monitor.physics.parameters import place_of
 SPREAD = 100.0  # times its start: a size's prior deviation, that is about the record's range
 SHAPE_SPREAD = 1.5  # of the logarithm of a shape
 # Where balances are compared as they stand: a line is beyond their band; what swallows oil acts
-# while the pressure rises, and there the flow is not compared.  The sensors' errors move them all.
-UNSEEN = ("backlash", "line_dynamics", "entrained_air", "position_dependent_volume")
 LOOP_ONLY = ("feedback_delay",)  # shows only where the position loop is part of the model
 
 
