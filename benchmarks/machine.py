@@ -20,24 +20,24 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import numpy as np
 import record
 
+from eha_monitor.balances.alone import alone
+from eha_monitor.balances.baseline import baseline
+from eha_monitor.balances.candidates import Scale, candidates_of
+from eha_monitor.balances.course import course_of
+from eha_monitor.balances.machine import Machine, machine_of, rms
+from eha_monitor.balances.policy import POLICY
+from eha_monitor.balances.table import tables_of
+from eha_monitor.balances.together import Recordings, unseen
 from eha_monitor.concealed.strangers.draw import draw_rig
 from eha_monitor.concealed.strangers.generate import record as recorded
 from eha_monitor.concealed.strangers.generate import truth_of
 from eha_monitor.errors import InputError
-from eha_monitor.machine.alone import alone
-from eha_monitor.machine.baseline import baseline
-from eha_monitor.machine.candidates import Scale, candidates_of
-from eha_monitor.machine.course import course_of
-from eha_monitor.machine.machine import Machine, machine_of, rms
-from eha_monitor.machine.policy import POLICY
-from eha_monitor.machine.table import tables_of
-from eha_monitor.machine.together import Recordings, unseen
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.settings import load_settings
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data" / "ivliev_eha_days"
-MEASURES = ("eha_monitor/machine", "benchmarks/machine.py")
+MEASURES = ("eha_monitor/balances", "benchmarks/machine.py")
 DAYS, LOADS = (18, 21), (1, 2, 3, 4, 5)
 KINDS = ("force", "flow")
 TRIAL = {"force": 0.104, "flow": 0.081}  # design/one_machine.md: boosted trees, same recordings
@@ -55,12 +55,12 @@ def alone_on_both_days(courses: dict, settings, amplitude: int) -> dict:
         found = []
         for day in DAYS:
             course = courses[day, load, amplitude]
-            candidates = candidates_of(kind, Scale.of([course]), settings.rig)
+            candidates = candidates_of(kind, Scale.of([course]), settings.rig, ())
             (table,) = tables_of([course], settings.rig, kind, candidates, POLICY)
             of = {one.name: one for one in table.candidates}
             names = alone(table, POLICY).names
             found.append({of[one.term].family or one.effect: (one, of[one.term])
-                          for one in names if not of[one.term].always} | {
+                          for one in names if one.named} | {
                           one.term: (one, of[one.term]) for one in names if of[one.term].always})
         same.append(set(found[0]) == set(found[1]))
         exact.append({one.effect for one, _ in found[0].values()}

@@ -15,17 +15,16 @@ import numpy as np
 import record
 from rich.progress import track
 
+from eha_monitor.balances.changed import against
+from eha_monitor.balances.machine import healthy_machine
 from eha_monitor.compiled import load_runtime
-from eha_monitor.mismatch.compare.changes import Comparison
-from eha_monitor.mismatch.compare.healthy import healthy_of
-from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.settings import load_settings
 
 ROOT = Path(__file__).parents[1]
 SHARE = 0.75  # of unit 5's strokes
-MEASURES = ("eha_monitor/mismatch", "eha_monitor/physics")
+MEASURES = ("eha_monitor/balances", "eha_monitor/physics")
 
 
 def main() -> None:
@@ -76,12 +75,10 @@ def main() -> None:
 def tried(strokes: dict, references: list[str], others: list[str], settings
           ) -> dict[str, tuple[bool, list[str]]]:
     """Return of each other stroke whether it is called changed, and what is named."""
-    healthy, found = healthy_of([strokes[name] for name in references], settings), {}
+    machine, found = healthy_machine([strokes[name] for name in references], settings), {}
     for name in others:
-        here = experiment_of([strokes[name]], settings, hold_out=False)
-        one = Comparison(healthy, healthy.experiment.only(here.stretches))
-        names = [one.what[i].owner for i in one.explained().places] if one.changed else []
-        found[name] = one.changed, names
+        answer = against(machine, [strokes[name]], settings, tuple(references))
+        found[name] = answer.verdict != "consistent", [one.what for one in answer.changes]
     return found
 
 

@@ -8,17 +8,17 @@ import pytest
 from machine_tools import stranger, stranger_settings
 from test_machine_baseline import read
 
+from eha_monitor.balances.alone import alone, probability_of
+from eha_monitor.balances.candidates import Scale, candidates_of, stop, taken_up
+from eha_monitor.balances.course import course_of
+from eha_monitor.balances.discrepancy import learned
+from eha_monitor.balances.judge import judge
+from eha_monitor.balances.machine import load, machine_of, save
+from eha_monitor.balances.policy import POLICY
+from eha_monitor.balances.table import tables_of
+from eha_monitor.balances.together import Recordings, gain, pooled, without
 from eha_monitor.commands.diagnose import diagnose as command
 from eha_monitor.errors import InputError
-from eha_monitor.machine.alone import alone, probability_of
-from eha_monitor.machine.candidates import Scale, candidates_of, stop, taken_up
-from eha_monitor.machine.course import course_of
-from eha_monitor.machine.discrepancy import learned
-from eha_monitor.machine.judge import judge
-from eha_monitor.machine.machine import load, machine_of, save
-from eha_monitor.machine.policy import POLICY
-from eha_monitor.machine.table import tables_of
-from eha_monitor.machine.together import Recordings, gain, pooled, without
 from eha_monitor.recordings.write import write_recording
 
 LOADS = (338.0, 120.0, 560.0, 250.0)
@@ -71,15 +71,17 @@ def test_reduced_products_are_those_of_the_residuals():
 def test_errors_of_recordings_left_out_are_those_of_separate_fits(recordings, settings):
     courses = [course_of(one, settings) for one in recordings]
     candidates = tuple(c for c in candidates_of("force", Scale.of(courses), settings.rig)
-                       if c.name in ("B", "F_c"))
+                       if c.name in ("B", "F_0", "F_c"))
     tables = tables_of(courses, settings.rig, "force", candidates, POLICY)
     found = Recordings(tables).errors(["B", "F_c"])
     for i, table in enumerate(tables):
-        others = [(t.rows[t.good] * np.sqrt(t.weight)) for j, t in enumerate(tables) if j != i]
+        used = [0, table.places["B"], table.places["F_c"]]
+        others = [(t.rows[t.good][:, used] * np.sqrt(t.weight))
+                  for j, t in enumerate(tables) if j != i]
         stacked = np.concatenate(others)
         w = np.linalg.lstsq(stacked[:, 1:], stacked[:, 0], rcond=None)[0]
-        mine = table.rows[table.good]
-        expected = np.sqrt(np.mean((mine[:, 0] - mine[:, 1:] @ w) ** 2)) / np.std(mine[:, 0])
+        mine = table.rows[table.good][:, used]
+        expected = np.sqrt(np.mean((mine[:, 0] - mine[:, 1:] @ w) ** 2)) / table.size
         assert found[i] == pytest.approx(expected, rel=1e-6)
 
 
@@ -124,18 +126,20 @@ def test_the_next_recording_is_judged(machine, settings, tmp_path):
     kept = load(tmp_path / "machine.json")
     assert kept == machine
     like = stranger(20, rise=0.0, damping=(1500.0, 1500.0), load=400.0, seconds=16.0)
-    judged = judge(kept, like, settings)
+    judged = judge(kept, [like], settings)
     assert judged.belongs and judged.settings["F_0"][0] == pytest.approx(400.0, abs=4.0)
     worn = stranger(21, dry=260.0, rise=0.0, damping=(1500.0, 1500.0), seconds=16.0)
-    found = judge(kept, worn, settings)
+    found = judge(kept, [worn], settings)
     assert not found.belongs
+    assert found.changed[0].effect in ("coulomb_friction", "presliding_friction")
     assert found.changed[0].here == pytest.approx(260.0, rel=0.03)
+    assert found.explained and found.balances[0].after < 0.5 * found.balances[0].error
 
 
 def test_bad_machines_are_refused_in_one_line(recordings, settings, tmp_path):
     with pytest.raises(InputError, match="at least 3 recordings"):
         machine_of(recordings[:2], settings)
-    for text in ("{", '{"schema": "other"}', "[]", '{"schema": "eha_monitor/machine/1"}'):
+    for text in ("{", '{"schema": "other"}', "[]", '{"schema": "eha_monitor/balances/1"}'):
         path = tmp_path / "bad.json"
         path.write_text(text)
         with pytest.raises(InputError, match="expected a machine"):
@@ -155,7 +159,7 @@ def test_what_repeats_is_learned_and_noise_is_not():
 def test_one_recording_alone(recordings, settings):
     course = course_of(recordings[0], settings)
     (table,) = tables_of([course], settings.rig, "force", candidates_of(
-        "force", Scale.of([course]), settings.rig), POLICY)
+        "force", Scale.of([course]), settings.rig, ()), POLICY)
     found = alone(table, POLICY)
     dry = [name for name in found.names if name.effect in (
         "coulomb_friction", "presliding_friction")]
@@ -174,7 +178,7 @@ def test_the_command_writes_and_reads_a_machine(recordings, settings, tmp_path, 
     bags = [str(write_recording(tmp_path / f"run_{i}", one, settings))
             for i, one in enumerate(recordings)]
     file, answer = tmp_path / "machine.json", tmp_path / "answer.json"
-    from eha_monitor.machine import machine as room
+    from eha_monitor.balances import machine as room
 
     save(room.machine_of(recordings, settings), file)
     done = CliRunner().invoke(command, [bags[1], "--config", str(config), "--machine", str(file),

@@ -8,8 +8,8 @@ import pytest
 from machine_tools import stranger, stranger_settings
 from scipy.optimize import lsq_linear
 
-from eha_monitor.machine.baseline import baseline
-from eha_monitor.machine.least_squares import independent, inverse_of, signed_solution
+from eha_monitor.balances.baseline import baseline
+from eha_monitor.balances.least_squares import independent, inverse_of, signed_solution
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import load_settings

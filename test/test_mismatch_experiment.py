@@ -14,8 +14,9 @@ from eha_monitor.concealed.cases import Case
 from eha_monitor.concealed.generate import nominal_config, recording_of
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.data.experiment import BURN_IN, experiment_of, present
-from eha_monitor.mismatch.data.inputs import CLOSED, FORCED, OPEN, course_of, cubics, filled
+from eha_monitor.mismatch.data.inputs import CLOSED, FORCED, OPEN, course_of, cubics
 from eha_monitor.physics import signals as s
+from eha_monitor.recordings.grid import filled
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.load import settings_from_tree
 

@@ -5,6 +5,7 @@ import pytest
 from mismatch_tools import fitted
 from scipy.linalg import solve_discrete_are
 
+from eha_monitor.balances.places import after_reversal
 from eha_monitor.mismatch.likelihood.fit import filtered, log_likelihood_of, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import CORRELATION, Unknowns, linear_of
 from eha_monitor.mismatch.likelihood.smooth import (
@@ -15,7 +16,6 @@ from eha_monitor.mismatch.likelihood.smooth import (
 )
 from eha_monitor.mismatch.locate.latent import larger_model, rival_innovations, rivals_of
 from eha_monitor.mismatch.locate.location import (
-    after_reversal,
     latent_curves,
     location_of,
     regime_of,

@@ -13,11 +13,9 @@ from eha_monitor.mismatch.likelihood.gains import Unknowns, expected_covariance
 from eha_monitor.mismatch.name.base import limits_of
 from eha_monitor.mismatch.name.columns import columns_at, runs_of
 from eha_monitor.mismatch.name.gram import (
-    balances_gram,
     evidences_at,
     grams_of,
     injected,
-    lasting,
     mapped,
     powers_at,
     under,
@@ -192,29 +190,3 @@ def test_what_was_not_measured_has_no_part_in_the_products():
     counted = np.isfinite(present[0])[experiment.stretches[0].counted].sum(axis=0)
     assert list(gram.counts) == list(counted)
     assert gram.counts.min() < 0.6 * gram.counts.max()
-
-
-# ---- balances as they stand --------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("memory", [0.0, 0.5, 0.9])
-def test_what_lasts_counts_less(memory):
-    """Of a first-order process of correlation rho, 1 + 2 sum rho^2k = (1 + rho^2)/(1 - rho^2)."""
-    rng = np.random.default_rng(3)
-    e = np.zeros(20000)
-    for k in range(1, len(e)):
-        e[k] = memory * e[k - 1] + rng.standard_normal()
-    wanted = (1.0 + memory**2) / (1.0 - memory**2)
-    assert lasting(e) == pytest.approx(wanted, rel=0.1)
-    assert lasting(e) >= 1.0
-
-
-def test_balances_are_weighed_by_what_is_left_of_them():
-    fit = fitted().before
-    rng = np.random.default_rng(0)
-    rows = rng.standard_normal((4000, 2, 3)) * np.array([3.0, 1e-6])[None, :, None]
-    rows[:1000, 1] = np.nan
-    gram = balances_gram(fit, rows)
-    assert gram.counts == pytest.approx([4000.0, 3000.0], rel=0.02)
-    assert gram.products[0, 0] == pytest.approx(gram.counts.sum(), rel=1e-9)
-    assert gram.logdet == pytest.approx(4000 * np.log(3.0) + 3000 * np.log(1e-6), rel=0.02)

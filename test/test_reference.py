@@ -13,11 +13,11 @@ from eha_monitor.errors import InputError
 from eha_monitor.mismatch.compare.compared import compared
 from eha_monitor.mismatch.compare.healthy import limit_of, own_over
 from eha_monitor.mismatch.compare.runs import Own, Run, posterior_of, reading_of
-from eha_monitor.mismatch.data.stops import between_stops
 from eha_monitor.mismatch.likelihood.fit import Free
 from eha_monitor.mismatch.name.columns import Column
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.importing import read_table
+from eha_monitor.recordings.stops import between_stops
 from eha_monitor.recordings.write import write_recording
 from eha_monitor.settings import load_settings
 from eha_monitor.settings.load import settings_from_tree
@@ -159,7 +159,7 @@ def test_both_directions_tell_a_load_from_friction(strokes):
 
 def test_a_single_reference_is_refused_where_it_is_too_short(strokes):
     settings, _, healthy = strokes
-    with pytest.raises(InputError, match="at least 4 reference recordings"):
+    with pytest.raises(InputError, match="at least 3 reference recordings"):
         compared(healthy[:1], healthy[1:2], settings)
 
 

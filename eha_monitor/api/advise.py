@@ -80,12 +80,12 @@ def advise(recordings: Several, config: Config | str | os.PathLike | dict | None
         read = recordings_of(given, config, "recordings")
         channels = checked(read, config.settings)
         with rig_motion(config.rig.motion):
-            naming, found = run(read, config.settings, bool(check), lambda text, share: say(
+            named, found = run(read, config.settings, bool(check), lambda text, share: say(
                 text, READING + (1 - READING) * share))
             found = in_units(found)
         say("advised", 1.0)
     return Advice(**vars(found), config=config, bags=tuple(one.source for one in read),
-                  named=naming.after.named, channels=channels)
+                  named=named, channels=channels)
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)

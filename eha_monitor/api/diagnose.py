@@ -1,7 +1,6 @@
 """``diagnose`` in Python: which physics the model left out, where, and the proof."""
 
 import os
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -23,17 +22,16 @@ from eha_monitor.api.read import (
 from eha_monitor.api.record import Record, chosen, frame_of
 from eha_monitor.api.recording import Recording
 from eha_monitor.archive.find import find_bags, is_archive
+from eha_monitor.balances.changed import against
+from eha_monitor.balances.machine import load
 from eha_monitor.compiled import load_runtime
 from eha_monitor.errors import InputError
 from eha_monitor.indicators.assemble import of_diagnosis
 from eha_monitor.indicators.indicator import Indicator
-from eha_monitor.machine.judge import judge
-from eha_monitor.machine.machine import load
 from eha_monitor.mismatch.compare.compared import compared
 from eha_monitor.mismatch.diagnose import diagnose as run
 from eha_monitor.mismatch.diagnosis import Change
 from eha_monitor.mismatch.diagnosis import Diagnosis as Found
-from eha_monitor.mismatch.show.machine import judged_diagnosis
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import SYMBOLS, in_units, rig_motion
 from eha_monitor.reports.diagnosis_words import probability, value_words
@@ -144,9 +142,7 @@ def diagnose(recordings: Several, config: Config | str | os.PathLike | dict | No
 
         with rig_motion(config.rig.motion):
             if known is not None:
-                started = time.perf_counter()
-                found = judged_diagnosis(judge(known, read[0], config.settings), known, read[0],
-                                         started)
+                found = against(known, read, config.settings, known.sources)
             elif references:
                 found = compared(read, references, config.settings, further)
             else:

@@ -68,6 +68,7 @@ def answer(found: Diagnosis) -> dict:
         "threshold": {"log_units": None, "calibrated": False},
         "explained": None,
         "gates": [asdict(gate) for gate in found.gates],
+        "policy": found.policy,
         "baseline": [one.to_dict() for one in found.baselines],
         "pieces": [{"bag": piece.bag, "start_s": piece.start_s, "stop_s": piece.stop_s,
                     "parameters": _values(piece.values)} for piece in found.pieces],
@@ -101,7 +102,8 @@ def _effect(effect: NamedEffect) -> dict:
             "parameters": _values(effect.parameters), "probability": effect.probability,
             "log_evidence": effect.log_evidence, "intervals_s": effect.intervals_s,
             "indistinguishable_from": effect.indistinguishable_from, "size": effect.size,
-            "equation": effect.equation, "rig_check": effect.rig_check}
+            "equation": effect.equation, "rig_check": effect.rig_check,
+            "effective_samples": effect.effective_samples, "stability": effect.stability}
 
 
 def _change(change: Change) -> dict:

@@ -7,9 +7,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from eha_monitor.balances.baseline import sentence as baseline_sentence
 from eha_monitor.commands.table import console, print_end, show_indicators, table
 from eha_monitor.indicators.indicator import Indicator
-from eha_monitor.machine.baseline import sentence as baseline_sentence
 from eha_monitor.mismatch.diagnosis import Diagnosis
 from eha_monitor.quantity import DIAGNOSED, SYMBOLS, number
 from eha_monitor.reports.diagnosis_words import (

@@ -8,15 +8,15 @@ from itertools import pairwise
 import numpy as np
 
 from eha_monitor import ties
+from eha_monitor.balances.answer import Asked, answered
+from eha_monitor.balances.baseline import Baseline, baseline
+from eha_monitor.balances.machine import Machine, machine_of
+from eha_monitor.balances.policy import POLICY
 from eha_monitor.breakdown import computing
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.hold_choice import other_hold, resolved
-from eha_monitor.machine.baseline import Baseline, baseline
-from eha_monitor.machine.machine import Machine, machine_of
-from eha_monitor.machine.policy import POLICY
 from eha_monitor.mismatch.advise import advice as advise
-from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
-from eha_monitor.mismatch.data.inputs import FORCED
+from eha_monitor.mismatch.data.experiment import Experiment, by_balances, experiment_of
 from eha_monitor.mismatch.diagnosis import (
     Considered,
     Diagnosis,
@@ -27,6 +27,7 @@ from eha_monitor.mismatch.diagnosis import (
     RigFinding,
     Value,
     Window,
+    health_sentences,
 )
 from eha_monitor.mismatch.learn.tested import Tested, supported, tested
 from eha_monitor.mismatch.learn.told import Told, told_of, tracks_of
@@ -39,15 +40,12 @@ from eha_monitor.mismatch.name.naming import Naming, beyond_form, name_effects
 from eha_monitor.mismatch.name.nominal import nominal
 from eha_monitor.mismatch.name.telling import on_all_of, telling
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT
-from eha_monitor.mismatch.show import balances as balance_show
 from eha_monitor.mismatch.show import held_out as show
 from eha_monitor.mismatch.show.changed import change_words, changed_between
-from eha_monitor.mismatch.show.machine import alone_diagnosis, diagnosis_of
 from eha_monitor.mismatch.show.model import (
     between_models,
     config_effects,
     fitted_of,
-    health_sentences,
     in_doubt,
     quantised,
     robust,
@@ -102,15 +100,13 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
 def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Recording | None,
                say: Report, hypothesis: Hypothesis | None, without: tuple[str, ...],
                vary: tuple[str, ...]) -> Diagnosis:
+    if by_balances(recordings, settings):
+        say("least squares on the balances", 0.1)
+        return answered(recordings, settings, Asked(held_out, hypothesis, without, vary))
     started = time.perf_counter()
     held, decision = resolved(recordings, settings)
     experiment = at_its_angle(experiment_of(recordings, held, held_out is None, without))
     machine = _machine(recordings, settings, vary, say)
-    if (machine is not None and machine.turns and experiment.inverse and held_out is None
-            and hypothesis is None):
-        # There no filter knows more than the balances, and they hold what differs by setting.
-        return replace(diagnosis_of(machine, recordings, settings, started), baselines=tuple(
-            baseline(recording, settings) for recording in recordings))
     named = named_in(experiment, say)
     if decision is not None and named is not None and named[1].unexplained > RIVAL:
         # What is missing may have been taken for a hold, or the other way about.
@@ -121,14 +117,6 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
             experiment, held, named = other, other.settings, named_in(other, say)
             decision = replace(decision, hold=held.command_hold, evidence=gained, decided=True)
     found = diagnosed(recordings, experiment, named, held_out, started, say, hypothesis)
-    if experiment.inverse and experiment.mode != FORCED and named is not None and (
-            len(recordings) == 1 and held_out is None and hypothesis is None):
-        told, naming = named
-        tracks = balance_show.tracks_of(told)
-        drive = tuple(named_effect(told, naming, name, tracks) for name in naming.after.named
-                      if CATALOGUE[name].balance == "drive"
-                      and not naming.probability.get(name, 0.0) < LIKELY)
-        found = alone_diagnosis(found, drive, recordings[0], settings)
     told = decision is not None and decision.decided
     return replace(found, machine=machine, channels=decision.findings if told else (),
                    command_hold=(held if told else settings).command_hold,
@@ -186,8 +174,7 @@ def diagnosed(recordings: list[Recording], experiment: Experiment,
     naming = on_all_of(experiment, named[1])
     experiment = naming.experiment
     pieces: tuple[Piece, ...] = ()
-    if not experiment.inverse and (verdict_of(experiment, naming) != "consistent"
-                                   or naming.unexplained > RIVAL):
+    if verdict_of(naming) != "consistent" or naming.unexplained > RIVAL:
         say("testing whether a parameter changed", 0.86)
         changed = changed_between(experiment, recordings, naming)
         if changed is not None:
@@ -213,15 +200,12 @@ def insufficient(bags: tuple[str, ...], duration: float, started: float, why: st
                      duration_s=duration, wall_s=time.perf_counter() - started)
 
 
-def verdict_of(experiment: Experiment, naming: Naming) -> str:
+def verdict_of(naming: Naming) -> str:
     """Return the verdict: what is more likely than not."""
     if naming.unexplained > LIKELY:
         return "unexplained"
     if naming.after.named or naming.wrong or naming.loads:
         return "mismatch"
-    if experiment.inverse and balance_show.balances_of(
-            experiment, naming.before, naming.after).open.any():
-        return "unexplained"
     return "consistent"
 
 
@@ -232,21 +216,15 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
     """Put the answer together."""
     asked, naming = naming, replace(naming, before=robust(experiment, naming.before),
                                     after=robust(experiment, naming.after))
-    verdict, gates = verdict_of(experiment, naming), naming.gates
+    verdict, gates = verdict_of(naming), naming.gates
     before, after = naming.before, naming.after
-    by_equations = experiment.inverse
-    if by_equations:
-        closed = balance_show.balances_of(experiment, before, after)
-        signals = balance_show.signals_of(shown, before, after, closed.floor)
-        tracks = balance_show.tracks_of(experiment)
-    else:
-        signals = show.shown(shown, before, after)
-        tracks = tracks_of(experiment, after) if after.named else []
+    signals = show.shown(shown, before, after)
+    tracks = tracks_of(experiment, after) if after.named else []
     # A fit that fails on unseen data has named nothing.  No model runs with an intermittent load.
     answers = (after.named or naming.wrong) and not naming.loads
     failed = show.unseen_gates(signals) if answers else ()
     if not naming.loads and not pieces:
-        failed += show.baseline_gates(shown, baselines, after)
+        failed += show.baseline_gates(shown, baselines, after, signals.get("force"))
     if failed:
         verdict, gates = "unexplained", (*gates, *failed)
         naming = replace(naming, unexplained=1.0 - naming.consistent)
@@ -255,8 +233,8 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         say("testing the hypothesis", 0.9)
         test = tested(experiment, naming, hypothesis)
         told = supported(experiment, shown, naming, test) if test is not None else None
-    doubted = verdict == "unexplained" or (verdict == "mismatch" and (
-        naming.unexplained > RIVAL or (by_equations and bool(closed.open.any()))))
+    doubted = verdict == "unexplained" or (
+        verdict == "mismatch" and naming.unexplained > RIVAL)
     if told is None and doubted and not naming.loads:
         say("learning effects not in the catalogue", 0.92)
         told = told_of(experiment, shown, naming)
@@ -275,7 +253,7 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         effects, verdict = (told.effect, *effects), (
             "mismatch" if verdict == "consistent" else verdict)
     wrong = rig_findings(experiment, naming)
-    within = () if by_equations else rig_within(experiment, naming)
+    within = rig_within(experiment, naming)
     if verdict == "mismatch":  # what is less likely than not is no answer
         effects = tuple(effect for effect in effects if not effect.probability < LIKELY)
         wrong = tuple(finding for finding in wrong if not finding.probability < LIKELY)
@@ -294,15 +272,10 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         between = tuple((one.stop_s, other.start_s) for one, other in pairwise(pieces)
                         if one.bag == other.bag)
         where, curves = Location(dict.fromkeys(BALANCES, 0.0), "", between), ()
-    elif by_equations and told is None:
-        terms = balance_show.terms_of(experiment, before, after)
-        where = balance_show.location_of(experiment, effects, terms, closed)
-        curves = tuple(curve for term in terms for curve in locate.curves_of(experiment, term))
     elif told is not None:
         evidence.pop(told.name, None)
         evidence |= {f"{locate.LEARNED}{told.missing.balance}": told.gained}
-        where = locate.told_location(experiment, told.missing) if by_equations else (
-            locate.location_of(experiment, before, after, evidence, [told.missing]))
+        where = locate.location_of(experiment, before, after, evidence, [told.missing])
         curves = locate.latent_curves(experiment, before, after, [told.missing])
     else:
         terms = missing_terms(experiment, before, after if effects else None)
@@ -310,9 +283,8 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         where = locate.location_of(experiment, before, after, evidence if named else {},
                                    terms if named else None)
         curves = locate.latent_curves(experiment, before, after, terms)
-    how = balance_show if by_equations else show
     known = values_of(experiment, before), values_of(experiment, after)
-    parts = how.agreement(experiment, before, after)
+    parts = show.agreement(experiment, before, after)
     if open_end:
         known = in_doubt(known[0], parts), {}
     elif verdict == "unexplained":
@@ -324,10 +296,9 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         if told is not None and told.term is not None else message_of(
             verdict, effects, where, wrong, within), where, effects, *known,
         "held_out_bag" if other_bag else "held_out", signals, curves,
-        how.overlays(shown, before, after), considered_of(naming, test, told),
+        show.overlays(shown, before, after), considered_of(naming, test, told),
         parts,
-        health_sentences(experiment, *known, effects),
-        balance_show.doubts(effects) if by_equations else advise.advice_for(experiment, asked),
+        health_sentences(*known, effects), advise.advice_for(experiment, asked),
         config_effects(experiment, after, tuple(effect.name for effect in effects),
                        (told.name, told.entry) if told is not None else None),
         duration_s=duration, wall_s=time.perf_counter() - started, pieces=pieces,

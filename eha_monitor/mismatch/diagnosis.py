@@ -1,12 +1,15 @@
 """What a diagnosis says; immutable records, made by :mod:`name`, :mod:`locate`, :mod:`show`."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from eha_monitor.machine.baseline import Baseline
-from eha_monitor.machine.machine import Machine
+from eha_monitor.balances.baseline import Baseline
+from eha_monitor.balances.machine import Machine
+from eha_monitor.quantity import quantity
 from eha_monitor.recordings.recording import ChannelFinding
+from eha_monitor.words import effect_words
 
 VERDICTS = ("consistent", "mismatch", "unexplained", "insufficient_data")
 GATES = ("unseen_error", "bound", "member", "sign")
@@ -35,6 +38,8 @@ class NamedEffect:
     size : how much it does at its largest here, in words ("40 N", "0.3 l/min", "4 ms").
     probability : that it is there, from the evidence of all sets that were compared; 0 to 1.
     intervals_s : when it acts, s, where it comes and goes (``intermittent_load``).
+    effective_samples, stability : how many independent samples the recording is worth, and in
+        which share of its halves the effect comes up; NaN where a filter judges it.
     """
 
     name: str
@@ -48,6 +53,8 @@ class NamedEffect:
     size: str = ""
     probability: float = np.nan
     intervals_s: tuple[tuple[float, float], ...] = ()
+    effective_samples: float = np.nan
+    stability: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -306,6 +313,7 @@ class Diagnosis:
     baselines : least squares on the balances of each recording, beside which the answer stands.
     machine : what several recordings of one machine show together, or the machine that the
         recording was judged against.
+    policy : the numbers that decided names, where the balances did.
     """
 
     bags: tuple[str, ...]
@@ -341,3 +349,32 @@ class Diagnosis:
     gates: tuple[Gate, ...] = ()
     baselines: tuple[Baseline, ...] = ()
     machine: Machine | None = None
+    policy: dict[str, float] = field(default_factory=dict)
+
+
+NOTABLE = 0.02  # relative change of a health parameter that is worth a sentence
+HEALTH_WORDS = {"B": "B", "beta_e": "the effective bulk modulus"}
+
+
+def health_sentences(before: dict[str, Value], after: dict[str, Value],
+                     effects: Sequence[NamedEffect]) -> tuple[str, ...]:
+    """Return in plain words what the mismatch did to the health estimates."""
+    found = []
+    plant = [effect for effect in effects if effect.balance in ("force", "flow")] or list(effects)
+    for name, first in before.items():
+        if name not in after or not effects:
+            continue
+        then = after[name].value
+        change = first.value - then
+        if abs(change) < NOTABLE * abs(then) or abs(change) < 3.0 * after[name].stddev:
+            continue
+        cause = " and ".join(f"{effect.size} of {effect_words(effect.name)}".strip()
+                             for effect in plant[:3])
+        read = f"{HEALTH_WORDS[name]} read {quantity(first.value, first.unit, 3)}"
+        sense = "not wear" if name == "B" else "not the fluid"
+        if change > 0:
+            found.append(f"{read}; {quantity(change, first.unit, 3)} of it is {cause}, {sense}")
+        else:
+            found.append(f"{read}, {quantity(-change, first.unit, 3)} too little, because of "
+                         f"{cause}")
+    return tuple(found)

@@ -205,8 +205,7 @@ def fit_of_truth(rig: RigNumbers, first: Fit, known: dict[str, dict], truth: dic
 
 def leaves(experiment: Experiment, fit: Fit) -> bool:
     """Tell whether a model needs more unknowns than every right one may, or cannot be followed."""
-    return (experiment.inverse or not np.isfinite(fit.log_likelihood)
-            or needs(experiment, fit, FORM_LEAST))
+    return not np.isfinite(fit.log_likelihood) or needs(experiment, fit, FORM_LEAST)
 
 
 def instead(rig: RigNumbers, after: Fit, name: str, other: str, without: Fit) -> Fit:

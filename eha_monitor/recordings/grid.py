@@ -445,3 +445,12 @@ def _tell_spans(starts: np.ndarray, stops: np.ndarray, what: str, step: float,
     if len(starts) > TOLD:
         rest = np.sum(stops[TOLD:] - starts[TOLD:]) * step
         said.append(f"{what} in {len(starts) - TOLD} more gaps, {rest:.3f} s in all")
+
+
+def filled(u: np.ndarray) -> np.ndarray:
+    """Return the samples with short gaps bridged linearly, (n,)."""
+    good = np.isfinite(u)
+    if good.all() or not good.any():
+        return u
+    index = np.arange(len(u))
+    return np.interp(index, index[good], u[good])

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from eha_monitor.balances.baseline import Baseline
 from eha_monitor.indicators.indicator import Indicator
-from eha_monitor.machine.baseline import Baseline
 from eha_monitor.mismatch.diagnosis import (
     Considered,
     Curve,

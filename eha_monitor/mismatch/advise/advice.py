@@ -8,6 +8,7 @@ import numpy as np
 from eha_monitor.breakdown import computing
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.hold_choice import resolved
+from eha_monitor.mismatch.advise.by_balances import advised_by_balances
 from eha_monitor.mismatch.advise.motions import Limits, Motion, limits_for, looped
 from eha_monitor.mismatch.advise.separate import (
     DECISIVE,
@@ -32,13 +33,11 @@ from eha_monitor.mismatch.advise.tells import (
     named_directions,
 )
 from eha_monitor.mismatch.advise.words import sentences
-from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
-from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
-from eha_monitor.mismatch.likelihood.gains import Unknowns
+from eha_monitor.mismatch.data.experiment import Experiment, by_balances, experiment_of
+from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.likelihood.information import Slope, Traces, free_slopes
-from eha_monitor.mismatch.name.base import limits_of, with_effect
+from eha_monitor.mismatch.name.base import with_effect
 from eha_monitor.mismatch.name.naming import Naming, name_effects
-from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
 from eha_monitor.quantity import quantity
@@ -48,17 +47,9 @@ from eha_monitor.settings.monitor import Settings
 COMMON = ("coulomb_friction", "quadratic_friction", "spring_load", "added_mass",
           "cross_port_leakage")  # what B and beta_e are most often mistaken for
 LEAST_MOTION = 20.0  # times the position's noise: less motion says nothing
-YIELDING = 300.0  # times the smallest unknowns, with which a filter follows a wrong model
 ATTEMPTS = 3  # motions that are put to a simulation
 MOST_QUESTIONS = 4
 Report = Callable[[str, float], None]
-
-
-def predicting(experiment: Experiment, fit: Fit) -> tuple[Experiment, Fit]:
-    """Return both as the filter takes them: a motion is judged by what its prediction shows."""
-    plain = replace(experiment, inverse=False)
-    unknowns = Unknowns(*(YIELDING * limits_of(plain)[0].as_array()))
-    return plain, settled(plain, with_unknowns(plain, fit, unknowns))
 
 
 def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
@@ -78,8 +69,6 @@ def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
     """
     say = report or (lambda text, share: None)
     say("computing what this recording identifies", 0.0)
-    if experiment.inverse:
-        experiment, fit = predicting(experiment, fit)
     limits = limits_for(experiment)
     if limits is not None:
         fit = looped(fit, limits)
@@ -205,7 +194,7 @@ def small_timing(name: str, fit: Fit) -> bool:
 
 
 def advise(recordings: list[Recording], settings: Settings, check: bool = True,
-           report: Report | None = None) -> tuple[Naming, Advice]:
+           report: Report | None = None) -> tuple[tuple[str, ...], Advice]:
     """Name what recordings of one rig support, and say what they leave open.
 
     Parameters
@@ -221,11 +210,13 @@ def advise(recordings: list[Recording], settings: Settings, check: bool = True,
         break the calculation.
     """
     with computing(*(recording.source for recording in recordings)):
+        if by_balances(recordings, settings):
+            return advised_by_balances(recordings, settings)
         return _advised(recordings, settings, check, report or (lambda text, share: None))
 
 
 def _advised(recordings: list[Recording], settings: Settings, check: bool, say: Report
-             ) -> tuple[Naming, Advice]:
+             ) -> tuple[tuple[str, ...], Advice]:
     settings, _ = resolved(recordings, settings)
     experiment = experiment_of(recordings, settings, hold_out=False)
     moved = experiment.ranges.position
@@ -237,7 +228,7 @@ def _advised(recordings: list[Recording], settings: Settings, check: bool, say: 
     naming = name_effects(experiment, lambda text, share: say(text, 0.6 * share))
     found = advice(experiment, naming.after, naming.rivals, rival_fits(naming), check,
                    report=lambda text, share: say(text, 0.6 + 0.4 * share))
-    return naming, found
+    return naming.after.named, found
 
 
 def rival_fits(naming: Naming) -> dict[str, Fit]:

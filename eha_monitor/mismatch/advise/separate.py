@@ -151,6 +151,7 @@ class Advice:
         nothing is in doubt; ``tried`` what was considered, with log units for each doubt.
     checks : the proposed motion in simulation.
     plannable : False where the config has too little to simulate a motion.
+    said : sentences of a likelihood that plans no motion.
     """
 
     known: tuple[Known, ...]
@@ -164,6 +165,7 @@ class Advice:
     checks: tuple[Check, ...]
     plannable: bool
     damping_unit: str = "N·s/m"
+    said: tuple[str, ...] = ()
 
 
 def instead(experiment: Experiment, fit: Fit, effect: str, rival: Fit, name: str) -> Fit:

@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from eha_monitor.balances.changed import against
+from eha_monitor.balances.machine import healthy_machine
 from eha_monitor.breakdown import computing
 from eha_monitor.estimation.hold_choice import resolved
 from eha_monitor.mismatch.compare.changes import ENOUGH, Comparison, Explanation
 from eha_monitor.mismatch.compare.healthy import FALSE, Healthy, healthy_of
-from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
+from eha_monitor.mismatch.data.experiment import Experiment, by_balances, experiment_of
 from eha_monitor.mismatch.diagnosis import (
     Change,
     Diagnosis,
@@ -26,7 +28,6 @@ from eha_monitor.mismatch.locate.terms import BALANCES, Missing, missing_terms
 from eha_monitor.mismatch.name.acceptance import RIVAL
 from eha_monitor.mismatch.name.columns import ALWAYS
 from eha_monitor.mismatch.name.naming import Naming
-from eha_monitor.mismatch.show import balances as balance_show
 from eha_monitor.mismatch.show import held_out as show
 from eha_monitor.mismatch.show.model import config_effects, values_of
 from eha_monitor.mismatch.show.sizes import size_of
@@ -62,6 +63,9 @@ def compared(recordings: list[Recording], references: list[Recording], settings:
     """
     say, started = progress or (lambda text, share: None), time.perf_counter()
     with computing(*(one.source for one in (*recordings, *references))):
+        if by_balances([*recordings, *references], settings):
+            return against(healthy_machine(references, settings), recordings, settings,
+                           tuple(one.source for one in references))
         held, _ = resolved(references, settings)
         say("learning the spread of healthy recordings", 0.1)
         healthy = healthy_of(references, held)
@@ -94,7 +98,6 @@ def _answer(healthy: Healthy, recordings: list[Recording], references: list[Reco
                                 if comparison.what[i].owner in CATALOGUE))
     model = _named(after, names)
     changes = tuple(_change(healthy, comparison, best, place) for place in places)
-    how = balance_show if whole.inverse else show
     signals = errors(fitted, before, model)
     effects = tuple(_effect(fitted, model, name, changes, comparison.before.left - best.left)
                     for name in names)
@@ -112,7 +115,7 @@ def _answer(healthy: Healthy, recordings: list[Recording], references: list[Reco
     return Diagnosis(
         bags, verdict, message, where, effects, _reference_values(healthy),
         values_of(fitted, model), "held_out", signals, curves,
-        () if verdict == "consistent" else how.overlays(fitted, before, model),
+        () if verdict == "consistent" else show.overlays(fitted, before, model),
         config_effects=config_effects(fitted, model, model.named, None if term is None else (
             f"learned_{term.adds}", term.entry)), duration_s=duration,
         command_hold=healthy.experiment.settings.command_hold,
@@ -209,15 +212,9 @@ def _place(experiment: Experiment, before: Fit, after: Fit, verdict: str,
     if verdict == "consistent":
         return Location(weights, "", ()), ()
     effects = any(change.symbol for change in changes)
-    if experiment.inverse:
-        terms = balance_show.terms_of(experiment, before, after)
-        found = balance_show.location_of(
-            experiment, (), terms, balance_show.balances_of(experiment, before, before))
-        curves = tuple(curve for term in terms for curve in locate.curves_of(experiment, term))
-    else:
-        terms = missing_terms(experiment, before, after if effects else None)
-        found = locate.location_of(experiment, before, after, {}, None)
-        curves = locate.latent_curves(experiment, before, after, terms)
+    terms = missing_terms(experiment, before, after if effects else None)
+    found = locate.location_of(experiment, before, after, {}, None)
+    curves = locate.latent_curves(experiment, before, after, terms)
     if changes:
         for change in changes:
             weights[change.balance] += 1.0 / len(changes)

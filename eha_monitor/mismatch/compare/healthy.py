@@ -33,7 +33,6 @@ class Healthy:
     Attributes
     ----------
     experiment : of all references; ``naming`` what was named on them; ``fit`` the model.
-    scales : (c,) of the balances, see :func:`run_of`.
     runs : what each reference says; ``own`` the model's own numbers over them, ``readings`` what
         each says beside these.
     kept : (k,) places of the numbers that every run answers to.
@@ -45,7 +44,6 @@ class Healthy:
     experiment: Experiment
     naming: Naming
     fit: Fit
-    scales: np.ndarray
     runs: tuple[Run, ...]
     own: Own
     readings: tuple[Reading, ...]
@@ -67,7 +65,7 @@ class Healthy:
         stay = np.isin(own.places, changed)
         own = replace(own, mean=np.where(stay, 0.0, own.mean - own.away(fit.theta, self.fit)),
                       variance=np.where(stay, 1.0, own.variance))
-        return reading_of(run_of(experiment, fit, self.scales).ordered(self.runs[0].what), own)
+        return reading_of(run_of(experiment, fit).ordered(self.runs[0].what), own)
 
     def t_of(self, amplitudes: np.ndarray, power: np.ndarray) -> np.ndarray:
         """Return Student's t of a new run's amplitudes, (k,): n - 1 degrees of freedom.
@@ -175,9 +173,8 @@ def healthy_of(references: list[Recording], settings: Settings) -> Healthy:
     naming = name_effects(telling(max(parts, key=lambda one: one.n)))
     joint = replace(naming.experiment, stretches=joint.stretches)
     fit = with_unknowns(joint, naming.after, naming.after.unknowns)
-    scales = np.sqrt(np.nanmean(fit.e**2, axis=0))
     parts, pieces = runs_in(parts)
-    runs = spread(lambda one: run_of(joint.only(one.stretches), fit, scales), parts)
+    runs = spread(lambda one: run_of(joint.only(one.stretches), fit), parts)
     runs = tuple(run.ordered(runs[0].what) for run in runs)
     own = own_over(runs)
     readings = tuple(reading_of(run, own) for run in runs)
@@ -185,7 +182,7 @@ def healthy_of(references: list[Recording], settings: Settings) -> Healthy:
                     for name in ("amplitudes", "power"))
     kept = np.flatnonzero(np.isfinite(rows).all(axis=0) & (np.ptp(rows, axis=0) > 0.0)
                           & (powers.min(axis=0) > ANSWERS * np.median(powers, axis=0)))
-    return Healthy(joint, naming, fit, scales, runs, own, readings, kept,
+    return Healthy(joint, naming, fit, runs, own, readings, kept,
                    *scatter(readings, kept), count_of(runs, kept), pieces)
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, with_unknowns
 from eha_monitor.mismatch.name.columns import ALWAYS, ASTRAY_OWNER, Column, columns_at
-from eha_monitor.mismatch.name.gram import balances_gram, grams_of
+from eha_monitor.mismatch.name.gram import grams_of
 from eha_monitor.mismatch.name.starts import entered
 from eha_monitor.mismatch.name.suspects import limited
 from eha_monitor.physics.effects import CATALOGUE, NAMES
@@ -162,17 +162,11 @@ def may_change(column: Column) -> bool:
             and column.free.prior == 0.0)
 
 
-def run_of(experiment: Experiment, fit: Fit, scales: np.ndarray) -> Run:
-    """Return what the recordings of an experiment say of a model.
-
-    Parameters
-    ----------
-    scales : (c,) by which each balance is divided where balances are compared, SI.
-    """
+def run_of(experiment: Experiment, fit: Fit) -> Run:
+    """Return what the recordings of an experiment say of a model."""
     here = with_unknowns(experiment, fit, fit.unknowns)
     columns = columns_at(experiment, here, unnamed=False)
-    gram = (balances_gram(here, columns.values[0], scales) if experiment.inverse
-            else grams_of(experiment, here, columns.values, [here.unknowns])[0])
+    gram = grams_of(experiment, here, columns.values, [here.unknowns])[0]
     # A column that runs away says nothing of this recording.
     good = np.isfinite(np.diag(gram.products))
     products = np.where(good[:, None] & good, gram.products, 0.0)

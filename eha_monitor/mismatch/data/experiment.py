@@ -1,5 +1,6 @@
 """What the diagnosis looks at: one or more recordings of one rig, ready for the filter."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,18 +14,18 @@ from eha_monitor.mismatch.data.inputs import (
     OPEN,
     angle_of,
     course_of,
-    filled,
     noise_governs,
     present,
 )
-from eha_monitor.mismatch.data.stops import between_stops
 from eha_monitor.mismatch.data.stretch import BURN_IN, Stretch
 from eha_monitor.mismatch.data.windows import Rows, windows_of, windows_of_each
 from eha_monitor.physics.effect import Ranges
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.physics.plant import N_OUTPUTS
 from eha_monitor.physics.signals import K_POS
+from eha_monitor.recordings.grid import filled
 from eha_monitor.recordings.recording import Recording, rows_of, sample_of
+from eha_monitor.recordings.stops import between_stops
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
@@ -62,7 +63,6 @@ class Experiment:
     wanted_speed : the input of ``CLOSED`` is the speed that the drive was told, not x_d.
     by_pressures : the input of ``FORCED`` is what the pressure sensors say.
     held : the drive holds its input over each sample, a digital controller.
-    inverse : the balances' own errors are compared (:mod:`equation_error`), not predictions.
     drift : by how much the circuit outside the model moves a chamber's pressure in a sample, Pa.
     windows : the stretches are windows of longer recordings.
     without : effects of the catalogue that are not considered.
@@ -83,7 +83,6 @@ class Experiment:
     spikes: dict[str, int] = field(default_factory=dict)
     wanted_speed: bool = False
     drift: float = 0.0
-    inverse: bool = False
     largest_unknown: float = 3e4
     by_pressures: bool = False
     held: bool = False
@@ -159,9 +158,9 @@ def experiment_of(recordings: list[Recording], settings: Settings,
                       integration_steps(settings, mode, first.sample_time), used, sigma, theta,
                       active, tuple(parts), ranges, step, input_noise(mode, settings, levels),
                       spikes, wanted, circuit_drift(settings, mode, columns),
-                      by_equations(settings, mode, columns), by_pressures=mode == FORCED
-                      and settings.rig.area_1 is not None and "p1" in levels and "p2" in levels,
-                      held=is_held(mode, settings), windows=chosen is not None, without=without)
+                      by_pressures=mode == FORCED and settings.rig.area_1 is not None
+                      and "p1" in levels and "p2" in levels, held=is_held(mode, settings),
+                      windows=chosen is not None, without=without)
 
 
 def is_held(mode: int, settings: Settings) -> bool:
@@ -225,19 +224,23 @@ def circuit_drift(settings: Settings, mode: int, columns: list[dict]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(steps) ** 2))) if steps else 0.0
 
 
-def by_equations(settings: Settings, mode: int, columns: list[dict]) -> bool:
-    """Tell whether the balances' own errors are compared (:mod:`equation_error`).
+def by_balances(recordings: Sequence[Recording], settings: Settings) -> bool:
+    """Tell whether the balances as they stand judge recordings, and not a filter's predictions.
 
-    So it is where noise governs the force that is measured, where the motion answers to it within
-    a sample, so that there is nothing to integrate, and around a single-rod cylinder whose
-    circuit the config does not hold.
+    A filter predicts the position from the force and asks which model predicts best.  Where the
+    force is told by noisy sensors and the position by an encoder that is worth a thousandth of
+    it, that question has a wrong answer: a model with a false mass, which does not respond to the
+    noise, wins.  So it has where the motion answers to the force within a sample, so that there is
+    nothing to integrate, and around a single-rod cylinder whose circuit (valves, an accumulator)
+    the config does not hold, so that the model does not know the mean pressure.
     """
-    if mode == FORCED:
-        quick = settings.stage_one.prior / settings.rig.mass * settings.rig.sample_time > 1.0
-        return quick or noise_governs([force_of(settings.rig, c) for c in columns])
     rig = settings.rig
+    if mode_of(recordings[0], settings) == FORCED:
+        quick = settings.stage_one.prior / rig.mass * rig.sample_time > 1.0
+        return quick or noise_governs([force_of(rig, sample_of(one).channels)
+                                       for one in recordings])
     return (rig.area_1 != rig.area_2 and rig.makeup_conductance == 0.0
-            and all(name in c for c in columns for name in ("p1", "p2", "omega")))
+            and all(one.has("p1", "p2", "omega") for one in recordings))
 
 
 def wants_speed(recording: Recording) -> bool:

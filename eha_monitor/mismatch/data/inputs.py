@@ -3,6 +3,7 @@
 import numpy as np
 
 from eha_monitor.estimation.hold import JUMP, VISIBLE, largest_neighbour
+from eha_monitor.recordings.grid import filled
 from eha_monitor.settings.rig import Rig
 
 CLOSED, OPEN, FORCED = 0, 1, 2  # input: x_d with the loop, pump speed, force
@@ -80,13 +81,6 @@ def course_of(u: np.ndarray, sigma: float, sampled: bool = False) -> tuple[np.nd
     return c, off
 
 
-def filled(u: np.ndarray) -> np.ndarray:
-    """Return the samples with short gaps bridged linearly, (n,)."""
-    good = np.isfinite(u)
-    if good.all() or not good.any():
-        return u
-    index = np.arange(len(u))
-    return np.interp(index, index[good], u[good])
 
 
 def present(u: np.ndarray, x: np.ndarray, longest: int) -> list[tuple[int, int]]:

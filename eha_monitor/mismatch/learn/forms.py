@@ -8,19 +8,16 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
-from eha_monitor.mismatch.likelihood.equation_error import motion_of
-from eha_monitor.mismatch.likelihood.fit import Fit, innovations, spread
+from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.likelihood.gains import smallest_unknowns
-from eha_monitor.mismatch.name.columns import Column, Columns, columns_at, inserted
+from eha_monitor.mismatch.name.columns import Column, Columns, columns_at
 from eha_monitor.mismatch.name.proposals import weighed
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.unnamed import PRIOR, Unnamed
 from eha_monitor.mismatch.show.sizes import filtered_tracks
 from eha_monitor.physics import signals as s
-from eha_monitor.physics.contributions import slot_of
 from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.own_term import OWN_NAMES, cardinal
-from eha_monitor.settings.own_terms import slot_for
 
 KNOTS = 9  # of a table when the forms are weighed
 COVERED = 0.001  # quantile of the signal at which a table ends: beyond it nothing was measured
@@ -87,14 +84,13 @@ def forms_of(experiment: Experiment) -> tuple[Form, ...]:
     """Return the forms that an experiment's channels can tell apart."""
     found = [Form("force", "v"), Form("force", "x"), Form("force", "x", "direction"),
              Form("force", "x", "v")]
-    if experiment.mode != FORCED and not experiment.inverse:  # else they are the force itself
+    if experiment.mode != FORCED:  # else they are the force itself
         found += [Form("force", "p", "direction"), Form("force", "dp", "direction")]
     if experiment.mode == FORCED:
         return tuple(found)
     found += [Form("flow", "dp"), Form("flow", "x"), Form("flow", "v"), Form("flow", "x", "dp"),
               Form("flow_1", "p1"), Form("flow_2", "p2")]
-    if not experiment.inverse:
-        found.append(Form("flow", "angle", "omega"))
+    found.append(Form("flow", "angle", "omega"))
     if experiment.mode == CLOSED:
         found += [Form("speed", "omega"), Form("speed", "x")]
     return tuple(found)
@@ -147,8 +143,6 @@ class Table:
 
 def tracks_of(experiment: Experiment, fit: Fit) -> list[np.ndarray]:
     """Return the signals along each stretch, (n, N_SIGNALS): as filtered, or as compared."""
-    if experiment.inverse:
-        return [motion_of(experiment, stretch).track for stretch in experiment.stretches]
     return filtered_tracks(experiment, fit)
 
 
@@ -197,9 +191,6 @@ def periods_of(experiment: Experiment, fit: Fit, tracks: list[np.ndarray]) -> in
 
 def units_of(experiment: Experiment, fit: Fit) -> dict[str, float]:
     """Return the prior deviation of a table's values in each balance, SI."""
-    if experiment.inverse:  # a few times what is left of it
-        left = np.sqrt(np.nanmean(fit.e**2, axis=0))
-        return dict(zip(("force", "flow", "drive"), (LEFT * left).tolist(), strict=False))
     small = smallest_unknowns(experiment).as_array()
     return dict(zip(("force", "flow", "drive"), (PRIOR * small).tolist(), strict=True))
 
@@ -212,9 +203,6 @@ def columns_with(experiment: Experiment, fit: Fit, tables: Sequence[Table],
     ----------
     suspects : also the effects that the model does not have.
     """
-    if experiment.inverse:
-        plain = columns_at(experiment, fit, unnamed=False, suspects=suspects)
-        return inserted(plain, *knots_by_difference(experiment, fit, tables))
     tracks, terms = tracks_of(experiment, fit), []
     for one in tables:
         form = one.form
@@ -222,32 +210,6 @@ def columns_with(experiment: Experiment, fit: Fit, tables: Sequence[Table],
             cardinal(signal_along(track, form.of), KNOTS, one.first, one.last, form.periodic)
             * factor_along(track, form.times, one.scale)[:, None] for track in tracks)))
     return columns_at(experiment, fit, suspects=suspects, terms=terms)
-
-
-def knots_by_difference(experiment: Experiment, fit: Fit, tables: Sequence[Table]
-                        ) -> tuple[list[Column], np.ndarray]:
-    """Return the columns of tables where balances are compared: these are linear in the values.
-
-    Returns
-    -------
-    what, values : (k,) and (n, c, k).
-    """
-    which = free_slot(experiment)
-    base = innovations(experiment, fit.theta, fit.active, fit.gains)
-    if which is None or not tables:
-        return [], np.zeros((*base.shape, 0))
-    active = fit.active.copy()
-    active[which] = True
-
-    def one(place: tuple[Table, int]) -> np.ndarray:
-        table, i = place
-        theta = fit.theta.copy()
-        theta[slot_of(which)] = slot_for(table.entry(table.unit * np.eye(KNOTS)[i]))
-        return innovations(experiment, theta, active, fit.gains) - base
-
-    places = [(table, i) for table in tables for i in range(KNOTS)]
-    return ([Column(table.form.name, 0, table.form.name, size=True) for table, _ in places],
-            np.stack(spread(one, places), axis=2))
 
 
 def free_slot(experiment: Experiment) -> int | None:

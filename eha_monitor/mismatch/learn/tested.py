@@ -61,7 +61,7 @@ def tested(experiment: Experiment, naming: Naming, hypothesis: Hypothesis) -> Te
     beside the better of the two models without it.
     """
     which = free_slot(experiment)
-    if which is None or experiment.inverse:
+    if which is None:
         return None
     without = ties.best(bases_of(experiment, naming), lambda fit: score_of(experiment, fit),
                         lambda fit: len(fit.named), ties.SAME_FIT)

@@ -24,7 +24,6 @@ from eha_monitor.mismatch.locate.terms import STATES, UNITS, Missing, following
 from eha_monitor.mismatch.locate.terms import tracks_of as smoothed_tracks
 from eha_monitor.mismatch.name.acceptance import FORM_OF_LAW
 from eha_monitor.mismatch.name.naming import Naming
-from eha_monitor.mismatch.show import balances as balance_show
 from eha_monitor.mismatch.show.held_out import shown, worse
 from eha_monitor.mismatch.show.model import robust
 from eha_monitor.mismatch.show.sizes import filtered_tracks
@@ -104,16 +103,12 @@ def told_of(experiment: Experiment, unseen: Experiment, naming: Naming) -> Told 
 
 def errors(unseen: Experiment, before: Fit, after: Fit) -> dict[str, SignalFit]:
     """Return the errors of two models on data that no fit has seen."""
-    if not unseen.inverse:
-        return shown(unseen, before, after)
-    return balance_show.signals_of(unseen, before, after, balance_show.balances_of(
-        unseen, before, after).floor)
+    return shown(unseen, before, after)
 
 
 def tracks_of(experiment: Experiment, fit: Fit) -> list[np.ndarray]:
-    """Return the signals at each sample, (n, N_SIGNALS): as filtered, or as compared."""
-    return (balance_show.tracks_of(experiment) if experiment.inverse
-            else filtered_tracks(experiment, fit))
+    """Return the signals at each sample as filtered, (n, N_SIGNALS)."""
+    return filtered_tracks(experiment, fit)
 
 
 def removed(signals: dict[str, SignalFit]) -> float:
@@ -133,8 +128,6 @@ def missing_of(experiment: Experiment, fit: Fit, which: int, balance: str) -> Mi
     """
     active = fit.active.copy()
     active[which] = False
-    if experiment.inverse:
-        return balance_show.needed(experiment, replace(fit, active=active), fit, balance)
     states = smoothed(experiment, following(experiment, replace(fit, active=active), balance))
     tracks = smoothed_tracks(experiment, states)
     return Missing(balance, UNITS[balance], tracks,

@@ -19,7 +19,6 @@ from functools import lru_cache, partial
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.likelihood.equation_error import residuals
 from eha_monitor.mismatch.likelihood.gains import Unknowns, decay_of, gains_of
 from eha_monitor.mismatch.likelihood.innovations import FREE, N_FILTERED, innovate
 from eha_monitor.physics.contributions import turned_memory
@@ -127,8 +126,6 @@ def spread(function: Callable, items: Iterable) -> list:
 def innovations(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
                 gains: np.ndarray) -> np.ndarray:
     """Return the innovations of the used channels at the counted samples, (N, c); NaN if none."""
-    if experiment.inverse:
-        return residuals(experiment, theta, active)
     parts = []
     for stretch in experiment.stretches:
         e = filtered(experiment, stretch, theta, active, gains)[0]
@@ -368,8 +365,6 @@ def tune(experiment: Experiment, fit: Fit, smallest: Unknowns, largest: Unknowns
     smallest, largest : between which they are sought, on a grid of ``factors``.
     upward : False where they can only fall: an effect has just entered.
     """
-    if experiment.inverse:  # no filter, nothing to tune
-        return fit
     low, high = smallest.as_array(), largest.as_array()
     for factor in factors:
         for i in range(3):

@@ -10,7 +10,6 @@ from eha_monitor.mismatch.likelihood.innovations import N_FILTERED, riccati, tra
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import circuit_of, new_memory
 from eha_monitor.physics.plant import (
-    N_OUTPUTS,
     N_STATE,
     Y_FLOW,
     Y_FORCE,
@@ -184,8 +183,6 @@ def gains_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
     theta, active : parameters and effects at which the plant is linearised.
     unknowns : deviations of the unknown force, flow and speed.
     """
-    if experiment.inverse:
-        return np.zeros((1, N_FILTERED, N_OUTPUTS))
     m = linear_of(experiment, theta, active, unknowns)
     longest = max(len(stretch) for stretch in experiment.stretches)
     gains = np.zeros((min(TRANSIENT, longest), N_FILTERED, len(m.r)))

@@ -6,14 +6,11 @@ import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment, Stretch
 from eha_monitor.mismatch.data.inputs import CLOSED, cubics
-from eha_monitor.mismatch.likelihood.clean_balances import simulated_balances
 from eha_monitor.mismatch.likelihood.fit import Fit, free_run
 
 
 def simulated(experiment: Experiment, fit: Fit, seed: int) -> Experiment:
     """Return the experiment with the fitted model's own outputs in place of the measured ones."""
-    if experiment.inverse:
-        return simulated_balances(experiment, fit, seed)
     rng = np.random.default_rng(seed)
     parts = []
     for stretch in experiment.stretches:

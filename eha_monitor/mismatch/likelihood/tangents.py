@@ -75,7 +75,7 @@ def can(experiment: Experiment, fit: Fit, lane: Lane) -> bool:
     changed = differing(fit, lane)
     active = {ALL_NAMES[i] for i in np.flatnonzero(fit.active)}
     own = {ALL_NAMES[i] for i in changed if i >= 0}
-    return (not experiment.inverse and not (active | own) & set(BEYOND) and len(changed) == 1)
+    return not (active | own) & set(BEYOND) and len(changed) == 1
 
 
 def differing(fit: Fit, lane: Lane) -> list[int]:

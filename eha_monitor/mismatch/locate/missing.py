@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from eha_monitor.estimation.along import contributions_along
 from eha_monitor.mismatch.data.experiment import Experiment, Stretch
-from eha_monitor.mismatch.data.inputs import filled
-from eha_monitor.mismatch.likelihood.along import contributions_along, drive_along, played
+from eha_monitor.mismatch.likelihood.along import drive_along, played
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import (
@@ -16,6 +16,7 @@ from eha_monitor.physics.contributions import (
 )
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
+from eha_monitor.recordings.grid import filled
 
 DRIVE_STEPS = 5  # in a sample; a lag below half a step is taken as none
 

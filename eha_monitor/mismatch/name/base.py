@@ -37,8 +37,6 @@ def timing_free(experiment: Experiment) -> tuple[Free, ...]:
     Sensors lag by some microseconds and stamps jitter; with 24 000 samples a delay of 2 % of a
     sample is beyond doubt, and is nobody's fault.  What is larger must be named.
     """
-    if experiment.inverse:  # far below the band of the balances
-        return ()
     limit = TIMING * experiment.dt
     found = []
     for name in ("command_delay", "position_delay", "pressure_delay"):
@@ -62,8 +60,6 @@ def limits_of(experiment: Experiment) -> tuple[Unknowns, Unknowns]:
 
 def needs(experiment: Experiment, fit: Fit, times: float) -> bool:
     """Tell whether a fit needs an unknown of more than so many times the smallest."""
-    if experiment.inverse:
-        return False
     small = limits_of(experiment)[0].as_array()
     return bool((fit.unknowns.as_array() > times * small).any())
 

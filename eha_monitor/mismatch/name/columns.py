@@ -18,7 +18,7 @@ import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment, damping_steps
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
-from eha_monitor.mismatch.likelihood.fit import Fit, Free, filtered, innovations, spread, step_of
+from eha_monitor.mismatch.likelihood.fit import Fit, Free, filtered, spread, step_of
 from eha_monitor.mismatch.likelihood.tangents import Lane, along_into, can
 from eha_monitor.mismatch.name.starts import (
     Start,
@@ -104,8 +104,6 @@ def rig_free(experiment: Experiment) -> tuple[Free, ...]:
         keys = {"mass"}
     else:
         keys = set(Tolerance.model_fields)
-        if experiment.inverse:  # the force was made of areas and pressures
-            keys -= {"area_1", "area_2", "volume_1", "volume_2", "charge_pressure"}
         if experiment.mode != CLOSED or experiment.wanted_speed:
             keys -= {"position_gain"}
     found = []
@@ -125,8 +123,6 @@ def runs_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray, gains
 
     Their rows are contiguous, as compiled code wants them.
     """
-    if experiment.inverse:
-        return [innovations(experiment, theta, active, gains)]
     return [np.ascontiguousarray(filtered(experiment, stretch, theta, active, gains)[0][
         :, experiment.columns]) for stretch in experiment.stretches]
 
@@ -137,8 +133,6 @@ def coarse(experiment: Experiment) -> Experiment:
     A slope that is one per cent off leads to the same optimum; the innovations themselves are
     taken with the fine steps.
     """
-    if experiment.inverse:
-        return experiment
     least = damping_steps(experiment.settings, 2.0 * experiment.theta[B], experiment.dt)
     steps = max(int(np.ceil(experiment.steps / COARSER)), int(np.ceil(0.75 * least)), 1)
     return replace(experiment, steps=min(steps, experiment.steps))
@@ -197,7 +191,7 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
             entering(fit, start, REPLACING + place, what, moves)
 
     if terms is None:
-        terms = unnamed_of(experiment, fit) if unnamed and not experiment.inverse else []
+        terms = unnamed_of(experiment, fit) if unnamed else []
     sizes = [term.basis[0].shape[1] for term in terms]
     # In one block, as large as is given back to the system when it is freed.
     bounds = np.cumsum([0, *map(len, present)])
@@ -245,13 +239,6 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
                     free=what[i].free, size=True, step=BEYOND * what[i].free.spread)
              for i in wrong]
     return Columns(tuple(what), values, len(others) + 2, copies)
-
-
-def inserted(columns: Columns, what: Sequence[Column], values: np.ndarray) -> Columns:
-    """Return the columns of one block with more, (n, c, k), before those that are copies."""
-    first = len(columns.what) - len(columns.copies)
-    return replace(columns, what=(*columns.what[:first], *what, *columns.what[first:]),
-                   values=[np.concatenate([columns.values[0], values], axis=2)])
 
 
 def tame(column: np.ndarray, present: np.ndarray) -> bool:

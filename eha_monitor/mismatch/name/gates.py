@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from eha_monitor.estimation.along import contributions_along
 from eha_monitor.mismatch.data.experiment import Experiment, Stretch
 from eha_monitor.mismatch.diagnosis import Gate
-from eha_monitor.mismatch.likelihood.along import contributions_along, signals_along
-from eha_monitor.mismatch.likelihood.equation_error import motion_of
+from eha_monitor.mismatch.likelihood.along import signals_along
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, filtered
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import new_memory
@@ -39,14 +39,17 @@ def at_bound(f: Free, value: float) -> bool:
 def allowed_end(fit: Fit, f: Free, value: float) -> bool:
     """Tell whether a parameter may stand at the end of its range.
 
-    A shape may where it only stops to matter (a presliding of no length); one size of several may
-    be absent (one chamber leaks, the other does not), unless a simpler effect is just that.
+    A shape may where it only stops to matter (a presliding of no length), and a share of two laws
+    where it is all of the other one (w, h = 1).  One size of several may be absent (one chamber
+    leaks, the other does not), unless a simpler effect is just that.
     """
     effect, _, symbol = f.name.partition(".")
     entry = CATALOGUE.get(effect)
     own = next((p for p in entry.parameters if p.name == symbol), None) if entry else None
-    if own is None or f.inward(value) >= f.inward(f.upper) - AT_BOUND * f.spread:
+    if own is None:
         return False
+    if f.inward(value) >= f.inward(f.upper) - AT_BOUND * f.spread:
+        return own.default is not None and not own.unit and (own.lower, own.upper) == (0.0, 1.0)
     if own.default is not None:
         return own.lower == 0.0
     places = [other.place for other in fit.free if other.name.partition(".")[0] == effect
@@ -101,8 +104,7 @@ def _signs(experiment: Experiment, fit: Fit) -> Iterator[Gate]:
     if not any(laws.values()):
         return
     tracks = [_track(experiment, fit, stretch) for stretch in experiment.stretches]
-    dt = motion_of(experiment, experiment.stretches[0]).dt if experiment.inverse else (
-        experiment.dt)
+    dt = experiment.dt
     whole = np.concatenate(tracks)
     fastest = np.abs(whole[:, s.V]).max()
     for name in laws["motion"]:
@@ -162,8 +164,6 @@ def _surely_negative(fit: Fit, rows: Callable[[np.ndarray], np.ndarray],
 
 def _track(experiment: Experiment, fit: Fit, stretch: Stretch) -> np.ndarray:
     """Return the signals along a stretch, (n, N_SIGNALS)."""
-    if experiment.inverse:
-        return motion_of(experiment, stretch).track
     return signals_along(experiment, stretch, filtered(
         experiment, stretch, fit.theta, fit.active, fit.gains, states=True)[1])
 

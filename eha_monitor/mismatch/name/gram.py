@@ -217,8 +217,6 @@ def grams_of(experiment: Experiment, fit: Fit, columns: list[np.ndarray],
     columns : for each stretch (n, c, m) in SI; NaN where nothing was measured.
     copies : (place, factor) of further columns that are others times a factor.
     """
-    if experiment.inverse:
-        return [extended(balances_gram(fit, columns[0]), copies)]
     used = experiment.columns
     missing = [~np.isfinite(part[:, :, 0]) for part in columns]
     m = columns[0].shape[2]
@@ -259,38 +257,6 @@ def extended(gram: Gram, copies: Sequence[tuple[int, float]]) -> Gram:
     factors = np.array([*np.ones(m), *(factor for _, factor in copies)])
     products = gram.products[np.ix_(places, places)] * np.outer(factors, factors)
     return replace(gram, products=products)
-
-
-def balances_gram(fit: Fit, columns: np.ndarray, scales: np.ndarray | None = None) -> Gram:
-    """Return the Gram matrix where the balances' own errors are compared, (n, c, m).
-
-    They are weighed by what is left of each, or by ``scales`` (c,), SI.
-    """
-    _, channels, m = columns.shape
-    products, counts, logdet = np.zeros((m, m)), np.zeros(channels), 0.0
-    for j in range(channels):
-        rows = columns[np.isfinite(columns[:, j, 0]), j]
-        scale = max(float(np.sqrt(np.mean(rows[:, 0] ** 2))), 1e-300) if scales is None else (
-            float(scales[j]))
-        products += (rows.T @ rows) / scale**2
-        counts[j] = len(rows)
-        logdet += counts[j] * np.log(scale)
-    return Gram(fit.unknowns, products, counts, float(logdet))
-
-
-def lasting(left: np.ndarray) -> float:
-    """Return how many samples count as one where what is left is not white, 1 or more.
-
-    1 + 2 sum rho^2 over the lags at which it is beyond chance (Bartlett 1946).
-    """
-    left = left - left.mean()
-    n, power, total = len(left), float(left @ left), 1.0
-    for lag in range(1, n // 4):
-        rho = float(left[lag:] @ left[:-lag]) / max(power, 1e-300)
-        if rho < 2.0 / np.sqrt(n):
-            break
-        total += 2.0 * rho * rho
-    return total
 
 
 @njit(nogil=True)

@@ -119,8 +119,6 @@ def beyond_form(experiment: Experiment, before: Fit, after: Fit, needs: Unknowns
     some ``FORM_SHARE`` of those that it has taken the place of.  What needs many times more lacks
     something else, and a model that names nothing has no form error to blame.
     """
-    if experiment.inverse:
-        return 0.0
     small = limits_of(experiment)[0].as_array()
     if experiment.mode == FORCED and after.named and form_only(experiment, before, after):
         return 0.0

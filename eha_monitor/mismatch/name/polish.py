@@ -53,9 +53,6 @@ class Slopes:
         if not wanted:
             return {}
         places = [self.places[f.name] for f in wanted]
-        if self.experiment.inverse:
-            whole = np.nan_to_num(self.values[0][:, :, places])
-            return self._in_units(wanted, whole)
         parts = under(self.experiment, self.fit, [
             np.ascontiguousarray(part[:, :, places]) for part in self.values], fit.gains)
         whole = np.concatenate([part[stretch.counted] for part, stretch in zip(

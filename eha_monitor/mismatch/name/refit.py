@@ -9,7 +9,6 @@ from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import (
     Fit,
     Free,
-    prior_exponent,
     with_unknowns,
 )
 from eha_monitor.mismatch.likelihood.gains import Unknowns, expected_covariance, gains_of
@@ -39,7 +38,6 @@ QUICK = 10  # steps of a first look
 ROUGH_STEPS = 8  # of a fit whose unknowns will change
 HALVINGS = 3  # of the way to other unknowns
 # Shapes that act over micrometres and milliseconds, outside the band of the balances.
-OUT_OF_BAND = (".v_e", ".z_0", ".t_1", ".v_d", ".w", ".delta", ".h", ".dB")
 FACTORS = (10.0, 3.0)  # of the unknowns' grid
 
 
@@ -64,8 +62,6 @@ def at_level(experiment: Experiment, fit: Fit) -> Fit:
 
     The likelihood at other unknowns is that of the innovations mapped to their gains.
     """
-    if experiment.inverse:
-        return fit
     present = runs_of(experiment, fit.theta, fit.active, fit.gains)
     small, large = (limit.as_array() for limit in limits_of(experiment))
     known: dict[tuple, float] = {}
@@ -192,9 +188,7 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
             if name.startswith(member.owner + "."):
                 theta[place_of(name)] = value
         timing = {f.name for f in free if f.name.startswith(member.owner + ".")}
-        own = [f for f in free_of(start) if not (
-            experiment.inverse and f.name.endswith(OUT_OF_BAND))]
-        free = [f for f in free if f.name not in timing] + own
+        free = [f for f in free if f.name not in timing] + list(free_of(start))
         named = (*named, member.owner)
     for f in timing_free(experiment):  # what is named no more may err a little again
         name = f.name.partition(".")[0]
@@ -264,11 +258,6 @@ def evidence_of(experiment: Experiment, fit: Fit) -> float:
     Comparable with :class:`Ranked`: both are of innovations with their own scale.
     """
     likelihood = fit.log_likelihood - 0.5 * fit.e.size
-    if experiment.inverse:
-        likelihood = prior_exponent(fit.free, fit.theta)
-        for column in fit.e.T:
-            rows = column[np.isfinite(column)]
-            likelihood -= len(rows) * (0.5 + np.log(np.sqrt(np.mean(rows**2))))
     spreads = np.array([f.spread for f in fit.free])
     sign, logdet = np.linalg.slogdet(fit.covariance / np.outer(spreads, spreads))
     occam = 0.5 * logdet if sign > 0 else -np.inf
@@ -287,8 +276,6 @@ def discrepancy(experiment: Experiment, fit: Fit) -> float:
     The innovations that its filter expects are larger than those of the same model without
     unknowns; N/2 log det of their ratio is what a right model would gain.
     """
-    if experiment.inverse:
-        return 0.0
     found = []
     for level in (fit.unknowns, limits_of(experiment)[0]):
         gains = gains_of(experiment, fit.theta, fit.active, level)

@@ -10,7 +10,6 @@ from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import Gate
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.name.acceptance import FORM, FORM_OF_LAW, RIVAL, TEMPER
-from eha_monitor.mismatch.name.gram import lasting
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.refit import discrepancy, evidence_of, impossible, prior_of
 from eha_monitor.mismatch.name.suspects import form_kin, is_named, kin
@@ -25,7 +24,6 @@ class Seen:
 
     Attributes
     ----------
-    inverse : the balances' own errors are compared, not predictions.
     fits, evidence, left : names -> model, Laplace evidence, cost of its unknowns, log units.
     stations : names -> model and evidence of what cannot be (no damping, no stiffness).  It is no
         answer, but what it lacks may be what makes it possible: the search goes on from there.
@@ -33,8 +31,6 @@ class Seen:
     dropped : names -> model of a first look that others were ahead of then.
     refused : names -> gates that the set does not pass: it is no answer, whatever its evidence.
     """
-
-    inverse: bool = False
 
     fits: dict[Names, Fit] = field(default_factory=dict)
     evidence: dict[Names, float] = field(default_factory=dict)
@@ -71,24 +67,12 @@ class Seen:
 
     def score(self, evidence: float, prior: float) -> float:
         """Return what an evidence counts, log units: see :func:`counted`."""
-        return self.power() * counted(self.floor() - evidence) + prior
+        return TEMPER * counted(self.floor() - evidence) + prior
 
     def pursued(self, evidence: float, than: float) -> bool:
         """Tell whether evidence counts for so much more than another that it is worth a look."""
         floor = max(self.floor(), evidence)
-        return self.power() * (counted(floor - evidence) - counted(floor - than)) > PURSUED
-
-    def power(self) -> float:
-        """Return the power of the likelihood.
-
-        Where the balances' own errors are compared, what is left of them lasts: so many samples
-        count as one.
-        """
-        if not self.inverse:
-            return TEMPER
-        best = self.fits[self.likeliest(self.evidence)]
-        return 1.0 / float(np.mean([lasting(column[np.isfinite(column)])
-                                    for column in best.e.T]))
+        return TEMPER * (counted(floor - evidence) - counted(floor - than)) > PURSUED
 
     def scores(self) -> dict[Names, float]:
         """Return the score of every refitted set.
@@ -129,7 +113,7 @@ class Seen:
         """Return the plainest of the best sets, of those that no gate has refused."""
         scores = {names: score for names, score in self.scores().items()
                   if names not in self.refused}
-        return ties.best(scores, scores.get, plainness, self.power() * ties.SAME_FIT)
+        return ties.best(scores, scores.get, plainness, TEMPER * ties.SAME_FIT)
 
     def ahead(self, done: dict[Names, float], enough: float) -> tuple[Names, Fit] | None:
         """Return the model where the search goes on; None where it has been everywhere.

@@ -90,7 +90,7 @@ def nominal_model(experiment: Experiment, within: bool = False) -> Fit:
             break
     else:
         raise np.linalg.LinAlgError("the nominal model's likelihood is singular")
-    if experiment.inverse or not leans_less(experiment, at_level(experiment, held)):
+    if not leans_less(experiment, at_level(experiment, held)):
         return held
     return settled(experiment, held)
 
@@ -135,7 +135,7 @@ def likelier(fit: Fit, other: Fit) -> Fit:
 
 def held(experiment: Experiment, view: Linearised, seen: Seen) -> None:
     """Fit a model again under the unknowns that suit it best, from its own linear guess."""
-    if view.own is not None and not experiment.inverse:
+    if view.own is not None:
         seen.add(experiment, view.here, settled(
             experiment, entered_at_best(experiment, view.fit, view.what, view.own), view.slopes))
 
@@ -151,10 +151,10 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
     """Find the set of effects and wrong numbers of the rig that a recording supports."""
     say("fitting the nominal model", 0.05)
     experiment, first = resolved_nominal(experiment)
-    near = not experiment.inverse and leans_less(experiment, first)
+    near = leans_less(experiment, first)
     start = (settled(experiment, with_rig(experiment, first)) if near
              else nominal_model(experiment, within=True))
-    seen = Seen(experiment.inverse)
+    seen = Seen()
     seen.add(experiment, frozenset(), start)
     if not seen.evidence:
         raise np.linalg.LinAlgError("the nominal model's evidence is singular")
@@ -255,7 +255,7 @@ def resolved_nominal(experiment: Experiment) -> tuple[Experiment, Fit]:
     """Fit the nominal model with integration steps that resolve the damping it finds."""
     while True:
         first = nominal_model(experiment)
-        finer = experiment if experiment.inverse else resolving(experiment, first.theta[B])
+        finer = resolving(experiment, first.theta[B])
         if finer.steps == experiment.steps:
             return experiment, first
         experiment = finer
@@ -427,7 +427,7 @@ def finish(experiment: Experiment, seen: Seen) -> None:
 
     def ended(names: frozenset[str]) -> Fit:
         fit = seen.fits[names]
-        if not experiment.inverse and fit.unknowns != level:
+        if fit.unknowns != level:
             fit = with_unknowns(experiment, fit, level)
         whole = fit if fit.converged and fit is seen.fits[names] else settled(
             experiment, fit, worth=worth)

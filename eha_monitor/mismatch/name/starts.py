@@ -14,8 +14,6 @@ from eha_monitor.physics.parameters import place_of
 SPREAD = 100.0  # times its start: a size's prior deviation, that is about the record's range
 SHAPE_SPREAD = 1.5  # of the logarithm of a shape
 # Where balances are compared as they stand: a line is beyond their band; what swallows oil acts
-# while the pressure rises, and there the flow is not compared.  The sensors' errors move them all.
-UNSEEN = ("backlash", "line_dynamics", "entrained_air", "position_dependent_volume")
 LOOP_ONLY = ("feedback_delay",)  # shows only where the position loop is part of the model
 
 
@@ -41,8 +39,6 @@ def possible(name: str, experiment: Experiment) -> bool:
     """Tell whether an effect can show in these channels at all."""
     effect = CATALOGUE[name]
     if name in experiment.without:
-        return False
-    if experiment.inverse and (effect.balance == "sensor" or name in UNSEEN):
         return False
     if name == "pressure_friction" and not any(
             np.ptp(stretch.p1) + np.ptp(stretch.p2) > 0.0 for stretch in experiment.stretches) \
@@ -72,9 +68,6 @@ def starts_of(name: str, experiment: Experiment) -> list[Start]:
             value = given.get(p.name, p.default if p.default is not None else p.neutral)
             if np.isfinite(value):  # a limit that is not there stays at infinity
                 value = min(max(value, p.lower), p.upper)
-            if experiment.inverse and p.name == "dB":
-                # Ramps at one speed cannot tell it from dF, and friction would push one way.
-                value = p.neutral
             values.append((p.name, float(value)))
         found.append(Start(name, tuple(values), among=len(places)))
     return found

@@ -28,13 +28,11 @@ LEVEL = 100.0  # times the smallest unknowns: under which windows are compared
 def telling(experiment: Experiment, most: int = MOST, window: int = WINDOW) -> Experiment:
     """Return an experiment with the windows that tell most; itself where it is short.
 
-    Where the balances' own errors are compared nothing is filtered, and all of it is used.
-
     Parameters
     ----------
     most : samples that are kept; ``window`` samples in each window.
     """
-    if experiment.inverse or experiment.n <= most:
+    if experiment.n <= most:
         return experiment
     windows = [part for stretch in experiment.stretches
                for part in windows_of(stretch, experiment.dt, window)]

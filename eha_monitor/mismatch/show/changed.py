@@ -13,7 +13,7 @@ import numpy as np
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.stretch import cut
-from eha_monitor.mismatch.diagnosis import Piece, Value
+from eha_monitor.mismatch.diagnosis import HEALTH_WORDS, Piece, Value
 from eha_monitor.mismatch.likelihood.fit import (
     Fit,
     innovations,
@@ -25,7 +25,7 @@ from eha_monitor.mismatch.name.acceptance import EXPLAINED
 from eha_monitor.mismatch.name.base import expected_likelihood
 from eha_monitor.mismatch.name.naming import Naming, lacking
 from eha_monitor.mismatch.name.refit import begun, settled
-from eha_monitor.mismatch.show.model import HEALTH_WORDS, robust, values_of
+from eha_monitor.mismatch.show.model import robust, values_of
 from eha_monitor.quantity import with_uncertainty
 from eha_monitor.recordings.recording import Recording
 

@@ -5,15 +5,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eha_monitor.balances.baseline import Baseline
+from eha_monitor.balances.course import STANDING
 from eha_monitor.estimation.consistency import variance_ratios
-from eha_monitor.machine.baseline import Baseline
-from eha_monitor.machine.course import STANDING
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.data.inputs import FORCED, filled
+from eha_monitor.mismatch.data.inputs import FORCED
 from eha_monitor.mismatch.data.stretch import Stretch
 from eha_monitor.mismatch.diagnosis import Agreement, Gate, Overlay, SignalFit, Value
 from eha_monitor.mismatch.likelihood.along import signals_along
-from eha_monitor.mismatch.likelihood.equation_error import low_pass
 from eha_monitor.mismatch.likelihood.fit import Fit, filtered, refine, spread
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED
 from eha_monitor.mismatch.locate.missing import modelled_force
@@ -22,6 +21,7 @@ from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import ALL_NAMES, circuit_of
 from eha_monitor.physics.plant import N_OUTPUTS, Y_P1, Y_P2, Y_V, Y_X
 from eha_monitor.quantity import quantity, share
+from eha_monitor.recordings.grid import filled
 
 SIGNALS = ("position", "velocity", "pressure_1", "pressure_2", "pump_speed")
 UNITS = ("m", "m/s", "Pa", "Pa", "rad/s")
@@ -195,19 +195,22 @@ def unseen_gates(signals: dict[str, SignalFit]) -> tuple[Gate, ...]:
     return tuple(found)
 
 
-def baseline_gates(experiment: Experiment, baselines: Sequence[Baseline], after: Fit
-                   ) -> tuple[Gate, ...]:
+def baseline_gates(experiment: Experiment, baselines: Sequence[Baseline], after: Fit,
+                   force: SignalFit | None) -> tuple[Gate, ...]:
     """Return the gate of a model whose force balance ten lines of least squares beat.
 
     On samples that the model's fit has not seen.  The least squares have, but four numbers from
     thousands of samples gain nothing by that beside ``GROWN``.
+
+    Parameters
+    ----------
+    force : what the model leaves of the force there (:func:`shown`); None where none is measured.
     """
     of = {one.source: one for one in baselines if one.force is not None}
-    if not {stretch.source for stretch in experiment.stretches} <= of.keys():
+    if force is None or not {stretch.source for stretch in experiment.stretches} <= of.keys():
         return ()
-    left, force = force_residual(experiment, after)
-    first = baseline_residual(experiment, of, after)
-    if not left - first > GROWN * force:
+    left, first = force.after_rms, baseline_residual(experiment, of, after)
+    if not left - first > GROWN * force.signal_rms:
         return ()
     return (Gate("unseen_error", "force", "least squares on the force balance leave "
                  f"{quantity(first, 'N', 3)} on unseen data, the model {quantity(left, 'N', 3)}"),)
@@ -217,6 +220,14 @@ def without_answer(signals: dict[str, SignalFit]) -> dict[str, SignalFit]:
     """Return the errors on unseen data where no model is the answer: the nominal one's."""
     return {name: replace(fit, after_rms=fit.before_rms, after_whiteness=fit.before_whiteness)
             for name, fit in signals.items()}
+
+
+def low_pass(cutoff: float, dt: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Return a zero-phase low-pass (Butterworth, fourth order, both ways) of ``cutoff`` Hz."""
+    from scipy.signal import butter, sosfiltfilt  # takes half of the start of ``diagnose``
+
+    sections = butter(4, cutoff, fs=1.0 / dt, output="sos")
+    return lambda values: sosfiltfilt(sections, values)
 
 
 def force_residual(experiment: Experiment, fit: Fit) -> tuple[float, float]:

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.data.inputs import FORCED
 from eha_monitor.mismatch.diagnosis import Agreement, Fitted, NamedEffect, Value
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, sensitivities, step_of, whitener
 from eha_monitor.mismatch.name.acceptance import RIVAL
@@ -16,18 +15,14 @@ from eha_monitor.mismatch.name.select import with_rig
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import effect_values
 from eha_monitor.quantity import quantity
-from eha_monitor.words import effect_words
 
 # Parameters in seconds that the sensors' own lags cannot be told from.
 TIMED = ("command_delay.T", "position_delay.T", "pressure_delay.T", "feedback_delay.T",
          "drive_lag.tau")
 BLOCK = 0.5  # s
-INVERSE_BLOCK = 10  # compared samples of the balances, a second
 TWICE = (("area_1", "area_2"), ("volume_1", "volume_2"))
 ALIKE = 0.99  # correlation of their errors where both are the same number
 COARSE = 0.5  # times the configured noise: rounding that makes it a tenth larger is worth a name
-NOTABLE = 0.02  # relative change of a health parameter that is worth a sentence
-HEALTH_WORDS = {"B": "B", "beta_e": "the effective bulk modulus"}
 
 
 def values_of(experiment: Experiment, fit: Fit) -> dict[str, Value]:
@@ -37,7 +32,7 @@ def values_of(experiment: Experiment, fit: Fit) -> dict[str, Value]:
     found = {}
     if "B" in known:
         # Where the areas make the measured force, B has their error and no fit can know of it.
-        made = experiment.by_pressures or (experiment.inverse and experiment.mode != FORCED)
+        made = experiment.by_pressures
         scale = experiment.settings.rig.tolerance.log_spread("area_1") if made else 0.0
         found["B"] = Value(fit.value("B"), float(np.hypot(
             fit.stddev("B"), scale * fit.value("B"))), unit)
@@ -122,7 +117,7 @@ def robust(experiment: Experiment, fit: Fit, block: float = BLOCK, of_rig: bool 
     slopes = sensitivities(experiment, fit.theta, fit.active, fit.gains, fit.e,
                            [step_of(f, fit.theta) for f in whole])
     d = np.stack([np.nan_to_num(slope) @ w.T for slope in slopes])
-    length = INVERSE_BLOCK if experiment.inverse else max(1, round(block / experiment.dt))
+    length = max(1, round(block / experiment.dt))
     count = max(1, white.shape[0] // length)
     pulls = np.stack([np.einsum("kic,ic->k", part, r) for part, r in zip(
         np.array_split(d[:k], count, axis=1), np.array_split(white, count, axis=0),
@@ -202,29 +197,3 @@ def quantised(experiment: Experiment) -> NamedEffect | None:
     return NamedEffect("position_quantisation", entry.balance, entry.said({"q": step}),
                        {"q": Value(step, 0.0, "m")}, float(against), (), entry.equation,
                        entry.rig_check, quantity(step, "m", 3))
-
-
-def health_sentences(experiment: Experiment, before: dict[str, Value], after: dict[str, Value],
-                     effects: tuple[NamedEffect, ...]) -> tuple[str, ...]:
-    """Return in plain words what the mismatch did to the health estimates."""
-    found = []
-    plant = [effect for effect in effects if effect.balance in ("force", "flow")] or list(effects)
-    for name, first in before.items():
-        if name not in after or not effects:
-            continue
-        then = after[name].value
-        change = first.value - then
-        if abs(change) < NOTABLE * abs(then) or abs(change) < 3.0 * after[name].stddev:
-            continue
-        cause = " and ".join(f"{effect.size} of {effect_words(effect.name)}".strip()
-                             for effect in plant[:3])
-        read = f"{HEALTH_WORDS[name]} read {quantity(first.value, first.unit, 3)}"
-        sense = "not wear" if name == "B" else "not the fluid"
-        if change > 0:
-            found.append(f"{read}; {quantity(change, first.unit, 3)} of it is {cause}, {sense}")
-        else:
-            found.append(f"{read}, {quantity(-change, first.unit, 3)} too little, because of "
-                         f"{cause}")
-    return tuple(found)
-
-

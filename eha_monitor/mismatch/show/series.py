@@ -8,15 +8,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eha_monitor.balances.candidates import Scale, balances_in, candidates_of
+from eha_monitor.balances.course import course_of
+from eha_monitor.balances.policy import POLICY
+from eha_monitor.balances.table import tables_of
 from eha_monitor.breakdown import computing
 from eha_monitor.estimation.hold_choice import resolved
-from eha_monitor.mismatch.data.experiment import OUTPUTS, Experiment, Stretch, experiment_of
+from eha_monitor.mismatch.data.experiment import (
+    OUTPUTS,
+    Experiment,
+    Stretch,
+    by_balances,
+    experiment_of,
+)
 from eha_monitor.mismatch.data.inputs import CLOSED, OPEN
 from eha_monitor.mismatch.likelihood.fit import Fit, filtered, spread
 from eha_monitor.mismatch.locate.missing import modelled_flow, modelled_force, modelled_speed
 from eha_monitor.mismatch.locate.terms import unexplained_terms
 from eha_monitor.mismatch.name.nominal import nominal
-from eha_monitor.mismatch.show.balances import SHOWN, needed
 from eha_monitor.physics.contributions import ALL_NAMES
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.recordings.recording import Recording
@@ -69,6 +78,8 @@ def series_of(recordings: Sequence[Recording], before: Settings, after: Settings
         If the recordings hold nothing that a model predicts.
     """
     with computing(*(recording.source for recording in recordings)):
+        if by_balances(recordings, before):
+            return _of_balances(recordings, before, after)
         held, _ = resolved(list(recordings), after)
         experiment, fit = nominal(experiment_of(list(recordings), held, False))
         known = theta_of(before.rig, before.effects)[1]
@@ -76,10 +87,9 @@ def series_of(recordings: Sequence[Recording], before: Settings, after: Settings
         names = tuple(ALL_NAMES[i] for i in np.flatnonzero(named))
         fit = replace(fit, named=tuple(ALL_NAMES[i] for i in np.flatnonzero(known)))
         bare = replace(fit, active=fit.active & ~named)
-        lacks = (_left_of_balances(experiment, bare, fit) if experiment.inverse
-                 else _unknowns(experiment, bare, fit, names))
-        modelled = [{}] * len(experiment.stretches) if experiment.inverse else spread(
-            lambda stretch: free_everywhere(experiment, fit, stretch), experiment.stretches)
+        lacks = _unknowns(experiment, bare, fit, names)
+        modelled = spread(lambda stretch: free_everywhere(experiment, fit, stretch),
+                          experiment.stretches)
         return [Series(stretch.source, stretch.start, experiment.dt,
                        _measured(experiment, stretch), modelled[i],
                        {balance: rows[i] for balance, rows in lacks.items()})
@@ -130,11 +140,31 @@ def _unknowns(experiment: Experiment, bare: Fit, fit: Fit, names: tuple[str, ...
     return found
 
 
-def _left_of_balances(experiment: Experiment, bare: Fit, fit: Fit) -> dict[str, list[Lack]]:
-    """Return what is left of the balances as they stand, without and with the named effects."""
-    found = {}
-    for balance in SHOWN[: fit.e.shape[1]]:
-        term = needed(experiment, bare, fit, balance)
-        found[balance] = [Lack(whole, made, whole - made)
-                          for whole, made in zip(term.measured, term.modelled, strict=True)]
+def _of_balances(recordings: Sequence[Recording], before: Settings, after: Settings
+                 ) -> list[Series]:
+    """Return what the balances of recordings lack, without and with the named effects.
+
+    The rest is what B, a constant load, displacement and compliance leave, fitted beside them.
+    """
+    found = []
+    for recording in recordings:
+        plain, whole = course_of(recording, before), course_of(recording, after)
+        time, scale, lacks = np.arange(len(recording)) * recording.sample_time, Scale.of(
+            [whole]), {}
+        for balance in balances_in([whole], after.rig):
+            candidates = candidates_of(balance, scale, after.rig)
+            bare, full = (tables_of([one], after.rig, balance, candidates, POLICY)[0]
+                          for one in (plain, whole))
+            always = [c.name for c in full.candidates if c.always]
+            left = full.rows @ full.mixture(full.gram, always)
+            explained = full.known - bare.known
+            there = full.good & (full.moving | (balance != "force"))
+            at = np.arange(len(left)) * full.dt
+            gone = np.interp(time, at, (~there).astype(float)) > 0.01
+            rows = [np.where(gone, np.nan, np.interp(time, at, one)) for one in (
+                left + explained, explained, left)]
+            lacks[balance] = Lack(*rows)
+        measured = {name: recording.channels[name] for name in (
+            *OUTPUTS, "x_d", "omega_d", "force") if recording.has(name)}
+        found.append(Series(recording.source, 0.0, recording.sample_time, measured, {}, lacks))
     return found

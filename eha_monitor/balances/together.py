@@ -15,27 +15,31 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.machine.candidates import Candidate
-from eha_monitor.machine.least_squares import (
+from eha_monitor.balances.least_squares import (
     independent,
     inverse_of,
     minimum_norm,
     signed_solution,
 )
-from eha_monitor.machine.policy import Policy
-from eha_monitor.machine.table import Table
+from eha_monitor.balances.policy import Policy
+from eha_monitor.balances.table import Table
 
 SOFT = 1e-3  # of the other half's products, so that a half without motion leaves nothing open
+ALONE = 0.1  # of what all recordings know of a parameter, that the sum of each alone knows
 MOST_TERMS = 10  # a choice that has not ended by then is none
 
 
 @dataclass(frozen=True)
 class Named:
-    """A family of terms that is named: ``terms`` as they entered, what they gain together, t."""
+    """A family of terms that is named: ``terms`` as they entered, what they gain together, t.
+
+    ``rivals`` : effects of the family that do as well on recordings left out.
+    """
 
     terms: tuple[str, ...]
     gain: float
     t: float
+    rivals: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -87,6 +91,7 @@ class Recordings:
         self.tables = tables
         self.candidates = {one.name: one for one in tables[0].candidates}
         self.grams = [table.gram * table.weight for table in tables]
+        self._reduced: dict[tuple[int, ...], list[np.ndarray]] = {}
 
     def split(self, names: Iterable[str]) -> tuple[list[int], list[int], np.ndarray]:
         """Return columns of machine and settings' parameters, and the signs of the former."""
@@ -96,10 +101,19 @@ class Recordings:
         signs = np.array([self.tables[0].candidates[i - 1].sign for i in shared], dtype=int)
         return shared, settings, signs
 
+    def reduced(self, settings: list[int]) -> list[np.ndarray]:
+        """Return the products of all columns without what a set of settings' explains."""
+        key = tuple(settings)
+        if key not in self._reduced:
+            every = list(range(len(self.grams[0])))
+            self._reduced[key] = [without(gram, every, settings) for gram in self.grams]
+        return self._reduced[key]
+
     def shared_fit(self, names: Iterable[str]) -> tuple[np.ndarray, list[np.ndarray]]:
         """Return machine parameters fitted to all recordings, and reduced products of each."""
         shared, settings, signs = self.split(names)
-        reduced = [without(gram, [0, *shared], settings) for gram in self.grams]
+        there = np.ix_([0, *shared], [0, *shared])
+        reduced = [gram[there] for gram in self.reduced(settings)]
         total = sum(reduced)
         return signed_solution(total[1:, 1:], total[1:, 0], signs), reduced
 
@@ -157,21 +171,29 @@ class Recordings:
             steps.append(best[:3])
             errors = best[3]
             names, errors = self._pruned(names, errors, policy)
-            names, errors = self._reshaped(names, errors)
-        return Chosen(tuple(names), errors, tuple(steps), self._named(names, errors, policy))
+            names, errors = self._reshaped(names, errors, allowed)
+        return Chosen(tuple(names), errors, tuple(steps),
+                      self._named(names, errors, allowed, policy))
 
-    def _named(self, names: list[str], errors: np.ndarray, policy: Policy) -> tuple[Named, ...]:
+    def _named(self, names: list[str], errors: np.ndarray, allowed: list[str], policy: Policy
+               ) -> tuple[Named, ...]:
         """Return the families of terms without which the error grows by what a name owes."""
         families: dict[str, list[str]] = {}
         for name in names:
             one = self.candidates[name]
             if not one.always:
-                families.setdefault(one.family or one.effect, []).append(name)
+                families.setdefault(one.kind, []).append(name)
         found = []
-        for terms in families.values():
-            mean, t = gain(self.errors([name for name in names if name not in terms]), errors)
+        for family, terms in families.items():
+            rest = [name for name in names if name not in terms]
+            mean, t = gain(self.errors(rest), errors)
             if mean >= policy.named and t >= policy.repeats:
-                found.append(Named(tuple(terms), mean, t))
+                effects = {self.candidates[name].effect for name in terms}
+                rivals = [name for name in allowed if self.candidates[name].kind == family
+                          and self.candidates[name].effect not in effects
+                          and gain(self.errors([*rest, name]), errors)[0] > -policy.alone]
+                found.append(Named(tuple(terms), mean, t, tuple(dict.fromkeys(
+                    self.candidates[name].effect for name in rivals))))
         return tuple(sorted(found, key=lambda one: -one.gain))
 
     def owed(self, name: str, policy: Policy) -> float:
@@ -186,8 +208,8 @@ class Recordings:
         """Tell whether all shared parameters are within their limits."""
         w, _ = self.shared_fit(names)
         shared, _, _ = self.split(names)
-        limits = np.array([self.tables[0].candidates[i - 1].limit for i in shared])
-        return bool((np.abs(w) <= limits).all())
+        reach = np.max([table.reach[shared] for table in self.tables], axis=0)
+        return bool((np.abs(w) <= reach).all())
 
     def _pruned(self, names: list[str], errors: np.ndarray, policy: Policy
                 ) -> tuple[list[str], np.ndarray]:
@@ -207,14 +229,16 @@ class Recordings:
                 return names, errors
             names, errors = worst[1:]
 
-    def _reshaped(self, names: list[str], errors: np.ndarray) -> tuple[list[str], np.ndarray]:
+    def _reshaped(self, names: list[str], errors: np.ndarray, allowed: list[str]
+                  ) -> tuple[list[str], np.ndarray]:
         """Move each shape to the variant that fits best beside the other terms."""
         for i, name in enumerate(names):
             one = self.candidates[name]
             if not one.variant:
                 continue
             for other in self.candidates.values():
-                if other.effect == one.effect and other.name != names[i]:
+                if (other.effect == one.effect and other.name != names[i]
+                        and other.name in allowed):
                     trial = [*names[:i], other.name, *names[i + 1 :]]
                     found = self.errors(trial)
                     if np.log(found).mean() < np.log(errors).mean() - 1e-9:
@@ -232,8 +256,13 @@ class Recordings:
             left = max(own[0, 0] - own[1:, 0] @ each[i], 0.0)
             scale = max(left / max(table.effective - len(names), 1.0), 1e-300)
             stddev[i] = np.sqrt(np.diag(inverse_of(own[1:, 1:])) * scale)
+        joint = np.sqrt(np.diag(inverse_of(sum(reduced)[1:, 1:])))  # the weights hold the noise
         value, between, mean_stddev = (np.zeros(len(shared)) for _ in range(3))
         for j in range(len(shared)):
+            if np.sum(stddev[:, j] ** -2.0) < ALONE * joint[j] ** -2.0:
+                # What only all of them together tell (one direction each) has no value of one.
+                value[j], mean_stddev[j] = w[j], joint[j]
+                continue
             value[j], between[j], mean_stddev[j] = pooled(each[:, j], stddev[:, j], w[j])
         setting, setting_stddev = self.settings_of(shared, settings, value)
         of = self.tables[0].candidates
@@ -337,8 +366,3 @@ def crosswise(table: Table, fit: np.ndarray, judge: np.ndarray, shared: list[int
         mixture[settings] = -minimum_norms(part[np.ix_(settings, settings)],
                                            (part[settings] @ mixture)[:, None])[:, 0]
     return mixture
-
-
-def allowed_of(candidates: Iterable[Candidate], load_varied: bool) -> list[str]:
-    """Return the names that a choice may take."""
-    return [one.name for one in candidates if load_varied or not one.needs_load]

@@ -2,25 +2,34 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
 
+from eha_monitor.balances.alone import FIRST_VIEW, Refused
+from eha_monitor.balances.candidates import (
+    Scale,
+    balances_in,
+    candidates_of,
+    sum_of_pressures,
+)
+from eha_monitor.balances.course import Course, course_of
+from eha_monitor.balances.discrepancy import Regime, learned, regimes, signals_of
+from eha_monitor.balances.policy import POLICY, Policy
+from eha_monitor.balances.scatter import Scatter, scatter_of
+from eha_monitor.balances.table import Table, nominal_of, tables_of
+from eha_monitor.balances.together import Chosen, Named, Recordings, pooled
 from eha_monitor.errors import InputError
-from eha_monitor.machine.candidates import Scale, candidates_of
-from eha_monitor.machine.course import Course, course_of
-from eha_monitor.machine.discrepancy import Regime, learned, regimes, signals_of
-from eha_monitor.machine.policy import POLICY, Policy
-from eha_monitor.machine.table import Table, tables_of
-from eha_monitor.machine.together import Named, Recordings, allowed_of, pooled, unseen
 from eha_monitor.output import write_json
+from eha_monitor.quantity import share
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
-SCHEMA = "eha_monitor/machine/1"
-BOTH = 0.05  # of the moving samples: a recording that turns round has more either way
+SCHEMA = "eha_monitor/balances/1"
+SHORTEST_S = 1.0  # of a part
+PIECES = 8  # in which fewer recordings than a machine needs are cut, together
 LEAST = 0.25  # of the typical spread: a few others may agree by chance
 LEVELS = (0.05, 0.95)  # quantiles of the force that stand for the load in the flexible reference
 
@@ -62,7 +71,7 @@ class MachineBalance:
 
     Attributes
     ----------
-    balance : ``force`` or ``flow``.
+    balance : ``force``, ``flow`` or ``drive``.
     parameters, settings : of its terms.
     each, each_stddev : recording x parameter, each fitted to that recording alone.
     nominal, error : of each recording left out, over the standard deviation of its balance:
@@ -71,10 +80,12 @@ class MachineBalance:
         with a flexible function of the signals in place of all physics.
     repeats : share of the squared error that repeats from recording to recording without a name.
     regimes : where the error lies.
-    size : usual standard deviation of the balance, N or m³/s; ``effective`` independent samples
-        in all recordings.
+    size : usual standard deviation of the balance, SI; ``floor`` what the sensors leave of it;
+        ``effective`` independent samples in all recordings.
     steps : (name, mean gain, t) as the terms entered.
     named : families of terms that are named; the rest corrects their form.
+    scatter : by how much each term would move in one recording or another.
+    refused : gates that something did not pass.
     """
 
     balance: str
@@ -89,9 +100,12 @@ class MachineBalance:
     repeats: float
     regimes: tuple[Regime, ...]
     size: float
+    floor: float
     effective: float
     steps: tuple[tuple[str, float, float], ...]
     named: tuple[Named, ...]
+    scatter: Scatter
+    refused: tuple[Refused, ...] = ()
 
     @property
     def terms(self) -> tuple[str, ...]:
@@ -125,15 +139,15 @@ class Machine:
     ----------
     rig : its name; ``sources`` the recordings.
     scale : shapes of the candidates are shares of it.
-    load_varied : whether the recordings differ in load.
-    turns : whether each recording moves both ways; else its load hides dry friction.
+    load_varied : whether the recordings differ in load, or in mean pressure.
+    pieces : they are parts of fewer recordings.
     """
 
     rig: str
     sources: tuple[str, ...]
     scale: Scale
     load_varied: bool
-    turns: bool
+    pieces: bool
     balances: tuple[MachineBalance, ...]
     odd: tuple[Odd, ...]
     policy: Policy
@@ -157,7 +171,7 @@ class Machine:
             "settings": settings,
             "unexplained_share": {one.balance: one.unexplained for one in self.balances},
             "repeating_share": {one.balance: one.repeats for one in self.balances},
-            "load_varied": self.load_varied, "turns": self.turns,
+            "load_varied": self.load_varied, "turns": self.scale.turns, "pieces": self.pieces,
             "odd": [asdict(one) for one in self.odd],
             "scale": asdict(self.scale), "policy": self.policy.to_dict(),
             "balances": [asdict(one) for one in self.balances]})
@@ -182,12 +196,13 @@ def rms(values: Sequence[float]) -> float:
 
 
 def machine_of(recordings: Sequence[Recording], settings: Settings, vary: Sequence[str] = (),
-               policy: Policy = POLICY) -> Machine:
+               without: Sequence[str] = (), policy: Policy = POLICY) -> Machine:
     """Return the machine that several recordings of one rig show.
 
     Parameters
     ----------
     vary : what is known to differ between them; ``load`` alone has a meaning here.
+    without : effects that are not considered.
 
     Raises
     ------
@@ -197,64 +212,154 @@ def machine_of(recordings: Sequence[Recording], settings: Settings, vary: Sequen
     if len(recordings) < policy.fewest:
         raise InputError(f"expected at least {policy.fewest} recordings of one machine, got "
                          f"{len(recordings)}")
-    rig = settings.rig
     courses = [course_of(recording, settings) for recording in recordings]
+    return machine_from(courses, settings.rig, vary, without, policy)
+
+
+def healthy_machine(recordings: Sequence[Recording], settings: Settings,
+                    policy: Policy = POLICY) -> Machine:
+    """Return the machine of healthy recordings, of however few.
+
+    Fewer than it needs are cut in parts; these do not hold what differs from one recording to
+    the next, so a typical spread is added.
+
+    Raises
+    ------
+    InputError
+        If a recording has no force balance, or so few are too short to be cut.
+    """
+    courses = [course_of(recording, settings) for recording in recordings]
+    if len(courses) >= policy.fewest:
+        return machine_from(courses, settings.rig, (), (), policy)
+    seconds = sum(float(course.good.sum()) * course.dt for course in courses)
+    if seconds < PIECES * SHORTEST_S:
+        raise InputError(
+            f"{recordings[0].source}: expected at least {policy.fewest} reference recordings, or "
+            f"{PIECES * SHORTEST_S:g} s of motion in them to cut in parts, found {seconds:.1f} s")
+    return machine_from([part for one in courses for part in _parts(
+        one, -(-PIECES // len(courses)))], settings.rig, (), (), policy, pieces=True)
+
+
+def _parts(course: Course, count: int) -> list[Course]:
+    """Return a recording as so many, each with a part of its compared samples."""
+    part = np.minimum(np.cumsum(course.good) * count // max(course.good.sum(), 1), count - 1)
+    return [replace(course, source=f"{course.source}, part {i + 1}",
+                    good=course.good & (part == i), moving=course.moving & (part == i))
+            for i in range(count)]
+
+
+def machine_from(courses: Sequence[Course], rig: Rig, vary: Sequence[str], without: Sequence[str],
+                 policy: Policy, pieces: bool = False) -> Machine:
+    """Return the machine that measured motions show.
+
+    Parameters
+    ----------
+    vary : what is known to differ between them.
+    pieces : they are parts of few recordings, of one setting.
+    """
     scale = Scale.of(courses)
-    kinds = ["force"]
-    if rig.area_1 and rig.area_2 and all(
-            c.omega is not None and c.p1 is not None for c in courses):
-        kinds.append("flow")
-    varied, found, tables = "load" in vary, [], {}
-    for kind in kinds:
-        table = tables_of(courses, rig, kind, candidates_of(kind, scale, rig), policy)
-        one = _balance(kind, courses, table, scale, rig, varied, policy)
-        if kind == "force" and not varied and any(
+    if pieces:
+        scale = replace(scale, turns=False)
+    varied, found = list(vary), []
+    if pressure_varied(courses, policy):
+        varied.append("pressure")
+    for kind in balances_in(courses, rig):
+        one = _balance(kind, courses, scale, rig, (varied, without, pieces), policy)
+        if kind == "force" and "load" not in varied and any(
                 s.varies and s.effect != "presliding_friction" for s in one.settings):
-            varied = True  # now friction that grows with pressure can be separated from load
-            one = _balance(kind, courses, table, scale, rig, varied, policy)
+            varied.append("load")  # now friction that grows with pressure can be separated
+            one = _balance(kind, courses, scale, rig, (varied, without, pieces), policy)
         found.append(one)
-        tables[kind] = table
     sources = tuple(Path(one.source).name or f"recording {i + 1}"
-                    for i, one in enumerate(recordings))
-    turns = all(BOTH < np.mean(c.v[c.moving] > 0.0) < 1.0 - BOTH for c in courses
-                if c.moving.any())
-    return Machine(rig.name, sources, scale, varied, turns, tuple(found),
+                    for i, one in enumerate(courses))
+    return Machine(rig.name, sources, scale, bool(varied), pieces, tuple(found),
                    _odd(sources, found, policy), policy)
 
 
-def _balance(kind: str, courses: list[Course], tables: list[Table], scale: Scale, rig: Rig,
-             varied: bool, policy: Policy) -> MachineBalance:
+def pressure_varied(courses: Sequence[Course], policy: Policy) -> bool:
+    """Tell whether the mean pressure was set otherwise in some recordings, whatever the force.
+
+    What of it goes with the force, which the pressures make, is no setting.
+    """
+    if len(courses) < 2 or any(course.p1 is None for course in courses):
+        return False
+    sums = [sum_of_pressures(course)[course.good] for course in courses]
+    forces = [np.abs(course.force[course.good]) for course in courses]
+    within = [[row - row.mean() for row in rows] for rows in (forces, sums)]
+    x, y = (np.concatenate(rows) for rows in within)
+    slope = float(x @ y) / max(float(x @ x), 1e-300)
+    own = [one - slope * force for one, force in zip(sums, forces, strict=True)]
+    levels = np.array([np.median(one) for one in own])
+    moves = float(np.median([np.std(one) for one in own]))
+    largest = max(float(np.median(one)) for one in sums)
+    return bool(np.ptp(levels) > max(policy.varied * moves, 0.2 * largest))
+
+
+def _balance(kind: str, courses: Sequence[Course], scale: Scale, rig: Rig,
+             how: tuple[Sequence[str], Sequence[str], bool], policy: Policy) -> MachineBalance:
+    varied, out, pieces = how
+    tables = tables_of(courses, rig, kind, candidates_of(kind, scale, rig, varied, out), policy)
     recordings = Recordings(tables)
-    of = recordings.candidates
-    chosen = recordings.choose(policy, allowed_of(tables[0].candidates, varied))
+    of, allowed = recordings.candidates, [one.name for one in tables[0].candidates]
+    chosen, refused = gated(recordings, recordings.choose(policy, allowed), kind, policy)
     fit = recordings.fit(chosen.names)
+    between = fit.between
+    if pieces:
+        between = np.hypot(between, policy.between * np.abs(fit.value))
     left = recordings.left_out(chosen.names)
-    signals, good = [signals_of(c, kind, scale) for c in courses], [
-        c.compared(c.good) for c in courses]
     sizes = [table.size for table in tables]
-    named = learned(signals, left, good, sizes)
-    whole = [table.rows[:, 0] - table.rows[table.good, 0].mean() for table in tables]
-    if kind == "force":
-        signals = [np.column_stack([part, np.tile(np.quantile(
-            table.rows[table.good, 0], LEVELS), (len(part), 1))])
-            for part, table in zip(signals, tables, strict=True)]
-    repeats = named.removed if named.removed >= policy.learns else 0.0
-    reference = learned(signals, whole, good, sizes)
+    after = reference = chosen.errors
+    repeats = 0.0
+    if kind != "drive":
+        signals, good = [signals_of(c, kind, scale) for c in courses], [
+            c.compared(c.good) for c in courses]
+        named = learned(signals, left, good, sizes)
+        whole = [table.rows[:, 0] - table.rows[table.good, 0].mean() for table in tables]
+        if kind == "force":
+            signals = [np.column_stack([part, np.tile(np.quantile(
+                table.rows[table.good, 0], LEVELS), (len(part), 1))])
+                for part, table in zip(signals, tables, strict=True)]
+        repeats = named.removed if named.removed >= policy.learns else 0.0
+        after, reference = (named.after if repeats else named.before), learned(
+            signals, whole, good, sizes).after
     parameters = tuple(
         Parameter(name, of[name].effect, of[name].words, of[name].unit, *map(float, row))
-        for name, *row in zip(fit.names, fit.value, fit.between, fit.stddev, strict=True))
+        for name, *row in zip(fit.names, fit.value, between, fit.stddev, strict=True))
     settings = tuple(
         Setting(name, of[name].effect, of[name].words, of[name].unit, tuple(value.tolist()),
                 tuple(stddev.tolist()), varies(value, stddev, policy))
         for name, value, stddev in zip(fit.settings, fit.setting.T, fit.setting_stddev.T,
                                        strict=True))
+    weights = dict(zip(fit.names, fit.value.tolist(), strict=True))
     return MachineBalance(
         kind, parameters, settings, _rows(fit.each), _rows(fit.each_stddev),
-        tuple(_nominal(kind, recordings, rig)), tuple(chosen.errors.tolist()),
-        tuple((named.after if repeats else named.before).tolist()),
-        tuple(reference.after.tolist()), repeats, regimes(courses, left),
-        float(np.median(sizes)), float(sum(table.effective for table in tables)), chosen.steps,
-        chosen.named)
+        tuple(nominal_errors(kind, tables, rig).tolist()), tuple(chosen.errors.tolist()),
+        tuple(after.tolist()), tuple(reference.tolist()), repeats, regimes(courses, left),
+        float(np.median(sizes)), float(np.median([table.floor for table in tables])),
+        float(sum(table.effective for table in tables)), chosen.steps,
+        chosen.named, scatter_of(tables, weights, fit.settings, allowed, policy, pieces), refused)
+
+
+def gated(recordings: Recordings, chosen: Chosen, kind: str, policy: Policy
+          ) -> tuple[Chosen, tuple[Refused, ...]]:
+    """Return the choice, or the first view's terms where these leave less on what is left out."""
+    first = [name for name, one in recordings.candidates.items()
+             if one.always or (kind == "force" and name in FIRST_VIEW)]
+    errors = recordings.errors(first)
+    if rms(chosen.errors) <= rms(errors) + policy.worse:
+        return chosen, ()
+    return Chosen(tuple(first), errors, (), ()), (Refused(
+        "unseen_error", kind, f"least squares leave {share(rms(errors), 2)} of the {kind} on "
+        f"recordings left out, what was chosen {share(rms(chosen.errors), 2)}: their terms stand "
+        "in its place"),)
+
+
+def nominal_errors(kind: str, tables: Sequence[Table], rig: Rig) -> np.ndarray:
+    """Return the error of the config's linear model on each recording left out, (r,)."""
+    names, held = nominal_of(kind, rig)
+    bare = [replace(table, rows=np.column_stack([table.left(held), table.rows[:, 1:]]))
+            for table in tables]
+    return Recordings(bare).errors(names)
 
 
 def _rows(values: np.ndarray) -> tuple[tuple[float, ...], ...]:
@@ -267,16 +372,6 @@ def varies(value: np.ndarray, stddev: np.ndarray, policy: Policy) -> bool:
     mean = float(weight @ value / weight.sum())
     far = np.abs(value - mean) > policy.varied * stddev
     return bool(far.sum() >= 2 and np.ptp(value) > 0.2 * np.abs(value).max())
-
-
-def _nominal(kind: str, recordings: Recordings, rig: Rig) -> list[float]:
-    """Return the error of the config's linear model: viscous damping, the given displacement."""
-    if kind == "force":
-        return recordings.errors(["B"]).tolist()
-    if rig.pump_displacement is None:
-        return recordings.errors(["D_p"]).tolist()
-    w = np.array([rig.pump_displacement])
-    return [unseen(table, [table.places["D_p"]], [], w) for table in recordings.tables]
 
 
 def _odd(sources: Sequence[str], balances: Sequence[MachineBalance], policy: Policy
@@ -327,7 +422,8 @@ def load(path: Path) -> Machine:
         known = {f.name for f in fields(Policy)}
         return Machine(
             data["rig"], tuple(row["recording"] for row in data["settings"]),
-            Scale(**data["scale"]), data["load_varied"], data["turns"], balances,
+            Scale(**data["scale"] | {"tops": tuple(data["scale"]["tops"])}),
+            data["load_varied"], data["pieces"], balances,
             tuple(Odd(**one) for one in data["odd"]),
             Policy(**{k: v for k, v in data["policy"].items() if k in known}))
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as problem:
@@ -343,7 +439,11 @@ def _read_balance(data: dict) -> MachineBalance:
         Setting(**one | {"value": tuple(one["value"]), "stddev": _numbers(one["stddev"])})
         for one in data["settings"])
     made["regimes"] = tuple(Regime(**one) for one in data["regimes"])
-    made["named"] = tuple(Named(**one | {"terms": tuple(one["terms"])}) for one in data["named"])
+    made["named"] = tuple(Named(**one | {"terms": tuple(one["terms"]), "rivals": tuple(
+        one["rivals"])}) for one in data["named"])
+    made["refused"] = tuple(Refused(**one) for one in data["refused"])
+    made["scatter"] = Scatter(**{key: tuple(value) if isinstance(value, list) else value
+                                 for key, value in data["scatter"].items()})
     made["steps"] = tuple(map(tuple, data["steps"]))
     for name in ("each", "each_stddev"):
         made[name] = tuple(map(_numbers, data[name]))

@@ -30,8 +30,15 @@ class Policy:
         known.  Measured on replicates; see docs/one_machine.md.
     worse : an error on unseen parts may grow by this share of the signal.  Contract of the gate.
     odd : robust deviations beyond which a recording does not belong.  Definition.
-    varied : the load counts as varied where it differs by this many of its deviations and by a
-        fifth of its size.  Definition: 3 deviations.
+    varied : deviations by which two numbers differ: a load that was varied (and by a fifth of
+        its size), a number of the config that is wrong, a term that is there.  Definition.
+    zero : a smaller constant load, as a share of the signal, may be the zero of the sensors.
+        Definition: a tenth.
+    open : share of the signal that an answer may leave; beyond it nothing is named.  Definition:
+        half.
+    clean : times what the sensors alone leave: such a balance is closed.  Derived: the scatter of
+        some hundred correlated samples.
+    false : share of healthy recordings that may be called changed.  Definition.
     fewest : recordings from which a structure is chosen on recordings left out.  Derived: a t of
         2 from fewer is met by chance in one of six.
     learns : share of the error that a learned term must remove on recordings left out, before it
@@ -52,6 +59,10 @@ class Policy:
     worse: float = 0.02
     odd: float = 4.0
     varied: float = 3.0
+    zero: float = 0.1
+    open: float = 0.5
+    clean: float = 1.25
+    false: float = 0.01
     fewest: int = 3
     learns: float = 0.1
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.machine.candidates import Scale, direction_of, stop
-from eha_monitor.machine.course import Course
+from eha_monitor.balances.candidates import Scale, stop
+from eha_monitor.balances.course import Course, direction_of
 
 FEATURES = 200
 WIDTHS = (1.0, 2.0)  # of the kernel, times the root of the number of signals

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from eha_monitor.balances.candidates import pressure_rate
+from eha_monitor.balances.course import Course, course_of
+from eha_monitor.balances.least_squares import independent, inverse_of, signed_solution
 from eha_monitor.errors import InputError
-from eha_monitor.machine.candidates import pressure_rate
-from eha_monitor.machine.course import Course, course_of
-from eha_monitor.machine.least_squares import independent, inverse_of, signed_solution
 from eha_monitor.quantity import share, with_uncertainty
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings

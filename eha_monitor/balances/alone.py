@@ -1,0 +1,313 @@
+"""The terms of a balance that one recording alone can carry, or two together, and how surely.
+
+Terms are chosen on random halves of the recording's blocks, each judged on the other half: a
+term enters where it takes the share ``alone`` of the error there.  A name is what comes up in
+``stable`` of the halves (Meinshausen and Buehlmann 2010); its probability is that frequency,
+flattened to what replicates of real recordings allow, and capped.  What is chosen passes the
+gates: a term stays where it is 3 deviations from absent and within its limits, and the model where
+it leaves no more on unseen parts than the config's own does, and than ten lines of least squares.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from eha_monitor.balances.candidates import Candidate
+from eha_monitor.balances.least_squares import inverse_of, signed_solution
+from eha_monitor.balances.policy import Policy
+from eha_monitor.balances.table import Table
+from eha_monitor.quantity import quantity, share
+
+MOST_TERMS = 8
+FIRST_VIEW = ("F_c", "dM")  # what ten lines of least squares have beside B and F_0
+
+
+@dataclass(frozen=True)
+class Name:
+    """A term of the model of one balance.
+
+    Attributes
+    ----------
+    term, effect : the candidate's.
+    value, stddev : SI; the deviation contains a typical spread between recordings.
+    frequency : share of the halves in which the effect, or one of its family, came up.
+    probability : calibrated and capped.
+    gained : log units that the balance loses without it.
+    named : it is an answer; else it corrects the form, or belongs to every model.
+    rivals : effects that fit as well in its place.
+    """
+
+    term: str
+    effect: str
+    value: float
+    stddev: float
+    frequency: float
+    probability: float
+    gained: float
+    named: bool
+    rivals: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A gate that a term or a model did not pass: see :class:`mismatch.diagnosis.Gate`."""
+
+    gate: str
+    what: str
+    statement: str
+
+
+@dataclass(frozen=True)
+class Alone:
+    """What one balance of one recording says.
+
+    Attributes
+    ----------
+    names : terms of the model, those that every model has first.
+    refused : gates that something did not pass.
+    effective_samples : of the fullest model's residual.
+    error, nominal : share of the signal that is left on the half left out, mean over the halves;
+        ``nominal`` with the terms that every model has.
+    """
+
+    names: tuple[Name, ...]
+    refused: tuple[Refused, ...]
+    effective_samples: float
+    error: float
+    nominal: float
+
+    @property
+    def effects(self) -> frozenset[str]:
+        """Effects that are named."""
+        return frozenset(name.effect for name in self.names if name.named)
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Parameter of each term."""
+        return {name.term: name.value for name in self.names}
+
+
+def alone(table: Table, policy: Policy, seed: int = 0) -> Alone:
+    """Return what one balance of one recording says, or of two that are pooled."""
+    return _Choice(table, policy, seed).answer()
+
+
+class _Choice:
+    """Halves of a table, and what sets of terms leave of them."""
+
+    def __init__(self, table: Table, policy: Policy, seed: int):
+        self.table, self.policy = table, policy
+        self.of = {one.name: one for one in table.candidates}
+        self.always = [one.name for one in table.candidates if one.always]
+        self.allowed = [one for one in self.of
+                        if one in self.always or not self.beyond([*self.always, one])]
+        rng, count, self.halves = np.random.default_rng(seed), len(table.blocks), []
+        for _ in range(policy.halves):
+            first = np.zeros(count, dtype=bool)
+            first[rng.permutation(count)[: (count + 1) // 2]] = True
+            self.halves.append((table.blocks[first].sum(axis=0),
+                                table.blocks[~first].sum(axis=0)))
+
+    def answer(self) -> Alone:
+        """Return the model."""
+        table, policy = self.table, self.policy
+        nominal = self.unseen(self.always)
+        refused: list[Refused] = []
+        kept, often, rivals = list(self.always), {}, {}
+        if nominal > max(policy.worse, policy.clean * table.floor / table.size):
+            kept, often, rivals = self.stable()
+            kept = self.gated(kept, refused)
+        named = set(kept) - set(self.always)
+        kept = self.as_good_as_first_view(kept, refused)
+        values, sure = self.parameters(kept)
+        found, error = [], self.unseen(kept)
+        families = {self.of[name].kind for name in kept}
+        for name, value, stddev in zip(kept, values, sure, strict=True):
+            one = self.of[name]
+            typical = policy.between if one.between is None else one.between
+            frequency = often.get(one.kind, 0.0) if not one.always else 1.0
+            rest = [other for other in kept if other != name]
+            gained = (table.effective * float(np.log(self.unseen(rest) / error))
+                      if not one.always else 0.0)
+            found.append(Name(
+                name, one.effect, value, float(np.hypot(stddev, typical * value)), frequency,
+                probability_of(frequency, policy), gained, name in named,
+                tuple(e for e in rivals.get(one.kind, ()) if e not in {
+                    self.of[other].effect for other in kept} and one.kind in families)))
+        return Alone(tuple(found), tuple(refused), table.effective, error, nominal)
+
+    def stable(self) -> tuple[list[str], dict[str, float], dict[str, tuple[str, ...]]]:
+        """Return the terms that most halves choose, how often each family is, and rivals."""
+        of, policy = self.of, self.policy
+        effects, families, terms = Counter(), Counter(), Counter()
+        for fit, judge in self.halves:
+            chosen = chosen_on(self.table, (fit, judge), self.always, self.allowed, policy)
+            effects.update({of[name].effect for name in chosen})
+            families.update({of[name].kind for name in chosen if not of[name].always})
+            terms.update(chosen)
+        kept = list(self.always)
+        for family, count in families.most_common():
+            if count < policy.stable * policy.halves:
+                continue
+            members = [name for name, _ in terms.most_common()
+                       if of[name].kind == family and not of[name].always]
+            steady = [name for name in members
+                      if effects[of[name].effect] >= policy.stable * policy.halves]
+            for name in steady or members[:1]:
+                if of[name].effect not in {of[other].effect for other in kept}:
+                    kept.append(name)
+        rivals = {}
+        for i, name in enumerate(kept):
+            if not of[name].always:
+                kept[i], rivals[of[name].kind] = self.plainest(kept, i)
+        return kept, {k: v / policy.halves for k, v in families.items()}, rivals
+
+    def plainest(self, kept: list[str], i: int) -> tuple[str, tuple[str, ...]]:
+        """Return the first member of a family that fits as well as any, and the others that do.
+
+        Within a family the difference is one of form; a recording alone rarely decides it, and
+        what it cannot decide goes to the one that stands first among the candidates.
+        """
+        of = self.of
+        own, taken = of[kept[i]], {of[name].effect for name in kept}
+        members = [name for name in self.allowed if not of[name].always and (
+            of[name].effect == own.effect or (own.family and of[name].family == own.family
+                                              and of[name].effect not in taken))]
+        found = {name: self.unseen([*kept[:i], name, *kept[i + 1 :]]) for name in members}
+        best: dict[str, str] = {}  # effect -> its best shape
+        for name in members:
+            effect = of[name].effect
+            if effect not in best or found[name] < found[best[effect]]:
+                best[effect] = name
+        least = min(found.values())
+        equal = [effect for effect, name in best.items()
+                 if found[name] <= least * np.exp(self.policy.alone)]
+        return best[equal[0]], tuple(equal[1:])
+
+    def gated(self, kept: list[str], refused: list[Refused]) -> list[str]:
+        """Return the terms that are there for sure and within their limits."""
+        while True:
+            values, sure = self.parameters(kept)
+            out = None
+            for name, value, stddev in zip(kept, values, sure, strict=True):
+                one = self.of[name]
+                if one.always:
+                    continue
+                rest = [other for other in kept if other != name]
+                shown = quantity(value, one.unit, 3)
+                if abs(value) > self.table.reach[self.table.places[name]]:
+                    out = Refused("bound", one.effect, f"{one.words} of {shown} is beyond what "
+                                  "this rig can have")
+                elif abs(value) < self.policy.varied * stddev and self.unseen(
+                        rest) < self.unseen(kept) * np.exp(self.policy.alone):
+                    out = Refused("member", one.effect, f"{one.words} of {shown} is not "
+                                  f"{self.policy.varied:g} deviations from absent, and the model "
+                                  "without it is no worse")
+                if out is not None:
+                    refused.append(out)
+                    kept = rest
+                    break
+            if out is None:
+                break
+        error, before = self.unseen(kept), self.unseen(self.always)
+        if error > before + self.policy.worse:
+            refused.append(Refused(
+                "unseen_error", self.table.candidates[0].balance,
+                f"on unseen parts {share(error, 2)} of it would stay open, {share(before, 2)} "
+                "without the names"))
+            return list(self.always)
+        return kept
+
+    def as_good_as_first_view(self, kept: list[str], refused: list[Refused]) -> list[str]:
+        """Return the terms with those of the first view where these leave less while it moves."""
+        more = [name for name in FIRST_VIEW if name in self.of and name not in kept]
+        if self.table.candidates[0].balance != "force" or not more:
+            return kept
+        table, there = self.table, self.table.moving & self.table.good
+        if there.sum() < 4 * MOST_TERMS:
+            return kept
+
+        def left(names):
+            return float(np.sqrt(np.mean(table.crosswise(names)[there] ** 2))) / table.size
+
+        first = [*self.always, *(name for name in FIRST_VIEW if name in self.of)]
+        mine, view = left(kept), left(first)
+        if mine <= view + self.policy.worse or self.beyond(first):
+            return kept
+        refused.append(Refused(
+            "unseen_error", "force", f"least squares on the force balance leave {share(view, 2)} "
+            f"on unseen parts, what is named {share(mine, 2)}: their terms correct the model"))
+        return [*kept, *more]
+
+    def unseen(self, names: Sequence[str]) -> float:
+        """Return the rms on the halves left out, as a share of the signal."""
+        squares = np.sum([_error(self.table, half, names) ** 2 for half in self.halves])
+        count = sum(judge[0, 0] for _, judge in self.halves) / max(self.table.gram[0, 0], 1e-300)
+        return max(float(np.sqrt(squares / max(count * self.table.n, 1.0))) / self.table.size,
+                   1e-12)
+
+    def beyond(self, names: Sequence[str]) -> bool:
+        """Tell whether a parameter of a set is beyond its limit on the whole recording."""
+        w = -self.table.mixture(self.table.gram, names)
+        return bool((np.abs(w) > self.table.reach).any())
+
+    def parameters(self, names: Sequence[str]) -> tuple[list[float], list[float]]:
+        """Return values, and deviations of as many independent samples as there are."""
+        return parameters_of(self.table, names)
+
+
+def parameters_of(table: Table, names: Sequence[str], held: dict[str, float] | None = None
+                  ) -> tuple[list[float], list[float]]:
+    """Return the parameters of terms on a whole table, and their deviations."""
+    places = [table.places[name] for name in names]
+    mixture = table.mixture(table.gram, names, held)
+    left = max(float(mixture @ table.gram @ mixture), 0.0) / max(table.n, 1)
+    effective = table.effective
+    scale = left * table.full[1] * effective / max(effective - len(names), 1.0)
+    variance = np.diag(inverse_of(table.gram[np.ix_(places, places)])) * scale
+    return (-mixture[places]).tolist(), np.sqrt(np.maximum(variance, 0.0)).tolist()
+
+
+def probability_of(frequency: float, policy: Policy) -> float:
+    """Return how surely a name of this frequency comes back on another day."""
+    half = 0.5 / policy.halves
+    odds = np.log((frequency + half) / (1.0 - frequency + half))
+    return float(min(1.0 / (1.0 + np.exp(-policy.slope * odds)), policy.certain))
+
+
+def chosen_on(table: Table, half: tuple[np.ndarray, np.ndarray], always: Sequence[str],
+              allowed: Sequence[str], policy: Policy) -> list[str]:
+    """Return the terms that gain on one half, fitted on the other."""
+    names: list[str] = list(always)
+    of: dict[str, Candidate] = {one.name: one for one in table.candidates}
+    error = _error(table, half, names)
+    while len(names) < MOST_TERMS:
+        taken = {of[name].effect for name in names}
+        best, least = None, error * np.exp(-policy.alone)
+        for name in allowed:
+            if name in names or (of[name].variant and of[name].effect in taken):
+                continue
+            found = _error(table, half, [*names, name])
+            if found < least:
+                best, least = name, found
+        if best is None:
+            break
+        names.append(best)
+        error = least
+        for name in [one for one in names if one not in always and one != best]:
+            rest = [one for one in names if one != name]
+            found = _error(table, half, rest)
+            if found < error * np.exp(policy.alone):
+                names, error = rest, found
+    return names
+
+
+def _error(table: Table, half: tuple[np.ndarray, np.ndarray], names: Sequence[str]) -> float:
+    """Return the RMS on the judging half, in the unit of y times the root of the samples."""
+    fit, judge = half
+    places = [table.places[name] for name in names]
+    w = signed_solution(fit[np.ix_(places, places)], fit[places, 0], table.signs[places])
+    left = judge[0, 0] - 2.0 * w @ judge[places, 0] + w @ judge[np.ix_(places, places)] @ w
+    return float(np.sqrt(max(left, 1e-300)))

@@ -1,0 +1,384 @@
+"""What a balance may hold: one frozen type, and the columns of each candidate.
+
+A candidate is linear in its one number; what is not (a distance, a speed, a share) stands as a
+few candidates of one ``effect``, of which at most one enters.  All balances are taken relative to
+the config: its mass, leakage, effects and drive are subtracted before (:func:`course.known_of`).
+
+    force   A1 p1 - A2 p2 - M x'' - known = B x' + F_0 + F_c sgn x' + ...
+    flow    A1 x' - known = D_p omega - C_h p' - L (p1 - p2) - ...
+    drive   omega - wanted = k wanted - tau omega' - ...
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from eha_monitor.balances.course import (
+    COMMANDED,
+    STANDING,
+    Course,
+    direction_of,
+    has_flow,
+    pumped_side,
+)
+from eha_monitor.physics.effects.entrained_air import compliance
+from eha_monitor.settings.rig import Rig
+
+BALANCES = ("force", "flow", "drive")
+SIDES = {"force": "N", "flow": "m³/s", "drive": "rad/s"}
+# Grids of shapes, as shares of the usual travel or speed; between two neighbours an error changes
+# by less than what a name owes.
+BENT = (0.005, 0.015, 0.05, 0.15)
+SLACK = tuple(round(0.03 * 1.4**k, 4) for k in range(8))
+TURNS = (0.1, 0.3)
+SLOW = (0.03, 0.1, 0.3)
+TOPS = (0.999, 0.98, 0.9)  # quantiles of the pump's speed at which its drive may saturate
+MASS = 5.0  # times the config's: oil in lines moves with the piston, but not more than that
+AIR_EXPONENT = 1.4  # adiabatic
+LAMINAR = 1e4  # Pa: the catalogue's own rounding of a flow at no pressure difference
+DEAD_SPEED = 5.0  # rad/s over which a pump's dead zone is rounded
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One term of a balance: y = sum of parameter times column.
+
+    Attributes
+    ----------
+    name : symbol of its parameter; unique within its balance.
+    effect : what it is called, as in the catalogue where that has it; variants share it.
+    balance : one of ``BALANCES``.
+    unit, words : of the parameter.
+    sign : 1 where physics wants it positive, -1 negative, 0 either.
+    column : of a course and the rig, (m,) not yet in the band; None where channels are missing.
+    always : in every model of the balance.
+    setting : its parameter belongs to the setting of each recording, not to the machine.
+    family : names of one family stand for one another: recordings rarely separate them.
+    variant : one of several shapes of its effect; only one of them enters.
+    limit : a larger parameter is no physics of this rig, but the error of another term.
+    between : relative spread between recordings where it is not the policy's.
+    needs : what must vary between recordings, ``load`` or ``pressure``, before it can be
+        separated from what it resembles; "" nothing.
+    symbol, shape : the catalogue's parameter that it is, and those that its shape stands for.
+    twins : effects that are the same column to first order.
+    odd : it changes its sign with the direction of motion.
+    power : it grows with this power of the speed.
+    """
+
+    name: str
+    effect: str
+    balance: str
+    unit: str
+    words: str
+    sign: int
+    column: Callable[[Course, Rig], np.ndarray | None]
+    always: bool = False
+    setting: bool = False
+    family: str = ""
+    variant: bool = False
+    needs: str = ""
+    limit: float = np.inf
+    between: float | None = None
+    symbol: str = ""
+    shape: tuple[tuple[str, float], ...] = ()
+    twins: tuple[str, ...] = ()
+    odd: bool = True
+    power: float = 0.0
+
+    @property
+    def kind(self) -> str:
+        """Its family, or else its effect."""
+        return self.family or self.effect
+
+
+def stop(x: np.ndarray, reach: float) -> np.ndarray:
+    """Return Prandtl's stop operator of a motion, (m,) in -1..1: friction of a bent seal.
+
+    It holds its value at rest and turns round within twice ``reach`` m.
+    """
+    out, z = np.empty(len(x)), 0.0
+    for k, step in enumerate(np.diff(x, prepend=x[0]).tolist()):
+        z = min(max(z + step / reach, -1.0), 1.0)
+        out[k] = z
+    return out
+
+
+def taken_up(x: np.ndarray, slack: float, near: float) -> np.ndarray:
+    """Return how far a one-sided load is taken up, (m,) 0..1.
+
+    What is pushed in one direction only: it follows the way back freely, and is met again
+    ``slack`` m after the motion has turned (a valve with a check valve, play behind a spring).
+
+    Parameters
+    ----------
+    near : m that the motion must go back before it has turned, more than noise.
+    """
+    side, out, anchor = stop(x, near), np.empty(len(x)), x[0]
+    for k, (place, z) in enumerate(zip(x.tolist(), side.tolist(), strict=True)):
+        if z <= -1.0:
+            anchor = place
+        out[k] = 0.5 * (1.0 + z) * min(max(2.0 * ((place - anchor) / slack - 0.75), 0.0), 1.0)
+    return out
+
+
+def sum_of_pressures(course: Course) -> np.ndarray | None:
+    """Return p1 + p2, at least 0, (m,) Pa; None where they are not recorded."""
+    return None if course.p1 is None else np.maximum(course.p1 + course.p2, 0.0)
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What shapes are shares of: where the recordings move, how far and how fast, SI.
+
+    ``origin`` and ``span`` hold all of them, ``travel`` and ``speed`` are usual, ``slowest`` is
+    the top speed of the slowest; ``tops`` speeds of the pump, one for each of ``TOPS``.
+    ``turns`` : each of them moves both ways; else a load of its own hides dry friction.
+    """
+
+    origin: float
+    span: float
+    travel: float
+    speed: float
+    slowest: float
+    tops: tuple[float, ...] = ()
+    turns: bool = True
+
+    @classmethod
+    def of(cls, courses: Sequence[Course]) -> "Scale":
+        """Return the scale of some recordings."""
+        low = min(float(c.x[c.good].min()) for c in courses)
+        high = max(float(c.x[c.good].max()) for c in courses)
+        pumps = [np.abs(c.omega[c.good]) for c in courses if c.omega is not None]
+        return cls(low, max(high - low, 1e-12),
+                   float(np.median([np.ptp(c.x[c.good]) for c in courses])),
+                   float(np.median([c.speed for c in courses])),
+                   min(c.speed for c in courses),
+                   tuple(np.quantile(np.concatenate(pumps), TOPS).tolist()) if pumps else (),
+                   all(turned(c) for c in courses if c.moving.any()))
+
+
+BOTH = 0.05  # of the moving samples: a recording that turns round has more either way
+
+
+def turned(course: Course) -> bool:
+    """Tell whether a recording moves both ways."""
+    return bool(BOTH < np.mean(course.v[course.moving] > 0.0) < 1.0 - BOTH)
+
+
+def balances_in(courses: Sequence[Course], rig: Rig) -> tuple[str, ...]:
+    """Return the balances that recordings of a rig hold."""
+    found = ["force"]
+    if all(has_flow(c, rig) for c in courses):
+        found.append("flow")
+    if all(c.wanted is not None for c in courses):
+        found.append("drive")
+    return tuple(found)
+
+
+def candidates_of(balance: str, scale: Scale, rig: Rig, varied: Sequence[str] | None = None,
+                  without: Sequence[str] = ()) -> tuple[Candidate, ...]:
+    """Return what a balance may hold.
+
+    Where the force is made of pressures a load alone moves both at once: friction that grows with
+    pressure and is bent as well would take up the load, unless the mean pressure was set.
+
+    Parameters
+    ----------
+    varied : what differs between the recordings: ``load``, ``pressure``; None for all candidates.
+    without : effects that are not considered.
+    """
+    found = {"force": force_candidates, "flow": flow_candidates,
+             "drive": drive_candidates}[balance](scale, rig)
+    if varied is None:
+        return found
+    met = {"", *varied, *(("load",) if "pressure" in varied else ())}
+    return tuple(one for one in found if one.always or (
+        one.needs in met and one.effect not in without))
+
+
+def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
+    """Return what a force balance may hold; the constant load belongs to the setting."""
+    def one(name, effect, unit, words, sign, column, **more):
+        return Candidate(name, effect, "force", unit, words, sign, column, **more)
+
+    def far(share):
+        return f"{1e3 * share * scale.travel:.2g} mm"
+
+    origin, standing = scale.origin, STANDING * scale.speed
+    found = [
+        one("B", "viscous_damping", "N·s/m", "viscous damping", 1, lambda c, r: c.v,
+            always=True, power=1.0),
+        one("F_0", "constant_load", "N", "constant load", 0, lambda c, r: np.ones(len(c)),
+            always=True, setting=scale.turns, symbol="F_0", odd=False),
+        one("F_c", "coulomb_friction", "N", "dry friction", 1, lambda c, r: c.direction,
+            family="dry", variant=True, symbol="F_c", shape=(("v_e", standing),)),
+        one("mu", "pressure_friction", "m²", "dry friction per sum of pressures", 1,
+            lambda c, r: None if c.p1 is None else sum_of_pressures(c) * c.direction,
+            family="dry", variant=True, needs="load", symbol="mu",
+            shape=(("v_e", standing),)),
+        one("F_v", "valve_direction", "N", "force in the direction of valve or pump", 0,
+            lambda c, r: direction_of(c) if valves(c, r) else None),
+        one("dM", "added_mass", "kg", "moving mass beyond the config's", 0, lambda c, r: c.a,
+            limit=MASS * rig.mass, symbol="dM", power=2.0),
+        one("a_1", "quadratic_friction", "N·s²/m²", "quadratic damping", 1,
+            lambda c, r: c.v * np.abs(c.v), family="viscous", symbol="a_1", power=2.0),
+        one("dB", "asymmetric_friction", "N·s/m", "damping more forwards than the mean", 0,
+            lambda c, r: np.abs(c.v), family="viscous", symbol="dB", odd=False, power=1.0),
+        one("k", "spring_load", "N/m", "spring", 1, lambda c, r: c.x - origin,
+            family="position", symbol="k", shape=(("x_0", origin),)),
+    ]
+    for i, share in enumerate(BENT, start=1):
+        found.append(one(
+            f"F_z{i}", "presliding_friction", "N", f"dry friction, bent over {far(share)}", 1,
+            lambda c, r, d=share * scale.travel: stop(c.x, d), family="dry", variant=True,
+            symbol="F_c", shape=(("z_0", share * scale.travel), ("v_e", 1e-3 * scale.speed))))
+    for i, share in enumerate(BENT, start=1):
+        found.append(one(
+            f"mu_z{i}", "pressure_friction", "m²", "dry friction per sum of pressures, bent over "
+            f"{far(share)}", 1, lambda c, r, d=share * scale.travel: None if c.p1 is None else
+            sum_of_pressures(c) * stop(c.x, d), family="dry", variant=True, needs="pressure",
+            symbol="mu", shape=(("z_0", share * scale.travel), ("v_e", 1e-3 * scale.speed))))
+    for i, share in enumerate(SLACK, start=1):
+        found.append(one(
+            f"F_l{i}", "one_sided_load", "N", f"load while extending, met {far(share)} after a "
+            "turn", 0, lambda c, r, d=share * scale.travel: None if c.omega is None else
+            taken_up(c.x, d, d / 7.0),
+            setting=scale.turns, variant=True, odd=False))
+    for i, share in enumerate(TURNS, start=1):
+        found.append(one(
+            f"F_t{i}", "coulomb_friction", "N", "dry friction, turned round within "
+            f"{1e3 * share * scale.slowest:.2g} mm/s", 1,
+            lambda c, r, d=share * scale.slowest: np.tanh(c.v / d), family="dry", variant=True,
+            symbol="F_c", shape=(("v_e", share * scale.slowest),)))
+    for i, share in enumerate(SLOW, start=1):
+        found.append(one(
+            f"F_s{i}", "stribeck_friction", "N", "Stribeck rise below "
+            f"{1e3 * share * scale.speed:.2g} mm/s", 1,
+            lambda c, r, d=share * scale.speed: c.direction * np.exp(-np.abs(c.v) / d),
+            family="dry", variant=True, symbol="F_d",
+            shape=(("v_s", share * scale.speed), ("delta", 1.0), ("v_e", standing))))
+    for i in (1, 2, 3):
+        found.append(one(
+            f"F_x{i}", "position_load", "N", f"load over the stroke, cosine {i}", 0,
+            lambda c, r, i=i: np.cos(i * np.pi * (c.x - origin) / scale.span),
+            family="position", odd=False))
+    return tuple(found)
+
+
+def valves(course: Course, rig: Rig) -> bool:
+    """Tell whether valves turn a pump's flow to either side of a single-rod cylinder.
+
+    So it is where a speed is commanded and the config holds no path that keeps the mean pressure.
+    """
+    return (course.quiet == COMMANDED and rig.area_1 != rig.area_2
+            and rig.makeup_conductance == 0.0)
+
+
+def pressure_rate(course: Course, rig: Rig) -> np.ndarray:
+    """Return the rate of the filled chamber's pressure, as of chamber 1; (m,) Pa/s.
+
+    With equal areas the mean of both, which sees half of the sensors' noise.
+    """
+    share = rig.area_2 / rig.area_1
+    if share == 1.0:
+        return 0.5 * (course.rate_1 - course.rate_2)
+    side = pumped_side(course, rig)
+    return np.where(side > 0.0, course.rate_1, np.where(
+        side < 0.0, -course.rate_2 / share, 0.0))
+
+
+def pumped_pressure(course: Course, rig: Rig) -> np.ndarray:
+    """Return the pressure above ambient of the chamber that the pump fills, (m,) Pa."""
+    p = np.where(pumped_side(course, rig) > 0.0, course.p1, course.p2)
+    return np.maximum(course.absolute(p, rig) - rig.ambient_pressure, 0.0)
+
+
+def _pump_difference(course: Course, rig: Rig) -> np.ndarray:
+    """Return the pressure difference that the pump works against, (m,) Pa."""
+    if rig.area_1 == rig.area_2:
+        return course.p1 - course.p2
+    return pumped_side(course, rig) * pumped_pressure(course, rig)
+
+
+def _air(course: Course, rig: Rig) -> np.ndarray | None:
+    """Return the flow into air of one, by volume at atmospheric pressure: alpha V C(p) p'."""
+    if not rig.volume_1:
+        return None
+    p = pumped_pressure(course, rig) + rig.ambient_pressure
+    soft = np.array([compliance.py_func(one, 1.0, AIR_EXPONENT) for one in p.tolist()])
+    return -pressure_rate(course, rig) * rig.volume_1 * soft
+
+
+def _over_stroke(course: Course, rig: Rig) -> np.ndarray:
+    """Return the rate that a volume over the stroke takes up: V_1 + A_v x, V_2 - A_v x."""
+    if rig.area_1 == rig.area_2:
+        return -0.5 * (course.rate_1 + course.rate_2) * course.x
+    return -pumped_side(course, rig) * pressure_rate(course, rig) * course.x
+
+
+def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
+    """Return what a flow balance may hold."""
+    pump = rig.pump_displacement
+
+    def one(name, effect, unit, words, sign, column, **more):
+        return Candidate(name, effect, "flow", unit, words, sign, column, **more)
+
+    def crossing(of):
+        return lambda c, r: -of(c.p1 - c.p2)
+
+    return (
+        one("D_p", "pump_displacement", "m³/rad", "pump displacement", 1, lambda c, r: c.omega,
+            always=True, between=0.02, power=1.0),
+        one("dD_p", "pump_loss_by_direction", "m³/rad", "further displacement where it retracts",
+            0, lambda c, r: np.minimum(c.omega, 0.0), odd=False, power=1.0),
+        one("C_h", "compliance", "m³/Pa", "compliance of a chamber", 1,
+            lambda c, r: -pressure_rate(c, r), family="compliance", power=1.0),
+        one("alpha", "entrained_air", "1", "share of air, at atmospheric pressure", 1, _air,
+            family="compliance", symbol="alpha", shape=(("n", AIR_EXPONENT),), power=1.0,
+            limit=0.5),
+        one("C_x", "position_dependent_volume", "m²/Pa", "compliance over the stroke", 0,
+            _over_stroke, family="compliance", odd=False, power=1.0),
+        one("L", "cross_port_leakage", "m³/(s·Pa)", "leakage beyond the config's", 1,
+            crossing(lambda dp: dp), family="gap", symbol="L"),
+        one("c", "turbulent_leakage", "m³/(s·√Pa)", "leakage of an orifice", 1,
+            crossing(lambda dp: dp / (dp**2 + LAMINAR**2) ** 0.25), family="gap", symbol="c",
+            shape=(("dp_0", LAMINAR),)),
+        one("L_1", "external_leakage", "m³/(s·Pa)", "leakage to ambient", 1,
+            lambda c, r: -pumped_side(c, r) * pumped_pressure(c, r), family="gap",
+            symbol="L_1"),
+        one("k_l", "pump_volumetric_loss", "1/Pa", "flow of the pump lost per pressure", 1,
+            lambda c, r: None if not pump else -pump * np.abs(c.omega) * _pump_difference(c, r),
+            family="gap", symbol="k", shape=(("motoring", 1.0),), power=1.0),
+        one("Q_0", "leakage_offset", "m³/s", "leakage whatever the pressure", 0,
+            crossing(lambda dp: np.tanh(dp / LAMINAR)), family="gap", symbol="Q_0",
+            shape=(("dp_e", LAMINAR),)),
+        one("omega_0", "pump_dead_zone", "rad/s", "speed lost to a dead zone of the pump", 1,
+            lambda c, r: None if not pump else -pump * np.tanh(c.omega / DEAD_SPEED),
+            symbol="omega_0"),
+        one("T_q", "flow_lag", "m³", "flow that lags the speed", 1,
+            lambda c, r: -np.gradient(c.omega, c.dt), power=2.0),
+    )
+
+
+def drive_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
+    """Return what the drive may do beside following its command."""
+    def one(name, effect, unit, words, sign, column, **more):
+        return Candidate(name, effect, "drive", unit, words, sign, column, **more)
+
+    found = [
+        one("tau", "drive_lag", "s", "time constant of the drive", 1,
+            lambda c, r: -np.gradient(c.omega, c.dt), variant=True, symbol="tau", power=2.0,
+            limit=1.0, twins=("command_delay",)),
+        one("tau_d", "drive_lag", "s", "time constant of the drive", 1,
+            lambda c, r: -np.gradient(c.wanted, c.dt), variant=True, symbol="tau", power=2.0,
+            limit=1.0, twins=("command_delay",)),
+        one("k_d", "drive_gain", "1", "gain of the drive beyond the config's", 0,
+            lambda c, r: c.wanted, symbol="k", power=1.0),
+    ]
+    for i, top in enumerate(scale.tops, start=1):
+        found.append(one(
+            f"s_{i}", "drive_saturation", "1", f"share held back beyond {top:.3g} rad/s", 1,
+            lambda c, r, top=top: np.clip(c.wanted, -top, top) - c.wanted, variant=True,
+            symbol="omega_max", shape=(("omega_max", top), ("slew", np.inf)), limit=1.5))
+    return tuple(found)

@@ -1,0 +1,188 @@
+"""What has changed in recordings of a machine, as an answer."""
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from eha_monitor.balances.answer import overlay_of, place_of, size_of
+from eha_monitor.balances.candidates import SIDES
+from eha_monitor.balances.course import Course, course_of
+from eha_monitor.balances.judge import Judged, JudgedBalance, Moved, judge
+from eha_monitor.balances.machine import Machine
+from eha_monitor.balances.model import Model, Term, of_judged
+from eha_monitor.mismatch.diagnosis import (
+    Change,
+    Diagnosis,
+    Location,
+    NamedEffect,
+    SignalFit,
+    Value,
+)
+from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.quantity import number, share, with_uncertainty
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.rig import Rig
+from eha_monitor.words import effect_words, listed
+
+FASTER = 1.2  # times the references' speed: beyond it nothing is known of the machine
+WHAT = {"B": "B", "C_h": "beta_e", "D_p": "pump_displacement"}
+EFFECTS = {"viscous_damping": "B", "compliance": "beta_e"}
+WORDS = {"B": "viscous damping B", "C_h": "the effective bulk modulus",
+         "D_p": "the pump's displacement"}
+
+
+def against(machine: Machine, recordings: Sequence[Recording], settings: Settings,
+            references: tuple[str, ...]) -> Diagnosis:
+    """Return what has changed in recordings of a machine, or that nothing has.
+
+    Parameters
+    ----------
+    machine : of the healthy recordings ``references``.
+
+    Raises
+    ------
+    InputError
+        If one of them has no force balance.
+    """
+    started, rig = time.perf_counter(), settings.rig
+    judged = judge(machine, recordings, settings)
+    courses = [course_of(recording, settings) for recording in recordings]
+    moved = judged.changed
+    verdict = ("consistent" if judged.belongs else "mismatch" if judged.explained
+               else "unexplained")
+    models = [_model(one) for one in judged.balances]
+    changes = tuple(_change(one, machine, rig, references) for one in moved
+                    ) if verdict == "mismatch" else ()
+    effects = tuple(_effect(one, change, models) for one, change in zip(
+        moved, changes, strict=False) if change.symbol)
+    where, curves = place_of(models, courses, effects, (), verdict)
+    if changes:
+        weights = dict.fromkeys(where.balance, 0.0)
+        for one in changes:
+            weights[one.balance] += 1.0 / len(changes)
+        where = Location(weights, where.regime, where.intervals_s)
+    return Diagnosis(
+        tuple(one.source for one in recordings), verdict,
+        _message(verdict, changes, judged, references), where, effects,
+        _health(machine, judged, rig, before=True), _health(machine, judged, rig, before=False),
+        "held_out", {one.balance: SignalFit(
+            SIDES[one.balance], one.nominal_error * one.size, one.error * one.size, one.floor,
+            signal_rms=one.size) for one in models}, curves,
+        () if verdict == "consistent" else tuple(
+            o for one in models if (o := overlay_of(one)) is not None),
+        advice=_advice(machine, courses, references, verdict), changes=changes,
+        references=references, probability={"consistent": np.nan, "unexplained": np.nan},
+        duration_s=sum(one.duration for one in recordings), machine=machine,
+        policy=machine.policy.to_dict(), wall_s=time.perf_counter() - started)
+
+
+def _model(one: JudgedBalance) -> Model:
+    """Return a balance of the recordings as a model: the machine before, the changes after."""
+    free = [name for name in one.each[0].places if name in {
+        own.partition(" ")[0] for own in one.free}]
+    before, after = of_judged(one.each, one.held, one.now, free)
+    candidates = {c.name: c for c in one.each[0].candidates}
+    terms = tuple(Term(candidates[moved.name], moved.here, moved.stddev, named=True,
+                       rivals=moved.rivals) for moved in one.changed)
+    weights = {name: one.now.get(name, 0.0) - one.held.get(name, 0.0) for name in one.now}
+    return Model(one.balance, one.each, (weights,) * len(one.each), terms, (), (), tuple(before),
+                 tuple(after), one.each, float(sum(table.effective for table in one.each)))
+
+
+def _in_words(moved: Moved, rig: Rig) -> tuple[Value, Value, str]:
+    """Return the machine's value, that of the recording, and the unit: beta_e of a compliance."""
+    pair = (moved.machine, moved.spread), (moved.here, moved.stddev)
+    if moved.name == "C_h" and rig.volume_1 and min(moved.machine, moved.here) > 0.0:
+        pair = tuple((rig.volume_1 / value, rig.volume_1 / value**2 * stddev)
+                     for value, stddev in pair)
+        return Value(*pair[0], "Pa"), Value(*pair[1], "Pa"), "Pa"
+    return Value(*pair[0], moved.unit), Value(*pair[1], moved.unit), moved.unit
+
+
+def _change(moved: Moved, machine: Machine, rig: Rig, references: tuple[str, ...]) -> Change:
+    """Return the record of a number that has changed."""
+    healthy, now, unit = _in_words(moved, rig)
+    what = WHAT.get(moved.name, moved.effect)
+    words = WORDS.get(moved.name) or f"{effect_words(moved.effect)} ({moved.words})"
+    symbol = "" if moved.name in WHAT else moved.symbol or moved.name
+    runs = (f"{len(machine.sources)} parts of the healthy recordings" if machine.pieces
+            else f"{len(references)} healthy recordings")
+    return Change(what, symbol, moved.balance, healthy, now, unit, (
+        f"{words} is {with_uncertainty(now.value, now.stddev, unit)}, where {runs} have "
+        f"{with_uncertainty(healthy.value, healthy.stddev, unit)}"),
+        tuple(EFFECTS.get(one, one) for one in moved.rivals))
+
+
+def _effect(moved: Moved, change: Change, models: Sequence[Model]) -> NamedEffect:
+    """Return the record of an effect that has changed."""
+    model = next(one for one in models if one.balance == moved.balance)
+    terms = [t for t in model.terms if t.candidate.effect == moved.effect]
+    entry = CATALOGUE.get(moved.effect)
+    gained = model.effective * float(np.log(max(model.nominal_error, 1e-9)
+                                            / max(model.error, 1e-9)))
+    values = {change.symbol: change.now}
+    return NamedEffect(moved.effect, moved.balance, change.statement, values, max(gained, 0.0),
+                       moved.rivals, entry.equation if entry else "",
+                       entry.rig_check if entry else "", size_of(terms, model),
+                       effective_samples=model.effective)
+
+
+def _health(machine: Machine, judged: Judged, rig: Rig, before: bool
+            ) -> dict[str, Value]:
+    """Return B and beta_e of the machine with their spread, or those of the recordings."""
+    found = {}
+    for one in machine.balances:
+        for p in one.parameters:
+            if p.name not in ("B", "C_h") or not p.value > 0.0:
+                continue
+            value, stddev = p.value, float(np.hypot(p.between, p.stddev))
+            if not before:
+                value, stddev = judged.values.get(p.name, (value, stddev))
+            if not stddev < value:  # these recordings do not determine it
+                continue
+            if p.name == "B":
+                found["B"] = Value(value, stddev, "N·s/m")
+            elif rig.volume_1:
+                found["beta_e"] = Value(rig.volume_1 / value, rig.volume_1 * stddev / value**2,
+                                        "Pa")
+    return found
+
+
+def _message(verdict: str, changes: Sequence[Change], judged: Judged,
+             references: tuple[str, ...]) -> str:
+    """Return the answer in a sentence."""
+    if changes:
+        return "; ".join(one.statement for one in changes)
+    if verdict == "consistent":
+        largest = max((one.largest for one in judged.balances if one.largest is not None),
+                      key=lambda one: abs(one.deviations) / one.limit, default=None)
+        most = "" if largest is None else (
+            f": the largest difference is {effect_words(largest.effect)}, by "
+            f"{number(abs(largest.deviations), 2)} of their standard deviations; the limit is "
+            f"{number(largest.limit, 2)}")
+        return f"nothing has changed from {len(references)} healthy recordings{most}"
+    said = [f"{one.balance}: {share(one.error, 2)} of it unexplained, at most "
+            f"{share(one.usual, 2)} in the healthy recordings" for one in judged.loud]
+    return "an effect that is not in the catalogue has changed" + (
+        f"; {listed(said)}" if said else "")
+
+
+def _advice(machine: Machine, courses: Sequence[Course], references: tuple[str, ...],
+            verdict: str) -> tuple[str, ...]:
+    """Return what to know of the references, and what to do next."""
+    found = []
+    if machine.pieces:
+        found.append(f"{len(references)} reference recordings are too few to estimate how "
+                     "recordings differ; parts of them were compared instead, so a normal "
+                     "difference between recordings may be reported as a change")
+    found += [f"{one.source} differs from the other references more than a healthy recording "
+              f"should ({one.why}): check whether it belongs to them"
+              for one in machine.odd if not machine.pieces]
+    if max(course.speed for course in courses) > FASTER * machine.scale.speed:
+        found.append("it moves faster than the references; above their speed nothing can be "
+                     "compared")
+    if verdict == "unexplained":
+        found.append("diagnose it without --reference: that shows the shape of the unknown effect")
+    return tuple(found)

@@ -1,0 +1,348 @@
+"""The measured motion of a recording on a coarse grid, and which of its samples count.
+
+The balances are compared as they stand, with velocity and acceleration from the position
+(inverse dynamics: Gautier, Janot, Vandanjon 2013).  Both sides of a balance pass the same
+low-pass without phase, so that a linear law stays exactly that law whatever the band.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import butter, lfilter, sosfiltfilt
+
+from eha_monitor.errors import InputError
+from eha_monitor.estimation.along import contributions_along
+from eha_monitor.estimation.rig_model import force_missing, force_of
+from eha_monitor.estimation.sensors import noise_levels, quantum, without_spikes
+from eha_monitor.physics import signals as s
+from eha_monitor.physics.contributions import circuit_of, new_memory
+from eha_monitor.physics.parameters import theta_of
+from eha_monitor.recordings.grid import filled
+from eha_monitor.recordings.recording import Recording, sample_of
+from eha_monitor.recordings.stops import between_stops
+from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.rig import Rig
+
+MOTION, BAND = 20.0, 5.0  # Hz: pass bands of the motion, and of every balance
+GRID, COARSE = 32, 4  # points in a period of ``BAND``; each so-many-th of them is compared
+APART = 0.1  # s: how far the balance's low-pass mixes a sample with its neighbours
+STANDING = 0.02  # of the top speed: below it dry friction takes any value
+DEAD = 0.02  # s: a value that does not change for longer while others do ...
+JUMPED = 5.0  # ... times the usual largest step away from what comes before or after
+SHORTEST = 0.5  # s of usable recording
+COMMANDED, MEASURED = 0.005, 0.05  # of its size: a smaller demand has no sign; noise-free, noisy
+TRAVEL = 20.0  # times the position's noise: less is no motion
+CHANNELS = ("x", "x_d", "omega", "omega_d", "p1", "p2", "force")
+GAUGE = 0.5  # of the ambient pressure: a reading below is no absolute pressure
+
+
+@dataclass(frozen=True)
+class Course:
+    """A recording on a grid of ``GRID * BAND`` Hz; (m,) each, SI, not yet in the band.
+
+    Attributes
+    ----------
+    source : file it came from.
+    dt : spacing of the grid, s.
+    x, v, a : position, velocity, acceleration.
+    force : A1 p1 - A2 p2, or the measured force.
+    p1, p2, rate_1, rate_2 : pressures and their rates; None where not recorded.
+    omega : pump speed, rad/s; None where not recorded.
+    wanted : speed that the drive is commanded, as the config's own drive would follow it, rad/s;
+        None where it is not recorded or no measured speed stands beside it.
+    demand : what the drive or valve is commanded, any unit: only its sign is used; None if no
+        channel says.
+    quiet : share of its usual size below which the demand has no sign.
+    known : balance -> what the config's own effects add to it.
+    sensors : (n_x, n_p, n_omega, n_force) noise of the channels in one sample, SI.
+    passed : (band's response to white noise, and to its derivative in 1/s), rms.
+    gauge : the pressures are read above the ambient one.
+    good : (m,) bool, measured on all channels and away from stops.
+    moving : (m,) bool, fast enough for dry friction to have a sign.
+    """
+
+    source: str
+    dt: float
+    x: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    force: np.ndarray
+    p1: np.ndarray | None
+    p2: np.ndarray | None
+    rate_1: np.ndarray | None
+    rate_2: np.ndarray | None
+    omega: np.ndarray | None
+    wanted: np.ndarray | None
+    demand: np.ndarray | None
+    quiet: float
+    known: dict[str, np.ndarray]
+    sensors: dict[str, float]
+    passed: tuple[float, float]
+    gauge: bool
+    good: np.ndarray
+    moving: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    @property
+    def speed(self) -> float:
+        """Top speed, m/s."""
+        return float(np.quantile(np.abs(self.v[self.good]), 0.998))
+
+    @property
+    def direction(self) -> np.ndarray:
+        """Sign of the velocity, linear through zero below the standing speed; (m,)."""
+        return np.clip(self.v / max(STANDING * self.speed, 1e-12), -1.0, 1.0)
+
+    @property
+    def every(self) -> int:
+        """Of the grid's points each so-many-th is compared; the finer ones keep signs in place."""
+        return max(1, round(COARSE / (GRID * BAND * self.dt)))
+
+    @property
+    def step(self) -> float:
+        """Spacing of the compared points, s."""
+        return self.every * self.dt
+
+    def in_band(self, columns: np.ndarray) -> np.ndarray:
+        """Return columns (m, k) or (m,) after the low-pass of every balance, compared points."""
+        return _low_pass(columns, BAND, self.dt)[:: self.every]
+
+    def compared(self, values: np.ndarray) -> np.ndarray:
+        """Return values (m,) at the compared points."""
+        return values[:: self.every]
+
+    def track(self) -> np.ndarray:
+        """Return the signals of the catalogue's terms, (m, N_SIGNALS)."""
+        found = np.zeros((len(self), s.N_SIGNALS))
+        found[:, s.T] = np.arange(len(self)) * self.dt
+        found[:, s.X], found[:, s.V] = self.x, self.v
+        for place, values in ((s.P1, self.p1), (s.P2, self.p2), (s.OMEGA, self.omega)):
+            if values is not None:
+                found[:, place] = values
+        if self.omega is not None:
+            found[:, s.ANGLE] = self.dt * np.cumsum(self.omega)
+        return found
+
+    def absolute(self, pressure: np.ndarray, rig: Rig) -> np.ndarray:
+        """Return the absolute pressure of a reading, Pa."""
+        return pressure + rig.ambient_pressure if self.gauge else pressure
+
+    def floor(self, balance: str, rig: Rig) -> float:
+        """Return the rms that the sensors alone leave in a balance in its band, SI."""
+        level, slope = self.passed
+        n = self.sensors
+        if balance == "force":
+            measured = (np.hypot(rig.area_1, rig.area_2) * n["p"] if self.p1 is not None
+                        and rig.area_1 and rig.area_2 else n["force"])
+            return float(np.hypot(measured * level, rig.viscous_damping * n["x"] * slope))
+        if balance == "drive":
+            return float(n["omega"] * level)
+        soft = (rig.volume_1 or 0.0) / rig.bulk_modulus
+        return float(np.sqrt((rig.area_1 * n["x"] * slope) ** 2 + (soft * n["p"] * slope) ** 2
+                             + ((rig.pump_displacement or 0.0) * n["omega"] * level) ** 2))
+
+
+def course_of(recording: Recording, settings: Settings) -> Course:
+    """Return the measured motion of a recording.
+
+    Raises
+    ------
+    InputError
+        If position or force are missing, or less than ``SHORTEST`` s are usable.
+    """
+    rig, recording = settings.rig, sample_of(recording)
+    why = force_missing(rig, [name for name in recording.channels if recording.has(name)])
+    if why:
+        raise InputError(f"{recording.source}: {why}")
+    dt = recording.sample_time
+    names = [name for name in CHANNELS if recording.has(name)]
+    noise = noise_levels(recording, settings.noise)
+    cleaned, _ = without_spikes({name: recording.channels[name] for name in names}, noise)
+    cleaned = {name: np.where(_dead(values, dt), np.nan, values)
+               for name, values in cleaned.items()}
+    needed = [name for name in names if name not in ("x_d", "omega_d")]
+    missing = ~np.all([np.isfinite(cleaned[name]) for name in needed], axis=0)
+    theta, active = theta_of(rig, settings.effects)
+    circuit = circuit_of(theta, active)
+    whole = _righted({name: filled(values) for name, values in cleaned.items()}, circuit, dt)
+    force = force_of(rig, whole)
+    away = np.zeros(len(recording), dtype=bool)
+    for first, last in between_stops(whole["x"], force, dt):
+        away[first:last] = True
+
+    every = max(1, round(1.0 / (GRID * BAND * dt)))
+    cutoff = min(MOTION, 0.2 / dt)
+    reach = max(1, round(APART / dt))
+    bad = np.convolve(missing | ~away, np.ones(2 * reach + 1), mode="same") > 0.5
+    bad[:reach] = bad[-reach:] = True
+
+    def fine(values):
+        return _low_pass(values, cutoff, dt)[::every]
+
+    x = _low_pass(whole["x"], cutoff, dt)
+    v = np.gradient(x, dt)
+    a, step, good = np.gradient(v, dt)[::every], every * dt, ~bad[::every]
+    if good.sum() * step < SHORTEST:
+        raise InputError(f"{recording.source}: expected at least {SHORTEST:g} s of motion away "
+                         f"from stops with all channels, found {good.sum() * step:.1f} s")
+    v, x = v[::every], x[::every]
+    p1, p2, omega = (fine(whole[name]) if name in whole else None
+                     for name in ("p1", "p2", "omega"))
+    rate_1, rate_2 = (None if p is None else np.gradient(p, step) for p in (p1, p2))
+    top = np.quantile(np.abs(v[good]), 0.998)
+    slow = np.abs(v) < STANDING * top
+    slow[1:] |= v[1:] * v[:-1] <= 0.0  # a quick reversal may fall between two points
+    near = max(1, round(APART / step))
+    moving = np.convolve(slow, np.ones(2 * near + 1), mode="same") < 0.5
+    moving &= np.ptp(x[good]) > TRAVEL * noise["x"].value
+    demand = whole.get("omega_d", whole.get("omega"))
+    wanted = _wanted(whole, rig, circuit, dt)
+    pressures = [p[good] for p in (p1, p2) if p is not None]
+    found = Course(
+        recording.source, step, x, v, a, fine(force), p1, p2, rate_1, rate_2, omega,
+        None if wanted is None else fine(wanted), None if demand is None else fine(demand),
+        COMMANDED if "omega_d" in whole else MEASURED, {}, _sensors(noise, cleaned),
+        passed(dt), bool(pressures) and min(
+            float(np.quantile(p, 0.01)) for p in pressures) < GAUGE * rig.ambient_pressure,
+        good, moving & good)
+    found.known.update(known_of(found, rig, theta, active))
+    return found
+
+
+def known_of(course: Course, rig: Rig, theta: np.ndarray, active: np.ndarray
+             ) -> dict[str, np.ndarray]:
+    """Return what the config adds to each balance beyond B, D_p and the compliance, (m,) SI.
+
+    The force of its mass and effects, and the flow of its leakage and effects as of the chamber
+    that the pump fills, by the catalogue's own compiled terms along the measured motion.
+    """
+    zero = np.zeros(len(course))
+    c = np.zeros((len(course), s.N_CONTRIBUTIONS))
+    if active.any():
+        contributions_along(course.track(), course.dt, 2, theta, active, new_memory(), c)
+    known = {"force": c[:, s.FORCE] + (rig.mass + c[:, s.MASS]) * course.a, "drive": zero}
+    if not has_flow(course, rig):
+        return known
+    ratio, side = rig.area_2 / rig.area_1, pumped_side(course, rig)
+    pump = (rig.pump_displacement or 0.0) * c[:, s.SPEED]
+    crossing = 0.5 * (rig.leakage - rig.makeup_conductance) * (course.p1 - course.p2)
+    left = []
+    for sign, share, p, rate, volume, own, more, into in (
+            (1.0, 1.0, course.p1, course.rate_1, s.VOLUME_1, rig.volume_1, s.COMPLIANCE_1,
+             s.FLOW_1),
+            (-1.0, ratio, course.p2, course.rate_2, s.VOLUME_2, rig.volume_2, s.COMPLIANCE_2,
+             s.FLOW_2)):
+        soft = c[:, volume] / rig.bulk_modulus + ((own or 0.0) + c[:, volume]) * c[:, more]
+        makeup = rig.makeup_conductance * (p - rig.charge_pressure)
+        left.append(sign / share * (c[:, into] - sign * crossing - makeup - soft * rate))
+    mean = 0.5 * (left[0] + left[1])
+    return known | {"flow": pump + (mean if ratio == 1.0 else np.where(
+        side > 0.0, left[0], left[1]))}
+
+
+def has_flow(course: Course, rig: Rig) -> bool:
+    """Tell whether a recording and its config hold a flow balance."""
+    return bool(rig.area_1 and rig.area_2) and course.omega is not None and course.p1 is not None
+
+
+def direction_of(course: Course) -> np.ndarray:
+    """Return the side to which valve or pump act, (m,): the sign of the last real demand.
+
+    Where no channel says what is demanded, that of the last motion; 0 before the first.
+    """
+    signal = course.v if course.demand is None else course.demand
+    level = course.quiet * float(np.quantile(np.abs(signal), 0.98))
+    marks = np.where(signal > level, 1.0, np.where(signal < -level, -1.0, 0.0))
+    places = np.where(marks != 0.0, np.arange(len(marks)), 0)
+    return marks[np.maximum.accumulate(places)]
+
+
+def pumped_side(course: Course, rig: Rig) -> np.ndarray:
+    """Return the chamber that the pump fills, (m,): 1, -1, or 0 before the first demand.
+
+    Behind valves it is the demand that says so, not the pressure: that falls at each switch.
+    """
+    if course.demand is None or rig.area_1 == rig.area_2:
+        return np.where(course.p1 > course.p2, 1.0, -1.0)
+    return direction_of(course)
+
+
+def passed(dt: float) -> tuple[float, float]:
+    """Return the rms of white noise of one, and of its derivative, behind a balance's low-pass."""
+    half = max(8, round(3.0 / BAND / dt))
+    impulse = np.zeros(2 * half + 1)
+    impulse[half] = 1.0
+    response = _low_pass(impulse, min(BAND, 0.2 / dt), dt)
+    return (float(np.sqrt(np.sum(response**2))),
+            float(np.sqrt(np.sum(np.gradient(response, dt) ** 2))))
+
+
+def _sensors(noise: dict, channels: dict[str, np.ndarray]) -> dict[str, float]:
+    """Return the noise of position, pressures (the larger), pump speed and force in a sample."""
+    x = channels["x"]
+    level = {name: one.value for name, one in noise.items()}
+    return {"x": float(np.hypot(level.get("x", 0.0),
+                                quantum(x[np.isfinite(x)]) / np.sqrt(12.0))),
+            "p": max(level.get("p1", 0.0), level.get("p2", 0.0)),
+            "omega": level.get("omega", 0.0), "force": level.get("force", 0.0)}
+
+
+def _righted(whole: dict[str, np.ndarray], w: np.ndarray, dt: float) -> dict[str, np.ndarray]:
+    """Return channels less what the config says their sensors err by."""
+    t = np.arange(len(whole["x"])) * dt
+    found = dict(whole)
+    found["x"] = np.interp(t + w[s.POSITION_DELAY], t, whole["x"]) / (1.0 + w[s.POSITION_SCALE])
+    for name, offset, drift, scale in (
+            ("p1", s.PRESSURE_OFFSET_1, s.PRESSURE_DRIFT_1, s.PRESSURE_SCALE_1),
+            ("p2", s.PRESSURE_OFFSET_2, s.PRESSURE_DRIFT_2, s.PRESSURE_SCALE_2)):
+        if name in whole:
+            found[name] = (np.interp(t + w[s.PRESSURE_DELAY], t, whole[name]) - w[offset]
+                           - w[drift] * t) / (1.0 + w[scale])
+    return found
+
+
+def _wanted(whole: dict[str, np.ndarray], rig: Rig, w: np.ndarray, dt: float
+            ) -> np.ndarray | None:
+    """Return the speed that the config's drive makes of its command, (n,) rad/s; None without."""
+    if "omega" not in whole:
+        return None
+    if "omega_d" in whole:
+        told = whole["omega_d"]
+    elif "x_d" in whole and rig.position_gain is not None:
+        told = rig.position_gain * (whole["x_d"] - whole["x"])
+    else:
+        return None
+    t = np.arange(len(told)) * dt
+    made = (1.0 + w[s.DRIVE_GAIN]) * np.interp(t - w[s.COMMAND_DELAY], t, told)
+    made = np.clip(made, -w[s.SPEED_LIMIT], w[s.SPEED_LIMIT])
+    if w[s.DRIVE_LAG] > 0.0:
+        pole = np.exp(-dt / w[s.DRIVE_LAG])
+        made = lfilter([1.0 - pole], [1.0, -pole], made, zi=[pole * made[0]])[0]
+    return made
+
+
+def _low_pass(values: np.ndarray, cutoff: float, dt: float) -> np.ndarray:
+    """Return values (n,) or (n, k) behind a Butterworth low-pass of ``cutoff`` Hz, both ways."""
+    sections = butter(4, cutoff, fs=1.0 / dt, output="sos")
+    return sosfiltfilt(sections, values, axis=0, padlen=min(len(values) - 1, round(1.0 / dt)))
+
+
+def _dead(values: np.ndarray, dt: float) -> np.ndarray:
+    """Return which samples are dead, (n,) bool: held for long, and far from before or after.
+
+    A sensor that drops to nil or a logger that repeats its last value; a position at rest is
+    neither, since it goes on from where it stood.
+    """
+    starts = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]]))
+    lengths = np.diff(np.append(starts, len(values)))
+    jumps = np.abs(np.diff(values))
+    moved = jumps[np.isfinite(jumps) & (jumps > 0.0)]
+    if not len(moved):
+        return np.zeros(len(values), dtype=bool)
+    far = JUMPED * np.quantile(moved, 0.98)
+    before = np.concatenate([[0.0], jumps])[starts]
+    after = np.append(jumps, 0.0)[starts + lengths - 1]
+    dead = (lengths * dt > DEAD) & (np.maximum(np.nan_to_num(before), np.nan_to_num(after)) > far)
+    return np.repeat(dead, lengths)

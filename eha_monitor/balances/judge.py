@@ -1,0 +1,216 @@
+"""The next recording of a machine: what of it has changed, in a fraction of a second."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from eha_monitor import ties
+from eha_monitor.balances.alone import parameters_of
+from eha_monitor.balances.candidates import balances_in, candidates_of
+from eha_monitor.balances.course import course_of
+from eha_monitor.balances.machine import Machine, MachineBalance
+from eha_monitor.balances.scatter import Amplitudes, Scatter, amplitudes_of
+from eha_monitor.balances.table import Table, pooled_table, tables_of
+from eha_monitor.balances.together import setting_of, unseen
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.monitor import Settings
+
+MOST_CHANGES = 3  # that are looked for in one balance
+WEARS = "F_c"
+ERROR = 1.5  # times the largest of the machine's own recordings: the balance does not belong
+
+
+@dataclass(frozen=True)
+class Moved:
+    """A parameter in the next recording.
+
+    Attributes
+    ----------
+    name, effect, balance, words, unit, symbol : of its candidate.
+    here, stddev : in the recording; ``machine``, ``spread`` over the machine's own.
+    deviations : Student's t; ``limit`` beyond which it has changed.
+    removed : by how much the change lowers the error, as a share of the signal.
+    rivals : effects that explain the recording as well.
+    """
+
+    name: str
+    effect: str
+    balance: str
+    words: str
+    unit: str
+    here: float
+    stddev: float
+    machine: float
+    spread: float
+    deviations: float
+    limit: float
+    removed: float = 0.0
+    rivals: tuple[str, ...] = ()
+    symbol: str = ""
+
+
+@dataclass(frozen=True)
+class JudgedBalance:
+    """One balance of the next recording.
+
+    Attributes
+    ----------
+    table : its columns, all recordings as one; ``each`` those of each.
+    held : the machine's parameters; ``now`` those with the changes.
+    error : share of the signal that is left with the machine's parameters; ``after`` with the
+        changes, ``usual`` the largest of the machine's own recordings.
+    changed : what has changed, the most important first; ``complete`` nothing else has.
+    largest : the term that differs most, changed or not.
+    free : terms of the recording's own setting.
+    """
+
+    balance: str
+    table: Table
+    held: dict[str, float]
+    now: dict[str, float]
+    error: float
+    after: float
+    usual: float
+    changed: tuple[Moved, ...]
+    complete: bool
+    largest: Moved | None
+    free: tuple[str, ...] = ()
+    each: tuple[Table, ...] = ()
+
+
+@dataclass(frozen=True)
+class Judged:
+    """The next recording beside the machine.
+
+    Attributes
+    ----------
+    settings : the numbers of its setting, by name: (value, stddev).
+    values : each of the machine's parameters, as the recording has it, the same.
+    """
+
+    source: str
+    balances: tuple[JudgedBalance, ...]
+    settings: dict[str, tuple[float, float]] = field(default_factory=dict)
+    values: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def changed(self) -> tuple[Moved, ...]:
+        """Parameters beyond what the machine's own recordings do, what explains most first."""
+        return tuple(sorted((moved for one in self.balances for moved in one.changed),
+                            key=lambda moved: -moved.removed))
+
+    @property
+    def loud(self) -> tuple[JudgedBalance, ...]:
+        """Balances that leave more than any of the machine's own recordings."""
+        return tuple(one for one in self.balances if one.error > ERROR * max(
+            one.usual, one.table.floor / one.table.size))
+
+    @property
+    def belongs(self) -> bool:
+        """Whether it is like the machine's own recordings."""
+        return not self.loud and all(one.complete and not one.changed for one in self.balances)
+
+    @property
+    def explained(self) -> bool:
+        """Whether what has changed has names: nothing else has, or they remove half of it."""
+        return bool(self.changed) and all(
+            one.complete or one.error**2 - one.after**2 > 0.5 * (one.error**2 - one.usual**2)
+            for one in self.balances)
+
+
+def judge(machine: Machine, recordings: Sequence[Recording], settings: Settings) -> Judged:
+    """Judge recordings of one state against a machine: together, by their balances alone.
+
+    Raises
+    ------
+    InputError
+        If one of them has no force balance.
+    """
+    courses, rig = [course_of(one, settings) for one in recordings], settings.rig
+    found, own, values, there = [], {}, {}, balances_in(courses, rig)
+    for one in machine.balances:
+        if one.balance not in there:
+            continue
+        candidates = tuple(c for c in candidates_of(one.balance, machine.scale, rig)
+                           if c.name in {*one.terms, *one.scatter.names})
+        tables = tables_of(courses, rig, one.balance, candidates, machine.policy)
+        table = pooled_table(tables)
+        held = {p.name: p.value for p in one.parameters if p.name in table.places}
+        loads = {s.name for s in one.settings}
+        free = [name for name in table.places if name.partition(" ")[0] in loads]
+        value, stddev = setting_of(table, [table.places[name] for name in held],
+                                   [table.places[name] for name in free],
+                                   np.array(list(held.values())))
+        own |= {name: (float(v), float(d)) for name, v, d in zip(free, value, stddev,
+                                                                 strict=True)}
+        found.append(replace(_judged(machine, one, table, held, free), each=tuple(tables)))
+        fitted = [*held, *free]
+        values |= {name: row for name, *row in zip(fitted, *parameters_of(table, fitted),
+                                                   strict=True) if name in held}
+    return Judged(", ".join(one.source for one in recordings), tuple(found), own, values)
+
+
+def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str, float],
+            free: list[str]) -> JudgedBalance:
+    """Return what has changed in one balance: one more term at a time, until none is far."""
+    policy = machine.policy
+    names = [name for name in one.scatter.names if name in table.places]
+    scatter = one.scatter.only(names)
+    left = amplitudes_of(table, held, free, names)
+    first, changes, now = left, [], dict(held)
+    largest, complete = None, not names
+    while names:
+        t = scatter.t_of(left)
+        far = np.where(np.isfinite(t), np.abs(t) / np.array(scatter.limit), 0.0)
+        place = ties.largest(far)
+        if largest is None:
+            largest = _moved(scatter, table, held, first, place, t[place], scatter.limit[place])
+        complete = bool(far[place] <= 1.0)
+        if complete or len(changes) == MOST_CHANGES:
+            break
+        amount = left.value - np.array(scatter.mean)
+        removed = np.where(far > 1.0, (2.0 * left.value - amount) * amount * left.power, -np.inf)
+        taken = [name for name, _ in changes]
+        removed[[name in taken for name in left.names]] = -np.inf
+        lower = (np.sqrt(left.left) - np.sqrt(np.maximum(left.left - removed, 0.0))) / (
+            table.size * np.sqrt(max(table.n, 1)))
+        most = float(removed.max())
+        if not lower.max() > policy.worse:  # beyond chance, and too little to repair a machine for
+            complete = True
+            break
+        of = {c.name: i for i, c in enumerate(table.candidates)}
+        # What removes nearly as much is not told apart.  Seals wear before anything else does;
+        # then comes a number that the machine has, then what stands first among the candidates.
+        equal = sorted((i for i in range(len(removed)) if removed[i] >= most * np.exp(
+            -2.0 * policy.alone)), key=lambda i: (
+                left.names[i] != WEARS, left.names[i] not in held, of[left.names[i]]))
+        i = equal[0]
+        effect = table.candidates[of[left.names[i]]].effect
+        rivals = tuple(dict.fromkeys(
+            other for j in equal[1:]
+            if (other := table.candidates[of[left.names[j]]].effect) != effect))
+        changes.append((left.names[i], _moved(scatter, table, held, left, i, t[i],
+                                              scatter.limit[i], float(lower[i]), rivals)))
+        now[left.names[i]] = now.get(left.names[i], 0.0) + float(amount[i])
+        left = left.moved(i, float(amount[i]))
+
+    def error(weights: dict[str, float]) -> float:
+        return unseen(table, [table.places[name] for name in weights],
+                      [table.places[name] for name in free], np.array(list(weights.values())))
+
+    return JudgedBalance(one.balance, table, held, now,
+                         error(held), error(now), max(one.error),
+                         tuple(moved for _, moved in changes), complete, largest, tuple(free))
+
+
+def _moved(scatter: Scatter, table: Table, held: dict[str, float], found: Amplitudes, i: int,
+           t: float, limit: float, removed: float = 0.0, rivals: tuple[str, ...] = ()
+           ) -> Moved:
+    """Return a term of a recording beside the machine's."""
+    name = found.names[i]
+    c = table.candidates[table.places[name] - 1]
+    base = held.get(name, 0.0)
+    return Moved(name, c.effect, c.balance, c.words, c.unit, base + float(found.value[i]),
+                 float(found.stddev[i]), base + scatter.mean[i], scatter.spread[i],
+                 float(t), limit, removed, rivals, c.symbol)

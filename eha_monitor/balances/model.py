@@ -1,0 +1,272 @@
+"""The model of one balance that recordings support, however many they are.
+
+One recording, or two pooled: terms that come up on random halves (:mod:`alone`); three or more:
+terms that gain on recordings left out (:mod:`machine`).  Either way with what is left on parts
+that the fit has not seen, before and after.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import stdtr
+
+from eha_monitor.balances.alone import Alone, Refused, alone, parameters_of
+from eha_monitor.balances.candidates import Candidate, Scale, candidates_of
+from eha_monitor.balances.course import Course
+from eha_monitor.balances.machine import MachineBalance, rms
+from eha_monitor.balances.policy import Policy
+from eha_monitor.balances.table import Table, nominal_of, pooled_table, tables_of
+from eha_monitor.balances.together import Named, Recordings, gain, setting_of
+from eha_monitor.settings.rig import Rig
+
+
+@dataclass(frozen=True)
+class Term:
+    """A term of a model.
+
+    Attributes
+    ----------
+    candidate : what it is.
+    value, stddev, between : SI; of a setting's number the mean over the recordings.
+    each : its value in every recording, where it belongs to the setting.
+    probability, stability : that it is there; share of halves, or probability of its gain.
+    gained : log units that the balance loses without it.
+    named : it is an answer.
+    rivals : effects that do as well in its place.
+    """
+
+    candidate: Candidate
+    value: float
+    stddev: float
+    between: float = 0.0
+    each: tuple[float, ...] = ()
+    probability: float = np.nan
+    stability: float = 1.0
+    gained: float = 0.0
+    named: bool = False
+    rivals: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Model:
+    """One balance over some recordings.
+
+    Attributes
+    ----------
+    balance : its name; ``size`` rms of its signal, ``floor`` what the sensors leave of it, SI.
+    tables : of the recordings; ``weights`` the parameters in each of them.
+    terms : of the model; ``refused`` what did not pass a gate.
+    nominal : (name, value, stddev) of the config's linear model, fitted.
+    before, after : (m,) of each recording shown, what is left on unseen parts with the config's
+        linear model and with the terms.
+    shown : tables that these belong to: the recordings themselves, or one held out.
+    effective : independent samples.
+    """
+
+    balance: str
+    tables: tuple[Table, ...]
+    weights: tuple[dict[str, float], ...]
+    terms: tuple[Term, ...]
+    refused: tuple[Refused, ...]
+    nominal: tuple[tuple[str, float, float], ...]
+    before: tuple[np.ndarray, ...]
+    after: tuple[np.ndarray, ...]
+    shown: tuple[Table, ...]
+    effective: float
+
+    @property
+    def size(self) -> float:
+        """Rms of the signal, SI."""
+        return float(np.sqrt(np.mean([table.size**2 for table in self.shown])))
+
+    @property
+    def floor(self) -> float:
+        """Rms that the sensors leave, SI."""
+        return float(np.sqrt(np.mean([table.floor**2 for table in self.shown])))
+
+    def share(self, left: Sequence[np.ndarray]) -> float:
+        """Return the rms of what is left, as a share of the signal."""
+        return rms([table.rms(one) for table, one in zip(self.shown, left, strict=True)])
+
+    @property
+    def error(self) -> float:
+        """Share of the signal that the model leaves on unseen parts."""
+        return self.share(self.after)
+
+    @property
+    def nominal_error(self) -> float:
+        """Share of the signal that the config's linear model leaves on unseen parts."""
+        return self.share(self.before)
+
+    @property
+    def named(self) -> tuple[Term, ...]:
+        """Terms that are answers."""
+        return tuple(term for term in self.terms if term.named)
+
+    def __getitem__(self, name: str) -> Term | None:
+        return next((term for term in self.terms if term.candidate.name == name), None)
+
+    def plain(self) -> "Model":
+        """Return the model without an answer: the config's own."""
+        return replace(self, terms=tuple(replace(term, named=False) for term in self.terms),
+                       after=self.before)
+
+
+def of_recordings(courses: Sequence[Course], rig: Rig, scale: Scale, balance: str, policy: Policy,
+                  how: tuple[Sequence[str], Sequence[str]], more: tuple[Candidate, ...] = ()
+                  ) -> Model:
+    """Return the model of one balance of one recording, or of two.
+
+    Parameters
+    ----------
+    how : what was varied; effects that are not considered.
+    more : candidates beside the usual ones.
+    """
+    tables = tables_of(courses, rig, balance, (*candidates_of(balance, scale, rig, *how), *more),
+                       policy)
+    whole = pooled_table(tables)
+    found = alone(whole, policy)
+    names = [name.term for name in found.names]
+    lengths = np.cumsum([len(table.rows) for table in tables])[:-1]
+    bare, held = nominal_of(balance, rig)
+    weights = [{name: found.weights.get(f"{name} {i + 1}", found.weights.get(name))
+                for name in (one.name for one in table.candidates)} for i, table in
+               enumerate(tables)]
+    model = Model(
+        balance, tuple(tables), tuple({k: v for k, v in row.items() if v is not None}
+                                      for row in weights),
+        _terms_alone(whole, found, len(tables), policy), found.refused,
+        _nominal(whole, balance, rig), tuple(np.split(whole.crosswise(bare, held), lengths)),
+        tuple(np.split(whole.crosswise(names), lengths)), tuple(tables), found.effective_samples)
+    return _unseen_gate(model, policy)
+
+
+def _terms_alone(whole: Table, found: Alone, count: int, policy: Policy) -> tuple[Term, ...]:
+    """Return the terms of a pooled table; a setting's numbers as one term."""
+    of = {one.name: one for one in whole.candidates}
+    terms, loads = [], [name for name in found.names if of[name.term].always
+                        and of[name.term].effect == "constant_load"]
+    for name in found.names:
+        if name not in loads:
+            terms.append(Term(of[name.term], name.value, name.stddev, 0.0, (), name.probability,
+                              name.frequency, name.gained, name.named, name.rivals))
+    if loads:
+        values = [name.value for name in loads]
+        stddev = float(np.sqrt(np.mean([name.stddev**2 for name in loads])))
+        names = [name.term for name in found.names]
+        rest = [name for name in names if name not in {one.term for one in loads}]
+        both = [_left(whole, names), _left(whole, rest)]
+        named = max(map(abs, values)) > max(
+            policy.varied * stddev, policy.zero * whole.size) and (
+                both[1] > both[0] * np.exp(policy.alone))
+        one = of[loads[0].term]
+        terms.append(Term(
+            replace(one, name="F_0"), float(np.mean(values)), stddev, 0.0,
+            tuple(values) if count > 1 and len(loads) > 1 else (), policy.certain, 1.0,
+            whole.effective * float(np.log(both[1] / both[0])), named,
+            _instead(whole, rest, both[0], "constant_load", policy) if named else ()))
+    return tuple(terms)
+
+
+def _left(table: Table, names: Sequence[str]) -> float:
+    """Return the rms that terms leave where each half is fitted on the other, at least noise."""
+    return max(table.rms(table.crosswise(names)), 1e-9)
+
+
+def _instead(table: Table, rest: Sequence[str], error: float, effect: str, policy: Policy
+             ) -> tuple[str, ...]:
+    """Return the effects of which one, in place of what was left out, fits as well."""
+    of = {one.name: one for one in table.candidates}
+    there = {of[name].effect for name in rest}
+    return tuple(dict.fromkeys(
+        of[name].effect for name in of
+        if of[name].effect not in (effect, *there) and not of[name].always
+        and _left(table, [*rest, name]) <= error * np.exp(policy.gain)))
+
+
+def of_machine(one: MachineBalance, courses: Sequence[Course], rig: Rig, scale: Scale,
+               policy: Policy) -> Model:
+    """Return the model of one balance that several recordings show."""
+    tables = tables_of(courses, rig, one.balance, [
+        c for c in candidates_of(one.balance, scale, rig)
+        if c.name in {*one.terms, *one.scatter.names}], policy)
+    of = {c.name: c for c in tables[0].candidates}
+    bare, held = nominal_of(one.balance, rig)
+    plain = [replace(table, rows=np.column_stack([table.left(held), table.rows[:, 1:]]))
+             for table in tables]
+    together = Recordings(tables)
+    named = {name: family for family in one.named for name in family.terms}
+    count, terms = max(len(one.error) - 1, 1), []
+    load = "F_0" if "F_0" in one.terms else ""
+    if load:
+        gained, t = gain(together.errors([name for name in one.terms if name != load]),
+                         together.errors(one.terms))
+        rows = next(((s.value, s.stddev) for s in one.settings if s.name == load), None) or next(
+            ((p.value,), (p.stddev,)) for p in one.parameters if p.name == load)
+        if gained >= policy.named and t >= policy.repeats and max(
+                np.abs(rows[0]) - policy.varied * np.array(rows[1])) > policy.zero * one.size:
+            named[load] = Named((load,), gained, t)
+    for p in (*one.parameters, *one.settings):
+        family, c = named.get(p.name), of[p.name]
+        values, sure = np.atleast_1d(p.value), np.nan
+        if family is not None:
+            sure = float(stdtr(count, family.t))
+        shared = not c.setting
+        terms.append(Term(
+            c, float(values.mean()), float(np.max(p.stddev) if shared else values.std()),
+            p.between if shared else 0.0, () if shared else p.value, min(sure, policy.certain),
+            1.0 if family is None else sure,
+            0.0 if family is None else family.gain * one.effective,
+            family is not None and (not c.always or p.name == load),
+            () if family is None else family.rivals))
+    shared = {p.name: p.value for p in one.parameters}
+    weights = tuple(shared | {s.name: s.value[i] for s in one.settings}
+                    for i in range(len(tables)))
+    model = Model(one.balance, tuple(tables), weights, tuple(terms), one.refused,
+                  _nominal(pooled_table(tables), one.balance, rig),
+                  tuple(Recordings(plain).left_out(bare)),
+                  tuple(together.left_out(one.terms)), tuple(tables), one.effective)
+    return _unseen_gate(model, policy)
+
+
+def on_held_out(model: Model, course: Course, rig: Rig, scale: Scale, policy: Policy) -> Model:
+    """Return the model shown on another recording, whose load alone is fitted there."""
+    (table,) = tables_of([course], rig, model.balance, tuple(model.tables[0].candidates), policy)
+    before = table.left({name: value for name, value, _ in model.nominal})
+    free = [t.candidate.name for t in model.terms if t.candidate.setting]
+    held = {t.candidate.name: t.value for t in model.terms
+            if not t.candidate.setting and t.candidate.name in table.places}
+    after = table.crosswise([name for name in free if name in table.places], held)
+    return _unseen_gate(replace(model, before=(before,), after=(after,), shown=(table,)), policy)
+
+
+def _nominal(whole: Table, balance: str, rig: Rig) -> tuple[tuple[str, float, float], ...]:
+    """Return the parameters of the config's linear model on a pooled table."""
+    names, held = nominal_of(balance, rig)
+    values, stddev = parameters_of(whole, names, held)
+    return (*zip(names, values, stddev, strict=True),
+            *((name, value, 0.0) for name, value in held.items()))
+
+
+def _unseen_gate(model: Model, policy: Policy) -> Model:
+    """Return the model, or the config's own where it leaves less on unseen parts."""
+    if not model.error > model.nominal_error + policy.worse:
+        return model
+    refused = Refused("unseen_error", model.balance, (
+        f"on unseen parts {100 * model.error:.2g} % of the {model.balance} would stay open, with "
+        f"the config's own model {100 * model.nominal_error:.2g} %"))
+    return replace(model.plain(), refused=(*model.refused, refused))
+
+
+def of_judged(tables: Sequence[Table], held: dict[str, float], now: dict[str, float],
+              free: Sequence[str]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Return what a machine's parameters leave of the next recordings, and the changed ones."""
+    found: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
+    for table in tables:
+        for rows, weights in zip(found, (held, now), strict=True):
+            value, _ = setting_of(table, [table.places[name] for name in weights],
+                                  [table.places[name] for name in free],
+                                  np.array(list(weights.values())))
+            rows.append(table.left(weights | dict(zip(free, value, strict=True))))
+    return found

@@ -1,0 +1,169 @@
+"""By how much every term would move in one recording, and how that scatters over healthy ones.
+
+With the machine's parameters held and the settings' fitted, what is left of a recording's balance
+is r; a term with column q would move by d = q'r / q'q if it alone did, both without what the
+settings explain.  Over the machine's own recordings d has a mean and a spread, whatever makes it
+vary (wear from day to day, temperature, the form of other terms).  That spread, not the sensors'
+noise, is what a change is measured against: Student's t with n - 1 degrees of freedom, so that one
+healthy recording in a hundred is called changed in any of the terms.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import stdtrit
+
+from eha_monitor.balances.policy import Policy
+from eha_monitor.balances.table import Table
+from eha_monitor.balances.together import without
+
+ANSWERS = 0.01  # of the usual power: a recording that answers less says nothing of a term
+
+
+@dataclass(frozen=True)
+class Amplitudes:
+    """By how much each term of a recording would move if it alone did.
+
+    Attributes
+    ----------
+    names : (k,) terms; ``value`` (k,) SI, ``stddev`` (k,) of the recording's own noise.
+    power : (k,) squares of the columns, less what the settings explain.
+    response : (k, k) by how much the value of each falls where another moves by one.
+    left : squares of the residual.
+    """
+
+    names: tuple[str, ...]
+    value: np.ndarray
+    stddev: np.ndarray
+    power: np.ndarray
+    response: np.ndarray
+    left: float
+
+    @property
+    def energy(self) -> np.ndarray:
+        """Squares of the residual that each term alone would remove, (k,)."""
+        return self.value**2 * self.power
+
+    def moved(self, place: int, amount: float) -> "Amplitudes":
+        """Return what is left once a term has moved."""
+        left = self.left - (2.0 * self.value[place] - amount) * amount * self.power[place]
+        return Amplitudes(self.names, self.value - self.response[:, place] * amount, self.stddev,
+                          self.power, self.response, max(left, 0.0))
+
+
+def amplitudes_of(table: Table, weights: dict[str, float], settings: Sequence[str],
+                  terms: Sequence[str]) -> Amplitudes:
+    """Return the amplitudes of ``terms`` beside a machine's parameters (name -> value)."""
+    out = [table.places[name] for name in settings]
+    kept = [table.places[name] for name in terms]
+    rows = np.zeros((1 + len(kept), len(table.gram)))
+    rows[0, 0] = 1.0
+    for name, value in weights.items():
+        rows[0, table.places[name]] = -value
+    rows[np.arange(1, len(rows)), kept] = 1.0
+    for_settings = np.zeros((len(out), len(table.gram)))
+    for_settings[np.arange(len(out)), out] = 1.0
+    rows = np.vstack([rows, for_settings])
+    products = without(rows @ table.gram @ rows.T, list(range(1 + len(kept))),
+                       list(range(1 + len(kept), len(rows))))
+    own = np.maximum(np.diag(products)[1:], 1e-300)
+    dead = own < 1e-12 * np.maximum(np.diag(table.gram)[kept], 1e-300)
+    power = np.where(dead, np.nan, own)
+    rms, correlated = table.full  # what no term explains
+    return Amplitudes(tuple(terms), products[1:, 0] / power, rms * np.sqrt(correlated / power),
+                      power, products[1:, 1:] / power[:, None], max(float(products[0, 0]), 0.0))
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """How the amplitudes of terms vary over the recordings of a machine.
+
+    Attributes
+    ----------
+    names : (k,) terms that every recording answers to.
+    mean, spread, power, noise : (k,) over the recordings; of their power and deviation the
+        median.
+    limit : (k,) of Student's t: beyond it a recording is changed.
+    runs : recordings.
+    """
+
+    names: tuple[str, ...]
+    mean: tuple[float, ...]
+    spread: tuple[float, ...]
+    power: tuple[float, ...]
+    noise: tuple[float, ...]
+    limit: tuple[float, ...]
+    runs: int
+
+    def only(self, names: Sequence[str]) -> "Scatter":
+        """Return it for some of its terms, in their order."""
+        places = [self.names.index(name) for name in names]
+        return Scatter(tuple(names), *(tuple(row[i] for i in places) for row in (
+            self.mean, self.spread, self.power, self.noise, self.limit)), self.runs)
+
+    def t_of(self, found: Amplitudes) -> np.ndarray:
+        """Return Student's t of a recording's amplitudes, (k,); NaN where it says nothing."""
+        places = [found.names.index(name) for name in self.names]
+        value, power, own = found.value[places], found.power[places], found.stddev[places]
+        more = np.maximum(own**2 - np.square(self.noise), 0.0)
+        weight = np.sqrt(np.minimum(power / np.array(self.power), 1.0))
+        return weight * (value - self.mean) / np.sqrt(
+            np.square(self.spread) * (1.0 + 1.0 / self.runs) + more)
+
+
+def scatter_of(tables: Sequence[Table], weights: dict[str, float], settings: Sequence[str],
+               allowed: Sequence[str], policy: Policy, typical: bool = False) -> Scatter:
+    """Return how the amplitudes of terms vary over recordings.
+
+    Parameters
+    ----------
+    typical : the recordings are parts of too few: a typical spread between recordings is added.
+    """
+    of = {one.name: one for one in tables[0].candidates}
+    terms = [name for name in allowed if name not in settings
+             and not (of[name].always and of[name].setting)]
+    each = [amplitudes_of(table, weights, settings, terms) for table in tables]
+    values, powers, noise = (np.array([getattr(one, name) for one in each])
+                             for name in ("value", "power", "stddev"))
+    usual = np.median(powers, axis=0)
+    kept = np.flatnonzero(np.isfinite(values).all(axis=0) & (np.ptp(values, axis=0) > 0.0)
+                          & (powers.min(axis=0) > ANSWERS * usual))
+    values, powers, noise, usual = (values[:, kept], powers[:, kept], noise[:, kept],
+                                    usual[kept])
+    names = tuple(terms[i] for i in kept)
+    between = np.array([policy.between if of[name].between is None else of[name].between
+                        for name in names])
+    size = np.array([abs(weights.get(name, 0.0)) for name in names])
+    extra = typical * between * np.maximum(size, np.abs(values.mean(axis=0)) if len(
+        values) else 0.0)
+
+    def made(rows: np.ndarray, power: np.ndarray, limit: np.ndarray) -> Scatter:
+        weight = np.minimum(power / usual, 1.0)
+        mean = (weight * rows).sum(axis=0) / weight.sum(axis=0)
+        spread = np.sqrt((weight * (rows - mean) ** 2).sum(axis=0) / (len(rows) - 1)
+                         + extra**2)
+        return Scatter(names, *(tuple(part.tolist()) for part in (
+            mean, np.maximum(spread, 1e-300), usual, np.median(noise, axis=0), limit)),
+            len(rows))
+
+    products = sum(one.response * one.power[:, None] for one in each)[np.ix_(kept, kept)]
+    limit = np.full(len(kept), limit_of(len(tables), _different(products), policy.false))
+    if len(tables) > 3:  # what a healthy recording did once, one may do again
+        own = [np.abs(made(np.delete(values, i, axis=0), np.delete(powers, i, axis=0), limit)
+                      .t_of(Amplitudes(names, values[i], noise[i], powers[i], np.zeros((0, 0)),
+                                       0.0))) for i in range(len(tables))]
+        limit = np.maximum(limit, np.nanmax(own, axis=0))
+    return made(values, powers, limit)
+
+
+def _different(products: np.ndarray) -> float:
+    """Return how many of the columns are different ones: (sum l)^2 / sum l^2, l eigenvalues."""
+    scale = np.sqrt(np.maximum(np.diag(products), 1e-300))
+    eigen = np.linalg.eigvalsh(products / np.outer(scale, scale))
+    return float(eigen.sum() ** 2 / max((eigen**2).sum(), 1e-300)) if len(eigen) else 1.0
+
+
+def limit_of(runs: int, count: float, share: float) -> float:
+    """Return the |t| beyond which one of ``count`` terms goes in a share of healthy runs."""
+    return float(-stdtrit(runs - 1, 0.5 * share / count))

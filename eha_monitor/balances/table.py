@@ -1,0 +1,242 @@
+"""One balance of one recording as a table: the left side and a column for each candidate."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from eha_monitor.balances.candidates import Candidate
+from eha_monitor.balances.course import Course
+from eha_monitor.balances.least_squares import independent, minimum_norm, signed_solution
+from eha_monitor.balances.policy import Policy
+from eha_monitor.settings.rig import Rig
+
+CANCELS, TOP = 2.0, 0.998  # quantile that is a column's largest value
+PARTS = 8  # of a short recording at least, so that some can be left out
+
+
+@dataclass(frozen=True)
+class Table:
+    """A balance y = sum of parameters times columns, in its band.
+
+    Attributes
+    ----------
+    source : of the recording.
+    candidates : (k,) of the columns.
+    rows : (m, 1 + k) y and columns at the compared points.
+    good : (m,) samples that are compared; ``moving`` (m,) those at a steady direction.
+    block : (m,) number of each sample's block.
+    dt : s.
+    size : rms of the whole left side, of which y is what the config leaves open; of a recording
+        with a load of its own, its standard deviation.
+    floor : rms that the sensors alone leave.
+    known : (m,) what the config says of the left side.
+    """
+
+    source: str
+    candidates: tuple[Candidate, ...]
+    rows: np.ndarray
+    good: np.ndarray
+    moving: np.ndarray
+    block: np.ndarray
+    dt: float
+    size: float
+    floor: float
+    known: np.ndarray
+
+    @cached_property
+    def places(self) -> dict[str, int]:
+        """Column of each candidate by name."""
+        return {one.name: 1 + i for i, one in enumerate(self.candidates)}
+
+    @cached_property
+    def signs(self) -> np.ndarray:
+        """Sign of each column's parameter, (1 + k,); 0 of y."""
+        return np.array([0, *(one.sign for one in self.candidates)])
+
+    @cached_property
+    def blocks(self) -> np.ndarray:
+        """Products of the columns in each block, (b, 1 + k, 1 + k)."""
+        return np.array([part.T @ part for part in (
+            self.rows[self.good & (self.block == number)] for number in self.numbers)])
+
+    @cached_property
+    def numbers(self) -> np.ndarray:
+        """Numbers of the blocks that hold compared samples, (b,)."""
+        return np.unique(self.block[self.good])
+
+    @cached_property
+    def gram(self) -> np.ndarray:
+        """Products over all compared samples."""
+        return self.blocks.sum(axis=0)
+
+    @cached_property
+    def halves(self) -> tuple[np.ndarray, np.ndarray]:
+        """Products of every other pair of blocks, and of the rest."""
+        first = self.first_half
+        return self.blocks[first].sum(axis=0), self.blocks[~first].sum(axis=0)
+
+    @property
+    def first_half(self) -> np.ndarray:
+        """Which blocks are of the first half, (b,) bool."""
+        return np.arange(len(self.numbers)) // 2 % 2 == 0
+
+    @cached_property
+    def n(self) -> int:
+        """Compared samples."""
+        return int(self.good.sum())
+
+    @cached_property
+    def reach(self) -> np.ndarray:
+        """Largest parameter of each term, (1 + k,): its limit, and what more would cancel.
+
+        A term that is larger than ``CANCELS`` times the whole left side only makes up for another.
+        """
+        whole = np.quantile(np.abs(self.rows[self.good, 0] + self.known[self.good]), TOP)
+        most = CANCELS * whole / np.maximum(
+            np.quantile(np.abs(self.rows[self.good]), TOP, axis=0), 1e-300)
+        # A force beyond any that was measured is the tail of a law at speeds that were not.
+        limits = [min(one.limit, CANCELS * whole) if one.unit == "N" else one.limit
+                  for one in self.candidates]
+        free = [one.always for one in self.candidates]
+        return np.array([np.inf, *np.where(free, np.inf, np.minimum(limits, most[1:]))])
+
+    @cached_property
+    def full(self) -> tuple[float, float]:
+        """RMS of what all candidates together leave, and how many of its samples count as one."""
+        products = self.gram[1:, 1:]
+        size = np.sqrt(np.maximum(np.diag(products), 1e-300))
+        w = minimum_norm(products / np.outer(size, size), self.gram[1:, 0] / size) / size
+        left = np.where(self.good, self.rows[:, 0] - self.rows[:, 1:] @ w, np.nan)
+        return float(np.sqrt(np.nanmean(left**2))), independent(left)
+
+    @property
+    def effective(self) -> float:
+        """How many independent samples the compared ones are worth."""
+        return max(self.n / self.full[1], 4.0)
+
+    @property
+    def weight(self) -> float:
+        """Of its products beside those of other recordings: per independent squared residual."""
+        rms, correlated = self.full
+        return 1.0 / (max(rms, 1e-6 * self.size) ** 2 * correlated)
+
+    def mixture(self, gram: np.ndarray, names: Iterable[str],
+                held: dict[str, float] | None = None) -> np.ndarray:
+        """Return the mixture of columns that a fit leaves: 1 of y, -w of each term, (1 + k,).
+
+        Parameters
+        ----------
+        gram : products that are fitted, of this table's columns.
+        names : terms that are fitted, within their signs; ``held`` those with a given parameter.
+        """
+        left = np.zeros(len(gram))
+        left[0] = 1.0
+        for name, value in (held or {}).items():
+            left[self.places[name]] = -value
+        places = [self.places[name] for name in names]
+        left[places] = -signed_solution(gram[np.ix_(places, places)], gram[places] @ left,
+                                        self.signs[places])
+        return left
+
+    def crosswise(self, names: Iterable[str], held: dict[str, float] | None = None) -> np.ndarray:
+        """Return what is left of y where each half is fitted on the other, (m,)."""
+        left, first = np.zeros(len(self.rows)), self.first_half
+        for gram, unseen in zip(self.halves, (~first, first), strict=True):
+            here = np.isin(self.block, self.numbers[unseen])
+            left[here] = self.rows[here] @ self.mixture(gram, names, held)
+        return left
+
+    def left(self, weights: dict[str, float]) -> np.ndarray:
+        """Return y less the terms with these parameters, (m,)."""
+        w = np.zeros(self.rows.shape[1])
+        for name, value in weights.items():
+            w[self.places[name]] = value
+        return self.rows[:, 0] - self.rows @ w
+
+    def rms(self, left: np.ndarray) -> float:
+        """Return the rms of (m,) over the compared samples, as a share of the signal's size."""
+        return float(np.sqrt(np.mean(left[self.good] ** 2))) / self.size
+
+
+def tables_of(courses: Sequence[Course], rig: Rig, balance: str,
+              candidates: Sequence[Candidate], policy: Policy) -> list[Table]:
+    """Return the tables of recordings; candidates that one of them has no channel for go."""
+    columns = []
+    for course in courses:
+        columns.append([one.column(course, rig) for one in candidates])
+    kept = [i for i in range(len(candidates)) if all(
+        row[i] is not None for row in columns) and any(np.any(row[i]) for row in columns)]
+    # What a load of each recording's own makes up for is no signal of the machine.
+    own_load = any(one.always and one.setting for one in candidates)
+    found = []
+    for course, row in zip(courses, columns, strict=True):
+        whole = left_side(course, rig, balance)
+        known = course.wanted if balance == "drive" else course.known[balance]
+        rows = course.in_band(np.column_stack([whole, known, *(row[i] for i in kept)]))
+        good = course.compared(course.good)
+        signal = rows[good, 0] - (rows[good, 0].mean() if own_load else 0.0)
+        size = max(float(np.sqrt(np.mean(signal**2))), 1e-300)
+        known = rows[:, 1]
+        rows = np.column_stack([rows[:, 0] - known, rows[:, 2:]])
+        length = min(policy.block, float(good.sum()) * course.step / PARTS)
+        block = (np.arange(len(rows)) * course.step / length).astype(int)
+        found.append(Table(course.source, tuple(candidates[i] for i in kept), rows, good,
+                           course.compared(course.moving), block, course.step, size,
+                           course.floor(balance, rig), known))
+    return found
+
+
+def left_side(course: Course, rig: Rig, balance: str) -> np.ndarray:
+    """Return what a balance explains: force, flow that the piston takes, pump speed; (m,)."""
+    return {"force": lambda: course.force, "flow": lambda: rig.area_1 * course.v,
+            "drive": lambda: course.omega}[balance]()
+
+
+def nominal_of(balance: str, rig: Rig) -> tuple[tuple[str, ...], dict[str, float]]:
+    """Return the terms of the config's linear model that are fitted, and those that it holds.
+
+    B in the force balance, beta_e's compliance beside the config's displacement in that of the
+    flow; the drive follows its command.
+    """
+    if balance == "force":
+        return ("B",), {}
+    if balance == "drive":
+        return (), {}
+    if rig.pump_displacement is None:
+        return ("D_p", "C_h"), {}
+    return ("C_h",), {"D_p": rig.pump_displacement}
+
+
+def pooled_table(tables: Sequence[Table]) -> Table:
+    """Return several recordings' balance as one table.
+
+    What every model has of the setting (a constant load) has a column for each recording, named
+    ``F_0 1``, ``F_0 2``, ...; all else is shared.
+    """
+    if len(tables) == 1:
+        return tables[0]
+    columns, candidates = [np.concatenate([table.rows[:, :1] for table in tables])], []
+    for i, one in enumerate(tables[0].candidates, start=1):
+        rows = [table.rows[:, i : i + 1] for table in tables]
+        if one.always and one.setting:
+            for j in range(len(tables)):
+                columns.append(np.concatenate([row if j == k else 0.0 * row
+                                               for k, row in enumerate(rows)]))
+                candidates.append(replace(one, name=f"{one.name} {j + 1}"))
+        else:
+            columns.append(np.concatenate(rows))
+            candidates.append(one)
+    block, first = [], 0
+    for table in tables:
+        block.append(table.block + first)
+        first += int(table.block.max()) + 2
+    good = np.concatenate([table.good for table in tables])
+    sizes = [table.size for table in tables]
+    return Table(", ".join(table.source for table in tables), tuple(candidates),
+                 np.column_stack(columns), good,
+                 np.concatenate([table.moving for table in tables]), np.concatenate(block),
+                 tables[0].dt, float(np.sqrt(np.mean(np.square(sizes)))),
+                 float(np.sqrt(np.mean([table.floor**2 for table in tables]))),
+                 np.concatenate([table.known for table in tables]))

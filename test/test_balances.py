@@ -1,0 +1,138 @@
+"""The likelihood by balances: one answer for one recording, two, and against healthy ones."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from machine_tools import stranger, stranger_settings
+
+from eha_monitor.balances.answer import Asked, answered
+from eha_monitor.balances.candidates import Scale, candidates_of
+from eha_monitor.balances.changed import against
+from eha_monitor.balances.course import course_of
+from eha_monitor.balances.machine import healthy_machine
+from eha_monitor.balances.policy import POLICY
+from eha_monitor.balances.scatter import amplitudes_of
+from eha_monitor.balances.table import pooled_table, tables_of
+from eha_monitor.settings import settings_from_tree
+from eha_monitor.settings.hypothesis import hypothesis_of
+
+CALM = {"rise": 0.0, "damping": (1500.0, 1500.0)}
+
+
+@pytest.fixture(scope="module")
+def settings(tmp_path_factory):
+    return stranger_settings(tmp_path_factory.mktemp("rig"))
+
+
+@pytest.fixture(scope="module")
+def one(settings):
+    return answered([stranger(0, **CALM)], settings)
+
+
+def with_effects(settings, **effects):
+    return settings_from_tree({**settings.model_dump(), "effects": effects}, "test")
+
+
+def test_one_recording_names_what_is_there(one):
+    named = {effect.name: effect for effect in one.effects}
+    dry = named.get("coulomb_friction") or named["presliding_friction"]
+    assert one.verdict == "mismatch" and "constant_load" in named
+    assert dry.parameters["F_c"].value == pytest.approx(180.0, rel=0.05)
+    assert named["constant_load"].parameters["F_0"].value == pytest.approx(338.0, abs=6.0)
+    assert abs(one.after["B"].value - 1500.0) < 2.0 * one.after["B"].stddev
+    assert one.before["B"].value > 1.2 * one.after["B"].value and one.health
+    assert all(effect.probability <= POLICY.certain for effect in one.effects)
+    assert dry.effective_samples > 1.0 and dry.stability >= POLICY.stable
+    force = one.signals["force"]
+    assert force.after_rms < 0.2 * force.before_rms and force.noise_rms < force.after_rms * 2.0
+    assert one.location.balance["force"] == pytest.approx(1.0)
+    assert one.curves and one.overlays[0].signal == "force"
+
+
+def test_effects_of_the_config_count_as_known(settings):
+    known = with_effects(settings, coulomb_friction={"F_c": 180.0, "v_e": 2e-4},
+                         constant_load={"F_0": 338.0})
+    found = answered([stranger(0, **CALM)], known)
+    assert found.verdict == "consistent" and not found.effects
+    assert found.after["B"].value == pytest.approx(1500.0, rel=0.05)
+
+
+def test_an_effect_that_is_excluded_is_not_named(settings):
+    found = answered([stranger(0, **CALM)], settings, Asked(without=("coulomb_friction",)))
+    assert "coulomb_friction" not in {effect.name for effect in found.effects}
+
+
+def test_the_fit_is_shown_on_another_recording(settings):
+    found = answered([stranger(0, **CALM)], settings, Asked(held_out=stranger(
+        7, load=120.0, **CALM)))
+    force = found.signals["force"]
+    assert found.data == "held_out_bag" and force.after_rms < 0.5 * force.before_rms
+
+
+def test_two_recordings_have_loads_of_their_own(settings):
+    found = answered([stranger(k, load=load, **CALM) for k, load in enumerate((100.0, 500.0))],
+                     settings)
+    load = next(effect for effect in found.effects if effect.name == "constant_load")
+    assert load.parameters["F_0"].value == pytest.approx(300.0, abs=10.0)
+    assert "100" in load.statement or "99" in load.statement or "101" in load.statement
+
+
+def test_a_hypothesis_is_one_more_column(settings):
+    recording = stranger(0, **CALM)
+    x = recording.channels["x"]
+    bump = 900.0 * np.exp(-(((x - 0.2) / 0.02) ** 2))
+    worn = replace(recording, channels={**recording.channels, "p1": recording.channels["p1"]
+                                        + bump / settings.rig.area_1})
+    suspected = hypothesis_of({
+        "name": "worn_spot", "adds": "force", "expression": "F*exp(-((x - 0.2)/0.02)**2)",
+        "parameters": {"F": {"start": 100.0, "lower": 0.0, "upper": 5000.0, "unit": "N"}}}, "it")
+    found = answered([worn], settings, Asked(hypothesis=suspected))
+    named = {effect.name: effect for effect in found.effects}
+    assert named["worn_spot"].parameters["F"].value == pytest.approx(900.0, rel=0.1)
+
+
+def test_what_has_changed_against_few_and_many(settings):
+    healthy = [stranger(k, **CALM) for k in range(5)]
+    worn = stranger(11, dry=290.0, **CALM)
+    for count in (1, 5):
+        machine = healthy_machine(healthy[:count], settings)
+        sources = tuple(recording.source for recording in healthy[:count])
+        same = against(machine, [stranger(12, **CALM)], settings, sources)
+        assert same.verdict == "consistent" and not same.changes
+    found = against(machine, [worn], settings, sources)
+    assert found.verdict == "mismatch"
+    assert found.changes[0].what in ("coulomb_friction", "presliding_friction")
+    assert found.changes[0].now.value == pytest.approx(290.0, rel=0.05)
+    assert found.changes[0].reference.value == pytest.approx(180.0, rel=0.05)
+
+
+def test_amplitudes_are_those_of_least_squares(settings):
+    course = course_of(stranger(0, **CALM), settings)
+    (table,) = tables_of([course], settings.rig, "force", candidates_of(
+        "force", Scale.of([course]), settings.rig), POLICY)
+    found = amplitudes_of(table, {"B": 1200.0}, ["F_0"], ["B", "F_c", "k"])
+    rows = table.rows[table.good]
+    for i, name in enumerate(found.names):
+        columns = rows[:, [table.places[name], table.places["F_0"]]]
+        y = rows[:, 0] - 1200.0 * rows[:, table.places["B"]]
+        expected = np.linalg.lstsq(columns, y, rcond=None)[0][0]
+        assert found.value[i] == pytest.approx(expected, rel=1e-6)
+
+
+def test_pooled_tables_have_one_load_for_each(settings):
+    courses = [course_of(stranger(k, load=load, **CALM), settings)
+               for k, load in enumerate((100.0, 500.0))]
+    tables = tables_of(courses, settings.rig, "force", candidates_of(
+        "force", Scale.of(courses), settings.rig), POLICY)
+    whole = pooled_table(tables)
+    left = whole.mixture(whole.gram, ["B", "F_c", "F_0 1", "F_0 2"])
+    assert -left[whole.places["F_0 1"]] == pytest.approx(100.0, abs=5.0)
+    assert -left[whole.places["F_0 2"]] == pytest.approx(500.0, abs=5.0)
+
+
+def test_nothing_is_said_of_a_recording_at_rest(settings):
+    still = stranger(0, **CALM)
+    still = replace(still, channels={**still.channels, "x": np.full(len(still), 0.2) + 1e-6
+                                     * np.random.default_rng(0).standard_normal(len(still))})
+    assert answered([still], settings).verdict == "insufficient_data"
