@@ -10,7 +10,7 @@ from urllib.parse import unquote
 
 import numpy as np
 import pytest
-from archive_tools import killed_by_three
+from archive_tools import here, killed_by_three
 from diagnosis_tools import coulomb, everything
 from test_reports import Page
 
@@ -75,14 +75,6 @@ def complaint(capsys, *arguments) -> str:
     assert err.startswith("eha_monitor: ")
     assert err.count("\n") == 1, err
     return err
-
-
-def here(function, tasks, jobs, alone=0, asked=None):
-    """Make the answers in this process, in place of ``on_this_machine``."""
-    for task in tasks:
-        if asked is not None:
-            asked.append(task.name)
-        yield task, function(task), ""
 
 
 def counted(monkeypatch) -> list[str]:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from archive_tools import here
 from bag_tools import JOINT, START, joint, write_mcap
 
 from eha_monitor.cli import main
@@ -24,6 +25,18 @@ BAG = Path(__file__).parents[1] / "bags" / "air_ingress"
 MAP = "table: {time: t, columns: {x: {column: x}}}"
 PIPE, SOCKET, DEVICE = "a pipe", "a socket", "a device"
 STRANGE = "/eha/\x1b[31mjoint_states"  # paints a terminal red
+
+# Runs commands, one after another, in one process: each ends with ";".
+ONE_BY_ONE = """
+import sys
+from eha_monitor.cli import main
+words = []
+for word in sys.argv[1:]:
+    words.append(word)
+    if word == ";":
+        print(main(words[:-1]), file=sys.stderr)
+        words = []
+"""
 
 
 def strange(path, kind):
@@ -89,12 +102,13 @@ def test_what_is_no_file_in_place_of_a_config_or_a_table(tmp_path, capfd, kind):
 
 
 @pytest.mark.timeout(60)
-def test_in_an_archive_it_costs_its_own_row_only(tmp_path, capfd):
+def test_in_an_archive_it_costs_its_own_row_only(tmp_path, capfd, monkeypatch):
     pytest.importorskip("pyarrow")
     folder = tmp_path / "bags"
     folder.mkdir()
     bag_with(folder / "bad", "metadata.yaml", PIPE)
     shutil.copytree(BAG, folder / "good")
+    monkeypatch.setattr("eha_monitor.archive.run.on_this_machine", here)
     assert main(["estimate", str(folder), "--out", str(tmp_path / "out"), "--jobs", "1"]) == 0
     assert "found a pipe" in " ".join(capfd.readouterr().out.split())
 
@@ -135,20 +149,21 @@ def test_a_mat_file_is_unpacked_only_as_far_as_it_is_wanted(tmp_path):
                       + struct.pack("<HH", 0x0100, 0x4d49)
                       + packed_zeros("huge", 130_000_000) + packed_zeros("x", 1000))
     # Not getrusage's maximum, which begins with that of the process that forked.
-    code = ("import re, sys; from eha_monitor.cli import main; status = main(sys.argv[1:]); "
-            "print(re.search(r'VmHWM:\\s+(\\d+)', open('/proc/self/status').read())[1]); "
-            "sys.exit(status)")
-    for column, status, said in (
-            ("nothing", 2, "a.mat: variable 'nothing' not found, the file has huge, x\n"),
-            ("huge", 2, "a.mat: the variables huge hold 130000000 numbers, expected at most"),
-            ("x", 0, "")):
-        (tmp_path / "map.yaml").write_text(f"table: {{columns: {{x: {{column: {column}}}}}}}")
-        child = subprocess.run(
-            [sys.executable, "-c", code, "import", str(table), "--map",
-             str(tmp_path / "map.yaml"), "--out", str(out)],
-            text=True, capture_output=True, timeout=100, check=False)
-        assert child.returncode == status and said in child.stderr, child.stderr
-        assert int(child.stdout.split()[-1]) < 500_000  # kB
+    code = ONE_BY_ONE + (
+        "import re\n"
+        "print(re.search(r'VmHWM:\\s+(\\d+)', open('/proc/self/status').read())[1])\n")
+    words = []
+    for column in ("nothing", "huge", "x"):
+        path = tmp_path / f"{column}.yaml"
+        path.write_text(f"table: {{columns: {{x: {{column: {column}}}}}}}")
+        words += ["import", str(table), "--map", str(path), "--out", str(out), ";"]
+    child = subprocess.run([sys.executable, "-c", code, *words], text=True, capture_output=True,
+                           timeout=100, check=False)
+    nothing, two, huge, again, done = child.stderr.splitlines()
+    assert nothing.endswith("a.mat: variable 'nothing' not found, the file has huge, x")
+    assert "a.mat: the variables huge hold 130000000 numbers, expected at most" in huge
+    assert (two, again, done) == ("2", "2", "0")
+    assert int(child.stdout.split()[-1]) < 500_000  # kB, the most at any time
     assert len(read_recording(out, Settings())) == 1000
 
 
@@ -156,17 +171,6 @@ def test_a_mat_file_is_unpacked_only_as_far_as_it_is_wanted(tmp_path):
 TERMINALS = [{"PYTHONIOENCODING": "utf-8:strict"},
              {"PYTHONIOENCODING": "ascii:strict"},
              {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}]
-
-ONE_BY_ONE = """
-import sys
-from eha_monitor.cli import main
-words = []
-for word in sys.argv[1:]:
-    words.append(word)
-    if word == ";":
-        print(main(words[:-1]), file=sys.stderr)
-        words = []
-"""
 
 
 @pytest.mark.timeout(300)

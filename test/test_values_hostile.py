@@ -5,6 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
+from archive_tools import here
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
@@ -66,12 +67,13 @@ def test_a_simulation_that_ran_away_is_one_line(recording, tmp_path, capfd, comm
     assert "at t = 1.515 s" in err and "Pa" in err, err
 
 
-def test_of_an_archive_it_is_a_row_with_its_error(recording, tmp_path, capfd):
+def test_of_an_archive_it_is_a_row_with_its_error(recording, tmp_path, capfd, monkeypatch):
     pytest.importorskip("pyarrow")
     folder = tmp_path / "bags"
     folder.mkdir()
     raw_bag(folder / "bad", run_away(recording))
     raw_bag(folder / "good", recording.channels)
+    monkeypatch.setattr("eha_monitor.archive.run.on_this_machine", here)
     assert main(["estimate", str(folder), "--out", str(tmp_path / "out"), "--jobs", "1"]) == 0
     said = capfd.readouterr()
     assert "p1 is out of range" in said.out and "Traceback" not in said.err
