@@ -30,6 +30,7 @@ class Seen:
     tried : (model, set) that was refitted from a linearisation at that model, whatever came of it.
     dropped : names -> model of a first look that others were ahead of then.
     refused : names -> gates that the set does not pass: it is no answer, whatever its evidence.
+    parted : names -> model from which the set without each of its members was fitted.
     """
 
     fits: dict[Names, Fit] = field(default_factory=dict)
@@ -39,6 +40,7 @@ class Seen:
     tried: set[tuple[Names, Names]] = field(default_factory=set)
     dropped: dict[Names, Fit] = field(default_factory=dict)
     refused: dict[Names, tuple[Gate, ...]] = field(default_factory=dict)
+    parted: dict[Names, Fit] = field(default_factory=dict)
 
     def add(self, experiment: Experiment, names: Names, fit: Fit, anyway: bool = False) -> None:
         """Keep a fit of a set, if it is one and better than what is there, or ``anyway``."""

@@ -1,5 +1,6 @@
 """Joint selection: linearise, rank every set, refit the best, linearise there again."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,6 +37,7 @@ from eha_monitor.mismatch.name.seen import (
 )
 from eha_monitor.mismatch.name.starts import possible, sharing, starts_of
 from eha_monitor.mismatch.name.suspects import is_effect, simple_kin
+from eha_monitor.mismatch.name.telling import telling
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import effect_values
 from eha_monitor.physics.signals import BETA_E, B
@@ -48,8 +50,9 @@ MOST_GOING = 2  # of these
 LOOKS = 3  # handfuls that are refitted from one linearisation
 WITHIN_REACH, FINALISTS = 20.0, 3  # log units; sets that are fitted to the end
 BENT = 0.2  # of the logarithm of B or beta_e
-CLOSE = 1000.0  # log units: within them a set is a rival that is fitted to the end
+CLOSE = 300.0  # log units: within them a set is a rival that is fitted to the end
 ROUNDS = 8
+SKETCH, SKETCH_WINDOW = 8_000, 2_000  # samples that a search begins on, in windows
 
 
 @dataclass(frozen=True)
@@ -148,7 +151,11 @@ def strayed(view: Linearised, seen: Seen) -> bool:
 
 
 def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
-    """Find the set of effects and wrong numbers of the rig that a recording supports."""
+    """Find the set of effects and wrong numbers of the rig that a recording supports.
+
+    What is missing and large shows in a third of the samples as well as in all of them: the
+    search is made there, and goes on with all of them from what it has found.
+    """
     say("fitting the nominal model", 0.05)
     experiment, first = resolved_nominal(experiment)
     near = leans_less(experiment, first)
@@ -158,18 +165,75 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
     seen.add(experiment, frozenset(), start)
     if not seen.evidence:
         raise np.linalg.LinAlgError("the nominal model's evidence is singular")
+    sketch = sketch_of(experiment, start)
+    if sketch is not None:
+        say("searching a third of the samples", 0.1)
+        found, _ = explored(sketch, over(sketch, start), say)
+        carried(experiment, found, seen)
+    seen, views = explored(experiment, start, say, seen,
+                           sketch is None or seen.best() == frozenset())
+    gated(experiment, seen)
+    best, view = seen.best(), None  # the last one's slopes are not needed beside new columns
+    say("weighing effects not in the catalogue", 0.85)
+    return Selection(experiment, first, seen.fits[best], seen, views.get(best),
+                     beside(experiment, best, seen.fits[best]))
+
+
+def sketch_of(experiment: Experiment, start: Fit) -> Experiment | None:
+    """Return the samples that a search begins on; None where it needs all, or has few."""
+    if experiment.inverse or experiment.n < 2 * SKETCH or not lacks(experiment, start):
+        return None
+    found = telling(experiment, SKETCH, SKETCH_WINDOW)
+    return found if found is not experiment else None
+
+
+def over(experiment: Experiment, fit: Fit) -> Fit:
+    """Return a fit with its innovations over the samples of an experiment."""
+    return with_unknowns(experiment, fit, fit.unknowns)
+
+
+def carried(experiment: Experiment, found: Seen, seen: Seen) -> None:
+    """Fit what a search on some of the samples has left in the running to all of them."""
+    scores, best = found.scores(), found.best()
+    running = [names for names in ties.ordered(scores, scores.get, plainness, ties.GUESS)
+               if scores[names] > scores[best] - WITHIN_REACH and names][:FINALISTS]
+    for names in running:
+        worth = max(fit.log_likelihood for fit in seen.fits.values()) - CLOSE
+        seen.add(experiment, names, settled(experiment, over(experiment, found.fits[names]),
+                                            worth=worth))
+
+
+def explored(experiment: Experiment, start: Fit, say: Callable[[str, float], None],
+             seen: Seen | None = None, widely: bool = True
+             ) -> tuple[Seen, dict[Names, Linearised]]:
+    """Linearise, rank, refit, and again at the best, until the best set stays.
+
+    Parameters
+    ----------
+    start : the nominal model, fitted.
+    seen : sets that were refitted before; they are finished at the end.  Without them the search
+        is a sketch: nothing is carried to the end.
+    widely : also from other places of the nominal model.
+    """
+    ending = seen is not None
+    if seen is None:
+        seen = Seen(experiment.inverse)
+        seen.add(experiment, frozenset(), start)
     views: dict[Names, Linearised] = {}
     done: dict[Names, float] = {}
-    far = ended = False
+    if not widely:
+        done[frozenset()] = seen.evidence[frozenset()]
+    far = not widely
+    ended = not ending
     for turn in range(ROUNDS):
         say(f"weighing all sets, round {turn + 1}", 0.1 + 0.1 * turn)
         at, other = seen.ahead(done, STRAYED), None
-        if turn == 1:
+        if turn == 1 and widely:
             other = unbent(experiment, start, seen)
         if other is None and at is None and not far:
             far, other = True, far_off(experiment, start, seen)
         if other is not None:
-            ended, here = False, frozenset()
+            ended, here = not ending, frozenset()
             view = linearised(experiment, here, other)
         elif at is not None:
             here, fit = at
@@ -183,7 +247,7 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
             if evidence_at_start(seen, here) > done[here] + STRAYED:
                 continue
         # A model of which a part has vanished is not in its own ranking: nothing compares to it.
-        for _ in range(LOOKS if view.own is not None else 0):
+        for _ in range((LOOKS if widely else 1) if view.own is not None else 0):
             chosen = chosen_at(view, seen) or rivals_at(view, seen)
             if not chosen:
                 break
@@ -193,11 +257,9 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
         if seen.ahead(done, STRAYED) is None and not ended:
             finish(experiment, seen)
             ended = True
-    gated(experiment, seen)
-    best, view = seen.best(), None  # the last one's slopes are not needed beside new columns
-    say("weighing effects not in the catalogue", 0.85)
-    return Selection(experiment, first, seen.fits[best], seen, views.get(best),
-                     beside(experiment, best, seen.fits[best]))
+    if not ended and seen.ahead(done, STRAYED) is None:
+        finish(experiment, seen)
+    return seen, views
 
 
 def lacks(experiment: Experiment, fit: Fit) -> bool:
@@ -359,9 +421,8 @@ def without_each(experiment: Experiment, seen: Seen) -> None:
     A member is named only if the others cannot do without it, and they may have been fitted from
     a worse place.
     """
-    told = None
-    while told != (best := seen.best()):
-        told, fit = best, seen.fits[best]
+    while seen.parted.get(best := seen.best()) is not (fit := seen.fits[best]):
+        seen.parted[best] = fit
         for name in sorted(best) if len(best) > 1 else ():
             seen.add(experiment, best - {name}, settled(
                 experiment, lesser(experiment, fit, name), worth=fit.log_likelihood - CLOSE))
@@ -434,7 +495,8 @@ def finish(experiment: Experiment, seen: Seen) -> None:
         other = crossed(fit, lead)
         if other is None:
             return whole
-        other = settled(experiment, with_unknowns(experiment, other, level), worth=worth)
+        other = settled(experiment, with_unknowns(experiment, other, level),
+                        worth=max(worth, whole.log_likelihood - WITHIN_REACH))
         return likelier(whole, other)
 
     for names, fit in zip(near, spread(ended, near), strict=True):

@@ -8,6 +8,7 @@ together is the largest (D-optimal, greedy).
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,8 +18,10 @@ from eha_monitor.mismatch.data.stretch import cut
 from eha_monitor.mismatch.likelihood.fit import spread, with_unknowns
 from eha_monitor.mismatch.name.columns import columns_at
 from eha_monitor.mismatch.name.gram import grams_of
-from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.refit import begun
+
+if TYPE_CHECKING:
+    from eha_monitor.mismatch.name.naming import Naming
 
 WINDOW = 4_000  # samples
 MOST = 24_000  # samples that effects are named on
@@ -74,7 +77,7 @@ def told_by(window: Experiment) -> np.ndarray:
     return gram.products if np.isfinite(gram.products).all() else np.zeros((0, 0))
 
 
-def on_all_of(experiment: Experiment, naming: Naming) -> Naming:
+def on_all_of(experiment: Experiment, naming: "Naming") -> "Naming":
     """Return what was named on some windows with its models run over the whole recording."""
     if naming.experiment.stretches is experiment.stretches:
         return naming
