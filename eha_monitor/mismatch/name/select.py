@@ -168,12 +168,10 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
     sketch = sketch_of(experiment, start)
     if sketch is not None:
         say("searching a third of the samples", 0.1)
-        found, _ = explored(sketch, over(sketch, start), say)
-        carried(experiment, found, seen)
-    seen, views = explored(experiment, start, say, seen,
-                           sketch is None or seen.best() == frozenset())
+        carried(experiment, explored(sketch, over(sketch, start), say)[0], seen)
+    seen, views = explored(experiment, start, say, seen, seen.best() == frozenset())
     gated(experiment, seen)
-    best, view = seen.best(), None  # the last one's slopes are not needed beside new columns
+    best = seen.best()
     say("weighing effects not in the catalogue", 0.85)
     return Selection(experiment, first, seen.fits[best], seen, views.get(best),
                      beside(experiment, best, seen.fits[best]))
@@ -181,10 +179,11 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
 
 def sketch_of(experiment: Experiment, start: Fit) -> Experiment | None:
     """Return the samples that a search begins on; None where it needs all, or has few."""
-    if experiment.inverse or experiment.n < 2 * SKETCH or not lacks(experiment, start):
+    if experiment.n < 2 * SKETCH or not lacks(experiment, start):
         return None
     found = telling(experiment, SKETCH, SKETCH_WINDOW)
-    return found if found is not experiment else None
+    runs = found is not experiment and np.isfinite(over(found, start).log_likelihood)
+    return found if runs else None
 
 
 def over(experiment: Experiment, fit: Fit) -> Fit:
@@ -217,7 +216,7 @@ def explored(experiment: Experiment, start: Fit, say: Callable[[str, float], Non
     """
     ending = seen is not None
     if seen is None:
-        seen = Seen(experiment.inverse)
+        seen = Seen()
         seen.add(experiment, frozenset(), start)
     views: dict[Names, Linearised] = {}
     done: dict[Names, float] = {}
