@@ -134,7 +134,7 @@ SIGNATURES = (
         float64[:, ::1]), float64[:, :, ::1], float64[:, ::1], float64[::1], UniTuple(float64, 3),
         bool[::1],
     )),
-    ("filters.along", "contributions_along", (
+    ("estimation.along", "contributions_along", (
         float64[:, ::1], float64, int64, float64[::1], bool[::1], float64[:, ::1], float64[:, ::1],
     )),
     ("recordings.walk", "walk_records", (
