@@ -37,7 +37,7 @@ MOST = 20  # recordings shown; all are in the table
 # What has no part in an answer, nor in the row that is made of it; all else in the package has.
 _APART = ("commands", "concealed", "dashboard", "draft", "exports", "prove", "reports", "ros",
           "cli.py", "demo.py", "__main__.py")
-_DIAGNOSIS = ("diagnosis", "machine", "mismatch")  # nor these in one of ``estimate``
+_DIAGNOSIS = ("diagnosis", "balances", "mismatch")  # nor these in one of ``estimate``
 _EFFECT = ("name", "balance", "size", "statement", "probability", "log_evidence",
            "intervals_s", "indistinguishable_from")
 _RIG = ("key", "configured", "probability", "statement", "indistinguishable_from")

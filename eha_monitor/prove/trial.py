@@ -36,7 +36,7 @@ from eha_monitor.source import source_digest as digest_of_source
 SCHEMA = "eha_monitor/proof/1"
 PACKAGE = Path(__file__).parents[1]
 # What has a part in an answer.
-ROOMS = ("physics", "estimation", "mismatch", "recordings", "settings", "plausibility",
+ROOMS = ("physics", "estimation", "balances", "mismatch", "recordings", "settings", "plausibility",
          "api", "commands/diagnose.py", "prove/blind.py", "prove/warm.py", "words.py")
 FEW = 4  # cases that are made without processes of their own
 KEEP = ("same", "all", "none")
