@@ -256,7 +256,7 @@ def test_rig_with_a_measured_force_gets_a_motion_too():
            "pump_displacement": None, "position_gain": None}
     experiment = experiment_of([Recording(1e-3, {"x": channels["x"], "force": force})],
                                settings_from_tree({"rig": rig}, "case"), hold_out=False)
-    found = advise.advice(experiment, nominal_fit(experiment), {})
+    found = advise.advice(experiment, advise.yielding(experiment, nominal_fit(experiment)), {})
     doubt = next(d for d in found.doubts if d.effect == "coulomb_friction")
     assert doubt.now < advise.DECISIVE
     assert found.motion is not None and doubt.then > advise.DECISIVE

@@ -45,9 +45,6 @@ ROS_PACKAGES = ("rclpy", "rcl_interfaces", "sensor_msgs", "std_msgs", "std_srvs"
                 "diagnostic_msgs", "lifecycle_msgs", "rosgraph_msgs", "builtin_interfaces")
 # The one place that asks whether ROS is there, to say so in one line.
 MAY_ASK_FOR_ROS = {"commands/common.py"}
-# commands/archive and commands/diagnose call one another, and so do estimation/pipeline and
-# estimation/reach, with what lies on the way; no further circle may come.
-KNOWN_CIRCLES = {"archive", "archive_row", "diagnose", "pipeline", "reach", "estimate", "changed"}
 
 
 @cache
@@ -103,7 +100,7 @@ def test_no_circle_of_imports():
     while unused := needs.keys() - set().union(*needs.values()):
         for name in unused:  # it leads to a circle, and is in none
             del needs[name]
-    assert not {name for name in needs if name.rpartition(".")[2] not in KNOWN_CIRCLES}
+    assert not set(needs)
 
 
 def test_physics_names_nothing_of_the_diagnosis():

@@ -95,7 +95,7 @@ def test_numbers_equal_the_topics_and_a_reload_loses_nothing(graph, browser, add
         assert eyes.read("silence").startswith("No data yet on /eha/")
         assert "STALE" in eyes.read("bulk_modulus_low-level")
         simulator = running_.enter_context(command("simulator", "--seed", "1"))
-        graph.until(lambda: all(heard.values()) and all(
+        graph.until(lambda: all(heard.values()) and health and all(
             "innovation_nis" in heard_values(health, stage) for stage in STAGES), PATIENCE)
         graph.until(lambda: not eyes.shows("silence"))
         before = eyes.read("actuator"), style(eyes)

@@ -167,8 +167,8 @@ def test_the_verdict_is_what_is_more_likely_than_not():
     named = replace(clean.before, named=("coulomb_friction",))
 
     def verdict(after=clean.before, wrong=(), unexplained=0.1):
-        return verdict_of(clean.experiment, Naming(clean.experiment, clean.before, after, wrong,
-                                                   unexplained=unexplained))
+        return verdict_of(Naming(clean.experiment, clean.before, after, wrong,
+                                 unexplained=unexplained))
 
     assert verdict() == "consistent"
     assert verdict(named) == "mismatch"

@@ -6,9 +6,9 @@ import pytest
 from rig_tools import MULTISINE, REST, settings, simulated
 
 from eha_monitor.mismatch.data.experiment import BURN_IN, experiment_of
-from eha_monitor.mismatch.name.naming import Naming
+from eha_monitor.mismatch.name.naming import Naming, on_all_of
 from eha_monitor.mismatch.name.select import nominal_model
-from eha_monitor.mismatch.name.telling import on_all_of, telling, windows_of
+from eha_monitor.mismatch.name.telling import telling, windows_of
 
 RESTING, MOVING = 9.0, 3.0
 

@@ -46,12 +46,6 @@ class Archive:
             raise InputError(f"{bag}: {given[0]} is for a folder that holds bags, found {kind}")
         return False
 
-    def answer(self, command: str, folder: Path, config: Path | None) -> bool:
-        """Bring the table of a folder up to date; tell whether any bag is not well."""
-        from eha_monitor.commands.archive_rows import answer_folder
-
-        return answer_folder(command, folder, config, self)
-
 
 def archive_options(function: Callable) -> Callable:
     """Add the options that only a folder of bags has use for."""

@@ -72,7 +72,9 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
     if archive.covers(bags[0], json=json_file, report=report_file, write_config=config_file,
                       out_bag=out_bag, held_out=held_out, hypothesis=hypothesis_file,
                       reference=references, without=without, vary=vary, machine=machine_file):
-        return int(archive.answer("diagnose", bags[0], config) and exit_code)
+        from eha_monitor.commands.archive_rows import answer_folder
+
+        return int(answer_folder("diagnose", bags[0], config, archive) and exit_code)
     from eha_monitor.api.config import config_of
     from eha_monitor.api.diagnose import bags_of, known_effects
     from eha_monitor.api.diagnose import diagnose as run

@@ -36,7 +36,9 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
     """
     archive = Archive(**of_folder)
     if archive.covers(bag, json=json_file, report=report_file, write_config=config_file):
-        return int(archive.answer("estimate", bag, config) and exit_code)
+        from eha_monitor.commands.archive_rows import answer_folder
+
+        return int(answer_folder("estimate", bag, config, archive) and exit_code)
     check_outputs({"--json": json_file, "--report": report_file, "--write-config": config_file},
                   (bag,), config)
 

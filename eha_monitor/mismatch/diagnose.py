@@ -36,9 +36,9 @@ from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
 from eha_monitor.mismatch.name.acceptance import LIKELY, RIVAL, TEMPER
 from eha_monitor.mismatch.name.angle import at_its_angle
-from eha_monitor.mismatch.name.naming import Naming, beyond_form, name_effects
+from eha_monitor.mismatch.name.naming import Naming, beyond_form, name_effects, on_all_of
 from eha_monitor.mismatch.name.nominal import nominal
-from eha_monitor.mismatch.name.telling import on_all_of, telling
+from eha_monitor.mismatch.name.telling import telling
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT
 from eha_monitor.mismatch.show import held_out as show
 from eha_monitor.mismatch.show.changed import change_words, changed_between
@@ -242,8 +242,8 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
             verdict, told = ("unexplained", told) if told.decides else (verdict, None)
     if told is not None:  # its names are those that stand beside it
         signals, naming = told.signals, beside_own(experiment, naming, told)
-        after, verdict = naming.after, "unexplained" if told.effect is None else verdict_of(
-            experiment, naming)
+        after = naming.after
+        verdict = "unexplained" if told.effect is None else verdict_of(naming)
         tracks = tracks_of(experiment, after) if after.named else []
     effects = tuple(named_effect(experiment, naming, name, tracks) for name in sorted(
         after.named, key=lambda name: -naming.evidence[name]))

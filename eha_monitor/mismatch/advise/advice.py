@@ -34,10 +34,14 @@ from eha_monitor.mismatch.advise.tells import (
 )
 from eha_monitor.mismatch.advise.words import sentences
 from eha_monitor.mismatch.data.experiment import Experiment, by_balances, experiment_of
-from eha_monitor.mismatch.likelihood.fit import Fit
+from eha_monitor.mismatch.data.inputs import FORCED
+from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
+from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.likelihood.information import Slope, Traces, free_slopes
-from eha_monitor.mismatch.name.base import with_effect
+from eha_monitor.mismatch.name.base import limits_of, with_effect
 from eha_monitor.mismatch.name.naming import Naming, name_effects
+from eha_monitor.mismatch.name.nominal import nominal
+from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
 from eha_monitor.quantity import quantity
@@ -46,10 +50,36 @@ from eha_monitor.settings.monitor import Settings
 
 COMMON = ("coulomb_friction", "quadratic_friction", "spring_load", "added_mass",
           "cross_port_leakage")  # what B and beta_e are most often mistaken for
+YIELDING = 300.0  # times the smallest unknowns, with which a filter follows a wrong model
 LEAST_MOTION = 20.0  # times the position's noise: less motion says nothing
 ATTEMPTS = 3  # motions that are put to a simulation
 MOST_QUESTIONS = 4
 Report = Callable[[str, float], None]
+
+
+def yielding(experiment: Experiment, fit: Fit) -> Fit:
+    """Return a fit whose filter follows a wrong model.
+
+    Where the noise of a measured force governs, a motion is still judged by what a prediction of
+    it shows.
+    """
+    unknowns = Unknowns(*(YIELDING * limits_of(experiment)[0].as_array()))
+    return settled(experiment, with_unknowns(experiment, fit, unknowns))
+
+
+def with_motion(found: Advice, recordings: list[Recording], settings: Settings, check: bool,
+                report: Report | None) -> Advice:
+    """Return advice by balances with the motion that a filter around a measured force plans.
+
+    Unchanged behind a valve circuit, where no model predicts a motion.
+    """
+    experiment = experiment_of(recordings, settings, hold_out=False)
+    if experiment.mode != FORCED:
+        return found
+    experiment, first = nominal(experiment)
+    planned = advice(experiment, yielding(experiment, first), {}, check=check, report=report)
+    return replace(found, doubts=planned.doubts, motion=planned.motion, tried=planned.tried,
+                   checks=planned.checks, plannable=planned.plannable)
 
 
 def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
@@ -211,7 +241,8 @@ def advise(recordings: list[Recording], settings: Settings, check: bool = True,
     """
     with computing(*(recording.source for recording in recordings)):
         if by_balances(recordings, settings):
-            return advised_by_balances(recordings, settings)
+            names, found = advised_by_balances(recordings, settings)
+            return names, with_motion(found, recordings, settings, check, report)
         return _advised(recordings, settings, check, report or (lambda text, share: None))
 
 

@@ -226,3 +226,14 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
         tuple((names, seen.fits[names], scores[best] - scores[names]) for names in order),
         loads, gates)
 
+
+def on_all_of(experiment: Experiment, naming: Naming) -> Naming:
+    """Return what was named on some windows with its models run over the whole recording."""
+    if naming.experiment.stretches is experiment.stretches:
+        return naming
+    whole = naming.experiment.only(experiment.stretches)
+
+    def over(fit):
+        return replace(with_unknowns(whole, fit, fit.unknowns), covariance=fit.covariance)
+
+    return replace(naming, experiment=whole, before=over(naming.before), after=over(naming.after))

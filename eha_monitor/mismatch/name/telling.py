@@ -6,22 +6,17 @@ in which the model fails says something too; the windows are taken one by one wh
 together is the largest (D-optimal, greedy).
 """
 
-from dataclasses import replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import SHORTEST, Experiment, Stretch
 from eha_monitor.mismatch.data.stretch import cut
-from eha_monitor.mismatch.likelihood.fit import spread, with_unknowns
+from eha_monitor.mismatch.likelihood.fit import spread
 from eha_monitor.mismatch.name.columns import columns_at
 from eha_monitor.mismatch.name.gram import grams_of
 from eha_monitor.mismatch.name.refit import begun
-
-if TYPE_CHECKING:
-    from eha_monitor.mismatch.name.naming import Naming
 
 WINDOW = 4_000  # samples
 MOST = 24_000  # samples that effects are named on
@@ -75,15 +70,3 @@ def told_by(window: Experiment) -> np.ndarray:
     except (np.linalg.LinAlgError, ValueError):
         return np.zeros((0, 0))
     return gram.products if np.isfinite(gram.products).all() else np.zeros((0, 0))
-
-
-def on_all_of(experiment: Experiment, naming: "Naming") -> "Naming":
-    """Return what was named on some windows with its models run over the whole recording."""
-    if naming.experiment.stretches is experiment.stretches:
-        return naming
-    whole = naming.experiment.only(experiment.stretches)
-
-    def over(fit):
-        return replace(with_unknowns(whole, fit, fit.unknowns), covariance=fit.covariance)
-
-    return replace(naming, experiment=whole, before=over(naming.before), after=over(naming.after))
