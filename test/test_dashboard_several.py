@@ -89,7 +89,7 @@ def test_three_actuators_from_alarm_to_acknowledgement(graph, browser, address):
     page.get_by_test_id("tile-right").click()
     graph.until(lambda: eyes.read("name") == "Actuator right")
     graph.until(lambda: eyes.number("B-value")[0] == 1600)
-    assert page.url.endswith("?actuator=right")
+    graph.until(lambda: page.url.endswith("?actuator=right"))
 
     # Acknowledged it stays, quiet; it asks again after it has cleared.
     page.get_by_test_id(f"{HIGH}-acknowledge").click()
