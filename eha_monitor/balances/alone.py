@@ -35,7 +35,8 @@ class Name:
     frequency : share of the halves in which the effect, or one of its family, came up.
     probability : calibrated and capped.
     gained : log units that the balance loses without it.
-    named : it is an answer; else it corrects the form, or belongs to every model.
+    named : it is an answer, larger than its own deviation; else it corrects the form, or belongs
+        to every model.
     rivals : effects that fit as well in its place.
     """
 
@@ -115,31 +116,34 @@ class _Choice:
         table, policy = self.table, self.policy
         nominal = self.unseen(self.always)
         refused: list[Refused] = []
-        kept, often, rivals = list(self.always), {}, {}
+        kept, often, equal = list(self.always), {}, {}
         if nominal > max(policy.worse, policy.clean * table.floor / table.size):
-            kept, often, rivals = self.stable()
+            kept, often, equal = self.stable()
             kept = self.gated(kept, refused)
         named = set(kept) - set(self.always)
         kept = self.as_good_as_first_view(kept, refused)
         values, sure = self.parameters(kept)
         found, error = [], self.unseen(kept)
+        biases = biases_of(table, kept, error, policy)
+        rivals = {kind: tuple(dict.fromkeys(self.of[name].effect for name in names))
+                  for kind, names in equal.items()}
         families = {self.of[name].kind for name in kept}
-        for name, value, stddev in zip(kept, values, sure, strict=True):
+        for name, value, stddev, bias in zip(kept, values, sure, biases, strict=True):
             one = self.of[name]
-            typical = policy.between if one.between is None else one.between
             frequency = often.get(one.kind, 0.0) if not one.always else 1.0
-            rest = [other for other in kept if other != name]
+            rest, total = [other for other in kept if other != name], float(
+                np.hypot(stddev, bias))
             gained = (table.effective * float(np.log(self.unseen(rest) / error))
                       if not one.always else 0.0)
             found.append(Name(
-                name, one.effect, value, float(np.hypot(stddev, typical * value)), frequency,
-                probability_of(frequency, policy), gained, name in named,
+                name, one.effect, value, total, frequency, probability_of(frequency, policy),
+                gained, name in named and abs(value) > total,
                 tuple(e for e in rivals.get(one.kind, ()) if e not in {
                     self.of[other].effect for other in kept} and one.kind in families)))
         return Alone(tuple(found), tuple(refused), table.effective, error, nominal)
 
     def stable(self) -> tuple[list[str], dict[str, float], dict[str, tuple[str, ...]]]:
-        """Return the terms that most halves choose, how often each family is, and rivals."""
+        """Return the terms that most halves choose, how often each family is, and its equals."""
         of, policy = self.of, self.policy
         effects, families, terms = Counter(), Counter(), Counter()
         for fit, judge in self.halves:
@@ -158,14 +162,16 @@ class _Choice:
             for name in steady or members[:1]:
                 if of[name].effect not in {of[other].effect for other in kept}:
                     kept.append(name)
-        rivals = {}
+        equal = {}
         for i, name in enumerate(kept):
             if not of[name].always:
-                kept[i], rivals[of[name].kind] = self.plainest(kept, i)
-        return kept, {k: v / policy.halves for k, v in families.items()}, rivals
+                kept[i], equal[of[name].kind] = self.plainest(kept, i)
+        return kept, {k: v / policy.halves for k, v in families.items()}, equal
 
     def plainest(self, kept: list[str], i: int) -> tuple[str, tuple[str, ...]]:
         """Return the first member of a family that fits as well as any, and the others that do.
+
+        Of each effect its best shape.
 
         Within a family the difference is one of form; a recording alone rarely decides it, and
         what it cannot decide goes to the one that stands first among the candidates.
@@ -182,16 +188,16 @@ class _Choice:
             if effect not in best or found[name] < found[best[effect]]:
                 best[effect] = name
         least = min(found.values())
-        equal = [effect for effect, name in best.items()
+        equal = [name for name in best.values()
                  if found[name] <= least * np.exp(self.policy.alone)]
-        return best[equal[0]], tuple(equal[1:])
+        return equal[0], tuple(equal[1:])
 
     def gated(self, kept: list[str], refused: list[Refused]) -> list[str]:
         """Return the terms that are there for sure and within their limits."""
         while True:
             values, sure = self.parameters(kept)
-            out = None
-            for name, value, stddev in zip(kept, values, sure, strict=True):
+            out, doubts = None, doubts_of(self.table, kept)
+            for name, value, stddev, doubt in zip(kept, values, sure, doubts, strict=True):
                 one = self.of[name]
                 if one.always:
                     continue
@@ -200,6 +206,9 @@ class _Choice:
                 if abs(value) > self.table.reach[self.table.places[name]]:
                     out = Refused("bound", one.effect, f"{one.words} of {shown} is beyond what "
                                   "this rig can have")
+                elif abs(value) < self.policy.varied * doubt:
+                    out = Refused("member", one.effect, f"{one.words} of {shown} may be channels "
+                                  "that are half a sample late, or areas within their tolerance")
                 elif abs(value) < self.policy.varied * stddev and self.unseen(
                         rest) < self.unseen(kept) * np.exp(self.policy.alone):
                     out = Refused("member", one.effect, f"{one.words} of {shown} is not "
@@ -268,6 +277,31 @@ def parameters_of(table: Table, names: Sequence[str], held: dict[str, float] | N
     scale = left * table.full[1] * effective / max(effective - len(names), 1.0)
     variance = np.diag(inverse_of(table.gram[np.ix_(places, places)])) * scale
     return (-mixture[places]).tolist(), np.sqrt(np.maximum(variance, 0.0)).tolist()
+
+
+def biases_of(table: Table, names: Sequence[str], error: float, policy: Policy) -> np.ndarray:
+    """Return what may be wrong of each parameter beside chance, (k,) SI.
+
+    The law that is missing repeats, however long the recording: a share ``coherent`` of what is
+    left beyond the sensors' noise may look like the term's own column.
+
+    Parameters
+    ----------
+    error : share of the signal that is left on unseen parts.
+    """
+    places = [table.places[name] for name in names]
+    form = np.sqrt(max((error * table.size) ** 2 - table.floor**2, 0.0))
+    alike = table.n * np.diag(inverse_of(table.gram[np.ix_(places, places)]))
+    return np.hypot(policy.coherent * form * np.sqrt(np.maximum(alike, 0.0)),
+                    doubts_of(table, names))
+
+
+def doubts_of(table: Table, names: Sequence[str]) -> np.ndarray:
+    """Return how far each parameter goes with what is in doubt of the left side, (k,) SI."""
+    places = [table.places[name] for name in names]
+    moved = inverse_of(table.gram[np.ix_(places, places)]) @ (
+        table.rows[table.good][:, places].T @ table.doubts[table.good])
+    return np.linalg.norm(moved, axis=1)
 
 
 def probability_of(frequency: float, policy: Policy) -> float:

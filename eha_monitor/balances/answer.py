@@ -37,7 +37,9 @@ from eha_monitor.settings.rig import Rig
 from eha_monitor.words import listed
 
 FORCE_OF_SENSORS = ("pressure_offset", "pressure_scale")  # they make a constant force as well
-LINEAR = ("B", "D_p", "C_h")  # what the config's own model has
+LINEAR = ("B", "D_p", "C_h", "k_d")  # what the config's own model has
+SIDE_OF = {"mass": "force", "pump_displacement": "flow", "position_gain": "drive"}
+TWINS = {"pump_displacement": ("pump_flow_gain",), "position_gain": ("drive_gain",)}
 OVERLAY = 4.0  # s of an overlay
 LARGEST = 0.998  # quantile of a term that is its size
 WHERE = ("force", "flow", "drive", "sensor")
@@ -122,7 +124,8 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
                      key=lambda effect: -effect.log_evidence)
     open_ = [one for one in models if is_open(one, policy)]
     verdict = "unexplained" if open_ else "mismatch" if effects or wrong else "consistent"
-    before, after = known_of(models, rig, nominal=True), known_of(models, rig)
+    before, after = known_of(models, rig, policy, nominal=True), known_of(
+        models, rig, policy)
     if verdict == "unexplained":
         models, effects, wrong, after = [one.plain() for one in models], [], (), {}
     where, curves = place_of(models, courses, effects, wrong, verdict)
@@ -152,7 +155,8 @@ def is_open(model: Model, policy: Policy) -> bool:
     return model.error > max(policy.open, policy.clean * model.floor / model.size)
 
 
-def known_of(models: Sequence[Model], rig: Rig, nominal: bool = False) -> dict[str, Value]:
+def known_of(models: Sequence[Model], rig: Rig, policy: Policy, nominal: bool = False
+             ) -> dict[str, Value]:
     """Return B and beta_e, of the config's linear model or of the whole one.
 
     They contain the tolerances of the area and of the volume, which no recording knows.
@@ -167,7 +171,7 @@ def known_of(models: Sequence[Model], rig: Rig, nominal: bool = False) -> dict[s
             if name == "B":
                 area = rig.tolerance.log_spread("area_1") if rig.area_1 else 0.0
                 found["B"] = Value(value, float(np.hypot(stddev, area * value)), "N·s/m")
-            elif name == "C_h" and rig.volume_1:
+            elif name == "C_h" and rig.volume_1 and value > policy.varied * stddev:
                 beta, volume = rig.volume_1 / value, rig.tolerance.log_spread("volume_1")
                 found["beta_e"] = Value(beta, float(beta * np.hypot(stddev / value, volume)),
                                         "Pa")
@@ -176,8 +180,8 @@ def known_of(models: Sequence[Model], rig: Rig, nominal: bool = False) -> dict[s
 
 def effects_of(model: Model, rig: Rig, policy: Policy) -> list[NamedEffect]:
     """Return the named terms of a balance as effects; one that contains another holds both."""
-    named = [t for t in model.named if t.candidate.name not in LINEAR
-             and not _within_tolerance(t, rig, policy)]
+    named = [t for t in model.terms if (t.named or _leaks_more(t, policy))
+             and t.candidate.name not in LINEAR and not _within_tolerance(t, rig, policy)]
     groups: dict[str, list[Term]] = {}
     for term in named:
         groups.setdefault(term.candidate.effect, []).append(term)
@@ -293,34 +297,53 @@ def _made(terms: Sequence[Term], model: Model) -> list[np.ndarray]:
     return found
 
 
+def _configured(term: Term, rig: Rig) -> tuple[str, float, float] | None:
+    """Return the config's number that a term corrects: its key, the config's value, what it is.
+
+    The leakage is C_T / 2 of the pressure difference; a mass or a leakage is added to.
+    """
+    found = {
+        "D_p": ("pump_displacement", rig.pump_displacement, term.value),
+        "dM": ("mass", rig.mass, rig.mass + term.value),
+        "k_d": ("position_gain", rig.position_gain,
+                (rig.position_gain or 0.0) * (1.0 + term.value)),
+        "L": ("leakage", rig.leakage, rig.leakage + 2.0 * term.value),
+    }.get(term.candidate.name)
+    return found if found is not None and found[1] and found[2] > 0.0 else None
+
+
 def _within_tolerance(term: Term, rig: Rig, policy: Policy) -> bool:
-    """Tell whether a mass is within what the config's is known to, or is less than that."""
-    if term.candidate.name != "dM":
+    """Tell whether a number of the config may be what a term says of it, by its tolerance."""
+    found = _configured(term, rig)
+    if found is None:
         return False
-    own = rig.tolerance.log_spread("mass") * rig.mass
-    return term.value < policy.varied * float(np.hypot(term.stddev, own))
+    key, configured, value = found
+    return abs(np.log(value / configured)) <= policy.varied * float(np.hypot(
+        rig.tolerance.log_spread(key), abs(value - configured) / value * term.relative))
+
+
+def _leaks_more(term: Term, policy: Policy) -> bool:
+    """Tell whether the leakage that every model has is surely more than the config's."""
+    return (term.candidate.name == "L" and term.candidate.always
+            and term.value > policy.varied * term.stddev)
 
 
 def _wrong(model: Model, rig: Rig, policy: Policy) -> list[RigFinding]:
     """Return the numbers of the config that are far from the recordings'."""
     found = []
     for term in model.terms:
-        key, configured, value = {
-            "D_p": ("pump_displacement", rig.pump_displacement, term.value),
-            "dM": ("mass", rig.mass, rig.mass + term.value)}.get(
-                term.candidate.name, ("", None, 0.0))
-        if configured is None or not value > 0.0 or not np.isfinite(term.stddev) or (
-                key == "mass" and (term.value > 0.0 or not term.named)):
+        one = _configured(term, rig)
+        if one is None or not np.isfinite(term.stddev) or _within_tolerance(term, rig, policy):
             continue
-        own = rig.tolerance.log_spread(key) * configured
-        if abs(value - configured) <= policy.varied * np.hypot(term.stddev, own):
-            continue
+        key, configured, value = one
+        if key == "leakage" or (key == "mass" and (term.value > 0.0 or not term.named)):
+            continue  # more of either is an effect of the catalogue
+        stddev = term.stddev * (rig.position_gain if key == "position_gain" else 1.0)
         unit = type(rig).model_fields[key].json_schema_extra["unit"]
-        shown = side_by_side(configured, value, term.stddev, unit)
+        shown = side_by_side(configured, value, stddev, unit)
         found.append(RigFinding(
-            key, configured, Value(value, term.stddev, unit), policy.certain,
-            f"{key}: the config says {shown[0]}, the recording {shown[1]}",
-            ("pump_flow_gain",) if key == "pump_displacement" else ()))
+            key, configured, Value(value, stddev, unit), policy.certain,
+            f"{key}: the config says {shown[0]}, the recording {shown[1]}", TWINS.get(key, ())))
     return found
 
 
@@ -339,7 +362,7 @@ def place_of(models: Sequence[Model], courses: Sequence[Course], effects: Sequen
         weights = {one.balance: one.error**2 for one in models}
     else:
         blamed = {effect.balance for effect in effects} | {
-            "force" if one.key == "mass" else "flow" for one in wrong}
+            SIDE_OF[one.key] for one in wrong}
         weights = {one.balance: max(one.nominal_error**2 - one.error**2, 1e-12)
                    for one in models if one.balance in blamed}
     total = sum(weights.values()) or 1.0

@@ -339,8 +339,10 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             limit=0.5),
         one("C_x", "position_dependent_volume", "m²/Pa", "compliance over the stroke", 0,
             _over_stroke, family="compliance", odd=False, power=1.0),
-        one("L", "cross_port_leakage", "m³/(s·Pa)", "leakage beyond the config's", 1,
-            crossing(lambda dp: dp), family="gap", symbol="L"),
+        # A leakage that the config gives is known to a factor: that is free in every model.
+        one("L", "cross_port_leakage", "m³/(s·Pa)", "leakage beyond the config's",
+            0 if rig.leakage else 1, crossing(lambda dp: dp), always=rig.leakage > 0.0,
+            family="" if rig.leakage else "gap", symbol="L"),
         one("c", "turbulent_leakage", "m³/(s·√Pa)", "leakage of an orifice", 1,
             crossing(lambda dp: dp / (dp**2 + LAMINAR**2) ** 0.25), family="gap", symbol="c",
             shape=(("dp_0", LAMINAR),)),
@@ -373,8 +375,9 @@ def drive_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
         one("tau_d", "drive_lag", "s", "time constant of the drive", 1,
             lambda c, r: -np.gradient(c.wanted, c.dt), variant=True, symbol="tau", power=2.0,
             limit=1.0, twins=("command_delay",)),
+        # Where the position loop's gain is the config's, its tolerance is free in every model.
         one("k_d", "drive_gain", "1", "gain of the drive beyond the config's", 0,
-            lambda c, r: c.wanted, symbol="k", power=1.0),
+            lambda c, r: c.wanted, always=rig.position_gain is not None, symbol="k", power=1.0),
     ]
     for i, top in enumerate(scale.tops, start=1):
         found.append(one(

@@ -55,6 +55,7 @@ class Course:
     quiet : share of its usual size below which the demand has no sign.
     known : balance -> what the config's own effects add to it.
     sensors : (n_x, n_p, n_omega, n_force) noise of the channels in one sample, SI.
+    skew : by how much one channel may be late against another, s: half a sample.
     passed : (band's response to white noise, and to its derivative in 1/s), rms.
     gauge : the pressures are read above the ambient one.
     good : (m,) bool, measured on all channels and away from stops.
@@ -77,6 +78,7 @@ class Course:
     quiet: float
     known: dict[str, np.ndarray]
     sensors: dict[str, float]
+    skew: float
     passed: tuple[float, float]
     gauge: bool
     good: np.ndarray
@@ -204,7 +206,7 @@ def course_of(recording: Recording, settings: Settings) -> Course:
         recording.source, step, x, v, a, fine(force), p1, p2, rate_1, rate_2, omega,
         None if wanted is None else fine(wanted), None if demand is None else fine(demand),
         COMMANDED if "omega_d" in whole else MEASURED, {}, _sensors(noise, cleaned),
-        passed(dt), bool(pressures) and min(
+        0.5 * dt, passed(dt), bool(pressures) and min(
             float(np.quantile(p, 0.01)) for p in pressures) < GAUGE * rig.ambient_pressure,
         good, moving & good)
     found.known.update(known_of(found, rig, theta, active))

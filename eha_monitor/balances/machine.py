@@ -319,7 +319,7 @@ def _balance(kind: str, courses: Sequence[Course], scale: Scale, rig: Rig,
             signals = [np.column_stack([part, np.tile(np.quantile(
                 table.rows[table.good, 0], LEVELS), (len(part), 1))])
                 for part, table in zip(signals, tables, strict=True)]
-        repeats = named.removed if named.removed >= policy.learns else 0.0
+        repeats = named.removed if named.removed >= policy.small else 0.0
         after, reference = (named.after if repeats else named.before), learned(
             signals, whole, good, sizes).after
     parameters = tuple(

@@ -11,7 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import stdtr
 
-from eha_monitor.balances.alone import Alone, Refused, alone, parameters_of
+from eha_monitor.balances.alone import (
+    Alone,
+    Refused,
+    alone,
+    biases_of,
+    doubts_of,
+    parameters_of,
+)
 from eha_monitor.balances.candidates import Candidate, Scale, candidates_of
 from eha_monitor.balances.course import Course
 from eha_monitor.balances.machine import MachineBalance, rms
@@ -46,6 +53,11 @@ class Term:
     gained: float = 0.0
     named: bool = False
     rivals: tuple[str, ...] = ()
+
+    @property
+    def relative(self) -> float:
+        """Standard deviation over the size of the value."""
+        return self.stddev / max(abs(self.value), 1e-300)
 
 
 @dataclass(frozen=True)
@@ -158,7 +170,7 @@ def _terms_alone(whole: Table, found: Alone, count: int, policy: Policy) -> tupl
         rest = [name for name in names if name not in {one.term for one in loads}]
         both = [_left(whole, names), _left(whole, rest)]
         named = max(map(abs, values)) > max(
-            policy.varied * stddev, policy.zero * whole.size) and (
+            policy.varied * stddev, policy.small * whole.size) and (
                 both[1] > both[0] * np.exp(policy.alone))
         one = of[loads[0].term]
         terms.append(Term(
@@ -197,7 +209,11 @@ def of_machine(one: MachineBalance, courses: Sequence[Course], rig: Rig, scale: 
              for table in tables]
     together = Recordings(tables)
     named = {name: family for family in one.named for name in family.terms}
-    count, terms = max(len(one.error) - 1, 1), []
+    count, terms, whole = max(len(one.error) - 1, 1), [], pooled_table(tables)
+    own = {name: f"{name} 1" if f"{name} 1" in whole.places else name for name in one.terms}
+    biases, doubts = (dict(zip(own, found, strict=True)) for found in (
+        biases_of(whole, list(own.values()), rms(one.error), policy),
+        doubts_of(whole, list(own.values()))))
     load = "F_0" if "F_0" in one.terms else ""
     if load:
         gained, t = gain(together.errors([name for name in one.terms if name != load]),
@@ -205,7 +221,7 @@ def of_machine(one: MachineBalance, courses: Sequence[Course], rig: Rig, scale: 
         rows = next(((s.value, s.stddev) for s in one.settings if s.name == load), None) or next(
             ((p.value,), (p.stddev,)) for p in one.parameters if p.name == load)
         if gained >= policy.named and t >= policy.repeats and max(
-                np.abs(rows[0]) - policy.varied * np.array(rows[1])) > policy.zero * one.size:
+                np.abs(rows[0]) - policy.varied * np.array(rows[1])) > policy.small * one.size:
             named[load] = Named((load,), gained, t)
     for p in (*one.parameters, *one.settings):
         family, c = named.get(p.name), of[p.name]
@@ -213,19 +229,20 @@ def of_machine(one: MachineBalance, courses: Sequence[Course], rig: Rig, scale: 
         if family is not None:
             sure = float(stdtr(count, family.t))
         shared = not c.setting
+        stddev = float(np.hypot(np.max(p.stddev) if shared else values.std(), biases[p.name]))
+        shows = np.abs(values).max() > max(policy.varied * doubts[p.name], stddev)
         terms.append(Term(
-            c, float(values.mean()), float(np.max(p.stddev) if shared else values.std()),
+            c, float(values.mean()), stddev,
             p.between if shared else 0.0, () if shared else p.value, min(sure, policy.certain),
             1.0 if family is None else sure,
             0.0 if family is None else family.gain * one.effective,
-            family is not None and (not c.always or p.name == load),
+            family is not None and shows and (not c.always or p.name == load),
             () if family is None else family.rivals))
     shared = {p.name: p.value for p in one.parameters}
     weights = tuple(shared | {s.name: s.value[i] for s in one.settings}
                     for i in range(len(tables)))
     model = Model(one.balance, tuple(tables), weights, tuple(terms), one.refused,
-                  _nominal(pooled_table(tables), one.balance, rig),
-                  tuple(Recordings(plain).left_out(bare)),
+                  _nominal(whole, one.balance, rig), tuple(Recordings(plain).left_out(bare)),
                   tuple(together.left_out(one.terms)), tuple(tables), one.effective)
     return _unseen_gate(model, policy)
 

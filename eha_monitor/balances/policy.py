@@ -11,8 +11,9 @@ class Policy:
     ----------
     gain : a term removes this share of the RMS error, or it is left out.  Definition: 2 % of an
         error is what nobody would repair a machine for.
-    setting_gain : the same for a number that every recording has of its own.  Definition: five
-        times as much; it explains what nothing of the machine does.
+    small : what is a smaller share decides nothing.  Of the error, what a number that every
+        recording has of its own, or a learned term, must remove; of the signal, a constant load
+        that may be the zero of the sensors.  Definition: a tenth.
     named : share of the error that a family of terms must gain together before it is named.
         Smaller terms stay in the model as corrections of form.  Measured: what gains less on one
         day is not chosen on the other (docs/one_machine.md).
@@ -32,8 +33,6 @@ class Policy:
     odd : robust deviations beyond which a recording does not belong.  Definition.
     varied : deviations by which two numbers differ: a load that was varied (and by a fifth of
         its size), a number of the config that is wrong, a term that is there.  Definition.
-    zero : a smaller constant load, as a share of the signal, may be the zero of the sensors.
-        Definition: a tenth.
     open : share of the signal that an answer may leave; beyond it nothing is named.  Definition:
         half.
     clean : times what the sensors alone leave: such a balance is closed.  Derived: the scatter of
@@ -41,12 +40,14 @@ class Policy:
     false : share of healthy recordings that may be called changed.  Definition.
     fewest : recordings from which a structure is chosen on recordings left out.  Derived: a t of
         2 from fewer is met by chance in one of six.
-    learns : share of the error that a learned term must remove on recordings left out, before it
-        is spoken of.  Definition: a tenth.
+    coherent : share of what a model leaves that may look like any one of its terms.  Measured: the
+        spread of parameters between two days of a real actuator (docs/one_machine.md).
+    near : share of a balance that the config's own model may leave open, for a filter built on it
+        to judge what is missing.  Definition: a quarter; see docs/diagnosis.md.
     """
 
     gain: float = 0.02
-    setting_gain: float = 0.1
+    small: float = 0.1
     named: float = 0.15
     alone: float = 0.1
     repeats: float = 2.0
@@ -59,12 +60,12 @@ class Policy:
     worse: float = 0.02
     odd: float = 4.0
     varied: float = 3.0
-    zero: float = 0.1
     open: float = 0.5
     clean: float = 1.25
     false: float = 0.01
     fewest: int = 3
-    learns: float = 0.1
+    coherent: float = 0.5
+    near: float = 0.25
 
     def to_dict(self) -> dict:
         """Return the JSON form, key ``policy``."""

@@ -32,6 +32,8 @@ class Table:
         with a load of its own, its standard deviation.
     floor : rms that the sensors alone leave.
     known : (m,) what the config says of the left side.
+    doubts : (m, j) by what the left side may be wrong, one standard deviation each: channels that
+        are late by the course's skew, areas within their tolerance.
     """
 
     source: str
@@ -44,6 +46,7 @@ class Table:
     size: float
     floor: float
     known: np.ndarray
+    doubts: np.ndarray
 
     @cached_property
     def places(self) -> dict[str, int]:
@@ -174,17 +177,19 @@ def tables_of(courses: Sequence[Course], rig: Rig, balance: str,
     for course, row in zip(courses, columns, strict=True):
         whole = left_side(course, rig, balance)
         known = course.wanted if balance == "drive" else course.known[balance]
-        rows = course.in_band(np.column_stack([whole, known, *(row[i] for i in kept)]))
+        doubts = doubts_of(course, rig, balance, whole)
+        rows = course.in_band(np.column_stack([whole, known, *doubts, *(row[i] for i in kept)]))
         good = course.compared(course.good)
         signal = rows[good, 0] - (rows[good, 0].mean() if own_load else 0.0)
         size = max(float(np.sqrt(np.mean(signal**2))), 1e-300)
-        known = rows[:, 1]
-        rows = np.column_stack([rows[:, 0] - known, rows[:, 2:]])
+        first = 2 + len(doubts)
+        known, doubts = rows[:, 1], rows[:, 2:first]
+        rows = np.column_stack([rows[:, 0] - known, rows[:, first:]])
         length = min(policy.block, float(good.sum()) * course.step / PARTS)
         block = (np.arange(len(rows)) * course.step / length).astype(int)
         found.append(Table(course.source, tuple(candidates[i] for i in kept), rows, good,
                            course.compared(course.moving), block, course.step, size,
-                           course.floor(balance, rig), known))
+                           course.floor(balance, rig), known, doubts))
     return found
 
 
@@ -194,19 +199,31 @@ def left_side(course: Course, rig: Rig, balance: str) -> np.ndarray:
             "drive": lambda: course.omega}[balance]()
 
 
+def doubts_of(course: Course, rig: Rig, balance: str, whole: np.ndarray) -> list[np.ndarray]:
+    """Return by what a left side (m,) may be wrong, each one standard deviation, (m,)."""
+    found = [course.skew * np.gradient(whole, course.dt)]
+    if balance == "force" and course.p1 is not None and rig.area_1 and rig.area_2:
+        found += [rig.tolerance.log_spread("area_1") * rig.area_1 * course.p1,
+                  rig.tolerance.log_spread("area_2") * rig.area_2 * course.p2]
+    elif balance == "flow":
+        found.append(rig.tolerance.log_spread("area_1") * whole)
+    return found
+
+
 def nominal_of(balance: str, rig: Rig) -> tuple[tuple[str, ...], dict[str, float]]:
     """Return the terms of the config's linear model that are fitted, and those that it holds.
 
-    B in the force balance, beta_e's compliance beside the config's displacement in that of the
-    flow; the drive follows its command.
+    B in the force balance, beta_e's compliance and the leakage beside the config's displacement
+    in that of the flow; the drive follows its command, with the position loop's gain.
     """
     if balance == "force":
         return ("B",), {}
     if balance == "drive":
-        return (), {}
+        return () if rig.position_gain is None else ("k_d",), {}
+    leak = ("L",) if rig.leakage else ()
     if rig.pump_displacement is None:
-        return ("D_p", "C_h"), {}
-    return ("C_h",), {"D_p": rig.pump_displacement}
+        return ("D_p", "C_h", *leak), {}
+    return ("C_h", *leak), {"D_p": rig.pump_displacement}
 
 
 def pooled_table(tables: Sequence[Table]) -> Table:
@@ -239,4 +256,5 @@ def pooled_table(tables: Sequence[Table]) -> Table:
                  np.concatenate([table.moving for table in tables]), np.concatenate(block),
                  tables[0].dt, float(np.sqrt(np.mean(np.square(sizes)))),
                  float(np.sqrt(np.mean([table.floor**2 for table in tables]))),
-                 np.concatenate([table.known for table in tables]))
+                 np.concatenate([table.known for table in tables]),
+                 np.concatenate([table.doubts for table in tables]))

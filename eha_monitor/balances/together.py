@@ -198,7 +198,7 @@ class Recordings:
 
     def owed(self, name: str, policy: Policy) -> float:
         """Return the share of the error that a term must gain."""
-        return policy.setting_gain if self.candidates[name].setting else policy.gain
+        return policy.small if self.candidates[name].setting else policy.gain
 
     def _has_variant(self, name: str, names: list[str]) -> bool:
         one = self.candidates[name]

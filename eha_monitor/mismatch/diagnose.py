@@ -10,7 +10,6 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.balances.answer import Asked, answered
 from eha_monitor.balances.baseline import Baseline, baseline
-from eha_monitor.balances.machine import Machine, machine_of
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.breakdown import computing
 from eha_monitor.errors import InputError
@@ -62,6 +61,8 @@ from eha_monitor.settings.hypothesis import Hypothesis
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import listed
 
+FINER = ("With these effects in the config (diagnose --write-config FILE, then --config FILE) "
+         "another diagnosis looks for what is smaller.")
 LEAST_MOTION = 20.0  # times the position's noise: less motion says nothing
 # Effect of the force balance -> errors of pressure sensors that make the same force: an offset,
 # and a scale by the mean pressure.
@@ -104,9 +105,11 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
         say("least squares on the balances", 0.1)
         return answered(recordings, settings, Asked(held_out, hypothesis, without, vary))
     started = time.perf_counter()
+    first = _first_answer(recordings, settings, Asked(held_out, None, without, vary), say)
+    if hypothesis is None and first is not None and far_from_config(first):
+        return replace(first, advice=(FINER, *first.advice))
     held, decision = resolved(recordings, settings)
     experiment = at_its_angle(experiment_of(recordings, held, held_out is None, without))
-    machine = _machine(recordings, settings, vary, say)
     named = named_in(experiment, say)
     if decision is not None and named is not None and named[1].unexplained > RIVAL:
         # What is missing may have been taken for a hold, or the other way about.
@@ -118,21 +121,32 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
             decision = replace(decision, hold=held.command_hold, evidence=gained, decided=True)
     found = diagnosed(recordings, experiment, named, held_out, started, say, hypothesis)
     told = decision is not None and decision.decided
-    return replace(found, machine=machine, channels=decision.findings if told else (),
+    return replace(found, machine=None if first is None else first.machine,
+                   channels=decision.findings if told else (),
                    command_hold=(held if told else settings).command_hold,
                    wall_s=time.perf_counter() - started)
 
 
-def _machine(recordings: list[Recording], settings: Settings, vary: tuple[str, ...], say: Report
-             ) -> Machine | None:
-    """Return the machine that several recordings show; None where there are too few for one."""
-    if len(recordings) < POLICY.fewest:
-        return None
-    say("one machine from all recordings", 0.05)
+def _first_answer(recordings: list[Recording], settings: Settings, asked: Asked, say: Report
+                  ) -> Diagnosis | None:
+    """Return what least squares on the balances say; None where they hold no force."""
+    say("least squares on the balances", 0.02)
     try:
-        return machine_of(recordings, settings, vary)
-    except InputError:  # one of them holds no motion: its balances say nothing
+        return answered(recordings, settings, asked)
+    except InputError:
         return None
+
+
+def far_from_config(found: Diagnosis) -> bool:
+    """Tell whether the config's model leaves more than a filter built on it can judge.
+
+    A filter weighs each sample's innovation: where the config leaves ``near`` of a balance open
+    it answers for the form of its laws, not for the machine.  The balances have then named what
+    halves the error on unseen parts, or nothing is known by either.
+    """
+    return found.verdict == "mismatch" and any(
+        fit.before_rms > max(POLICY.near * fit.signal_rms, 2.0 * fit.after_rms)
+        for fit in found.signals.values())
 
 
 def named_in(experiment: Experiment, say: Report) -> tuple[Experiment, Naming] | None:
