@@ -297,19 +297,22 @@ def _made(terms: Sequence[Term], model: Model) -> list[np.ndarray]:
     return found
 
 
-def _configured(term: Term, rig: Rig) -> tuple[str, float, float] | None:
+def _configured(term: Term, rig: Rig) -> tuple[str, float, Value] | None:
     """Return the config's number that a term corrects: its key, the config's value, what it is.
 
     The leakage is C_T / 2 of the pressure difference; a mass or a leakage is added to.
     """
-    found = {
-        "D_p": ("pump_displacement", rig.pump_displacement, term.value),
-        "dM": ("mass", rig.mass, rig.mass + term.value),
-        "k_d": ("position_gain", rig.position_gain,
-                (rig.position_gain or 0.0) * (1.0 + term.value)),
-        "L": ("leakage", rig.leakage, rig.leakage + 2.0 * term.value),
-    }.get(term.candidate.name)
-    return found if found is not None and found[1] and found[2] > 0.0 else None
+    gain = rig.position_gain or 0.0
+    key, value, slope = {
+        "D_p": ("pump_displacement", term.value, 1.0), "dM": ("mass", rig.mass + term.value, 1.0),
+        "k_d": ("position_gain", gain * (1.0 + term.value), gain),
+        "L": ("leakage", rig.leakage + 2.0 * term.value, 2.0),
+    }.get(term.candidate.name, ("", 0.0, 0.0))
+    configured = getattr(rig, key) if key else None
+    if not configured or not value > 0.0:
+        return None
+    unit = type(rig).model_fields[key].json_schema_extra["unit"]
+    return key, configured, Value(value, slope * term.stddev, unit)
 
 
 def _within_tolerance(term: Term, rig: Rig, policy: Policy) -> bool:
@@ -317,9 +320,9 @@ def _within_tolerance(term: Term, rig: Rig, policy: Policy) -> bool:
     found = _configured(term, rig)
     if found is None:
         return False
-    key, configured, value = found
-    return abs(np.log(value / configured)) <= policy.varied * float(np.hypot(
-        rig.tolerance.log_spread(key), abs(value - configured) / value * term.relative))
+    key, configured, now = found
+    return abs(np.log(now.value / configured)) <= policy.varied * float(np.hypot(
+        rig.tolerance.log_spread(key), now.stddev / now.value))
 
 
 def _leaks_more(term: Term, policy: Policy) -> bool:
@@ -335,14 +338,12 @@ def _wrong(model: Model, rig: Rig, policy: Policy) -> list[RigFinding]:
         one = _configured(term, rig)
         if one is None or not np.isfinite(term.stddev) or _within_tolerance(term, rig, policy):
             continue
-        key, configured, value = one
+        key, configured, now = one
         if key == "leakage" or (key == "mass" and (term.value > 0.0 or not term.named)):
             continue  # more of either is an effect of the catalogue
-        stddev = term.stddev * (rig.position_gain if key == "position_gain" else 1.0)
-        unit = type(rig).model_fields[key].json_schema_extra["unit"]
-        shown = side_by_side(configured, value, stddev, unit)
+        shown = side_by_side(configured, now.value, now.stddev, now.unit)
         found.append(RigFinding(
-            key, configured, Value(value, stddev, unit), policy.certain,
+            key, configured, now, policy.certain,
             f"{key}: the config says {shown[0]}, the recording {shown[1]}", TWINS.get(key, ())))
     return found
 

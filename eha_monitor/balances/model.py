@@ -54,11 +54,6 @@ class Term:
     named: bool = False
     rivals: tuple[str, ...] = ()
 
-    @property
-    def relative(self) -> float:
-        """Standard deviation over the size of the value."""
-        return self.stddev / max(abs(self.value), 1e-300)
-
 
 @dataclass(frozen=True)
 class Model:

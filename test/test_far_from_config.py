@@ -1,0 +1,35 @@
+"""Rigs whose config is far from them: what least squares on the balances say is the answer."""
+
+import pytest
+
+from eha_monitor.concealed.strangers.draw import draw_rig
+from eha_monitor.concealed.strangers.generate import record, truth_of
+from eha_monitor.mismatch.diagnose import FINER, diagnose
+
+DRY = {"coulomb_friction", "stribeck_friction", "presliding_friction", "pressure_friction"}
+
+
+@pytest.mark.parametrize(("place", "kind", "law"), [
+    (0, "two_pumps", "karnopp"), (2, "two_pumps", "rational"), (6, "equal", "lugre")])
+def test_load_and_dry_friction_of_another_law_are_named_with_their_size(place, kind, law):
+    rig = draw_rig(3, place, kind, law)
+    setting = next(one for one in rig.settings if one.load)
+    recording, settings = record(rig, setting, 1)
+    truth = truth_of(rig, setting)
+    found = diagnose([recording], settings)
+    named = {effect.name: effect for effect in found.effects}
+    assert found.verdict == "mismatch" and "force" in found.signals, found.message
+    assert DRY & set(named) and "constant_load" in named
+    load = named["constant_load"].parameters["F_0"]
+    assert abs(load.value - setting.load) < 2.0 * load.stddev
+    low, high = sorted(truth["B_span"])
+    damping = found.after["B"]
+    assert low - 3.0 * damping.stddev < damping.value < high + 3.0 * damping.stddev
+    assert found.signals["force"].after_rms < 0.2 * found.signals["force"].before_rms
+
+
+def test_what_is_near_its_config_is_left_to_the_filter():
+    rig = draw_rig(500, 14, "equal", "none")
+    recording, settings = record(rig, rig.settings[0], 1, 6.0)
+    found = diagnose([recording], settings)
+    assert "position" in found.signals and FINER not in found.advice
