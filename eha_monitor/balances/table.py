@@ -200,13 +200,15 @@ def left_side(course: Course, rig: Rig, balance: str) -> np.ndarray:
 
 
 def doubts_of(course: Course, rig: Rig, balance: str, whole: np.ndarray) -> list[np.ndarray]:
-    """Return by what a left side (m,) may be wrong, each one standard deviation, (m,)."""
+    """Return by what a left side (m,) may be wrong, each one standard deviation, (m,).
+
+    A bore makes both areas wrong by the same share; the rod of a single-rod cylinder only one.
+    """
     found = [course.skew * np.gradient(whole, course.dt)]
-    if balance == "force" and course.p1 is not None and rig.area_1 and rig.area_2:
-        found += [rig.tolerance.log_spread("area_1") * rig.area_1 * course.p1,
-                  rig.tolerance.log_spread("area_2") * rig.area_2 * course.p2]
-    elif balance == "flow":
+    if balance == "flow" or (balance == "force" and course.p1 is not None and rig.area_1):
         found.append(rig.tolerance.log_spread("area_1") * whole)
+    if balance == "force" and course.p2 is not None and rig.area_2 != rig.area_1:
+        found.append(rig.tolerance.log_spread("area_2") * rig.area_2 * course.p2)
     return found
 
 
