@@ -15,6 +15,7 @@ from eha_monitor.balances.hypothesis import candidate_of, untested
 from eha_monitor.balances.machine import Machine, machine_from, pressure_varied, rms
 from eha_monitor.balances.model import Model, Term, of_machine, of_recordings, on_held_out
 from eha_monitor.balances.policy import POLICY, Policy
+from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import (
     Agreement,
     Diagnosis,
@@ -100,6 +101,27 @@ def answered(recordings: Sequence[Recording], settings: Settings, asked: Asked =
         agreement=_agreement(models, courses), policy=policy.to_dict(),
         duration_s=sum(one.duration for one in recordings),
         wall_s=time.perf_counter() - started)
+
+
+def first_answer(recordings: Sequence[Recording], settings: Settings, asked: Asked = Asked()
+                 ) -> Diagnosis | None:
+    """Return what the balances answer; None where they hold no force."""
+    try:
+        return answered(recordings, settings, asked)
+    except InputError:
+        return None
+
+
+def far_from_config(found: Diagnosis | None, policy: Policy = POLICY) -> bool:
+    """Tell whether the config's model leaves more than a filter built on it can judge.
+
+    A filter weighs each sample's innovation: where the config leaves ``near`` of a balance open
+    it answers for the form of its laws, not for the machine.  The balances have then named what
+    halves the error on unseen parts, or nothing is known by either.
+    """
+    return found is not None and found.verdict == "mismatch" and any(
+        fit.before_rms > max(policy.near * fit.signal_rms, 2.0 * fit.after_rms)
+        for fit in found.signals.values())
 
 
 def _still(recordings, courses: Sequence[Course], baselines: tuple, started: float) -> Diagnosis:

@@ -8,11 +8,9 @@ from itertools import pairwise
 import numpy as np
 
 from eha_monitor import ties
-from eha_monitor.balances.answer import Asked, answered
+from eha_monitor.balances.answer import Asked, answered, far_from_config, first_answer
 from eha_monitor.balances.baseline import Baseline, baseline
-from eha_monitor.balances.policy import POLICY
 from eha_monitor.breakdown import computing
-from eha_monitor.errors import InputError
 from eha_monitor.estimation.hold_choice import other_hold, resolved
 from eha_monitor.mismatch.advise import advice as advise
 from eha_monitor.mismatch.data.experiment import Experiment, by_balances, experiment_of
@@ -105,7 +103,8 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
         say("least squares on the balances", 0.1)
         return answered(recordings, settings, Asked(held_out, hypothesis, without, vary))
     started = time.perf_counter()
-    first = _first_answer(recordings, settings, Asked(held_out, None, without, vary), say)
+    say("least squares on the balances", 0.02)
+    first = first_answer(recordings, settings, Asked(held_out, None, without, vary))
     if hypothesis is None and first is not None and far_from_config(first):
         return replace(first, advice=(FINER, *first.advice))
     held, decision = resolved(recordings, settings)
@@ -125,28 +124,6 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
                    channels=decision.findings if told else (),
                    command_hold=(held if told else settings).command_hold,
                    wall_s=time.perf_counter() - started)
-
-
-def _first_answer(recordings: list[Recording], settings: Settings, asked: Asked, say: Report
-                  ) -> Diagnosis | None:
-    """Return what least squares on the balances say; None where they hold no force."""
-    say("least squares on the balances", 0.02)
-    try:
-        return answered(recordings, settings, asked)
-    except InputError:
-        return None
-
-
-def far_from_config(found: Diagnosis) -> bool:
-    """Tell whether the config's model leaves more than a filter built on it can judge.
-
-    A filter weighs each sample's innovation: where the config leaves ``near`` of a balance open
-    it answers for the form of its laws, not for the machine.  The balances have then named what
-    halves the error on unseen parts, or nothing is known by either.
-    """
-    return found.verdict == "mismatch" and any(
-        fit.before_rms > max(POLICY.near * fit.signal_rms, 2.0 * fit.after_rms)
-        for fit in found.signals.values())
 
 
 def named_in(experiment: Experiment, say: Report) -> tuple[Experiment, Naming] | None:

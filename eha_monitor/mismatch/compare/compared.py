@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from eha_monitor.balances.answer import far_from_config, first_answer
 from eha_monitor.balances.changed import against
 from eha_monitor.balances.machine import healthy_machine
 from eha_monitor.breakdown import computing
@@ -63,7 +64,8 @@ def compared(recordings: list[Recording], references: list[Recording], settings:
     """
     say, started = progress or (lambda text, share: None), time.perf_counter()
     with computing(*(one.source for one in (*recordings, *references))):
-        if by_balances([*recordings, *references], settings):
+        if by_balances([*recordings, *references], settings) or far_from_config(
+                first_answer(references, settings)):
             return against(healthy_machine(references, settings), recordings, settings,
                            tuple(one.source for one in references))
         held, _ = resolved(references, settings)
