@@ -20,7 +20,7 @@ from eha_monitor.mismatch.learn.formula import (
     unit_of,
 )
 from eha_monitor.mismatch.learn.shapes import SHAPES
-from eha_monitor.mismatch.learn.told import HALF, removed
+from eha_monitor.mismatch.learn.validated import removed
 from eha_monitor.physics import own_term as o
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.expression import parsed
@@ -151,7 +151,6 @@ def test_what_is_removed_is_of_the_squared_error_beyond_the_noise():
     assert removed(errors(3e-6, 2e-6)) == pytest.approx(1.0 - 3.0 / 8.0)
     assert removed(errors(3e-6, 5e-6)) == pytest.approx(-2.0)
     assert removed(errors(0.9e-6, 0.9e-6)) == 0.0  # nothing to remove
-    assert 0.0 < HALF < 1.0
 
 
 def term(formula="38 N · exp(−((x − 4 mm)/5 mm)²) against the motion"):

@@ -155,7 +155,7 @@ class LearnedTerm:
     at, measured, spread : (k,) the same from the recording, bin by bin.
     formula : where one explains as much as the curve, to 5 %, else empty; ``shape``
         its name.
-    rivals : other formulas and by how many log units each is worse than the formula that is told,
+    rivals : other formulas and by how many log units each is worse than the formula that is given,
         or else than the curve.
     formula_curve : (n,) of the best formula, NaN where there is none.
     removed : share of the squared error on unseen data, beyond the noise, that it takes away from

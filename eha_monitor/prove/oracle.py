@@ -21,7 +21,6 @@ import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread, with_unknowns
-from eha_monitor.mismatch.name.acceptance import FORM_LEAST
 from eha_monitor.mismatch.name.base import needs, with_effect, without_effect
 from eha_monitor.mismatch.name.columns import columns_at, effects_of, rig_free
 from eha_monitor.mismatch.name.nominal import nominal
@@ -60,7 +59,8 @@ class RigNumbers:
     def free(self, named: Sequence[str]) -> tuple[Free, ...]:
         """Return the numbers that are fitted beside some effects: none that is one's twin."""
         twins = {f"rig.{CATALOGUE[name].rig_twin}" for name in named}
-        return tuple(wide(f) if number_of(f.name.removeprefix("rig.")) in self.wrong else f
+        policy = self.experiment.policy
+        return tuple(wide(f, policy) if number_of(f.name.removeprefix("rig.")) in self.wrong else f
                      for f in rig_free(self.experiment) if f.name not in twins)
 
     def beside(self, fit: Fit) -> Fit:
@@ -205,7 +205,7 @@ def fit_of_truth(rig: RigNumbers, first: Fit, known: dict[str, dict], truth: dic
 
 def leaves(experiment: Experiment, fit: Fit) -> bool:
     """Tell whether a model needs more unknowns than every right one may, or cannot be followed."""
-    return not np.isfinite(fit.log_likelihood) or needs(experiment, fit, FORM_LEAST)
+    return not np.isfinite(fit.log_likelihood) or needs(experiment, fit, experiment.policy.few)
 
 
 def instead(rig: RigNumbers, after: Fit, name: str, other: str, without: Fit) -> Fit:

@@ -11,19 +11,16 @@ from eha_monitor.mismatch.compare.healthy import Healthy
 from eha_monitor.mismatch.compare.runs import Reading, with_change
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
-from eha_monitor.mismatch.name.acceptance import FORM_OF_LAW
 from eha_monitor.mismatch.name.columns import ALWAYS
 from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.suspects import exclude, simple_kin
+from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 
 MOST = 3  # numbers that change at once
 LEAST, NEARLY = 5, 0.9  # numbers that are fitted: those that leave least; share of the best gain
 STEPS = 60  # of a fit: priors as narrow as healthy runs are make a long way
-ENOUGH = 0.75  # of what goes beyond healthy runs: what is left is the laws' form error
-WORTH = 0.5  # of what is left: another number must take so much away
 NARROWLY = 0.3  # of the limit: by so much what is as good as the best may be beyond it
-ALIKE = 2.0  # log units: what explains a run so nearly as well cannot be told from the best
 PARAMETER = 0.5  # rarity of a change of B or beta_e, between what is common and what is not
 
 
@@ -66,6 +63,16 @@ class Comparison:
     def __init__(self, healthy: Healthy, experiment: Experiment):
         self.healthy, self.experiment = healthy, experiment
         self.what = healthy.runs[0].what
+
+    @property
+    def policy(self) -> SearchPolicy:
+        """The numbers that decide names."""
+        return self.experiment.policy
+
+    @property
+    def alike(self) -> float:
+        """Log units by which what cannot be separated from the best explanation is behind it."""
+        return float(-np.log(self.policy.rival))
 
     @cached_property
     def before(self) -> Explanation:
@@ -142,7 +149,7 @@ class Comparison:
             if not found:
                 break
             first = self.chosen(found)
-            if not first.complete and first.left > WORTH * best.left:
+            if not first.complete and first.left > self.policy.likely * best.left:
                 break
             best = first
             if best.complete:
@@ -159,7 +166,7 @@ class Comparison:
             rest = tuple(i for i in best.places if i != place)
             one = self.refitted(best.fit, rest)
             if one is not None and one.complete >= best.complete and (
-                    one.left < best.left + ALIKE):
+                    one.left < best.left + self.alike):
                 best = replace(one, rivals={i: best.rivals.get(i, ()) for i in rest})
         return best
 
@@ -198,12 +205,12 @@ class Comparison:
         """
         best = ties.best([one for one in found if one.complete] or found,
                          lambda one: -one.left, self.plainness, ties.GUESS)
-        alike = ALIKE + FORM_OF_LAW * max(self.before.left - best.left, 0.0)
+        alike = self.alike + self.policy.law * max(self.before.left - best.left, 0.0)
         near = [one for one in found if one.left <= best.left + alike
                 and one.worst <= max(best.worst, 1.0) + NARROWLY]
         first = min(near, key=self.plainness)
         last = first.places[-1]
-        # What cannot be told from a complete one needs nothing more.
+        # What cannot be separated from a complete one needs nothing more.
         worst = min(first.worst, max(best.worst, 1.0))
         return replace(first, worst=worst, rivals={**first.rivals, last: tuple(
             one.places[-1] for one in near if one.places[-1] != last)})

@@ -10,7 +10,7 @@ from eha_monitor.balances.changed import against
 from eha_monitor.balances.machine import healthy_machine
 from eha_monitor.breakdown import computing
 from eha_monitor.estimation.hold_choice import resolved
-from eha_monitor.mismatch.compare.changes import ENOUGH, Comparison, Explanation
+from eha_monitor.mismatch.compare.changes import Comparison, Explanation
 from eha_monitor.mismatch.compare.healthy import FALSE, Healthy, healthy_of
 from eha_monitor.mismatch.data.experiment import Experiment, by_balances, experiment_of
 from eha_monitor.mismatch.diagnosis import (
@@ -21,11 +21,10 @@ from eha_monitor.mismatch.diagnosis import (
     NamedEffect,
     Value,
 )
-from eha_monitor.mismatch.learn.told import LARGEST, errors, told_of, tracks_of
+from eha_monitor.mismatch.learn.validated import LARGEST, errors, tracks_of, validated_term
 from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, Missing, missing_terms
-from eha_monitor.mismatch.name.acceptance import RIVAL
 from eha_monitor.mismatch.name.columns import ALWAYS
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.show import held_out as show
@@ -54,7 +53,7 @@ def compared(recordings: list[Recording], references: list[Recording], settings:
     recordings : of the machine now, explained together.
     references : of a healthy machine, of the same or of one like it.
     settings : nominal config; its effects count as known.
-    progress : told what is done and how far it is, 0 to 1.
+    progress : called with what is done and how far it is, 0 to 1.
 
     Raises
     ------
@@ -87,8 +86,8 @@ def _answer(healthy: Healthy, recordings: list[Recording], references: list[Reco
         say("testing what has changed", 0.7)
         best = comparison.explained()
     verdict = "consistent" if not comparison.changed else (
-        "mismatch" if best.places and (best.complete or comparison.share_of(best) > ENOUGH)
-        else "unexplained")
+        "mismatch" if best.places and (best.complete or comparison.share_of(
+            best) > whole.policy.explained) else "unexplained")
     places = best.places if verdict == "mismatch" else ()
     say("showing the fit on unseen data", 0.9)
     before, plain = (with_unknowns(fitted, one, one.unknowns)
@@ -103,14 +102,14 @@ def _answer(healthy: Healthy, recordings: list[Recording], references: list[Reco
                     for name in names)
     where, curves = _place(fitted, before, model, verdict, changes)
     message, term = _message(healthy, comparison, best, verdict, changes, references), None
-    if verdict == "unexplained" and healthy.naming.unexplained < RIVAL:
+    if verdict == "unexplained" and healthy.naming.unexplained < whole.policy.rival:
         say("learning effects not in the catalogue", 0.95)
-        told = told_of(fitted, fitted, _on(healthy.naming, healthy.fit, fitted))
-        if told is not None and told.term is not None:
-            term, model = told.term, told.fit
+        found = validated_term(fitted, fitted, _on(healthy.naming, healthy.fit, fitted))
+        if found is not None and found.term is not None:
+            term, model = found.term, found.fit
             signals = errors(fitted, before, model)
-            changes = (_learned(told.term, told.missing),)
-            curves = locate.latent_curves(fitted, before, model, [told.missing])
+            changes = (_learned(found.term, found.missing),)
+            curves = locate.latent_curves(fitted, before, model, [found.missing])
             message = f"an effect that is not in the catalogue has changed: {term.statement}"
     return Diagnosis(
         bags, verdict, message, where, effects, _reference_values(healthy),
@@ -120,7 +119,8 @@ def _answer(healthy: Healthy, recordings: list[Recording], references: list[Reco
             f"learned_{term.adds}", term.entry)), duration_s=duration,
         command_hold=healthy.experiment.settings.command_hold,
         learned=() if term is None else (term,),
-        references=tuple(one.source for one in references), changes=changes)
+        references=tuple(one.source for one in references), changes=changes,
+        policy=whole.policy.to_dict())
 
 
 def _learned(term: LearnedTerm, missing: Missing) -> Change:

@@ -13,7 +13,7 @@ from eha_monitor.mismatch.likelihood.gains import smallest_unknowns
 from eha_monitor.mismatch.name.columns import Column, Columns, columns_at
 from eha_monitor.mismatch.name.proposals import weighed
 from eha_monitor.mismatch.name.rank import Ranked
-from eha_monitor.mismatch.name.unnamed import PRIOR, Unnamed
+from eha_monitor.mismatch.name.unnamed import Unnamed
 from eha_monitor.mismatch.show.sizes import filtered_tracks
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import NAMES
@@ -23,7 +23,6 @@ KNOTS = 9  # of a table when the forms are weighed
 COVERED = 0.001  # quantile of the signal at which a table ends: beyond it nothing was measured
 MOST_PERIODS, HARMONICS = 24, 2  # of a ripple: in a revolution of the shaft; of each
 SHARP = 0.02  # of the largest speed: over which a term that follows the direction turns round
-LEFT = 3.0  # times what is left of a balance: the prior deviation of a table's values there
 # What a term adds to -> which unknown of the filter stands for it, and its balance.
 UNKNOWN = {"force": "force", "flow": "flow", "flow_1": "flow_1", "flow_2": "flow_2",
            "speed": "drive"}
@@ -192,7 +191,8 @@ def periods_of(experiment: Experiment, fit: Fit, tracks: list[np.ndarray]) -> in
 def units_of(experiment: Experiment, fit: Fit) -> dict[str, float]:
     """Return the prior deviation of a table's values in each balance, SI."""
     small = smallest_unknowns(experiment).as_array()
-    return dict(zip(("force", "flow", "drive"), (PRIOR * small).tolist(), strict=True))
+    return dict(zip(("force", "flow", "drive"),
+                    (experiment.policy.matters * small).tolist(), strict=True))
 
 
 def columns_with(experiment: Experiment, fit: Fit, tables: Sequence[Table],

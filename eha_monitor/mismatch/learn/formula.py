@@ -1,6 +1,6 @@
 """A formula for a learned term: shapes fitted to its curve, the best refitted in the likelihood.
 
-The curve is no more than a way to find where to begin; which formula is told, and whether one is,
+The curve is no more than a way to find where to begin; which formula is given, and whether one is,
 decides the evidence of the recording's own innovations, beside that of the table, which may be
 ahead by a law's form error.
 """
@@ -14,7 +14,6 @@ from scipy.linalg import cholesky, solve_triangular
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.learn.forms import Form
 from eha_monitor.mismatch.learn.learned import (
-    SHARP_SPREAD,
     SHARPEST,
     Learned,
     begun_with,
@@ -22,7 +21,6 @@ from eha_monitor.mismatch.learn.learned import (
 )
 from eha_monitor.mismatch.learn.shapes import RIPPLES, SHAPES, Shape
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread
-from eha_monitor.mismatch.name.acceptance import UNNAMED
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
 from eha_monitor.physics.expression import parsed
@@ -64,7 +62,7 @@ class Formula:
 
 
 def formulas_of(experiment: Experiment, learned: Learned) -> list[Formula]:
-    """Return the formulas that fit best, best first; the first is told if no table leads far."""
+    """Return the formulas that fit best, best first; the first is given if no table leads far."""
     places = learned.knots
     shapes = RIPPLES if learned.form.periodic else SHAPES
     fits = sorted((fit for shape in shapes if (fit := on_curve(shape, places, learned))),
@@ -172,10 +170,10 @@ def refitted(experiment: Experiment, learned: Learned, shape: Shape, values: dic
         at, name = slot.start + CONSTANTS + place, f"{own}.{key}"
         if key == "v_e":
             free.append(Free(name, at, SHARPEST * fastest, fastest,
-                             float(np.log(values[key])), SHARP_SPREAD, True))
+                             float(np.log(values[key])), experiment.policy.shape, True))
         elif key in shape.positive:
             free.append(Free(name, at, 1e-4 * values[key], 1e4 * values[key],
-                             float(np.log(values[key])), 1.5, True))
+                             float(np.log(values[key])), experiment.policy.shape, True))
         else:
             size = scale_of(shape.units[key], learned.knots, y)
             free.append(Free(name, at, -1e3 * size, 1e3 * size, 0.0, WIDE * size))
@@ -183,13 +181,13 @@ def refitted(experiment: Experiment, learned: Learned, shape: Shape, values: dic
     found = {key: float(made.theta[slot.start + CONSTANTS + place])
              for key, place in expression.parameters.items()}
     return Formula(shape.name, text, found, shown_as(shape, form, found), made,
-                   score_of(experiment, made) + UNNAMED)
+                   score_of(experiment, made) + experiment.policy.unnamed)
 
 
 def shown_as(shape: Shape, form: Form, values: dict[str, float]) -> str:
     """Return a formula with its numbers, as a person reads it."""
-    told = {key: quantity(values[key], unit_of(form, kind), 3)
+    numbers = {key: quantity(values[key], unit_of(form, kind), 3)
             for key, kind in shape.units.items()}
-    text = shape.shown.format(u=SHOWN.get(form.of, form.of), **told) + FACTORS[form.times][1]
+    text = shape.shown.format(u=SHOWN.get(form.of, form.of), **numbers) + FACTORS[form.times][1]
     return text.replace("+ −", "− ").replace("− −", "+ ").replace("+ -", "− ").replace("− -", "+ ")
 

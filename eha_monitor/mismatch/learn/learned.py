@@ -8,17 +8,16 @@ from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.learn.forms import BALANCE, KNOTS, Form, Guess, free_slot, ranked_forms
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread, with_unknowns
-from eha_monitor.mismatch.name.acceptance import FORM, FORM_OF_LAW, UNNAMED
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.refit import (
-    begun,
     evidence_of,
     joined,
     looked,
-    prior_of,
     settled,
+    unfitted,
 )
 from eha_monitor.mismatch.name.select import FIRST, lesser, with_rig
+from eha_monitor.mismatch.name.suspects import log_prior
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
 from eha_monitor.physics.own_term import SCALE, VALUES, cardinal
 from eha_monitor.settings.own_terms import slot_for
@@ -28,7 +27,6 @@ TRIED = 3  # forms that are looked at from each place, of those weighed
 GOING = 3  # forms that are then fitted to the end
 MORE = (17, 33)  # values of a table, while the evidence grows
 WIDE = 3.0  # times the root mean square of the guess: the prior deviation of a table's values
-SHARP_SPREAD = 1.5  # of the logarithm of the speed over which a term turns round
 SHARPEST = 1e-5  # of the largest speed
 
 
@@ -136,7 +134,7 @@ def entered(experiment: Experiment, base: Fit, which: int, guess: Guess, values:
     if form.times == "direction":
         fastest = max(experiment.ranges.speed, 1e-9)
         free += (Free(f"{ALL_NAMES[which]}.scale", slot.start + SCALE, SHARPEST * fastest,
-                      fastest, float(np.log(guess.scale)), SHARP_SPREAD, True),)
+                      fastest, float(np.log(guess.scale)), experiment.policy.shape, True),)
     return begun_with(experiment, base, theta, active, base.free + free)
 
 
@@ -164,14 +162,14 @@ def score_of(experiment: Experiment, fit: Fit) -> float:
     """Return the evidence of a model, prior odds of its names included, log units."""
     if not np.isfinite(fit.log_likelihood):
         return -np.inf
-    return evidence_of(experiment, fit) + prior_of(frozenset(fit.named))
+    return evidence_of(experiment, fit) + log_prior(fit.named, experiment.policy)
 
 
 def fitted(experiment: Experiment, start: Fit, which: int, guess: Guess, count: int,
            without: Fit) -> Learned:
     """Fit a table of ``count`` values that was entered; ``without`` is the model without it."""
     made = settled(experiment, start)
-    score = score_of(experiment, made) + UNNAMED
+    score = score_of(experiment, made) + experiment.policy.unnamed
     return Learned(guess.form, guess.first, guess.last, count, which, made, score, without,
                    score - score_of(experiment, without))
 
@@ -210,16 +208,17 @@ def learned_of(experiment: Experiment, naming: Naming) -> Learned | None:
     scores = [score_of(experiment, fit) for fit in bases]
     without = bases[ties.largest(scores, ties.SAME_FIT)]
     # Named laws are right to a share of what they explain, and that is nothing that is missing.
-    form = FORM + FORM_OF_LAW * max(scores[0] - scores[1], 0.0)
+    policy = experiment.policy
+    form = policy.form + policy.law * max(scores[0] - scores[1], 0.0)
     # What is left out bends these fits, and what is linear at the config is not so there.
-    bases.append(with_rig(experiment, begun(experiment, FIRST)))
+    bases.append(with_rig(experiment, unfitted(experiment, FIRST)))
     places = [(base, guess) for base in bases
               for guess in ranked_forms(experiment, base)[:TRIED]]
 
     def look(place: tuple[Fit, Guess]) -> tuple[float, Fit, Guess]:
         base, guess = place
         made = looked(experiment, entered_at_best(experiment, base, which, guess))
-        return made.log_likelihood + prior_of(frozenset(made.named)), made, guess
+        return made.log_likelihood + log_prior(made.named, policy), made, guess
 
     ahead: dict[Form, tuple[float, Fit, Guess]] = {}
     for one in spread(look, places):
@@ -235,7 +234,7 @@ def learned_of(experiment: Experiment, naming: Naming) -> Learned | None:
     if not best.gained > 0.0:
         return None
     fit = alone(experiment, best.fit)
-    evidence = score_of(experiment, fit) + UNNAMED
+    evidence = score_of(experiment, fit) + policy.unnamed
     return replace(best, fit=fit, evidence=evidence, decides=best.gained > form,
                    gained=best.gained + evidence - best.evidence)
 

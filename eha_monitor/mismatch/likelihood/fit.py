@@ -110,7 +110,7 @@ class Fit:
 @lru_cache(maxsize=1)
 def workers() -> ThreadPoolExecutor:
     """Return the threads on which filters run; the compiled code leaves the lock."""
-    return ThreadPoolExecutor(  # a run may go astray: what is no number is told by its likelihood
+    return ThreadPoolExecutor(  # a run may go astray: what is no number shows in its likelihood
         len(os.sched_getaffinity(0)), "mismatch",
         partial(np.seterr, over="ignore", invalid="ignore", divide="ignore"))
 

@@ -11,7 +11,7 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import spread
-from eha_monitor.mismatch.name.refit import begun
+from eha_monitor.mismatch.name.refit import unfitted
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
 from eha_monitor.physics.own_term import FIRST, KIND, LAST, OWN_NAMES, PHASE, TABLE, turns
 
@@ -44,6 +44,6 @@ def begun_at(experiment: Experiment, which: int, angle: float) -> Experiment:
 
 def best_of(experiment: Experiment, which: int, angles: np.ndarray) -> float:
     """Return the angle under which the recording is most likely, rad."""
-    found = spread(lambda angle: begun(
+    found = spread(lambda angle: unfitted(
         begun_at(experiment, which, angle), LEVEL).log_likelihood, angles)
     return float(angles[ties.largest(found, ties.GUESS)])

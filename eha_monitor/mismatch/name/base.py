@@ -15,7 +15,6 @@ from eha_monitor.physics.parameters import place_of
 
 LEAST_SHARE, LEAST_OF_MANY = 0.05, 0.3  # of its start: where a size enters at least
 LEAST_B = 1e-3  # of its prior: below, there is no viscous damping
-TIMING = 0.05  # samples: timing errors up to here need no name
 
 
 def base_free(experiment: Experiment) -> tuple[Free, ...]:
@@ -32,12 +31,12 @@ def base_free(experiment: Experiment) -> tuple[Free, ...]:
 
 
 def timing_free(experiment: Experiment) -> tuple[Free, ...]:
-    """Return the small timing errors that every record has, each at most ``TIMING`` samples.
+    """Return the small timing errors that every record has, each at most ``timing`` samples.
 
     Sensors lag by some microseconds and stamps jitter; with 24 000 samples a delay of 2 % of a
     sample is beyond doubt, and is nobody's fault.  What is larger must be named.
     """
-    limit = TIMING * experiment.dt
+    limit = experiment.policy.timing * experiment.dt
     found = []
     for name in ("command_delay", "position_delay", "pressure_delay"):
         if possible(name, experiment) and not experiment.active[NAMES.index(name)]:

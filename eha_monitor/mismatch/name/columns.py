@@ -35,9 +35,6 @@ from eha_monitor.physics.signals import B
 from eha_monitor.settings.rig import Tolerance
 
 ALWAYS = ""  # owner of what every model has
-SHARE = 0.7  # of a tolerance: the standard deviation of a number that nobody doubts
-WITHIN = 3.0  # of these deviations: what is further off is wrong, and must be named
-BEYOND = 20.0  # of these deviations: how far a number of the rig that is wrong may be off
 TANGENT = 0.05  # of a start's size: where the innovations answer in proportion
 RIG_STEP = 1e-3  # of a tolerance's logarithm: for its sensitivity
 ASTRAY, ASTRAY_OWNER = 1e30, "astray"  # a run that went astray says nothing
@@ -99,7 +96,7 @@ def rig_free(experiment: Experiment) -> tuple[Free, ...]:
 
     Each has the prior of its tolerance (``rig.tolerance``).  What is nil or unknown is none.
     """
-    rig = experiment.settings.rig
+    rig, policy = experiment.settings.rig, experiment.policy
     if experiment.mode == FORCED:
         keys = {"mass"}
     else:
@@ -110,8 +107,8 @@ def rig_free(experiment: Experiment) -> tuple[Free, ...]:
     for place, key in BASE_KEYS.items():
         value = getattr(rig, key) if key in keys else None
         if value:
-            width = SHARE * rig.tolerance.log_spread(key)
-            reach = float(np.exp(WITHIN * width))
+            width = policy.tolerance * rig.tolerance.log_spread(key)
+            reach = float(np.exp(policy.sure * width))  # what is further off is wrong
             found.append(Free(f"rig.{key}", place, value / reach, value * reach,
                               float(np.log(value)), width, True))
     return tuple(found)
@@ -234,9 +231,10 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
     what += [Column(term.name, 0, term.name, size=True)
              for term, size in zip(terms, sizes, strict=True) for _ in range(size)]
     wrong = [i for i, c in enumerate(what) if c.owner == ALWAYS and c.name.startswith("rig.")]
-    copies = tuple((1 + i, BEYOND) for i in wrong)
+    far = experiment.policy.wrong
+    copies = tuple((1 + i, far) for i in wrong)
     what += [Column(what[i].name, -1 if what[i].name in fit.named else 0, what[i].name,
-                    free=what[i].free, size=True, step=BEYOND * what[i].free.spread)
+                    free=what[i].free, size=True, step=far * what[i].free.spread)
              for i in wrong]
     return Columns(tuple(what), values, len(others) + 2, copies)
 
@@ -293,13 +291,13 @@ def entering(fit: Fit, start: Start, variant: int, what: list, moves: list) -> N
         theta, active = directions_of(fit, start)[0]
         p = effect.sizes[0]
         what.append(Column(start.effect, variant, f"{start.effect}.{p.name}", 0.0, 0.0, 1.0,
-                           free_parameter(effect, p, values[p.name]), start, True))
+                           free_parameter(start, p), start, True))
         moves.append((theta, active, 1.0))
         return
     smooth = start.among == 1 and all(np.isfinite(p.neutral) for p in sizes)
     share = TANGENT if smooth else 1.0
     for p, (theta, active) in zip(sizes, directions_of(fit, start, share), strict=True):
-        f = free_parameter(effect, p, values[p.name])
+        f = free_parameter(start, p)
         if p.log or not np.isfinite(p.neutral):  # all or nothing, at this start
             what.append(Column(start.effect, variant, f.name, 0.0, 0.0, 1.5, f, start, True))
             moves.append((theta, active, 1.0))

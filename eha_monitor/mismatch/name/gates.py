@@ -27,7 +27,6 @@ from eha_monitor.words import effect_words
 AT_BOUND = 1e-4  # of its prior deviation: how near to the end of its range a fit has arrived
 SLOW = (0.02, 0.2)  # of the top speed: below is rest, above viscous damping is the larger part
 FEWEST = 20  # samples from which a mean says something
-SURE = 3.0  # of its standard deviations: a sign that is not noise
 
 
 def at_bound(f: Free, value: float) -> bool:
@@ -65,7 +64,7 @@ def failures(experiment: Experiment, fit: Fit) -> list[Gate]:
     ----------
     fit : the set's model, fitted to the end; ``named`` its members.
     """
-    return [*_bounds(fit), *_within(fit), *_signs(experiment, fit)]
+    return [*_bounds(fit), *_within(experiment, fit), *_signs(experiment, fit)]
 
 
 def _bounds(fit: Fit) -> Iterator[Gate]:
@@ -80,11 +79,12 @@ def _bounds(fit: Fit) -> Iterator[Gate]:
                                    "its range: the fit is no optimum")
 
 
-def _within(fit: Fit) -> Iterator[Gate]:
+def _within(experiment: Experiment, fit: Fit) -> Iterator[Gate]:
     for name in fit.named:
         for size, other in CATALOGUE[name].within if name in CATALOGUE else ():
             one, two = (float(fit.theta[place_of(f"{name}.{p}")]) for p in (size, other))
-            sure = SURE * np.hypot(fit.stddev(f"{name}.{size}"), fit.stddev(f"{name}.{other}"))
+            sure = experiment.policy.sure * np.hypot(
+                fit.stddev(f"{name}.{size}"), fit.stddev(f"{name}.{other}"))
             if abs(one) > abs(two) + sure:
                 yield Gate("sign", name, f"{effect_words(name)}: {size} of {abs(one):.3g} exceeds "
                            f"{other} of {abs(two):.3g}; friction takes power in both directions")
@@ -117,7 +117,7 @@ def _signs(experiment: Experiment, fit: Fit) -> Iterator[Gate]:
                     _alone(track, dt, theta, fit, (name,))[here, s.FORCE]
                     for track, here in zip(tracks, slow, strict=True)])
 
-            least = _surely_negative(fit, friction, (name,))
+            least = _surely_negative(fit, friction, (name,), experiment.policy.sure)
             if least is not None:
                 yield Gate("sign", name, f"{effect_words(name)} would drive the piston in {words} "
                            f"motion with {quantity(abs(least), 'N', 2)}: friction takes power")
@@ -133,19 +133,21 @@ def _signs(experiment: Experiment, fit: Fit) -> Iterator[Gate]:
                 found.append((flow * np.sign(dp))[np.abs(dp) > np.median(np.abs(dp))])
             return np.concatenate(found)
 
-        if _surely_negative(fit, leak, laws["pressure"]) is not None:
+        if _surely_negative(
+                fit, leak, laws["pressure"], experiment.policy.sure) is not None:
             yield Gate("sign", laws["pressure"][-1], "the leak across the piston would flow from "
                        "the lower pressure to the higher")
 
 
 def _surely_negative(fit: Fit, rows: Callable[[np.ndarray], np.ndarray],
-                     names: tuple[str, ...]) -> float | None:
+                     names: tuple[str, ...], sure: float) -> float | None:
     """Return the mean of what theta makes if it is negative beyond its own uncertainty.
 
     Parameters
     ----------
     rows : theta -> (n,) what must not be negative in the mean.
     names : effects whose sizes make it.
+    sure : deviations.
     """
     sizes = {f"{name}.{p.name}" for name in names for p in CATALOGUE[name].sizes}
     own = [i for i, f in enumerate(fit.free) if f.name in sizes or f.name == "rig.leakage"]
@@ -159,7 +161,7 @@ def _surely_negative(fit: Fit, rows: Callable[[np.ndarray], np.ndarray],
         theta[f.place] = f.outward(f.inward(theta[f.place]) + step)
         slopes.append((rows(theta).mean() - here.mean()) / step)
     variance = float(np.array(slopes) @ fit.covariance[np.ix_(own, own)] @ np.array(slopes))
-    return float(here.mean()) if here.mean() < -SURE * np.sqrt(max(variance, 0.0)) else None
+    return float(here.mean()) if here.mean() < -sure * np.sqrt(max(variance, 0.0)) else None
 
 
 def _track(experiment: Experiment, fit: Fit, stretch: Stretch) -> np.ndarray:

@@ -20,10 +20,10 @@ from scipy.linalg import cho_factor, cho_solve
 
 from eha_monitor import ties
 from eha_monitor.mismatch.likelihood.fit import spread
-from eha_monitor.mismatch.name.acceptance import EFFECT, RARE, UNNAMED
 from eha_monitor.mismatch.name.columns import ALWAYS, ASTRAY_OWNER, Column
 from eha_monitor.mismatch.name.gram import Gram
-from eha_monitor.mismatch.name.suspects import exclude, limited, twins
+from eha_monitor.mismatch.name.suspects import exclude, limited, log_odds, twins
+from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.physics.effects import CATALOGUE
 
 LARGEST_SET = 4  # suspects in a set
@@ -71,8 +71,8 @@ class Ranked:
 class Ranking:
     """The columns of one linearisation, grouped by suspect."""
 
-    def __init__(self, what: tuple[Column, ...], named: tuple[str, ...]):
-        self.what, self.named = what, named
+    def __init__(self, what: tuple[Column, ...], named: tuple[str, ...], policy: SearchPolicy):
+        self.what, self.named, self.policy = what, named, policy
         self.always = np.array([i for i, c in enumerate(what) if c.owner == ALWAYS], dtype=int)
         groups: dict[Member, list[int]] = {}
         for i, column in enumerate(what):
@@ -114,13 +114,9 @@ class Ranking:
 
     def log_prior(self, member: Member) -> float:
         """Return the logarithm of a suspect's prior odds."""
-        if member.owner.startswith("rig."):
-            return EFFECT
-        if member.owner not in CATALOGUE:
-            return UNNAMED
-        several = (np.log(self.starts[member.owner])
-                   if member.variant >= 0 and not member.replaces else 0.0)
-        return EFFECT + RARE * CATALOGUE[member.owner].rarity - several
+        several = (np.log(self.starts[member.owner]) if member.variant >= 0
+                   and not member.replaces and member.owner in CATALOGUE else 0.0)
+        return log_odds(member.owner, self.policy) - several
 
     def roots(self) -> list[tuple[Member, ...]]:
         """Return the subsets of what the model has, each a set to begin with.
@@ -377,9 +373,9 @@ def gained_by(blocks: np.ndarray, sides: np.ndarray) -> np.ndarray:
 
 
 def ranked_at(what: tuple[Column, ...], named: tuple[str, ...], grams: list[Gram],
-              more: int = LARGEST_SET) -> list[list[Ranked]]:
+              policy: SearchPolicy, more: int = LARGEST_SET) -> list[list[Ranked]]:
     """Return for each level the best sets there, best first; see :meth:`Ranking.at_level`."""
-    ranking = Ranking(what, named)
+    ranking = Ranking(what, named, policy)
     return spread(lambda gram: ranking.at_level(gram, more), grams)
 
 

@@ -12,10 +12,8 @@ from eha_monitor.mismatch.likelihood.fit import (
     with_unknowns,
 )
 from eha_monitor.mismatch.likelihood.gains import Unknowns, expected_covariance, gains_of
-from eha_monitor.mismatch.name.acceptance import EFFECT, RARE
 from eha_monitor.mismatch.name.base import base_free, limits_of, timing_free
 from eha_monitor.mismatch.name.columns import (
-    BEYOND,
     Column,
     placed,
     rig_free,
@@ -25,6 +23,7 @@ from eha_monitor.mismatch.name.gram import evidences_at
 from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished, polished_on
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.starts import entered, free_of, own_sizes, sharing
+from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import BASE_KEYS, effect_values, place_of
 
@@ -33,7 +32,6 @@ SHARES = (1.0, 0.3)  # of the way to a linear guess
 SHORTER = (0.1, 0.03, 0.01)  # where no model can run there
 FARTHEST = 6.0  # of a logarithm: how far a number of the rig is moved by a linear guess
 WRONG_BY = 1e3  # how far a number of the rig may be off; what is less is absent
-INFORMED = 0.5  # of its prior deviation, all else known: a number that the recording answers to
 QUICK = 10  # steps of a first look
 ROUGH_STEPS = 8  # of a fit whose unknowns will change
 HALVINGS = 3  # of the way to other unknowns
@@ -41,7 +39,7 @@ HALVINGS = 3  # of the way to other unknowns
 FACTORS = (10.0, 3.0)  # of the unknowns' grid
 
 
-def begun(experiment: Experiment, factor: float) -> Fit:
+def unfitted(experiment: Experiment, factor: float) -> Fit:
     """Return the nominal model before any fit, unknowns at ``factor`` times the smallest."""
     theta, active = experiment.theta.copy(), experiment.active.copy()
     free = base_free(experiment) + timing_free(experiment)
@@ -221,17 +219,17 @@ def informed(experiment: Experiment, what: tuple[Column, ...], ranked: Ranked) -
     for place, sigma in zip(here, deviation, strict=True):
         column = what[place]
         if column.owner.startswith("rig."):
-            found[column.name] = wide(own[column.name])
+            found[column.name] = wide(own[column.name], experiment.policy)
         elif column.name.startswith("rig.") and column.name not in found and (
-                sigma < INFORMED or abs(ranked.amplitudes[int(place)]) > 1.0):
+                sigma < experiment.policy.informed or abs(ranked.amplitudes[int(place)]) > 1.0):
             found[column.name] = own[column.name]
     return list(found.values())
 
 
-def wide(f: Free) -> Free:
+def wide(f: Free, policy: SearchPolicy) -> Free:
     """Return a number of the rig that may be wrong altogether."""
     value = float(np.exp(f.prior))
-    return replace(f, spread=min(BEYOND * f.spread, float(np.log(WRONG_BY))),
+    return replace(f, spread=min(policy.wrong * f.spread, float(np.log(WRONG_BY))),
                    lower=value / WRONG_BY, upper=value * WRONG_BY)
 
 
@@ -262,12 +260,6 @@ def evidence_of(experiment: Experiment, fit: Fit) -> float:
     sign, logdet = np.linalg.slogdet(fit.covariance / np.outer(spreads, spreads))
     occam = 0.5 * logdet if sign > 0 else -np.inf
     return float(likelihood + occam)
-
-
-def prior_of(names: frozenset[str]) -> float:
-    """Return the logarithm of a set's prior odds."""
-    return float(sum(EFFECT + (RARE * CATALOGUE[name].rarity if name in CATALOGUE else 0.0)
-                     for name in names))
 
 
 def discrepancy(experiment: Experiment, fit: Fit) -> float:

@@ -1,8 +1,28 @@
 """What a suspect is, which of them exclude each other, and which are of one family."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
+from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.physics.effects import CATALOGUE
+
+
+def log_odds(name: str, policy: SearchPolicy) -> float:
+    """Return the logarithm of a suspect's prior odds."""
+    if not is_named(name):
+        return policy.unnamed
+    return policy.effect + policy.rare * rarity((name,))
+
+
+def log_prior(names: Iterable[str], policy: SearchPolicy) -> float:
+    """Return the logarithm of a set's prior odds."""
+    return float(sum(log_odds(name, policy) for name in names))
+
+
+def rarity(names: Iterable[str]) -> int:
+    """Return how uncommon a set is: the sum over its members."""
+    return sum(CATALOGUE[name].rarity for name in names if name in CATALOGUE)
 
 
 def exclude(one: str, other: str) -> bool:

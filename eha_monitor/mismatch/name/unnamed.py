@@ -24,7 +24,6 @@ BLOCK, MOST_BLOCKS = 1.0, 30  # s of a time in which an unknown load is constant
 INTERMITTENT = "intermittent_load"
 PLACES = {"force": Y_FORCE, "flow": Y_FLOW, "drive": Y_SPEED}
 ACTING = 0.4  # of its largest: a load that comes and goes is there
-PRIOR = 100.0  # times the smallest unknown, 1 % of what the record covers
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,7 @@ def loads_of(experiment: Experiment, amplitudes: np.ndarray
     ----------
     amplitudes : (k,) of the blocks of time, in units of the prior.
     """
-    newtons = PRIOR * smallest_unknowns(experiment).force * amplitudes
+    newtons = experiment.policy.matters * smallest_unknowns(experiment).force * amplitudes
     counted = np.bincount(np.concatenate(blocks_of(experiment)[0]), np.concatenate(
         [stretch.counted for stretch in experiment.stretches]), len(newtons))
     for block in np.flatnonzero(counted == 0):  # held out: as on both sides of it
@@ -153,7 +152,7 @@ def columns_of(experiment: Experiment, fit: Fit, unnamed: list[Unnamed],
     def entering(balance: str) -> np.ndarray:
         """Return what a unit adds to the state over a sample, (N,)."""
         plain, _, chamber = balance.partition("_")
-        into = PRIOR * small[plain] * carried(linear.a, PLACES[plain])
+        into = experiment.policy.matters * small[plain] * carried(linear.a, PLACES[plain])
         if chamber:  # nothing into the other one
             into[Y_P2 if chamber == "1" else Y_P1] = 0.0
         if chamber == "2":  # the unknown flow goes out of chamber 2, this one into it

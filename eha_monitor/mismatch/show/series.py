@@ -36,7 +36,7 @@ WINDOW = 0.5  # s that the model runs free before it starts again from the filte
 
 @dataclass(frozen=True)
 class Lack:
-    """What a balance lacks without the named physics, SI (n,) each; NaN where nothing tells it.
+    """What a balance lacks without the named physics, SI (n,) each; NaN where unknown.
 
     ``needed`` by the recording, ``explained`` by the named effects, ``remaining`` without a name.
     """
