@@ -15,7 +15,7 @@ from eha_monitor.mismatch.diagnose import (
 )
 from eha_monitor.mismatch.diagnosis import VERDICTS, Diagnosis, SignalFit
 from eha_monitor.mismatch.name.naming import Naming
-from eha_monitor.mismatch.name.nominal import nominal
+from eha_monitor.mismatch.name.select import nominal
 from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.mismatch.show.held_out import worse
 from eha_monitor.mismatch.show.rig_numbers import rig_findings

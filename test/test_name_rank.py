@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
 from eha_monitor.mismatch.likelihood.gains import Unknowns
+from eha_monitor.mismatch.name.candidates import candidate
 from eha_monitor.mismatch.name.columns import ALWAYS, ASTRAY_OWNER, Column
 from eha_monitor.mismatch.name.gram import Gram, extended
 from eha_monitor.mismatch.name.rank import Level, Member, Ranking, best_over, ranked_at
 from eha_monitor.mismatch.name.starts import Start
-from eha_monitor.mismatch.name.suspects import twins
 from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.physics.effects import CATALOGUE
 
@@ -209,8 +209,8 @@ def test_no_set_holds_two_of_a_kind():
     assert not fits((Member("coulomb_friction", 0),), Member("stribeck_friction", 0))
     assert not fits((NAMELESS,), Member("flow of v", 0))  # one unknown function at a time
     assert fits((NAMELESS,), LOAD) and fits((NAMELESS,), Member("rig.mass", 0))
-    assert twins("added_mass", "rig.mass") and twins("rig.mass", "added_mass")
-    assert not twins("added_mass", "rig.area_1")
+    assert candidate("added_mass").equals == "rig.mass"
+    assert candidate("rig.mass").equals == "added_mass" and not candidate("rig.area_1").equals
     assert not fits((Member("added_mass", 0),), Member("rig.mass", 0))
 
 

@@ -13,6 +13,7 @@ from mismatch_tools import fitted, recorded
 from eha_monitor.concealed.cases import Case
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.name.base import with_effect
+from eha_monitor.mismatch.name.candidates import log_prior
 from eha_monitor.mismatch.name.columns import rig_free
 from eha_monitor.mismatch.name.naming import in_place_of
 from eha_monitor.mismatch.name.polish import Slopes, polished
@@ -44,7 +45,6 @@ from eha_monitor.mismatch.name.select import (
     without_each,
 )
 from eha_monitor.mismatch.name.starts import starts_of
-from eha_monitor.mismatch.name.suspects import log_prior
 from eha_monitor.mismatch.policy import POLICY
 
 counted = Refits(POLICY).counted

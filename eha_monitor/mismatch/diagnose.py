@@ -30,14 +30,14 @@ from eha_monitor.mismatch.diagnosis import (
     health_sentences,
 )
 from eha_monitor.mismatch.learn.tested import Tested, supported, tested
-from eha_monitor.mismatch.learn.validated import ValidatedTerm, tracks_of, validated_term
+from eha_monitor.mismatch.learn.validated import ValidatedTerm, validated_term
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
 from eha_monitor.mismatch.name.angle import at_its_angle
 from eha_monitor.mismatch.name.informative import informative
 from eha_monitor.mismatch.name.naming import Naming, beyond_form, name_effects, on_all_of
-from eha_monitor.mismatch.name.nominal import nominal
+from eha_monitor.mismatch.name.select import nominal
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT
 from eha_monitor.mismatch.show import held_out as show
 from eha_monitor.mismatch.show.changed import change_words, changed_between
@@ -52,7 +52,7 @@ from eha_monitor.mismatch.show.model import (
     values_of,
 )
 from eha_monitor.mismatch.show.rig_numbers import rig_findings, rig_within
-from eha_monitor.mismatch.show.sizes import size_of
+from eha_monitor.mismatch.show.sizes import filtered_tracks, size_of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
 from eha_monitor.quantity import number, quantity, share
@@ -219,7 +219,7 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
     verdict, gates, policy = verdict_of(naming), naming.gates, experiment.policy
     before, after = naming.before, naming.after
     signals = show.shown(shown, before, after)
-    tracks = tracks_of(experiment, after) if after.named else []
+    tracks = filtered_tracks(experiment, after) if after.named else []
     # A fit that fails on unseen data has named nothing.  No model runs with an intermittent load.
     answers = (after.named or naming.wrong) and not naming.loads
     failed = show.unseen_gates(signals, policy) if answers else ()
@@ -244,7 +244,7 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         signals, naming = told.signals, beside_own(experiment, naming, told)
         after = naming.after
         verdict = "unexplained" if told.effect is None else verdict_of(naming)
-        tracks = tracks_of(experiment, after) if after.named else []
+        tracks = filtered_tracks(experiment, after) if after.named else []
     effects = tuple(named_effect(experiment, naming, name, tracks) for name in sorted(
         after.named, key=lambda name: -naming.evidence[name]))
     if naming.loads:

@@ -23,9 +23,9 @@ from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread, with_unknowns
 from eha_monitor.mismatch.name.base import needs, with_effect, without_effect
 from eha_monitor.mismatch.name.columns import columns_at, effects_of, rig_free
-from eha_monitor.mismatch.name.nominal import nominal
 from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished
 from eha_monitor.mismatch.name.refit import ROUGH_STEPS, at_level, settled, wide
+from eha_monitor.mismatch.name.select import nominal
 from eha_monitor.mismatch.name.starts import Start, possible, starts_of
 from eha_monitor.mismatch.show import held_out
 from eha_monitor.output import write_text
@@ -58,10 +58,9 @@ class RigNumbers:
 
     def free(self, named: Sequence[str]) -> tuple[Free, ...]:
         """Return the numbers that are fitted beside some effects: none that is one's twin."""
-        twins = {f"rig.{CATALOGUE[name].rig_twin}" for name in named}
         policy = self.experiment.policy
-        return tuple(wide(f, policy) if number_of(f.name.removeprefix("rig.")) in self.wrong else f
-                     for f in rig_free(self.experiment) if f.name not in twins)
+        return tuple(wide(f, policy) if number_of(f.symbol) in self.wrong else f
+                     for f in rig_free(self.experiment, named))
 
     def beside(self, fit: Fit) -> Fit:
         """Return a model with its numbers free, each within its bounds; not refitted."""
@@ -244,7 +243,7 @@ def looked(rig: RigNumbers, fit: Fit, starts: Sequence[Start]) -> Fit:
 
 def without_numbers(fit: Fit) -> Fit:
     """Return a fit with the rig's numbers held where they are."""
-    free = tuple(f for f in fit.free if not f.name.startswith("rig."))
+    free = tuple(f for f in fit.free if not f.of_rig)
     return replace(fit, free=free, covariance=np.zeros((len(free),) * 2))
 
 

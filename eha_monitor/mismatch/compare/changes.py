@@ -11,9 +11,9 @@ from eha_monitor.mismatch.compare.healthy import Healthy
 from eha_monitor.mismatch.compare.runs import Reading, with_change
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
+from eha_monitor.mismatch.name.candidates import candidate
 from eha_monitor.mismatch.name.columns import ALWAYS
 from eha_monitor.mismatch.name.polish import Slopes, polished
-from eha_monitor.mismatch.name.suspects import exclude, simple_kin
 from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 
@@ -187,7 +187,7 @@ class Comparison:
         first = [*dict.fromkeys(self.starts_of(left)[:LEAST] + self.starts_of(
             [i for i in left if gains[i] > most]))]
         # Laws of one family explain one another's errors: none of them is judged without the rest.
-        family = {law for i in first for law in simple_kin(self.what[i].owner)}
+        family = {law for i in first for law in candidate(self.what[i].owner).simple_kin}
         return [*own, *dict.fromkeys(first + self.starts_of(
             [i for i in left if self.what[i].owner in family]))]
 
@@ -225,12 +225,12 @@ class Comparison:
         if column.owner == ALWAYS:
             return PARAMETER
         entry = CATALOGUE[column.owner]
-        symbol = column.name.partition(".")[2]
-        p = next(p for p in entry.parameters if p.name == symbol)
+        p = next(p for p in entry.parameters if p.name == column.free.symbol)
         one_way = p.lower >= p.neutral
         return entry.rarity + 0.1 * len(entry.contains) - (0.05 if one_way else 0.0)
 
 
 def clash(one: str, other: str) -> bool:
     """Tell whether two numbers belong to one effect, or to two of which one has the other."""
-    return one == other != ALWAYS or (ALWAYS not in (one, other) and exclude(one, other))
+    return one == other != ALWAYS or (
+        ALWAYS not in (one, other) and candidate(one).excludes(candidate(other)))

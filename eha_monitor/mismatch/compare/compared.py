@@ -21,7 +21,7 @@ from eha_monitor.mismatch.diagnosis import (
     NamedEffect,
     Value,
 )
-from eha_monitor.mismatch.learn.validated import LARGEST, errors, tracks_of, validated_term
+from eha_monitor.mismatch.learn.validated import LARGEST, validated_term
 from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, Missing, missing_terms
@@ -29,7 +29,7 @@ from eha_monitor.mismatch.name.columns import ALWAYS
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.show import held_out as show
 from eha_monitor.mismatch.show.model import config_effects, values_of
-from eha_monitor.mismatch.show.sizes import size_of
+from eha_monitor.mismatch.show.sizes import filtered_tracks, size_of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import number, share, with_uncertainty
 from eha_monitor.recordings.recording import Recording
@@ -97,7 +97,7 @@ def _answer(healthy: Healthy, recordings: list[Recording], references: list[Reco
                                 if comparison.what[i].owner in CATALOGUE))
     model = _named(after, names)
     changes = tuple(_change(healthy, comparison, best, place) for place in places)
-    signals = errors(fitted, before, model)
+    signals = show.shown(fitted, before, model)
     effects = tuple(_effect(fitted, model, name, changes, comparison.before.left - best.left)
                     for name in names)
     where, curves = _place(fitted, before, model, verdict, changes)
@@ -107,7 +107,7 @@ def _answer(healthy: Healthy, recordings: list[Recording], references: list[Reco
         found = validated_term(fitted, fitted, _on(healthy.naming, healthy.fit, fitted))
         if found is not None and found.term is not None:
             term, model = found.term, found.fit
-            signals = errors(fitted, before, model)
+            signals = show.shown(fitted, before, model)
             changes = (_learned(found.term, found.missing),)
             curves = locate.latent_curves(fitted, before, model, [found.missing])
             message = f"an effect that is not in the catalogue has changed: {term.statement}"
@@ -202,7 +202,7 @@ def _effect(experiment: Experiment, fit: Fit, name: str, changes: tuple[Change, 
         {change.symbol: change.now for change in mine}, gained,
         tuple(dict.fromkeys(rival for change in mine for rival in change.indistinguishable_from)),
         entry.equation, entry.rig_check,
-        size_of(experiment, fit, name, tracks_of(experiment, fit)))
+        size_of(experiment, fit, name, filtered_tracks(experiment, fit)))
 
 
 def _place(experiment: Experiment, before: Fit, after: Fit, verdict: str,

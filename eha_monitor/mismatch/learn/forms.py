@@ -57,28 +57,6 @@ class Form:
         return self.of == "angle"
 
 
-@dataclass(frozen=True)
-class Guess:
-    """A form with its curve by the linear guess.
-
-    Attributes
-    ----------
-    evidence : log units, by the linear guess.
-    first, last : ends of the table, SI;  ``scale`` of its factor.
-    values : (KNOTS,) SI.
-    ranked : the same guess of all other numbers, of ``what`` columns; its level of the unknowns.
-    """
-
-    form: Form
-    evidence: float
-    first: float
-    last: float
-    scale: float
-    values: np.ndarray
-    ranked: Ranked | None = None
-    what: tuple[Column, ...] = ()
-
-
 def forms_of(experiment: Experiment) -> tuple[Form, ...]:
     """Return the forms that an experiment's channels can tell apart."""
     found = [Form("force", "v"), Form("force", "x"), Form("force", "x", "direction"),
@@ -133,6 +111,10 @@ class Table:
     scale: float
     unit: float
 
+    def knots(self, count: int) -> np.ndarray:
+        """Return the places of its values, (count,) SI."""
+        return np.linspace(self.first, self.last, count, endpoint=not self.form.periodic)
+
     def entry(self, values: np.ndarray) -> dict:
         """Return it with values (n,), SI, as an entry of a config's ``effects``."""
         return {"adds": self.form.adds, "of": self.form.of, "times": self.form.times,
@@ -140,14 +122,27 @@ class Table:
                 "values": values.tolist()}
 
 
-def tracks_of(experiment: Experiment, fit: Fit) -> list[np.ndarray]:
-    """Return the signals along each stretch, (n, N_SIGNALS): as filtered, or as compared."""
-    return filtered_tracks(experiment, fit)
+@dataclass(frozen=True)
+class Guess:
+    """A table with its curve by the linear guess.
+
+    Attributes
+    ----------
+    evidence : log units, by the linear guess.
+    values : (KNOTS,) SI.
+    ranked : the same guess of all other numbers, of ``what`` columns; its level of the unknowns.
+    """
+
+    table: Table
+    evidence: float
+    values: np.ndarray
+    ranked: Ranked | None = None
+    what: tuple[Column, ...] = ()
 
 
 def tables_of(experiment: Experiment, fit: Fit) -> tuple[Table, ...]:
     """Return every form over what the recordings cover."""
-    tracks = tracks_of(experiment, fit)
+    tracks = filtered_tracks(experiment, fit)
     units = units_of(experiment, fit)
     difference = np.abs(np.concatenate([signal_along(track, "dp") for track in tracks]))
     scales = {"direction": max(SHARP * experiment.ranges.speed, 1e-9),
@@ -203,7 +198,7 @@ def columns_with(experiment: Experiment, fit: Fit, tables: Sequence[Table],
     ----------
     suspects : also the effects that the model does not have.
     """
-    tracks, terms = tracks_of(experiment, fit), []
+    tracks, terms = filtered_tracks(experiment, fit), []
     for one in tables:
         form = one.form
         terms.append(Unnamed(form.name, UNKNOWN[form.adds], form.of, tuple(
@@ -232,7 +227,7 @@ def ranked_forms(experiment: Experiment, fit: Fit) -> list[Guess]:
         values = np.array([value for place, value in sorted(one.amplitudes.items())
                            if view.what[place].owner == name])
         rest = tuple(member for member in one.members if member.owner != name)
-        found[name] = Guess(table.form, one.evidence, table.first, table.last, table.scale,
-                            table.unit * values, replace(one, members=rest), view.what)
+        found[name] = Guess(table, one.evidence, table.unit * values,
+                            replace(one, members=rest), view.what)
     return ties.ordered(found.values(), lambda guess: guess.evidence,
-                        lambda guess: guess.form.name, ties.GUESS)
+                        lambda guess: guess.table.form.name, ties.GUESS)

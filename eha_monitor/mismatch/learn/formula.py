@@ -64,7 +64,7 @@ class Formula:
 def formulas_of(experiment: Experiment, learned: Learned) -> list[Formula]:
     """Return the formulas that fit best, best first; the first is given if no table leads far."""
     places = learned.knots
-    shapes = RIPPLES if learned.form.periodic else SHAPES
+    shapes = RIPPLES if learned.table.form.periodic else SHAPES
     fits = sorted((fit for shape in shapes if (fit := on_curve(shape, places, learned))),
                   key=lambda found: found[0])
     made = spread(lambda found: refitted(experiment, learned, *found[1:]), fits[:REFITTED])
@@ -75,8 +75,8 @@ def formulas_of(experiment: Experiment, learned: Learned) -> list[Formula]:
 
 def lies_within(formula: Formula, learned: Learned) -> bool:
     """Tell whether a bump or a threshold lies in what was recorded; a wave lies everywhere."""
-    place = formula.values.get(PLACE)
-    return place is None or "sin(" in formula.text or learned.first <= place <= learned.last
+    place, table = formula.values.get(PLACE), learned.table
+    return place is None or "sin(" in formula.text or table.first <= place <= table.last
 
 
 def curve_of(text: str, values: dict[str, float], of: str, at: np.ndarray) -> np.ndarray:
@@ -118,7 +118,7 @@ def on_curve(shape: Shape, places: np.ndarray, learned: Learned
     floor = EXACT * float(np.sqrt(np.mean(y**2)))
     covariance = learned.covariance() / divisor**2 + floor**2 * np.eye(len(y))
     root = cholesky(covariance, lower=True)
-    text = in_signal(shape.text, learned.form.of)
+    text = in_signal(shape.text, learned.table.form.of)
     keys = list(shape.units)
     best = None
     for start in shape.starts(places, y):
@@ -131,7 +131,7 @@ def on_curve(shape: Shape, places: np.ndarray, learned: Learned
                     else float(start[key] + size[i] * z[i]) for i, key in enumerate(keys)}
 
         def left(z, values_at=values_at):
-            made = curve_of(text, values_at(z), learned.form.of, places)
+            made = curve_of(text, values_at(z), learned.table.form.of, places)
             return solve_triangular(root, np.nan_to_num(made - y, nan=1e6), lower=True)
 
         found = least_squares(left, np.zeros(len(keys)), max_nfev=60)
@@ -152,7 +152,7 @@ def scale_of(kind: str, u: np.ndarray, y: np.ndarray) -> float:
 def refitted(experiment: Experiment, learned: Learned, shape: Shape, values: dict[str, float]
              ) -> Formula:
     """Return a formula fitted to the recording, in the table's place, beside all else."""
-    form, which = learned.form, learned.which
+    form, which = learned.table.form, learned.which
     factor = FACTORS[form.times][0]
     text = in_signal(shape.text, form.of)
     text = f"({text}){factor}" if factor and ("+" in text or "-" in text) else text + factor
@@ -165,7 +165,7 @@ def refitted(experiment: Experiment, learned: Learned, shape: Shape, values: dic
     theta[slot] = expression.slot(form.adds, values)
     y = learned.values / learned.divisor
     fastest = max(experiment.ranges.speed, 1e-9)
-    free = [f for f in learned.fit.free if not f.name.startswith(own + ".")]
+    free = [f for f in learned.fit.free if f.owner != own]
     for key, place in expression.parameters.items():
         at, name = slot.start + CONSTANTS + place, f"{own}.{key}"
         if key == "v_e":

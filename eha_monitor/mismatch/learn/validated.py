@@ -25,7 +25,6 @@ from eha_monitor.mismatch.locate.terms import tracks_of as smoothed_tracks
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.show.held_out import shown, worse
 from eha_monitor.mismatch.show.model import robust
-from eha_monitor.mismatch.show.sizes import filtered_tracks
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
 from eha_monitor.physics.effects import CATALOGUE
@@ -80,8 +79,8 @@ def validated_term(experiment: Experiment, unseen: Experiment, naming: Naming
     learned = learned_of(experiment, naming)
     if learned is None:
         return None
-    judged = errors(unseen, learned.without, learned.fit)
-    share, signals = removed(judged), errors(unseen, naming.before, learned.fit)
+    judged = shown(unseen, learned.without, learned.fit)
+    share, signals = removed(judged), shown(unseen, naming.before, learned.fit)
     policy = experiment.policy
     if not share >= policy.likely or worse(judged, policy) or worse(signals, policy):
         return None
@@ -92,23 +91,13 @@ def validated_term(experiment: Experiment, unseen: Experiment, naming: Naming
     fit, honest = learned.fit, bool(formulas) and formulas[0].evidence > least
     if honest:
         fit = robust(experiment, formulas[0].fit)
-        signals = errors(unseen, naming.before, fit)
-        share = removed(errors(unseen, learned.without, fit))
+        signals = shown(unseen, naming.before, fit)
+        share = removed(shown(unseen, learned.without, fit))
     missing = missing_of(experiment, fit, learned.which, learned.balance)
     term = term_of(learned, formulas, honest, share, missing,
                    factors_of(experiment, learned, fit, missing))
     return ValidatedTerm(fit, signals, missing, learned.gained, learned.decides, term.entry,
                          f"learned_{term.adds}", term=term)
-
-
-def errors(unseen: Experiment, before: Fit, after: Fit) -> dict[str, SignalFit]:
-    """Return the errors of two models on data that no fit has seen."""
-    return shown(unseen, before, after)
-
-
-def tracks_of(experiment: Experiment, fit: Fit) -> list[np.ndarray]:
-    """Return the signals at each sample as filtered, (n, N_SIGNALS)."""
-    return filtered_tracks(experiment, fit)
 
 
 def removed(signals: dict[str, SignalFit]) -> float:
@@ -168,11 +157,12 @@ def measured_at(learned: Learned, missing: Missing, factors: tuple[np.ndarray, .
 
     In each bin of the signal the value g that makes ``g * factor`` nearest to the missing term.
     """
-    at = np.concatenate([signal_along(track, learned.form.of) for track in missing.tracks])
-    if learned.form.periodic:
-        at = learned.first + np.mod(at - learned.first, learned.last - learned.first)
+    table = learned.table
+    at = np.concatenate([signal_along(track, table.form.of) for track in missing.tracks])
+    if table.form.periodic:
+        at = table.first + np.mod(at - table.first, table.last - table.first)
     what, factor = np.concatenate(missing.measured), np.concatenate(factors)
-    edges = np.linspace(learned.first, learned.last, BINS + 1)
+    edges = np.linspace(table.first, table.last, BINS + 1)
     which = np.digitize(at, edges) - 1
     rows = []
     for i in range(BINS):
@@ -190,8 +180,8 @@ def measured_at(learned: Learned, missing: Missing, factors: tuple[np.ndarray, .
 def term_of(learned: Learned, formulas: list[Formula], honest: bool, share: float,
             missing: Missing, factors: tuple[np.ndarray, ...]) -> LearnedTerm:
     """Return the record of a learned term."""
-    form = learned.form
-    x = np.linspace(learned.first, learned.last, PLACES)
+    form = learned.table.form
+    x = np.linspace(learned.table.first, learned.table.last, PLACES)
     curve, band = learned.curve(x)
     divisor = learned.divisor
     best = formulas[0] if formulas else None

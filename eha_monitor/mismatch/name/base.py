@@ -78,19 +78,19 @@ def with_effect(fit: Fit, start: Start, amplitudes: tuple[float, ...]) -> Fit:
             values[p.name] = min(max(value, p.lower), p.upper)
     placed = replace(start, values=tuple(values.items()))
     theta, active = entered(fit.theta, fit.active, placed)
-    free = tuple(f for f in fit.free if not f.name.startswith(start.effect + "."))
+    free = tuple(f for f in fit.free if f.owner != start.effect)
     return replace(fit, theta=theta, active=active, free=free + free_of(start),
                    named=(*fit.named, start.effect))
 
 
 def without_effect(experiment: Experiment, fit: Fit, name: str) -> Fit:
     """Return a fit with an effect taken out, not yet refitted."""
-    timing = tuple(f for f in timing_free(experiment) if f.name.startswith(name + "."))
+    timing = tuple(f for f in timing_free(experiment) if f.owner == name)
     active, theta = fit.active.copy(), fit.theta.copy()
     active[NAMES.index(name)] = bool(timing)
     for p in CATALOGUE[name].parameters:
         theta[place_of(f"{name}.{p.name}")] = 0.0
-    free = tuple(f for f in fit.free if not f.name.startswith(name + ".")) + timing
+    free = tuple(f for f in fit.free if f.owner != name) + timing
     return replace(fit, theta=theta, active=active, free=free,
                    named=tuple(other for other in fit.named if other != name))
 

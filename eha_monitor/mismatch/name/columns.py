@@ -20,6 +20,7 @@ from eha_monitor.mismatch.data.experiment import Experiment, damping_steps
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, filtered, spread, step_of
 from eha_monitor.mismatch.likelihood.tangents import Lane, along_into, can
+from eha_monitor.mismatch.name.candidates import RIG, candidate
 from eha_monitor.mismatch.name.starts import (
     Start,
     directions_of,
@@ -91,11 +92,16 @@ class Columns:
     copies: tuple[tuple[int, float], ...] = ()
 
 
-def rig_free(experiment: Experiment) -> tuple[Free, ...]:
-    """Return the numbers of the rig that this experiment can tell, as logarithms.
+def rig_free(experiment: Experiment, beside: Sequence[str] = ()) -> tuple[Free, ...]:
+    """Return the numbers of the rig that this experiment can determine, as logarithms.
 
     Each has the prior of its tolerance (``rig.tolerance``).  What is nil or unknown is none.
+
+    Parameters
+    ----------
+    beside : members of a model; a number that is the same equation as one of them stays out.
     """
+    equal = {candidate(name).equals for name in beside if name in CATALOGUE}
     rig, policy = experiment.settings.rig, experiment.policy
     if experiment.mode == FORCED:
         keys = {"mass"}
@@ -105,11 +111,11 @@ def rig_free(experiment: Experiment) -> tuple[Free, ...]:
             keys -= {"position_gain"}
     found = []
     for place, key in BASE_KEYS.items():
-        value = getattr(rig, key) if key in keys else None
+        value = getattr(rig, key) if key in keys and RIG + key not in equal else None
         if value:
             width = policy.tolerance * rig.tolerance.log_spread(key)
             reach = float(np.exp(policy.sure * width))  # what is further off is wrong
-            found.append(Free(f"rig.{key}", place, value / reach, value * reach,
+            found.append(Free(RIG + key, place, value / reach, value * reach,
                               float(np.log(value)), width, True))
     return tuple(found)
 
@@ -150,21 +156,20 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
 
     def moved(f: Free, owner: str, variant: int, size: bool = False) -> None:
         """Add a number that the model has."""
-        theta, step = (step_of(f, fit.theta) if not f.name.startswith("rig.")
-                       else rig_step(f, fit.theta))
+        theta, step = (rig_step if f.of_rig else step_of)(f, fit.theta)
         now = f.inward(fit.theta[f.place])
         what.append(Column(owner, variant, f.name, (f.prior - now) / f.spread,
                            (f.inward(f.lower) - now) / f.spread,
                            (f.inward(f.upper) - now) / f.spread, f, size=size))
         moves.append((theta, fit.active, step / f.spread))
 
-    twins = {f"rig.{CATALOGUE[name].rig_twin}" for name in effects_of(fit)}
-    for f in (*(f for f in fit.free if "." not in f.name),
+    rig = rig_free(experiment, fit.named)
+    for f in (*(f for f in fit.free if not f.owner),
               *(f for f in fit.free if timing_only(fit, f)),
-              *(f for f in rig_free(experiment) if f.name not in twins)):
+              *rig):
         moved(f, ALWAYS, -1)
-    for f in rig_free(experiment) if suspects else ():
-        if f.name not in twins and f.name not in fit.named and f.spread > LOOSE:
+    for f in rig if suspects else ():
+        if f.name not in fit.named and f.spread > LOOSE:
             for variant, sign in enumerate((-1.0, 1.0), 1):
                 theta, step = fit.theta.copy(), sign * FAR_OFF * f.spread
                 theta[f.place] *= np.exp(step)
@@ -174,9 +179,8 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
     for name in effects_of(fit):
         sizes = {p.name for p in CATALOGUE[name].sizes}
         for f in fit.free:
-            effect, _, symbol = f.name.partition(".")
-            if effect == name:
-                moved(f, name, -1, symbol in sizes)
+            if f.owner == name:
+                moved(f, name, -1, f.symbol in sizes)
     for name in NAMES if suspects else ():
         if name in fit.named or experiment.active[NAMES.index(name)] or not possible(
                 name, experiment):
@@ -230,7 +234,7 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
             for column, good in zip(what, keep, strict=True)]
     what += [Column(term.name, 0, term.name, size=True)
              for term, size in zip(terms, sizes, strict=True) for _ in range(size)]
-    wrong = [i for i, c in enumerate(what) if c.owner == ALWAYS and c.name.startswith("rig.")]
+    wrong = [i for i, c in enumerate(what) if c.owner == ALWAYS and c.free.of_rig]
     far = experiment.policy.wrong
     copies = tuple((1 + i, far) for i in wrong)
     what += [Column(what[i].name, -1 if what[i].name in fit.named else 0, what[i].name,
@@ -272,8 +276,7 @@ def grown_from(experiment: Experiment, fit: Fit) -> list[Start]:
 
 def timing_only(fit: Fit, f: Free) -> bool:
     """Tell whether a free parameter is a small timing error, no effect that has a name."""
-    effect, dot, _ = f.name.partition(".")
-    return bool(dot) and effect not in fit.named and not f.name.startswith("rig.")
+    return bool(f.owner) and f.owner not in fit.named and not f.of_rig
 
 
 def rig_step(f: Free, theta: np.ndarray) -> tuple[np.ndarray, float]:

@@ -42,17 +42,16 @@ def allowed_end(fit: Fit, f: Free, value: float) -> bool:
     where it is all of the other one (w, h = 1).  One size of several may be absent (one chamber
     leaks, the other does not), unless a simpler effect is just that.
     """
-    effect, _, symbol = f.name.partition(".")
-    entry = CATALOGUE.get(effect)
-    own = next((p for p in entry.parameters if p.name == symbol), None) if entry else None
+    entry = CATALOGUE.get(f.owner)
+    own = next((p for p in entry.parameters if p.name == f.symbol), None) if entry else None
     if own is None:
         return False
     if f.inward(value) >= f.inward(f.upper) - AT_BOUND * f.spread:
         return own.default is not None and not own.unit and (own.lower, own.upper) == (0.0, 1.0)
     if own.default is not None:
         return own.lower == 0.0
-    places = [other.place for other in fit.free if other.name.partition(".")[0] == effect
-              and other.name.partition(".")[2] in {p.name for p in entry.sizes}]
+    places = [other.place for other in fit.free if other.owner == f.owner
+              and other.symbol in {p.name for p in entry.sizes}]
     return own.lower == own.neutral and not entry.contains and any(
         fit.theta[place] != own.neutral for place in places)
 
@@ -69,12 +68,11 @@ def failures(experiment: Experiment, fit: Fit) -> list[Gate]:
 
 def _bounds(fit: Fit) -> Iterator[Gate]:
     for f in fit.free:
-        owner = f.name if f.name.startswith("rig.") else f.name.partition(".")[0]
-        value = float(fit.theta[f.place])
+        owner, value = f.owner, float(fit.theta[f.place])
         if owner not in fit.named or not at_bound(f, value) or allowed_end(fit, f, value):
             continue
         unit = next((p.unit.replace("*", "·") for p in CATALOGUE[owner].parameters
-                     if p.name == f.name.partition(".")[2]), "") if owner in CATALOGUE else ""
+                     if p.name == f.symbol), "") if owner in CATALOGUE else ""
         yield Gate("bound", owner, f"{f.name} stands at {quantity(value, unit, 3)}, the end of "
                                    "its range: the fit is no optimum")
 
@@ -92,7 +90,7 @@ def _within(experiment: Experiment, fit: Fit) -> Iterator[Gate]:
 
 def ends_of_tolerance(fit: Fit) -> list[Free]:
     """Return the numbers of the rig that a fit has moved to the end of what their tolerance is."""
-    return [f for f in fit.free if f.name.startswith("rig.") and f.name not in fit.named
+    return [f for f in fit.free if f.of_rig and f.name not in fit.named
             and at_bound(f, float(fit.theta[f.place]))]
 
 

@@ -20,7 +20,6 @@ from eha_monitor.mismatch.name.refit import unfitted
 
 WINDOW = 4_000  # samples
 MOST = 24_000  # samples that effects are named on
-LEVEL = 100.0  # times the smallest unknowns: under which windows are compared
 
 
 def informative(experiment: Experiment, most: int = MOST, window: int = WINDOW) -> Experiment:
@@ -52,7 +51,7 @@ def windows_of(stretch: Stretch, dt: float, window: int) -> list[Stretch]:
 def information_of(window: Experiment) -> np.ndarray:
     """Return the Gram matrix of a window at the config's model; empty where no filter runs."""
     try:
-        fit = unfitted(window, LEVEL)
+        fit = unfitted(window)
         if not np.isfinite(fit.log_likelihood):
             return np.zeros((0, 0))
         columns = columns_at(window, fit, unnamed=False, suspects=False)

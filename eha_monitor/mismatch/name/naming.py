@@ -12,13 +12,13 @@ from eha_monitor.mismatch.diagnosis import Gate
 from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.name.base import limits_of, needs
+from eha_monitor.mismatch.name.candidates import RIG, all_named, candidate
 from eha_monitor.mismatch.name.columns import runs_of
 from eha_monitor.mismatch.name.gram import evidences_at
 from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.posterior import plainness, posterior
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.mismatch.name.select import Selection, selected
-from eha_monitor.mismatch.name.suspects import is_named, kin
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT, loads_of
 from eha_monitor.physics.effects import CATALOGUE
 
@@ -67,7 +67,7 @@ def in_place_of(name: str, best: Names, weights: dict[Names, float]) -> dict[str
     """
     others: dict[str, float] = {}
     for names, weight in weights.items():
-        if name not in names and all(one in names or names & set(kin(one))
+        if name not in names and all(one in names or names & candidate(one).kin
                                      for one in best - {name}):
             for other in sorted(names - best):
                 others[other] = others.get(other, 0.0) + weight
@@ -82,7 +82,7 @@ def at_config(experiment: Experiment, fit: Fit) -> Fit:
     tolerances make uncertain stays in the covariance.
     """
     loose = {f.name for i, f in enumerate(fit.free)
-             if f.name.startswith("rig.") and f.name not in fit.named
+             if f.of_rig and f.name not in fit.named
              and np.sqrt(fit.covariance[i, i]) > experiment.policy.informed * f.spread}
     if not loose:
         return fit
@@ -173,23 +173,19 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
     for name in sorted(best):
         stands = in_place_of(name, best, weights)
         near = [other for other in ties.ordered(stands, stands.__getitem__, str)
-                if stands[other] >= experiment.policy.rival and is_named(other)]
-        twin = CATALOGUE[name].rig_twin if name in CATALOGUE else next(
-            (other for other, entry in CATALOGUE.items()
-             if f"rig.{entry.rig_twin}" == name), "")
-        if twin and twin not in near and f"rig.{twin}" not in near:
-            near.append(twin)
-        rivals[name] = tuple(dict.fromkeys(other.removeprefix("rig.") for other in near))
+                if stands[other] >= experiment.policy.rival and candidate(other).named]
+        near = list(dict.fromkeys([*near, *filter(None, [candidate(name).equals])]))
+        rivals[name] = tuple(other.removeprefix(RIG) for other in near)
         # Laws of one family are one claim: which of them it is, the curve says, not the name.
-        held = {name, *near, *(f"rig.{other}" for other in near), *(set(kin(name)) - best)}
+        held = {name, *near, *(candidate(name).kin - best)}
         probability[name] = float(sum(
-            weight for names, weight in weights.items() if held & names and all(
-                is_named(other) or other == INTERMITTENT for other in names)))
+            weight for names, weight in weights.items()
+            if held & names and all_named(names - {INTERMITTENT})))
         without = [value for names, value in refits.evidence.items()
                    if not held & names and names not in refits.refused]
         evidence[name] = float(refits.evidence[best] - max(without, default=-np.inf))
     unnamed = refused + float(sum(weight for names, weight in weights.items()
-                                  if any(not is_named(name) for name in names)))
+                                  if not all_named(names)))
     loads: tuple[tuple[float, float, float], ...] = ()
     acting = float(sum(weight for names, weight in weights.items() if INTERMITTENT in names))
     needs = after.unknowns
@@ -209,7 +205,7 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
     order = ties.ordered(scores, lambda names: scores[names], plainness, ties.GUESS)
     return Naming(
         experiment, before, replace(after, named=tuple(n for n in after.named if n in CATALOGUE)),
-        tuple(name.removeprefix("rig.") for name in after.named if name.startswith("rig.")),
+        tuple(key for name in after.named if (key := candidate(name).key)),
         probability, float(empty), unnamed, evidence, rivals,
         tuple((names, refits.fits[names], scores[best] - scores[names]) for names in order),
         loads, gates)

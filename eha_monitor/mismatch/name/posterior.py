@@ -9,9 +9,9 @@ from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import Gate
 from eha_monitor.mismatch.likelihood.fit import Fit
+from eha_monitor.mismatch.name.candidates import all_named, candidate, log_prior
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.refit import discrepancy, evidence_of, impossible
-from eha_monitor.mismatch.name.suspects import form_kin, is_named, kin, log_prior, rarity
 from eha_monitor.mismatch.policy import SearchPolicy
 
 Names = frozenset[str]
@@ -114,8 +114,8 @@ class Refits:
         With it comes how many log units may be form error of that law.
         """
         found = []
-        for family in dict.fromkeys(frozenset((law, *form_kin(law))) for law in sorted(names)
-                                    if kin(law)):
+        for family in dict.fromkeys(candidate(law).form_kin | {law} for law in sorted(names)
+                                    if candidate(law).kin):
             rest = names - family
             with_one = [some for some in self.evidence
                         if some - family == rest and len(some & family) == 1]
@@ -160,7 +160,7 @@ class Refits:
 
 def plainness(names: Names) -> tuple[int, int, list[str]]:
     """Return the key that puts the plainest set first: few members, common ones, by name."""
-    return len(names), rarity(names), sorted(names)
+    return len(names), sum(candidate(name).rarity for name in names), sorted(names)
 
 
 def beyond(evidence: float, least: float, form: float) -> float:
@@ -196,7 +196,7 @@ def posterior(refits: Refits, views: Sequence[tuple[Names, Sequence[Ranked]]],
         start = least - (own.evidence - own.prior)
         form = refits.policy.law * (least - refits.evidence.get(frozenset(), least))
         for one in ranking:
-            unnamed = not all(map(is_named, one.names))
+            unnamed = not all_named(one.names)
             value = start + one.evidence - one.prior
             if unnamed:  # what the laws have wrong is a function of something
                 value = beyond(value, least, form)

@@ -9,6 +9,7 @@ from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.name.base import limits_of
+from eha_monitor.mismatch.name.candidates import all_named, candidate
 from eha_monitor.mismatch.name.columns import Column, Columns, columns_at
 from eha_monitor.mismatch.name.gram import grams_of
 from eha_monitor.mismatch.name.polish import Slopes
@@ -22,7 +23,6 @@ from eha_monitor.mismatch.name.posterior import (
     posterior,
 )
 from eha_monitor.mismatch.name.rank import LARGEST_SET, Ranked, best_first, best_over, ranked_at
-from eha_monitor.mismatch.name.suspects import form_kin, is_named, kin
 from eha_monitor.physics.effects import CATALOGUE
 
 HANDFUL = 4  # sets that are refitted at a linearisation
@@ -110,8 +110,9 @@ def beyond_one_law(found: list[Ranked], here: Names, form: float) -> list[Ranked
     explained: dict[Names, float] = {}
     for names, evidence in known.items():
         for law in names:
-            if kin(law) and names - {law} in known and not names & set(form_kin(law)):
-                family = frozenset((law, *form_kin(law)))
+            family = candidate(law).form_kin
+            if candidate(law).kin and names - {law} in known and not names & family:
+                family |= {law}
                 explained[family] = max(evidence - known[names - {law}],
                                         explained.get(family, 0.0))
     counted = []
@@ -185,7 +186,7 @@ def with_names(found: list[Ranked]) -> list[Ranked]:
     """Return the best set of each set of names that the catalogue or the rig has."""
     chosen: dict[Names, Ranked] = {}
     for one in found:
-        if all(map(is_named, one.names)):
+        if all_named(one.names):
             chosen.setdefault(one.names, one)
     return list(chosen.values())
 

@@ -20,9 +20,9 @@ from scipy.linalg import cho_factor, cho_solve
 
 from eha_monitor import ties
 from eha_monitor.mismatch.likelihood.fit import spread
+from eha_monitor.mismatch.name.candidates import candidate
 from eha_monitor.mismatch.name.columns import ALWAYS, ASTRAY_OWNER, Column
 from eha_monitor.mismatch.name.gram import Gram
-from eha_monitor.mismatch.name.suspects import exclude, limited, log_odds, twins
 from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.physics.effects import CATALOGUE
 
@@ -89,11 +89,13 @@ class Ranking:
         self.order = {member: i for i, member in enumerate(self.groups)}
         self.growing = [(i, one) for i, one in enumerate(groups) if one.replaces]
         self.standing = np.array([not one.replaces for one in groups], dtype=bool)
-        self.same = np.array([[one.owner == two.owner or twins(one.owner, two.owner)
-                               for two in groups] for one in groups]).reshape((len(groups),) * 2)
+        of, square = [candidate(one.owner) for one in groups], (len(groups),) * 2
+        self.same = np.array([[two.name in (one.name, one.equals) for two in of]
+                              for one in of], dtype=bool).reshape(square)
         self.excluded = self.same | np.array(
-            [[two.replaces != one.owner and exclude(one.owner, two.owner) for two in groups]
-             for one in groups], dtype=bool).reshape((len(groups),) * 2)
+            [[two.replaces != one.name and one.excludes(other)
+              for two, other in zip(groups, of, strict=True)] for one in of],
+            dtype=bool).reshape(square)
         self.centre = np.array([c.centre for c in what])
         self.lower = np.array([c.lower for c in what])
         self.upper = np.array([c.upper for c in what])
@@ -116,7 +118,7 @@ class Ranking:
         """Return the logarithm of a suspect's prior odds."""
         several = (np.log(self.starts[member.owner]) if member.variant >= 0
                    and not member.replaces and member.owner in CATALOGUE else 0.0)
-        return log_odds(member.owner, self.policy) - several
+        return candidate(member.owner).log_odds(self.policy) - several
 
     def roots(self) -> list[tuple[Member, ...]]:
         """Return the subsets of what the model has, each a set to begin with.
@@ -127,7 +129,7 @@ class Ranking:
         have = [Member(name, -1) for name in self.named]
         lost = {c.name.partition(".")[0] for c in self.what
                 if c.owner == ASTRAY_OWNER and c.variant < 0 and c.size}
-        kept = tuple(member for member in have if limited(member.owner)
+        kept = tuple(member for member in have if candidate(member.owner).limit
                      or not len(self.groups[member]) or member.owner in lost)
         free = [member for member in have if member not in kept]
         return [tuple(sorted((*kept, *subset))) for k in range(len(free) + 1)

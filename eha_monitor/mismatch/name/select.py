@@ -9,7 +9,8 @@ from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment, resolving
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.name.base import limits_of, needs, with_effect, without_effect
-from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, effects_of, rig_free
+from eha_monitor.mismatch.name.candidates import candidate
+from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, rig_free
 from eha_monitor.mismatch.name.gates import ends_of_tolerance, failures
 from eha_monitor.mismatch.name.informative import informative
 from eha_monitor.mismatch.name.polish import Slopes, polished
@@ -29,6 +30,7 @@ from eha_monitor.mismatch.name.proposals import (
 )
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.refit import (
+    FIRST,
     at_level,
     entered_at_best,
     looked,
@@ -37,12 +39,10 @@ from eha_monitor.mismatch.name.refit import (
     wide,
 )
 from eha_monitor.mismatch.name.starts import possible, sharing, starts_of
-from eha_monitor.mismatch.name.suspects import is_effect, simple_kin
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import effect_values
 from eha_monitor.physics.signals import BETA_E, B
 
-FIRST = 100.0  # times the smallest unknowns: where the nominal model is linearised
 LARGER = (FIRST, 10.0 * FIRST, 100.0 * FIRST)  # where a model far off runs away under less
 LEANING = 30.0  # times the smallest unknowns: below, the nominal model needs next to nothing
 CATCHING_UP = 0.9  # of the best refitted set's gain, after a few steps, to be fitted to the end
@@ -303,7 +303,7 @@ def unbent(search: Search) -> Fit | None:
     """
     if not lacks(search.experiment, search.refits.fits[search.refits.best()]):
         return None
-    start = unfitted(search.experiment, FIRST)
+    start = unfitted(search.experiment)
     return start if bent(start, search.nominal) else None
 
 
@@ -345,6 +345,12 @@ def resolved_nominal(experiment: Experiment) -> tuple[Experiment, Fit]:
         experiment = finer
 
 
+def nominal(experiment: Experiment) -> tuple[Experiment, Fit]:
+    """Fit the nominal model to the end; returns the experiment with steps that resolve its B."""
+    experiment, first = resolved_nominal(experiment)
+    return experiment, settled(experiment, first)
+
+
 def crossed(fit: Fit, best: Fit) -> Fit | None:
     """Return a model that starts where the best one stands, with its own effect of one kind.
 
@@ -360,9 +366,9 @@ def crossed(fit: Fit, best: Fit) -> Fit | None:
     theta = fit.theta.copy()
     there = {f.name: f for f in best.free}
     for f in fit.free:
-        effect, _, symbol = f.name.partition(".")
-        same = there.get(f"{two.name}.{symbol}" if effect == one.name else f.name)
-        size = effect == one.name and symbol in {p.name for p in one.sizes}
+        own = f.owner == one.name
+        same = there.get(f"{two.name}.{f.symbol}" if own else f.name)
+        size = own and f.symbol in {p.name for p in one.sizes}
         if same is not None and not size:
             theta[f.place] = f.outward(f.inward(best.theta[same.place]))
     return replace(fit, theta=theta)
@@ -387,7 +393,7 @@ def lesser(experiment: Experiment, fit: Fit, name: str) -> Fit:
     """
     def bare(theta: np.ndarray) -> Fit:
         moved = replace(fit, theta=theta)
-        if is_effect(name):
+        if name in CATALOGUE:
             return with_rig(experiment, without_effect(experiment, moved, name))
         own = next(f for f in rig_free(experiment) if f.name == name)
         theta = theta.copy()
@@ -410,7 +416,7 @@ def without_along(fit: Fit, name: str) -> np.ndarray:
     sizes = {f"{name}.{p.name}": p.neutral for p in entry.sizes if not p.log} if entry else {}
     own = [i for i, f in enumerate(fit.free) if f.name == name or f.name in sizes]
     others = [i for i, f in enumerate(fit.free)
-              if f.name != name and f.name.partition(".")[0] != name]
+              if f.owner != name]
     absent = np.array([sizes.get(fit.free[i].name, fit.free[i].prior) for i in own])
     theta = fit.theta.copy()
     if not own or not np.isfinite(absent).all() or len(fit.covariance) != len(fit.free):
@@ -430,8 +436,7 @@ def with_rig(experiment: Experiment, fit: Fit) -> Fit:
     One that is the same equation as an effect of the model stays at the config's.
     """
     known = {f.name for f in fit.free}
-    known |= {f"rig.{CATALOGUE[name].rig_twin}" for name in effects_of(fit)}
-    free = fit.free + tuple(f for f in rig_free(experiment) if f.name not in known)
+    free = fit.free + tuple(f for f in rig_free(experiment, fit.named) if f.name not in known)
     k = len(free)
     return with_unknowns(experiment, replace(
         fit, free=free, covariance=np.zeros((k, k)), converged=False), fit.unknowns)
@@ -494,8 +499,8 @@ def finish(experiment: Experiment, refits: Refits) -> None:
             refits.add(experiment, names, settled(experiment, fit))
     best = refits.best()
     lead = refits.fits[best]
-    for name in filter(is_effect, sorted(best)):  # a law as simple, from the same place
-        for other in sorted({*CATALOGUE[name].contains, *simple_kin(name)}):
+    for name in sorted(best & CATALOGUE.keys()):  # a law as simple, from the same place
+        for other in sorted({*CATALOGUE[name].contains, *candidate(name).simple_kin}):
             if possible(other, experiment) and best - {name} | {other} not in refits.fits:
                 refits.add(experiment, best - {name} | {other}, settled(
                     experiment, simplified(experiment, lead, name, other),

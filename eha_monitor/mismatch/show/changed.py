@@ -32,7 +32,6 @@ from eha_monitor.recordings.recording import Recording
 # Left out around a change, s: the stages see it later than it begins, and it may take its time.
 BEFORE_S, AFTER_S = 1.5, 0.5
 SHORTEST_S = 2.0  # of the fitted samples of a piece
-HELD = 100.0  # times the smallest unknowns: where the fit of a piece begins
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ def changed_between(experiment: Experiment, recordings: list[Recording], naming:
         experiment, recordings)) if part is not None]
     if len(parts) < 2:
         return None
-    fits = [settled(part, unfitted(part, HELD)) for part in parts]  # each on all cores
+    fits = [settled(part, unfitted(part)) for part in parts]  # each on all cores
     if any(lacking(part, fit) for part, fit in zip(parts, fits, strict=True)):
         return None  # the nominal model does not explain them piece by piece either
     expected = sum(expected_likelihood(part, fit) for part, fit in zip(parts, fits, strict=True))

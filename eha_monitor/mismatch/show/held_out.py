@@ -13,9 +13,10 @@ from eha_monitor.mismatch.data.inputs import FORCED
 from eha_monitor.mismatch.data.stretch import Stretch
 from eha_monitor.mismatch.diagnosis import Agreement, Gate, Overlay, SignalFit, Value
 from eha_monitor.mismatch.likelihood.along import signals_along
-from eha_monitor.mismatch.likelihood.fit import Fit, filtered, refine, spread
+from eha_monitor.mismatch.likelihood.fit import Fit, filtered, spread
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED
 from eha_monitor.mismatch.locate.missing import modelled_force
+from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.mismatch.show.sizes import filtered_tracks
 from eha_monitor.physics import signals as s
@@ -377,8 +378,9 @@ def agreement(experiment: Experiment, before: Fit, after: Fit | None,
         some = experiment.only(tuple(
             replace(stretch, counted=mask)
             for stretch, mask in zip(experiment.stretches, masks, strict=True)))
-        base = replace(fit, free=tuple(f for f in fit.free if f.name in BASE_UNITS))
-        found = refine(some, base, steps=2, tolerance=1.0)
+        free = tuple(f for f in fit.free if f.name in BASE_UNITS)
+        base = replace(fit, free=free, covariance=np.diag([f.spread**2 for f in free]))
+        found = polished(some, base, Slopes(some), 2, 1.0)
         return {f.name: Value(found.value(f.name), found.stddev(f.name), BASE_UNITS[f.name])
                 for f in base.free}
 

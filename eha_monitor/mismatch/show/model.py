@@ -148,8 +148,8 @@ def prior_covariance(experiment: Experiment, free: Sequence[Free]) -> np.ndarray
     one error: beta_e is no better known than the volume.
     """
     tolerance, rig = experiment.settings.rig.tolerance, experiment.settings.rig
-    places = {f.name.removeprefix("rig."): i for i, f in enumerate(free)
-              if f.name.startswith("rig.")}
+    places = {f.symbol: i for i, f in enumerate(free)
+              if f.of_rig}
     spread = np.array([f.spread for f in free])
     for key, i in places.items():
         spread[i] = max(spread[i], tolerance.log_spread(key))

@@ -33,7 +33,7 @@ def rig_within(experiment: Experiment, naming: Naming) -> tuple[RigFinding, ...]
     """
     fitted, found, policy = {f.name for f in naming.after.free}, [], experiment.policy
     for own in rig_free(experiment):
-        key = own.name.removeprefix("rig.")
+        key = own.symbol
         if own.name not in fitted or key in naming.wrong or at_bound(
                 own, naming.after.value(own.name)):
             continue  # at the end of its tolerance it is no optimum, so no finding
