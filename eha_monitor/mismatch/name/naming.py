@@ -122,9 +122,8 @@ def beyond_form(experiment: Experiment, before: Fit, after: Fit, needs: Unknowns
     odds = ratio**4
     # Only what the recording asks for counts: where unknowns gain nothing their size says nothing.
     present = runs_of(experiment, after.theta, after.active, after.gains)
-    few = Unknowns(*np.minimum(policy.few * small, needs.as_array()))
-    with_needs, with_few = evidences_at(experiment, after, present, [needs, few])
-    gained = float(with_needs - with_few)
+    with_needs, without = evidences_at(experiment, after, present, [needs, Unknowns(*small)])
+    gained = float(with_needs - without)
     return odds / (1.0 + odds) * float(-np.expm1(-policy.temper * max(gained, 0.0)))
 
 
