@@ -5,8 +5,8 @@
 Concealed draws (seed 7001, as in ``answers.py``).  Those ``weighed`` are searched once, and the
 sets that were refitted are weighed anew with each number of ``SearchPolicy`` at 2/3 and at 3/2 of
 its value.  Those ``searched`` are diagnosed from the first fit on with each number, the first of
-them also with each of the constants that bound the search (``NUMERICS``).  Verdict and names are compared; a change
-counts as better or worse by what was concealed.
+them also with each of the constants that bound the search (``NUMERICS``).  Verdict and names are
+compared; a change counts as better or worse by what was concealed.
 """
 
 import argparse

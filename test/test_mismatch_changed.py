@@ -87,6 +87,7 @@ def test_the_whole_answer_on_air_that_enters():
         found.signals["position"].noise_rms, rel=0.1)
     assert found.signals["position"].before_rms > 1.5 * found.signals["position"].noise_rms
     tree = answer(found)
+    assert tree["policy"] == POLICY.to_dict() and len(tree["policy"]) <= 20
     assert [piece["parameters"]["beta_e"]["value"] for piece in tree["pieces"]] == [
         pytest.approx(6e8, rel=0.01), pytest.approx(3e8, rel=0.01)]
 

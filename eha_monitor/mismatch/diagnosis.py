@@ -313,7 +313,7 @@ class Diagnosis:
     baselines : least squares on the balances of each recording, beside which the answer stands.
     machine : what several recordings of one machine show together, or the machine that the
         recording was judged against.
-    policy : the numbers that decided names, where the balances did.
+    policy : the numbers that decided names.
     """
 
     bags: tuple[str, ...]

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
-from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread, with_unknowns
+from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread, with_unknowns
 from eha_monitor.mismatch.name.base import needs, with_effect, without_effect
 from eha_monitor.mismatch.name.columns import columns_at, effects_of, rig_free
 from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished
@@ -71,9 +71,7 @@ class RigNumbers:
             theta[f.place] = inside.get(f.place, self.experiment.theta[f.place])
         if s.VOL_1 in inside:  # what the oil column yields is its volume over its bulk modulus
             theta[s.BETA_E] *= theta[s.VOL_1] / fit.theta[s.VOL_1]
-        free = without_numbers(fit).free + numbers
-        made = replace(fit, theta=theta, free=free, covariance=np.zeros((len(free),) * 2))
-        return with_unknowns(self.experiment, made, made.unknowns)
+        return remade(self.experiment, fit, theta=theta, free=without_numbers(fit).free + numbers)
 
     def fitted(self, *starts: Fit, aim: float = -np.inf) -> Fit:
         """Return the best optimum over some starts; those that fall behind are not carried on.
@@ -113,7 +111,7 @@ class RigNumbers:
 
         Along a ridge of numbers slopes from elsewhere would end too early.
         """
-        fit = max(fit, with_unknowns(self.experiment, fit, fit.unknowns),
+        fit = max(fit, with_unknowns(self.experiment, fit),
                   key=lambda one: one.log_likelihood)
         if np.isfinite(fit.log_likelihood):
             fit = polished(self.experiment, fit, self.slopes(fit), ROUGH_STEPS, ROUGHLY)
@@ -249,7 +247,7 @@ def without_numbers(fit: Fit) -> Fit:
 
 def refitted(experiment: Experiment, fit: Fit) -> Fit:
     """Return a fit carried to its optimum, from gains that suit where it begins."""
-    return settled(experiment, with_unknowns(experiment, fit, fit.unknowns))
+    return settled(experiment, with_unknowns(experiment, fit))
 
 
 def entered_at(fit: Fit, start: Start) -> Fit:

@@ -296,7 +296,7 @@ def checked(experiment: Experiment, fit: Fit, question: Question, motion: Motion
     both = there.only((*experiment.stretches, *there.stretches)
                       if experiment.mode == there.mode else there.stretches)
     data = simulated(both, truth, seed)
-    right = settled(data, with_unknowns(data, truth, truth.unknowns))
+    right = settled(data, with_unknowns(data, truth))
     wrong = settled(data, with_unknowns(data, question.other, right.unknowns))
     # What the recording itself lacks is not in the simulation: predicted for its conditions.
     like = replace(fit, gains=right.gains, s=right.s)

@@ -10,7 +10,7 @@ from eha_monitor import ties
 from eha_monitor.mismatch.compare.healthy import Healthy
 from eha_monitor.mismatch.compare.runs import Reading, with_change
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
+from eha_monitor.mismatch.likelihood.fit import Fit, remade, spread, with_unknowns
 from eha_monitor.mismatch.name.candidates import candidate
 from eha_monitor.mismatch.name.columns import ALWAYS
 from eha_monitor.mismatch.name.polish import Slopes, polished
@@ -127,10 +127,9 @@ class Comparison:
         rest = [(f, held) for i, f, held in zip(
             own.places, own.free, own.held(self.healthy.fit), strict=True) if i not in places]
         free = wide + tuple(held for _, held in rest)
-        k = len(free)
-        made = polished(self.experiment, with_unknowns(self.experiment, replace(
-            start, theta=theta, active=active, free=free, covariance=np.zeros((k, k)),
-            converged=False), start.unknowns), Slopes(self.experiment), STEPS)
+        made = polished(self.experiment, remade(
+            self.experiment, start, theta=theta, active=active, free=free),
+            Slopes(self.experiment), STEPS)
         absent = any(self.what[i].variant >= 0 and made.theta[self.what[i].free.place]
                      == self.what[i].free.prior for i in places)
         if absent or not np.isfinite(made.log_likelihood):

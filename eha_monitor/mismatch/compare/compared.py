@@ -90,7 +90,7 @@ def _answer(healthy: Healthy, recordings: list[Recording], references: list[Reco
             best) > whole.policy.explained) else "unexplained")
     places = best.places if verdict == "mismatch" else ()
     say("showing the fit on unseen data", 0.9)
-    before, plain = (with_unknowns(fitted, one, one.unknowns)
+    before, plain = (with_unknowns(fitted, one)
                      for one in (healthy.usual(), healthy.fit))
     after = Comparison(healthy, fitted).fitted(best.fit, places) or plain
     names = tuple(dict.fromkeys(comparison.what[i].owner for i in places
@@ -132,7 +132,7 @@ def _learned(term: LearnedTerm, missing: Missing) -> Change:
 
 def _on(naming: Naming, fit: Fit, experiment: Experiment) -> Naming:
     """Return what was named of the healthy machine as the beginning for another recording."""
-    before, after = (with_unknowns(experiment, one, one.unknowns) for one in (naming.before, fit))
+    before, after = (with_unknowns(experiment, one) for one in (naming.before, fit))
     return replace(naming, experiment=experiment, before=before, after=after)
 
 

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import stdtrit
 
+from eha_monitor.balances.policy import POLICY
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.compare.runs import Own, Reading, Run, posterior_of, reading_of, run_of
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
@@ -23,7 +24,7 @@ PIECES = 8  # that they are cut in then, together
 SHORTEST_S = 1.0  # of a piece
 ANSWERS = 0.01  # of the usual power: a run that answers less says nothing of a number
 ROUNDS, LEAST = 200, 1e-12  # of expectation and maximisation; variance that stays
-FALSE = 0.01  # of healthy recordings that may be called changed
+FALSE = POLICY.false  # of healthy recordings that may be called changed
 
 
 @dataclass(frozen=True)
@@ -172,7 +173,7 @@ def healthy_of(references: list[Recording], settings: Settings) -> Healthy:
              for recording in references]
     naming = name_effects(informative(max(parts, key=lambda one: one.n)))
     joint = replace(naming.experiment, stretches=joint.stretches)
-    fit = with_unknowns(joint, naming.after, naming.after.unknowns)
+    fit = with_unknowns(joint, naming.after)
     parts, pieces = runs_in(parts)
     runs = spread(lambda one: run_of(joint.only(one.stretches), fit), parts)
     runs = tuple(run.ordered(runs[0].what) for run in runs)

@@ -164,7 +164,7 @@ def may_change(column: Column) -> bool:
 
 def run_of(experiment: Experiment, fit: Fit) -> Run:
     """Return what the recordings of an experiment say of a model."""
-    here = with_unknowns(experiment, fit, fit.unknowns)
+    here = with_unknowns(experiment, fit)
     columns = columns_at(experiment, here, unnamed=False)
     gram = grams_of(experiment, here, columns.values, [here.unknowns])[0]
     # A column that runs away says nothing of this recording.

@@ -16,11 +16,10 @@ from eha_monitor.mismatch.learn.forms import Form
 from eha_monitor.mismatch.learn.learned import (
     SHARPEST,
     Learned,
-    begun_with,
     score_of,
 )
 from eha_monitor.mismatch.learn.shapes import RIPPLES, SHAPES, Shape
-from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread
+from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
 from eha_monitor.physics.expression import parsed
@@ -177,7 +176,8 @@ def refitted(experiment: Experiment, learned: Learned, shape: Shape, values: dic
         else:
             size = scale_of(shape.units[key], learned.knots, y)
             free.append(Free(name, at, -1e3 * size, 1e3 * size, 0.0, WIDE * size))
-    made = settled(experiment, begun_with(experiment, learned.fit, theta, active, tuple(free)))
+    made = settled(experiment, remade(
+        experiment, learned.fit, theta=theta, active=active, free=tuple(free)))
     found = {key: float(made.theta[slot.start + CONSTANTS + place])
              for key, place in expression.parameters.items()}
     return Formula(shape.name, text, found, shown_as(shape, form, found), made,

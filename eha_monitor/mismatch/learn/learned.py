@@ -15,7 +15,7 @@ from eha_monitor.mismatch.learn.forms import (
     free_slot,
     ranked_forms,
 )
-from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread, with_unknowns
+from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread
 from eha_monitor.mismatch.name.candidates import log_prior
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.refit import (
@@ -134,16 +134,7 @@ def entered(experiment: Experiment, base: Fit, which: int, guess: Guess, values:
         fastest = max(experiment.ranges.speed, 1e-9)
         free += (Free(f"{ALL_NAMES[which]}.scale", slot.start + SCALE, SHARPEST * fastest,
                       fastest, float(np.log(guess.table.scale)), experiment.policy.shape, True),)
-    return begun_with(experiment, base, theta, active, base.free + free)
-
-
-def begun_with(experiment: Experiment, base: Fit, theta: np.ndarray, active: np.ndarray,
-               free: tuple[Free, ...]) -> Fit:
-    """Return a model with other parameters, under the unknowns of ``base``, not yet refitted."""
-    k = len(free)
-    return with_unknowns(experiment, replace(
-        base, theta=theta, active=active, free=free, covariance=np.zeros((k, k)),
-        converged=False), base.unknowns)
+    return remade(experiment, base, theta=theta, active=active, free=base.free + free)
 
 
 def bases_of(experiment: Experiment, naming: Naming) -> list[Fit]:

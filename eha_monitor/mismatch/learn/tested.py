@@ -8,9 +8,9 @@ from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import NamedEffect, Value
 from eha_monitor.mismatch.learn.forms import free_slot
-from eha_monitor.mismatch.learn.learned import alone, bases_of, begun_with, score_of
+from eha_monitor.mismatch.learn.learned import alone, bases_of, score_of
 from eha_monitor.mismatch.learn.validated import ValidatedTerm, missing_of, removed, size_of
-from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread
+from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread
 from eha_monitor.mismatch.name.naming import Naming, beyond_form
 from eha_monitor.mismatch.name.refit import looked, settled
 from eha_monitor.mismatch.show.held_out import shown, worse
@@ -106,7 +106,7 @@ def entered(experiment: Experiment, base: Fit, which: int, hypothesis: Hypothesi
         else:
             free.append(Free(name, at, one.lower, one.upper, one.start,
                              0.5 * (one.upper - one.lower)))
-    return begun_with(experiment, base, theta, active, tuple(free))
+    return remade(experiment, base, theta=theta, active=active, free=tuple(free))
 
 
 def supported(experiment: Experiment, unseen: Experiment, naming: Naming, test: Tested

@@ -267,11 +267,23 @@ def step_within(matrix: np.ndarray, gradient: np.ndarray, bounds: np.ndarray) ->
     return step
 
 
-def with_unknowns(experiment: Experiment, fit: Fit, unknowns: Unknowns) -> Fit:
+def remade(experiment: Experiment, fit: Fit, **changes) -> Fit:
+    """Return a fit with some of its fields changed, not yet refitted."""
+    made = replace(fit, converged=False, **changes)
+    return with_unknowns(experiment, replace(made, covariance=np.zeros((len(made.free),) * 2)))
+
+
+def with_unknowns(experiment: Experiment, fit: Fit, unknowns: Unknowns | None = None) -> Fit:
     """Return the same parameters under other unknowns: new gains, innovations, likelihood.
 
     Parameters that no filter can follow have a likelihood of zero.
+
+    Parameters
+    ----------
+    experiment : also another one than the fit was made on.
+    unknowns : without them the fit's own.
     """
+    unknowns = unknowns or fit.unknowns
     try:
         gains = gains_of(experiment, fit.theta, fit.active, unknowns)
     except np.linalg.LinAlgError:

@@ -172,7 +172,7 @@ def sensor_errors(experiment: Experiment, base: Fit, balance: str, outputs: list
     if not outputs or not used.any():
         return []
     others = replace(experiment, used=used)
-    tracks = tracks_of(others, smoothed(others, with_unknowns(others, base, base.unknowns)))
+    tracks = tracks_of(others, smoothed(others, with_unknowns(others, base)))
     return [Missing(
         balance, "m" if output == 0 else "Pa", tracks,
         tuple(stretch.z[:, output] - track[:, SENSORS[output]]

@@ -9,7 +9,7 @@ from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import FORCED, OPEN
 from eha_monitor.mismatch.diagnosis import Gate
-from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
+from eha_monitor.mismatch.likelihood.fit import Fit, remade, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.name.base import limits_of, needs
 from eha_monitor.mismatch.name.candidates import RIG, all_named, candidate
@@ -91,10 +91,8 @@ def at_config(experiment: Experiment, fit: Fit) -> Fit:
         if f.name in loose:
             theta[f.place] = experiment.theta[f.place]
     free = tuple(f for f in fit.free if f.name not in loose)
-    k = len(free)
-    plain = polished(experiment, with_unknowns(experiment, replace(
-        fit, theta=theta, free=free, covariance=np.zeros((k, k)), converged=False),
-        fit.unknowns), Slopes(experiment))
+    plain = polished(experiment, remade(experiment, fit, theta=theta, free=free),
+                     Slopes(experiment))
     if not fit.log_likelihood - plain.log_likelihood < -np.log(experiment.policy.rival):
         return fit  # it says something of them after all
     return replace(plain, free=fit.free, covariance=fit.covariance)
@@ -217,6 +215,6 @@ def on_all_of(experiment: Experiment, naming: Naming) -> Naming:
     whole = naming.experiment.only(experiment.stretches)
 
     def over(fit):
-        return replace(with_unknowns(whole, fit, fit.unknowns), covariance=fit.covariance)
+        return replace(with_unknowns(whole, fit), covariance=fit.covariance)
 
     return replace(naming, experiment=whole, before=over(naming.before), after=over(naming.after))

@@ -9,6 +9,7 @@ from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import (
     Fit,
     Free,
+    remade,
     with_unknowns,
 )
 from eha_monitor.mismatch.likelihood.gains import Unknowns, expected_covariance, gains_of
@@ -200,10 +201,8 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
             theta[place] = experiment.theta[place]
     for f in free:
         theta[f.place] = f.outward(f.inward(theta[f.place]))
-    k = len(free)
-    made = replace(fit, theta=theta, active=active, free=tuple(free), named=named,
-                   covariance=np.zeros((k, k)), converged=False)
-    return with_unknowns(experiment, made, ranked.gram.unknowns)
+    return remade(experiment, fit, theta=theta, active=active, free=tuple(free), named=named,
+                  unknowns=ranked.gram.unknowns)
 
 
 def informed(experiment: Experiment, what: tuple[Column, ...], ranked: Ranked) -> list[Free]:

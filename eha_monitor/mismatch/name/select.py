@@ -7,7 +7,7 @@ import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment, resolving
-from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
+from eha_monitor.mismatch.likelihood.fit import Fit, remade, spread, with_unknowns
 from eha_monitor.mismatch.name.base import limits_of, needs, with_effect, without_effect
 from eha_monitor.mismatch.name.candidates import candidate
 from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, rig_free
@@ -62,7 +62,7 @@ class Selection:
     Attributes
     ----------
     experiment : with integration steps that resolve the damping that was found.
-    nominal : the model without effects; ``best`` the model of the set with most evidence.
+    nominal : the model without effects.
     refits : every refitted set.
     view : sets with names by the linear guess from the best model, if the search came there;
         ``beside`` what has no name, beside parts of the best.
@@ -70,7 +70,6 @@ class Selection:
 
     experiment: Experiment
     nominal: Fit
-    best: Fit
     refits: Refits
     view: Linearised | None
     beside: Linearised
@@ -111,13 +110,11 @@ class Search:
 
     def going_on_from(self, found: "Search") -> None:
         """Take over what a sketch has left in the running, fitted to these samples."""
-        scores, best, refits = found.refits.scores(), found.refits.best(), self.refits
-        running = [names for names in ties.ordered(scores, scores.get, plainness, ties.GUESS)
-                   if scores[names] > scores[best] - WITHIN_REACH and names][:FINALISTS]
-        for names in running:
+        refits, experiment = self.refits, self.experiment
+        for names in list(filter(None, within_reach(found.refits)))[:FINALISTS]:
             worth = max(fit.log_likelihood for fit in refits.fits.values()) - CLOSE
-            refits.add(self.experiment, names, settled(
-                self.experiment, over(self.experiment, found.refits.fits[names]), worth=worth))
+            refits.add(experiment, names, settled(
+                experiment, with_unknowns(experiment, found.refits.fits[names]), worth=worth))
         if refits.best():
             self.widely, self.done[frozenset()] = False, refits.evidence[frozenset()]
 
@@ -213,12 +210,12 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
     sketch = sketch_of(experiment, start)
     if sketch is not None:
         say("searching a third of the samples", 0.1)
-        search.going_on_from(explored(Search.at(sketch, over(sketch, start), True), say))
+        search.going_on_from(explored(Search.at(sketch, with_unknowns(sketch, start), True), say))
     refits, views = explored(search, say).refits, search.views
     gated(experiment, refits)
     best = refits.best()
     say("weighing effects not in the catalogue", 0.85)
-    return Selection(experiment, first, refits.fits[best], refits, views.get(best),
+    return Selection(experiment, first, refits, views.get(best),
                      beside(experiment, best, refits.fits[best]))
 
 
@@ -227,13 +224,8 @@ def sketch_of(experiment: Experiment, start: Fit) -> Experiment | None:
     if experiment.n < 2 * SKETCH or not lacks(experiment, start):
         return None
     found = informative(experiment, SKETCH, SKETCH_WINDOW)
-    runs = found is not experiment and np.isfinite(over(found, start).log_likelihood)
+    runs = found is not experiment and np.isfinite(with_unknowns(found, start).log_likelihood)
     return found if runs else None
-
-
-def over(experiment: Experiment, fit: Fit) -> Fit:
-    """Return a fit with its innovations over the samples of an experiment."""
-    return with_unknowns(experiment, fit, fit.unknowns)
 
 
 def explored(search: Search, say: Callable[[str, float], None]) -> Search:
@@ -437,9 +429,7 @@ def with_rig(experiment: Experiment, fit: Fit) -> Fit:
     """
     known = {f.name for f in fit.free}
     free = fit.free + tuple(f for f in rig_free(experiment, fit.named) if f.name not in known)
-    k = len(free)
-    return with_unknowns(experiment, replace(
-        fit, free=free, covariance=np.zeros((k, k)), converged=False), fit.unknowns)
+    return remade(experiment, fit, free=free)
 
 
 def without_each(experiment: Experiment, refits: Refits) -> None:
@@ -486,6 +476,13 @@ def gated(experiment: Experiment, refits: Refits) -> None:
                     experiment, lesser(experiment, fit, name), worth=fit.log_likelihood - CLOSE))
 
 
+def within_reach(refits: Refits) -> list[Names]:
+    """Return the sets that are within reach of the best one, best first."""
+    scores, best = refits.scores(), refits.best()
+    return [names for names in ties.ordered(scores, scores.get, plainness, ties.GUESS)
+            if scores[names] > scores[best] - WITHIN_REACH]
+
+
 def finish(experiment: Experiment, refits: Refits) -> None:
     """Fit the sets that are within reach of the best to the end, under the same unknowns.
 
@@ -505,12 +502,9 @@ def finish(experiment: Experiment, refits: Refits) -> None:
                 refits.add(experiment, best - {name} | {other}, settled(
                     experiment, simplified(experiment, lead, name, other),
                     worth=lead.log_likelihood - CLOSE))
-    scores, best = refits.scores(), refits.best()
-    near = [names for names in ties.ordered(scores, scores.get, plainness, ties.GUESS)
-            if scores[names] > scores[best] - WITHIN_REACH][:FINALISTS]
-    if frozenset() not in near and scores[frozenset()] > scores[best] - WITHIN_REACH:
-        near.append(frozenset())  # that nothing is missing is never judged by half a fit
-    level = refits.fits[best].unknowns
+    # That nothing is missing is never judged by half a fit.
+    near = [names for i, names in enumerate(within_reach(refits)) if i < FINALISTS or not names]
+    level = refits.fits[refits.best()].unknowns
     lead = refits.fits[refits.likeliest(near)]
     worth = lead.log_likelihood - CLOSE
 
