@@ -31,6 +31,7 @@ from eha_monitor.mismatch.diagnosis import (
 )
 from eha_monitor.mismatch.learn.tested import Tested, supported, tested
 from eha_monitor.mismatch.learn.validated import ValidatedTerm, validated_term
+from eha_monitor.mismatch.likelihood.along import filtered_tracks
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
@@ -52,7 +53,7 @@ from eha_monitor.mismatch.show.model import (
     values_of,
 )
 from eha_monitor.mismatch.show.rig_numbers import rig_findings, rig_within
-from eha_monitor.mismatch.show.sizes import filtered_tracks, size_of
+from eha_monitor.mismatch.show.sizes import size_of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
 from eha_monitor.quantity import number, quantity, share

@@ -8,13 +8,13 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
+from eha_monitor.mismatch.likelihood.along import filtered_tracks
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.likelihood.gains import smallest_unknowns
 from eha_monitor.mismatch.name.columns import Column, Columns, columns_at
 from eha_monitor.mismatch.name.proposals import weighed
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.unnamed import Unnamed
-from eha_monitor.mismatch.show.sizes import filtered_tracks
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.own_term import OWN_NAMES, cardinal

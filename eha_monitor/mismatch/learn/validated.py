@@ -17,9 +17,10 @@ from eha_monitor.mismatch.learn.formula import (
 )
 from eha_monitor.mismatch.learn.learned import Learned, learned_of
 from eha_monitor.mismatch.learn.shapes import RIPPLES, SHAPES
+from eha_monitor.mismatch.likelihood.along import contributed
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.likelihood.smooth import smoothed
-from eha_monitor.mismatch.locate.missing import contributed, modelled_flow, modelled_force
+from eha_monitor.mismatch.locate.missing import modelled_flow, modelled_force
 from eha_monitor.mismatch.locate.terms import STATES, UNITS, Missing, following
 from eha_monitor.mismatch.locate.terms import tracks_of as smoothed_tracks
 from eha_monitor.mismatch.name.naming import Naming
@@ -142,7 +143,7 @@ def made_by(experiment: Experiment, fit: Fit, which: int, balance: str, track: n
         return modelled_force(experiment, fit, track, name)
     if balance == "flow":
         return modelled_flow(experiment, fit, track, name)
-    return contributed(experiment, fit, track, name)[:, s.SPEED]
+    return contributed(experiment, fit.theta, track, name)[:, s.SPEED]
 
 
 def size_of(missing: Missing) -> str:

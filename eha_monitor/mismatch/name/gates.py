@@ -12,14 +12,12 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from eha_monitor.estimation.along import contributions_along
-from eha_monitor.mismatch.data.experiment import Experiment, Stretch
+from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import Gate
-from eha_monitor.mismatch.likelihood.along import signals_along
-from eha_monitor.mismatch.likelihood.fit import Fit, Free, filtered
+from eha_monitor.mismatch.likelihood.along import contributed, filtered_tracks
+from eha_monitor.mismatch.likelihood.fit import Fit, Free
 from eha_monitor.physics import signals as s
-from eha_monitor.physics.contributions import new_memory
-from eha_monitor.physics.effects import CATALOGUE, NAMES
+from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
 from eha_monitor.quantity import quantity
 from eha_monitor.words import effect_words
@@ -101,8 +99,7 @@ def _signs(experiment: Experiment, fit: Fit) -> Iterator[Gate]:
             for kind in ("motion", "pressure")}
     if not any(laws.values()):
         return
-    tracks = [_track(experiment, fit, stretch) for stretch in experiment.stretches]
-    dt = experiment.dt
+    tracks = filtered_tracks(experiment, fit)
     whole = np.concatenate(tracks)
     fastest = np.abs(whole[:, s.V]).max()
     for name in laws["motion"]:
@@ -112,7 +109,7 @@ def _signs(experiment: Experiment, fit: Fit) -> Iterator[Gate]:
 
             def friction(theta, slow=slow, name=name, way=way):
                 return way * np.concatenate([
-                    _alone(track, dt, theta, fit, (name,))[here, s.FORCE]
+                    contributed(experiment, theta, track, (name,))[here, s.FORCE]
                     for track, here in zip(tracks, slow, strict=True)])
 
             least = _surely_negative(fit, friction, (name,), experiment.policy.sure)
@@ -125,7 +122,7 @@ def _signs(experiment: Experiment, fit: Fit) -> Iterator[Gate]:
             found = []
             for track in tracks:
                 dp = track[:, s.P1] - track[:, s.P2]
-                c = _alone(track, dt, theta, fit, laws["pressure"])
+                c = contributed(experiment, theta, track, laws["pressure"])
                 flow = 0.5 * (c[:, s.FLOW_2] - c[:, s.FLOW_1]
                               + (theta[s.C_T] - theta[s.G_MAKEUP]) * dp)
                 found.append((flow * np.sign(dp))[np.abs(dp) > np.median(np.abs(dp))])
@@ -160,19 +157,3 @@ def _surely_negative(fit: Fit, rows: Callable[[np.ndarray], np.ndarray],
         slopes.append((rows(theta).mean() - here.mean()) / step)
     variance = float(np.array(slopes) @ fit.covariance[np.ix_(own, own)] @ np.array(slopes))
     return float(here.mean()) if here.mean() < -sure * np.sqrt(max(variance, 0.0)) else None
-
-
-def _track(experiment: Experiment, fit: Fit, stretch: Stretch) -> np.ndarray:
-    """Return the signals along a stretch, (n, N_SIGNALS)."""
-    return signals_along(experiment, stretch, filtered(
-        experiment, stretch, fit.theta, fit.active, fit.gains, states=True)[1])
-
-
-def _alone(track: np.ndarray, dt: float, theta: np.ndarray, fit: Fit, names: tuple[str, ...]
-           ) -> np.ndarray:
-    """Return what some effects alone contribute along a track, (n, N_CONTRIBUTIONS)."""
-    active = np.zeros_like(fit.active)
-    active[[NAMES.index(name) for name in names]] = True
-    found = np.zeros((len(track), s.N_CONTRIBUTIONS))
-    contributions_along(track, dt, 2, theta, active, new_memory(), found)
-    return found

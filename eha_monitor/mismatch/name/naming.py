@@ -11,7 +11,7 @@ from eha_monitor.mismatch.data.inputs import FORCED, OPEN
 from eha_monitor.mismatch.diagnosis import Gate
 from eha_monitor.mismatch.likelihood.fit import Fit, remade, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns
-from eha_monitor.mismatch.name.base import limits_of, needs
+from eha_monitor.mismatch.name.base import limits_of
 from eha_monitor.mismatch.name.candidates import RIG, all_named, candidate
 from eha_monitor.mismatch.name.columns import runs_of
 from eha_monitor.mismatch.name.gram import evidences_at
@@ -134,11 +134,6 @@ def form_only(experiment: Experiment, before: Fit, after: Fit) -> bool:
     few = Unknowns(*(experiment.policy.few * limits_of(experiment)[0].as_array()))
     left = [np.nanmean(with_unknowns(experiment, fit, few).e ** 2) for fit in (before, after)]
     return bool(left[1] < experiment.policy.law * left[0])
-
-
-def lacking(experiment: Experiment, fit: Fit) -> bool:
-    """Tell whether a fit needs an unknown that matters."""
-    return needs(experiment, fit, experiment.policy.matters)
 
 
 def name_effects(experiment: Experiment, report: Report | None = None) -> Naming:

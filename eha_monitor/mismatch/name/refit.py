@@ -13,7 +13,7 @@ from eha_monitor.mismatch.likelihood.fit import (
     with_unknowns,
 )
 from eha_monitor.mismatch.likelihood.gains import Unknowns, expected_covariance, gains_of
-from eha_monitor.mismatch.name.base import base_free, limits_of, timing_free
+from eha_monitor.mismatch.name.base import LEAST_SHARE, base_free, limits_of, timing_free
 from eha_monitor.mismatch.name.candidates import candidate
 from eha_monitor.mismatch.name.columns import (
     ALWAYS,
@@ -31,7 +31,6 @@ from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import BASE_KEYS, effect_values, place_of
 
 FIRST = 100.0  # times the smallest unknowns: where a nominal model begins
-LEAST = 0.05  # of its start: where a size enters at least
 SHARES = (1.0, 0.3)  # of the way to a linear guess
 SHORTER = (0.1, 0.03, 0.01)  # where no model can run there
 FARTHEST = 6.0  # of a logarithm: how far a number of the rig is moved by a linear guess
@@ -240,7 +239,7 @@ def guess(column: Column, amplitude: float) -> float:
     if p.log or not np.isfinite(p.neutral):
         return start
     value = placed(column, amplitude)
-    least = p.neutral + LEAST * (start - p.neutral)
+    least = p.neutral + LEAST_SHARE * (start - p.neutral)
     if p.lower >= 0 and abs(value - p.neutral) < abs(least - p.neutral):
         value = least
     if column.start.among > 1 and p.unit in ("s", "m"):  # a shift is linear near itself only

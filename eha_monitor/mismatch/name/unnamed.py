@@ -12,8 +12,8 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
-from eha_monitor.mismatch.likelihood.along import signals_along
-from eha_monitor.mismatch.likelihood.fit import Fit, filtered, spread
+from eha_monitor.mismatch.likelihood.along import filtered_tracks
+from eha_monitor.mismatch.likelihood.fit import Fit, spread
 from eha_monitor.mismatch.likelihood.gains import linear_of, smallest_unknowns
 from eha_monitor.mismatch.name.gram import carried, injected
 from eha_monitor.physics import signals as s
@@ -102,10 +102,7 @@ def loads_of(experiment: Experiment, amplitudes: np.ndarray
 
 def unnamed_of(experiment: Experiment, fit: Fit) -> list[Unnamed]:
     """Return the unknown functions that compete, along the filtered motion of a fit."""
-    tracks = []
-    for stretch in experiment.stretches:
-        states = filtered(experiment, stretch, fit.theta, fit.active, fit.gains, states=True)[1]
-        tracks.append(signals_along(experiment, stretch, states))
+    tracks = filtered_tracks(experiment, fit)
     x = [track[:, s.X] for track in tracks]
     v = [track[:, s.V] for track in tracks]
     sense = [np.tanh(one / max(0.01 * experiment.ranges.speed, 1e-9)) for one in v]

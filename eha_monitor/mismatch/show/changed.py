@@ -21,8 +21,8 @@ from eha_monitor.mismatch.likelihood.fit import (
     spread,
     with_unknowns,
 )
-from eha_monitor.mismatch.name.base import expected_likelihood
-from eha_monitor.mismatch.name.naming import Naming, lacking
+from eha_monitor.mismatch.name.base import expected_likelihood, needs
+from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.refit import settled, unfitted
 from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.mismatch.show.model import robust, values_of
@@ -66,7 +66,7 @@ def changed_between(experiment: Experiment, recordings: list[Recording], naming:
     if len(parts) < 2:
         return None
     fits = [settled(part, unfitted(part)) for part in parts]  # each on all cores
-    if any(lacking(part, fit) for part, fit in zip(parts, fits, strict=True)):
+    if any(needs(part, fit, policy.matters) for part, fit in zip(parts, fits, strict=True)):
         return None  # the nominal model does not explain them piece by piece either
     expected = sum(expected_likelihood(part, fit) for part, fit in zip(parts, fits, strict=True))
     reached = sum(fit.log_likelihood for fit in fits)

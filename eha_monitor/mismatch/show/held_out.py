@@ -12,13 +12,12 @@ from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import FORCED
 from eha_monitor.mismatch.data.stretch import Stretch
 from eha_monitor.mismatch.diagnosis import Agreement, Gate, Overlay, SignalFit, Value
-from eha_monitor.mismatch.likelihood.along import signals_along
+from eha_monitor.mismatch.likelihood.along import filtered_tracks, signals_along
 from eha_monitor.mismatch.likelihood.fit import Fit, filtered, spread
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED
 from eha_monitor.mismatch.locate.missing import modelled_force
 from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.policy import SearchPolicy
-from eha_monitor.mismatch.show.sizes import filtered_tracks
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import ALL_NAMES, circuit_of
 from eha_monitor.physics.plant import N_OUTPUTS, Y_P1, Y_P2, Y_V, Y_X
