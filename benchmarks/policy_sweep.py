@@ -1,16 +1,19 @@
 """Which names move when a number of the search's policy does, or one of its numerics.
 
-    python benchmarks/policy_sweep.py [--weighed C001 ...] [--searched C003 ...] [--record]
+    python benchmarks/policy_sweep.py --work DIR [--weighed C001 ...] [--searched C003 ...]
+        [--record]
 
 Concealed draws (seed 7001, as in ``answers.py``).  Those ``weighed`` are searched once, and the
 sets that were refitted are weighed anew with each number of ``SearchPolicy`` at 2/3 and at 3/2 of
 its value.  Those ``searched`` are diagnosed from the first fit on with each number, the first of
 them also with each of the constants that bound the search (``NUMERICS``).  Verdict and names are
-compared; a change counts as better or worse by what was concealed.
+compared; a change counts as better or worse by what was concealed.  What was found of a draw is
+kept in ``--work``, so that a sweep can be stopped and goes on.
 """
 
 import argparse
 import importlib
+import json
 import sys
 import tempfile
 import time
@@ -34,8 +37,22 @@ NUMERICS = (  # room, constants: how much is searched, and how finely
     ("name.select", "SKETCH"), ("name.unnamed", "HATS"))
 
 
-def answers_of(job: tuple[str, int]) -> dict[tuple[str, float], tuple[tuple[str, ...], bool]]:
+Answers = dict[tuple[str, float], tuple[tuple[str, ...], bool]]
+
+
+def answers_of(job: tuple[str, int, Path]) -> Answers:
     """Return (number, factor) -> names of a draw, and whether none is wrong."""
+    name, anew, work = job
+    kept = work / f"{name}_{anew}.json"
+    if not kept.exists():
+        found = answered(name, anew)
+        kept.write_text(json.dumps([[*key, *value] for key, value in found.items()]))
+    return {(number, factor): (tuple(names), good)
+            for number, factor, names, good in json.loads(kept.read_text())}
+
+
+def answered(name: str, anew: int) -> Answers:
+    """Return the answers of a draw that is ``anew`` 0 weighed, 1 searched, 2 with numerics."""
     from eha_monitor.concealed.cases import truth_of
     from eha_monitor.concealed.draws import draw_cases
     from eha_monitor.concealed.generate import write_case
@@ -44,7 +61,6 @@ def answers_of(job: tuple[str, int]) -> dict[tuple[str, float], tuple[tuple[str,
     from eha_monitor.recordings.read import read_recording
     from eha_monitor.settings import load_settings
 
-    name, anew = job  # 0 weighed, 1 searched, 2 with other numerics besides
     case = next(case for case in draw_cases(DRAWS, SEED) if case.name == name)
     with tempfile.TemporaryDirectory() as folder:
         bag, config = write_case(case, Path(folder))
@@ -120,6 +136,7 @@ def right(names: tuple[str, ...], rivals: dict, truth: dict) -> bool:
 def main() -> None:
     """Print and record what moved."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--work", type=Path, required=True, help="folder of what was found")
     parser.add_argument("--weighed", nargs="*", default=WEIGHED)
     parser.add_argument("--searched", nargs="*", default=SEARCHED)
     parser.add_argument("--jobs", type=int, default=1)
@@ -127,8 +144,9 @@ def main() -> None:
     given = parser.parse_args()
     from eha_monitor.mismatch.policy import POLICY
 
-    jobs = [(name, 1 if i else 2) for i, name in enumerate(given.searched)] + [
-        (name, 0) for name in given.weighed]
+    given.work.mkdir(parents=True, exist_ok=True)
+    jobs = [(name, 1 if i else 2, given.work) for i, name in enumerate(given.searched)] + [
+        (name, 0, given.work) for name in given.weighed]
     with ProcessPoolExecutor(given.jobs, get_context("spawn")) as pool:
         found = []
         for job, one in zip(jobs, pool.map(answers_of, jobs), strict=True):
@@ -142,7 +160,7 @@ def main() -> None:
     rows = []
     for number in dict.fromkeys(number for one in found for number, _ in one if number):
         row = {"number": number, "value": asdict(POLICY).get(number)}
-        for (_, anew), one in zip(jobs, found, strict=True):
+        for (_, anew, _), one in zip(jobs, found, strict=True):
             for factor in FACTORS:
                 if (number, factor) not in one:
                     continue
