@@ -1,12 +1,12 @@
 """Which names move when a number of the search's policy does, or one of its numerics.
 
     python benchmarks/policy_sweep.py --work DIR [--weighed C001 ...] [--searched C003 ...]
-        [--record]
+        [--numerics] [--record]
 
 Concealed draws (seed 7001, as in ``answers.py``).  Those ``weighed`` are searched once, and the
 sets that were refitted are weighed anew with each number of ``SearchPolicy`` at 2/3 and at 3/2 of
-its value.  Those ``searched`` are diagnosed from the first fit on with each number, the first of
-them also with each of the constants that bound the search (``NUMERICS``).  Verdict and names are
+its value.  Those ``searched`` are diagnosed from the first fit on with each number, and with
+``--numerics`` also with each of the constants that bound the search.  Verdict and names are
 compared; a change counts as better or worse by what was concealed.  What was found of a draw is
 kept in ``--work``, so that a sweep can be stopped and goes on.
 """
@@ -139,14 +139,15 @@ def main() -> None:
     parser.add_argument("--work", type=Path, required=True, help="folder of what was found")
     parser.add_argument("--weighed", nargs="*", default=WEIGHED)
     parser.add_argument("--searched", nargs="*", default=SEARCHED)
+    parser.add_argument("--numerics", action="store_true", help="vary what bounds the search too")
     parser.add_argument("--jobs", type=int, default=1)
     record.add_option(parser)
     given = parser.parse_args()
     from eha_monitor.mismatch.policy import POLICY
 
     given.work.mkdir(parents=True, exist_ok=True)
-    jobs = [(name, 1 if i else 2, given.work) for i, name in enumerate(given.searched)] + [
-        (name, 0, given.work) for name in given.weighed]
+    jobs = [(name, anew, given.work) for anew, names in (
+        (1 + given.numerics, given.searched), (0, given.weighed)) for name in names]
     with ProcessPoolExecutor(given.jobs, get_context("spawn")) as pool:
         found = []
         for job, one in zip(jobs, pool.map(answers_of, jobs), strict=True):

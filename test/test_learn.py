@@ -10,7 +10,14 @@ from ruamel.yaml import YAML
 
 from eha_monitor.api.diagnosis_answer import answer, written_config
 from eha_monitor.mismatch.diagnosis import LearnedTerm, SignalFit
-from eha_monitor.mismatch.learn.forms import BALANCE, UNKNOWN, Form, factor_along, signal_along
+from eha_monitor.mismatch.learn.forms import (
+    BALANCE,
+    UNKNOWN,
+    Form,
+    Table,
+    factor_along,
+    signal_along,
+)
 from eha_monitor.mismatch.learn.formula import (
     FACTORS,
     curve_of,
@@ -54,7 +61,7 @@ TRUE = {"F": 38.0, "F_0": 5.0, "k": 900.0, "c": 4e4, "u_0": 3e-3, "w": 6e-3, "d"
 class Curve:
     """A learned curve of x that is known with 0.2 at each of 33 places."""
 
-    form, scale, divisor = Form("force", "x", "direction"), 1e-3, 1.0
+    table, divisor = Table(Form("force", "x", "direction"), -0.02, 0.02, 1e-3, 1.0), 1.0
 
     def __init__(self, values, stddev=0.2):
         self.values = np.asarray(values)
