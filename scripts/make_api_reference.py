@@ -22,7 +22,7 @@ PARTS = {
     "recordings.recording": ("ChannelFinding",),
     "mismatch.diagnosis": ("NamedEffect", "Value", "RigFinding", "LearnedTerm", "Change",
                            "Location", "SignalFit"),
-    "mismatch.advise.tells": ("Known", "Confusion", "Sight"),
+    "mismatch.advise.identifiability": ("Known", "Confusion", "DetectionLimit"),
     "mismatch.advise.separate": ("Doubt",),
     "mismatch.advise.motions": ("Motion",),
 }

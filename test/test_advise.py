@@ -17,8 +17,8 @@ from eha_monitor.concealed.cases import Case
 from eha_monitor.concealed.generate import nominal_config, recording_of
 from eha_monitor.concealed.motions import triangle
 from eha_monitor.mismatch.advise import advice as advise
+from eha_monitor.mismatch.advise.identifiability import Reading, directions_for, largest_cosine
 from eha_monitor.mismatch.advise.motions import candidates, excitation_tree, limits_for, planned
-from eha_monitor.mismatch.advise.tells import Reading, directions_for, largest_cosine
 from eha_monitor.mismatch.advise.words import amount, motion_sentence, rounded
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.likelihood.fit import with_unknowns
@@ -180,7 +180,7 @@ def test_just_visible_effect_is_visible(plain):
     """What is said to show from a size on gains that much in the likelihood of the fit."""
     experiment, fit = plain
     found = advise.advice(experiment, fit, {}, check=False)
-    seen = {sight.effect: sight for sight in found.sights}
+    seen = {limit.effect: limit for limit in found.detection_limits}
     assert seen["constant_load"].gain > seen["quadratic_friction"].gain
     assert seen["constant_load"].visible < seen["constant_load"].matters
     assert seen["coulomb_friction"].visible < 5.0  # N, of 24 N that this motion takes

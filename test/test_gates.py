@@ -14,6 +14,7 @@ from eha_monitor.mismatch.name.gates import at_bound, ends_of_tolerance, failure
 from eha_monitor.mismatch.name.refit import wide
 from eha_monitor.mismatch.name.select import with_rig, without_along
 from eha_monitor.mismatch.name.starts import starts_of
+from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.mismatch.show.held_out import unseen_gates, without_answer
 from eha_monitor.physics.parameters import place_of
 
@@ -84,7 +85,8 @@ def test_a_leak_that_flows_uphill_is_refused_beyond_its_noise():
 
 def test_a_number_of_the_rig_off_by_a_thousand_is_refused():
     here = fitted("coulomb_friction", told=False)
-    own = wide(next(f for f in rig_free(here.experiment) if f.name == "rig.makeup_conductance"))
+    own = wide(next(f for f in rig_free(here.experiment)
+                    if f.name == "rig.makeup_conductance"), POLICY)
     for value in (own.lower, own.upper):
         theta = here.before.theta.copy()
         theta[own.place] = value
@@ -133,17 +135,19 @@ def signal(before, after, size=1.0, noise=0.01):
 
 
 def test_an_error_that_grows_by_two_per_cent_of_its_signal_is_refused():
-    assert not unseen_gates({"position": signal(0.5, 0.3), "pressure_1": signal(0.1, 0.1)})
-    failed = unseen_gates({"position": signal(0.5, 0.3), "pressure_1": signal(0.067, 0.153)})
+    assert not unseen_gates({"position": signal(0.5, 0.3), "pressure_1": signal(0.1, 0.1)}, POLICY)
+    failed = unseen_gates(
+        {"position": signal(0.5, 0.3), "pressure_1": signal(0.067, 0.153)}, POLICY)
     assert [(gate.gate, gate.what) for gate in failed] == [("unseen_error", "pressure_1")]
     assert "67 mm to 153 mm" in failed[0].statement
 
 
 def test_errors_that_grow_together_are_refused_and_nothing_known_is_not():
-    failed = unseen_gates({"position": signal(0.10, 0.115), "pressure_1": signal(0.02, 0.02)})
+    failed = unseen_gates(
+        {"position": signal(0.10, 0.115), "pressure_1": signal(0.02, 0.02)}, POLICY)
     assert [gate.what for gate in failed] == ["all signals"]
     nothing = {"force": SignalFit("N", float("nan"), float("nan"), float("nan"))}
-    assert not unseen_gates(nothing)
+    assert not unseen_gates(nothing, POLICY)
 
 
 def test_without_an_answer_the_nominal_model_is_shown():

@@ -10,7 +10,14 @@ from ruamel.yaml import YAML
 
 from eha_monitor.api.diagnosis_answer import answer, written_config
 from eha_monitor.mismatch.diagnosis import LearnedTerm, SignalFit
-from eha_monitor.mismatch.learn.forms import BALANCE, UNKNOWN, Form, factor_along, signal_along
+from eha_monitor.mismatch.learn.forms import (
+    BALANCE,
+    UNKNOWN,
+    Form,
+    Table,
+    factor_along,
+    signal_along,
+)
 from eha_monitor.mismatch.learn.formula import (
     FACTORS,
     curve_of,
@@ -20,7 +27,7 @@ from eha_monitor.mismatch.learn.formula import (
     unit_of,
 )
 from eha_monitor.mismatch.learn.shapes import SHAPES
-from eha_monitor.mismatch.learn.told import HALF, removed
+from eha_monitor.mismatch.learn.validated import removed
 from eha_monitor.physics import own_term as o
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.expression import parsed
@@ -54,7 +61,7 @@ TRUE = {"F": 38.0, "F_0": 5.0, "k": 900.0, "c": 4e4, "u_0": 3e-3, "w": 6e-3, "d"
 class Curve:
     """A learned curve of x that is known with 0.2 at each of 33 places."""
 
-    form, scale, divisor = Form("force", "x", "direction"), 1e-3, 1.0
+    table, divisor = Table(Form("force", "x", "direction"), -0.02, 0.02, 1e-3, 1.0), 1.0
 
     def __init__(self, values, stddev=0.2):
         self.values = np.asarray(values)
@@ -151,7 +158,6 @@ def test_what_is_removed_is_of_the_squared_error_beyond_the_noise():
     assert removed(errors(3e-6, 2e-6)) == pytest.approx(1.0 - 3.0 / 8.0)
     assert removed(errors(3e-6, 5e-6)) == pytest.approx(-2.0)
     assert removed(errors(0.9e-6, 0.9e-6)) == 0.0  # nothing to remove
-    assert 0.0 < HALF < 1.0
 
 
 def term(formula="38 N · exp(−((x − 4 mm)/5 mm)²) against the motion"):

@@ -12,6 +12,7 @@ from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.data.stretch import cut
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.mismatch.name.naming import Naming
+from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.mismatch.show.changed import change_words, changed_between
 from eha_monitor.recordings.recording import Recording
 
@@ -36,7 +37,7 @@ def test_a_step_parts_the_recording_and_each_piece_has_its_own_values(parameter,
     key, before = ("B", B) if parameter == "viscous_damping" else ("beta_e", BETA)
     assert one.values[key].value == pytest.approx(before, rel=0.01)
     assert other.values[key].value == pytest.approx(value, rel=0.01)
-    said = change_words(found.pieces)
+    said = change_words(found.pieces, POLICY)
     assert said.startswith("B changed" if key == "B" else "the effective bulk modulus changed")
     assert "No effect is missing" in said and said.count("changed between") == 1
 
@@ -53,7 +54,7 @@ def test_recordings_of_one_rig_before_and_after():
     assert [piece.bag for piece in found.pieces] == ["monday", "friday"]
     assert [piece.values["beta_e"].value for piece in found.pieces] == [
         pytest.approx(6e8, rel=0.01), pytest.approx(4e8, rel=0.01)]
-    assert "changed from monday to friday from" in change_words(found.pieces)
+    assert "changed from monday to friday from" in change_words(found.pieces, POLICY)
 
 
 def test_friction_is_no_change():
@@ -86,6 +87,7 @@ def test_the_whole_answer_on_air_that_enters():
         found.signals["position"].noise_rms, rel=0.1)
     assert found.signals["position"].before_rms > 1.5 * found.signals["position"].noise_rms
     tree = answer(found)
+    assert tree["policy"] == POLICY.to_dict() and len(tree["policy"]) <= 20
     assert [piece["parameters"]["beta_e"]["value"] for piece in tree["pieces"]] == [
         pytest.approx(6e8, rel=0.01), pytest.approx(3e8, rel=0.01)]
 

@@ -15,7 +15,8 @@ from eha_monitor.mismatch.diagnose import (
 )
 from eha_monitor.mismatch.diagnosis import VERDICTS, Diagnosis, SignalFit
 from eha_monitor.mismatch.name.naming import Naming
-from eha_monitor.mismatch.name.nominal import nominal
+from eha_monitor.mismatch.name.select import nominal
+from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.mismatch.show.held_out import worse
 from eha_monitor.mismatch.show.rig_numbers import rig_findings
 
@@ -181,11 +182,12 @@ def test_a_fit_that_fails_on_unseen_data_is_worse():
     def fit(before, after):
         return SignalFit("m", before, after, 1e-6)
 
-    assert not worse({"position": fit(2e-6, 2e-6)})
-    assert not worse({"position": fit(2e-6, 2.01e-6)})  # 1 % in the square is chance
-    assert worse({"position": fit(2e-6, 2.1e-6)})
-    assert not worse({"position": fit(2e-6, 2.1e-6), "pressure_1": fit(9e-6, 1e-6)})
-    assert not worse({"position": SignalFit("m", 1.0, 2.0, 0.0)})  # no noise to measure it by
+    assert not worse({"position": fit(2e-6, 2e-6)}, POLICY)
+    assert not worse({"position": fit(2e-6, 2.01e-6)}, POLICY)  # 1 % in the square is chance
+    assert worse({"position": fit(2e-6, 2.1e-6)}, POLICY)
+    assert not worse({"position": fit(2e-6, 2.1e-6), "pressure_1": fit(9e-6, 1e-6)}, POLICY)
+    no_noise = SignalFit("m", 1.0, 2.0, 0.0)  # nothing to measure it by
+    assert not worse({"position": no_noise}, POLICY)
 
 
 def test_a_wrong_number_is_told_with_both_values_the_most_certain_first():

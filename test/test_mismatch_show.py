@@ -10,7 +10,7 @@ from mismatch_tools import fitted, nominal_fit
 
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.diagnosis import Agreement, Value
-from eha_monitor.mismatch.likelihood.fit import refine
+from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.show.held_out import (
     agreement,
     force_residual,
@@ -71,8 +71,8 @@ def test_the_fit_does_not_see_what_is_held_out_and_the_proof_does():
     late = np.flatnonzero(stretch.held_out)
     z[late[len(late) // 4 :]] *= 1.3
     changed = case.experiment.only((replace(stretch, z=z),))
-    one = refine(case.experiment, case.before, 3)
-    other = refine(changed, case.before, 3)
+    one = polished(case.experiment, case.before, Slopes(case.experiment), 3)
+    other = polished(changed, case.before, Slopes(changed), 3)
     assert (one.theta == other.theta).all()
     assert one.log_likelihood == other.log_likelihood
     was = shown(case.experiment, case.before, case.after)

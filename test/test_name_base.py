@@ -9,7 +9,6 @@ from eha_monitor.mismatch.likelihood.fit import with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns, smallest_unknowns
 from eha_monitor.mismatch.name.base import (
     LEAST_SHARE,
-    TIMING,
     base_free,
     limits_of,
     timing_free,
@@ -22,6 +21,7 @@ from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.rank import best_over, ranked_at
 from eha_monitor.mismatch.name.refit import evidence_of, joined
 from eha_monitor.mismatch.name.starts import own_sizes, possible, starts_of
+from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
 
@@ -40,7 +40,7 @@ def test_a_damping_and_a_stiffness_are_positive(clean):
 
 
 def test_every_record_may_err_in_time_by_a_little(clean):
-    limit = TIMING * clean.experiment.dt
+    limit = POLICY.timing * clean.experiment.dt
     free = {f.name: f for f in timing_free(clean.experiment)}
     assert set(free) == {"command_delay.T", "position_delay.T", "pressure_delay.T"}
     assert all(f.upper == limit and f.prior == 0.0 for f in free.values())
@@ -162,7 +162,7 @@ def test_what_the_ranking_promises_is_what_the_refit_gains(effect, strength):
     fit = with_unknowns(experiment, case.before, Unknowns(*small))
     columns = columns_at(experiment, fit)
     found = best_over(ranked_at(columns.what, (), grams_of(
-        experiment, fit, columns.values, [fit.unknowns], columns.copies)))
+        experiment, fit, columns.values, [fit.unknowns], columns.copies), POLICY))
     promised = next(one for one in found if one.names == {effect})
     none = next(one for one in found if not one.names)
     slopes = Slopes(experiment, fit, columns)

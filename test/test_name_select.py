@@ -13,9 +13,11 @@ from mismatch_tools import fitted, recorded
 from eha_monitor.concealed.cases import Case
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.name.base import with_effect
+from eha_monitor.mismatch.name.candidates import log_prior
 from eha_monitor.mismatch.name.columns import rig_free
 from eha_monitor.mismatch.name.naming import in_place_of
 from eha_monitor.mismatch.name.polish import Slopes, polished
+from eha_monitor.mismatch.name.posterior import Refits, posterior
 from eha_monitor.mismatch.name.proposals import (
     HANDFUL,
     Linearised,
@@ -28,12 +30,11 @@ from eha_monitor.mismatch.name.rank import Member, Ranked
 from eha_monitor.mismatch.name.refit import (
     discrepancy,
     evidence_of,
-    prior_of,
     settled,
     wide,
 )
-from eha_monitor.mismatch.name.seen import Seen, counted, posterior
 from eha_monitor.mismatch.name.select import (
+    Search,
     far_off,
     lacks,
     lesser,
@@ -44,6 +45,9 @@ from eha_monitor.mismatch.name.select import (
     without_each,
 )
 from eha_monitor.mismatch.name.starts import starts_of
+from eha_monitor.mismatch.policy import POLICY
+
+counted = Refits(POLICY).counted
 
 
 def ranked(evidence: float, *names: str, prior: float = 0.0) -> Ranked:
@@ -84,33 +88,33 @@ def test_the_smallest_sets_that_reach_most_of_the_best_gain_are_refitted():
              ranked(995.0, "constant_load", "spring_load"),
              ranked(980.0, "constant_load", "drive_lag"),
              ranked(700.0, "constant_load"), ranked(0.0)]
-    assert names_of(proposals_of(found, found[-1], seen_of({(): 0.0}))) == [
+    assert names_of(proposals_of(found, found[-1], refits_of({(): 0.0}))) == [
         {"constant_load"}, {"constant_load", "spring_load"}, {"constant_load", "drive_lag"}]
     found[3] = ranked(400.0, "constant_load")  # promises less than half
-    assert names_of(proposals_of(found, found[-1], seen_of({(): 0.0}))) == [
+    assert names_of(proposals_of(found, found[-1], refits_of({(): 0.0}))) == [
         {"constant_load", "spring_load"}, {"constant_load", "drive_lag"}]
 
 
 def test_nothing_is_proposed_where_nothing_is_better():
     found = [ranked(10.0, "constant_load"), ranked(5.0, "spring_load")]
-    assert proposals_of(found, found[0], seen_of({(): 0.0})) == []
+    assert proposals_of(found, found[0], refits_of({(): 0.0})) == []
 
 
 def test_what_contains_a_proposal_waits_for_it():
     found = [ranked(100.0, "stribeck_friction"), ranked(99.0, "coulomb_friction"),
              ranked(98.0, "constant_load"), HARDLY, ranked(0.0)]
-    assert names_of(proposals_of(found, found[-1], seen_of({(): 0.0}))) == [
+    assert names_of(proposals_of(found, found[-1], refits_of({(): 0.0}))) == [
         {"coulomb_friction"}, {"constant_load"}]
 
 
 def test_what_was_refitted_is_not_proposed_again():
-    seen = seen_of({(): 0.0})
-    seen.tried.add((frozenset(), frozenset({"constant_load"})))
+    refits = refits_of({(): 0.0})
+    refits.tried.add((frozenset(), frozenset({"constant_load"})))
     found = [ranked(100.0, "constant_load"), ranked(99.0, "spring_load"),
              ranked(98.5, "constant_load", "drive_lag"), HARDLY, ranked(0.0)]
-    assert names_of(proposals_of(found, found[-1], seen)) == [{"spring_load"}]
-    seen.tried.add((frozenset(), frozenset({"spring_load"})))
-    assert names_of(proposals_of(found, found[-1], seen)) == [{"constant_load", "drive_lag"}]
+    assert names_of(proposals_of(found, found[-1], refits)) == [{"spring_load"}]
+    refits.tried.add((frozenset(), frozenset({"spring_load"})))
+    assert names_of(proposals_of(found, found[-1], refits)) == [{"constant_load", "drive_lag"}]
 
 
 def test_sets_without_a_name_are_not_refitted_and_a_handful_is_enough():
@@ -118,10 +122,10 @@ def test_sets_without_a_name_are_not_refitted_and_a_handful_is_enough():
              "relief_valve", "backlash")
     found = [ranked(101.0, "force of x"), *(ranked(100.0 - 0.1 * i, name)
                                             for i, name in enumerate(every)), HARDLY, ranked(0.0)]
-    chosen = proposals_of(found, found[-1], seen_of({(): 0.0}))
+    chosen = proposals_of(found, found[-1], refits_of({(): 0.0}))
     assert len(chosen) == HANDFUL and names_of(chosen)[0] == {"constant_load"}
     assert names_of(proposals_of(
-        [ranked(9.0, "rig.mass"), ranked(0.0)], ranked(0.0), seen_of({(): 0.0}))) == [
+        [ranked(9.0, "rig.mass"), ranked(0.0)], ranked(0.0), refits_of({(): 0.0}))) == [
         {"rig.mass"}]
 
 
@@ -150,16 +154,17 @@ def test_the_evidence_of_a_useless_effect_is_lower():
 
 def test_the_best_set_s_score_is_its_odds_where_nothing_is_left():
     rubbing = fitted("coulomb_friction")
-    seen = Seen()
-    seen.add(rubbing.experiment, frozenset(), rubbing.before)
-    seen.add(rubbing.experiment, frozenset({"coulomb_friction"}), rubbing.after)
-    assert seen.best() == seen.ahead({}, 0.0)[0] == frozenset({"coulomb_friction"})
-    scores = seen.scores()
-    assert scores[frozenset({"coulomb_friction"})] <= prior_of({"coulomb_friction"}) + 1e-9
+    refits = Refits(POLICY)
+    refits.add(rubbing.experiment, frozenset(), rubbing.before)
+    refits.add(rubbing.experiment, frozenset({"coulomb_friction"}), rubbing.after)
+    assert refits.best() == refits.ahead({}, 0.0)[0] == frozenset({"coulomb_friction"})
+    scores = refits.scores()
+    assert scores[frozenset({"coulomb_friction"})] <= log_prior(
+        {"coulomb_friction"}, POLICY) + 1e-9
     assert scores[frozenset()] < scores[frozenset({"coulomb_friction"})] - 20.0
     worse = rubbing.before
-    seen.add(rubbing.experiment, frozenset({"coulomb_friction"}), worse)
-    assert seen.fits[frozenset({"coulomb_friction"})] is rubbing.after  # the better one is kept
+    refits.add(rubbing.experiment, frozenset({"coulomb_friction"}), worse)
+    assert refits.fits[frozenset({"coulomb_friction"})] is rubbing.after  # the better one is kept
 
 
 def test_levels_go_from_the_present_unknowns_down_to_nothing():
@@ -196,7 +201,7 @@ def test_a_fit_without_a_member_stands_where_the_fit_with_it_stood():
     own = next(f for f in rig_free(clean.experiment) if f.name == "rig.volume_1")
     theta = clean.before.theta.copy()
     theta[own.place] *= 2.0
-    wrong = replace(clean.before, theta=theta, free=(*clean.before.free, wide(own)),
+    wrong = replace(clean.before, theta=theta, free=(*clean.before.free, wide(own, POLICY)),
                     named=("rig.volume_1",))
     bare = lesser(clean.experiment, wrong, "rig.volume_1")
     assert bare.named == () and own in bare.free
@@ -210,7 +215,7 @@ def test_a_second_law_of_a_family_counts_beyond_the_form_error_of_the_first():
     rest, one = ranked(-1000.0), ranked(0.0, "leakage_offset")  # explains 1000: 50 are form
     def second(evidence, here=frozenset()):
         two = ranked(evidence, "leakage_offset", "turbulent_leakage")
-        found = beyond_one_law([two, one, rest], frozenset(here))
+        found = beyond_one_law([two, one, rest], frozenset(here), POLICY.law)
         return next(item.evidence for item in found if len(item.names) == 2)
 
     assert second(40.0) == 0.0
@@ -218,19 +223,20 @@ def test_a_second_law_of_a_family_counts_beyond_the_form_error_of_the_first():
     assert second(900.0) == pytest.approx(900.0, rel=0.01)
     assert second(40.0, {"leakage_offset", "turbulent_leakage"}) == 40.0  # what is there stays
     beside = ranked(30.0, "leakage_offset", "coulomb_friction")
-    assert beside in beyond_one_law([beside, one, rest], frozenset())  # of another family
+    found = beyond_one_law([beside, one, rest], frozenset(), POLICY.law)
+    assert beside in found  # of another family
 
 
 def test_two_families_are_each_judged_by_themselves():
-    seen = Seen()
-    seen.evidence.update({
+    refits = Refits(POLICY)
+    refits.evidence.update({
         frozenset(): -2000.0, frozenset({"leakage_offset"}): -1000.0,
         frozenset({"coulomb_friction"}): -1000.0,
         frozenset({"leakage_offset", "coulomb_friction"}): 0.0,
         frozenset({"leakage_offset", "turbulent_leakage", "coulomb_friction"}): 20.0,
         frozenset({"leakage_offset", "stribeck_friction", "coulomb_friction"}): 20.0})
-    seen.left.update(dict.fromkeys(seen.evidence, 0.0))
-    assert seen.best() == {"leakage_offset", "coulomb_friction"}
+    refits.left.update(dict.fromkeys(refits.evidence, 0.0))
+    assert refits.best() == {"leakage_offset", "coulomb_friction"}
 
 
 @pytest.mark.parametrize("seed", [11, 12])
@@ -263,32 +269,29 @@ def test_a_model_in_which_two_parameters_are_one_is_no_model_and_no_breakdown():
 
 def test_each_member_of_the_best_set_is_taken_away_once():
     rubbing = fitted("coulomb_friction")
-    seen = Seen()
-    seen.add(rubbing.experiment, frozenset(), rubbing.before)
+    refits = Refits(POLICY)
+    refits.add(rubbing.experiment, frozenset(), rubbing.before)
     alone = settled(rubbing.experiment, with_rig(rubbing.experiment, rubbing.after))
     both = settled(rubbing.experiment, with_effect(
         alone, starts_of("constant_load", rubbing.experiment)[0], (0.01,)))
-    seen.add(rubbing.experiment, frozenset(both.named), both)
-    assert seen.best() == {"coulomb_friction", "constant_load"}
-    without_each(rubbing.experiment, seen)
-    assert seen.best() == {"coulomb_friction"}  # a load of nothing is no member
-    assert seen.evidence[frozenset({"coulomb_friction"})] == pytest.approx(
+    refits.add(rubbing.experiment, frozenset(both.named), both)
+    assert refits.best() == {"coulomb_friction", "constant_load"}
+    without_each(rubbing.experiment, refits)
+    assert refits.best() == {"coulomb_friction"}  # a load of nothing is no member
+    assert refits.evidence[frozenset({"coulomb_friction"})] == pytest.approx(
         evidence_of(rubbing.experiment, alone), abs=1.0)
 
 
 def test_a_number_known_to_a_factor_is_tried_far_off_only_where_something_is_lacking():
     clean = fitted()
-    seen = Seen()
-    seen.add(clean.experiment, frozenset(), clean.before)
-    assert far_off(clean.experiment, clean.before, seen) is None
-    assert unbent(clean.experiment, clean.before, seen) is None
+    search = Search.at(clean.experiment, clean.before)
+    assert far_off(search) is None
+    assert unbent(search) is None
 
 
 def test_the_config_s_own_place_is_looked_at_where_friction_has_bent_the_first_fit():
     rubbing = fitted("coulomb_friction")
-    seen = Seen()
-    seen.add(rubbing.experiment, frozenset(), rubbing.before)
-    start = unbent(rubbing.experiment, rubbing.before, seen)
+    start = unbent(Search.at(rubbing.experiment, rubbing.before))
     assert start is not None and start.value("B") < rubbing.before.value("B")
     assert start.value("B") == rubbing.experiment.theta[next(
         f.place for f in start.free if f.name == "B")]
@@ -304,18 +307,18 @@ def test_a_rival_that_is_far_behind_is_not_carried_further():
 # ---- probabilities ------------------------------------------------------------------------------
 
 
-def seen_of(evidence: dict[tuple[str, ...], float]) -> Seen:
+def refits_of(evidence: dict[tuple[str, ...], float]) -> Refits:
     """Refitted sets with so much evidence, and nothing left by the best."""
-    seen = Seen()
+    refits = Refits(POLICY)
     for names, value in evidence.items():
         key = frozenset(names)
-        seen.fits[key], seen.evidence[key], seen.left[key] = fitted().before, value, 0.0
-    return seen
+        refits.fits[key], refits.evidence[key], refits.left[key] = fitted().before, value, 0.0
+    return refits
 
 
 def test_probabilities_add_up_to_one_and_follow_the_evidence():
-    seen = seen_of({("constant_load",): 100.0, ("spring_load",): 90.0, (): 0.0})
-    weights = posterior(seen, [])
+    refits = refits_of({("constant_load",): 100.0, ("spring_load",): 90.0, (): 0.0})
+    weights = posterior(refits, [])
     assert sum(weights.values()) == pytest.approx(1.0)
     load, spring, none = (weights[frozenset(key)] for key in (
         ("constant_load",), ("spring_load",), ()))
@@ -327,14 +330,14 @@ def test_sets_that_were_only_ranked_are_measured_from_the_best_model():
     other = ranked(49.0, "spring_load", prior=-5.0)
     promising = ranked(60.0, "drive_lag", prior=-5.0)  # better by the guess, and never refitted
     nameless = ranked(51.0, "force of x", prior=-7.0)
-    seen = seen_of({("constant_load",): 100.0, (): 0.0})
+    refits = refits_of({("constant_load",): 100.0, (): 0.0})
     ranking = [promising, nameless, best, other]
-    weights = posterior(seen, [(best.names, ranking)])
+    weights = posterior(refits, [(best.names, ranking)])
     load, spring, none = (weights[frozenset({name})] for name in (
         "constant_load", "spring_load", "force of x"))
     assert load > spring > 0.5 * load and none > 0.0
     assert frozenset({"drive_lag"}) not in weights
-    weights = posterior(seen, [(best.names, ranking)], promising=True)
+    weights = posterior(refits, [(best.names, ranking)], promising=True)
     assert weights[frozenset({"drive_lag"})] > 0.9 * weights[frozenset({"constant_load"})]
 
 
@@ -350,9 +353,9 @@ def test_what_stands_in_a_name_s_place_is_counted_beside_all_the_others():
 def test_a_square_beside_dry_friction_counts_beyond_its_form_error(gained, named):
     """The tail of a Stribeck drop is B with less of it and a square."""
     dry = frozenset({"stribeck_friction"})
-    seen = seen_of({tuple(dry): 8000.0, ("quadratic_friction",): 100.0, (): 0.0,
+    refits = refits_of({tuple(dry): 8000.0, ("quadratic_friction",): 100.0, (): 0.0,
                     ("stribeck_friction", "quadratic_friction"): 8000.0 + gained})
-    assert (seen.best() != dry) is named
+    assert (refits.best() != dry) is named
 
 
 def test_friction_by_direction_stands_in_the_place_of_a_load_beside_dry_friction():
@@ -371,34 +374,34 @@ def test_laws_of_a_family_differ_by_more_than_its_form_error_or_are_rivals():
     law, plain = frozenset({"stribeck_friction"}), frozenset({"coulomb_friction"})
     for gained in (-30.0, 10.0, 50.0, 200.0):
         best = 1000.0 + max(gained, 0.0)
-        seen = seen_of({(): 0.0, ("coulomb_friction",): 1000.0,
+        refits = refits_of({(): 0.0, ("coulomb_friction",): 1000.0,
                         ("stribeck_friction",): 1000.0 + gained})
-        scores = seen.scores()
-        apart = scores[law] - prior_of(law) - scores[plain] + prior_of(plain)
+        scores = refits.scores()
+        apart = scores[law] - log_prior(law, POLICY) - scores[plain] + log_prior(plain, POLICY)
         assert apart == pytest.approx(gained * np.log(20.0) / (0.05 * best), rel=1e-9)
-    other = seen_of({(): 0.0, ("constant_load",): 1000.0, ("spring_load",): 1030.0})
+    other = refits_of({(): 0.0, ("constant_load",): 1000.0, ("spring_load",): 1030.0})
     scores = other.scores()
     assert scores[frozenset({"spring_load"})] - scores[frozenset({"constant_load"})] > 5.0
 
 
 def test_a_second_law_of_a_family_beside_the_first_is_mostly_form_error():
     both, one = ("coulomb_friction", "pressure_friction"), ("coulomb_friction",)
-    seen = seen_of({(): 0.0, one: 10000.0, both: 10100.0})
-    assert seen.best() == frozenset(one)
-    seen = seen_of({(): 0.0, one: 10000.0, both: 13000.0})
-    assert seen.best() == frozenset(both)
+    refits = refits_of({(): 0.0, one: 10000.0, both: 10100.0})
+    assert refits.best() == frozenset(one)
+    refits = refits_of({(): 0.0, one: 10000.0, both: 13000.0})
+    assert refits.best() == frozenset(both)
 
 
 def test_the_search_goes_where_it_has_not_been_and_stops():
     load, none = frozenset({"constant_load"}), frozenset()
-    seen = seen_of({(): 0.0, ("constant_load",): 100.0})
-    assert seen.ahead({}, 5.0)[0] == load
-    assert seen.ahead({load: 100.0}, 5.0) is None
-    assert seen.ahead({load: 90.0}, 5.0)[0] == load  # it was fitted better since
+    refits = refits_of({(): 0.0, ("constant_load",): 100.0})
+    assert refits.ahead({}, 5.0)[0] == load
+    assert refits.ahead({load: 100.0}, 5.0) is None
+    assert refits.ahead({load: 90.0}, 5.0)[0] == load  # it was fitted better since
     station = fitted().before
-    seen.stations[frozenset({"spring_load"})] = station, 500.0
-    assert seen.ahead({load: 100.0, none: 0.0}, 5.0) == (frozenset({"spring_load"}), station)
-    assert seen.best() == load  # what cannot be is no answer
+    refits.stations[frozenset({"spring_load"})] = station, 500.0
+    assert refits.ahead({load: 100.0, none: 0.0}, 5.0) == (frozenset({"spring_load"}), station)
+    assert refits.best() == load  # what cannot be is no answer
 
 
 def test_each_member_is_contested_by_what_comes_next_in_its_place():

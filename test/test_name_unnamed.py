@@ -14,11 +14,11 @@ from eha_monitor.mismatch.name.starts import Start, entered
 from eha_monitor.mismatch.name.unnamed import (
     HATS,
     INTERMITTENT,
-    PRIOR,
     columns_of,
     hats,
     unnamed_of,
 )
+from eha_monitor.mismatch.policy import POLICY
 
 
 @given(st.integers(2, 30), st.integers(0, 10**6), st.sampled_from([1e-6, 1.0, 1e7]))
@@ -76,7 +76,7 @@ def test_hats_together_do_what_a_constant_load_does(clean, name):
     experiment, fit = clean
     term = next(one for one in unnamed_of(experiment, fit) if one.name == name)
     (part,) = columns(experiment, fit, term)
-    unit = PRIOR * smallest_unknowns(experiment).force  # N that a unit stands for
+    unit = POLICY.matters * smallest_unknowns(experiment).force  # N that a unit stands for
     # Both act against the positive direction.
     theta, active = entered(fit.theta, fit.active, Start("constant_load", (("F_0", 1.0),)))
     (with_it,) = runs_of(experiment, theta, active, fit.gains)

@@ -7,7 +7,8 @@ from mismatch_tools import recorded
 
 from eha_monitor.concealed.cases import Case, truth_of
 from eha_monitor.mismatch.data.experiment import experiment_of
-from eha_monitor.mismatch.name.columns import BEYOND, rig_free
+from eha_monitor.mismatch.name.columns import rig_free
+from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.prove.oracle import RigNumbers, oracle
 from eha_monitor.settings.rig import Tolerance
 
@@ -56,7 +57,7 @@ def test_a_twin_stays_at_the_config_s_and_what_is_wrong_has_a_wide_prior():
         ("added_mass", "coulomb_friction"))}
     assert set(within) - set(free) == {"rig.mass"}
     for key in ("rig.volume_1", "rig.volume_2"):
-        assert free[key].spread == pytest.approx(BEYOND * within[key].spread)
+        assert free[key].spread == pytest.approx(POLICY.wrong * within[key].spread)
     assert free["rig.leakage"] == within["rig.leakage"]
     assert "rig.mass" in {f.name for f in RigNumbers(experiment).free(())}
 

@@ -23,6 +23,7 @@ from eha_monitor.mismatch.name.columns import ALWAYS, Column
 from eha_monitor.mismatch.name.gram import Gram
 from eha_monitor.mismatch.name.rank import best_over, ranked_at
 from eha_monitor.mismatch.name.starts import Start
+from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.physics.effects import CATALOGUE
 
 ROOT = Path(__file__).parents[1]
@@ -85,7 +86,7 @@ def ranking(order, moved=0.0, seed=0):
     noise = 1.0 + moved * np.random.default_rng(seed).uniform(-1.0, 1.0, products.shape)
     grams = [Gram(Unknowns(1.0, 1.0, 1.0), products * np.sqrt(noise * noise.T) * factor,
                   np.array([60.0]), 0.0) for factor in (1.0, 1.0)]  # levels that are equal, too
-    found = best_over(ranked_at(what, (), grams))
+    found = best_over(ranked_at(what, (), grams, POLICY))
     return [[sorted(one.names), f"{one.evidence:.6g}"] for one in found]
 
 

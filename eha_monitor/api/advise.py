@@ -14,10 +14,10 @@ from eha_monitor.api.read import Several, config_for, distinct, recordings_of, s
 from eha_monitor.api.record import Record, chosen, frame_of
 from eha_monitor.compiled import load_runtime
 from eha_monitor.mismatch.advise.advice import advise as run
+from eha_monitor.mismatch.advise.identifiability import Confusion, DetectionLimit, Known
 from eha_monitor.mismatch.advise.motions import Motion, excitation_tree
 from eha_monitor.mismatch.advise.separate import Advice as Found
 from eha_monitor.mismatch.advise.separate import Doubt
-from eha_monitor.mismatch.advise.tells import Confusion, Known, Sight
 from eha_monitor.mismatch.advise.words import motion_sentence, sentences
 from eha_monitor.quantity import SYMBOLS, in_units, number, rig_motion, with_uncertainty
 from eha_monitor.recordings.recording import ChannelFinding
@@ -127,9 +127,9 @@ class Advice(Record, Found):
         return self.known
 
     @property
-    def visible_from(self) -> tuple[Sight, ...]:
-        """From which size on each effect shows in this recording; :class:`Sight`."""
-        return self.sights
+    def visible_from(self) -> tuple[DetectionLimit, ...]:
+        """From which size on each effect shows in this recording; :class:`DetectionLimit`."""
+        return self.detection_limits
 
     def excitation(self) -> Config | None:
         """Return the config with the proposed motion, as ``--write-excitation`` does.
@@ -166,7 +166,7 @@ class Advice(Record, Found):
             "parameters": [asdict(one) for one in self.known],
             "plateaus": self.plateaus,
             "confusions": [asdict(one) for one in self.confusions],
-            "visible_from": [asdict(one) for one in self.sights],
+            "visible_from": [asdict(one) for one in self.detection_limits],
             "groups": self.groups,
             "doubts": [asdict(one) for one in self.doubts],
             "motion": shown,

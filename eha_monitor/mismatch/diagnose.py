@@ -27,15 +27,15 @@ from eha_monitor.mismatch.diagnosis import (
     health_sentences,
 )
 from eha_monitor.mismatch.learn.tested import Tested, supported, tested
-from eha_monitor.mismatch.learn.told import Told, told_of, tracks_of
+from eha_monitor.mismatch.learn.validated import ValidatedTerm, validated_term
+from eha_monitor.mismatch.likelihood.along import filtered_tracks
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
-from eha_monitor.mismatch.name.acceptance import LIKELY, RIVAL, TEMPER
 from eha_monitor.mismatch.name.angle import at_its_angle
+from eha_monitor.mismatch.name.informative import informative
 from eha_monitor.mismatch.name.naming import Naming, beyond_form, name_effects, on_all_of
-from eha_monitor.mismatch.name.nominal import nominal
-from eha_monitor.mismatch.name.telling import telling
+from eha_monitor.mismatch.name.select import nominal
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT
 from eha_monitor.mismatch.show import held_out as show
 from eha_monitor.mismatch.show.changed import change_words, changed_between
@@ -61,7 +61,6 @@ from eha_monitor.words import listed
 
 FINER = ("With these effects in the config (diagnose --write-config FILE, then --config FILE) "
          "another diagnosis looks for what is smaller.")
-LEAST_MOTION = 20.0  # times the position's noise: less motion says nothing
 # Effect of the force balance -> errors of pressure sensors that make the same force: an offset,
 # and a scale by the mean pressure.
 FORCE_OF_SENSORS = {"constant_load": ("pressure_offset", "pressure_scale")}
@@ -110,7 +109,8 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     held, decision = resolved(recordings, settings)
     experiment = at_its_angle(experiment_of(recordings, held, held_out is None, without))
     named = named_in(experiment, say)
-    if decision is not None and named is not None and named[1].unexplained > RIVAL:
+    if decision is not None and named is not None and (
+            named[1].unexplained > experiment.policy.rival):
         # What is missing may have been taken for a hold, or the other way about.
         other = at_its_angle(experiment_of(recordings, other_hold(held), held_out is None,
                                            without))
@@ -119,19 +119,20 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
             experiment, held, named = other, other.settings, named_in(other, say)
             decision = replace(decision, hold=held.command_hold, evidence=gained, decided=True)
     found = diagnosed(recordings, experiment, named, held_out, started, say, hypothesis)
-    told = decision is not None and decision.decided
+    decided = decision is not None and decision.decided
     return replace(found, machine=None if first is None else first.machine,
-                   channels=decision.findings if told else (),
-                   command_hold=(held if told else settings).command_hold,
+                   policy=experiment.policy.to_dict(),
+                   channels=decision.findings if decided else (),
+                   command_hold=(held if decided else settings).command_hold,
                    wall_s=time.perf_counter() - started)
 
 
 def named_in(experiment: Experiment, say: Report) -> tuple[Experiment, Naming] | None:
-    """Name what the windows that tell most show; None where the piston hardly moves."""
-    if experiment.ranges.position < LEAST_MOTION * experiment.noise[0]:
+    """Name what the most informative windows show; None where the piston hardly moves."""
+    if experiment.ranges.position < experiment.policy.motion * experiment.noise[0]:
         return None
-    told = telling(experiment)
-    return told, name_effects(told, lambda text, share: say(text, 0.85 * share))
+    windows = informative(experiment)
+    return windows, name_effects(windows, lambda text, share: say(text, 0.85 * share))
 
 
 def gained_under(other: Experiment, naming: Naming) -> float:
@@ -145,14 +146,14 @@ def gained_under(other: Experiment, naming: Naming) -> float:
     def each(fit: Fit) -> float:
         return fit.log_likelihood / np.isfinite(fit.e).sum()
 
-    bare = nominal(telling(other))[1]
+    bare = nominal(informative(other))[1]
     return float((each(bare) - each(naming.after)) * np.isfinite(bare.e).sum())
 
 
 def diagnosed(recordings: list[Recording], experiment: Experiment,
               named: tuple[Experiment, Naming] | None, held_out: Recording | None,
               started: float, say: Report, hypothesis: Hypothesis | None = None) -> Diagnosis:
-    """Return the answer for what was named on the windows that tell most."""
+    """Return the answer for what was named on the most informative windows."""
     bags = tuple(recording.source for recording in recordings)
     duration = sum(recording.duration for recording in recordings)
     baselines = tuple(baseline(recording, experiment.settings) for recording in recordings)
@@ -165,7 +166,7 @@ def diagnosed(recordings: list[Recording], experiment: Experiment,
     naming = on_all_of(experiment, named[1])
     experiment = naming.experiment
     pieces: tuple[Piece, ...] = ()
-    if verdict_of(naming) != "consistent" or naming.unexplained > RIVAL:
+    if verdict_of(naming) != "consistent" or naming.unexplained > experiment.policy.rival:
         say("testing whether a parameter changed", 0.86)
         changed = changed_between(experiment, recordings, naming)
         if changed is not None:
@@ -193,7 +194,7 @@ def insufficient(bags: tuple[str, ...], duration: float, started: float, why: st
 
 def verdict_of(naming: Naming) -> str:
     """Return the verdict: what is more likely than not."""
-    if naming.unexplained > LIKELY:
+    if naming.unexplained > naming.experiment.policy.likely:
         return "unexplained"
     if naming.after.named or naming.wrong or naming.loads:
         return "mismatch"
@@ -207,13 +208,13 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
     """Put the answer together."""
     asked, naming = naming, replace(naming, before=robust(experiment, naming.before),
                                     after=robust(experiment, naming.after))
-    verdict, gates = verdict_of(naming), naming.gates
+    verdict, gates, policy = verdict_of(naming), naming.gates, experiment.policy
     before, after = naming.before, naming.after
     signals = show.shown(shown, before, after)
-    tracks = tracks_of(experiment, after) if after.named else []
+    tracks = filtered_tracks(experiment, after) if after.named else []
     # A fit that fails on unseen data has named nothing.  No model runs with an intermittent load.
     answers = (after.named or naming.wrong) and not naming.loads
-    failed = show.unseen_gates(signals) if answers else ()
+    failed = show.unseen_gates(signals, policy) if answers else ()
     if not naming.loads and not pieces:
         failed += show.baseline_gates(shown, baselines, after, signals.get("force"))
     if failed:
@@ -225,17 +226,17 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         test = tested(experiment, naming, hypothesis)
         told = supported(experiment, shown, naming, test) if test is not None else None
     doubted = verdict == "unexplained" or (
-        verdict == "mismatch" and naming.unexplained > RIVAL)
+        verdict == "mismatch" and naming.unexplained > policy.rival)
     if told is None and doubted and not naming.loads:
         say("learning effects not in the catalogue", 0.92)
-        told = told_of(experiment, shown, naming)
+        told = validated_term(experiment, shown, naming)
         if verdict == "mismatch" and told is not None:  # more likely than not it has names
             verdict, told = ("unexplained", told) if told.decides else (verdict, None)
     if told is not None:  # its names are those that stand beside it
         signals, naming = told.signals, beside_own(experiment, naming, told)
         after = naming.after
         verdict = "unexplained" if told.effect is None else verdict_of(naming)
-        tracks = tracks_of(experiment, after) if after.named else []
+        tracks = filtered_tracks(experiment, after) if after.named else []
     effects = tuple(named_effect(experiment, naming, name, tracks) for name in sorted(
         after.named, key=lambda name: -naming.evidence[name]))
     if naming.loads:
@@ -246,8 +247,8 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
     wrong = rig_findings(experiment, naming)
     within = rig_within(experiment, naming)
     if verdict == "mismatch":  # what is less likely than not is no answer
-        effects = tuple(effect for effect in effects if not effect.probability < LIKELY)
-        wrong = tuple(finding for finding in wrong if not finding.probability < LIKELY)
+        effects = tuple(effect for effect in effects if not effect.probability < policy.likely)
+        wrong = tuple(finding for finding in wrong if not finding.probability < policy.likely)
         verdict = verdict if effects or wrong else "consistent"
     open_end = verdict == "unexplained" and told is None
     if open_end:  # nothing is an answer: no name, no number but the nominal model's, in doubt
@@ -283,7 +284,7 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
     elif told is None:
         known = known[0], between_models(known[1], asked)
     return Diagnosis(
-        bags, verdict, change_words(pieces) if pieces else learned_words(told.term)
+        bags, verdict, change_words(pieces, policy) if pieces else learned_words(told.term)
         if told is not None and told.term is not None else message_of(
             verdict, effects, where, wrong, within), where, effects, *known,
         "held_out_bag" if other_bag else "held_out", signals, curves,
@@ -299,9 +300,9 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         fitted=None if open_end else fitted_of(after), gates=gates, baselines=baselines)
 
 
-def beside_own(experiment: Experiment, naming: Naming, told: Told) -> Naming:
+def beside_own(experiment: Experiment, naming: Naming, told: ValidatedTerm) -> Naming:
     """Return a naming with the names that stand beside a term that no catalogue has."""
-    fit, other = told.fit, float(np.exp(-TEMPER * max(told.gained, 0.0)))
+    fit, other = told.fit, float(np.exp(-experiment.policy.temper * max(told.gained, 0.0)))
     # A learned term has no name; beside one of the user's, what the model still lacks has none.
     unexplained = (1.0 - (1.0 - naming.unexplained) * other if told.effect is None else
                    beyond_form(experiment, naming.before, fit, fit.unknowns))
@@ -377,7 +378,7 @@ def message_of(verdict: str, effects: tuple[NamedEffect, ...], where: Location,
     return f"the {balance} balance lacks an effect that is not in the catalogue"
 
 
-def considered_of(naming: Naming, test: Tested | None, told: Told | None
+def considered_of(naming: Naming, test: Tested | None, told: ValidatedTerm | None
                   ) -> tuple[Considered, ...]:
     """Return what was tried and why it is not named."""
     found: dict[str, Considered] = {}

@@ -155,7 +155,7 @@ class LearnedTerm:
     at, measured, spread : (k,) the same from the recording, bin by bin.
     formula : where one explains as much as the curve, to 5 %, else empty; ``shape``
         its name.
-    rivals : other formulas and by how many log units each is worse than the formula that is told,
+    rivals : other formulas and by how many log units each is worse than the formula that is given,
         or else than the curve.
     formula_curve : (n,) of the best formula, NaN where there is none.
     removed : share of the squared error on unseen data, beyond the noise, that it takes away from
@@ -313,7 +313,7 @@ class Diagnosis:
     baselines : least squares on the balances of each recording, beside which the answer stands.
     machine : what several recordings of one machine show together, or the machine that the
         recording was judged against.
-    policy : the numbers that decided names, where the balances did.
+    policy : the numbers that decided names.
     """
 
     bags: tuple[str, ...]

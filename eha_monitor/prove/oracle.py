@@ -20,13 +20,12 @@ from pathlib import Path
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
-from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread, with_unknowns
-from eha_monitor.mismatch.name.acceptance import FORM_LEAST
+from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread, with_unknowns
 from eha_monitor.mismatch.name.base import needs, with_effect, without_effect
 from eha_monitor.mismatch.name.columns import columns_at, effects_of, rig_free
-from eha_monitor.mismatch.name.nominal import nominal
 from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished
 from eha_monitor.mismatch.name.refit import ROUGH_STEPS, at_level, settled, wide
+from eha_monitor.mismatch.name.select import nominal
 from eha_monitor.mismatch.name.starts import Start, possible, starts_of
 from eha_monitor.mismatch.show import held_out
 from eha_monitor.output import write_text
@@ -59,9 +58,9 @@ class RigNumbers:
 
     def free(self, named: Sequence[str]) -> tuple[Free, ...]:
         """Return the numbers that are fitted beside some effects: none that is one's twin."""
-        twins = {f"rig.{CATALOGUE[name].rig_twin}" for name in named}
-        return tuple(wide(f) if number_of(f.name.removeprefix("rig.")) in self.wrong else f
-                     for f in rig_free(self.experiment) if f.name not in twins)
+        policy = self.experiment.policy
+        return tuple(wide(f, policy) if number_of(f.symbol) in self.wrong else f
+                     for f in rig_free(self.experiment, named))
 
     def beside(self, fit: Fit) -> Fit:
         """Return a model with its numbers free, each within its bounds; not refitted."""
@@ -72,9 +71,7 @@ class RigNumbers:
             theta[f.place] = inside.get(f.place, self.experiment.theta[f.place])
         if s.VOL_1 in inside:  # what the oil column yields is its volume over its bulk modulus
             theta[s.BETA_E] *= theta[s.VOL_1] / fit.theta[s.VOL_1]
-        free = without_numbers(fit).free + numbers
-        made = replace(fit, theta=theta, free=free, covariance=np.zeros((len(free),) * 2))
-        return with_unknowns(self.experiment, made, made.unknowns)
+        return remade(self.experiment, fit, theta=theta, free=without_numbers(fit).free + numbers)
 
     def fitted(self, *starts: Fit, aim: float = -np.inf) -> Fit:
         """Return the best optimum over some starts; those that fall behind are not carried on.
@@ -114,7 +111,7 @@ class RigNumbers:
 
         Along a ridge of numbers slopes from elsewhere would end too early.
         """
-        fit = max(fit, with_unknowns(self.experiment, fit, fit.unknowns),
+        fit = max(fit, with_unknowns(self.experiment, fit),
                   key=lambda one: one.log_likelihood)
         if np.isfinite(fit.log_likelihood):
             fit = polished(self.experiment, fit, self.slopes(fit), ROUGH_STEPS, ROUGHLY)
@@ -205,7 +202,7 @@ def fit_of_truth(rig: RigNumbers, first: Fit, known: dict[str, dict], truth: dic
 
 def leaves(experiment: Experiment, fit: Fit) -> bool:
     """Tell whether a model needs more unknowns than every right one may, or cannot be followed."""
-    return not np.isfinite(fit.log_likelihood) or needs(experiment, fit, FORM_LEAST)
+    return not np.isfinite(fit.log_likelihood) or needs(experiment, fit, experiment.policy.few)
 
 
 def instead(rig: RigNumbers, after: Fit, name: str, other: str, without: Fit) -> Fit:
@@ -244,13 +241,13 @@ def looked(rig: RigNumbers, fit: Fit, starts: Sequence[Start]) -> Fit:
 
 def without_numbers(fit: Fit) -> Fit:
     """Return a fit with the rig's numbers held where they are."""
-    free = tuple(f for f in fit.free if not f.name.startswith("rig."))
+    free = tuple(f for f in fit.free if not f.of_rig)
     return replace(fit, free=free, covariance=np.zeros((len(free),) * 2))
 
 
 def refitted(experiment: Experiment, fit: Fit) -> Fit:
     """Return a fit carried to its optimum, from gains that suit where it begins."""
-    return settled(experiment, with_unknowns(experiment, fit, fit.unknowns))
+    return settled(experiment, with_unknowns(experiment, fit))
 
 
 def entered_at(fit: Fit, start: Start) -> Fit:

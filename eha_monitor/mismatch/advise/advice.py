@@ -9,6 +9,14 @@ from eha_monitor.breakdown import computing
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.hold_choice import resolved
 from eha_monitor.mismatch.advise.by_balances import advised_by_balances
+from eha_monitor.mismatch.advise.identifiability import (
+    HOPELESS,
+    Confusion,
+    Reading,
+    directions_for,
+    effects_for,
+    named_directions,
+)
 from eha_monitor.mismatch.advise.motions import Limits, Motion, limits_for, looped
 from eha_monitor.mismatch.advise.separate import (
     DECISIVE,
@@ -24,14 +32,6 @@ from eha_monitor.mismatch.advise.separate import (
     instead,
     try_motions,
 )
-from eha_monitor.mismatch.advise.tells import (
-    HOPELESS,
-    Confusion,
-    Reading,
-    directions_for,
-    effects_for,
-    named_directions,
-)
 from eha_monitor.mismatch.advise.words import sentences
 from eha_monitor.mismatch.data.experiment import Experiment, by_balances, experiment_of
 from eha_monitor.mismatch.data.inputs import FORCED
@@ -40,8 +40,8 @@ from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.likelihood.information import Slope, Traces, free_slopes
 from eha_monitor.mismatch.name.base import limits_of, with_effect
 from eha_monitor.mismatch.name.naming import Naming, name_effects
-from eha_monitor.mismatch.name.nominal import nominal
 from eha_monitor.mismatch.name.refit import settled
+from eha_monitor.mismatch.name.select import nominal
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
 from eha_monitor.quantity import quantity
@@ -85,17 +85,17 @@ def with_motion(found: Advice, recordings: list[Recording], settings: Settings, 
 def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
            rivals: dict[str, Fit] | None = None, check: bool = True, thorough: bool = True,
            report: Report | None = None) -> Advice:
-    """Say what a recording tells apart, and which motion would tell the rest.
+    """Say what a recording separates, and which motion would separate the rest.
 
     Parameters
     ----------
     experiment : the recordings; ``fit`` their model, with what was named.
     doubts : named effect -> effects and numbers of the rig that may be there instead; of them a
-        motion is looked for that tells the effects.
+        motion is looked for that separates the effects.
     rivals : effect -> a fit that has it instead; without it the rival enters at its start.
     check : put the proposed motion to a simulation with noise.
     thorough : look at the whole catalogue and at all motions; otherwise at the usual ones.
-    report : told what is done and how far it is, 0 to 1.
+    report : called with what is done and how far it is, 0 to 1.
     """
     say = report or (lambda text, share: None)
     say("computing what this recording identifies", 0.0)
@@ -121,19 +121,20 @@ def advice(experiment: Experiment, fit: Fit, doubts: dict[str, tuple[str, ...]],
         f"{name}.{p.name}": p.unit for name in NAMES for p in CATALOGUE[name].parameters}
     questions = [*pairs, *(hidden(fit, c, reading) for c in open_ones(confusions))]
     say("looking for a motion", 0.2)
-    asked, now = open_questions(traces, questions, base)
+    doubts, now = open_questions(traces, questions, base)
     motion, tried, checks = None, [], []
-    if asked and limits is not None:
-        here = traces.gram([s.label for s in [*base, *(s for q in asked for s in q.slopes())]])
-        tried = try_motions(experiment, fit, asked, here, limits, base, thorough)
+    if doubts and limits is not None:
+        here = traces.gram([s.label for s in [*base, *(s for q in doubts for s in q.slopes())]])
+        tried = try_motions(experiment, fit, doubts, here, limits, base, thorough)
         motion = cheapest(tried)
         if check:
-            motion, checks = proven(experiment, fit, asked, tried, limits, say)
-    then = next((one.gains for one in tried if one.motion is motion), (np.nan,) * len(asked))
+            motion, checks = proven(experiment, fit, doubts, tried, limits, say)
+    then = next((one.gains for one in tried if one.motion is motion), (np.nan,) * len(doubts))
     return Advice(
-        reading.known(units), reading.plateaus, confusions, reading.sights(), reading.groups(),
+        reading.known(units), reading.plateaus, confusions, reading.detection_limits(),
+        reading.groups(),
         tuple(Doubt(q.effect, q.rival, q.parameter, q.steady, q.amount, q.symbol, q.unit, a, b)
-              for q, a, b in zip(asked, now, then, strict=True)), motion,
+              for q, a, b in zip(doubts, now, then, strict=True)), motion,
         tuple(tried), tuple(checks), limits is not None, unit)
 
 
@@ -187,12 +188,12 @@ def open_questions(traces: Traces, questions: Sequence[Question], base: Sequence
     return [question for question, _ in found], [now for _, now in found]
 
 
-def proven(experiment: Experiment, fit: Fit, asked: Sequence[Question], tried: Sequence[Tried],
+def proven(experiment: Experiment, fit: Fit, doubts: Sequence[Question], tried: Sequence[Tried],
            limits: Limits, say: Report) -> tuple[Motion | None, list[Check]]:
     """Return the cheapest motion that also decides in simulation, with its checks.
 
     None where none does; the checks then show it.  The prediction is linear, and where friction
-    sticks or a limit is reached it can be far off: after a failure more is asked of the next one.
+    sticks or a limit is reached it can be far off: after a failure the next one must reach more.
     """
     rejected: list[str] = []
     best, most, failed = None, 0, []
@@ -202,9 +203,9 @@ def proven(experiment: Experiment, fit: Fit, asked: Sequence[Question], tried: S
             break
         gains = next(one.gains for one in tried if one.motion is motion)
         checks = []
-        for i, question in enumerate(asked):
+        for i, question in enumerate(doubts):
             say(f"checking in simulation: {motion.words}",
-                0.4 + 0.6 * (attempt + i / len(asked)) / ATTEMPTS)
+                0.4 + 0.6 * (attempt + i / len(doubts)) / ATTEMPTS)
             if gains[i] >= DECISIVE:
                 checks.append(checked(experiment, fit, question, motion, limits))
         held = sum(one.found >= DECISIVE for one in checks)
@@ -231,7 +232,7 @@ def advise(recordings: list[Recording], settings: Settings, check: bool = True,
     ----------
     settings : nominal config; its effects count as known.
     check : put the proposed motion to a simulation with noise.
-    report : told what is done and how far it is, 0 to 1.
+    report : called with what is done and how far it is, 0 to 1.
 
     Raises
     ------

@@ -10,8 +10,8 @@ from eha_monitor.balances.course import course_of
 from eha_monitor.balances.least_squares import inverse_of
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.table import pooled_table, tables_of
+from eha_monitor.mismatch.advise.identifiability import Known
 from eha_monitor.mismatch.advise.separate import Advice
-from eha_monitor.mismatch.advise.tells import Known
 from eha_monitor.mismatch.diagnosis import Diagnosis
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.recordings.recording import Recording

@@ -63,7 +63,7 @@ class Motion:
 def limits_for(experiment: Experiment) -> Limits | None:
     """Return what the recording went to; None where no motion can be simulated."""
     rig, r = experiment.settings.rig, experiment.ranges
-    if experiment.mode == FORCED:  # any controller will do: what is asked of is the speed
+    if experiment.mode == FORCED:  # any controller will do: only its speed matters
         per_speed, gain, fastest = 1.0, 1.0 / LOOP, r.speed
     elif None in (rig.area_1, rig.pump_displacement):
         return None

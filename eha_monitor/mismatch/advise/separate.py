@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 from eha_monitor import ties
+from eha_monitor.mismatch.advise.identifiability import Confusion, DetectionLimit, Known
 from eha_monitor.mismatch.advise.motions import (
     Limits,
     Motion,
@@ -13,7 +14,6 @@ from eha_monitor.mismatch.advise.motions import (
     share_within,
     strained,
 )
-from eha_monitor.mismatch.advise.tells import Confusion, Known, Sight
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.likelihood.information import Gram, Slope, Traces, free_slopes, gain_of
@@ -25,7 +25,7 @@ from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import effect_values, place_of
 
 DECISIVE = 20.0  # log units that settle a question
-WANTED = 40.0  # log units that are asked of a prediction, so that they do
+WANTED = 40.0  # log units that a prediction must reach, so that they do
 LONGEST = 16.0  # s of two motions together
 USUAL = ("sine_2_hz", "sine_10_hz", "sine_places", "triangle_half", "multisine")  # quick search
 FORM = 1e-3  # of a trace's squares: no model is right to 3 % of an effect, so less says nothing
@@ -40,7 +40,7 @@ class Question:
     effect : that is there; ``rival`` the effect that may be there instead, or "" where B and
         beta_e alone may take its part.
     parameter : ``B`` or ``beta_e`` where the question is what of it is the effect, or "".
-    steady : the recording's plateaus alone are asked, and the motion away from its reversals:
+    steady : only the recording's plateaus count, and the motion away from its reversals:
         the answer then does not hang on how friction reverses.
     truth, other : the model with the effect, and the other one.
     amount : of the effect in which they differ, SI; ``symbol`` its size, in ``unit``.
@@ -138,14 +138,14 @@ class Doubt:
 
 @dataclass(frozen=True)
 class Advice:
-    """What a recording tells, what it leaves open, and what to record next.
+    """What a recording separates, what it leaves open, and what to record next.
 
     Attributes
     ----------
     known : the fitted parameters.
     plateaus : share of the recording in which the speed is steady.
     confusions : health parameters and effects that take one another's part.
-    sights : from which size on each effect shows.
+    detection_limits : from which size on each effect shows.
     groups : effects that show, but not which of them it is.
     doubts : what is to be settled; ``motion`` the cheapest that does, None where none does or
         nothing is in doubt; ``tried`` what was considered, with log units for each doubt.
@@ -157,7 +157,7 @@ class Advice:
     known: tuple[Known, ...]
     plateaus: float
     confusions: tuple[Confusion, ...]
-    sights: tuple[Sight, ...]
+    detection_limits: tuple[DetectionLimit, ...]
     groups: tuple[tuple[str, ...], ...]
     doubts: tuple[Doubt, ...]
     motion: Motion | None
@@ -216,7 +216,7 @@ def try_motions(experiment: Experiment, fit: Fit, questions: Sequence[Question],
 
     Parameters
     ----------
-    here : what the recording tells; a motion is judged together with it.
+    here : what the recording says; a motion is judged together with it.
     every : try all motions, for the table; otherwise a few, until one will do.
     """
     slopes = [*base, *(slope for q in questions for slope in q.slopes())]
@@ -296,7 +296,7 @@ def checked(experiment: Experiment, fit: Fit, question: Question, motion: Motion
     both = there.only((*experiment.stretches, *there.stretches)
                       if experiment.mode == there.mode else there.stretches)
     data = simulated(both, truth, seed)
-    right = settled(data, with_unknowns(data, truth, truth.unknowns))
+    right = settled(data, with_unknowns(data, truth))
     wrong = settled(data, with_unknowns(data, question.other, right.unknowns))
     # What the recording itself lacks is not in the simulation: predicted for its conditions.
     like = replace(fit, gains=right.gains, s=right.s)

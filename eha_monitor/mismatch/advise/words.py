@@ -2,17 +2,17 @@
 
 import math
 
-from eha_monitor.mismatch.advise.motions import Motion
-from eha_monitor.mismatch.advise.separate import DECISIVE, Advice, Check, Doubt
-from eha_monitor.mismatch.advise.tells import (
+from eha_monitor.mismatch.advise.identifiability import (
     BASE,
     CONFUSED,
     HOPELESS,
     LEAST,
     Confusion,
+    DetectionLimit,
     Known,
-    Sight,
 )
+from eha_monitor.mismatch.advise.motions import Motion
+from eha_monitor.mismatch.advise.separate import DECISIVE, Advice, Check, Doubt
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import SYMBOLS, number, quantity, share
 from eha_monitor.settings.rig import Segment
@@ -111,17 +111,17 @@ def group_words(groups: tuple[tuple[str, ...], ...]) -> list[str]:
 
 def blind_words(advice: Advice) -> list[str]:
     """Return which effects the recording does not show at a size that matters."""
-    unseen: dict[str, Sight] = {}
-    for sight in advice.sights:
-        if sight.gain < LEAST:
-            unseen.setdefault(sight.effect, sight)
+    unseen: dict[str, DetectionLimit] = {}
+    for limit in advice.detection_limits:
+        if limit.gain < LEAST:
+            unseen.setdefault(limit.effect, limit)
     found = []
-    for sight in list(unseen.values())[:MOST]:
-        text = f"{effect_words(sight.effect)} would not show here"
-        if math.isfinite(sight.visible) and sight.visible < 1e6 * sight.matters:
-            text += f" below {amount(sight.visible, sight.unit, 2)}"
+    for limit in list(unseen.values())[:MOST]:
+        text = f"{effect_words(limit.effect)} would not show here"
+        if math.isfinite(limit.visible) and limit.visible < 1e6 * limit.matters:
+            text += f" below {amount(limit.visible, limit.unit, 2)}"
             moved = [f"{SYMBOLS[name]} by {abs(shift):.0%}"
-                     for name, shift in sight.shifts.items() if abs(shift) > NOTABLE]
+                     for name, shift in limit.shifts.items() if abs(shift) > NOTABLE]
             if moved:
                 text += f", and would shift {listed(moved)}"
         found.append(text)
@@ -132,7 +132,7 @@ def blind_words(advice: Advice) -> list[str]:
 
 
 def doubt_words(doubt: Doubt) -> str:
-    """Return what is to be told from what."""
+    """Return what is to be separated from what."""
     effect = effect_words(doubt.effect)
     if doubt.rival:
         return f"{effect} from {effect_words(doubt.rival)}"

@@ -10,20 +10,17 @@ from eha_monitor import ties
 from eha_monitor.mismatch.compare.healthy import Healthy
 from eha_monitor.mismatch.compare.runs import Reading, with_change
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
-from eha_monitor.mismatch.name.acceptance import FORM_OF_LAW
+from eha_monitor.mismatch.likelihood.fit import Fit, remade, spread, with_unknowns
+from eha_monitor.mismatch.name.candidates import candidate
 from eha_monitor.mismatch.name.columns import ALWAYS
 from eha_monitor.mismatch.name.polish import Slopes, polished
-from eha_monitor.mismatch.name.suspects import exclude, simple_kin
+from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 
 MOST = 3  # numbers that change at once
 LEAST, NEARLY = 5, 0.9  # numbers that are fitted: those that leave least; share of the best gain
 STEPS = 60  # of a fit: priors as narrow as healthy runs are make a long way
-ENOUGH = 0.75  # of what goes beyond healthy runs: what is left is the laws' form error
-WORTH = 0.5  # of what is left: another number must take so much away
 NARROWLY = 0.3  # of the limit: by so much what is as good as the best may be beyond it
-ALIKE = 2.0  # log units: what explains a run so nearly as well cannot be told from the best
 PARAMETER = 0.5  # rarity of a change of B or beta_e, between what is common and what is not
 
 
@@ -66,6 +63,16 @@ class Comparison:
     def __init__(self, healthy: Healthy, experiment: Experiment):
         self.healthy, self.experiment = healthy, experiment
         self.what = healthy.runs[0].what
+
+    @property
+    def policy(self) -> SearchPolicy:
+        """The numbers that decide names."""
+        return self.experiment.policy
+
+    @property
+    def alike(self) -> float:
+        """Log units by which what cannot be separated from the best explanation is behind it."""
+        return float(-np.log(self.policy.rival))
 
     @cached_property
     def before(self) -> Explanation:
@@ -120,10 +127,9 @@ class Comparison:
         rest = [(f, held) for i, f, held in zip(
             own.places, own.free, own.held(self.healthy.fit), strict=True) if i not in places]
         free = wide + tuple(held for _, held in rest)
-        k = len(free)
-        made = polished(self.experiment, with_unknowns(self.experiment, replace(
-            start, theta=theta, active=active, free=free, covariance=np.zeros((k, k)),
-            converged=False), start.unknowns), Slopes(self.experiment), STEPS)
+        made = polished(self.experiment, remade(
+            self.experiment, start, theta=theta, active=active, free=free),
+            Slopes(self.experiment), STEPS)
         absent = any(self.what[i].variant >= 0 and made.theta[self.what[i].free.place]
                      == self.what[i].free.prior for i in places)
         if absent or not np.isfinite(made.log_likelihood):
@@ -142,7 +148,7 @@ class Comparison:
             if not found:
                 break
             first = self.chosen(found)
-            if not first.complete and first.left > WORTH * best.left:
+            if not first.complete and first.left > self.policy.likely * best.left:
                 break
             best = first
             if best.complete:
@@ -159,7 +165,7 @@ class Comparison:
             rest = tuple(i for i in best.places if i != place)
             one = self.refitted(best.fit, rest)
             if one is not None and one.complete >= best.complete and (
-                    one.left < best.left + ALIKE):
+                    one.left < best.left + self.alike):
                 best = replace(one, rivals={i: best.rivals.get(i, ()) for i in rest})
         return best
 
@@ -180,7 +186,7 @@ class Comparison:
         first = [*dict.fromkeys(self.starts_of(left)[:LEAST] + self.starts_of(
             [i for i in left if gains[i] > most]))]
         # Laws of one family explain one another's errors: none of them is judged without the rest.
-        family = {law for i in first for law in simple_kin(self.what[i].owner)}
+        family = {law for i in first for law in candidate(self.what[i].owner).simple_kin}
         return [*own, *dict.fromkeys(first + self.starts_of(
             [i for i in left if self.what[i].owner in family]))]
 
@@ -198,12 +204,12 @@ class Comparison:
         """
         best = ties.best([one for one in found if one.complete] or found,
                          lambda one: -one.left, self.plainness, ties.GUESS)
-        alike = ALIKE + FORM_OF_LAW * max(self.before.left - best.left, 0.0)
+        alike = self.alike + self.policy.law * max(self.before.left - best.left, 0.0)
         near = [one for one in found if one.left <= best.left + alike
                 and one.worst <= max(best.worst, 1.0) + NARROWLY]
         first = min(near, key=self.plainness)
         last = first.places[-1]
-        # What cannot be told from a complete one needs nothing more.
+        # What cannot be separated from a complete one needs nothing more.
         worst = min(first.worst, max(best.worst, 1.0))
         return replace(first, worst=worst, rivals={**first.rivals, last: tuple(
             one.places[-1] for one in near if one.places[-1] != last)})
@@ -218,12 +224,12 @@ class Comparison:
         if column.owner == ALWAYS:
             return PARAMETER
         entry = CATALOGUE[column.owner]
-        symbol = column.name.partition(".")[2]
-        p = next(p for p in entry.parameters if p.name == symbol)
+        p = next(p for p in entry.parameters if p.name == column.free.symbol)
         one_way = p.lower >= p.neutral
         return entry.rarity + 0.1 * len(entry.contains) - (0.05 if one_way else 0.0)
 
 
 def clash(one: str, other: str) -> bool:
     """Tell whether two numbers belong to one effect, or to two of which one has the other."""
-    return one == other != ALWAYS or (ALWAYS not in (one, other) and exclude(one, other))
+    return one == other != ALWAYS or (
+        ALWAYS not in (one, other) and candidate(one).excludes(candidate(other)))

@@ -11,7 +11,7 @@ from eha_monitor.balances.changed import against
 from eha_monitor.balances.machine import healthy_machine
 from eha_monitor.breakdown import computing
 from eha_monitor.estimation.hold_choice import resolved
-from eha_monitor.mismatch.compare.changes import ENOUGH, Comparison, Explanation
+from eha_monitor.mismatch.compare.changes import Comparison, Explanation
 from eha_monitor.mismatch.compare.healthy import FALSE, Healthy, healthy_of
 from eha_monitor.mismatch.data.experiment import Experiment, by_balances, experiment_of
 from eha_monitor.mismatch.diagnosis import (
@@ -22,11 +22,11 @@ from eha_monitor.mismatch.diagnosis import (
     NamedEffect,
     Value,
 )
-from eha_monitor.mismatch.learn.told import LARGEST, errors, told_of, tracks_of
+from eha_monitor.mismatch.learn.validated import LARGEST, validated_term
+from eha_monitor.mismatch.likelihood.along import filtered_tracks
 from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, Missing, missing_terms
-from eha_monitor.mismatch.name.acceptance import RIVAL
 from eha_monitor.mismatch.name.columns import ALWAYS
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.show import held_out as show
@@ -55,7 +55,7 @@ def compared(recordings: list[Recording], references: list[Recording], settings:
     recordings : of the machine now, explained together.
     references : of a healthy machine, of the same or of one like it.
     settings : nominal config; its effects count as known.
-    progress : told what is done and how far it is, 0 to 1.
+    progress : called with what is done and how far it is, 0 to 1.
 
     Raises
     ------
@@ -89,30 +89,30 @@ def _answer(healthy: Healthy, recordings: list[Recording], references: list[Reco
         say("testing what has changed", 0.7)
         best = comparison.explained()
     verdict = "consistent" if not comparison.changed else (
-        "mismatch" if best.places and (best.complete or comparison.share_of(best) > ENOUGH)
-        else "unexplained")
+        "mismatch" if best.places and (best.complete or comparison.share_of(
+            best) > whole.policy.explained) else "unexplained")
     places = best.places if verdict == "mismatch" else ()
     say("showing the fit on unseen data", 0.9)
-    before, plain = (with_unknowns(fitted, one, one.unknowns)
+    before, plain = (with_unknowns(fitted, one)
                      for one in (healthy.usual(), healthy.fit))
     after = Comparison(healthy, fitted).fitted(best.fit, places) or plain
     names = tuple(dict.fromkeys(comparison.what[i].owner for i in places
                                 if comparison.what[i].owner in CATALOGUE))
     model = _named(after, names)
     changes = tuple(_change(healthy, comparison, best, place) for place in places)
-    signals = errors(fitted, before, model)
+    signals = show.shown(fitted, before, model)
     effects = tuple(_effect(fitted, model, name, changes, comparison.before.left - best.left)
                     for name in names)
     where, curves = _place(fitted, before, model, verdict, changes)
     message, term = _message(healthy, comparison, best, verdict, changes, references), None
-    if verdict == "unexplained" and healthy.naming.unexplained < RIVAL:
+    if verdict == "unexplained" and healthy.naming.unexplained < whole.policy.rival:
         say("learning effects not in the catalogue", 0.95)
-        told = told_of(fitted, fitted, _on(healthy.naming, healthy.fit, fitted))
-        if told is not None and told.term is not None:
-            term, model = told.term, told.fit
-            signals = errors(fitted, before, model)
-            changes = (_learned(told.term, told.missing),)
-            curves = locate.latent_curves(fitted, before, model, [told.missing])
+        found = validated_term(fitted, fitted, _on(healthy.naming, healthy.fit, fitted))
+        if found is not None and found.term is not None:
+            term, model = found.term, found.fit
+            signals = show.shown(fitted, before, model)
+            changes = (_learned(found.term, found.missing),)
+            curves = locate.latent_curves(fitted, before, model, [found.missing])
             message = f"an effect that is not in the catalogue has changed: {term.statement}"
     return Diagnosis(
         bags, verdict, message, where, effects, _reference_values(healthy),
@@ -122,7 +122,8 @@ def _answer(healthy: Healthy, recordings: list[Recording], references: list[Reco
             f"learned_{term.adds}", term.entry)), duration_s=duration,
         command_hold=healthy.experiment.settings.command_hold,
         learned=() if term is None else (term,),
-        references=tuple(one.source for one in references), changes=changes)
+        references=tuple(one.source for one in references), changes=changes,
+        policy=whole.policy.to_dict())
 
 
 def _learned(term: LearnedTerm, missing: Missing) -> Change:
@@ -134,7 +135,7 @@ def _learned(term: LearnedTerm, missing: Missing) -> Change:
 
 def _on(naming: Naming, fit: Fit, experiment: Experiment) -> Naming:
     """Return what was named of the healthy machine as the beginning for another recording."""
-    before, after = (with_unknowns(experiment, one, one.unknowns) for one in (naming.before, fit))
+    before, after = (with_unknowns(experiment, one) for one in (naming.before, fit))
     return replace(naming, experiment=experiment, before=before, after=after)
 
 
@@ -204,7 +205,7 @@ def _effect(experiment: Experiment, fit: Fit, name: str, changes: tuple[Change, 
         {change.symbol: change.now for change in mine}, gained,
         tuple(dict.fromkeys(rival for change in mine for rival in change.indistinguishable_from)),
         entry.equation, entry.rig_check,
-        size_of(experiment, fit, name, tracks_of(experiment, fit)))
+        size_of(experiment, fit, name, filtered_tracks(experiment, fit)))
 
 
 def _place(experiment: Experiment, before: Fit, after: Fit, verdict: str,

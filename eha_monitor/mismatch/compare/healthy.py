@@ -8,13 +8,14 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import stdtrit
 
+from eha_monitor.balances.policy import POLICY
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.compare.runs import Own, Reading, Run, posterior_of, reading_of, run_of
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.data.stretch import cut
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
+from eha_monitor.mismatch.name.informative import informative
 from eha_monitor.mismatch.name.naming import Naming, name_effects
-from eha_monitor.mismatch.name.telling import telling
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
@@ -23,7 +24,7 @@ PIECES = 8  # that they are cut in then, together
 SHORTEST_S = 1.0  # of a piece
 ANSWERS = 0.01  # of the usual power: a run that answers less says nothing of a number
 ROUNDS, LEAST = 200, 1e-12  # of expectation and maximisation; variance that stays
-FALSE = 0.01  # of healthy recordings that may be called changed
+FALSE = POLICY.false  # of healthy recordings that may be called changed
 
 
 @dataclass(frozen=True)
@@ -108,8 +109,8 @@ class Healthy:
     @cached_property
     def limits(self) -> np.ndarray:
         """How far each number may be, (k,) of t: what a healthy run did once, one may do again."""
-        seen = np.nanmax(np.abs(self.own_t), axis=0)
-        return np.maximum(seen, self.limit) if len(self.runs) > FEWEST else np.full(
+        widest = np.nanmax(np.abs(self.own_t), axis=0)
+        return np.maximum(widest, self.limit) if len(self.runs) > FEWEST else np.full(
             len(self.kept), self.limit)
 
     def odd_ones(self) -> list[int]:
@@ -119,7 +120,7 @@ class Healthy:
 
 
 def weight_of(power: np.ndarray, usual: np.ndarray) -> np.ndarray:
-    """Return the weights of amplitudes: a run that answers to a number less tells it less well."""
+    """Return the weights of amplitudes: a run that answers less determines them less well."""
     return np.sqrt(np.minimum(power / usual, 1.0))
 
 
@@ -170,9 +171,9 @@ def healthy_of(references: list[Recording], settings: Settings) -> Healthy:
     parts = [joint.only(tuple(stretch for stretch in joint.stretches
                               if stretch.source == recording.source))
              for recording in references]
-    naming = name_effects(telling(max(parts, key=lambda one: one.n)))
+    naming = name_effects(informative(max(parts, key=lambda one: one.n)))
     joint = replace(naming.experiment, stretches=joint.stretches)
-    fit = with_unknowns(joint, naming.after, naming.after.unknowns)
+    fit = with_unknowns(joint, naming.after)
     parts, pieces = runs_in(parts)
     runs = spread(lambda one: run_of(joint.only(one.stretches), fit), parts)
     runs = tuple(run.ordered(runs[0].what) for run in runs)
@@ -189,8 +190,8 @@ def healthy_of(references: list[Recording], settings: Settings) -> Healthy:
 def own_over(runs: tuple[Run, ...]) -> Own:
     """Return how the model's own numbers vary over the runs: expectation and maximisation.
 
-    Each run's are a ~ N(m, s^2), and the run tells them by its products G and sides g (Dempster,
-    Laird and Rubin 1977; Laird and Ware 1982):
+    Each run's are a ~ N(m, s^2), which the run's products G and sides g determine (Dempster, Laird
+    and Rubin 1977; Laird and Ware 1982):
 
         V = (G + s^-2)^-1,  a = V (m s^-2 - g);    m = mean a,  s^2 = mean V + (a - m)^2
     """

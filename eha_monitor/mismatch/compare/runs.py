@@ -18,10 +18,10 @@ import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, with_unknowns
+from eha_monitor.mismatch.name.candidates import candidate
 from eha_monitor.mismatch.name.columns import ALWAYS, ASTRAY_OWNER, Column, columns_at
 from eha_monitor.mismatch.name.gram import grams_of
 from eha_monitor.mismatch.name.starts import entered
-from eha_monitor.mismatch.name.suspects import limited
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
 
@@ -158,13 +158,13 @@ def may_change(column: Column) -> bool:
     if column.variant < 0:
         return column.size
     # A limit has no linear size, and what grows out of another effect is that one's change.
-    return (not column.start.replaces and not limited(column.owner)
+    return (not column.start.replaces and not candidate(column.owner).limit
             and column.free.prior == 0.0)
 
 
 def run_of(experiment: Experiment, fit: Fit) -> Run:
     """Return what the recordings of an experiment say of a model."""
-    here = with_unknowns(experiment, fit, fit.unknowns)
+    here = with_unknowns(experiment, fit)
     columns = columns_at(experiment, here, unnamed=False)
     gram = grams_of(experiment, here, columns.values, [here.unknowns])[0]
     # A column that runs away says nothing of this recording.

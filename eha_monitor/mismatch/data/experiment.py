@@ -19,6 +19,7 @@ from eha_monitor.mismatch.data.inputs import (
 )
 from eha_monitor.mismatch.data.stretch import BURN_IN, Stretch
 from eha_monitor.mismatch.data.windows import Rows, windows_of, windows_of_each
+from eha_monitor.mismatch.policy import POLICY, SearchPolicy
 from eha_monitor.physics.effect import Ranges
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.physics.plant import N_OUTPUTS
@@ -66,6 +67,7 @@ class Experiment:
     drift : by how much the circuit outside the model moves a chamber's pressure in a sample, Pa.
     windows : the stretches are windows of longer recordings.
     without : effects of the catalogue that are not considered.
+    policy : the numbers that decide what is named.
     """
 
     settings: Settings
@@ -88,6 +90,7 @@ class Experiment:
     held: bool = False
     windows: bool = False
     without: tuple[str, ...] = ()
+    policy: SearchPolicy = POLICY
 
     @property
     def n(self) -> int:

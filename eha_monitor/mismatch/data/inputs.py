@@ -7,7 +7,7 @@ from eha_monitor.recordings.grid import filled
 from eha_monitor.settings.rig import Rig
 
 CLOSED, OPEN, FORCED = 0, 1, 2  # input: x_d with the loop, pump speed, force
-REACH = 25  # samples over which an input's own change is told from its noise
+REACH = 25  # samples over which an input's own change is separated from its noise
 GOVERNS = 10.0  # times the steps' variance
 KEPT = 0.95  # share of the smallest squares that count: jumps and spikes aside
 # A corner's bend is a change of slope, of first order in the sample time; a curve's is of second
@@ -97,7 +97,7 @@ def present(u: np.ndarray, x: np.ndarray, longest: int) -> list[tuple[int, int]]
 def noise_governs(parts: list[np.ndarray]) -> bool:
     """Tell whether a measured input's own noise outweighs its change from sample to sample.
 
-    The change over one sample and over ``REACH`` tells the variances q of a wandering level's
+    The change over one sample and over ``REACH`` gives the variances q of a wandering level's
     steps and r of the noise beside it.
     """
     def change(reach):

@@ -1,10 +1,9 @@
-"""The windows of a long recording that are looked at: those whose motion tells most.
+"""The windows of a long recording that are looked at: those whose motion is most informative.
 
-A model run over an hour costs minutes and gigabytes, and says no more than the telling parts of
-it.  Before any model is run each window is asked, in one pass over the recording, how its motion
-excites what the balances are made of, and by how much they are off there; the windows are taken
-one by one whose log det together is the largest (D-optimal, greedy).  Of these the models
-themselves take their pick (:mod:`name.telling`).
+A model run over an hour costs minutes and gigabytes, and says no more than the informative parts
+of it.  Before any model is run one pass over the recording finds how each window's motion excites
+what the balances are made of, and by how much they are off there.  Of the windows chosen by that
+the models themselves choose again (:mod:`name.informative`).
 """
 
 from dataclasses import dataclass, replace
@@ -20,7 +19,7 @@ from eha_monitor.settings.rig import Rig
 WINDOW = 8_000  # samples
 LOOKED = 64_000  # samples that are looked at; a recording that is no longer is looked at whole
 REACH_S = 0.01  # over which means, and from mean to mean slopes, are taken
-TURNING = 0.05  # of the rms speed: below, a direction is half told
+TURNING = 0.05  # of the rms speed: below, a direction is half known
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,7 @@ class Rows:
 
 def windows_of(recordings: list[Recording], settings: Settings, most: int = LOOKED,
                size: int = WINDOW) -> list[Rows] | None:
-    """Return the windows that tell most, in order; None where all of the samples are few.
+    """Return the most informative windows, in order; None where all of the samples are few.
 
     Parameters
     ----------
@@ -43,28 +42,42 @@ def windows_of(recordings: list[Recording], settings: Settings, most: int = LOOK
     """
     if sum(map(len, recordings)) <= most:
         return None
-    windows, told = [], []
+    windows, columns = [], []
     for number, recording in enumerate(recordings):
         for first in range(0, len(recording), size):
             last = min(first + size, len(recording))
             if last - first >= min(size // 2, len(recording)):
                 windows.append(Rows(number, first, last))
-                told.append(told_by(rows_of(recording, first, last), settings))
-    names = sorted(set().union(*told))
+                columns.append(columns_of(rows_of(recording, first, last), settings))
+    names = sorted(set().union(*columns))
     tables = [np.column_stack([one.get(name, np.zeros(len(one["x"]))) for name in names])
-              if one else np.zeros((0, len(names))) for one in told]
+              if one else np.zeros((0, len(names))) for one in columns]
     # In units of what a column comes to over the whole.
     scale = np.sqrt(sum((part**2).sum(axis=0) for part in tables) / max(sum(map(len, tables)), 1))
     grams = [(part / np.where(scale > 0, scale, 1.0)).T @ (part / np.where(scale > 0, scale, 1.0))
              for part in tables]
-    whole, chosen, left, samples = np.eye(len(names)), [], list(range(len(windows))), 0
+    return [windows[i] for i in most_informative(
+        grams, [one.last - one.first for one in windows], most, size)]
+
+
+def most_informative(grams: list[np.ndarray], lengths: list[int], most: int, size: int
+                     ) -> list[int]:
+    """Return the windows whose log det together is the largest, in order: D-optimal, greedy.
+
+    Parameters
+    ----------
+    grams : (k, k) products of a window's columns, of length 0 where it says nothing.
+    lengths : samples of each, about ``size``; ``most`` of all that are chosen.
+    """
+    whole, chosen, samples = np.eye(max(map(len, grams))), [], 0
+    left = [i for i, gram in enumerate(grams) if len(gram)]
     while left and samples + size // 2 <= most:
         known = [np.linalg.slogdet(whole + grams[i])[1] for i in left]
         best = left.pop(ties.largest(known, ties.GUESS))
         chosen.append(best)
         whole = whole + grams[best]
-        samples += windows[best].last - windows[best].first
-    return [windows[i] for i in sorted(chosen)]
+        samples += lengths[best]
+    return sorted(chosen)
 
 
 def windows_of_each(recordings: list[Recording], settings: Settings) -> list[Rows] | None:
@@ -79,7 +92,7 @@ def windows_of_each(recordings: list[Recording], settings: Settings) -> list[Row
     return found if cut else None
 
 
-def told_by(window: Recording, settings: Settings) -> dict[str, np.ndarray]:
+def columns_of(window: Recording, settings: Settings) -> dict[str, np.ndarray]:
     """Return what the balances are made of in a window, and what they leave; name -> (n,).
 
     Means over ``REACH_S``, in which a sensor's noise is small; nil where one is not there.
@@ -120,7 +133,7 @@ def told_by(window: Recording, settings: Settings) -> dict[str, np.ndarray]:
 
 
 def speed_of(channels: dict[str, np.ndarray], rig: Rig) -> np.ndarray | None:
-    """Return the pump's speed as it was measured, or as it was told, rad/s."""
+    """Return the pump's speed as it was measured, or as it was commanded, rad/s."""
     if "omega" in channels:
         return channels["omega"]
     if rig.position_gain is not None and "x_d" in channels:

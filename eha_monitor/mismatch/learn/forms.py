@@ -8,13 +8,13 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
+from eha_monitor.mismatch.likelihood.along import filtered_tracks
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.likelihood.gains import smallest_unknowns
 from eha_monitor.mismatch.name.columns import Column, Columns, columns_at
 from eha_monitor.mismatch.name.proposals import weighed
 from eha_monitor.mismatch.name.rank import Ranked
-from eha_monitor.mismatch.name.unnamed import PRIOR, Unnamed
-from eha_monitor.mismatch.show.sizes import filtered_tracks
+from eha_monitor.mismatch.name.unnamed import Unnamed
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.own_term import OWN_NAMES, cardinal
@@ -23,7 +23,6 @@ KNOTS = 9  # of a table when the forms are weighed
 COVERED = 0.001  # quantile of the signal at which a table ends: beyond it nothing was measured
 MOST_PERIODS, HARMONICS = 24, 2  # of a ripple: in a revolution of the shaft; of each
 SHARP = 0.02  # of the largest speed: over which a term that follows the direction turns round
-LEFT = 3.0  # times what is left of a balance: the prior deviation of a table's values there
 # What a term adds to -> which unknown of the filter stands for it, and its balance.
 UNKNOWN = {"force": "force", "flow": "flow", "flow_1": "flow_1", "flow_2": "flow_2",
            "speed": "drive"}
@@ -56,28 +55,6 @@ class Form:
     def periodic(self) -> bool:
         """Tell whether its table goes round: the shaft's angle begins anew."""
         return self.of == "angle"
-
-
-@dataclass(frozen=True)
-class Guess:
-    """A form with its curve by the linear guess.
-
-    Attributes
-    ----------
-    evidence : log units, by the linear guess.
-    first, last : ends of the table, SI;  ``scale`` of its factor.
-    values : (KNOTS,) SI.
-    ranked : the same guess of all other numbers, of ``what`` columns; its level of the unknowns.
-    """
-
-    form: Form
-    evidence: float
-    first: float
-    last: float
-    scale: float
-    values: np.ndarray
-    ranked: Ranked | None = None
-    what: tuple[Column, ...] = ()
 
 
 def forms_of(experiment: Experiment) -> tuple[Form, ...]:
@@ -134,6 +111,10 @@ class Table:
     scale: float
     unit: float
 
+    def knots(self, count: int) -> np.ndarray:
+        """Return the places of its values, (count,) SI."""
+        return np.linspace(self.first, self.last, count, endpoint=not self.form.periodic)
+
     def entry(self, values: np.ndarray) -> dict:
         """Return it with values (n,), SI, as an entry of a config's ``effects``."""
         return {"adds": self.form.adds, "of": self.form.of, "times": self.form.times,
@@ -141,14 +122,27 @@ class Table:
                 "values": values.tolist()}
 
 
-def tracks_of(experiment: Experiment, fit: Fit) -> list[np.ndarray]:
-    """Return the signals along each stretch, (n, N_SIGNALS): as filtered, or as compared."""
-    return filtered_tracks(experiment, fit)
+@dataclass(frozen=True)
+class Guess:
+    """A table with its curve by the linear guess.
+
+    Attributes
+    ----------
+    evidence : log units, by the linear guess.
+    values : (KNOTS,) SI.
+    ranked : the same guess of all other numbers, of ``what`` columns; its level of the unknowns.
+    """
+
+    table: Table
+    evidence: float
+    values: np.ndarray
+    ranked: Ranked | None = None
+    what: tuple[Column, ...] = ()
 
 
 def tables_of(experiment: Experiment, fit: Fit) -> tuple[Table, ...]:
     """Return every form over what the recordings cover."""
-    tracks = tracks_of(experiment, fit)
+    tracks = filtered_tracks(experiment, fit)
     units = units_of(experiment, fit)
     difference = np.abs(np.concatenate([signal_along(track, "dp") for track in tracks]))
     scales = {"direction": max(SHARP * experiment.ranges.speed, 1e-9),
@@ -192,7 +186,8 @@ def periods_of(experiment: Experiment, fit: Fit, tracks: list[np.ndarray]) -> in
 def units_of(experiment: Experiment, fit: Fit) -> dict[str, float]:
     """Return the prior deviation of a table's values in each balance, SI."""
     small = smallest_unknowns(experiment).as_array()
-    return dict(zip(("force", "flow", "drive"), (PRIOR * small).tolist(), strict=True))
+    return dict(zip(("force", "flow", "drive"),
+                    (experiment.policy.matters * small).tolist(), strict=True))
 
 
 def columns_with(experiment: Experiment, fit: Fit, tables: Sequence[Table],
@@ -203,7 +198,7 @@ def columns_with(experiment: Experiment, fit: Fit, tables: Sequence[Table],
     ----------
     suspects : also the effects that the model does not have.
     """
-    tracks, terms = tracks_of(experiment, fit), []
+    tracks, terms = filtered_tracks(experiment, fit), []
     for one in tables:
         form = one.form
         terms.append(Unnamed(form.name, UNKNOWN[form.adds], form.of, tuple(
@@ -232,7 +227,7 @@ def ranked_forms(experiment: Experiment, fit: Fit) -> list[Guess]:
         values = np.array([value for place, value in sorted(one.amplitudes.items())
                            if view.what[place].owner == name])
         rest = tuple(member for member in one.members if member.owner != name)
-        found[name] = Guess(table.form, one.evidence, table.first, table.last, table.scale,
-                            table.unit * values, replace(one, members=rest), view.what)
+        found[name] = Guess(table, one.evidence, table.unit * values,
+                            replace(one, members=rest), view.what)
     return ties.ordered(found.values(), lambda guess: guess.evidence,
-                        lambda guess: guess.form.name, ties.GUESS)
+                        lambda guess: guess.table.form.name, ties.GUESS)

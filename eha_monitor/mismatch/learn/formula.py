@@ -1,6 +1,6 @@
 """A formula for a learned term: shapes fitted to its curve, the best refitted in the likelihood.
 
-The curve is no more than a way to find where to begin; which formula is told, and whether one is,
+The curve is no more than a way to find where to begin; which formula is given, and whether one is,
 decides the evidence of the recording's own innovations, beside that of the table, which may be
 ahead by a law's form error.
 """
@@ -14,15 +14,12 @@ from scipy.linalg import cholesky, solve_triangular
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.learn.forms import Form
 from eha_monitor.mismatch.learn.learned import (
-    SHARP_SPREAD,
     SHARPEST,
     Learned,
-    begun_with,
     score_of,
 )
 from eha_monitor.mismatch.learn.shapes import RIPPLES, SHAPES, Shape
-from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread
-from eha_monitor.mismatch.name.acceptance import UNNAMED
+from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
 from eha_monitor.physics.expression import parsed
@@ -64,9 +61,9 @@ class Formula:
 
 
 def formulas_of(experiment: Experiment, learned: Learned) -> list[Formula]:
-    """Return the formulas that fit best, best first; the first is told if no table leads far."""
+    """Return the formulas that fit best, best first; the first is given if no table leads far."""
     places = learned.knots
-    shapes = RIPPLES if learned.form.periodic else SHAPES
+    shapes = RIPPLES if learned.table.form.periodic else SHAPES
     fits = sorted((fit for shape in shapes if (fit := on_curve(shape, places, learned))),
                   key=lambda found: found[0])
     made = spread(lambda found: refitted(experiment, learned, *found[1:]), fits[:REFITTED])
@@ -77,8 +74,8 @@ def formulas_of(experiment: Experiment, learned: Learned) -> list[Formula]:
 
 def lies_within(formula: Formula, learned: Learned) -> bool:
     """Tell whether a bump or a threshold lies in what was recorded; a wave lies everywhere."""
-    place = formula.values.get(PLACE)
-    return place is None or "sin(" in formula.text or learned.first <= place <= learned.last
+    place, table = formula.values.get(PLACE), learned.table
+    return place is None or "sin(" in formula.text or table.first <= place <= table.last
 
 
 def curve_of(text: str, values: dict[str, float], of: str, at: np.ndarray) -> np.ndarray:
@@ -120,7 +117,7 @@ def on_curve(shape: Shape, places: np.ndarray, learned: Learned
     floor = EXACT * float(np.sqrt(np.mean(y**2)))
     covariance = learned.covariance() / divisor**2 + floor**2 * np.eye(len(y))
     root = cholesky(covariance, lower=True)
-    text = in_signal(shape.text, learned.form.of)
+    text = in_signal(shape.text, learned.table.form.of)
     keys = list(shape.units)
     best = None
     for start in shape.starts(places, y):
@@ -133,7 +130,7 @@ def on_curve(shape: Shape, places: np.ndarray, learned: Learned
                     else float(start[key] + size[i] * z[i]) for i, key in enumerate(keys)}
 
         def left(z, values_at=values_at):
-            made = curve_of(text, values_at(z), learned.form.of, places)
+            made = curve_of(text, values_at(z), learned.table.form.of, places)
             return solve_triangular(root, np.nan_to_num(made - y, nan=1e6), lower=True)
 
         found = least_squares(left, np.zeros(len(keys)), max_nfev=60)
@@ -154,7 +151,7 @@ def scale_of(kind: str, u: np.ndarray, y: np.ndarray) -> float:
 def refitted(experiment: Experiment, learned: Learned, shape: Shape, values: dict[str, float]
              ) -> Formula:
     """Return a formula fitted to the recording, in the table's place, beside all else."""
-    form, which = learned.form, learned.which
+    form, which = learned.table.form, learned.which
     factor = FACTORS[form.times][0]
     text = in_signal(shape.text, form.of)
     text = f"({text}){factor}" if factor and ("+" in text or "-" in text) else text + factor
@@ -167,29 +164,30 @@ def refitted(experiment: Experiment, learned: Learned, shape: Shape, values: dic
     theta[slot] = expression.slot(form.adds, values)
     y = learned.values / learned.divisor
     fastest = max(experiment.ranges.speed, 1e-9)
-    free = [f for f in learned.fit.free if not f.name.startswith(own + ".")]
+    free = [f for f in learned.fit.free if f.owner != own]
     for key, place in expression.parameters.items():
         at, name = slot.start + CONSTANTS + place, f"{own}.{key}"
         if key == "v_e":
             free.append(Free(name, at, SHARPEST * fastest, fastest,
-                             float(np.log(values[key])), SHARP_SPREAD, True))
+                             float(np.log(values[key])), experiment.policy.shape, True))
         elif key in shape.positive:
             free.append(Free(name, at, 1e-4 * values[key], 1e4 * values[key],
-                             float(np.log(values[key])), 1.5, True))
+                             float(np.log(values[key])), experiment.policy.shape, True))
         else:
             size = scale_of(shape.units[key], learned.knots, y)
             free.append(Free(name, at, -1e3 * size, 1e3 * size, 0.0, WIDE * size))
-    made = settled(experiment, begun_with(experiment, learned.fit, theta, active, tuple(free)))
+    made = settled(experiment, remade(
+        experiment, learned.fit, theta=theta, active=active, free=tuple(free)))
     found = {key: float(made.theta[slot.start + CONSTANTS + place])
              for key, place in expression.parameters.items()}
     return Formula(shape.name, text, found, shown_as(shape, form, found), made,
-                   score_of(experiment, made) + UNNAMED)
+                   score_of(experiment, made) + experiment.policy.unnamed)
 
 
 def shown_as(shape: Shape, form: Form, values: dict[str, float]) -> str:
     """Return a formula with its numbers, as a person reads it."""
-    told = {key: quantity(values[key], unit_of(form, kind), 3)
+    numbers = {key: quantity(values[key], unit_of(form, kind), 3)
             for key, kind in shape.units.items()}
-    text = shape.shown.format(u=SHOWN.get(form.of, form.of), **told) + FACTORS[form.times][1]
+    text = shape.shown.format(u=SHOWN.get(form.of, form.of), **numbers) + FACTORS[form.times][1]
     return text.replace("+ −", "− ").replace("− −", "+ ").replace("+ -", "− ").replace("− -", "+ ")
 

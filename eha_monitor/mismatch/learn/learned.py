@@ -6,19 +6,26 @@ import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.learn.forms import BALANCE, KNOTS, Form, Guess, free_slot, ranked_forms
-from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread, with_unknowns
-from eha_monitor.mismatch.name.acceptance import FORM, FORM_OF_LAW, UNNAMED
+from eha_monitor.mismatch.learn.forms import (
+    BALANCE,
+    KNOTS,
+    Form,
+    Guess,
+    Table,
+    free_slot,
+    ranked_forms,
+)
+from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread
+from eha_monitor.mismatch.name.candidates import log_prior
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.refit import (
-    begun,
     evidence_of,
     joined,
     looked,
-    prior_of,
     settled,
+    unfitted,
 )
-from eha_monitor.mismatch.name.select import FIRST, lesser, with_rig
+from eha_monitor.mismatch.name.select import lesser, with_rig
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
 from eha_monitor.physics.own_term import SCALE, VALUES, cardinal
 from eha_monitor.settings.own_terms import slot_for
@@ -28,7 +35,6 @@ TRIED = 3  # forms that are looked at from each place, of those weighed
 GOING = 3  # forms that are then fitted to the end
 MORE = (17, 33)  # values of a table, while the evidence grows
 WIDE = 3.0  # times the root mean square of the guess: the prior deviation of a table's values
-SHARP_SPREAD = 1.5  # of the logarithm of the speed over which a term turns round
 SHARPEST = 1e-5  # of the largest speed
 
 
@@ -38,15 +44,14 @@ class Learned:
 
     Attributes
     ----------
-    form, first, last, count : the table's; ``which`` place of its own term among all effects.
+    table : as it was entered; ``count`` of its values, ``which`` place of its own term among all
+        effects.
     fit : the model; ``evidence`` of it, log units, prior odds of its names included.
     without : the best model without it; ``gained`` log units over that.
     decides : it explains more than the form error of what was named can be.
     """
 
-    form: Form
-    first: float
-    last: float
+    table: Table
     count: int
     which: int
     fit: Fit
@@ -58,7 +63,7 @@ class Learned:
     @property
     def balance(self) -> str:
         """Balance whose missing part it is."""
-        return BALANCE[self.form.adds]
+        return BALANCE[self.table.form.adds]
 
     @property
     def values(self) -> np.ndarray:
@@ -74,12 +79,12 @@ class Learned:
     @property
     def divisor(self) -> float:
         """What a formula's curve is less than the table's: its factor stands without a scale."""
-        return self.scale if self.form.times in ("v", "dp", "omega") else 1.0
+        return self.scale if self.table.form.times in ("v", "dp", "omega") else 1.0
 
     @property
     def knots(self) -> np.ndarray:
         """Places of the values, (count,) SI."""
-        return places_of(self.form, self.first, self.last, self.count)
+        return self.table.knots(self.count)
 
     def places(self) -> list[int]:
         """Return the places of the values in the fit's covariance."""
@@ -93,20 +98,14 @@ class Learned:
 
     def curve(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the curve and its standard deviation at places of the signal, (n,) each."""
-        basis = cardinal(at, self.count, self.first, self.last, self.form.periodic)
+        table = self.table
+        basis = cardinal(at, self.count, table.first, table.last, table.form.periodic)
         band = np.einsum("ij,jk,ik->i", basis, self.covariance(), basis)
         return basis @ self.values, np.sqrt(np.maximum(band, 0.0))
 
     def entry(self) -> dict:
         """Return it as an entry of a config's ``effects``."""
-        return {"adds": self.form.adds, "of": self.form.of, "times": self.form.times,
-                "scale": self.scale, "first": self.first, "last": self.last,
-                "values": self.values.tolist()}
-
-
-def places_of(form: Form, first: float, last: float, count: int) -> np.ndarray:
-    """Return the places of a table's values, (count,) SI."""
-    return np.linspace(first, last, count, endpoint=not form.periodic)
+        return replace(self.table, scale=self.scale).entry(self.values)
 
 
 def knot_name(which: int, i: int) -> str:
@@ -124,11 +123,9 @@ def entered_at_best(experiment: Experiment, base: Fit, which: int, guess: Guess)
 def entered(experiment: Experiment, base: Fit, which: int, guess: Guess, values: np.ndarray
             ) -> Fit:
     """Return a model with a table entered, not yet refitted; ``values`` (n,) SI."""
-    form, slot = guess.form, slot_of(which)
+    form, slot = guess.table.form, slot_of(which)
     theta, active = base.theta.copy(), base.active.copy()
-    theta[slot] = slot_for({"adds": form.adds, "of": form.of, "times": form.times,
-                            "scale": guess.scale, "first": guess.first, "last": guess.last,
-                            "values": values.tolist()})
+    theta[slot] = slot_for(guess.table.entry(values))
     active[which] = True
     width = WIDE * max(float(np.sqrt(np.mean(guess.values**2))), 1e-30)
     free = tuple(Free(knot_name(which, i), slot.start + VALUES + i, -1e3 * width, 1e3 * width,
@@ -136,17 +133,8 @@ def entered(experiment: Experiment, base: Fit, which: int, guess: Guess, values:
     if form.times == "direction":
         fastest = max(experiment.ranges.speed, 1e-9)
         free += (Free(f"{ALL_NAMES[which]}.scale", slot.start + SCALE, SHARPEST * fastest,
-                      fastest, float(np.log(guess.scale)), SHARP_SPREAD, True),)
-    return begun_with(experiment, base, theta, active, base.free + free)
-
-
-def begun_with(experiment: Experiment, base: Fit, theta: np.ndarray, active: np.ndarray,
-               free: tuple[Free, ...]) -> Fit:
-    """Return a model with other parameters, under the unknowns of ``base``, not yet refitted."""
-    k = len(free)
-    return with_unknowns(experiment, replace(
-        base, theta=theta, active=active, free=free, covariance=np.zeros((k, k)),
-        converged=False), base.unknowns)
+                      fastest, float(np.log(guess.table.scale)), experiment.policy.shape, True),)
+    return remade(experiment, base, theta=theta, active=active, free=base.free + free)
 
 
 def bases_of(experiment: Experiment, naming: Naming) -> list[Fit]:
@@ -164,25 +152,24 @@ def score_of(experiment: Experiment, fit: Fit) -> float:
     """Return the evidence of a model, prior odds of its names included, log units."""
     if not np.isfinite(fit.log_likelihood):
         return -np.inf
-    return evidence_of(experiment, fit) + prior_of(frozenset(fit.named))
+    return evidence_of(experiment, fit) + log_prior(fit.named, experiment.policy)
 
 
 def fitted(experiment: Experiment, start: Fit, which: int, guess: Guess, count: int,
            without: Fit) -> Learned:
     """Fit a table of ``count`` values that was entered; ``without`` is the model without it."""
     made = settled(experiment, start)
-    score = score_of(experiment, made) + UNNAMED
-    return Learned(guess.form, guess.first, guess.last, count, which, made, score, without,
+    score = score_of(experiment, made) + experiment.policy.unnamed
+    return Learned(guess.table, count, which, made, score, without,
                    score - score_of(experiment, without))
 
 
 def finer(experiment: Experiment, coarse: Learned, count: int) -> Learned:
     """Return a learned term with more values, fitted from where it stands."""
-    places = places_of(coarse.form, coarse.first, coarse.last, count)
-    guess = Guess(coarse.form, coarse.evidence, coarse.first, coarse.last, coarse.scale,
-                  coarse.values)
+    places = coarse.table.knots(count)
+    guess = Guess(replace(coarse.table, scale=coarse.scale), coarse.evidence, coarse.values)
     plain = replace(coarse.fit, free=tuple(
-        f for f in coarse.fit.free if not f.name.startswith(ALL_NAMES[coarse.which] + ".")))
+        f for f in coarse.fit.free if f.owner != ALL_NAMES[coarse.which]))
     start = entered(experiment, plain, coarse.which, guess, coarse.curve(places)[0])
     return fitted(experiment, start, coarse.which, guess, count, coarse.without)
 
@@ -210,22 +197,23 @@ def learned_of(experiment: Experiment, naming: Naming) -> Learned | None:
     scores = [score_of(experiment, fit) for fit in bases]
     without = bases[ties.largest(scores, ties.SAME_FIT)]
     # Named laws are right to a share of what they explain, and that is nothing that is missing.
-    form = FORM + FORM_OF_LAW * max(scores[0] - scores[1], 0.0)
+    policy = experiment.policy
+    form = policy.form + policy.law * max(scores[0] - scores[1], 0.0)
     # What is left out bends these fits, and what is linear at the config is not so there.
-    bases.append(with_rig(experiment, begun(experiment, FIRST)))
+    bases.append(with_rig(experiment, unfitted(experiment)))
     places = [(base, guess) for base in bases
               for guess in ranked_forms(experiment, base)[:TRIED]]
 
     def look(place: tuple[Fit, Guess]) -> tuple[float, Fit, Guess]:
         base, guess = place
         made = looked(experiment, entered_at_best(experiment, base, which, guess))
-        return made.log_likelihood + prior_of(frozenset(made.named)), made, guess
+        return made.log_likelihood + log_prior(made.named, policy), made, guess
 
     ahead: dict[Form, tuple[float, Fit, Guess]] = {}
     for one in spread(look, places):
-        if one[0] > ahead.get(one[2].form, (-np.inf,))[0] + ties.GUESS:
-            ahead[one[2].form] = one
-    going = ties.ordered(ahead.values(), lambda one: one[0], lambda one: one[2].form.name,
+        if one[0] > ahead.get(one[2].table.form, (-np.inf,))[0] + ties.GUESS:
+            ahead[one[2].table.form] = one
+    going = ties.ordered(ahead.values(), lambda one: one[0], lambda one: one[2].table.form.name,
                          ties.GUESS)[:GOING]
     found = spread(lambda one: as_fine(experiment, fitted(
         experiment, one[1], which, one[2], KNOTS, without)), going)
@@ -235,7 +223,7 @@ def learned_of(experiment: Experiment, naming: Naming) -> Learned | None:
     if not best.gained > 0.0:
         return None
     fit = alone(experiment, best.fit)
-    evidence = score_of(experiment, fit) + UNNAMED
+    evidence = score_of(experiment, fit) + policy.unnamed
     return replace(best, fit=fit, evidence=evidence, decides=best.gained > form,
                    gained=best.gained + evidence - best.evidence)
 

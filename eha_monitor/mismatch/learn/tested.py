@@ -8,10 +8,9 @@ from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import NamedEffect, Value
 from eha_monitor.mismatch.learn.forms import free_slot
-from eha_monitor.mismatch.learn.learned import alone, bases_of, begun_with, score_of
-from eha_monitor.mismatch.learn.told import HALF, Told, missing_of, removed, size_of
-from eha_monitor.mismatch.likelihood.fit import Fit, Free, spread
-from eha_monitor.mismatch.name.acceptance import EFFECT, LIKELY, TEMPER
+from eha_monitor.mismatch.learn.learned import alone, bases_of, score_of
+from eha_monitor.mismatch.learn.validated import ValidatedTerm, missing_of, removed, size_of
+from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread
 from eha_monitor.mismatch.name.naming import Naming, beyond_form
 from eha_monitor.mismatch.name.refit import looked, settled
 from eha_monitor.mismatch.show.held_out import shown, worse
@@ -33,7 +32,7 @@ class Tested:
     Attributes
     ----------
     which : place of its own term; ``fit`` the model with it, ``without`` the best one without it.
-    gained : log units over that one, prior odds included.
+    gained : log units over that one, prior odds included; ``temper`` of them counts.
     values : its parameters, SI.
     """
 
@@ -42,12 +41,13 @@ class Tested:
     fit: Fit
     without: Fit
     gained: float
+    temper: float
     values: dict[str, float]
 
     @property
     def probability(self) -> float:
         """Probability that it is there, against the best model without it."""
-        return float(1.0 / (1.0 + np.exp(-np.clip(TEMPER * self.gained, -600.0, 600.0))))
+        return float(1.0 / (1.0 + np.exp(-np.clip(self.temper * self.gained, -600.0, 600.0))))
 
     def entry(self) -> dict:
         """Return it as an entry of a config's ``effects``."""
@@ -71,9 +71,9 @@ def tested(experiment: Experiment, naming: Naming, hypothesis: Hypothesis) -> Te
     best = ties.best(spread(lambda fit: settled(experiment, fit), looks[:GOING]),
                      lambda fit: score_of(experiment, fit), within=ties.SAME_FIT)
     best = alone(experiment, best)
-    gained = score_of(experiment, best) + EFFECT - score_of(experiment, without)
+    gained = score_of(experiment, best) + experiment.policy.effect - score_of(experiment, without)
     start = slot_of(which).start + CONSTANTS
-    return Tested(hypothesis, which, best, without, gained, {
+    return Tested(hypothesis, which, best, without, gained, experiment.policy.temper, {
         key: float(best.theta[start + place])
         for key, place in parsed(hypothesis.expression).parameters.items()})
 
@@ -106,26 +106,27 @@ def entered(experiment: Experiment, base: Fit, which: int, hypothesis: Hypothesi
         else:
             free.append(Free(name, at, one.lower, one.upper, one.start,
                              0.5 * (one.upper - one.lower)))
-    return begun_with(experiment, base, theta, active, tuple(free))
+    return remade(experiment, base, theta=theta, active=active, free=tuple(free))
 
 
 def supported(experiment: Experiment, unseen: Experiment, naming: Naming, test: Tested
-              ) -> Told | None:
+              ) -> ValidatedTerm | None:
     """Return the model with a hypothesis, if it is likely and holds on unseen data."""
     judged = shown(unseen, test.without, test.fit)
-    if not test.probability > LIKELY or worse(judged):
+    policy = experiment.policy
+    if not test.probability > policy.likely or worse(judged, policy):
         return None
     # What takes away a small part only, and leaves the rest without a name, is no answer.
     rest = beyond_form(experiment, naming.before, test.fit, test.fit.unknowns)
-    if rest > LIKELY and removed(judged) < HALF:
+    if rest > policy.likely and removed(judged) < policy.likely:
         return None
     fit = robust(experiment, test.fit)
     signals = shown(unseen, naming.before, fit)
-    if worse(signals):
+    if worse(signals, policy):
         return None
     missing = missing_of(experiment, fit, test.which, test.hypothesis.balance)
-    return Told(fit, signals, missing, test.gained, True, test.entry(), test.hypothesis.name,
-                effect=effect_of(test, fit, size_of(missing)))
+    return ValidatedTerm(fit, signals, missing, test.gained, True, test.entry(),
+                         test.hypothesis.name, effect=effect_of(test, fit, size_of(missing)))
 
 
 def effect_of(test: Tested, fit: Fit, size: str) -> NamedEffect:
@@ -133,9 +134,9 @@ def effect_of(test: Tested, fit: Fit, size: str) -> NamedEffect:
     hypothesis, own = test.hypothesis, ALL_NAMES[test.which]
     parameters = {key: Value(value, fit.stddev(f"{own}.{key}"), hypothesis.parameters[key].unit)
                   for key, value in test.values.items()}
-    told = {key: quantity(value.value, value.unit, 3) for key, value in parameters.items()}
-    sentence = hypothesis.sentence.format(**told) or (
+    numbers = {key: quantity(value.value, value.unit, 3) for key, value in parameters.items()}
+    sentence = hypothesis.sentence.format(**numbers) or (
         f"{hypothesis.name.replace('_', ' ')}: "
-        + ", ".join(f"{key} = {text}" for key, text in told.items()))
+        + ", ".join(f"{key} = {text}" for key, text in numbers.items()))
     return NamedEffect(hypothesis.name, hypothesis.balance, sentence, parameters, test.gained, (),
                        hypothesis.expression, hypothesis.check, size, test.probability)

@@ -1,11 +1,16 @@
 """The parts of the equations on a given motion: effects, drive, and a sensor's play."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from eha_monitor.compiled import njit
+from eha_monitor.estimation.along import contributions_along
 from eha_monitor.mismatch.data.experiment import Experiment, Stretch
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
+from eha_monitor.mismatch.likelihood.fit import Fit, filtered
 from eha_monitor.physics import signals as s
+from eha_monitor.physics.contributions import ALL_NAMES, turned_memory
 from eha_monitor.physics.plant import (
     Y_OMEGA,
     Y_P1,
@@ -18,6 +23,23 @@ from eha_monitor.physics.plant import (
     input_at,
     shaft_speed,
 )
+
+
+def filtered_tracks(experiment: Experiment, fit: Fit) -> list[np.ndarray]:
+    """Return the signals along each stretch as the filter has them, (n, N_SIGNALS) each."""
+    return [signals_along(experiment, stretch, filtered(
+        experiment, stretch, fit.theta, fit.active, fit.gains, states=True)[1])
+        for stretch in experiment.stretches]
+
+
+def contributed(experiment: Experiment, theta: np.ndarray, track: np.ndarray,
+                names: Sequence[str]) -> np.ndarray:
+    """Return the contributions of some effects along a track, (n, N_CONTRIBUTIONS)."""
+    found = np.zeros((len(track), s.N_CONTRIBUTIONS))
+    contributions_along(track, experiment.dt, experiment.steps, theta,
+                        np.isin(ALL_NAMES, list(names)),
+                        turned_memory(float(track[0, s.ANGLE])), found)
+    return found
 
 
 def signals_along(experiment: Experiment, stretch: Stretch, states: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Fit of one model to an experiment: Gauss-Newton on the innovations of all channels at once.
+"""A fitted model, and the likelihood of the innovations of all channels at once.
 
 The likelihood is that of innovations with unknown covariance S,
 
@@ -24,11 +24,7 @@ from eha_monitor.mismatch.likelihood.innovations import FREE, N_FILTERED, innova
 from eha_monitor.physics.contributions import turned_memory
 from eha_monitor.physics.plant import N_OUTPUTS, new_past, new_state
 
-MOVED = 0.03  # of the logarithm of a base parameter: its own and the others' slopes have changed
-FAR = 0.1  # of the logarithm of a number of the rig: the same, which matters less there
-NARROW = 1e-4  # smallest eigenvalue of the scaled information: old slopes lead out of the valley
 SINGULAR = 1e-12  # of a correlation: what rounding may make of it
-LEAST_DAMPING, SHORTER = 1e-9, 0.3
 
 
 @dataclass(frozen=True)
@@ -51,6 +47,22 @@ class Free:
     prior: float
     spread: float
     log: bool = False
+
+    @property
+    def owner(self) -> str:
+        """Effect, or number of the rig, that it belongs to; "" of B and beta_e."""
+        effect, dot, _ = self.name.partition(".")
+        return self.name if self.of_rig else effect if dot else ""
+
+    @property
+    def symbol(self) -> str:
+        """Its name within the effect."""
+        return self.name.rpartition(".")[2]
+
+    @property
+    def of_rig(self) -> bool:
+        """Tell whether it is a number of the rig."""
+        return self.name.startswith("rig.")
 
     def inward(self, value: float) -> float:
         """Return the fitted coordinate of a value."""
@@ -110,7 +122,7 @@ class Fit:
 @lru_cache(maxsize=1)
 def workers() -> ThreadPoolExecutor:
     """Return the threads on which filters run; the compiled code leaves the lock."""
-    return ThreadPoolExecutor(  # a run may go astray: what is no number is told by its likelihood
+    return ThreadPoolExecutor(  # a run may go astray: what is no number shows in its likelihood
         len(os.sched_getaffinity(0)), "mismatch",
         partial(np.seterr, over="ignore", invalid="ignore", divide="ignore"))
 
@@ -255,96 +267,23 @@ def step_within(matrix: np.ndarray, gradient: np.ndarray, bounds: np.ndarray) ->
     return step
 
 
-def refine(experiment: Experiment, fit: Fit, steps: int = 12, tolerance: float = 0.02) -> Fit:
-    """Carry a fit to its optimum with held gains: damped Gauss-Newton.
-
-    Beside named effects the slopes of the base parameters change little on the way and are taken
-    again only where one has moved by ``MOVED`` or parameters nearly trade; those of the effects'
-    parameters, inside non-linearities, at every step.  A parameter that a step would carry over a
-    bound stops there, and the others answer to that.
-
-    Parameters
-    ----------
-    fit : start; its gains are held.
-    steps : most steps.
-    tolerance : ends when a step gains less than this many log units.
-    """
-    theta, free = fit.theta.copy(), fit.free
-    e = innovations(experiment, theta, fit.active, fit.gains)
-    best = log_likelihood_of(e) + prior_exponent(free, theta)
-    damping, converged = LEAST_DAMPING, False
-    information = np.zeros((len(free), len(free)))
-    bounds = np.array([[f.inward(f.lower), f.inward(f.upper)] for f in free]).reshape(-1, 2)
-    slopes: list[np.ndarray] = []
-    taken, narrow = np.zeros(len(free)), False
-    for _ in range(steps):
-        if not np.isfinite(best):
-            break
-        w = whitener(covariance_of(e))
-        white = np.nan_to_num(e) @ w.T
-        way = np.array([f.inward(theta[f.place]) for f in free])
-        afar = any(f.log and "." not in f.name and abs(way[i] - taken[i]) > MOVED
-                   for i, f in enumerate(free)) if slopes else True
-        moving = [i for i, f in enumerate(free) if not slopes
-                  or f.name.partition(".")[0] in fit.named
-                  or (abs(way[i] - taken[i]) > FAR if f.name.startswith("rig.")
-                      else afar or narrow or not fit.named)]
-        taken = way.copy() if not slopes else taken
-        taken[moving] = way[moving]
-        fresh = sensitivities(experiment, theta, fit.active, fit.gains, e,
-                              [step_of(free[i], theta) for i in moving])
-        slopes = slopes or fresh
-        for i, slope in zip(moving, fresh, strict=True):
-            slopes[i] = slope
-        d = np.stack([(np.nan_to_num(slope) @ w.T).ravel() for slope in slopes])
-        information = d @ d.T
-        now = np.array([f.inward(theta[f.place]) for f in free])
-        prior = np.array([f.prior for f in free])
-        weight = np.array([f.spread for f in free]) ** -2.0
-        gradient = -(d @ white.ravel()) - weight * (now - prior)
-        scale = np.sqrt(np.diag(information) + weight)
-        matrix = (information + np.diag(weight)) / np.outer(scale, scale)
-        if not np.isfinite(matrix).all():  # a run went astray
-            break
-        narrow = np.linalg.eigvalsh(matrix)[0] < NARROW
-        improved = False
-        for attempt in range(9):
-            step = step_within(matrix + damping * np.eye(len(free)), gradient / scale,
-                               scale[:, None] * (bounds - now[:, None])) / scale
-            # Shorter first: along a valley the direction is right, and damping would turn it.
-            step *= SHORTER if attempt == 1 else 1.0
-            other = theta.copy()
-            for f, value in zip(free, now + step, strict=True):
-                other[f.place] = f.outward(value)
-            e_other = innovations(experiment, other, fit.active, fit.gains)
-            reached = log_likelihood_of(e_other) + prior_exponent(free, other)
-            if reached > best:
-                improved = True
-                break
-            if attempt:
-                damping = max(damping * 10.0, 1e-3)
-            if damping > 1e6:
-                break
-        if not improved:
-            converged = True
-            break
-        gained = reached - best
-        theta, e, best = other, e_other, reached
-        damping = max(damping / 10.0, LEAST_DAMPING)
-        if gained < tolerance:
-            converged = True
-            break
-    weight = np.array([f.spread for f in free]) ** -2.0
-    covariance = np.linalg.inv(information + np.diag(weight)) if len(free) else information
-    return replace(fit, theta=theta, e=e, s=covariance_of(e), log_likelihood=best,
-                   covariance=covariance, converged=converged)
+def remade(experiment: Experiment, fit: Fit, **changes) -> Fit:
+    """Return a fit with some of its fields changed, not yet refitted."""
+    made = replace(fit, converged=False, **changes)
+    return with_unknowns(experiment, replace(made, covariance=np.zeros((len(made.free),) * 2)))
 
 
-def with_unknowns(experiment: Experiment, fit: Fit, unknowns: Unknowns) -> Fit:
+def with_unknowns(experiment: Experiment, fit: Fit, unknowns: Unknowns | None = None) -> Fit:
     """Return the same parameters under other unknowns: new gains, innovations, likelihood.
 
     Parameters that no filter can follow have a likelihood of zero.
+
+    Parameters
+    ----------
+    experiment : also another one than the fit was made on.
+    unknowns : without them the fit's own.
     """
+    unknowns = unknowns or fit.unknowns
     try:
         gains = gains_of(experiment, fit.theta, fit.active, unknowns)
     except np.linalg.LinAlgError:
@@ -352,37 +291,3 @@ def with_unknowns(experiment: Experiment, fit: Fit, unknowns: Unknowns) -> Fit:
     e = innovations(experiment, fit.theta, fit.active, gains)
     return replace(fit, unknowns=unknowns, gains=gains, e=e, s=covariance_of(e),
                    log_likelihood=log_likelihood_of(e) + prior_exponent(fit.free, fit.theta))
-
-
-def tune(experiment: Experiment, fit: Fit, smallest: Unknowns, largest: Unknowns,
-         factors: Sequence[float] = (10.0, 3.0), upward: bool = True) -> Fit:
-    """Find the unknowns' deviations of greatest likelihood, one balance after the other.
-
-    This is the location in small: an unknown that must be large names the balance that is wrong.
-
-    Parameters
-    ----------
-    smallest, largest : between which they are sought, on a grid of ``factors``.
-    upward : False where they can only fall: an effect has just entered.
-    """
-    low, high = smallest.as_array(), largest.as_array()
-    for factor in factors:
-        for i in range(3):
-            if high[i] <= low[i]:
-                continue
-            for direction in (1.0 / factor, factor):
-                if direction > 1 and not upward:
-                    continue
-                moved = False
-                while True:
-                    now = fit.unknowns.as_array()
-                    now[i] = min(max(now[i] * direction, low[i]), high[i])
-                    if now[i] == fit.unknowns.as_array()[i]:
-                        break
-                    other = with_unknowns(experiment, fit, Unknowns(*now))
-                    if other.log_likelihood <= fit.log_likelihood + 0.1:
-                        break
-                    fit, moved = other, True
-                if moved:
-                    break
-    return fit

@@ -1,4 +1,4 @@
-"""What a recording, or a motion that is only planned, tells: whitened slopes and their products.
+"""What a recording, or a planned motion, determines: whitened slopes and their products.
 
 At a fitted model the log likelihood falls by |d|^2 / 2 when something moves the whitened
 innovations by d and nothing else moves with it.  What parameters can absorb is projected out.

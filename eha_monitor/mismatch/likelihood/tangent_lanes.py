@@ -10,11 +10,11 @@ from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.mismatch.likelihood.tangent_motion import (
     N_RATES,
     balanced,
+    commanded,
     contribute,
     lags,
     late_by,
     remembered,
-    told,
     wanted_speed,
     was,
 )
@@ -254,8 +254,8 @@ def other_drive(model, motion, points, theta, other, spinning, inverse, gains, e
             shown[k - begin, j, lane] = (shown_by(j, t, then, other)
                                          - shown_by(j, t, now, w)) * inverse
         if not slow and not sensors_only:
-            value = told(u, k, 0.0, w[COMMAND_DELAY], dt)
-            then = told(u, k, 0.0, other[COMMAND_DELAY], dt)
+            value = commanded(u, k, 0.0, w[COMMAND_DELAY], dt)
+            then = commanded(u, k, 0.0, other[COMMAND_DELAY], dt)
             if mode == CLOSED:
                 late = late_by(states, ends, slopes, slopes_end, 0, k, w[FEEDBACK_DELAY], dt,
                                steps)
@@ -284,8 +284,8 @@ def other_drive(model, motion, points, theta, other, spinning, inverse, gains, e
             p = first[k] + point
             f = places[p] if point < stages else 1.0
             x = rates[p, X] if point < stages else ends[k + 1, Y_X]
-            value = told(u, k, f, w[COMMAND_DELAY], dt)
-            then = told(u, k, f, other[COMMAND_DELAY], dt)
+            value = commanded(u, k, f, w[COMMAND_DELAY], dt)
+            then = commanded(u, k, f, other[COMMAND_DELAY], dt)
             if mode == CLOSED:
                 now = late = x
                 if w[FEEDBACK_DELAY] > 0.0:

@@ -148,7 +148,7 @@ def late_by(states, ends, slopes, slopes_end, i, k, delay, dt, steps):
 
 
 @njit(forceinline=True)
-def told(u, k, f, delay, dt):
+def commanded(u, k, f, delay, dt):
     """Return the input ``f`` into sample k as it reaches the drive."""
     if delay == 0.0:
         return piece_at(u, k, f)
@@ -314,7 +314,7 @@ def slopes_along(model, motion, memory):
             if side == 1:  # its place was corrected with the position
                 for which in places:
                     memory[which, 1] -= states[here, 0] - ends[here, 0]
-            value = told(u, k, float(side), w[COMMAND_DELAY], dt)
+            value = commanded(u, k, float(side), w[COMMAND_DELAY], dt)
             behind = ahead_of(states, ends, slopes, slopes_end, w[FEEDBACK_DELAY], dt, k,
                               float(side), y[0], y[1])
             course(mode, slow, lag, theta, w, terms, y, unknown, here * dt, value, behind, memory,
@@ -348,7 +348,7 @@ def jacobians(model, motion, size, memory, jacs):
         if mode == FORCED:
             y[2], y[3] = 0.5 * (p1[k] + p1[k + 1]), 0.5 * (p2[k] + p2[k + 1])
         recall(states, updates, k, memory)
-        value = told(u, k, 0.5, w[COMMAND_DELAY], dt)
+        value = commanded(u, k, 0.5, w[COMMAND_DELAY], dt)
         behind = ahead_of(states, ends, slopes, slopes_end, w[FEEDBACK_DELAY], dt, k, 0.5, y[0],
                           y[1])
         jacobian(mode, slow, lag, theta, w, terms, y, unknown, span, (k + 0.5) * dt, value, behind,

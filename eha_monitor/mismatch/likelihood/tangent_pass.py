@@ -24,8 +24,8 @@ from eha_monitor.mismatch.likelihood.tangent_motion import (
     N_MOVED,
     N_RATES,
     between,
+    commanded,
     late_by,
-    told,
     wanted_speed,
 )
 from eha_monitor.mismatch.likelihood.tangent_points import SOFT, STAGES
@@ -85,7 +85,7 @@ def shafts(model, motion, shaft):
         if mode == CLOSED and slow:
             shaft[k, Y_OMEGA] = 1.0
         elif mode == CLOSED:
-            value = told(u, k, 0.0, w[COMMAND_DELAY], dt)
+            value = commanded(u, k, 0.0, w[COMMAND_DELAY], dt)
             late = late_by(states, ends, slopes, slopes_end, 0, k, w[FEEDBACK_DELAY], dt, steps)
             d = 1e-7
             slope = (wanted_speed(value, late + d, theta, w)

@@ -21,13 +21,13 @@ from eha_monitor.mismatch.likelihood.tangent_motion import (
     Motion,
     ahead_of,
     balanced,
+    commanded,
     contribute,
     course,
     jacobian,
     recall,
     remembered,
     state_at,
-    told,
 )
 from eha_monitor.physics.plant import Y_SPEED
 from eha_monitor.physics.signals import (
@@ -122,7 +122,7 @@ def look(model, motion, points, size, memory):
             state_at(states, ends, slopes, slopes_end, dt, k, f, y)
             if mode == FORCED:
                 y[2], y[3] = (1.0 - f) * p1[k] + f * p1[k + 1], (1.0 - f) * p2[k] + f * p2[k + 1]
-            value = told(u, k, f, w[COMMAND_DELAY], dt)
+            value = commanded(u, k, f, w[COMMAND_DELAY], dt)
             behind = ahead_of(states, ends, slopes, slopes_end, w[FEEDBACK_DELAY], dt, k, f, y[0],
                               y[1])
             turning = course(mode, slow, lag, theta, w, terms, y, unknown, (k + f) * dt, value,
@@ -171,7 +171,7 @@ def by_stages(model, motion, points, size, k, memory, s, c, rates, up, y, at, un
             if mode == FORCED:
                 at[2] = (1.0 - f) * p1[k] + f * p1[k + 1]
                 at[3] = (1.0 - f) * p2[k] + f * p2[k + 1]
-            value = told(u, k, f, w[COMMAND_DELAY], dt)
+            value = commanded(u, k, f, w[COMMAND_DELAY], dt)
             behind = ahead_of(states, ends, slopes, slopes_end, w[FEEDBACK_DELAY], dt, k, f, at[0],
                               at[1])
             t = (k + f) * dt
@@ -181,11 +181,11 @@ def by_stages(model, motion, points, size, k, memory, s, c, rates, up, y, at, un
             turning = jacobian(mode, slow, lag, theta, w, terms, at, unknown, span, t, value,
                                behind, memory, s, c, rates, jac)
             points.place[p], points.value[p] = f, value
-            seen = points.signals[p]
-            seen[T], seen[X], seen[V], seen[P1], seen[P2] = t, at[0], at[1], at[2], at[3]
-            seen[OMEGA] = turning
+            row = points.signals[p]
+            row[T], row[X], row[V], row[P1], row[P2] = t, at[0], at[1], at[2], at[3]
+            row[OMEGA] = turning
             if mode != FORCED:
-                seen[X_D] = value
+                row[X_D] = value
             points.inner[p, 0], points.inner[p, 1] = unknown[0], unknown[1]
             copied(points.rates[p], rates)
             for r in range(3):

@@ -23,6 +23,7 @@ from eha_monitor.mismatch.locate.terms import (
     tracks_of,
 )
 from eha_monitor.mismatch.name.base import limits_of
+from eha_monitor.mismatch.name.candidates import candidate
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import CATALOGUE
@@ -116,13 +117,9 @@ def location_of(experiment: Experiment, before: Fit, after: Fit | None,
 
 def balance_of(name: str) -> str:
     """Return the balance of an effect, a number of the rig (``rig.<key>``), a learned term."""
-    if name in CATALOGUE:
-        return CATALOGUE[name].balance
     if name.startswith(LEARNED):
         return name.removeprefix(LEARNED)
-    key = name.removeprefix("rig.")
-    return ("force" if key in ("mass", "area_1", "area_2", INTERMITTENT)
-            else "drive" if key == "position_gain" else "flow")
+    return "force" if name == INTERMITTENT else candidate(name).balance
 
 
 def regime_of(experiment: Experiment, term: Missing) -> tuple[str, list[np.ndarray]]:

@@ -4,16 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from eha_monitor.estimation.along import contributions_along
 from eha_monitor.mismatch.data.experiment import Experiment, Stretch
-from eha_monitor.mismatch.likelihood.along import drive_along, played
+from eha_monitor.mismatch.likelihood.along import contributed, drive_along, played
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.physics import signals as s
-from eha_monitor.physics.contributions import (
-    ALL_NAMES,
-    circuit_of,
-    turned_memory,
-)
+from eha_monitor.physics.contributions import circuit_of
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
 from eha_monitor.recordings.grid import filled
@@ -34,21 +29,10 @@ def without(before: Fit, after: Fit, balance: str) -> Fit:
                    named=tuple(name for name in after.named if name not in gone))
 
 
-def contributed(experiment: Experiment, fit: Fit, trajectory: np.ndarray,
-                names: tuple[str, ...]) -> np.ndarray:
-    """Return the contributions of some effects on a trajectory, (n, N_CONTRIBUTIONS)."""
-    active = np.zeros_like(fit.active)
-    active[[ALL_NAMES.index(name) for name in names]] = True
-    found = np.zeros((len(trajectory), s.N_CONTRIBUTIONS))
-    contributions_along(trajectory, experiment.dt, experiment.steps, fit.theta, active,
-                        turned_memory(float(trajectory[0, s.ANGLE])), found)
-    return found
-
-
 def modelled_force(experiment: Experiment, fit: Fit, trajectory: np.ndarray,
                    names: tuple[str, ...]) -> np.ndarray:
     """Return the force against positive motion that some effects make, N (n,)."""
-    c = contributed(experiment, fit, trajectory, names)
+    c = contributed(experiment, fit.theta, trajectory, names)
     return c[:, s.FORCE] + c[:, s.MASS] * np.gradient(trajectory[:, s.V], experiment.dt)
 
 
@@ -60,8 +44,8 @@ def modelled_flow(experiment: Experiment, fit: Fit, trajectory: np.ndarray,
     into both chambers in place of that across.
     """
     theta = fit.theta
-    c = contributed(experiment, fit, trajectory, names)
-    others = contributed(experiment, fit, trajectory,
+    c = contributed(experiment, fit.theta, trajectory, names)
+    others = contributed(experiment, fit.theta, trajectory,
                          tuple(name for name in fit.named if name not in names))
     pumped = theta[s.D_P] * c[:, s.SPEED]
     flows = []
@@ -87,7 +71,7 @@ def balance_flow(experiment: Experiment, fit: Fit, stretch: Stretch,
     ``fit`` : the model without the effects in question.
     """
     theta = fit.theta
-    c = contributed(experiment, fit, trajectory, fit.named)
+    c = contributed(experiment, fit.theta, trajectory, fit.named)
     p = [filled(stretch.z[:, 2]), filled(stretch.z[:, 3])]
     pumped = theta[s.D_P] * (trajectory[:, s.OMEGA] + c[:, s.SPEED])
     makeup, v = theta[s.G_MAKEUP], trajectory[:, s.V]

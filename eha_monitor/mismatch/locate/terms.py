@@ -6,7 +6,7 @@ import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment, Stretch, smooth
 from eha_monitor.mismatch.likelihood.along import signals_along
-from eha_monitor.mismatch.likelihood.fit import Fit, spread, tune, with_unknowns
+from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns, smallest_unknowns
 from eha_monitor.mismatch.likelihood.smooth import smoothed
 from eha_monitor.mismatch.locate.missing import (
@@ -19,6 +19,7 @@ from eha_monitor.mismatch.locate.missing import (
     without,
 )
 from eha_monitor.mismatch.name.base import limits_of
+from eha_monitor.mismatch.name.refit import at_level
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.plant import Y_FLOW, Y_FORCE, Y_SPEED
@@ -103,8 +104,8 @@ def following(experiment: Experiment, base: Fit, balance: str) -> Fit:
     start, high = floor.copy(), floor.copy()
     start[i] = 300.0 * low[i]
     high[i] = max(limits_of(experiment)[1].as_array()[i], 1e3 * low[i])
-    return tune(experiment, with_unknowns(experiment, base, Unknowns(*start)),
-                Unknowns(*floor), Unknowns(*high))
+    return at_level(experiment, with_unknowns(experiment, base, Unknowns(*start)),
+                    (Unknowns(*floor), Unknowns(*high)))
 
 
 def balance_term(experiment: Experiment, base: Fit, after: Fit, balance: str,
@@ -171,7 +172,7 @@ def sensor_errors(experiment: Experiment, base: Fit, balance: str, outputs: list
     if not outputs or not used.any():
         return []
     others = replace(experiment, used=used)
-    tracks = tracks_of(others, smoothed(others, with_unknowns(others, base, base.unknowns)))
+    tracks = tracks_of(others, smoothed(others, with_unknowns(others, base)))
     return [Missing(
         balance, "m" if output == 0 else "Pa", tracks,
         tuple(stretch.z[:, output] - track[:, SENSORS[output]]

@@ -11,11 +11,10 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import spread
-from eha_monitor.mismatch.name.refit import begun
+from eha_monitor.mismatch.name.refit import unfitted
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
 from eha_monitor.physics.own_term import FIRST, KIND, LAST, OWN_NAMES, PHASE, TABLE, turns
 
-LEVEL = 100.0  # times the smallest unknowns: under which angles are compared
 TRIED = 192  # angles of a revolution: eight of each period of a pump of 24 teeth
 FINER = 8  # angles between two of these
 
@@ -44,6 +43,6 @@ def begun_at(experiment: Experiment, which: int, angle: float) -> Experiment:
 
 def best_of(experiment: Experiment, which: int, angles: np.ndarray) -> float:
     """Return the angle under which the recording is most likely, rad."""
-    found = spread(lambda angle: begun(
-        begun_at(experiment, which, angle), LEVEL).log_likelihood, angles)
+    found = spread(lambda angle: unfitted(
+        begun_at(experiment, which, angle)).log_likelihood, angles)
     return float(angles[ties.largest(found, ties.GUESS)])

@@ -15,7 +15,6 @@ from eha_monitor.physics.parameters import place_of
 
 LEAST_SHARE, LEAST_OF_MANY = 0.05, 0.3  # of its start: where a size enters at least
 LEAST_B = 1e-3  # of its prior: below, there is no viscous damping
-TIMING = 0.05  # samples: timing errors up to here need no name
 
 
 def base_free(experiment: Experiment) -> tuple[Free, ...]:
@@ -32,12 +31,12 @@ def base_free(experiment: Experiment) -> tuple[Free, ...]:
 
 
 def timing_free(experiment: Experiment) -> tuple[Free, ...]:
-    """Return the small timing errors that every record has, each at most ``TIMING`` samples.
+    """Return the small timing errors that every record has, each at most ``timing`` samples.
 
     Sensors lag by some microseconds and stamps jitter; with 24 000 samples a delay of 2 % of a
     sample is beyond doubt, and is nobody's fault.  What is larger must be named.
     """
-    limit = TIMING * experiment.dt
+    limit = experiment.policy.timing * experiment.dt
     found = []
     for name in ("command_delay", "position_delay", "pressure_delay"):
         if possible(name, experiment) and not experiment.active[NAMES.index(name)]:
@@ -79,19 +78,19 @@ def with_effect(fit: Fit, start: Start, amplitudes: tuple[float, ...]) -> Fit:
             values[p.name] = min(max(value, p.lower), p.upper)
     placed = replace(start, values=tuple(values.items()))
     theta, active = entered(fit.theta, fit.active, placed)
-    free = tuple(f for f in fit.free if not f.name.startswith(start.effect + "."))
+    free = tuple(f for f in fit.free if f.owner != start.effect)
     return replace(fit, theta=theta, active=active, free=free + free_of(start),
                    named=(*fit.named, start.effect))
 
 
 def without_effect(experiment: Experiment, fit: Fit, name: str) -> Fit:
     """Return a fit with an effect taken out, not yet refitted."""
-    timing = tuple(f for f in timing_free(experiment) if f.name.startswith(name + "."))
+    timing = tuple(f for f in timing_free(experiment) if f.owner == name)
     active, theta = fit.active.copy(), fit.theta.copy()
     active[NAMES.index(name)] = bool(timing)
     for p in CATALOGUE[name].parameters:
         theta[place_of(f"{name}.{p.name}")] = 0.0
-    free = tuple(f for f in fit.free if not f.name.startswith(name + ".")) + timing
+    free = tuple(f for f in fit.free if f.owner != name) + timing
     return replace(fit, theta=theta, active=active, free=free,
                    named=tuple(other for other in fit.named if other != name))
 

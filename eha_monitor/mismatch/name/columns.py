@@ -20,6 +20,7 @@ from eha_monitor.mismatch.data.experiment import Experiment, damping_steps
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, filtered, spread, step_of
 from eha_monitor.mismatch.likelihood.tangents import Lane, along_into, can
+from eha_monitor.mismatch.name.candidates import RIG, candidate
 from eha_monitor.mismatch.name.starts import (
     Start,
     directions_of,
@@ -35,9 +36,6 @@ from eha_monitor.physics.signals import B
 from eha_monitor.settings.rig import Tolerance
 
 ALWAYS = ""  # owner of what every model has
-SHARE = 0.7  # of a tolerance: the standard deviation of a number that nobody doubts
-WITHIN = 3.0  # of these deviations: what is further off is wrong, and must be named
-BEYOND = 20.0  # of these deviations: how far a number of the rig that is wrong may be off
 TANGENT = 0.05  # of a start's size: where the innovations answer in proportion
 RIG_STEP = 1e-3  # of a tolerance's logarithm: for its sensitivity
 ASTRAY, ASTRAY_OWNER = 1e30, "astray"  # a run that went astray says nothing
@@ -94,12 +92,17 @@ class Columns:
     copies: tuple[tuple[int, float], ...] = ()
 
 
-def rig_free(experiment: Experiment) -> tuple[Free, ...]:
-    """Return the numbers of the rig that this experiment can tell, as logarithms.
+def rig_free(experiment: Experiment, beside: Sequence[str] = ()) -> tuple[Free, ...]:
+    """Return the numbers of the rig that this experiment can determine, as logarithms.
 
     Each has the prior of its tolerance (``rig.tolerance``).  What is nil or unknown is none.
+
+    Parameters
+    ----------
+    beside : members of a model; a number that is the same equation as one of them stays out.
     """
-    rig = experiment.settings.rig
+    equal = {candidate(name).equals for name in beside if name in CATALOGUE}
+    rig, policy = experiment.settings.rig, experiment.policy
     if experiment.mode == FORCED:
         keys = {"mass"}
     else:
@@ -108,11 +111,11 @@ def rig_free(experiment: Experiment) -> tuple[Free, ...]:
             keys -= {"position_gain"}
     found = []
     for place, key in BASE_KEYS.items():
-        value = getattr(rig, key) if key in keys else None
+        value = getattr(rig, key) if key in keys and RIG + key not in equal else None
         if value:
-            width = SHARE * rig.tolerance.log_spread(key)
-            reach = float(np.exp(WITHIN * width))
-            found.append(Free(f"rig.{key}", place, value / reach, value * reach,
+            width = policy.tolerance * rig.tolerance.log_spread(key)
+            reach = float(np.exp(policy.sure * width))  # what is further off is wrong
+            found.append(Free(RIG + key, place, value / reach, value * reach,
                               float(np.log(value)), width, True))
     return tuple(found)
 
@@ -153,21 +156,20 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
 
     def moved(f: Free, owner: str, variant: int, size: bool = False) -> None:
         """Add a number that the model has."""
-        theta, step = (step_of(f, fit.theta) if not f.name.startswith("rig.")
-                       else rig_step(f, fit.theta))
+        theta, step = (rig_step if f.of_rig else step_of)(f, fit.theta)
         now = f.inward(fit.theta[f.place])
         what.append(Column(owner, variant, f.name, (f.prior - now) / f.spread,
                            (f.inward(f.lower) - now) / f.spread,
                            (f.inward(f.upper) - now) / f.spread, f, size=size))
         moves.append((theta, fit.active, step / f.spread))
 
-    twins = {f"rig.{CATALOGUE[name].rig_twin}" for name in effects_of(fit)}
-    for f in (*(f for f in fit.free if "." not in f.name),
+    rig = rig_free(experiment, fit.named)
+    for f in (*(f for f in fit.free if not f.owner),
               *(f for f in fit.free if timing_only(fit, f)),
-              *(f for f in rig_free(experiment) if f.name not in twins)):
+              *rig):
         moved(f, ALWAYS, -1)
-    for f in rig_free(experiment) if suspects else ():
-        if f.name not in twins and f.name not in fit.named and f.spread > LOOSE:
+    for f in rig if suspects else ():
+        if f.name not in fit.named and f.spread > LOOSE:
             for variant, sign in enumerate((-1.0, 1.0), 1):
                 theta, step = fit.theta.copy(), sign * FAR_OFF * f.spread
                 theta[f.place] *= np.exp(step)
@@ -177,9 +179,8 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
     for name in effects_of(fit):
         sizes = {p.name for p in CATALOGUE[name].sizes}
         for f in fit.free:
-            effect, _, symbol = f.name.partition(".")
-            if effect == name:
-                moved(f, name, -1, symbol in sizes)
+            if f.owner == name:
+                moved(f, name, -1, f.symbol in sizes)
     for name in NAMES if suspects else ():
         if name in fit.named or experiment.active[NAMES.index(name)] or not possible(
                 name, experiment):
@@ -233,10 +234,11 @@ def columns_at(experiment: Experiment, fit: Fit, unnamed: bool = True, suspects:
             for column, good in zip(what, keep, strict=True)]
     what += [Column(term.name, 0, term.name, size=True)
              for term, size in zip(terms, sizes, strict=True) for _ in range(size)]
-    wrong = [i for i, c in enumerate(what) if c.owner == ALWAYS and c.name.startswith("rig.")]
-    copies = tuple((1 + i, BEYOND) for i in wrong)
+    wrong = [i for i, c in enumerate(what) if c.owner == ALWAYS and c.free.of_rig]
+    far = experiment.policy.wrong
+    copies = tuple((1 + i, far) for i in wrong)
     what += [Column(what[i].name, -1 if what[i].name in fit.named else 0, what[i].name,
-                    free=what[i].free, size=True, step=BEYOND * what[i].free.spread)
+                    free=what[i].free, size=True, step=far * what[i].free.spread)
              for i in wrong]
     return Columns(tuple(what), values, len(others) + 2, copies)
 
@@ -274,8 +276,7 @@ def grown_from(experiment: Experiment, fit: Fit) -> list[Start]:
 
 def timing_only(fit: Fit, f: Free) -> bool:
     """Tell whether a free parameter is a small timing error, no effect that has a name."""
-    effect, dot, _ = f.name.partition(".")
-    return bool(dot) and effect not in fit.named and not f.name.startswith("rig.")
+    return bool(f.owner) and f.owner not in fit.named and not f.of_rig
 
 
 def rig_step(f: Free, theta: np.ndarray) -> tuple[np.ndarray, float]:
@@ -293,13 +294,13 @@ def entering(fit: Fit, start: Start, variant: int, what: list, moves: list) -> N
         theta, active = directions_of(fit, start)[0]
         p = effect.sizes[0]
         what.append(Column(start.effect, variant, f"{start.effect}.{p.name}", 0.0, 0.0, 1.0,
-                           free_parameter(effect, p, values[p.name]), start, True))
+                           free_parameter(start, p), start, True))
         moves.append((theta, active, 1.0))
         return
     smooth = start.among == 1 and all(np.isfinite(p.neutral) for p in sizes)
     share = TANGENT if smooth else 1.0
     for p, (theta, active) in zip(sizes, directions_of(fit, start, share), strict=True):
-        f = free_parameter(effect, p, values[p.name])
+        f = free_parameter(start, p)
         if p.log or not np.isfinite(p.neutral):  # all or nothing, at this start
             what.append(Column(start.effect, variant, f.name, 0.0, 0.0, 1.5, f, start, True))
             moves.append((theta, active, 1.0))

@@ -12,14 +12,12 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from eha_monitor.estimation.along import contributions_along
-from eha_monitor.mismatch.data.experiment import Experiment, Stretch
+from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import Gate
-from eha_monitor.mismatch.likelihood.along import signals_along
-from eha_monitor.mismatch.likelihood.fit import Fit, Free, filtered
+from eha_monitor.mismatch.likelihood.along import contributed, filtered_tracks
+from eha_monitor.mismatch.likelihood.fit import Fit, Free
 from eha_monitor.physics import signals as s
-from eha_monitor.physics.contributions import new_memory
-from eha_monitor.physics.effects import CATALOGUE, NAMES
+from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
 from eha_monitor.quantity import quantity
 from eha_monitor.words import effect_words
@@ -27,7 +25,6 @@ from eha_monitor.words import effect_words
 AT_BOUND = 1e-4  # of its prior deviation: how near to the end of its range a fit has arrived
 SLOW = (0.02, 0.2)  # of the top speed: below is rest, above viscous damping is the larger part
 FEWEST = 20  # samples from which a mean says something
-SURE = 3.0  # of its standard deviations: a sign that is not noise
 
 
 def at_bound(f: Free, value: float) -> bool:
@@ -43,17 +40,16 @@ def allowed_end(fit: Fit, f: Free, value: float) -> bool:
     where it is all of the other one (w, h = 1).  One size of several may be absent (one chamber
     leaks, the other does not), unless a simpler effect is just that.
     """
-    effect, _, symbol = f.name.partition(".")
-    entry = CATALOGUE.get(effect)
-    own = next((p for p in entry.parameters if p.name == symbol), None) if entry else None
+    entry = CATALOGUE.get(f.owner)
+    own = next((p for p in entry.parameters if p.name == f.symbol), None) if entry else None
     if own is None:
         return False
     if f.inward(value) >= f.inward(f.upper) - AT_BOUND * f.spread:
         return own.default is not None and not own.unit and (own.lower, own.upper) == (0.0, 1.0)
     if own.default is not None:
         return own.lower == 0.0
-    places = [other.place for other in fit.free if other.name.partition(".")[0] == effect
-              and other.name.partition(".")[2] in {p.name for p in entry.sizes}]
+    places = [other.place for other in fit.free if other.owner == f.owner
+              and other.symbol in {p.name for p in entry.sizes}]
     return own.lower == own.neutral and not entry.contains and any(
         fit.theta[place] != own.neutral for place in places)
 
@@ -65,26 +61,26 @@ def failures(experiment: Experiment, fit: Fit) -> list[Gate]:
     ----------
     fit : the set's model, fitted to the end; ``named`` its members.
     """
-    return [*_bounds(fit), *_within(fit), *_signs(experiment, fit)]
+    return [*_bounds(fit), *_within(experiment, fit), *_signs(experiment, fit)]
 
 
 def _bounds(fit: Fit) -> Iterator[Gate]:
     for f in fit.free:
-        owner = f.name if f.name.startswith("rig.") else f.name.partition(".")[0]
-        value = float(fit.theta[f.place])
+        owner, value = f.owner, float(fit.theta[f.place])
         if owner not in fit.named or not at_bound(f, value) or allowed_end(fit, f, value):
             continue
         unit = next((p.unit.replace("*", "·") for p in CATALOGUE[owner].parameters
-                     if p.name == f.name.partition(".")[2]), "") if owner in CATALOGUE else ""
+                     if p.name == f.symbol), "") if owner in CATALOGUE else ""
         yield Gate("bound", owner, f"{f.name} stands at {quantity(value, unit, 3)}, the end of "
                                    "its range: the fit is no optimum")
 
 
-def _within(fit: Fit) -> Iterator[Gate]:
+def _within(experiment: Experiment, fit: Fit) -> Iterator[Gate]:
     for name in fit.named:
         for size, other in CATALOGUE[name].within if name in CATALOGUE else ():
             one, two = (float(fit.theta[place_of(f"{name}.{p}")]) for p in (size, other))
-            sure = SURE * np.hypot(fit.stddev(f"{name}.{size}"), fit.stddev(f"{name}.{other}"))
+            sure = experiment.policy.sure * np.hypot(
+                fit.stddev(f"{name}.{size}"), fit.stddev(f"{name}.{other}"))
             if abs(one) > abs(two) + sure:
                 yield Gate("sign", name, f"{effect_words(name)}: {size} of {abs(one):.3g} exceeds "
                            f"{other} of {abs(two):.3g}; friction takes power in both directions")
@@ -92,7 +88,7 @@ def _within(fit: Fit) -> Iterator[Gate]:
 
 def ends_of_tolerance(fit: Fit) -> list[Free]:
     """Return the numbers of the rig that a fit has moved to the end of what their tolerance is."""
-    return [f for f in fit.free if f.name.startswith("rig.") and f.name not in fit.named
+    return [f for f in fit.free if f.of_rig and f.name not in fit.named
             and at_bound(f, float(fit.theta[f.place]))]
 
 
@@ -103,8 +99,7 @@ def _signs(experiment: Experiment, fit: Fit) -> Iterator[Gate]:
             for kind in ("motion", "pressure")}
     if not any(laws.values()):
         return
-    tracks = [_track(experiment, fit, stretch) for stretch in experiment.stretches]
-    dt = experiment.dt
+    tracks = filtered_tracks(experiment, fit)
     whole = np.concatenate(tracks)
     fastest = np.abs(whole[:, s.V]).max()
     for name in laws["motion"]:
@@ -114,10 +109,10 @@ def _signs(experiment: Experiment, fit: Fit) -> Iterator[Gate]:
 
             def friction(theta, slow=slow, name=name, way=way):
                 return way * np.concatenate([
-                    _alone(track, dt, theta, fit, (name,))[here, s.FORCE]
+                    contributed(experiment, theta, track, (name,))[here, s.FORCE]
                     for track, here in zip(tracks, slow, strict=True)])
 
-            least = _surely_negative(fit, friction, (name,))
+            least = _surely_negative(fit, friction, (name,), experiment.policy.sure)
             if least is not None:
                 yield Gate("sign", name, f"{effect_words(name)} would drive the piston in {words} "
                            f"motion with {quantity(abs(least), 'N', 2)}: friction takes power")
@@ -127,25 +122,27 @@ def _signs(experiment: Experiment, fit: Fit) -> Iterator[Gate]:
             found = []
             for track in tracks:
                 dp = track[:, s.P1] - track[:, s.P2]
-                c = _alone(track, dt, theta, fit, laws["pressure"])
+                c = contributed(experiment, theta, track, laws["pressure"])
                 flow = 0.5 * (c[:, s.FLOW_2] - c[:, s.FLOW_1]
                               + (theta[s.C_T] - theta[s.G_MAKEUP]) * dp)
                 found.append((flow * np.sign(dp))[np.abs(dp) > np.median(np.abs(dp))])
             return np.concatenate(found)
 
-        if _surely_negative(fit, leak, laws["pressure"]) is not None:
+        if _surely_negative(
+                fit, leak, laws["pressure"], experiment.policy.sure) is not None:
             yield Gate("sign", laws["pressure"][-1], "the leak across the piston would flow from "
                        "the lower pressure to the higher")
 
 
 def _surely_negative(fit: Fit, rows: Callable[[np.ndarray], np.ndarray],
-                     names: tuple[str, ...]) -> float | None:
+                     names: tuple[str, ...], sure: float) -> float | None:
     """Return the mean of what theta makes if it is negative beyond its own uncertainty.
 
     Parameters
     ----------
     rows : theta -> (n,) what must not be negative in the mean.
     names : effects whose sizes make it.
+    sure : deviations.
     """
     sizes = {f"{name}.{p.name}" for name in names for p in CATALOGUE[name].sizes}
     own = [i for i, f in enumerate(fit.free) if f.name in sizes or f.name == "rig.leakage"]
@@ -159,20 +156,4 @@ def _surely_negative(fit: Fit, rows: Callable[[np.ndarray], np.ndarray],
         theta[f.place] = f.outward(f.inward(theta[f.place]) + step)
         slopes.append((rows(theta).mean() - here.mean()) / step)
     variance = float(np.array(slopes) @ fit.covariance[np.ix_(own, own)] @ np.array(slopes))
-    return float(here.mean()) if here.mean() < -SURE * np.sqrt(max(variance, 0.0)) else None
-
-
-def _track(experiment: Experiment, fit: Fit, stretch: Stretch) -> np.ndarray:
-    """Return the signals along a stretch, (n, N_SIGNALS)."""
-    return signals_along(experiment, stretch, filtered(
-        experiment, stretch, fit.theta, fit.active, fit.gains, states=True)[1])
-
-
-def _alone(track: np.ndarray, dt: float, theta: np.ndarray, fit: Fit, names: tuple[str, ...]
-           ) -> np.ndarray:
-    """Return what some effects alone contribute along a track, (n, N_CONTRIBUTIONS)."""
-    active = np.zeros_like(fit.active)
-    active[[NAMES.index(name) for name in names]] = True
-    found = np.zeros((len(track), s.N_CONTRIBUTIONS))
-    contributions_along(track, dt, 2, theta, active, new_memory(), found)
-    return found
+    return float(here.mean()) if here.mean() < -sure * np.sqrt(max(variance, 0.0)) else None

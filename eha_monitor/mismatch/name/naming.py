@@ -9,28 +9,16 @@ from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import FORCED, OPEN
 from eha_monitor.mismatch.diagnosis import Gate
-from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
+from eha_monitor.mismatch.likelihood.fit import Fit, remade, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns
-from eha_monitor.mismatch.name.acceptance import (
-    BEYOND_FORM,
-    FORM_LEAST,
-    FORM_OF_LAW,
-    FORM_SHARE,
-    LACKING,
-    LIKELY,
-    RIDGE,
-    RIVAL,
-    TEMPER,
-    UNTOLD,
-)
-from eha_monitor.mismatch.name.base import limits_of, needs
+from eha_monitor.mismatch.name.base import limits_of
+from eha_monitor.mismatch.name.candidates import RIG, all_named, candidate
 from eha_monitor.mismatch.name.columns import runs_of
 from eha_monitor.mismatch.name.gram import evidences_at
 from eha_monitor.mismatch.name.polish import Slopes, polished
+from eha_monitor.mismatch.name.posterior import plainness, posterior
 from eha_monitor.mismatch.name.refit import settled
-from eha_monitor.mismatch.name.seen import plainness, posterior
 from eha_monitor.mismatch.name.select import Selection, selected
-from eha_monitor.mismatch.name.suspects import is_named, kin
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT, loads_of
 from eha_monitor.physics.effects import CATALOGUE
 
@@ -47,7 +35,7 @@ class Naming:
     experiment : with integration steps that resolve the damping that was found.
     before, after : nominal model with B and beta_e fitted; the model with what is named.
     wrong : numbers of the rig that ``after`` calls wrong, ``mass`` and so on.
-    probability : effect, ``rig.<key>`` -> probability that it, or what cannot be told from it,
+    probability : effect, ``rig.<key>`` -> probability that it, or what looks like it here,
         is there, and that nothing without a name is missing beside it.
     consistent, unexplained : probabilities of these answers.
     evidence : effect, ``rig.<key>`` -> log units that the model loses without it.
@@ -79,7 +67,7 @@ def in_place_of(name: str, best: Names, weights: dict[Names, float]) -> dict[str
     """
     others: dict[str, float] = {}
     for names, weight in weights.items():
-        if name not in names and all(one in names or names & set(kin(one))
+        if name not in names and all(one in names or names & candidate(one).kin
                                      for one in best - {name}):
             for other in sorted(names - best):
                 others[other] = others.get(other, 0.0) + weight
@@ -87,15 +75,15 @@ def in_place_of(name: str, best: Names, weights: dict[Names, float]) -> dict[str
 
 
 def at_config(experiment: Experiment, fit: Fit) -> Fit:
-    """Return a fit in which numbers of the rig that it tells little of are the config's.
+    """Return a fit in which numbers of the rig that it hardly determines are the config's.
 
     Volumes and beta_e trade, and so do mass, areas and B: on such a ridge only the prior decides,
     and the config's own number is the one to report the others beside.  What the numbers'
     tolerances make uncertain stays in the covariance.
     """
     loose = {f.name for i, f in enumerate(fit.free)
-             if f.name.startswith("rig.") and f.name not in fit.named
-             and np.sqrt(fit.covariance[i, i]) > UNTOLD * f.spread}
+             if f.of_rig and f.name not in fit.named
+             and np.sqrt(fit.covariance[i, i]) > experiment.policy.informed * f.spread}
     if not loose:
         return fit
     theta = fit.theta.copy()
@@ -103,11 +91,9 @@ def at_config(experiment: Experiment, fit: Fit) -> Fit:
         if f.name in loose:
             theta[f.place] = experiment.theta[f.place]
     free = tuple(f for f in fit.free if f.name not in loose)
-    k = len(free)
-    plain = polished(experiment, with_unknowns(experiment, replace(
-        fit, theta=theta, free=free, covariance=np.zeros((k, k)), converged=False),
-        fit.unknowns), Slopes(experiment))
-    if not fit.log_likelihood - plain.log_likelihood < RIDGE:
+    plain = polished(experiment, remade(experiment, fit, theta=theta, free=free),
+                     Slopes(experiment))
+    if not fit.log_likelihood - plain.log_likelihood < -np.log(experiment.policy.rival):
         return fit  # it says something of them after all
     return replace(plain, free=fit.free, covariance=fit.covariance)
 
@@ -116,28 +102,27 @@ def beyond_form(experiment: Experiment, before: Fit, after: Fit, needs: Unknowns
     """Return the probability that a model's unknowns are more than its form error.
 
     Named physics is right to a share of its size only, and a filter needs unknowns for the rest:
-    some ``FORM_SHARE`` of those that it has taken the place of.  What needs many times more lacks
-    something else, and a model that names nothing has no form error to blame.
+    a ``share`` of those that it has taken the place of.  What needs more lacks something else, and
+    a model that names nothing has no form error to blame.
     """
-    small = limits_of(experiment)[0].as_array()
+    small, policy = limits_of(experiment)[0].as_array(), experiment.policy
     if experiment.mode == FORCED and after.named and form_only(experiment, before, after):
         return 0.0
     needed, still = (level.as_array() / small for level in (before.unknowns, needs))
     taken = needed - still if after.named else 0.0 * still
-    least = np.maximum(FORM_LEAST, FORM_SHARE * taken)
+    least = np.maximum(policy.few, policy.share * taken)
     if experiment.mode == FORCED:  # the noise of what measures the force acts like a force
-        least[0] = max(least[0], experiment.input_noise / small[0])
+        least[0] = max(least[0], policy.sure * experiment.input_noise / small[0])
     elif experiment.mode == OPEN:  # and that of a measured pump speed like a flow
         flow = experiment.input_noise * (experiment.settings.rig.pump_displacement or 0.0)
-        least[1] = max(least[1], flow / small[1])
+        least[1] = max(least[1], policy.sure * flow / small[1])
     ratio = float((still / least).max())
-    odds = (ratio / BEYOND_FORM) ** 4
+    odds = ratio**4
     # Only what the recording asks for counts: where unknowns gain nothing their size says nothing.
     present = runs_of(experiment, after.theta, after.active, after.gains)
-    few = Unknowns(*np.minimum(FORM_LEAST * small, needs.as_array()))
-    with_needs, with_few = evidences_at(experiment, after, present, [needs, few])
-    gained = float(with_needs - with_few)
-    return odds / (1.0 + odds) * float(-np.expm1(-TEMPER * max(gained, 0.0)))
+    with_needs, without = evidences_at(experiment, after, present, [needs, Unknowns(*small)])
+    gained = float(with_needs - without)
+    return odds / (1.0 + odds) * float(-np.expm1(-policy.temper * max(gained, 0.0)))
 
 
 def form_only(experiment: Experiment, before: Fit, after: Fit) -> bool:
@@ -146,14 +131,9 @@ def form_only(experiment: Experiment, before: Fit, after: Fit) -> bool:
     What measures the force brings an unknown force to every model, the best as much as the
     nominal one: its size says nothing of what is missing.  What the models leave without it does.
     """
-    few = Unknowns(*(FORM_LEAST * limits_of(experiment)[0].as_array()))
+    few = Unknowns(*(experiment.policy.few * limits_of(experiment)[0].as_array()))
     left = [np.nanmean(with_unknowns(experiment, fit, few).e ** 2) for fit in (before, after)]
-    return bool(left[1] < FORM_OF_LAW * left[0])
-
-
-def lacking(experiment: Experiment, fit: Fit) -> bool:
-    """Tell whether a fit needs an unknown that matters."""
-    return needs(experiment, fit, LACKING)
+    return bool(left[1] < experiment.policy.law * left[0])
 
 
 def name_effects(experiment: Experiment, report: Report | None = None) -> Naming:
@@ -161,7 +141,7 @@ def name_effects(experiment: Experiment, report: Report | None = None) -> Naming
 
     Parameters
     ----------
-    report : told what is done and how far it is, 0 to 1.
+    report : called with what is done and how far it is, 0 to 1.
     """
     say = report or (lambda text, share: None)
     found = selected(experiment, say)
@@ -172,40 +152,36 @@ def name_effects(experiment: Experiment, report: Report | None = None) -> Naming
 
 def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
     """Return names and probabilities of a selection."""
-    seen, best = found.seen, found.seen.best()
-    weights = posterior(seen, [
+    refits, best = found.refits, found.refits.best()
+    weights = posterior(refits, [
         (view.here, view.ranking) for view in (found.view, found.beside) if view is not None])
-    scores = seen.scores()
-    after = at_config(experiment, seen.fits[best])
-    gates = tuple(gate for failed in seen.refused.values() for gate in failed)
+    scores = refits.scores()
+    after = at_config(experiment, refits.fits[best])
+    gates = tuple(gate for failed in refits.refused.values() for gate in failed)
     # What speaks for a set that no gate lets through speaks for something that has no name.
-    refused = sum(weights.get(names, 0.0) for names in seen.refused)
-    weights = {names: weight for names, weight in weights.items() if names not in seen.refused}
+    refused = sum(weights.get(names, 0.0) for names in refits.refused)
+    weights = {names: weight for names, weight in weights.items() if names not in refits.refused}
     rivals, probability, evidence = {}, {}, {}
     for name in sorted(best):
         stands = in_place_of(name, best, weights)
         near = [other for other in ties.ordered(stands, stands.__getitem__, str)
-                if stands[other] >= RIVAL and is_named(other)]
-        twin = CATALOGUE[name].rig_twin if name in CATALOGUE else next(
-            (other for other, entry in CATALOGUE.items()
-             if f"rig.{entry.rig_twin}" == name), "")
-        if twin and twin not in near and f"rig.{twin}" not in near:
-            near.append(twin)
-        rivals[name] = tuple(dict.fromkeys(other.removeprefix("rig.") for other in near))
+                if stands[other] >= experiment.policy.rival and candidate(other).named]
+        near = list(dict.fromkeys([*near, *filter(None, [candidate(name).equals])]))
+        rivals[name] = tuple(other.removeprefix(RIG) for other in near)
         # Laws of one family are one claim: which of them it is, the curve says, not the name.
-        held = {name, *near, *(f"rig.{other}" for other in near), *(set(kin(name)) - best)}
+        held = {name, *near, *(candidate(name).kin - best)}
         probability[name] = float(sum(
-            weight for names, weight in weights.items() if held & names and all(
-                is_named(other) or other == INTERMITTENT for other in names)))
-        without = [value for names, value in seen.evidence.items()
-                   if not held & names and names not in seen.refused]
-        evidence[name] = float(seen.evidence[best] - max(without, default=-np.inf))
+            weight for names, weight in weights.items()
+            if held & names and all_named(names - {INTERMITTENT})))
+        without = [value for names, value in refits.evidence.items()
+                   if not held & names and names not in refits.refused]
+        evidence[name] = float(refits.evidence[best] - max(without, default=-np.inf))
     unnamed = refused + float(sum(weight for names, weight in weights.items()
-                                  if any(not is_named(name) for name in names)))
+                                  if not all_named(names)))
     loads: tuple[tuple[float, float, float], ...] = ()
     acting = float(sum(weight for names, weight in weights.items() if INTERMITTENT in names))
     needs = after.unknowns
-    if acting > LIKELY:  # a load that comes and goes has a name, and intervals
+    if acting > experiment.policy.likely:  # a load that comes and goes has a name, and intervals
         one = next(one for one in found.beside.ranking if INTERMITTENT in one.names)
         loads = loads_of(experiment, np.array([
             value for place, value in sorted(one.amplitudes.items())
@@ -221,9 +197,9 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
     order = ties.ordered(scores, lambda names: scores[names], plainness, ties.GUESS)
     return Naming(
         experiment, before, replace(after, named=tuple(n for n in after.named if n in CATALOGUE)),
-        tuple(name.removeprefix("rig.") for name in after.named if name.startswith("rig.")),
+        tuple(key for name in after.named if (key := candidate(name).key)),
         probability, float(empty), unnamed, evidence, rivals,
-        tuple((names, seen.fits[names], scores[best] - scores[names]) for names in order),
+        tuple((names, refits.fits[names], scores[best] - scores[names]) for names in order),
         loads, gates)
 
 
@@ -234,6 +210,6 @@ def on_all_of(experiment: Experiment, naming: Naming) -> Naming:
     whole = naming.experiment.only(experiment.stretches)
 
     def over(fit):
-        return replace(with_unknowns(whole, fit, fit.unknowns), covariance=fit.covariance)
+        return replace(with_unknowns(whole, fit), covariance=fit.covariance)
 
     return replace(naming, experiment=whole, before=over(naming.before), after=over(naming.after))

@@ -8,22 +8,21 @@ from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.likelihood.gains import Unknowns
-from eha_monitor.mismatch.name.acceptance import RIVAL
 from eha_monitor.mismatch.name.base import limits_of
+from eha_monitor.mismatch.name.candidates import all_named, candidate
 from eha_monitor.mismatch.name.columns import Column, Columns, columns_at
 from eha_monitor.mismatch.name.gram import grams_of
 from eha_monitor.mismatch.name.polish import Slopes
-from eha_monitor.mismatch.name.rank import LARGEST_SET, Ranked, best_first, best_over, ranked_at
-from eha_monitor.mismatch.name.seen import (
+from eha_monitor.mismatch.name.posterior import (
     Names,
-    Seen,
+    Refits,
     beyond,
     evidence_at_start,
     own_in,
     plainness,
     posterior,
 )
-from eha_monitor.mismatch.name.suspects import form_kin, is_named, kin
+from eha_monitor.mismatch.name.rank import LARGEST_SET, Ranked, best_first, best_over, ranked_at
 from eha_monitor.physics.effects import CATALOGUE
 
 HANDFUL = 4  # sets that are refitted at a linearisation
@@ -89,17 +88,21 @@ def weighed(experiment: Experiment, here: Names, fit: Fit, columns: Columns,
             more: int = LARGEST_SET) -> Linearised:
     """Rank the sets that columns at a model make; ``more`` suspects join a part of it at most."""
     grams = grams_of(experiment, fit, columns.values, levels_of(experiment, fit), columns.copies)
-    levels = [beyond_one_law(found, here)
-              for found in ranked_at(columns.what, fit.named, grams, more)]
+    levels = [beyond_one_law(found, here, experiment.policy.law) for found in ranked_at(
+        columns.what, fit.named, grams, experiment.policy, more)]
     return Linearised(here, fit, columns.what, Slopes(experiment, fit, columns), levels,
                       best_over(levels))
 
 
-def beyond_one_law(found: list[Ranked], here: Names) -> list[Ranked]:
+def beyond_one_law(found: list[Ranked], here: Names, form: float) -> list[Ranked]:
     """Return sets in which a second law of a family counts as far as it is beyond form error.
 
-    What one law has wrong another takes up: see :meth:`Seen.scores`.  The model at hand stays as
+    What one law has wrong another takes up: see :meth:`Refits.scores`.  The model at hand stays as
     it is, since all others are measured from it.
+
+    Parameters
+    ----------
+    form : share of what a law explains that may be its form error.
     """
     known: dict[Names, float] = {}
     for one in found:
@@ -107,8 +110,9 @@ def beyond_one_law(found: list[Ranked], here: Names) -> list[Ranked]:
     explained: dict[Names, float] = {}
     for names, evidence in known.items():
         for law in names:
-            if kin(law) and names - {law} in known and not names & set(form_kin(law)):
-                family = frozenset((law, *form_kin(law)))
+            family = candidate(law).form_kin
+            if candidate(law).kin and names - {law} in known and not names & family:
+                family |= {law}
                 explained[family] = max(evidence - known[names - {law}],
                                         explained.get(family, 0.0))
     counted = []
@@ -119,43 +123,43 @@ def beyond_one_law(found: list[Ranked], here: Names) -> list[Ranked]:
             if len(laws) > 1 and not laws <= here:
                 single = max((known[some] for some in known if len(some & family) == 1
                               and some - family <= one.names), default=one.evidence)
-                evidence = min(evidence, beyond(one.evidence, single, gain))
+                evidence = min(evidence, beyond(one.evidence, single, form * gain))
         counted.append(one if evidence == one.evidence else replace(one, evidence=evidence))
     return best_first(counted)
 
 
-def chosen_at(view: Linearised, seen: Seen) -> list[Ranked]:
+def chosen_at(view: Linearised, refits: Refits) -> list[Ranked]:
     """Return the sets that are worth a refit at a linearisation."""
     own = view.own
     if own is not None:
         # What was fitted from elsewhere and would be better by a guess from here is fitted again.
-        start = evidence_at_start(seen, view.here) - (own.evidence - own.prior)
+        start = evidence_at_start(refits, view.here) - (own.evidence - own.prior)
         again = [one for one in with_names(view.ranking) if one.names < view.here
-                 and one.names in seen.fits and (view.here, one.names) not in seen.tried
-                 and start + one.evidence - one.prior > seen.evidence[one.names] + STRAYED
+                 and one.names in refits.fits and (view.here, one.names) not in refits.tried
+                 and start + one.evidence - one.prior > refits.evidence[one.names] + STRAYED
                  and one.evidence > own.evidence]
         if again:
             return again[:HANDFUL]
-    chosen = proposals_of(view.ranking, own, seen, view.here)
+    chosen = proposals_of(view.ranking, own, refits, view.here)
     # Large unknowns hide what they take the place of; where fewer are allowed it shows.
     for level in view.levels:
         if level and tight(level[0], view.fit):
             there = own_in(level, view.here)
             known = {one.names for one in chosen}
-            chosen += [one for one in proposals_of(level, there, seen, view.here)[:FEW]
+            chosen += [one for one in proposals_of(level, there, refits, view.here)[:FEW]
                        if one.names not in known]
     return chosen
 
 
-def rivals_at(view: Linearised, seen: Seen) -> list[Ranked]:
+def rivals_at(view: Linearised, refits: Refits) -> list[Ranked]:
     """Return sets that are as likely as the best, by the guess, and were never refitted.
 
     Among them are the best set without one of its members, and with another in its place.
     """
-    weights = posterior(seen, [(view.here, view.ranking)], promising=True)
-    wanted = {one.names for one in contested(view)} if view.here == seen.best() else set()
-    found = [one for one in with_names(view.ranking) if not seen.known(one.names, view.here)
-             and (weights.get(one.names, 0.0) >= RIVAL or one.names in wanted)]
+    weights = posterior(refits, [(view.here, view.ranking)], promising=True)
+    wanted = {one.names for one in contested(view)} if view.here == refits.best() else set()
+    found = [one for one in with_names(view.ranking) if not refits.known(one.names, view.here)
+             and (weights.get(one.names, 0.0) >= refits.policy.rival or one.names in wanted)]
     return ties.ordered(found, lambda one: weights.get(one.names, 0.0),
                         lambda one: plainness(one.names))[:HANDFUL]
 
@@ -182,21 +186,21 @@ def with_names(found: list[Ranked]) -> list[Ranked]:
     """Return the best set of each set of names that the catalogue or the rig has."""
     chosen: dict[Names, Ranked] = {}
     for one in found:
-        if all(map(is_named, one.names)):
+        if all_named(one.names):
             chosen.setdefault(one.names, one)
     return list(chosen.values())
 
 
-def proposals_of(found: list[Ranked], model: Ranked | None, seen: Seen, here: Names = frozenset()
-                 ) -> list[Ranked]:
+def proposals_of(found: list[Ranked], model: Ranked | None, refits: Refits,
+                 here: Names = frozenset()) -> list[Ranked]:
     """Return the sets that are worth a refit: the smallest that reach most of the best gain.
 
     ``model`` : the model at hand in that ranking.
     """
     better = named = with_names(found)
     if model is not None:
-        start = evidence_at_start(seen, here)
-        better = [one for one in named if one.evidence > model.evidence and seen.pursued(
+        start = evidence_at_start(refits, here)
+        better = [one for one in named if one.evidence > model.evidence and refits.pursued(
             start + one.evidence - one.prior - (model.evidence - model.prior), start)]
     if not better:
         return []
@@ -214,8 +218,8 @@ def proposals_of(found: list[Ranked], model: Ranked | None, seen: Seen, here: Na
     enough = own + PROMISING * (better[0].evidence - own)
     chosen = [one for k in range(1, size) for one in [
         one for one in better if len(one.names) == k and one.evidence >= enough][:FEW]] + chosen
-    return [one for one in chosen if not seen.known(one.names, here)][:HANDFUL] or [
-        one for one in able if not seen.known(one.names, here)][:HANDFUL]
+    return [one for one in chosen if not refits.known(one.names, here)][:HANDFUL] or [
+        one for one in able if not refits.known(one.names, here)][:HANDFUL]
 
 
 def containing(one: Ranked) -> int:

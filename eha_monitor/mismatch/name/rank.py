@@ -20,10 +20,10 @@ from scipy.linalg import cho_factor, cho_solve
 
 from eha_monitor import ties
 from eha_monitor.mismatch.likelihood.fit import spread
-from eha_monitor.mismatch.name.acceptance import EFFECT, RARE, UNNAMED
+from eha_monitor.mismatch.name.candidates import candidate
 from eha_monitor.mismatch.name.columns import ALWAYS, ASTRAY_OWNER, Column
 from eha_monitor.mismatch.name.gram import Gram
-from eha_monitor.mismatch.name.suspects import exclude, limited, twins
+from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.physics.effects import CATALOGUE
 
 LARGEST_SET = 4  # suspects in a set
@@ -71,8 +71,8 @@ class Ranked:
 class Ranking:
     """The columns of one linearisation, grouped by suspect."""
 
-    def __init__(self, what: tuple[Column, ...], named: tuple[str, ...]):
-        self.what, self.named = what, named
+    def __init__(self, what: tuple[Column, ...], named: tuple[str, ...], policy: SearchPolicy):
+        self.what, self.named, self.policy = what, named, policy
         self.always = np.array([i for i, c in enumerate(what) if c.owner == ALWAYS], dtype=int)
         groups: dict[Member, list[int]] = {}
         for i, column in enumerate(what):
@@ -89,11 +89,13 @@ class Ranking:
         self.order = {member: i for i, member in enumerate(self.groups)}
         self.growing = [(i, one) for i, one in enumerate(groups) if one.replaces]
         self.standing = np.array([not one.replaces for one in groups], dtype=bool)
-        self.same = np.array([[one.owner == two.owner or twins(one.owner, two.owner)
-                               for two in groups] for one in groups]).reshape((len(groups),) * 2)
+        of, square = [candidate(one.owner) for one in groups], (len(groups),) * 2
+        self.same = np.array([[two.name in (one.name, one.equals) for two in of]
+                              for one in of], dtype=bool).reshape(square)
         self.excluded = self.same | np.array(
-            [[two.replaces != one.owner and exclude(one.owner, two.owner) for two in groups]
-             for one in groups], dtype=bool).reshape((len(groups),) * 2)
+            [[two.replaces != one.name and one.excludes(other)
+              for two, other in zip(groups, of, strict=True)] for one in of],
+            dtype=bool).reshape(square)
         self.centre = np.array([c.centre for c in what])
         self.lower = np.array([c.lower for c in what])
         self.upper = np.array([c.upper for c in what])
@@ -114,13 +116,9 @@ class Ranking:
 
     def log_prior(self, member: Member) -> float:
         """Return the logarithm of a suspect's prior odds."""
-        if member.owner.startswith("rig."):
-            return EFFECT
-        if member.owner not in CATALOGUE:
-            return UNNAMED
-        several = (np.log(self.starts[member.owner])
-                   if member.variant >= 0 and not member.replaces else 0.0)
-        return EFFECT + RARE * CATALOGUE[member.owner].rarity - several
+        several = (np.log(self.starts[member.owner]) if member.variant >= 0
+                   and not member.replaces and member.owner in CATALOGUE else 0.0)
+        return candidate(member.owner).log_odds(self.policy) - several
 
     def roots(self) -> list[tuple[Member, ...]]:
         """Return the subsets of what the model has, each a set to begin with.
@@ -131,7 +129,7 @@ class Ranking:
         have = [Member(name, -1) for name in self.named]
         lost = {c.name.partition(".")[0] for c in self.what
                 if c.owner == ASTRAY_OWNER and c.variant < 0 and c.size}
-        kept = tuple(member for member in have if limited(member.owner)
+        kept = tuple(member for member in have if candidate(member.owner).limit
                      or not len(self.groups[member]) or member.owner in lost)
         free = [member for member in have if member not in kept]
         return [tuple(sorted((*kept, *subset))) for k in range(len(free) + 1)
@@ -377,9 +375,9 @@ def gained_by(blocks: np.ndarray, sides: np.ndarray) -> np.ndarray:
 
 
 def ranked_at(what: tuple[Column, ...], named: tuple[str, ...], grams: list[Gram],
-              more: int = LARGEST_SET) -> list[list[Ranked]]:
+              policy: SearchPolicy, more: int = LARGEST_SET) -> list[list[Ranked]]:
     """Return for each level the best sets there, best first; see :meth:`Ranking.at_level`."""
-    ranking = Ranking(what, named)
+    ranking = Ranking(what, named, policy)
     return spread(lambda gram: ranking.at_level(gram, more), grams)
 
 

@@ -9,13 +9,14 @@ from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import (
     Fit,
     Free,
+    remade,
     with_unknowns,
 )
 from eha_monitor.mismatch.likelihood.gains import Unknowns, expected_covariance, gains_of
-from eha_monitor.mismatch.name.acceptance import EFFECT, RARE
-from eha_monitor.mismatch.name.base import base_free, limits_of, timing_free
+from eha_monitor.mismatch.name.base import LEAST_SHARE, base_free, limits_of, timing_free
+from eha_monitor.mismatch.name.candidates import candidate
 from eha_monitor.mismatch.name.columns import (
-    BEYOND,
+    ALWAYS,
     Column,
     placed,
     rig_free,
@@ -25,30 +26,28 @@ from eha_monitor.mismatch.name.gram import evidences_at
 from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished, polished_on
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.starts import entered, free_of, own_sizes, sharing
+from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import BASE_KEYS, effect_values, place_of
 
-LEAST = 0.05  # of its start: where a size enters at least
+FIRST = 100.0  # times the smallest unknowns: where a nominal model begins
 SHARES = (1.0, 0.3)  # of the way to a linear guess
 SHORTER = (0.1, 0.03, 0.01)  # where no model can run there
 FARTHEST = 6.0  # of a logarithm: how far a number of the rig is moved by a linear guess
 WRONG_BY = 1e3  # how far a number of the rig may be off; what is less is absent
-INFORMED = 0.5  # of its prior deviation, all else known: a number that the recording answers to
 QUICK = 10  # steps of a first look
 ROUGH_STEPS = 8  # of a fit whose unknowns will change
 HALVINGS = 3  # of the way to other unknowns
-# Shapes that act over micrometres and milliseconds, outside the band of the balances.
 FACTORS = (10.0, 3.0)  # of the unknowns' grid
 
 
-def begun(experiment: Experiment, factor: float) -> Fit:
+def unfitted(experiment: Experiment, factor: float = FIRST) -> Fit:
     """Return the nominal model before any fit, unknowns at ``factor`` times the smallest."""
     theta, active = experiment.theta.copy(), experiment.active.copy()
     free = base_free(experiment) + timing_free(experiment)
     for f in free:
-        effect, dot, _ = f.name.partition(".")
-        if dot:
-            active[NAMES.index(effect)] = True
+        if f.owner:
+            active[NAMES.index(f.owner)] = True
     small, large = (limit.as_array() for limit in limits_of(experiment))
     unknowns = Unknowns(*np.minimum(factor * small, large))
     k = len(free)
@@ -57,13 +56,14 @@ def begun(experiment: Experiment, factor: float) -> Fit:
     return with_unknowns(experiment, fit, unknowns)
 
 
-def at_level(experiment: Experiment, fit: Fit) -> Fit:
-    """Return a fit under the unknowns that its innovations ask for.
+def at_level(experiment: Experiment, fit: Fit, limits: tuple[Unknowns, Unknowns] | None = None
+             ) -> Fit:
+    """Return a fit under the unknowns that its innovations ask for, between ``limits``.
 
     The likelihood at other unknowns is that of the innovations mapped to their gains.
     """
     present = runs_of(experiment, fit.theta, fit.active, fit.gains)
-    small, large = (limit.as_array() for limit in limits_of(experiment))
+    small, large = (limit.as_array() for limit in limits or limits_of(experiment))
     known: dict[tuple, float] = {}
 
     def likelihood(levels: list[np.ndarray]) -> None:
@@ -150,7 +150,7 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
     theta, active = fit.theta.copy(), fit.active.copy()
     keep = {member.owner for member in ranked.members if member.variant < 0}
     gone = [name for name in fit.named if name not in keep]
-    free = [f for f in fit.free if f.name.partition(".")[0] not in gone]
+    free = [f for f in fit.free if f.owner not in gone]
     for name in (name for name in gone if name in CATALOGUE):
         active[NAMES.index(name)] = False
     named = tuple(name for name in fit.named if name in keep)
@@ -160,20 +160,20 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
         if column.free is None:
             continue
         f = column.free
-        if column.name.startswith("rig."):  # twice, where it is wrong: both ways together
-            step = column.step if column.owner.startswith("rig.") else f.spread
+        if f.of_rig:  # twice, where it is wrong: both ways together
+            step = f.spread if column.owner == ALWAYS else column.step
             theta[f.place] *= np.exp(np.clip(amplitude * step, -FARTHEST, FARTHEST))
         elif column.variant < 0:  # it is there, and moves
             now = f.inward(theta[f.place]) + amplitude * f.spread
             theta[f.place] = f.outward(now)
         elif own_sizes(column.start):
             values[column.name] = guess(column, amplitude)
-    free = [f for f in free if not f.name.startswith("rig.")] + informed(
+    free = [f for f in free if not f.of_rig] + informed(
         experiment, what, ranked)
     for member in ranked.members:
         if member.variant < 0:
             continue
-        if member.owner.startswith("rig."):
+        if candidate(member.owner).key:
             named = (*named, member.owner)
             continue
         column = next(c for c in what if (c.owner, c.variant) == (member.owner, member.variant))
@@ -181,20 +181,18 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
         if start.replaces:
             # Its numbers were moved by the linear guess.
             start = sharing(start, effect_values(theta, start.replaces))
-            free = [f for f in free if not f.name.startswith(start.replaces + ".")]
+            free = [f for f in free if f.owner != start.replaces]
             named = tuple(name for name in named if name != start.replaces)
         theta, active = entered(theta, active, start)
         for name, value in values.items():
             if name.startswith(member.owner + "."):
                 theta[place_of(name)] = value
-        timing = {f.name for f in free if f.name.startswith(member.owner + ".")}
-        free = [f for f in free if f.name not in timing] + list(free_of(start))
+        free = [f for f in free if f.owner != member.owner] + list(free_of(start))
         named = (*named, member.owner)
     for f in timing_free(experiment):  # what is named no more may err a little again
-        name = f.name.partition(".")[0]
-        if name not in named and all(one.name != f.name for one in free):
+        if f.owner not in named and all(one.name != f.name for one in free):
             free.append(f)
-            active[NAMES.index(name)] = True
+            active[NAMES.index(f.owner)] = True
             theta[f.place] = f.outward(f.prior)
     fitted = {f.place for f in free}
     for place in BASE_KEYS:
@@ -202,10 +200,8 @@ def joined(experiment: Experiment, fit: Fit, what: tuple[Column, ...], ranked: R
             theta[place] = experiment.theta[place]
     for f in free:
         theta[f.place] = f.outward(f.inward(theta[f.place]))
-    k = len(free)
-    made = replace(fit, theta=theta, active=active, free=tuple(free), named=named,
-                   covariance=np.zeros((k, k)), converged=False)
-    return with_unknowns(experiment, made, ranked.gram.unknowns)
+    return remade(experiment, fit, theta=theta, active=active, free=tuple(free), named=named,
+                  unknowns=ranked.gram.unknowns)
 
 
 def informed(experiment: Experiment, what: tuple[Column, ...], ranked: Ranked) -> list[Free]:
@@ -220,31 +216,30 @@ def informed(experiment: Experiment, what: tuple[Column, ...], ranked: Ranked) -
     found = {}
     for place, sigma in zip(here, deviation, strict=True):
         column = what[place]
-        if column.owner.startswith("rig."):
-            found[column.name] = wide(own[column.name])
-        elif column.name.startswith("rig.") and column.name not in found and (
-                sigma < INFORMED or abs(ranked.amplitudes[int(place)]) > 1.0):
+        if candidate(column.owner).key:
+            found[column.name] = wide(own[column.name], experiment.policy)
+        elif column.name in own and column.name not in found and (
+                sigma < experiment.policy.informed or abs(ranked.amplitudes[int(place)]) > 1.0):
             found[column.name] = own[column.name]
     return list(found.values())
 
 
-def wide(f: Free) -> Free:
+def wide(f: Free, policy: SearchPolicy) -> Free:
     """Return a number of the rig that may be wrong altogether."""
     value = float(np.exp(f.prior))
-    return replace(f, spread=min(BEYOND * f.spread, float(np.log(WRONG_BY))),
+    return replace(f, spread=min(policy.wrong * f.spread, float(np.log(WRONG_BY))),
                    lower=value / WRONG_BY, upper=value * WRONG_BY)
 
 
 def guess(column: Column, amplitude: float) -> float:
     """Return where a size enters, SI: the linear guess, but no nearer to nothing than visible."""
     values = dict(column.start.values)
-    symbol = column.name.partition(".")[2]
-    p = next(p for p in CATALOGUE[column.owner].parameters if p.name == symbol)
-    start = values[symbol]
+    p = next(p for p in CATALOGUE[column.owner].parameters if p.name == column.free.symbol)
+    start = values[p.name]
     if p.log or not np.isfinite(p.neutral):
         return start
     value = placed(column, amplitude)
-    least = p.neutral + LEAST * (start - p.neutral)
+    least = p.neutral + LEAST_SHARE * (start - p.neutral)
     if p.lower >= 0 and abs(value - p.neutral) < abs(least - p.neutral):
         value = least
     if column.start.among > 1 and p.unit in ("s", "m"):  # a shift is linear near itself only
@@ -264,12 +259,6 @@ def evidence_of(experiment: Experiment, fit: Fit) -> float:
     return float(likelihood + occam)
 
 
-def prior_of(names: frozenset[str]) -> float:
-    """Return the logarithm of a set's prior odds."""
-    return float(sum(EFFECT + (RARE * CATALOGUE[name].rarity if name in CATALOGUE else 0.0)
-                     for name in names))
-
-
 def discrepancy(experiment: Experiment, fit: Fit) -> float:
     """Return what a model's unknowns cost, log units: 0 where it needs next to none.
 
@@ -286,4 +275,4 @@ def discrepancy(experiment: Experiment, fit: Fit) -> float:
 
 def impossible(fit: Fit) -> bool:
     """Tell whether a fit stands on something that cannot be: B or a stiffness at its bound."""
-    return any("." not in f.name and f.at_bound(fit.theta[f.place]) for f in fit.free)
+    return any(not f.owner and f.at_bound(fit.theta[f.place]) for f in fit.free)

@@ -1,17 +1,25 @@
 """Joint selection: linearise, rank every set, refit the best, linearise there again."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment, resolving
-from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
+from eha_monitor.mismatch.likelihood.fit import Fit, remade, spread, with_unknowns
 from eha_monitor.mismatch.name.base import limits_of, needs, with_effect, without_effect
-from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, effects_of, rig_free
+from eha_monitor.mismatch.name.candidates import candidate
+from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, rig_free
 from eha_monitor.mismatch.name.gates import ends_of_tolerance, failures
+from eha_monitor.mismatch.name.informative import informative
 from eha_monitor.mismatch.name.polish import Slopes, polished
+from eha_monitor.mismatch.name.posterior import (
+    Names,
+    Refits,
+    evidence_at_start,
+    plainness,
+)
 from eha_monitor.mismatch.name.proposals import (
     STRAYED,
     Linearised,
@@ -22,27 +30,19 @@ from eha_monitor.mismatch.name.proposals import (
 )
 from eha_monitor.mismatch.name.rank import Ranked
 from eha_monitor.mismatch.name.refit import (
+    FIRST,
     at_level,
-    begun,
     entered_at_best,
     looked,
     settled,
+    unfitted,
     wide,
 )
-from eha_monitor.mismatch.name.seen import (
-    Names,
-    Seen,
-    evidence_at_start,
-    plainness,
-)
 from eha_monitor.mismatch.name.starts import possible, sharing, starts_of
-from eha_monitor.mismatch.name.suspects import is_effect, simple_kin
-from eha_monitor.mismatch.name.telling import telling
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import effect_values
 from eha_monitor.physics.signals import BETA_E, B
 
-FIRST = 100.0  # times the smallest unknowns: where the nominal model is linearised
 LARGER = (FIRST, 10.0 * FIRST, 100.0 * FIRST)  # where a model far off runs away under less
 LEANING = 30.0  # times the smallest unknowns: below, the nominal model needs next to nothing
 CATCHING_UP = 0.9  # of the best refitted set's gain, after a few steps, to be fitted to the end
@@ -62,18 +62,61 @@ class Selection:
     Attributes
     ----------
     experiment : with integration steps that resolve the damping that was found.
-    nominal : the model without effects; ``best`` the model of the set with most evidence.
-    seen : every refitted set.
+    nominal : the model without effects.
+    refits : every refitted set.
     view : sets with names by the linear guess from the best model, if the search came there;
         ``beside`` what has no name, beside parts of the best.
     """
 
     experiment: Experiment
     nominal: Fit
-    best: Fit
-    seen: Seen
+    refits: Refits
     view: Linearised | None
     beside: Linearised
+
+
+@dataclass
+class Search:
+    """A search for the best set.
+
+    Attributes
+    ----------
+    experiment, nominal : the samples that it is made on, and the nominal model fitted to them.
+    refits : every refitted set.
+    sketch : on some of the samples, to begin with: nothing is fitted to the end.
+    widely : also from other places of the nominal model; else from what a sketch has found.
+    views : names -> linearisation at a refitted model.
+    done : names -> evidence with which a model was linearised.
+    ended : what is best was fitted to the end, or need not be; ``far`` the last of the other
+        places was tried.
+    """
+
+    experiment: Experiment
+    nominal: Fit
+    refits: Refits
+    sketch: bool = False
+    widely: bool = True
+    views: dict[Names, Linearised] = field(default_factory=dict)
+    done: dict[Names, float] = field(default_factory=dict)
+    ended: bool = False
+    far: bool = False
+
+    @classmethod
+    def at(cls, experiment: Experiment, nominal: Fit, sketch: bool = False) -> "Search":
+        """Return a search at its beginning."""
+        refits = Refits(experiment.policy)
+        refits.add(experiment, frozenset(), nominal)
+        return cls(experiment, nominal, refits, sketch, ended=sketch)
+
+    def going_on_from(self, found: "Search") -> None:
+        """Take over what a sketch has left in the running, fitted to these samples."""
+        refits, experiment = self.refits, self.experiment
+        for names in list(filter(None, within_reach(found.refits)))[:FINALISTS]:
+            worth = max(fit.log_likelihood for fit in refits.fits.values()) - CLOSE
+            refits.add(experiment, names, settled(
+                experiment, with_unknowns(experiment, found.refits.fits[names]), worth=worth))
+        if refits.best():
+            self.widely, self.done[frozenset()] = False, refits.evidence[frozenset()]
 
 
 def nominal_model(experiment: Experiment, within: bool = False) -> Fit:
@@ -86,7 +129,7 @@ def nominal_model(experiment: Experiment, within: bool = False) -> Fit:
         linear.
     """
     for factor in LARGER:
-        start = begun(experiment, factor)
+        start = unfitted(experiment, factor)
         held = polished(experiment, with_rig(experiment, start) if within else start,
                         Slopes(experiment), 8, 0.5)
         if held.gains.size and np.isfinite(held.log_likelihood):
@@ -98,7 +141,7 @@ def nominal_model(experiment: Experiment, within: bool = False) -> Fit:
     return settled(experiment, held)
 
 
-def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], seen: Seen) -> None:
+def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], refits: Refits) -> None:
     """Refit sets from their linear guess: a first look at all, to the end what keeps up."""
     def entered(one: Ranked) -> Fit:
         return entered_at_best(experiment, view.fit, view.what, one)
@@ -114,8 +157,8 @@ def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], seen: 
     own = view.own
     if own is not None and not view.here and chosen[0].evidence < own.evidence + CLOSE:
         # With the same numbers of the rig free as in its rivals: else their evidence differs.
-        seen.add(experiment, view.here, settled(experiment, entered(own), view.slopes), True)
-    seen.tried.update((view.here, one.names) for one in chosen)
+        refits.add(experiment, view.here, settled(experiment, entered(own), view.slopes), True)
+    refits.tried.update((view.here, one.names) for one in chosen)
     looks = [made for made in spread(quick, chosen) if np.isfinite(made.log_likelihood)]
     if not looks:
         return
@@ -125,10 +168,10 @@ def refit(experiment: Experiment, view: Linearised, chosen: list[Ranked], seen: 
     base = min(looks[-1].log_likelihood, view.fit.log_likelihood)
     going = [made for made in looks
              if made.log_likelihood >= base + CATCHING_UP * (reach - base)][:MOST_GOING]
-    seen.dropped.update((frozenset(made.named), made) for made in looks[::-1]
+    refits.dropped.update((frozenset(made.named), made) for made in looks[::-1]
                         if all(made is not one for one in going))
     for made in spread(lambda made: settled(experiment, made, view.slopes), going):
-        seen.add(experiment, frozenset(made.named), made)
+        refits.add(experiment, frozenset(made.named), made)
 
 
 def likelier(fit: Fit, other: Fit) -> Fit:
@@ -136,18 +179,18 @@ def likelier(fit: Fit, other: Fit) -> Fit:
     return ties.best((fit, other), lambda one: one.log_likelihood, within=ties.GUESS)
 
 
-def held(experiment: Experiment, view: Linearised, seen: Seen) -> None:
+def held(experiment: Experiment, view: Linearised, refits: Refits) -> None:
     """Fit a model again under the unknowns that suit it best, from its own linear guess."""
     if view.own is not None:
-        seen.add(experiment, view.here, settled(
+        refits.add(experiment, view.here, settled(
             experiment, entered_at_best(experiment, view.fit, view.what, view.own), view.slopes))
 
 
-def strayed(view: Linearised, seen: Seen) -> bool:
+def strayed(view: Linearised, refits: Refits) -> bool:
     """Tell whether a model is far from the optimum that a guess from itself promises."""
     own = view.own
     return own is not None and (
-        own.evidence - own.prior > evidence_at_start(seen, view.here) + STRAYED)
+        own.evidence - own.prior > evidence_at_start(refits, view.here) + STRAYED)
 
 
 def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
@@ -161,104 +204,75 @@ def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
     near = leans_less(experiment, first)
     start = (settled(experiment, with_rig(experiment, first)) if near
              else nominal_model(experiment, within=True))
-    seen = Seen()
-    seen.add(experiment, frozenset(), start)
-    if not seen.evidence:
+    search = Search.at(experiment, start)
+    if not search.refits.evidence:
         raise np.linalg.LinAlgError("the nominal model's evidence is singular")
     sketch = sketch_of(experiment, start)
     if sketch is not None:
         say("searching a third of the samples", 0.1)
-        carried(experiment, explored(sketch, over(sketch, start), say)[0], seen)
-    seen, views = explored(experiment, start, say, seen, seen.best() == frozenset())
-    gated(experiment, seen)
-    best = seen.best()
+        search.going_on_from(explored(Search.at(sketch, with_unknowns(sketch, start), True), say))
+    refits, views = explored(search, say).refits, search.views
+    gated(experiment, refits)
+    best = refits.best()
     say("weighing effects not in the catalogue", 0.85)
-    return Selection(experiment, first, seen.fits[best], seen, views.get(best),
-                     beside(experiment, best, seen.fits[best]))
+    return Selection(experiment, first, refits, views.get(best),
+                     beside(experiment, best, refits.fits[best]))
 
 
 def sketch_of(experiment: Experiment, start: Fit) -> Experiment | None:
     """Return the samples that a search begins on; None where it needs all, or has few."""
     if experiment.n < 2 * SKETCH or not lacks(experiment, start):
         return None
-    found = telling(experiment, SKETCH, SKETCH_WINDOW)
-    runs = found is not experiment and np.isfinite(over(found, start).log_likelihood)
+    found = informative(experiment, SKETCH, SKETCH_WINDOW)
+    runs = found is not experiment and np.isfinite(with_unknowns(found, start).log_likelihood)
     return found if runs else None
 
 
-def over(experiment: Experiment, fit: Fit) -> Fit:
-    """Return a fit with its innovations over the samples of an experiment."""
-    return with_unknowns(experiment, fit, fit.unknowns)
-
-
-def carried(experiment: Experiment, found: Seen, seen: Seen) -> None:
-    """Fit what a search on some of the samples has left in the running to all of them."""
-    scores, best = found.scores(), found.best()
-    running = [names for names in ties.ordered(scores, scores.get, plainness, ties.GUESS)
-               if scores[names] > scores[best] - WITHIN_REACH and names][:FINALISTS]
-    for names in running:
-        worth = max(fit.log_likelihood for fit in seen.fits.values()) - CLOSE
-        seen.add(experiment, names, settled(experiment, over(experiment, found.fits[names]),
-                                            worth=worth))
-
-
-def explored(experiment: Experiment, start: Fit, say: Callable[[str, float], None],
-             seen: Seen | None = None, widely: bool = True
-             ) -> tuple[Seen, dict[Names, Linearised]]:
-    """Linearise, rank, refit, and again at the best, until the best set stays.
-
-    Parameters
-    ----------
-    start : the nominal model, fitted.
-    seen : sets that were refitted before; they are finished at the end.  Without them the search
-        is a sketch: nothing is carried to the end.
-    widely : also from other places of the nominal model.
-    """
-    ending = seen is not None
-    if seen is None:
-        seen = Seen()
-        seen.add(experiment, frozenset(), start)
-    views: dict[Names, Linearised] = {}
-    done: dict[Names, float] = {}
-    if not widely:
-        done[frozenset()] = seen.evidence[frozenset()]
-    far = not widely
-    ended = not ending
-    for turn in range(ROUNDS):
-        say(f"weighing all sets, round {turn + 1}", 0.1 + 0.1 * turn)
-        at, other = seen.ahead(done, STRAYED), None
-        if turn == 1 and widely:
-            other = unbent(experiment, start, seen)
-        if other is None and at is None and not far:
-            far, other = True, far_off(experiment, start, seen)
-        if other is not None:
-            ended, here = not ending, frozenset()
-            view = linearised(experiment, here, other)
-        elif at is not None:
-            here, fit = at
-            view = linearised(experiment, here, fit)
-            views[here] = replace(view, slopes=None)
-        else:
+def explored(search: Search, say: Callable[[str, float], None]) -> Search:
+    """Linearise, rank, refit, and again at the best, until the best set stays."""
+    experiment, refits, done = search.experiment, search.refits, search.done
+    for turn in range(ROUNDS + 1):
+        place = next_place(search, turn)
+        if place is None or turn == ROUNDS:
             break
-        done[here] = evidence_at_start(seen, here)
-        if strayed(view, seen) and (here or not chosen_at(view, seen)):
-            held(experiment, view, seen)
-            if evidence_at_start(seen, here) > done[here] + STRAYED:
+        say(f"weighing all sets, round {turn + 1}", 0.1 + 0.1 * turn)
+        here, fit = place
+        view = linearised(experiment, here, fit)
+        if fit is refits.fits.get(here):
+            search.views[here] = replace(view, slopes=None)
+        done[here] = evidence_at_start(refits, here)
+        if strayed(view, refits) and (here or not chosen_at(view, refits)):
+            held(experiment, view, refits)
+            if evidence_at_start(refits, here) > done[here] + STRAYED:
                 continue
         # A model of which a part has vanished is not in its own ranking: nothing compares to it.
-        for _ in range((LOOKS if widely else 1) if view.own is not None else 0):
-            chosen = chosen_at(view, seen) or rivals_at(view, seen)
+        for _ in range((LOOKS if search.widely else 1) if view.own is not None else 0):
+            chosen = chosen_at(view, refits) or rivals_at(view, refits)
             if not chosen:
                 break
-            refit(experiment, view, chosen, seen)
-            if seen.ahead(done, STRAYED) is not None:
+            refit(experiment, view, chosen, refits)
+            if refits.ahead(done, STRAYED) is not None:
                 break
-        if seen.ahead(done, STRAYED) is None and not ended:
-            finish(experiment, seen)
-            ended = True
-    if not ended and seen.ahead(done, STRAYED) is None:
-        finish(experiment, seen)
-    return seen, views
+    return search
+
+
+def next_place(search: Search, turn: int) -> tuple[Names, Fit] | None:
+    """Return the model at which a search goes on; None where it has been everywhere.
+
+    What is best is fitted to the end before, which may put another set ahead.
+    """
+    at = search.refits.ahead(search.done, STRAYED)
+    if at is None and not search.ended:
+        finish(search.experiment, search.refits)
+        search.ended = True
+        at = search.refits.ahead(search.done, STRAYED)
+    other = unbent(search) if turn == 1 and search.widely else None
+    if other is None and at is None and search.widely and not search.far:
+        search.far, other = True, far_off(search)
+    if other is None:
+        return at
+    search.ended = search.sketch
+    return frozenset(), other
 
 
 def lacks(experiment: Experiment, fit: Fit) -> bool:
@@ -272,26 +286,27 @@ def leans_less(experiment: Experiment, fit: Fit) -> bool:
     return bool((fit.unknowns.as_array() < FIRST * small).all())
 
 
-def unbent(experiment: Experiment, first: Fit, seen: Seen) -> Fit | None:
+def unbent(search: Search) -> Fit | None:
     """Return the nominal model at the config's B and beta_e, if what is left out has bent them.
 
     Where a first look has found nothing that explains the recording, this is the second place,
     before what was found is followed: what is linear at the config may not be so where the fit
     went.
     """
-    if not lacks(experiment, seen.fits[seen.best()]):
+    if not lacks(search.experiment, search.refits.fits[search.refits.best()]):
         return None
-    start = begun(experiment, FIRST)
-    return start if bent(start, first) else None
+    start = unfitted(search.experiment)
+    return start if bent(start, search.nominal) else None
 
 
-def far_off(experiment: Experiment, first: Fit, seen: Seen) -> Fit | None:
+def far_off(search: Search) -> Fit | None:
     """Return a further place of the nominal model, if what was found in the end lacks something.
 
     It has a number that is known to a factor far from the config's: a leakage that is a hundred
     times too large leaves nothing that is linear where it stands.
     """
-    if not lacks(experiment, seen.fits[seen.best()]):
+    experiment, first, refits = search.experiment, search.nominal, search.refits
+    if not lacks(experiment, refits.fits[refits.best()]):
         return None
     found = []
     for f in rig_free(experiment):
@@ -322,6 +337,12 @@ def resolved_nominal(experiment: Experiment) -> tuple[Experiment, Fit]:
         experiment = finer
 
 
+def nominal(experiment: Experiment) -> tuple[Experiment, Fit]:
+    """Fit the nominal model to the end; returns the experiment with steps that resolve its B."""
+    experiment, first = resolved_nominal(experiment)
+    return experiment, settled(experiment, first)
+
+
 def crossed(fit: Fit, best: Fit) -> Fit | None:
     """Return a model that starts where the best one stands, with its own effect of one kind.
 
@@ -337,9 +358,9 @@ def crossed(fit: Fit, best: Fit) -> Fit | None:
     theta = fit.theta.copy()
     there = {f.name: f for f in best.free}
     for f in fit.free:
-        effect, _, symbol = f.name.partition(".")
-        same = there.get(f"{two.name}.{symbol}" if effect == one.name else f.name)
-        size = effect == one.name and symbol in {p.name for p in one.sizes}
+        own = f.owner == one.name
+        same = there.get(f"{two.name}.{f.symbol}" if own else f.name)
+        size = own and f.symbol in {p.name for p in one.sizes}
         if same is not None and not size:
             theta[f.place] = f.outward(f.inward(best.theta[same.place]))
     return replace(fit, theta=theta)
@@ -364,7 +385,7 @@ def lesser(experiment: Experiment, fit: Fit, name: str) -> Fit:
     """
     def bare(theta: np.ndarray) -> Fit:
         moved = replace(fit, theta=theta)
-        if is_effect(name):
+        if name in CATALOGUE:
             return with_rig(experiment, without_effect(experiment, moved, name))
         own = next(f for f in rig_free(experiment) if f.name == name)
         theta = theta.copy()
@@ -387,7 +408,7 @@ def without_along(fit: Fit, name: str) -> np.ndarray:
     sizes = {f"{name}.{p.name}": p.neutral for p in entry.sizes if not p.log} if entry else {}
     own = [i for i, f in enumerate(fit.free) if f.name == name or f.name in sizes]
     others = [i for i, f in enumerate(fit.free)
-              if f.name != name and f.name.partition(".")[0] != name]
+              if f.owner != name]
     absent = np.array([sizes.get(fit.free[i].name, fit.free[i].prior) for i in own])
     theta = fit.theta.copy()
     if not own or not np.isfinite(absent).all() or len(fit.covariance) != len(fit.free):
@@ -407,27 +428,24 @@ def with_rig(experiment: Experiment, fit: Fit) -> Fit:
     One that is the same equation as an effect of the model stays at the config's.
     """
     known = {f.name for f in fit.free}
-    known |= {f"rig.{CATALOGUE[name].rig_twin}" for name in effects_of(fit)}
-    free = fit.free + tuple(f for f in rig_free(experiment) if f.name not in known)
-    k = len(free)
-    return with_unknowns(experiment, replace(
-        fit, free=free, covariance=np.zeros((k, k)), converged=False), fit.unknowns)
+    free = fit.free + tuple(f for f in rig_free(experiment, fit.named) if f.name not in known)
+    return remade(experiment, fit, free=free)
 
 
-def without_each(experiment: Experiment, seen: Seen) -> None:
+def without_each(experiment: Experiment, refits: Refits) -> None:
     """Fit the best set without each of its members from where it stands itself.
 
     A member is named only if the others cannot do without it, and they may have been fitted from
     a worse place.
     """
-    while seen.parted.get(best := seen.best()) is not (fit := seen.fits[best]):
-        seen.parted[best] = fit
+    while refits.parted.get(best := refits.best()) is not (fit := refits.fits[best]):
+        refits.parted[best] = fit
         for name in sorted(best) if len(best) > 1 else ():
-            seen.add(experiment, best - {name}, settled(
+            refits.add(experiment, best - {name}, settled(
                 experiment, lesser(experiment, fit, name), worth=fit.log_likelihood - CLOSE))
 
 
-def gated(experiment: Experiment, seen: Seen) -> None:
+def gated(experiment: Experiment, refits: Refits) -> None:
     """Refuse best sets that no recording can support, until the best one passes the gates.
 
     In the place of each the sets without its failing members are fitted; where a number of the
@@ -435,61 +453,66 @@ def gated(experiment: Experiment, seen: Seen) -> None:
     """
     widened: set[str] = set()
     while True:
-        without_each(experiment, seen)
-        best = seen.best()
-        fit = seen.fits[best]
+        without_each(experiment, refits)
+        best = refits.best()
+        fit = refits.fits[best]
         ends = [f for f in ends_of_tolerance(fit) if f.name not in widened]
         for f in ends:
             widened.add(f.name)
-            if best | {f.name} not in seen.fits:
-                free = tuple(wide(one) if one.name == f.name else one for one in fit.free)
-                seen.add(experiment, best | {f.name}, settled(experiment, replace(
+            if best | {f.name} not in refits.fits:
+                free = tuple(wide(one, experiment.policy) if one.name == f.name else one
+                             for one in fit.free)
+                refits.add(experiment, best | {f.name}, settled(experiment, replace(
                     fit, free=free, named=(*fit.named, f.name), converged=False)))
         if ends:
             continue
         failed = failures(experiment, fit)
         if not failed:
             return
-        seen.refused[best] = tuple(failed)
+        refits.refused[best] = tuple(failed)
         for name in dict.fromkeys(gate.what for gate in failed):
-            if best - {name} not in seen.fits:
-                seen.add(experiment, best - {name}, settled(
+            if best - {name} not in refits.fits:
+                refits.add(experiment, best - {name}, settled(
                     experiment, lesser(experiment, fit, name), worth=fit.log_likelihood - CLOSE))
 
 
-def finish(experiment: Experiment, seen: Seen) -> None:
+def within_reach(refits: Refits) -> list[Names]:
+    """Return the sets that are within reach of the best one, best first."""
+    scores, best = refits.scores(), refits.best()
+    return [names for names in ties.ordered(scores, scores.get, plainness, ties.GUESS)
+            if scores[names] > scores[best] - WITHIN_REACH]
+
+
+def finish(experiment: Experiment, refits: Refits) -> None:
     """Fit the sets that are within reach of the best to the end, under the same unknowns.
 
     A refit that is cut short ranks the wrong set first where effects trade.
     """
-    without_each(experiment, seen)
-    best = seen.best()
-    lead = seen.fits[best]
-    for names, fit in seen.dropped.items():  # what was slow may be as good in the end
-        if names not in seen.fits and fit.log_likelihood > lead.log_likelihood - WITHIN_REACH:
-            seen.add(experiment, names, settled(experiment, fit))
-    best = seen.best()
-    lead = seen.fits[best]
-    for name in filter(is_effect, sorted(best)):  # a law as simple, from the same place
-        for other in sorted({*CATALOGUE[name].contains, *simple_kin(name)}):
-            if possible(other, experiment) and best - {name} | {other} not in seen.fits:
-                seen.add(experiment, best - {name} | {other}, settled(
+    without_each(experiment, refits)
+    best = refits.best()
+    lead = refits.fits[best]
+    for names, fit in refits.dropped.items():  # what was slow may be as good in the end
+        if names not in refits.fits and fit.log_likelihood > lead.log_likelihood - WITHIN_REACH:
+            refits.add(experiment, names, settled(experiment, fit))
+    best = refits.best()
+    lead = refits.fits[best]
+    for name in sorted(best & CATALOGUE.keys()):  # a law as simple, from the same place
+        for other in sorted({*CATALOGUE[name].contains, *candidate(name).simple_kin}):
+            if possible(other, experiment) and best - {name} | {other} not in refits.fits:
+                refits.add(experiment, best - {name} | {other}, settled(
                     experiment, simplified(experiment, lead, name, other),
                     worth=lead.log_likelihood - CLOSE))
-    scores, best = seen.scores(), seen.best()
-    near = [names for names in ties.ordered(scores, scores.get, plainness, ties.GUESS)
-            if scores[names] > scores[best] - WITHIN_REACH][:FINALISTS]
-    if frozenset() not in near and scores[frozenset()] > scores[best] - WITHIN_REACH:
-        near.append(frozenset())  # that nothing is missing is never judged by half a fit
-    level = seen.fits[best].unknowns
-    lead = seen.fits[seen.likeliest(near)]
+    # That nothing is missing is never judged by half a fit.
+    near = [names for i, names in enumerate(within_reach(refits)) if i < FINALISTS or not names]
+    level = refits.fits[refits.best()].unknowns
+    lead = refits.fits[refits.likeliest(near)]
     worth = lead.log_likelihood - CLOSE
 
     def ended(names: frozenset[str]) -> Fit:
-        fit = seen.fits[names]
+        fit = refits.fits[names]
         if fit.unknowns != level:
             fit = with_unknowns(experiment, fit, level)
-        whole = fit if fit.converged and fit is seen.fits[names] else settled(
+        whole = fit if fit.converged and fit is refits.fits[names] else settled(
             experiment, fit, worth=worth)
         other = crossed(fit, lead)
         if other is None:
@@ -499,4 +522,4 @@ def finish(experiment: Experiment, seen: Seen) -> None:
         return likelier(whole, other)
 
     for names, fit in zip(near, spread(ended, near), strict=True):
-        seen.add(experiment, names, fit)
+        refits.add(experiment, names, fit)

@@ -7,13 +7,11 @@ import numpy as np
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.mismatch.likelihood.fit import Fit, Free
-from eha_monitor.physics.effect import Effect, Parameter
+from eha_monitor.mismatch.policy import POLICY, SearchPolicy
+from eha_monitor.physics.effect import Parameter
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
 
-SPREAD = 100.0  # times its start: a size's prior deviation, that is about the record's range
-SHAPE_SPREAD = 1.5  # of the logarithm of a shape
-# Where balances are compared as they stand: a line is beyond their band; what swallows oil acts
 LOOP_ONLY = ("feedback_delay",)  # shows only where the position loop is part of the model
 
 
@@ -27,12 +25,14 @@ class Start:
     values : all parameters, a small but visible instance.
     replaces : named effect that it contains and takes the place of, or "".
     among : how many starts the effect has.
+    policy : how wide its numbers' priors are.
     """
 
     effect: str
     values: tuple[tuple[str, float], ...]
     replaces: str = ""
     among: int = 1
+    policy: SearchPolicy = POLICY
 
 
 def possible(name: str, experiment: Experiment) -> bool:
@@ -69,7 +69,7 @@ def starts_of(name: str, experiment: Experiment) -> list[Start]:
             if np.isfinite(value):  # a limit that is not there stays at infinity
                 value = min(max(value, p.lower), p.upper)
             values.append((p.name, float(value)))
-        found.append(Start(name, tuple(values), among=len(places)))
+        found.append(Start(name, tuple(values), "", len(places), experiment.policy))
     return found
 
 
@@ -84,25 +84,26 @@ def entered(theta: np.ndarray, active: np.ndarray, start: Start) -> tuple[np.nda
     return theta, active
 
 
-def free_parameter(effect: Effect, p: Parameter, value: float) -> Free:
-    """Return how a parameter is fitted that starts at ``value``."""
-    place = place_of(f"{effect.name}.{p.name}")
-    name = f"{effect.name}.{p.name}"
+def free_parameter(start: Start, p: Parameter) -> Free:
+    """Return how a parameter is fitted that enters with a start."""
+    name, value = f"{start.effect}.{p.name}", dict(start.values)[p.name]
+    place, spread = place_of(name), start.policy.spread
     if p.log:
-        return Free(name, place, max(p.lower, value / SPREAD), p.upper, float(np.log(value)),
-                    float(np.log(SPREAD)), True)
+        return Free(name, place, max(p.lower, value / spread), p.upper, float(np.log(value)),
+                    float(np.log(spread)), True)
     if p.default is None and np.isfinite(p.neutral):
         return Free(name, place, p.lower, p.upper, p.neutral,
-                    max(SPREAD * abs(value), 1e-3 * p.scale))
+                    max(spread * abs(value), 1e-3 * p.scale))
     if p.lower > 0:
-        return Free(name, place, p.lower, p.upper, float(np.log(value)), SHAPE_SPREAD, True)
+        return Free(name, place, p.lower, p.upper, float(np.log(value)), start.policy.shape,
+                    True)
     return Free(name, place, p.lower, p.upper, value, 2.0 * p.scale)
 
 
 def free_of(start: Start) -> tuple[Free, ...]:
     """Return the fitted parameters of an effect at its start."""
     effect, values = CATALOGUE[start.effect], dict(start.values)
-    return tuple(free_parameter(effect, p, values[p.name]) for p in effect.parameters
+    return tuple(free_parameter(start, p) for p in effect.parameters
                  if p.fitted and np.isfinite(values[p.name]))
 
 

@@ -12,8 +12,8 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
-from eha_monitor.mismatch.likelihood.along import signals_along
-from eha_monitor.mismatch.likelihood.fit import Fit, filtered, spread
+from eha_monitor.mismatch.likelihood.along import filtered_tracks
+from eha_monitor.mismatch.likelihood.fit import Fit, spread
 from eha_monitor.mismatch.likelihood.gains import linear_of, smallest_unknowns
 from eha_monitor.mismatch.name.gram import carried, injected
 from eha_monitor.physics import signals as s
@@ -24,7 +24,6 @@ BLOCK, MOST_BLOCKS = 1.0, 30  # s of a time in which an unknown load is constant
 INTERMITTENT = "intermittent_load"
 PLACES = {"force": Y_FORCE, "flow": Y_FLOW, "drive": Y_SPEED}
 ACTING = 0.4  # of its largest: a load that comes and goes is there
-PRIOR = 100.0  # times the smallest unknown, 1 % of what the record covers
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,7 @@ def loads_of(experiment: Experiment, amplitudes: np.ndarray
     ----------
     amplitudes : (k,) of the blocks of time, in units of the prior.
     """
-    newtons = PRIOR * smallest_unknowns(experiment).force * amplitudes
+    newtons = experiment.policy.matters * smallest_unknowns(experiment).force * amplitudes
     counted = np.bincount(np.concatenate(blocks_of(experiment)[0]), np.concatenate(
         [stretch.counted for stretch in experiment.stretches]), len(newtons))
     for block in np.flatnonzero(counted == 0):  # held out: as on both sides of it
@@ -103,10 +102,7 @@ def loads_of(experiment: Experiment, amplitudes: np.ndarray
 
 def unnamed_of(experiment: Experiment, fit: Fit) -> list[Unnamed]:
     """Return the unknown functions that compete, along the filtered motion of a fit."""
-    tracks = []
-    for stretch in experiment.stretches:
-        states = filtered(experiment, stretch, fit.theta, fit.active, fit.gains, states=True)[1]
-        tracks.append(signals_along(experiment, stretch, states))
+    tracks = filtered_tracks(experiment, fit)
     x = [track[:, s.X] for track in tracks]
     v = [track[:, s.V] for track in tracks]
     sense = [np.tanh(one / max(0.01 * experiment.ranges.speed, 1e-9)) for one in v]
@@ -153,7 +149,7 @@ def columns_of(experiment: Experiment, fit: Fit, unnamed: list[Unnamed],
     def entering(balance: str) -> np.ndarray:
         """Return what a unit adds to the state over a sample, (N,)."""
         plain, _, chamber = balance.partition("_")
-        into = PRIOR * small[plain] * carried(linear.a, PLACES[plain])
+        into = experiment.policy.matters * small[plain] * carried(linear.a, PLACES[plain])
         if chamber:  # nothing into the other one
             into[Y_P2 if chamber == "1" else Y_P1] = 0.0
         if chamber == "2":  # the unknown flow goes out of chamber 2, this one into it

@@ -1,7 +1,7 @@
 """A parameter that changed while a recording ran, or between recordings of one rig.
 
 No physics is left out then: the nominal model explains each piece of the data, with other values
-of B and beta_e.  Where something changed is told by the two stages, which follow the parameters;
+of B and beta_e.  Where something changed is found by the two stages, which follow the parameters;
 that nothing else is missing, by the nominal model fitted to each piece for itself.
 """
 
@@ -21,10 +21,10 @@ from eha_monitor.mismatch.likelihood.fit import (
     spread,
     with_unknowns,
 )
-from eha_monitor.mismatch.name.acceptance import EXPLAINED
-from eha_monitor.mismatch.name.base import expected_likelihood
-from eha_monitor.mismatch.name.naming import Naming, lacking
-from eha_monitor.mismatch.name.refit import begun, settled
+from eha_monitor.mismatch.name.base import expected_likelihood, needs
+from eha_monitor.mismatch.name.naming import Naming
+from eha_monitor.mismatch.name.refit import settled, unfitted
+from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.mismatch.show.model import robust, values_of
 from eha_monitor.quantity import with_uncertainty
 from eha_monitor.recordings.recording import Recording
@@ -32,9 +32,6 @@ from eha_monitor.recordings.recording import Recording
 # Left out around a change, s: the stages see it later than it begins, and it may take its time.
 BEFORE_S, AFTER_S = 1.5, 0.5
 SHORTEST_S = 2.0  # of the fitted samples of a piece
-HELD = 100.0  # times the smallest unknowns: where the fit of a piece begins
-LEAST = 20.0  # log units by which the pieces must be better
-MOVED, SIGMAS = 0.03, 4.0  # a change: relative, and in standard deviations
 
 
 @dataclass(frozen=True)
@@ -63,24 +60,25 @@ def changed_between(experiment: Experiment, recordings: list[Recording], naming:
     experiment : of ``recordings``, at least one; compared by a filter, not by balances.
     naming : the best model of constant parameters.
     """
-    named = naming.after
+    named, policy = naming.after, experiment.policy
     parts = [part for part in (part_of(experiment, *span) for span in spans_of(
         experiment, recordings)) if part is not None]
     if len(parts) < 2:
         return None
-    fits = [settled(part, begun(part, HELD)) for part in parts]  # each on all cores
-    if any(lacking(part, fit) for part, fit in zip(parts, fits, strict=True)):
+    fits = [settled(part, unfitted(part)) for part in parts]  # each on all cores
+    if any(needs(part, fit, policy.matters) for part, fit in zip(parts, fits, strict=True)):
         return None  # the nominal model does not explain them piece by piece either
     expected = sum(expected_likelihood(part, fit) for part, fit in zip(parts, fits, strict=True))
     reached = sum(fit.log_likelihood for fit in fits)
     constant = sum(spread(lambda part: log_likelihood_of(innovations(
         part, named.theta, named.active, named.gains)), parts))
-    if reached - constant < max(LEAST, EXPLAINED * (expected - constant)):
+    if reached - constant < max(
+            policy.effect / -policy.temper, policy.explained * (expected - constant)):
         return None
     pieces = tuple(Piece(part.stretches[0].source, float(part.stretches[0].start), end_of(part),
                          values_of(part, robust(part, fit, of_rig=False)))
                    for part, fit in zip(parts, fits, strict=True))
-    if not any(differ(one.values, other.values)
+    if not any(differ(one.values, other.values, policy)
                for one, other in pairwise(pieces)):
         return None
     return Changed(pieces, parts[-1], fits[-1], with_unknowns(
@@ -120,19 +118,19 @@ def end_of(part: Experiment) -> float:
     return float(last.start + len(last) * part.dt)
 
 
-def differ(one: dict[str, Value], other: dict[str, Value]) -> list[str]:
+def differ(one: dict[str, Value], other: dict[str, Value], policy: SearchPolicy) -> list[str]:
     """Return the parameters that have changed between two pieces."""
     return [name for name, before in one.items() if name in other
             and abs(other[name].value - before.value) > max(
-                MOVED * abs(before.value),
-                SIGMAS * float(np.hypot(before.stddev, other[name].stddev)))]
+                policy.worse * abs(before.value),
+                policy.sure * float(np.hypot(before.stddev, other[name].stddev)))]
 
 
-def change_words(pieces: tuple[Piece, ...]) -> str:
+def change_words(pieces: tuple[Piece, ...], policy: SearchPolicy) -> str:
     """Return the message: what changed, when, and that no physics is missing."""
     said = []
     for one, other in pairwise(pieces):
-        names = differ(one.values, other.values)
+        names = differ(one.values, other.values, policy)
         when = (f"between {one.stop_s:.1f} and {other.start_s:.1f} s" if one.bag == other.bag
                 else f"from {one.bag} to {other.bag}")
         said += [f"{HEALTH_WORDS[name]} changed {when} from {words_of(one.values[name])} to "

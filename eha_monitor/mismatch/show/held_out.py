@@ -12,11 +12,12 @@ from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import FORCED
 from eha_monitor.mismatch.data.stretch import Stretch
 from eha_monitor.mismatch.diagnosis import Agreement, Gate, Overlay, SignalFit, Value
-from eha_monitor.mismatch.likelihood.along import signals_along
-from eha_monitor.mismatch.likelihood.fit import Fit, filtered, refine, spread
+from eha_monitor.mismatch.likelihood.along import filtered_tracks, signals_along
+from eha_monitor.mismatch.likelihood.fit import Fit, filtered, spread
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED
 from eha_monitor.mismatch.locate.missing import modelled_force
-from eha_monitor.mismatch.show.sizes import filtered_tracks
+from eha_monitor.mismatch.name.polish import Slopes, polished
+from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import ALL_NAMES, circuit_of
 from eha_monitor.physics.plant import N_OUTPUTS, Y_P1, Y_P2, Y_V, Y_X
@@ -31,8 +32,6 @@ OVERLAY = 1.0  # s of an overlay
 BLOCKS = 30  # fewest blocks of a variance ratio that is shown: chance stays below 1 +- 0.26
 DERIVATIVES, BALANCE = 100.0, 20.0  # Hz: pass bands of v and a, and of the whole force balance
 FEWEST = 500  # samples in a part whose parameters are fitted
-WORSE = 1.02  # ratio of squared errors on unseen data that is beyond chance
-GROWN = 0.02  # of a signal's standard deviation: an error that grows by more is another model's
 
 
 @dataclass(frozen=True)
@@ -170,26 +169,26 @@ def shown(experiment: Experiment, before: Fit, after: Fit | None,
     return found
 
 
-def worse(signals: dict[str, SignalFit]) -> bool:
+def worse(signals: dict[str, SignalFit], policy: SearchPolicy) -> bool:
     """Tell whether a model does worse on unseen data than the one before."""
-    return bool(unseen_gates(signals))
+    return bool(unseen_gates(signals, policy))
 
 
-def unseen_gates(signals: dict[str, SignalFit]) -> tuple[Gate, ...]:
+def unseen_gates(signals: dict[str, SignalFit], policy: SearchPolicy) -> tuple[Gate, ...]:
     """Return where a model does worse on unseen data than the one before.
 
-    In any signal or balance by more than ``GROWN`` of that signal's size, or in all of them
-    together, in units of their noise, by more than chance.
+    In any signal or balance by more than the share ``worse`` of that signal's size, or of the
+    squares of all of them together, in units of their noise.
     """
     found = [Gate("unseen_error", name, f"on unseen data the error of {name.replace('_', ' ')} "
                   f"grows from {quantity(fit.before_rms, fit.unit, 3)} to "
                   f"{quantity(fit.after_rms, fit.unit, 3)}")
              for name, fit in signals.items()
-             if fit.after_rms - fit.before_rms > GROWN * fit.signal_rms]
+             if fit.after_rms - fit.before_rms > policy.worse * fit.signal_rms]
     pairs = [(fit.before_rms / fit.noise_rms, fit.after_rms / fit.noise_rms)
              for fit in signals.values() if fit.noise_rms > 0]
     before, after = (sum(one[i] ** 2 for one in pairs) for i in (0, 1))
-    if not found and after > WORSE * before:
+    if not found and after > (1.0 + policy.worse) * before:
         found.append(Gate("unseen_error", "all signals", "on unseen data the errors of all "
                           f"signals together grow by {share(np.sqrt(after / before) - 1.0)}"))
     return tuple(found)
@@ -200,7 +199,7 @@ def baseline_gates(experiment: Experiment, baselines: Sequence[Baseline], after:
     """Return the gate of a model whose force balance ten lines of least squares beat.
 
     On samples that the model's fit has not seen.  The least squares have, but four numbers from
-    thousands of samples gain nothing by that beside ``GROWN``.
+    thousands of samples gain nothing by that beside the share ``worse``.
 
     Parameters
     ----------
@@ -210,7 +209,7 @@ def baseline_gates(experiment: Experiment, baselines: Sequence[Baseline], after:
     if force is None or not {stretch.source for stretch in experiment.stretches} <= of.keys():
         return ()
     left, first = force.after_rms, baseline_residual(experiment, of, after)
-    if not left - first > GROWN * force.signal_rms:
+    if not left - first > experiment.policy.worse * force.signal_rms:
         return ()
     return (Gate("unseen_error", "force", "least squares on the force balance leave "
                  f"{quantity(first, 'N', 3)} on unseen data, the model {quantity(left, 'N', 3)}"),)
@@ -378,8 +377,9 @@ def agreement(experiment: Experiment, before: Fit, after: Fit | None,
         some = experiment.only(tuple(
             replace(stretch, counted=mask)
             for stretch, mask in zip(experiment.stretches, masks, strict=True)))
-        base = replace(fit, free=tuple(f for f in fit.free if f.name in BASE_UNITS))
-        found = refine(some, base, steps=2, tolerance=1.0)
+        free = tuple(f for f in fit.free if f.name in BASE_UNITS)
+        base = replace(fit, free=free, covariance=np.diag([f.spread**2 for f in free]))
+        found = polished(some, base, Slopes(some), 2, 1.0)
         return {f.name: Value(found.value(f.name), found.stddev(f.name), BASE_UNITS[f.name])
                 for f in base.free}
 

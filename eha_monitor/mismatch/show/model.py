@@ -8,21 +8,18 @@ import numpy as np
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import Agreement, Fitted, NamedEffect, Value
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, sensitivities, step_of, whitener
-from eha_monitor.mismatch.name.acceptance import RIVAL
-from eha_monitor.mismatch.name.base import TIMING
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.select import with_rig
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import effect_values
 from eha_monitor.quantity import quantity
 
-# Parameters in seconds that the sensors' own lags cannot be told from.
+# Parameters in seconds that the sensors' own lags cannot be separated from.
 TIMED = ("command_delay.T", "position_delay.T", "pressure_delay.T", "feedback_delay.T",
          "drive_lag.tau")
 BLOCK = 0.5  # s
 TWICE = (("area_1", "area_2"), ("volume_1", "volume_2"))
 ALIKE = 0.99  # correlation of their errors where both are the same number
-COARSE = 0.5  # times the configured noise: rounding that makes it a tenth larger is worth a name
 
 
 def values_of(experiment: Experiment, fit: Fit) -> dict[str, Value]:
@@ -53,10 +50,10 @@ def fitted_of(fit: Fit) -> Fitted:
 def stated_stddev(experiment: Experiment, fit: Fit, key: str) -> float:
     """Return the standard deviation of a named effect's parameter (``effect.parameter``).
 
-    A sensor's own lag of up to ``TIMING`` samples needs no name, so a delay that has one is known
+    A sensor's own lag of up to ``timing`` samples needs no name, so a delay that has one is known
     no better: an error even within that limit has a standard deviation of limit/sqrt(3).
     """
-    floor = TIMING * experiment.dt / np.sqrt(3.0) if key in TIMED else 0.0
+    floor = experiment.policy.timing * experiment.dt / np.sqrt(3.0) if key in TIMED else 0.0
     return float(np.hypot(fit.stddev(key), floor))
 
 
@@ -80,7 +77,8 @@ def between_models(known: dict[str, Value], naming: Naming) -> dict[str, Value]:
     The variance of a mixture: that within the best model and that of the models' values about
     its own, each weighed as probable as its score says (Hoeting et al. 1999).
     """
-    near = [(np.exp(-behind), fit) for _, fit, behind in naming.tried if np.exp(-behind) > RIVAL]
+    near = [(np.exp(-behind), fit) for _, fit, behind in naming.tried
+            if np.exp(-behind) > naming.experiment.policy.rival]
     found = {}
     for name, value in known.items():
         there = [(weight, fit.value(name)) for weight, fit in near
@@ -150,8 +148,8 @@ def prior_covariance(experiment: Experiment, free: Sequence[Free]) -> np.ndarray
     one error: beta_e is no better known than the volume.
     """
     tolerance, rig = experiment.settings.rig.tolerance, experiment.settings.rig
-    places = {f.name.removeprefix("rig."): i for i, f in enumerate(free)
-              if f.name.startswith("rig.")}
+    places = {f.symbol: i for i, f in enumerate(free)
+              if f.of_rig}
     spread = np.array([f.spread for f in free])
     for key, i in places.items():
         spread[i] = max(spread[i], tolerance.log_spread(key))
@@ -189,10 +187,11 @@ def quantised(experiment: Experiment) -> NamedEffect | None:
     levels = experiment.settings.noise
     known = max(levels.position_resolution,
                 experiment.settings.simulation.noise.position_resolution)
-    if step <= 1.5 * known or step / np.sqrt(12.0) <= COARSE * levels.position:
+    ratio = step / np.sqrt(12.0) / levels.position
+    # Rounding that makes the noise larger by a share that counts is worth a name.
+    if step <= 1.5 * known or np.hypot(1.0, ratio) <= 1.0 + experiment.policy.worse:
         return None
     entry = CATALOGUE["position_quantisation"]
-    ratio = step / np.sqrt(12.0) / levels.position
     against = 0.5 * experiment.n * np.log1p(ratio**2)
     return NamedEffect("position_quantisation", entry.balance, entry.said({"q": step}),
                        {"q": Value(step, 0.0, "m")}, float(against), (), entry.equation,

@@ -9,12 +9,9 @@ from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.name.columns import rig_free
 from eha_monitor.mismatch.name.gates import at_bound
 from eha_monitor.mismatch.name.naming import Naming
-from eha_monitor.mismatch.name.refit import INFORMED
 from eha_monitor.quantity import side_by_side
 
-OTHER = 3.0  # standard deviations between the recording and the config: it is another number
 SHOWN = 1e-3  # of a probability: what is closer reads the same, and stands as in the config
-NOTABLE = 0.5  # of the tolerance: what is less is no news to anybody
 
 
 def rig_findings(experiment: Experiment, naming: Naming) -> tuple[RigFinding, ...]:
@@ -34,16 +31,17 @@ def rig_within(experiment: Experiment, naming: Naming) -> tuple[RigFinding, ...]
     A pump that delivers 3 % less is no mismatch where its displacement is known to 3 %, but it is
     what the recording says.
     """
-    fitted, found = {f.name for f in naming.after.free}, []
+    fitted, found, policy = {f.name for f in naming.after.free}, [], experiment.policy
     for own in rig_free(experiment):
-        key = own.name.removeprefix("rig.")
+        key = own.symbol
         if own.name not in fitted or key in naming.wrong or at_bound(
                 own, naming.after.value(own.name)):
             continue  # at the end of its tolerance it is no optimum, so no finding
         configured, value, words = _told(experiment, naming.after, key)
         spread = experiment.settings.rig.tolerance.log_spread(key)
         moved, sigma = np.log(value.value / configured), value.stddev / value.value
-        if sigma < INFORMED * spread and abs(moved) > max(OTHER * sigma, NOTABLE * spread):
+        if sigma < policy.informed * spread and abs(moved) > max(
+                policy.sure * sigma, policy.informed * spread):
             found.append(RigFinding(key, configured, value, np.nan,
                                     f"{words}, within its tolerance"))
     return tuple(found)

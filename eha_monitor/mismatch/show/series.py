@@ -25,7 +25,7 @@ from eha_monitor.mismatch.data.inputs import CLOSED, OPEN
 from eha_monitor.mismatch.likelihood.fit import Fit, filtered, spread
 from eha_monitor.mismatch.locate.missing import modelled_flow, modelled_force, modelled_speed
 from eha_monitor.mismatch.locate.terms import unexplained_terms
-from eha_monitor.mismatch.name.nominal import nominal
+from eha_monitor.mismatch.name.select import nominal
 from eha_monitor.physics.contributions import ALL_NAMES
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.recordings.recording import Recording
@@ -36,7 +36,7 @@ WINDOW = 0.5  # s that the model runs free before it starts again from the filte
 
 @dataclass(frozen=True)
 class Lack:
-    """What a balance lacks without the named physics, SI (n,) each; NaN where nothing tells it.
+    """What a balance lacks without the named physics, SI (n,) each; NaN where unknown.
 
     ``needed`` by the recording, ``explained`` by the named effects, ``remaining`` without a name.
     """

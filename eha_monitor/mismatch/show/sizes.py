@@ -3,9 +3,8 @@
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.likelihood.along import signals_along
-from eha_monitor.mismatch.likelihood.fit import Fit, filtered
-from eha_monitor.mismatch.locate.missing import contributed
+from eha_monitor.mismatch.likelihood.along import contributed
+from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import N_EFFECTS, circuit_of
 from eha_monitor.physics.effects import NAMES
@@ -26,17 +25,10 @@ _CIRCUIT_WORDS = {
 }
 
 
-def filtered_tracks(experiment: Experiment, fit: Fit) -> list[np.ndarray]:
-    """Return the signals along each stretch as the filter has them, (n, N_SIGNALS) each."""
-    return [signals_along(experiment, stretch, filtered(
-        experiment, stretch, fit.theta, fit.active, fit.gains, states=True)[1])
-        for stretch in experiment.stretches]
-
-
 def size_of(experiment: Experiment, fit: Fit, name: str, tracks: list[np.ndarray]) -> str:
     """Return how much a named effect does at its largest in this record, in words.
 
-    tracks : :func:`filtered_tracks` of the fit.
+    tracks : :func:`along.filtered_tracks` of the fit.
     """
     alone = np.zeros(N_EFFECTS, dtype=bool)
     alone[NAMES.index(name)] = True
@@ -46,7 +38,7 @@ def size_of(experiment: Experiment, fit: Fit, name: str, tracks: list[np.ndarray
         value = abs(float(w[place]))
         if value != 0 and np.isfinite(value):
             found.append((share(value) if unit == "1" else quantity(value, unit, 3)) + words)
-    rows = [contributed(experiment, fit, track, (name,)) for track in tracks]
+    rows = [contributed(experiment, fit.theta, track, (name,)) for track in tracks]
     most = np.quantile(np.abs(np.concatenate(rows)), SHARE, axis=0)
     flow = max(most[s.FLOW_1], most[s.FLOW_2], fit.theta[s.D_P] * most[s.SPEED]
                if np.isfinite(fit.theta[s.D_P]) else 0.0)

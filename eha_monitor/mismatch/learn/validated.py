@@ -1,4 +1,4 @@
-"""What is told of a learned term: curve and band, formula, and how it fares on unseen data."""
+"""What is said of a learned term: curve and band, formula, and how it fares on unseen data."""
 
 from dataclasses import dataclass, replace
 
@@ -17,16 +17,15 @@ from eha_monitor.mismatch.learn.formula import (
 )
 from eha_monitor.mismatch.learn.learned import Learned, learned_of
 from eha_monitor.mismatch.learn.shapes import RIPPLES, SHAPES
+from eha_monitor.mismatch.likelihood.along import contributed
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.likelihood.smooth import smoothed
-from eha_monitor.mismatch.locate.missing import contributed, modelled_flow, modelled_force
+from eha_monitor.mismatch.locate.missing import modelled_flow, modelled_force
 from eha_monitor.mismatch.locate.terms import STATES, UNITS, Missing, following
 from eha_monitor.mismatch.locate.terms import tracks_of as smoothed_tracks
-from eha_monitor.mismatch.name.acceptance import FORM_OF_LAW
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.show.held_out import shown, worse
 from eha_monitor.mismatch.show.model import robust
-from eha_monitor.mismatch.show.sizes import filtered_tracks
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
 from eha_monitor.physics.effects import CATALOGUE
@@ -34,7 +33,6 @@ from eha_monitor.physics.own_term import OF_UNITS
 from eha_monitor.quantity import quantity
 from eha_monitor.settings.own_terms import slot_for
 
-HALF = 0.5  # of the error on unseen data: what takes away less is no model of what is missing
 PLACES = 161  # of a drawn curve
 BINS, FEWEST = 41, 15  # of what was measured; samples in one
 LARGEST = 0.98  # quantile of a term's size that counts as its largest
@@ -45,19 +43,19 @@ WHAT = {"force": "force", "flow": "flow between the chambers", "flow_1": "flow i
 
 
 @dataclass(frozen=True)
-class Told:
+class ValidatedTerm:
     """A model with a term that no catalogue has, which holds on unseen data.
 
     Attributes
     ----------
-    fit : the model that runs, with the formula where one is told; its names are ``fit.named``.
+    fit : the model that runs, with the formula where one is given; its names are ``fit.named``.
     signals : errors on unseen data, of the nominal model and of this one.
     missing : the term along the recording, measured and modelled.
     gained : log units over the best model without it.
     decides : it explains more than the form error of what was named can be.
     entry : of a config's ``effects``; ``name`` of it there.
-    term : what is told of a learned one; None where it is the user's own.
-    effect : what is told of the user's own; None where it was learned.
+    term : the record of a learned one; None where it is the user's own.
+    effect : the record of the user's own; None where it was learned.
     """
 
     fit: Fit
@@ -71,7 +69,8 @@ class Told:
     effect: NamedEffect | None = None
 
 
-def told_of(experiment: Experiment, unseen: Experiment, naming: Naming) -> Told | None:
+def validated_term(experiment: Experiment, unseen: Experiment, naming: Naming
+                   ) -> ValidatedTerm | None:
     """Learn what has no name; None where no model of it holds on data that no fit has seen.
 
     Parameters
@@ -81,34 +80,25 @@ def told_of(experiment: Experiment, unseen: Experiment, naming: Naming) -> Told 
     learned = learned_of(experiment, naming)
     if learned is None:
         return None
-    judged = errors(unseen, learned.without, learned.fit)
-    share, signals = removed(judged), errors(unseen, naming.before, learned.fit)
-    if not share >= HALF or worse(judged) or worse(signals):
+    judged = shown(unseen, learned.without, learned.fit)
+    share, signals = removed(judged), shown(unseen, naming.before, learned.fit)
+    policy = experiment.policy
+    if not share >= policy.likely or worse(judged, policy) or worse(signals, policy):
         return None
     learned = replace(learned, fit=robust(experiment, learned.fit))
     formulas = formulas_of(experiment, learned)
     # As any law a formula is right to a share of what it explains; a table follows the rest, too.
-    least = learned.evidence - FORM_OF_LAW * max(learned.gained, 0.0)
+    least = learned.evidence - policy.law * max(learned.gained, 0.0)
     fit, honest = learned.fit, bool(formulas) and formulas[0].evidence > least
     if honest:
         fit = robust(experiment, formulas[0].fit)
-        signals = errors(unseen, naming.before, fit)
-        share = removed(errors(unseen, learned.without, fit))
+        signals = shown(unseen, naming.before, fit)
+        share = removed(shown(unseen, learned.without, fit))
     missing = missing_of(experiment, fit, learned.which, learned.balance)
     term = term_of(learned, formulas, honest, share, missing,
                    factors_of(experiment, learned, fit, missing))
-    return Told(fit, signals, missing, learned.gained, learned.decides, term.entry,
-                f"learned_{term.adds}", term=term)
-
-
-def errors(unseen: Experiment, before: Fit, after: Fit) -> dict[str, SignalFit]:
-    """Return the errors of two models on data that no fit has seen."""
-    return shown(unseen, before, after)
-
-
-def tracks_of(experiment: Experiment, fit: Fit) -> list[np.ndarray]:
-    """Return the signals at each sample as filtered, (n, N_SIGNALS)."""
-    return filtered_tracks(experiment, fit)
+    return ValidatedTerm(fit, signals, missing, learned.gained, learned.decides, term.entry,
+                         f"learned_{term.adds}", term=term)
 
 
 def removed(signals: dict[str, SignalFit]) -> float:
@@ -153,7 +143,7 @@ def made_by(experiment: Experiment, fit: Fit, which: int, balance: str, track: n
         return modelled_force(experiment, fit, track, name)
     if balance == "flow":
         return modelled_flow(experiment, fit, track, name)
-    return contributed(experiment, fit, track, name)[:, s.SPEED]
+    return contributed(experiment, fit.theta, track, name)[:, s.SPEED]
 
 
 def size_of(missing: Missing) -> str:
@@ -168,11 +158,12 @@ def measured_at(learned: Learned, missing: Missing, factors: tuple[np.ndarray, .
 
     In each bin of the signal the value g that makes ``g * factor`` nearest to the missing term.
     """
-    at = np.concatenate([signal_along(track, learned.form.of) for track in missing.tracks])
-    if learned.form.periodic:
-        at = learned.first + np.mod(at - learned.first, learned.last - learned.first)
+    table = learned.table
+    at = np.concatenate([signal_along(track, table.form.of) for track in missing.tracks])
+    if table.form.periodic:
+        at = table.first + np.mod(at - table.first, table.last - table.first)
     what, factor = np.concatenate(missing.measured), np.concatenate(factors)
-    edges = np.linspace(learned.first, learned.last, BINS + 1)
+    edges = np.linspace(table.first, table.last, BINS + 1)
     which = np.digitize(at, edges) - 1
     rows = []
     for i in range(BINS):
@@ -190,8 +181,8 @@ def measured_at(learned: Learned, missing: Missing, factors: tuple[np.ndarray, .
 def term_of(learned: Learned, formulas: list[Formula], honest: bool, share: float,
             missing: Missing, factors: tuple[np.ndarray, ...]) -> LearnedTerm:
     """Return the record of a learned term."""
-    form = learned.form
-    x = np.linspace(learned.first, learned.last, PLACES)
+    form = learned.table.form
+    x = np.linspace(learned.table.first, learned.table.last, PLACES)
     curve, band = learned.curve(x)
     divisor = learned.divisor
     best = formulas[0] if formulas else None
@@ -204,8 +195,8 @@ def term_of(learned: Learned, formulas: list[Formula], honest: bool, share: floa
         () if form.times == "none" else (form.times,))))
     size = size_of(missing)
     of = SHOWN.get(form.of, form.of)
-    told = best.shown if honest else ""
-    statement = (f"an unknown {WHAT[form.adds]}, {told}, {size} at its largest" if told else
+    formula = best.shown if honest else ""
+    statement = (f"an unknown {WHAT[form.adds]}, {formula}, {size} at its largest" if formula else
                  f"an unknown {WHAT[form.adds]} that is a function of {of}{ACTS[form.times]}, "
                  f"{size} at its largest")
     reference = best.evidence if honest else learned.evidence
@@ -213,7 +204,7 @@ def term_of(learned: Learned, formulas: list[Formula], honest: bool, share: floa
     return LearnedTerm(
         learned.balance, form.adds, tuple(dict.fromkeys(signals)), statement, size,
         unit_of(form, "y"), OF_UNITS[form.of], x, curve / divisor,
-        band / divisor, at, measured / divisor, spread / divisor, told,
+        band / divisor, at, measured / divisor, spread / divisor, formula,
         best.shape if honest else "",
         tuple((one.shown, reference - one.evidence) for one in rivals), drawn, share,
         learned.gained, best.entry(form.adds) if honest else learned.entry())

@@ -1,4 +1,4 @@
-"""The stretches of a long recording that tell most: effects are named on these.
+"""The most informative windows of a long recording: effects are named on these.
 
 Names need a minute of rich motion, not an hour of it.  What each window says of what every model
 fits is a Gram matrix of whitened slopes, the innovations themselves among them, so that a window
@@ -10,21 +10,20 @@ from itertools import pairwise
 
 import numpy as np
 
-from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import SHORTEST, Experiment, Stretch
 from eha_monitor.mismatch.data.stretch import cut
+from eha_monitor.mismatch.data.windows import most_informative
 from eha_monitor.mismatch.likelihood.fit import spread
 from eha_monitor.mismatch.name.columns import columns_at
 from eha_monitor.mismatch.name.gram import grams_of
-from eha_monitor.mismatch.name.refit import begun
+from eha_monitor.mismatch.name.refit import unfitted
 
 WINDOW = 4_000  # samples
 MOST = 24_000  # samples that effects are named on
-LEVEL = 100.0  # times the smallest unknowns: under which windows are compared
 
 
-def telling(experiment: Experiment, most: int = MOST, window: int = WINDOW) -> Experiment:
-    """Return an experiment with the windows that tell most; itself where it is short.
+def informative(experiment: Experiment, most: int = MOST, window: int = WINDOW) -> Experiment:
+    """Return an experiment with the most informative windows; itself where it is short.
 
     Parameters
     ----------
@@ -36,19 +35,9 @@ def telling(experiment: Experiment, most: int = MOST, window: int = WINDOW) -> E
                for part in windows_of(stretch, experiment.dt, window)]
     if not windows:
         return experiment
-    grams = spread(lambda one: told_by(experiment.only((one,))), windows)
-    size = max(len(gram) for gram in grams)
-    whole, chosen, samples = np.eye(size), [], 0
-    left = [i for i, gram in enumerate(grams) if len(gram)]
-    while left and samples + window // 2 <= most:
-        known = [np.linalg.slogdet(whole + grams[i])[1] for i in left]
-        best = left.pop(ties.largest(known, ties.GUESS))
-        chosen.append(best)
-        whole = whole + grams[best]
-        samples += len(windows[best])
-    if not chosen:
-        return experiment
-    return experiment.only(tuple(windows[i] for i in sorted(chosen)))
+    grams = spread(lambda one: information_of(experiment.only((one,))), windows)
+    chosen = most_informative(grams, list(map(len, windows)), most, window)
+    return experiment.only(tuple(windows[i] for i in chosen)) if chosen else experiment
 
 
 def windows_of(stretch: Stretch, dt: float, window: int) -> list[Stretch]:
@@ -59,10 +48,10 @@ def windows_of(stretch: Stretch, dt: float, window: int) -> list[Stretch]:
             if (last - first) * dt >= SHORTEST]
 
 
-def told_by(window: Experiment) -> np.ndarray:
+def information_of(window: Experiment) -> np.ndarray:
     """Return the Gram matrix of a window at the config's model; empty where no filter runs."""
     try:
-        fit = begun(window, LEVEL)
+        fit = unfitted(window)
         if not np.isfinite(fit.log_likelihood):
             return np.zeros((0, 0))
         columns = columns_at(window, fit, unnamed=False, suspects=False)

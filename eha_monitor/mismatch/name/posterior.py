@@ -9,21 +9,22 @@ from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import Gate
 from eha_monitor.mismatch.likelihood.fit import Fit
-from eha_monitor.mismatch.name.acceptance import FORM, FORM_OF_LAW, RIVAL, TEMPER
+from eha_monitor.mismatch.name.candidates import all_named, candidate, log_prior
 from eha_monitor.mismatch.name.rank import Ranked
-from eha_monitor.mismatch.name.refit import discrepancy, evidence_of, impossible, prior_of
-from eha_monitor.mismatch.name.suspects import form_kin, is_named, kin
+from eha_monitor.mismatch.name.refit import discrepancy, evidence_of, impossible
+from eha_monitor.mismatch.policy import SearchPolicy
 
 Names = frozenset[str]
 PURSUED = 1.0  # log units of score: where less is gained the search does not go on
 
 
 @dataclass
-class Seen:
+class Refits:
     """Every set that was refitted.
 
     Attributes
     ----------
+    policy : what evidence counts.
     fits, evidence, left : names -> model, Laplace evidence, cost of its unknowns, log units.
     stations : names -> model and evidence of what cannot be (no damping, no stiffness).  It is no
         answer, but what it lacks may be what makes it possible: the search goes on from there.
@@ -33,6 +34,7 @@ class Seen:
     parted : names -> model from which the set without each of its members was fitted.
     """
 
+    policy: SearchPolicy
     fits: dict[Names, Fit] = field(default_factory=dict)
     evidence: dict[Names, float] = field(default_factory=dict)
     left: dict[Names, float] = field(default_factory=dict)
@@ -67,29 +69,41 @@ class Seen:
         """Return the set with the highest evidence, the plainest of equals."""
         return ties.best(sets, self.evidence.get, plainness, ties.SAME_FIT)
 
+    def counted(self, left: float) -> float:
+        """Return what evidence that is lacking counts: in full near the noise, less far above it.
+
+        No model is exact to the last newton.  A likelihood (1 + left / form)^-form is that of a
+        model whose form error is unknown in size: what takes a tenth of much that is left has
+        gained little, what takes the last bit has gained all of it.
+        """
+        form = self.policy.form
+        return -form * float(np.log1p(max(left, 0.0) / form))
+
     def score(self, evidence: float, prior: float) -> float:
-        """Return what an evidence counts, log units: see :func:`counted`."""
-        return TEMPER * counted(self.floor() - evidence) + prior
+        """Return what an evidence counts, log units: see :meth:`counted`."""
+        return self.policy.temper * self.counted(self.floor() - evidence) + prior
 
     def pursued(self, evidence: float, than: float) -> bool:
         """Tell whether evidence counts for so much more than another that it is worth a look."""
         floor = max(self.floor(), evidence)
-        return TEMPER * (counted(floor - evidence) - counted(floor - than)) > PURSUED
+        return self.policy.temper * (
+            self.counted(floor - evidence) - self.counted(floor - than)) > PURSUED
 
     def scores(self) -> dict[Names, float]:
         """Return the score of every refitted set.
 
         No law of friction is right to the last newton, no law of a gap to the last litre: each
         picks up what another has wrong, and a second one beside it does.  So between sets that
-        differ in the laws of one family only, evidence counts so much less that ``FORM_OF_LAW`` of
-        what the family explains leaves the other set just a rival.
+        differ in the laws of one family only, evidence counts so much less that the share ``law``
+        of what the family explains leaves the other set just a rival.
         """
         plain = {names: self.score(value, 0.0) for names, value in self.evidence.items()}
         found = {}
         for names, value in self.evidence.items():
-            found[names] = plain[names] + prior_of(names)
+            found[names] = plain[names] + log_prior(names, self.policy)
             for best, form in self.laws_of(names):
-                most = abs(value - self.evidence[best]) * -np.log(RIVAL) / max(form, 1e-9)
+                apart = abs(value - self.evidence[best]) / max(form, 1e-9)
+                most = -np.log(self.policy.rival) * apart
                 gained = plain[names] - plain[best]
                 found[names] -= gained - min(max(gained, -most), most)
         return found
@@ -100,22 +114,23 @@ class Seen:
         With it comes how many log units may be form error of that law.
         """
         found = []
-        for family in dict.fromkeys(frozenset((law, *form_kin(law))) for law in sorted(names)
-                                    if kin(law)):
+        for family in dict.fromkeys(candidate(law).form_kin | {law} for law in sorted(names)
+                                    if candidate(law).kin):
             rest = names - family
             with_one = [some for some in self.evidence
                         if some - family == rest and len(some & family) == 1]
             best = self.likeliest(with_one) if with_one else names
             without = max((known for some, known in self.evidence.items() if some <= rest),
                           default=self.evidence[best])
-            found.append((best, FORM_OF_LAW * (self.evidence[best] - without)))
+            found.append((best, self.policy.law * (self.evidence[best] - without)))
         return found
 
     def best(self) -> Names:
         """Return the plainest of the best sets, of those that no gate has refused."""
         scores = {names: score for names, score in self.scores().items()
                   if names not in self.refused}
-        return ties.best(scores, scores.get, plainness, TEMPER * ties.SAME_FIT)
+        return ties.best(scores, scores.get, plainness,
+                         self.policy.temper * ties.SAME_FIT)
 
     def ahead(self, done: dict[Names, float], enough: float) -> tuple[Names, Fit] | None:
         """Return the model where the search goes on; None where it has been everywhere.
@@ -133,8 +148,8 @@ class Seen:
                  if names == best or all(one == names for one, _ in self.laws_of(names))}
         every = {**known, **{names: item for names, item in self.stations.items()
                              if item[1] > self.evidence.get(names, -np.inf)}}
-        highest = ties.best(every, lambda names: every[names][1] + prior_of(names), plainness,
-                            ties.SAME_FIT)
+        highest = ties.best(every, lambda names: every[names][1] + log_prior(
+            names, self.policy), plainness, ties.SAME_FIT)
         went = max(done.values(), default=-np.inf)
         for names, (fit, value) in ((highest, every[highest]), (best, known[best])):
             if value > done.get(names, -np.inf) + enough and (
@@ -143,36 +158,26 @@ class Seen:
         return None
 
 
-def plainness(names: Names) -> tuple[int, float, list[str]]:
+def plainness(names: Names) -> tuple[int, int, list[str]]:
     """Return the key that puts the plainest set first: few members, common ones, by name."""
-    return len(names), -prior_of(names), sorted(names)
+    return len(names), sum(candidate(name).rarity for name in names), sorted(names)
 
 
-def counted(left: float) -> float:
-    """Return what evidence that is lacking counts: in full near the noise, less far above it.
-
-    No model is exact to the last newton.  A likelihood (1 + left / FORM)^-FORM is that of a model
-    whose form error is unknown in size: what takes a tenth of much that is left has gained little,
-    what takes the last bit has gained all of it.
-    """
-    return -FORM * float(np.log1p(max(left, 0.0) / FORM))
-
-
-def beyond(evidence: float, least: float, explained: float) -> float:
+def beyond(evidence: float, least: float, form: float) -> float:
     """Return an evidence of which the gain over ``least`` counts as far as it is beyond form.
 
-    Of a plainer law that explains so many log units ``FORM_OF_LAW`` may be wrong: a gain of that
-    size counts nothing, one of four times that nearly in full.
+    ``form`` log units may be the form error of a plainer law: a gain of that size counts nothing,
+    one of four times that nearly in full.
     """
-    gained, form = evidence - least, FORM_OF_LAW * max(explained, 0.0)
+    gained, form = evidence - least, max(form, 0.0)
     if gained <= 0.0:
         return evidence
     return least + gained * max(1.0 - (form / gained) ** 2, 0.0)
 
 
-def posterior(seen: Seen, views: Sequence[tuple[Names, Sequence[Ranked]]],
+def posterior(refits: Refits, views: Sequence[tuple[Names, Sequence[Ranked]]],
               promising: bool = False) -> dict[Names, float]:
-    """Return the probability of every set that was seen, refitted or by the linear guess.
+    """Return the probability of every set that was refitted, or known by the linear guess.
 
     Sets by the linear guess are those of a linearisation, measured from the model there.  What
     has names and seems better than that model was refitted, or is beyond what the guess can say.
@@ -182,30 +187,30 @@ def posterior(seen: Seen, views: Sequence[tuple[Names, Sequence[Ranked]]],
     views : models that were linearised, each with the sets as they are ranked there.
     promising : also of what seems better and was never refitted.
     """
-    scores = seen.scores()
+    scores = refits.scores()
     for here, ranking in views:
         own = own_in(ranking, here)
         if own is None:
             continue
-        least = evidence_at_start(seen, here)
+        least = evidence_at_start(refits, here)
         start = least - (own.evidence - own.prior)
-        explained = least - seen.evidence.get(frozenset(), least)
+        form = refits.policy.law * (least - refits.evidence.get(frozenset(), least))
         for one in ranking:
-            unnamed = not all(map(is_named, one.names))
+            unnamed = not all_named(one.names)
             value = start + one.evidence - one.prior
             if unnamed:  # what the laws have wrong is a function of something
-                value = beyond(value, least, explained)
+                value = beyond(value, least, form)
             if one.names not in scores and (unnamed or one.evidence <= own.evidence or (
-                    promising and not seen.known(one.names, here))):
-                scores[one.names] = seen.score(value, one.prior)
+                    promising and not refits.known(one.names, here))):
+                scores[one.names] = refits.score(value, one.prior)
     weights = np.array(list(scores.values()))
     weights = np.exp(weights - weights.max())
     return dict(zip(scores, (weights / weights.sum()).tolist(), strict=True))
 
 
-def evidence_at_start(seen: Seen, here: Names) -> float:
+def evidence_at_start(refits: Refits, here: Names) -> float:
     """Return the evidence of a model that was linearised."""
-    return seen.evidence[here] if here in seen.evidence else seen.stations[here][1]
+    return refits.evidence[here] if here in refits.evidence else refits.stations[here][1]
 
 
 def own_in(ranking: Sequence[Ranked], names: Names) -> Ranked | None:

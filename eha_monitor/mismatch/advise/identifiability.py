@@ -1,4 +1,4 @@
-"""What a recording tells of parameters and effects: confusions, blind spots, groups."""
+"""What a recording can identify: confusions, detection limits, groups that look alike."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -89,7 +89,7 @@ class Confusion:
 
 
 @dataclass(frozen=True)
-class Sight:
+class DetectionLimit:
     """From which size on an effect shows in this recording.
 
     ``matters`` : size that would matter; ``visible`` : size that gains ``LEAST`` log units; both
@@ -249,7 +249,7 @@ class Reading:
                 return 0.0
         return float(np.clip(-left[0, 1] / np.sqrt(left[0, 0] * left[1, 1]), -1.0, 1.0))
 
-    def sights(self) -> tuple[Sight, ...]:
+    def detection_limits(self) -> tuple[DetectionLimit, ...]:
         """Return from which size on each effect shows, the worst first."""
         found = []
         for d in self.directions:
@@ -263,30 +263,32 @@ class Reading:
             shifts = {parameter: self.shift(d, parameter, visible) / self.fit.value(parameter)
                       for parameter in BASE if parameter in self.labels
                       } if np.isfinite(visible) else {}
-            found.append(Sight(d.effect, d.parameter, d.unit, size, visible, gain, shifts))
-        return tuple(ties.ordered(found, lambda sight: -sight.gain))
+            found.append(DetectionLimit(
+                d.effect, d.parameter, d.unit, size, visible, gain, shifts))
+        return tuple(ties.ordered(found, lambda limit: -limit.gain))
 
     def groups(self) -> tuple[tuple[str, ...], ...]:
         """Return effects that show at sizes that matter, but not which of them it is."""
         sizes: dict[str, list[str]] = {}
         for d in self.directions:
             sizes.setdefault(d.effect, []).append(d.label)
-        blind = {s.effect for s in self.sights() if s.gain < LEAST}
+        limits = self.detection_limits()
+        blind = {one.effect for one in limits if one.gain < LEAST}
         names = [name for name in sizes if name not in blind]
         labels = [label for name in names for label in sizes[name]]
         if len(names) < 2:
             return ()
         left = self.gram.remaining(labels, self.labels, self.weights)
         at = {label: i for i, label in enumerate(labels)}
-        seen = {name: max(s.gain for s in self.sights() if s.effect == name) for name in names}
+        gain = {name: max(one.gain for one in limits if one.effect == name) for name in names}
 
         def alike(a: str, b: str) -> bool:
             i, j = [at[k] for k in sizes[a]], [at[k] for k in sizes[b]]
             cosine = largest_cosine(left[np.ix_(i, i)], left[np.ix_(i, j)], left[np.ix_(j, j)])
-            return min(seen[a], seen[b]) * (1.0 - cosine**2) < LEAST
+            return min(gain[a], gain[b]) * (1.0 - cosine**2) < LEAST
 
         groups: list[list[str]] = []
-        for name in sorted(ties.ordered(names, lambda name: seen[name]),
+        for name in sorted(ties.ordered(names, lambda name: gain[name]),
                            key=lambda name: CATALOGUE[name].rarity):
             home = next((g for g in groups if all(alike(name, other) for other in g)), None)
             if home is None:

@@ -6,9 +6,9 @@ import pytest
 from rig_tools import MULTISINE, REST, settings, simulated
 
 from eha_monitor.mismatch.data.experiment import BURN_IN, experiment_of
+from eha_monitor.mismatch.name.informative import informative, windows_of
 from eha_monitor.mismatch.name.naming import Naming, on_all_of
 from eha_monitor.mismatch.name.select import nominal_model
-from eha_monitor.mismatch.name.telling import telling, windows_of
 
 RESTING, MOVING = 9.0, 3.0
 
@@ -22,14 +22,14 @@ def experiment():
 
 
 def test_what_moves_tells_most(experiment):
-    found = telling(experiment, most=2000, window=1000)
+    found = informative(experiment, most=2000, window=1000)
     assert [len(stretch) for stretch in found.stretches] == [1000] * 2
     assert all(np.ptp(stretch.z[:, 0]) > 1e-3 for stretch in found.stretches)
     assert found.dt == experiment.dt and found.used is experiment.used
 
 
 def test_a_short_recording_is_used_whole(experiment):
-    assert telling(experiment) is experiment
+    assert informative(experiment) is experiment
 
 
 def test_windows_are_the_stretch_in_pieces(experiment):
@@ -45,7 +45,7 @@ def test_windows_are_the_stretch_in_pieces(experiment):
 
 
 def test_what_was_named_on_windows_is_run_over_the_whole(experiment):
-    part = telling(experiment, most=3000, window=1000)
+    part = informative(experiment, most=3000, window=1000)
     fit = nominal_model(part)
     found = on_all_of(experiment, Naming(part, fit, fit))
     counted = sum(int(stretch.counted.sum()) for stretch in experiment.stretches)
