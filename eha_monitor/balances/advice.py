@@ -29,15 +29,18 @@ AGAIN = ("record the same machine again, with another load, another speed and on
 def advice_of(models: Sequence[Model], rig: Rig, policy: Policy, machine: Machine | None
               ) -> tuple[str, ...]:
     """Return what to record next, the most useful first, and what to do about rivals."""
-    found = []
+    gains: dict[str, list[tuple[float, str]]] = {}
     for model in models:
         for words, by in narrowed(model).items():
-            for term, factor in by[:2]:
-                what = term.candidate.words
-                found.append((factor, f"a recording {words} would " + (
-                    f"determine the {what}" if factor > FAR else
-                    f"narrow the {what} by about {number(factor, 2)} times")))
-    said = [text for _, text in sorted(found, key=lambda one: -one[0])][:3]
+            if by:
+                gains.setdefault(words, []).extend((f, t.candidate.words) for t, f in by[:2])
+    said = []
+    for words, terms in sorted(gains.items(), key=lambda one: -max(one[1])[0]):
+        best = sorted(terms, reverse=True)[:3]
+        said.append(f"a recording {words} would " + listed([
+            f"determine the {what}" if factor > FAR else
+            f"narrow the {what} about {number(factor, 2)} times" for factor, what in best]))
+    said = said[:2]
     named = {t.candidate.effect: t for model in models for t in model.named}
     for name, term in named.items():
         if term.rivals:

@@ -10,6 +10,7 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.balances.answer import Asked, answered, far_from_config, first_answer
 from eha_monitor.balances.baseline import Baseline, baseline
+from eha_monitor.balances.course import TRAVEL
 from eha_monitor.breakdown import computing
 from eha_monitor.estimation.hold_choice import other_hold, resolved
 from eha_monitor.mismatch.advise import advice as advise
@@ -33,6 +34,7 @@ from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
 from eha_monitor.mismatch.name.angle import at_its_angle
+from eha_monitor.mismatch.name.credible import credible
 from eha_monitor.mismatch.name.informative import informative
 from eha_monitor.mismatch.name.naming import Naming, beyond_form, name_effects, on_all_of
 from eha_monitor.mismatch.name.select import nominal
@@ -104,10 +106,11 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     started = time.perf_counter()
     say("least squares on the balances", 0.02)
     first = first_answer(recordings, settings, Asked(held_out, None, without, vary))
-    if hypothesis is None and first is not None and far_from_config(first):
-        return replace(first, advice=(FINER, *first.advice))
     held, decision = resolved(recordings, settings)
     experiment = at_its_angle(experiment_of(recordings, held, held_out is None, without))
+    far = hypothesis is None and far_from_config(first)
+    if far and not credible(experiment, first.config_effects):
+        return replace(first, advice=(FINER, *first.advice))
     named = named_in(experiment, say)
     if decision is not None and named is not None and (
             named[1].unexplained > experiment.policy.rival):
@@ -119,6 +122,8 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
             experiment, held, named = other, other.settings, named_in(other, say)
             decision = replace(decision, hold=held.command_hold, evidence=gained, decided=True)
     found = diagnosed(recordings, experiment, named, held_out, started, say, hypothesis)
+    if far and found.verdict == "unexplained" and not found.learned:
+        return replace(first, advice=(FINER, *first.advice))
     decided = decision is not None and decision.decided
     return replace(found, machine=None if first is None else first.machine,
                    policy=experiment.policy.to_dict(),
@@ -129,7 +134,7 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
 
 def named_in(experiment: Experiment, say: Report) -> tuple[Experiment, Naming] | None:
     """Name what the most informative windows show; None where the piston hardly moves."""
-    if experiment.ranges.position < experiment.policy.motion * experiment.noise[0]:
+    if experiment.ranges.position < TRAVEL * experiment.noise[0]:
         return None
     windows = informative(experiment)
     return windows, name_effects(windows, lambda text, share: say(text, 0.85 * share))

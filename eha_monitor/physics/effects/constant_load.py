@@ -21,7 +21,7 @@ EFFECT = Effect(
     ),
     term=term,
     adds=(FORCE,),
-    statement="a constant load of {F_0} pushes against positive motion",
+    statement="a constant load of {F_0}, counted against positive motion",
     rig_check="Hold the actuator at rest: the pressure force that remains is the load.",
     starts=lambda r: ({"F_0": 0.01 * r.force},),
     rarity=0,
