@@ -7,17 +7,17 @@ along.  Two processes and more share the list.
 
 import argparse
 import importlib
-import multiprocessing
 import os
 import shutil
 import sys
 import tempfile
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Sequence
 from pathlib import Path
 
+from eha_monitor.archive.run import on_this_machine
 from eha_monitor.compiled import ANNOUNCER, CACHE
 from eha_monitor.compiled_cache import shipped
-from eha_monitor.signatures import SIGNATURES
+from eha_monitor.signatures import LIVE, SIGNATURES
 
 
 def compile_one(place: int) -> None:
@@ -27,15 +27,21 @@ def compile_one(place: int) -> None:
     getattr(importlib.import_module(f"eha_monitor.{module}"), name).compile(types)
 
 
-def compile_all(processes: int) -> None:
-    """Compile the list, the longest first, in so many processes."""
+def compile_all(processes: int, places: Sequence[int] = range(len(SIGNATURES))) -> None:
+    """Compile the list, the longest first, in so many processes.
+
+    Raises
+    ------
+    RuntimeError
+        If a process died.
+    """
     if processes == 1:
-        for place in range(len(SIGNATURES)):
+        for place in places:
             compile_one(place)
         return
-    # Not forked: a process that compiles has threads of LLVM.
-    with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool:
-        list(pool.map(compile_one, range(len(SIGNATURES))))
+    for place, _, error in on_this_machine(compile_one, places, processes):
+        if error:
+            raise RuntimeError(f"{SIGNATURES[place][:2]}: {error}")
 
 
 def ship() -> None:
@@ -43,8 +49,8 @@ def ship() -> None:
 
     Whoever runs the installed package with an empty home, as a service does, loads it from there.
     """
-    if sys.prefix == sys.base_prefix:  # the system's Python is not ours to write into
-        return
+    if sys.prefix == sys.base_prefix or not os.access(sys.prefix, os.W_OK):
+        return  # the system's Python, or somebody else's, is not ours to write into
     place = shipped()
     place.mkdir(parents=True, exist_ok=True)
     for old in place.iterdir():
@@ -55,17 +61,24 @@ def ship() -> None:
     copy.rename(place / CACHE.name)
 
 
-def main() -> None:
+def main() -> int:
     """Compile; with ``--ship``, for every user of this virtual environment."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--live", action="store_true",
+                        help="only what a simulator, a monitor and a replay need")
     parser.add_argument("--ship", action="store_true", help="also for the users of this .venv")
     parser.add_argument("--processes", type=int, default=len(os.sched_getaffinity(0)),
                         help="that share the work; as many as there are cores")
     asked = parser.parse_args()
-    compile_all(asked.processes)
-    if asked.ship:
-        ship()
+    try:
+        compile_all(asked.processes, [place for place, one in enumerate(SIGNATURES)
+                                      if not asked.live or one[:2] in LIVE])
+        if asked.ship:
+            ship()
+    except KeyboardInterrupt:
+        return 130
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
