@@ -39,7 +39,8 @@ def compile_all(processes: int, places: Sequence[int] = range(len(SIGNATURES))) 
         for place in places:
             compile_one(place)
         return
-    for place, _, error in on_this_machine(compile_one, places, processes):
+    # Not apart: a busy core would hold up what was pinned to it.
+    for place, _, error in on_this_machine(compile_one, places, processes, apart=False):
         if error:
             raise RuntimeError(f"{SIGNATURES[place][:2]}: {error}")
 
