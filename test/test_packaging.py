@@ -104,7 +104,7 @@ def test_pip_layout(tmp_path):
 def test_colcon_build(tmp_path):
     """`colcon build` puts the same layout below install/, and its executables run."""
     if importlib.util.find_spec("colcon_core") is None:
-        pytest.skip("colcon is not installed (pip install eha_monitor[colcon])")
+        pytest.skip("colcon is not installed (make setup WITH=colcon)")
     workspace = tmp_path / "workspace"
     workspace.mkdir()
     copy_of_the_source(workspace / "eha_monitor")

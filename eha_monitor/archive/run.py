@@ -15,7 +15,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
-from eha_monitor.errors import InputError
+from eha_monitor.errors import InputError, installs
 
 DIED = "the process that read it was killed (by the system, out of memory?)"
 PATIENCE = 5.0  # s in which a scheduler must answer
@@ -114,7 +114,7 @@ class Cluster:
             import distributed
         except ImportError as problem:
             raise InputError("--scheduler needs distributed, which cannot be imported "
-                             f"({problem}); install eha_monitor[dask]") from problem
+                             f"({problem}); {installs('dask')}") from problem
         import logging
 
         # It tells of a lost connection in many lines; we do in one.
