@@ -17,7 +17,7 @@ INSTALLED := setup.py setup.cfg pyproject.toml package.xml $(shell find eha_moni
 	bags executables scripts resource -type f -not -name '*.pyc' 2>/dev/null)
 
 # Trials that take an hour, by people who have not seen this project: proofs, not benchmarks.
-TRIALS := benchmarks/wrong_inputs.py benchmarks/newcomer.py benchmarks/command_hold.py
+TRIALS := $(addprefix benchmarks/,wrong_inputs.py newcomer.py command_hold.py first_minute.py)
 
 # What the benchmarks write their figures with.
 RECORDS := benchmarks/record.py benchmarks/tables.py benchmarks/proof_figures.py
@@ -38,10 +38,11 @@ export ROS_LOG_DIR ?= $(CURDIR)/out/ros_log
 .PHONY: help setup everything demo test test-machines test-generic lint bench figures reference notebook proof lock clean
 
 help:
-	@echo "make demo    simulator and monitor live, a replay, an HTML report (under 2 minutes)"
+	@echo "make demo    simulator and monitor live, a replay, two HTML reports; installs what it needs"
 	@echo "make test    the test suite"
 	@echo "make test-machines  what decides answers, as on other processors"
-	@echo "make setup   .venv from requirements.lock (the other targets do it by themselves)"
+	@echo "make setup   .venv for the commands; WITH=\"export archive\": with these extras of setup.py"
+	@echo "make everything  .venv with all of requirements.lock (make test and the others do it)"
 	@echo "make lint    ruff"
 	@echo "make bench   benchmarks, with their tables"
 	@echo "make figures the tables of README and docs, of what the benchmarks recorded"
