@@ -55,19 +55,19 @@ help:
 # What each target installs of the lock: `demo` the groups core and ros, `setup` those of WITH as
 # well, `test` and the others all.  A stamp is written only when everything before it worked, so a
 # broken set-up is done again.
-$(VENV)/.core: $(LOCK) setup.py scripts/lock_groups.py
+$(VENV)/.compiler: $(LOCK) setup.py scripts/lock_groups.py
 	@PYTHON3="$(PYTHON3)" sh scripts/make_venv.sh $(VENV)
-	@echo "installing what every command needs into $(VENV) (half a minute, once) ..."
-	@$(call install,builds core)
+	@echo "installing into $(VENV) what compiles the model ..."
+	@$(call install,builds compiles)
 	@touch $@
 
-# ROS and the package go in while the compiler works on what a live monitor needs.
-$(VENV)/.package: $(VENV)/.core $(INSTALLED)
+# The rest goes in while the compiler works on what a live monitor needs.
+$(VENV)/.package: $(VENV)/.compiler $(INSTALLED)
 	@rm -rf build/lib build/bdist.*  # else modules that are gone would be installed again
 	@rm -rf $(VENV)/share/eha_monitor/compiled  # of other source
-	@echo "installing ROS and the package, compiling the model (half a minute) ..."
+	@echo "installing what every command needs, and compiling (half a minute, once) ..."
 	@$(PYTHON) -m eha_monitor.compile_all --live & \
-		$(call install,ros) && $(PIP) --no-deps --no-build-isolation --force-reinstall .; \
+		$(call install,core ros) && $(PIP) --no-deps --no-build-isolation --force-reinstall .; \
 		done=$$?; wait $$! && exit $$done
 	@touch $@
 
@@ -79,7 +79,7 @@ $(VENV)/.compiled: $(VENV)/.package
 		$(PYTHON) -P -m eha_monitor.compile_all --ship; done=$$?; wait; exit $$done
 	@touch $@
 
-$(VENV)/.all: $(VENV)/.core
+$(VENV)/.all: $(VENV)/.compiler
 	@echo "installing all other packages of the lock (a minute or two, once) ..."
 	@$(PIP) $(LOCKED) -r $(LOCK)
 	@touch $@

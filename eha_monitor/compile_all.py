@@ -11,7 +11,7 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from eha_monitor.archive.run import on_this_machine
@@ -20,29 +20,40 @@ from eha_monitor.compiled_cache import shipped
 from eha_monitor.signatures import LIVE, SIGNATURES
 
 
-def compile_one(place: int) -> None:
-    """Compile one line of the list, or find that it has been compiled."""
+def compile_lines(places: Sequence[int]) -> None:
+    """Compile lines of the list, or find that they have been compiled."""
     ANNOUNCER.quiet = True  # the set-up has said so
-    module, name, types = SIGNATURES[place]
-    getattr(importlib.import_module(f"eha_monitor.{module}"), name).compile(types)
+    for place in places:
+        module, name, types = SIGNATURES[place]
+        getattr(importlib.import_module(f"eha_monitor.{module}"), name).compile(types)
 
 
-def compile_all(processes: int, places: Sequence[int] = range(len(SIGNATURES))) -> None:
-    """Compile the list, the longest first, in so many processes.
+def compile_all(processes: int, only: Collection[tuple[str, str]] = ()) -> None:
+    """Compile the list in so many processes, the longest first.
+
+    Parameters
+    ----------
+    only : (module, function) of those that are compiled; all if there are none.
 
     Raises
     ------
     RuntimeError
         If a process died.
     """
+    # A module's functions call the same ones: two processes would compile these twice.
+    tasks: dict[str, list[int]] = {}
+    for place, one in enumerate(SIGNATURES):
+        if not only or one[:2] in only:
+            tasks.setdefault(one[0], []).append(place)
     if processes == 1:
-        for place in places:
-            compile_one(place)
+        for places in tasks.values():
+            compile_lines(places)
         return
     # Not apart: a busy core would hold up what was pinned to it.
-    for place, _, error in on_this_machine(compile_one, places, processes, apart=False):
+    for places, _, error in on_this_machine(compile_lines, list(tasks.values()), processes,
+                                            apart=False):
         if error:
-            raise RuntimeError(f"{SIGNATURES[place][:2]}: {error}")
+            raise RuntimeError(f"{SIGNATURES[places[0]][0]}: {error}")
 
 
 def ship() -> None:
@@ -72,8 +83,7 @@ def main() -> int:
                         help="that share the work; as many as there are cores")
     asked = parser.parse_args()
     try:
-        compile_all(asked.processes, [place for place, one in enumerate(SIGNATURES)
-                                      if not asked.live or one[:2] in LIVE])
+        compile_all(asked.processes, LIVE if asked.live else ())
         if asked.ship:
             ship()
     except KeyboardInterrupt:

@@ -2,8 +2,9 @@
 
     python scripts/lock_groups.py core ros > part.txt
 
-A group is an extra of setup.py; ``core`` is what every command needs (``install_requires``), and
-``builds`` what builds a package that has no wheel.  Who needs a package stands below it in the
+A group is an extra of setup.py; ``core`` is what every command needs (``install_requires``),
+``builds`` what builds a package that has no wheel, and ``compiles`` what
+``eha_monitor.compile_all`` imports.  Who needs a package stands below it in the
 lock (``# via``), so nothing is resolved, and nothing but Python is needed.
 """
 
@@ -21,7 +22,8 @@ def groups() -> dict[str, list[str]]:
     call = next(node for node in ast.walk(ast.parse((ROOT / "setup.py").read_text()))
                 if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "setup")
     given = {word.arg: word.value for word in call.keywords}
-    asked = {"builds": ["setuptools"], "core": ast.literal_eval(given["install_requires"]),
+    asked = {"builds": ["setuptools"], "compiles": ["numba", "pydantic", "scipy"],
+             "core": ast.literal_eval(given["install_requires"]),
              **ast.literal_eval(given["extras_require"])}
     return {group: [re.match(NAME, one)[0].replace(".", "-") for one in packages]
             for group, packages in asked.items()}

@@ -113,6 +113,23 @@ def test_groups_of_the_lock_hold_all_that_they_need():
     assert lock_part("core", *groups) == set(re.findall(r"^([a-z0-9._-]+)==", lock, re.MULTILINE))
 
 
+def test_what_is_there_first_compiles():
+    """`make` begins to compile while the other packages are still being installed."""
+    imports = """
+import sys
+before = set(sys.modules)
+import eha_monitor.compile_all
+print(*{name.split(".")[0] for name in set(sys.modules) - before
+        if "site-packages" in (getattr(sys.modules[name], "__file__", "") or "")})"""
+    made = run([sys.executable, "-c", imports], env=os.environ | {"PYTHONPATH": str(ROOT)})
+    assert made.returncode == 0, made.stderr
+    owners = importlib.metadata.packages_distributions()
+    taken = {re.sub("[._]", "-", owners[name][0].lower()) for name in made.stdout.split()
+             if name in owners and name != "eha_monitor"}
+    assert "numba" in taken
+    assert taken - {"coverage", "pyyaml"} <= lock_part("compiles")  # numba takes what is there
+
+
 def test_an_unknown_group_is_told_in_a_line():
     made = run([sys.executable, ROOT / "scripts/lock_groups.py", "exports"])
     assert made.returncode and made.stderr.count("\n") == 1 and "not exports" in made.stderr
