@@ -8,6 +8,8 @@ PIP := $(PYTHON) -m pip install -qq --disable-pip-version-check
 LOCKED := --require-hashes --no-deps --no-compile --no-build-isolation --use-pep517
 install = ( for group in $(1); do $(PYTHON) scripts/lock_groups.py $$group > $(VENV)/part.txt \
 	&& $(PIP) $(LOCKED) -r $(VENV)/part.txt || exit 1; done )
+# Its wheels are of x86-64 alone; elsewhere a ROS of the system serves (docs/installation.md).
+ROS := $(if $(filter x86_64,$(shell uname -m)),ros)
 # Further groups for `make setup`: the extras of setup.py, as in WITH="export archive".
 WITH := dashboard
 # What the installation copies: a change here installs the package again (seconds).  It is a real
@@ -67,7 +69,7 @@ $(VENV)/.package: $(VENV)/.compiler $(INSTALLED)
 	@rm -rf $(VENV)/share/eha_monitor/compiled  # of other source
 	@echo "installing what every command needs, and compiling (half a minute, once) ..."
 	@$(PYTHON) -m eha_monitor.compile_all --live & \
-		$(call install,core ros) && $(PIP) --no-deps --no-build-isolation --force-reinstall .; \
+		$(call install,core $(ROS)) && $(PIP) --no-deps --no-build-isolation --force-reinstall .; \
 		done=$$?; wait $$! && exit $$done
 	@touch $@
 
