@@ -116,9 +116,10 @@ class Newcomer:
             self.do("make setup", "make", "setup", cwd=self.clone)
         python, eha = (str(self.clone / ".venv" / "bin" / name)
                        for name in ("python", "eha-monitor"))
-        files = self.place / "files"
+        files, compiled = self.place / "files", self.place / "compiled.jsonl"
         subprocess.run([python, __file__, "--write", str(files)], check=True,
                        env=self.environment | {"EHA_MONITOR_CACHE": str(self.place / "cache")})
+        self.environment["EHA_MONITOR_COMPILED"] = str(compiled)
         answers = (files / "answers.txt").read_text().splitlines()
         told = [word for answer in answers for word in ("--set", answer)]
         self.do("init", eha, "init", str(files / "healthy_0.csv"), "--out", "rig.yaml", "--yes",
@@ -139,6 +140,8 @@ class Newcomer:
         judged = "judged.yaml" if (self.home / "judged.yaml").is_file() else config
         self.do("report of now, judged", eha, "estimate", "now", "--config", judged, "--report",
                 "now.html")
+        lines = len(compiled.read_text().splitlines()) if compiled.exists() else 0
+        print(f"{lines} functions compiled after the set-up")
 
 
 def megabytes(folder: Path) -> float:
