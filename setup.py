@@ -79,5 +79,5 @@ setup(
         "colcon": ["colcon-bash", "colcon-core", "colcon-output", "colcon-package-selection",
                    "colcon-python-setup-py", "colcon-recursive-crawl", "colcon-ros"],
     },
-    entry_points={"console_scripts": ["eha-monitor = eha_monitor.cli:main"]},
+    entry_points={"console_scripts": ["eha-monitor = eha_monitor.__main__:main"]},
 )

@@ -40,8 +40,11 @@ def named(module: str, name: str, *fields) -> BaseTuple:
     return BaseTuple.from_types(fields, getattr(importlib.import_module(module), name))
 
 
+# What a simulator, a monitor and a replay call: `make demo` begins once these are compiled.
+LIVE = {live}
 SIGNATURES = (
 '''
+LIVE = ("simulator", "monitor", "replay")
 # Commands on what `grounds` makes.  {k} is a bag there; a config stands beside its bag.
 ESTIMATES = {"plain": {}, "euler": {"discretisation": "euler"},
              "sampled": {"command_hold": "sampled"},
@@ -139,14 +142,17 @@ def commands(folder: Path) -> list[tuple[str, list[list[str]]]]:
               for name in ("one", "short", "positions", "speeds", "imported")]
     many = folder / "many"
     many.mkdir()
+    demo, bag = str(ROOT / "config" / "demo.yaml"), str(ROOT / "bags" / "air_ingress")
     for k in range(2):
         steps.append(("simulate", [[*eha, "simulate", "--duration", "3", "--seed", str(k),
                                     "--out", str(many / f"{k}")]]))
     live = ["--duration", "8"]
-    return [*steps, ("archive", [[*eha, "estimate", str(many), "--out", str(folder / "table")]]),
-            ("live", [[*eha, "monitor", *live], [*eha, "simulator", *live],
+    # What is live comes first: only what nobody has compiled yet is listed with who called it.
+    return [("live", [[*eha, "monitor", "--config", demo, *live],
+                      [*eha, "simulator", "--config", demo, *live],
                       [*eha, "record", "--out", str(folder / "recorded"), *live]]),
-            ("replay", [[*eha, "replay", plain], [*eha, "monitor", *live]]),
+            ("replay", [[*eha, "replay", bag], [*eha, "monitor", *live]]),
+            *steps, ("archive", [[*eha, "estimate", str(many), "--out", str(folder / "table")]]),
             ("diagnose", [[*eha, "diagnose", rubbing, "--report", str(folder / "d.html")]]),
             ("diagnose", [[*eha, "diagnose", str(folder / "positions")]]),
             ("seldom", [[sys.executable, "-c", SELDOM, plain]]),
@@ -177,11 +183,15 @@ def lines_of(file: Path) -> list[list]:
 def write_signatures(lines: list[list]) -> None:
     """Write the list of what is compiled for a call from Python, the longest first."""
     seconds: dict[tuple[str, str, str], float] = {}
-    for depth, module, name, took, types, _ in lines:
+    live = set()
+    for depth, module, name, took, types, command in lines:
         if depth == 0 and (module or "").startswith("eha_monitor."):
             one = (module.removeprefix("eha_monitor."), name, types)
             seconds[one] = max(took, seconds.get(one, 0.0))
-    text = HEAD
+            if command[1:2] and command[1] in LIVE:
+                live.add(one[:2])
+    names = "".join(f'    ("{module}", "{name}"),\n' for module, name in sorted(live))
+    text = HEAD.replace("{live}", f"(\n{names})")
     for (module, name, types), _ in sorted(seconds.items(), key=lambda item: (-item[1], item[0])):
         text += f'    ("{module}", "{name}", (\n'
         line = "       "

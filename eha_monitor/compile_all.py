@@ -7,35 +7,53 @@ along.  Two processes and more share the list.
 
 import argparse
 import importlib
-import multiprocessing
 import os
 import shutil
 import sys
 import tempfile
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
+from eha_monitor.archive.run import on_this_machine
 from eha_monitor.compiled import ANNOUNCER, CACHE
 from eha_monitor.compiled_cache import shipped
-from eha_monitor.signatures import SIGNATURES
+from eha_monitor.signatures import LIVE, SIGNATURES
 
 
-def compile_one(place: int) -> None:
-    """Compile one line of the list, or find that it has been compiled."""
+def compile_lines(places: Sequence[int]) -> None:
+    """Compile lines of the list, or find that they have been compiled."""
     ANNOUNCER.quiet = True  # the set-up has said so
-    module, name, types = SIGNATURES[place]
-    getattr(importlib.import_module(f"eha_monitor.{module}"), name).compile(types)
+    for place in places:
+        module, name, types = SIGNATURES[place]
+        getattr(importlib.import_module(f"eha_monitor.{module}"), name).compile(types)
 
 
-def compile_all(processes: int) -> None:
-    """Compile the list, the longest first, in so many processes."""
+def compile_all(processes: int, only: Collection[tuple[str, str]] = ()) -> None:
+    """Compile the list in so many processes, the longest first.
+
+    Parameters
+    ----------
+    only : (module, function) of those that are compiled; all if there are none.
+
+    Raises
+    ------
+    RuntimeError
+        If a process died.
+    """
+    # A module's functions call the same ones: two processes would compile these twice.
+    tasks: dict[str, list[int]] = {}
+    for place, one in enumerate(SIGNATURES):
+        if not only or one[:2] in only:
+            tasks.setdefault(one[0], []).append(place)
     if processes == 1:
-        for place in range(len(SIGNATURES)):
-            compile_one(place)
+        for places in tasks.values():
+            compile_lines(places)
         return
-    # Not forked: a process that compiles has threads of LLVM.
-    with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool:
-        list(pool.map(compile_one, range(len(SIGNATURES))))
+    # Not apart: a busy core would hold up what was pinned to it.
+    for places, _, error in on_this_machine(compile_lines, list(tasks.values()), processes,
+                                            apart=False):
+        if error:
+            raise RuntimeError(f"{SIGNATURES[places[0]][0]}: {error}")
 
 
 def ship() -> None:
@@ -43,8 +61,8 @@ def ship() -> None:
 
     Whoever runs the installed package with an empty home, as a service does, loads it from there.
     """
-    if sys.prefix == sys.base_prefix:  # the system's Python is not ours to write into
-        return
+    if sys.prefix == sys.base_prefix or not os.access(sys.prefix, os.W_OK):
+        return  # the system's Python, or somebody else's, is not ours to write into
     place = shipped()
     place.mkdir(parents=True, exist_ok=True)
     for old in place.iterdir():
@@ -55,17 +73,23 @@ def ship() -> None:
     copy.rename(place / CACHE.name)
 
 
-def main() -> None:
+def main() -> int:
     """Compile; with ``--ship``, for every user of this virtual environment."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--live", action="store_true",
+                        help="only what a simulator, a monitor and a replay need")
     parser.add_argument("--ship", action="store_true", help="also for the users of this .venv")
     parser.add_argument("--processes", type=int, default=len(os.sched_getaffinity(0)),
                         help="that share the work; as many as there are cores")
     asked = parser.parse_args()
-    compile_all(asked.processes)
-    if asked.ship:
-        ship()
+    try:
+        compile_all(asked.processes, LIVE if asked.live else ())
+        if asked.ship:
+            ship()
+    except KeyboardInterrupt:
+        return 130
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

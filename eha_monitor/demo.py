@@ -51,11 +51,23 @@ class Children:
 
     def start(self, *arguments: str) -> None:
         """Start ``eha_monitor <arguments>`` with this very Python; it writes to a log."""
-        name = arguments[0]
+        self._start(arguments[0], "-m", "eha_monitor", *arguments)
+
+    def compile(self) -> None:
+        """Start to compile what is missing, on what processor time the others leave."""
+        self._start("compile", "-c", "import os, sys; from eha_monitor.compile_all import main; "
+                    "os.nice(19); sys.exit(main())", "--ship")
+
+    def _start(self, name: str, *words: str) -> None:
         with (self._logs / f"{name}.log").open("w") as log:
-            self._running[name] = subprocess.Popen(
-                [sys.executable, "-m", "eha_monitor", *arguments], stdout=log, stderr=log,
-                stdin=subprocess.DEVNULL)
+            self._running[name] = subprocess.Popen([sys.executable, *words], stdout=log,
+                                                   stderr=log, stdin=subprocess.DEVNULL)
+
+    def finish(self) -> None:
+        """Wait until all have ended by themselves; raise DemoFailed if one did so badly."""
+        for child in self._running.values():
+            child.wait()
+        self.check()
 
     def check(self) -> None:
         """Raise DemoFailed if a child has ended badly."""
@@ -121,13 +133,15 @@ def run(*arguments: str) -> None:
         raise DemoFailed(f"{arguments[0]} ended with status {done.returncode}")
 
 
-def compiled() -> None:
-    """Compile what has not been compiled yet, so that no step waits for the compiler."""
-    from eha_monitor.compiled import FIRST_RUN
+def compiled(beside: Children) -> None:
+    """Compile what the live steps need, and start to compile the rest; nothing on a later run."""
+    from eha_monitor.compiled import FIRST_RUN, PLACES
 
-    if FIRST_RUN and subprocess.run([sys.executable, "-m", "eha_monitor.compile_all"],
+    if FIRST_RUN and subprocess.run([sys.executable, "-m", "eha_monitor.compile_all", "--live"],
                                     check=False).returncode:
         raise DemoFailed("the model could not be compiled")
+    if not PLACES[-1].exists():  # made when all is compiled
+        beside.compile()
 
 
 def live(logs: Path) -> None:
@@ -192,9 +206,11 @@ def main() -> int:
     try:
         logs.mkdir(parents=True, exist_ok=True)
         os.environ.setdefault("ROS_LOG_DIR", str(logs.resolve()))
-        compiled()
-        live(logs)
-        replayed(logs)
+        with Children(logs) as beside:
+            compiled(beside)
+            live(logs)
+            replayed(logs)
+            beside.finish()
         report = reported(out)
         diagnosis = diagnosed(out)
     except (DemoFailed, InputError, OSError) as problem:

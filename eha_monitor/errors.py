@@ -1,4 +1,4 @@
-"""The one exception that a user is meant to see."""
+"""The one exception that a user is meant to see, and words that several of them have."""
 
 import re
 
@@ -9,6 +9,12 @@ _CONTROLS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+")
 def one_line(text: str) -> str:
     """Return a text without line breaks and terminal controls."""
     return _CONTROLS.sub(" ", text)
+
+
+def installs(extra: str) -> str:
+    """Return the words that say how an extra of setup.py comes."""
+    return (f"install it, in the checkout, with make setup WITH={extra} or "
+            f"pip install '.[{extra}]'")
 
 
 class InputError(Exception):

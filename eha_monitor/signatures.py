@@ -13,6 +13,18 @@ def named(module: str, name: str, *fields) -> BaseTuple:
     return BaseTuple.from_types(fields, getattr(importlib.import_module(module), name))
 
 
+# What a simulator, a monitor and a replay call: `make demo` begins once these are compiled.
+LIVE = (
+    ("estimation.drive", "follow"),
+    ("estimation.hold_evidence", "log_likelihood"),
+    ("estimation.modelled", "contributions"),
+    ("estimation.stage_one", "run_one"),
+    ("estimation.stage_two", "log_likelihood_two"),
+    ("estimation.stage_two", "run_two"),
+    ("physics.contributions", "circuit_of"),
+    ("physics.plant", "run"),
+    ("recordings.walk", "walk_records"),
+)
 SIGNATURES = (
     ("estimation.stage_two", "log_likelihood_two", (
         named('eha_monitor.estimation.stage_two', 'RowsTwo', float64[::1], float64[::1],

@@ -26,7 +26,7 @@ from eha_monitor.reports.archive_report import archive_page, phrases
 from eha_monitor.settings import settings_from_tree
 
 pyarrow = pytest.importorskip(
-    "pyarrow", reason="pyarrow is not installed (pip install eha_monitor[archive])")
+    "pyarrow", reason="pyarrow is not installed (make setup WITH=archive)")
 
 from eha_monitor.archive.store import Store, iso_time, nanoseconds_of, read_table  # noqa: E402
 
@@ -364,7 +364,7 @@ def test_a_defect_is_a_row_too(folder, monkeypatch):
 
 def test_a_cluster_says_the_same(folder, answered, tmp_path, capsys):
     distributed = pytest.importorskip(
-        "distributed", reason="distributed is not installed (pip install eha_monitor[dask])")
+        "distributed", reason="distributed is not installed (make setup WITH=dask)")
     arguments = ["estimate", str(folder), "--out", str(tmp_path)]
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1,
                                   dashboard_address=None) as cluster:

@@ -26,9 +26,8 @@ def test_children_end_with_their_step(tmp_path, monkeypatch):
 def test_a_child_that_fails_is_told(tmp_path):
     with Children(tmp_path) as children:
         children.start("estimate", "missing_bag")
-        children._running["estimate"].wait(60)
         with pytest.raises(DemoFailed, match="status 2: eha_monitor: missing_bag: no such bag"):
-            children.check()
+            children.finish()
 
 
 def test_resources_of_the_demo_are_there():

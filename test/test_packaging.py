@@ -1,5 +1,6 @@
 """The installation: `ros2 run` finds every executable, after pip and after colcon alike."""
 
+import importlib.metadata
 import importlib.util
 import os
 import re
@@ -86,6 +87,54 @@ def test_lock_has_every_requirement_and_each_has_its_reason():
         assert f"`{name}`" in reasons, f"docs/dependencies.md gives no reason for {name}"
 
 
+def lock_part(*groups: str) -> set[str]:
+    made = run([sys.executable, ROOT / "scripts/lock_groups.py", *groups])
+    assert made.returncode == 0, made.stderr
+    return set(re.findall(r"^([a-z0-9._-]+)==", made.stdout, re.MULTILINE))
+
+
+def test_groups_of_the_lock_hold_all_that_they_need():
+    from packaging.requirements import Requirement
+
+    demo = lock_part("core", "ros")
+    assert {"ros-rclpy", "ros-rmw-fastrtps-cpp", "setuptools"} <= demo
+    assert not demo & {"casadi", "mujoco", "nicegui", "playwright", "pyarrow", "pytest", "ziglang"}
+    for name in demo:
+        try:
+            asked = [Requirement(one) for one in importlib.metadata.requires(name) or ()]
+        except importlib.metadata.PackageNotFoundError:
+            continue  # of another Python or system
+        for one in asked:
+            if one.marker is None or one.marker.evaluate({"extra": ""}):
+                need = re.sub("[._]", "-", one.name.lower())
+                assert need in demo, f"{name} needs {one}"
+    lock = (ROOT / "requirements.lock").read_text()
+    groups = re.findall(r'^        "([a-z]+)": \[', (ROOT / "setup.py").read_text(), re.MULTILINE)
+    assert lock_part("core", *groups) == set(re.findall(r"^([a-z0-9._-]+)==", lock, re.MULTILINE))
+
+
+def test_what_is_there_first_compiles():
+    """`make` begins to compile while the other packages are still being installed."""
+    imports = """
+import sys
+before = set(sys.modules)
+import eha_monitor.compile_all
+print(*{name.split(".")[0] for name in set(sys.modules) - before
+        if "site-packages" in (getattr(sys.modules[name], "__file__", "") or "")})"""
+    made = run([sys.executable, "-c", imports], env=os.environ | {"PYTHONPATH": str(ROOT)})
+    assert made.returncode == 0, made.stderr
+    owners = importlib.metadata.packages_distributions()
+    taken = {re.sub("[._]", "-", owners[name][0].lower()) for name in made.stdout.split()
+             if name in owners and name != "eha_monitor"}
+    assert "numba" in taken
+    assert taken - {"coverage", "pyyaml"} <= lock_part("compiles")  # numba takes what is there
+
+
+def test_an_unknown_group_is_told_in_a_line():
+    made = run([sys.executable, ROOT / "scripts/lock_groups.py", "exports"])
+    assert made.returncode and made.stderr.count("\n") == 1 and "not exports" in made.stderr
+
+
 def test_pip_layout(tmp_path):
     """The package that pip installs has the layout, and its executables run."""
     source = copy_of_the_source(tmp_path / "source")
@@ -104,7 +153,7 @@ def test_pip_layout(tmp_path):
 def test_colcon_build(tmp_path):
     """`colcon build` puts the same layout below install/, and its executables run."""
     if importlib.util.find_spec("colcon_core") is None:
-        pytest.skip("colcon is not installed (pip install eha_monitor[colcon])")
+        pytest.skip("colcon is not installed (make setup WITH=colcon)")
     workspace = tmp_path / "workspace"
     workspace.mkdir()
     copy_of_the_source(workspace / "eha_monitor")

@@ -16,7 +16,13 @@ from eha_monitor.errors import InputError
 from eha_monitor.recordings.bag import iter_raw, topics
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import CHANNELS, LARGEST, Recording
-from eha_monitor.recordings.write import BagWriter, TopicType, messages_of, write_recording
+from eha_monitor.recordings.write import (
+    BagWriter,
+    ChannelWriter,
+    TopicType,
+    messages_of,
+    write_recording,
+)
 from eha_monitor.settings import Settings
 
 SETTINGS = Settings()
@@ -189,6 +195,15 @@ def test_after_a_crash_the_temporary_file_is_readable(tmp_path):
     left = Path(writer.temporary)
     recording = read_recording(left, SETTINGS)
     assert len(recording) == 100 and "truncated at byte" in recording.losses[0]
+
+
+def test_after_ctrl_c_nothing_is_left_of_what_can_be_made_again(tmp_path):
+    with pytest.raises(KeyboardInterrupt), ChannelWriter(
+            tmp_path / "bag", ("x",), 1e-3, "/eha") as writer:
+        writer.write({"x": np.linspace(0.0, 0.01, 100)})
+        assert list(tmp_path.iterdir())
+        raise KeyboardInterrupt
+    assert not list(tmp_path.iterdir())
 
 
 def test_killed_between_chunks(tmp_path):

@@ -15,33 +15,35 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
-from eha_monitor.errors import InputError
+from eha_monitor.errors import InputError, installs
 
 DIED = "the process that read it was killed (by the system, out of memory?)"
 PATIENCE = 5.0  # s in which a scheduler must answer
 Answers = Iterator[tuple[Any, Any, str]]
 
 
-def on_this_machine(function: Callable, arguments: Sequence, jobs: int, alone: int = 0) -> Answers:
-    """Answer in ``jobs`` processes; each gets its share of the cores.
+def on_this_machine(function: Callable, arguments: Sequence, jobs: int, alone: int = 0,
+                    apart: bool = True) -> Answers:
+    """Answer in ``jobs`` processes.
 
     Parameters
     ----------
     alone : this many go first, one by one: they compile for all.
+    apart : whether each process keeps to its share of the cores.
     """
     todo = list(arguments)
     suspects: list = []
     for batch, most in ((todo[:alone], 1), (todo[alone:], jobs)):
-        for argument, answer, error in _pool(function, batch, most):
+        for argument, answer, error in _pool(function, batch, most, apart):
             if error:
                 suspects.append(argument)  # of those that ran together, one died
             else:
                 yield argument, answer, ""
     for argument in suspects:
-        yield from _pool(function, [argument], 1)
+        yield from _pool(function, [argument], 1, apart)
 
 
-def _pool(function: Callable, arguments: list, jobs: int) -> Answers:
+def _pool(function: Callable, arguments: list, jobs: int, apart: bool) -> Answers:
     """Answer in one pool after the other: one that broke leaves what it had in work."""
     todo = list(reversed(arguments))
     while todo:
@@ -51,7 +53,8 @@ def _pool(function: Callable, arguments: list, jobs: int) -> Answers:
         shares = context.SimpleQueue()
         cores = sorted(os.sched_getaffinity(0))
         for i in range(size):
-            shares.put(cores[i::size] or [cores[i % len(cores)]])
+            share = cores[i::size] or [cores[i % len(cores)]]
+            shares.put(share if apart else cores)
         pool = ProcessPoolExecutor(size, context, _settle, (shares,))
         running: dict[Future, Any] = {}
         broken = False
@@ -111,7 +114,7 @@ class Cluster:
             import distributed
         except ImportError as problem:
             raise InputError("--scheduler needs distributed, which cannot be imported "
-                             f"({problem}); install eha_monitor[dask]") from problem
+                             f"({problem}); {installs('dask')}") from problem
         import logging
 
         # It tells of a lost connection in many lines; we do in one.

@@ -20,7 +20,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from urllib.parse import quote
 
-from eha_monitor.errors import InputError
+from eha_monitor.errors import InputError, installs
 from eha_monitor.indicators.indicator import WORDS
 from eha_monitor.output import write_bytes
 
@@ -137,7 +137,7 @@ def check_parquet() -> None:
         import pyarrow.parquet  # noqa: F401
     except ImportError as problem:
         raise InputError(f"a table of bags needs pyarrow, which cannot be imported ({problem}); "
-                         "install eha_monitor[archive]") from problem
+                         + installs("archive")) from problem
 
 
 class Store:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from eha_monitor.errors import InputError
+from eha_monitor.errors import InputError, installs
 
 if TYPE_CHECKING:
     from eha_monitor.api.config import Config
@@ -62,7 +62,7 @@ def ros_module(name: str):
         if (problem.name or "").startswith("eha_monitor"):
             raise  # a defect of ours is no missing ROS
         raise InputError(f"this command needs ROS 2, and rclpy cannot be imported ({problem}); "
-                         "install eha_monitor[ros] or source a ROS 2 set-up") from problem
+                         f"source a ROS 2 set-up, or {installs('ros')}") from problem
 
 
 def on_terminal() -> bool:

@@ -18,6 +18,7 @@ from eha_monitor.commands.common import (
     progress_bar,
     refusing,
     report_option,
+    working,
     write_config_option,
 )
 from eha_monitor.errors import InputError
@@ -117,8 +118,9 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
         if not completed(found, given.settings)[1]:
             notes.append(f"{config_file}: the config as it was, since nothing was identified")
     if report_file:
-        found.report(report_file, command=command_line(bags, config, held_out, hypothesis_file,
-                                                       references, without, vary, machine_file))
+        with working(f"drawing {report_file}"):
+            found.report(report_file, command=command_line(
+                bags, config, held_out, hypothesis_file, references, without, vary, machine_file))
 
     from eha_monitor.commands.diagnosis_table import show
 

@@ -35,9 +35,14 @@ def write_diagnosis_bag(path: Path, series: Sequence[Series], recordings: Sequen
     begins = _begins(recordings)
     whole = [_streams(one, begins[one.source], namespace.rstrip("/")) for one in series]
     types = {stream.topic: stream.msgtype for streams in whole for stream in streams}
-    with BagWriter(path, types) as bag:
+    bag = BagWriter(path, types)
+    try:
         for streams in whole:
             bag.write_many({stream.topic: (stream.stamps, stream.data) for stream in streams})
+        bag.close()
+    except KeyboardInterrupt:
+        bag.discard()
+        raise
     return tuple(types)
 
 

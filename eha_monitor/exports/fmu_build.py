@@ -13,14 +13,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from eha_monitor.compiled import CACHE
-from eha_monitor.errors import InputError
+from eha_monitor.errors import InputError, installs
 from eha_monitor.exports.fmu_kernel import NAME
 from eha_monitor.output import write_text
 from eha_monitor.source import source_digest
 
 SOURCES = Path(__file__).parent / "fmu"
-MISSING = ("--fmu: needs a C compiler to link with, and there is neither ziglang nor cc; install "
-           "eha_monitor[export]")
+MISSING = ("--fmu: needs a C compiler to link with, and there is neither ziglang nor cc; "
+           + installs("export"))
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,8 @@ def platforms_for(wanted: tuple[str, ...]) -> tuple[Platform, ...]:
             raise InputError(MISSING)
         other = [folder for folder in wanted if folder != PLATFORMS[0].folder]
         if other:
-            raise InputError(f"--fmu-platform {other[0]}: needs ziglang; install "
-                             "eha_monitor[export]")
+            raise InputError(f"--fmu-platform {other[0]}: needs ziglang; "
+                             + installs("export"))
         return PLATFORMS[:1]
     return tuple(known[folder] for folder in dict.fromkeys(wanted)) or PLATFORMS
 

@@ -155,7 +155,7 @@ class ChannelWriter:
         Raises
         ------
         InputError
-            If a channel runs away; nothing is left of the bag then.
+            If a channel runs away; nothing is left of the bag then, nor after Ctrl-C.
         """
         rows = len(next(iter(channels.values())))
         time = np.arange(self.rows, self.rows + rows) * self.sample_time
@@ -178,10 +178,10 @@ class ChannelWriter:
         return self
 
     def __exit__(self, kind, value, traceback) -> None:
-        if kind is not None and issubclass(kind, InputError):
+        if kind is not None:  # Ctrl-C too: unlike a live recording, these can be made again
             self._bag.discard()
         else:
-            self._bag.__exit__(kind, value, traceback)
+            self._bag.close()
 
 
 def write_recording(path: str | Path, recording: Recording | dict[str, np.ndarray],

@@ -15,7 +15,7 @@ from std_srvs.srv import Trigger
 
 from eha_monitor.dashboard.events import ACKNOWLEDGED, EventLog
 from eha_monitor.dashboard.state import State
-from eha_monitor.errors import InputError
+from eha_monitor.errors import InputError, installs
 from eha_monitor.health.alarms import WATCHED
 from eha_monitor.live.rows import Source
 from eha_monitor.ros import running
@@ -142,7 +142,7 @@ def _optional(what: str, extra: str) -> Iterator[None]:
     except ImportError as problem:
         if (problem.name or "").startswith("eha_monitor"):
             raise  # a defect of ours is no missing package
-        raise InputError(f"{what}: {problem}; install eha_monitor[{extra}]") from problem
+        raise InputError(f"{what}: {problem}; {installs(extra)}") from problem
 
 
 def run_dashboard(config: Path | None, ros_args: list[str], served: Served,
