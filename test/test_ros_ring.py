@@ -1,8 +1,9 @@
-"""The whole ring over DDS on loopback: an effect appears, is diagnosed, adopted, and goes again."""
+"""The whole ring over DDS on loopback: an effect comes, is diagnosed, adopted, and goes again."""
 
 import signal
 import time
 
+import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from rig_tools import MULTISINE
@@ -13,90 +14,166 @@ from test_ros_processes import PATIENCE, command, end
 from eha_monitor.live.exchange import Adopted, model_of
 from eha_monitor.ros.messages import findings_of
 from eha_monitor.ros.qos import LATCHED
+from eha_monitor.ros.simulator_node import SimulatorNode
 from eha_monitor.settings import settings_from_tree
 from eha_monitor.settings.document import annotated
 
-FRICTION, SINCE = 40.0, 4.0  # N of it from 4 s on
-MOTION = {"excitation": {"motion": {**MULTISINE, "duration": 600.0}}}
-FAULT = {"faults": {"dry": {"parameter": "coulomb_friction.F_c", "start": SINCE,
-                            "value": FRICTION}}}
+FRICTION = 40.0  # N
+DRY = {"parameter": "coulomb_friction.F_c", "start": 1e6, "value": FRICTION}
 
 
 class Ring:
-    """What a monitor process says, and its services."""
+    """A simulator whose friction comes and goes on request, and a monitor process.
 
-    def __init__(self, graph, folder, **tree):
+    Attributes
+    ----------
+    found : the last finding of each name; ``log`` what changed: (s, name, word, message).
+    late : latencies in ms, from each row's stamp to the estimates that hold it, while a
+        diagnosis runs (True) or not (False).
+    """
+
+    def __init__(self, graph, folder, **diagnosis):
         self.graph, self.folder = graph, folder
         self.caller = Caller(graph, PATIENCE)
-        self.found, self.log, self.said, self.began = {}, [], [], time.monotonic()
-        self.tree = tree | {"monitor": {"save_folder": str(folder / "saved")}}
+        self.found, self.log, self.late, self._newest = {}, [], {True: [], False: []}, None
+        self.began = time.monotonic()
+        tree = {"monitor": {"save_folder": str(folder / "saved")}, "diagnosis": diagnosis,
+                "simulation": {"excitation": {"motion": {**MULTISINE, "duration": 600.0}},
+                               "faults": {"dry": DRY}}}
+        self.config = folder / "config.yaml"
+        self.settings = settings_from_tree(tree, "test")
+        self.config.write_text(annotated(self.settings))
+        self.simulator = None
         node = graph.node("listener", "/eha")
         for topic in ("monitor/health", "monitor/diagnosis"):
             node.create_subscription(DiagnosticArray, topic, self._take, LATCHED)
+        node.create_subscription(DiagnosticArray, "monitor/estimates", self._take_estimates, 100)
 
-    def config(self, name, **tree):
-        path = self.folder / f"{name}.yaml"
-        path.write_text(annotated(settings_from_tree(self.tree | tree, "test")))
-        return path
+    def now(self):
+        return time.monotonic() - self.began
+
+    def start(self):
+        """Begin the motion, without friction."""
+        self.simulator = SimulatorNode(self.graph.node("simulator", "/eha"), self.settings, 1)
+
+    def friction(self, *values):
+        """From now on have each of these frictions, N, on top of what there was."""
+        plant = self.simulator._simulator
+        tree = plant.settings.model_dump()
+        tree["simulation"]["faults"] = {f"dry_{k}": {
+            **DRY, "start": start, "value": value} for k, (start, value) in enumerate(values)}
+        plant.settings = settings_from_tree(tree, "test")
 
     def _take(self, message):
-        for one in findings_of(message):
-            if one.name not in self.found or one.word != self.found[one.name].word:
-                self.log.append((time.monotonic() - self.began, one.name, one.word, one.message))
+        found = findings_of(message)
+        for one in found:
+            old = self.found.get(one.name)
+            if old is None or one.word != old.word:
+                self.log.append((self.now(), one.name, one.word, one.message))
             event = one.values.get("event")
-            if event and event not in self.said:
-                self.said.append(event)
-                self.log.append((time.monotonic() - self.began, "event", "", event))
-            self.found[one.name] = one
-        if "effect coulomb_friction" in self.found and not any(
-                one.name.startswith("effect") for one in findings_of(message)
-                ) and message.status[0].name.endswith("diagnosis"):
-            del self.found["effect coulomb_friction"]
+            if event and (old is None or old.values.get("event") != event):
+                self.log.append((self.now(), "event", "", event))
+        if found[0].name == "diagnosis":
+            self.found = {name: one for name, one in self.found.items()
+                          if not name.startswith("effect ")}
+        self.found |= {one.name: one for one in found}
 
-    def until(self, condition, timeout=PATIENCE):
-        self.graph.until(condition, timeout)
-        return time.monotonic()
+    def _take_estimates(self, message):
+        stamp = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
+        if self._newest is not None and "coulomb" not in self.said("model_in_force"):
+            rows = np.arange(self._newest + 1e-3, stamp + 5e-4, 1e-3)
+            running = self.value("diagnosis", "state") == "a diagnosis is under way"
+            self.late[running] += (1e3 * (time.time() - rows)).tolist()
+        self._newest = stamp
+
+    def until(self, condition):
+        self.graph.until(condition, 3 * PATIENCE)
+        return self.now()
 
     def word(self, name):
         return self.found[name].word if name in self.found else ""
 
+    def said(self, name):
+        return self.found[name].message if name in self.found else ""
+
+    def value(self, name, key):
+        return self.found[name].values.get(key, "") if name in self.found else ""
+
+    def became(self, name, word):
+        return self.until(lambda: self.word(name) == word)
+
     def damping(self):
-        return float(self.found["viscous_damping_high"].values["viscous_damping_Ns_per_m"])
+        return float(self.value("viscous_damping_high", "viscous_damping_Ns_per_m"))
+
+
+def once(graph, folder, adopt):
+    """Go round the ring once; returns the moments in s after the friction came, and the rest."""
+    ring = Ring(graph, folder, after=6.0, adopt=adopt, adopt_after=3.0)
+    with command("monitor", "--config", ring.config) as monitor:
+        ring.became("data", "STALE")
+        for service, words in (("adopt", "nothing to adopt"), ("revert", "nothing to take back")):
+            nothing = ring.caller.trigger(f"/eha/monitor/{service}")
+            assert not nothing.success and words in nothing.message
+        ring.start()
+        ring.became("model_mismatch", "OK")
+        plant = ring.simulator._simulator
+        since = plant.time + 0.2
+        ring.friction((since, FRICTION))
+        began = ring.until(lambda: plant.time >= since)
+        moments = {"alarm": ring.became("model_mismatch", "WARN"),
+                   "held back": ring.became("viscous_damping_high", "not judged"),
+                   "diagnosis": ring.until(lambda: "effect coulomb_friction" in ring.found)}
+        if adopt == "service":
+            answer = ring.caller.trigger("/eha/monitor/adopt")
+            assert answer.success, answer.message
+        moments["adopted"] = ring.until(
+            lambda: f"adopted by {adopt}" in ring.said("model_in_force"))
+        ring.became("model_mismatch", "OK")
+        moments["judged"] = ring.became("viscous_damping_high", "OK")
+        assert ring.damping() == pytest.approx(600, rel=0.03)
+        gone = plant.time + 0.2
+        ring.friction((since, FRICTION), (gone, -FRICTION))
+        went = ring.until(lambda: plant.time >= gone)
+        after = {"alarm": ring.became("model_mismatch", "WARN")}
+        if adopt == "service":
+            answer = ring.caller.trigger("/eha/monitor/revert")
+            assert answer.success, answer.message
+        after["reverted"] = ring.until(lambda: ring.said(
+            "model_in_force") == "the model of the config is in force")
+        ring.became("model_mismatch", "OK")
+        after["judged"] = ring.became("viscous_damping_high", "OK")
+        assert ring.damping() == pytest.approx(600, rel=0.03)
+        summary = end(monitor)
+    assert "lost messages 0, missing samples 0" in summary, summary
+    return ring, {key: at - began for key, at in moments.items()}, {
+        f"gone, {key}": at - went for key, at in after.items()}, summary
+
+
+def told(ring, moments, after, summary):
+    """Print what was measured."""
+    print()
+    for at, *what in ring.log:
+        if what[0] in ("event", "model_mismatch", "viscous_damping_high"):
+            print(f"{at:6.1f} s", *what)
+    print(", ".join(f"{key} {at:.1f} s" for key, at in (moments | after).items()))
+    for running, late in ring.late.items():
+        if late:
+            p50, p99 = np.percentile(late, (50, 99))
+            print(f"diagnosis running {running}: p50 {p50:.0f} ms, p99 {p99:.0f} ms, "
+                  f"largest {max(late):.0f} ms, {len(late)} rows")
+    print(summary)
 
 
 def test_an_effect_is_found_adopted_and_taken_back(graph, tmp_path):
-    ring = Ring(graph, tmp_path, diagnosis={"after": 6.0})
-    monitor_config = ring.config("monitor")
-    try:
-        with command("monitor", "--config", monitor_config) as monitor:
-            ring.until(lambda: "model_in_force" in ring.found and "data" in ring.found)
-            nothing = ring.caller.trigger("/eha/monitor/adopt")
-            assert not nothing.success and "nothing to adopt" in nothing.message
-            nothing = ring.caller.trigger("/eha/monitor/revert")
-            assert not nothing.success and "nothing to take back" in nothing.message
-            with command("simulator", "--config", ring.config(
-                    "faulty", simulation=MOTION | FAULT)) as simulator:
-                ring.until(lambda: ring.word("model_mismatch") == "OK")
-                ring.until(lambda: ring.word("model_mismatch") == "WARN")
-                ring.until(lambda: ring.word("viscous_damping_high") == "not judged")
-                ring.until(lambda: "effect coulomb_friction" in ring.found)
-                adopted = ring.caller.trigger("/eha/monitor/adopt")
-                assert adopted.success, adopted.message
-                ring.until(lambda: ring.word("model_mismatch") == "OK")
-                ring.until(lambda: ring.word("viscous_damping_high") == "OK")
-                assert ring.damping() == pytest.approx(600, rel=0.03)
-                end(simulator)
-            with command("simulator", "--config", ring.config("healthy", simulation=MOTION)) as simulator:
-                ring.until(lambda: ring.word("model_mismatch") == "WARN")
-                reverted = ring.caller.trigger("/eha/monitor/revert")
-                assert reverted.success, reverted.message
-                ring.until(lambda: ring.word("model_mismatch") == "OK")
-                ring.until(lambda: ring.word("viscous_damping_high") == "OK")
-                end(simulator)
-            print(end(monitor))
-    finally:
-        for at, *what in ring.log:
-            print(f"{at:6.1f}", *what)
+    told(*once(graph, tmp_path, "service"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("adopt", ["automatic"] * 5 + ["service"] * 5)
+def test_the_ring_ten_times(graph, tmp_path, adopt):
+    begun = time.monotonic()
+    told(*once(graph, tmp_path, adopt))
+    assert time.monotonic() - begun < 120
 
 
 def live(graph, folder, **diagnosis):
