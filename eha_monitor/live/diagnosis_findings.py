@@ -1,13 +1,13 @@
 """What ``monitor/diagnosis`` says: the answer of a diagnosis, and the model in force."""
 
 from eha_monitor.health.alarms import WATCHED
-from eha_monitor.health.judge import Finding
+from eha_monitor.health.judge import DIAGNOSIS, MODEL_IN_FORCE, Finding
 from eha_monitor.live.diagnosing import Answer
 from eha_monitor.live.exchange import Adopted
 from eha_monitor.quantity import with_uncertainty
 from eha_monitor.words import listed
 
-DIAGNOSIS, MODEL_IN_FORCE, EFFECT = "diagnosis", "model_in_force", "effect "
+EFFECT = "effect "
 _LEVELS = {"consistent": "OK", "mismatch": "WARN", "unexplained": "WARN"}
 
 
