@@ -2,15 +2,19 @@
 
 import signal
 import time
+from dataclasses import replace
+from datetime import datetime
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from rig_tools import MULTISINE
+from rig_tools import MULTISINE, simulated
 from ros_tools import Caller, listen, start
 from std_srvs.srv import Trigger
 from test_ros_processes import PATIENCE, command, end
 
+from eha_monitor.balances.machine import machine_of, save
+from eha_monitor.cli import main
 from eha_monitor.live.exchange import Adopted, model_of
 from eha_monitor.ros.messages import findings_of
 from eha_monitor.ros.qos import LATCHED
@@ -32,14 +36,14 @@ class Ring:
         diagnosis runs (True) or not (False).
     """
 
-    def __init__(self, graph, folder, **diagnosis):
+    def __init__(self, graph, folder, fault=DRY, **diagnosis):
         self.graph, self.folder = graph, folder
         self.caller = Caller(graph, PATIENCE)
         self.found, self.log, self.late, self._newest = {}, [], {True: [], False: []}, None
         self.began = time.monotonic()
         tree = {"monitor": {"save_folder": str(folder / "saved")}, "diagnosis": diagnosis,
                 "simulation": {"excitation": {"motion": {**MULTISINE, "duration": 600.0}},
-                               "faults": {"dry": DRY}}}
+                               "faults": {"fault": fault}}}
         self.config = folder / "config.yaml"
         self.settings = settings_from_tree(tree, "test")
         self.config.write_text(annotated(self.settings))
@@ -56,12 +60,13 @@ class Ring:
         """Begin the motion, without friction."""
         self.simulator = SimulatorNode(self.graph.node("simulator", "/eha"), self.settings, 1)
 
-    def friction(self, *values):
-        """From now on have each of these frictions, N, on top of what there was."""
+    def fault(self, *values):
+        """Have the fault at each of these times (s, value), one upon another."""
         plant = self.simulator._simulator
         tree = plant.settings.model_dump()
-        tree["simulation"]["faults"] = {f"dry_{k}": {
-            **DRY, "start": start, "value": value} for k, (start, value) in enumerate(values)}
+        one = tree["simulation"]["faults"].popitem()[1]
+        tree["simulation"]["faults"] = {f"fault_{k}": {
+            **one, "start": start, "value": value} for k, (start, value) in enumerate(values)}
         plant.settings = settings_from_tree(tree, "test")
 
     def _take(self, message):
@@ -87,7 +92,11 @@ class Ring:
         self._newest = stamp
 
     def until(self, condition):
-        self.graph.until(condition, 3 * PATIENCE)
+        try:
+            self.graph.until(condition, PATIENCE)
+        except AssertionError:
+            told(self)
+            raise
         return self.now()
 
     def word(self, name):
@@ -118,7 +127,7 @@ def once(graph, folder, adopt):
         ring.became("model_mismatch", "OK")
         plant = ring.simulator._simulator
         since = plant.time + 0.2
-        ring.friction((since, FRICTION))
+        ring.fault((since, FRICTION))
         began = ring.until(lambda: plant.time >= since)
         moments = {"alarm": ring.became("model_mismatch", "WARN"),
                    "held back": ring.became("viscous_damping_high", "not judged"),
@@ -132,7 +141,7 @@ def once(graph, folder, adopt):
         moments["judged"] = ring.became("viscous_damping_high", "OK")
         assert ring.damping() == pytest.approx(600, rel=0.03)
         gone = plant.time + 0.2
-        ring.friction((since, FRICTION), (gone, -FRICTION))
+        ring.fault((since, FRICTION), (gone, -FRICTION))
         went = ring.until(lambda: plant.time >= gone)
         after = {"alarm": ring.became("model_mismatch", "WARN")}
         if adopt == "service":
@@ -149,13 +158,13 @@ def once(graph, folder, adopt):
         f"gone, {key}": at - went for key, at in after.items()}, summary
 
 
-def told(ring, moments, after, summary):
+def told(ring, moments=None, after=None, summary=""):
     """Print what was measured."""
     print()
     for at, *what in ring.log:
-        if what[0] in ("event", "model_mismatch", "viscous_damping_high"):
+        if what[0] in ("event", "model_mismatch", "viscous_damping_high", "machine"):
             print(f"{at:6.1f} s", *what)
-    print(", ".join(f"{key} {at:.1f} s" for key, at in (moments | after).items()))
+    print(", ".join(f"{key} {at:.1f} s" for key, at in ((moments or {}) | (after or {})).items()))
     for running, late in ring.late.items():
         if late:
             p50, p99 = np.percentile(late, (50, 99))
@@ -174,6 +183,52 @@ def test_the_ring_ten_times(graph, tmp_path, adopt):
     begun = time.monotonic()
     told(*once(graph, tmp_path, adopt))
     assert time.monotonic() - begun < 120
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory):
+    """The file of a healthy machine of three recordings."""
+    path = tmp_path_factory.mktemp("machine") / "machine.json"
+    healthy = simulated(MULTISINE, 10.0)
+    save(machine_of([replace(healthy.recording(seed), source=f"healthy {seed}")
+                     for seed in range(3)], healthy.config), path)
+    return path
+
+
+def test_a_change_from_the_healthy_machine_is_told_with_its_time(graph, tmp_path, machine):
+    worn = {"parameter": "viscous_damping", "start": 1e6, "value": 800.0}
+    ring = Ring(graph, tmp_path, worn, after=6.0)
+    with command("monitor", "--config", ring.config, "--machine", machine) as monitor:
+        ring.became("data", "STALE")
+        ring.start()
+        ring.became("machine", "OK")
+        assert "nothing has changed" in ring.said("machine")
+        plant = ring.simulator._simulator
+        at = plant.time + 0.2
+        ring.fault((at, 800.0))
+        ring.until(lambda: plant.time >= at)
+        moment = time.time()
+        ring.became("machine", "WARN")
+        assert ring.value("machine", "why") == "B moved"
+        since = datetime.fromisoformat(ring.value("machine", "since_utc")).timestamp()
+        assert moment - 2.0 < since < moment + 5.0
+        changed = ring.found["changed B"].values
+        assert float(changed["healthy"]) == pytest.approx(600, rel=0.01)
+        assert float(changed["now"]) == pytest.approx(800, rel=0.02)
+        assert float(changed["change_percent"]) == pytest.approx(33, abs=3)
+        assert ring.word("model_mismatch") == "OK"
+        end(monitor)
+    kept = {path.name for path in (tmp_path / "saved").iterdir()}
+    assert len(kept) == 2  # that of the change, and its report; what had not changed is gone
+
+
+def test_a_machine_of_another_rig_is_refused(machine, tmp_path, capfd):
+    config = tmp_path / "config.yaml"
+    config.write_text("rig: {name: press}")
+    assert main(["monitor", "--config", str(config), "--machine", str(machine)]) == 2
+    said = capfd.readouterr().err
+    assert "the machine of the rig eha, expected that of press" in said
+    assert "Traceback" not in said
 
 
 def live(graph, folder, **diagnosis):

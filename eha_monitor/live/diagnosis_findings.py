@@ -1,7 +1,7 @@
 """What ``monitor/diagnosis`` says: the answer of a diagnosis, and the model in force."""
 
 from eha_monitor.health.alarms import WATCHED
-from eha_monitor.health.judge import DIAGNOSIS, MODEL_IN_FORCE, Finding
+from eha_monitor.health.judge import DIAGNOSIS, MACHINE, MODEL_IN_FORCE, Finding
 from eha_monitor.live.diagnosing import Answer
 from eha_monitor.live.exchange import Adopted
 from eha_monitor.quantity import with_uncertainty
@@ -66,6 +66,43 @@ def answer_findings(answer: Answer | None) -> list[Finding]:
     for one in tree.get("learned", []):
         found.append(Finding(f"learned {one['balance']}", "WARN", one["statement"]))
     found += _parameters(tree)
+    return found
+
+
+def comparison_findings(answer: Answer | None, since: str, healthy: int, why: str = ""
+                        ) -> list[Finding]:
+    """Return what has changed from the healthy recordings, and the indicators of health.
+
+    Parameters
+    ----------
+    answer : of a comparison, None before the first.
+    since : from when on the compared rows are, ISO 8601.
+    healthy : number of healthy recordings.
+    why : what moved then.
+    """
+    if answer is None:
+        return [Finding(MACHINE, "STALE", f"not yet compared with {healthy} healthy recordings")]
+    tree, values = answer.tree, {"since_utc": since, "why": why, "verdict": answer.verdict}
+    if answer.verdict == "consistent":
+        found = [Finding(MACHINE, "OK", tree["message"], values)]
+    else:
+        found = [Finding(MACHINE, "WARN", f"changed since {since} ({why}): {tree['message']}",
+                         values | {"bag": str(answer.bags[0]),
+                                   "report": str(answer.folder / "report.html")})]
+    for one in tree["changes"]:
+        before, now = one["reference"]["value"], one["now"]["value"]
+        found.append(Finding(
+            f"changed {one['what']}", "WARN", f"{one['statement']}, since {since}",
+            _number("healthy", one["reference"]) | _number("now", one["now"])
+            | {"unit": one["unit"], "since_utc": since}
+            | ({"change_percent": 100.0 * (now / before - 1.0)} if before and now and abs(
+                before) > 3.0 * (one["reference"]["stddev"] or 0.0) else {})))
+    found += [Finding(f"indicator {one['name']}", "OK",
+                      f"{one['words']} {with_uncertainty(one['value'], one['stddev'], '')} "
+                      f"{one['unit']}",
+                      _number("value", one) | {"unit": one["unit"]})
+              for one in tree["indicators"]
+              if one.get("value") is not None and one.get("stddev") is not None]
     return found
 
 

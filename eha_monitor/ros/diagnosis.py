@@ -6,7 +6,7 @@ so its answer replaces an adopted model, and ``consistent`` means that the confi
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,13 +16,14 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from eha_monitor.errors import InputError
-from eha_monitor.estimation.results import ModelStatus
+from eha_monitor.estimation.results import ModelStatus, ParameterEstimate
 from eha_monitor.health.judge import Finding
 from eha_monitor.live.diagnosing import Answer, Diagnosing
 from eha_monitor.live.diagnosis_findings import answer_findings, effects_in_words, model_finding
 from eha_monitor.live.exchange import Adopted, Candidate, adopted_before, model_of
 from eha_monitor.live.ingest import Columns
 from eha_monitor.recordings.ring import Saved, plain_name
+from eha_monitor.ros.comparison import Comparison
 from eha_monitor.ros.keeper import Keeper, LateTrigger
 from eha_monitor.settings import Settings
 
@@ -65,6 +66,8 @@ class SelfDiagnosis:
         self._target: Adopted | None = None  # of the exchange that is under way
         self._gate = False
         self._events, self._last_event = 0, {}
+        self._comparison = Comparison(settings, keeper, self._tell, self._log_ns) if (
+            settings.diagnosis.machine and keeper.ring is not None) else None
         self._began_anew()
         self._services = {name: LateTrigger(node, f"monitor/{name}", begin) for name, begin in (
             ("diagnose", self._on_diagnose), ("adopt", self._on_adopt),
@@ -85,6 +88,8 @@ class SelfDiagnosis:
         self._now_s = 0.0
         self._moments: deque[tuple[float, int]] = deque(maxlen=6000)  # row's time, log time in ns
         self._over()
+        if self._comparison is not None:
+            self._comparison.reset()
 
     def _over(self) -> None:
         """The model fits: what comes next is another mismatch."""
@@ -104,10 +109,13 @@ class SelfDiagnosis:
         self._settings = settings
         return self.in_force
 
-    def note(self, model: ModelStatus, now_s: float) -> None:
+    def note(self, model: ModelStatus, parameters: Mapping[str, ParameterEstimate], now_s: float
+             ) -> None:
         """Take the test of the model at ``now_s``; begin a diagnosis if that is due."""
         self._now_s = now_s
         self._moments.append((now_s, time.time_ns()))
+        if self._comparison is not None:
+            self._comparison.note(model, parameters, now_s)
         if not model.mismatches:
             if model.status == "consistent":
                 self._over()
@@ -157,6 +165,8 @@ class SelfDiagnosis:
         """End what is under way."""
         if self._running is not None:
             self._running.end()
+        if self._comparison is not None:
+            self._comparison.stop()
         self._running, self._saving, self._coming = None, False, None
         for service in self._services.values():
             service.take_up()
@@ -173,7 +183,8 @@ class SelfDiagnosis:
 
     @property
     def _busy(self) -> bool:
-        return self._saving or self._running is not None or self._coming is not None
+        return (self._saving or self._running is not None or self._coming is not None
+                or (self._comparison is not None and self._comparison.busy))
 
     def _on_diagnose(self) -> str | None:
         if self._keeper.ring is None:
@@ -187,10 +198,14 @@ class SelfDiagnosis:
         """Save what has come since the mismatch began, or all there is; then diagnose it."""
         self._by, self._saving = by, True
         self._tries += 1
-        since_ns = self._same[-1][1] + 1 if self._same else 0 if self._since_s is None else next(
-            (log_ns for row_s, log_ns in self._moments if row_s >= self._since_s), 0)
+        since_ns = self._same[-1][1] + 1 if self._same else (
+            0 if self._since_s is None else self._log_ns(self._since_s))
         self._tell(f"diagnosis begun by {by}")
         self._keeper.save_since(since_ns, self._saved)
+
+    def _log_ns(self, row_s: float) -> int:
+        """Return the log time, ns, at which a row's time, s, had come; 0 where it is long ago."""
+        return next((log_ns for known_s, log_ns in self._moments if known_s >= row_s), 0)
 
     def _saved(self, bag: Saved) -> None:
         if not self._saving:
@@ -214,6 +229,11 @@ class SelfDiagnosis:
         if answer is not None:
             self._running = None
             self._ended(answer)
+        if self._comparison is not None:
+            if self._comparison.poll():
+                self._say()
+            if not self._busy:
+                self._comparison.begin_if_due(self._now_s)
 
     def _ended(self, answer: Answer) -> None:
         """Tell what came of a diagnosis; an answer of before stands where there is none."""
@@ -319,7 +339,10 @@ class SelfDiagnosis:
             return f"{self._name()} is {'on trial' if self._gate else 'being put in force'}"
         if self._saving:
             return "the recording is being saved"
-        return "a diagnosis is under way" if self._running is not None else "idle"
+        if self._running is not None:
+            return "a diagnosis is under way"
+        return "idle" if self._comparison is None or not self._comparison.busy else (
+            "a comparison with the healthy machine is under way")
 
     def _tell(self, text: str, level: str = "OK") -> None:
         """Log an event and publish it."""
@@ -336,4 +359,5 @@ class SelfDiagnosis:
         head, *rest = answer_findings(self._answer)
         head = replace(head, values=head.values | {
             "state": self._state(), "by": self._by, **self._last_event})
-        self._publish([head, model_finding(self.adopted), *rest])
+        compared = self._comparison.findings if self._comparison is not None else []
+        self._publish([head, model_finding(self.adopted), *rest, *compared])

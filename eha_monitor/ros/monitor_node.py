@@ -11,6 +11,7 @@ from rclpy.node import Node
 from rclpy.timer import Timer
 from std_srvs.srv import Trigger
 
+from eha_monitor.errors import InputError
 from eha_monitor.estimation.results import Event, ModelStatus, ParameterEstimate
 from eha_monitor.health.alarms import Alarm, AlarmBoard
 from eha_monitor.health.overload import BEHIND_S, LatencyMeter, ProcessorMeter
@@ -69,8 +70,13 @@ class Monitor:
                           for channel, _ in e.channels}
         self.keeper = Keeper(node, settings, self._tell_of_bag)
         self._outputs = Outputs(node, self.keeper, settings)
-        self.diagnosis = SelfDiagnosis(node, settings, self.keeper, self._outputs.diagnosis,
-                                       self._candidate, self._exchange)
+        try:
+            self.diagnosis = SelfDiagnosis(node, settings, self.keeper, self._outputs.diagnosis,
+                                           self._candidate, self._exchange)
+        except InputError:
+            self.keeper.close()
+            self._outputs.close()
+            raise
         self.settings = self.diagnosis.in_force
         self._estimator = estimator_factory(self.settings)
         self._reset_service = node.create_service(Trigger, "monitor/reset", self._on_reset)
@@ -279,7 +285,7 @@ class Monitor:
         for event in snapshot.events:
             self._events[event.stage] = event
             self.node.get_logger().info(f"stage {event.stage}: {event.message}")
-        self.diagnosis.note(self._model, self._seconds())
+        self.diagnosis.note(self._model, snapshot.parameters, self._seconds())
         self._note_diverged(snapshot.parameters)
         parameters = {}
         for symbol, estimate in snapshot.parameters.items():

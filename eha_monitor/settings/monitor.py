@@ -241,6 +241,9 @@ class Diagnosis(Section):
                           gt=0.5, le=1) = 0.95
     adopt_after: Si("s", "duration of the rows, not seen by the diagnosis, that a model must fit "
                          "before it is adopted by itself", ge=2, le=3600) = 60.0
+    machine: str = Field("", description="file of the healthy machine, as diagnose --machine "
+                                         "writes it of several recordings, with which the monitor "
+                                         "compares; empty: none")
 
 
 class Settings(Section):
