@@ -1,9 +1,13 @@
 """The whole ring over DDS on loopback: an effect comes, is diagnosed, adopted, and goes again."""
 
+import os
 import signal
+import subprocess
+import sys
 import time
 from dataclasses import replace
 from datetime import datetime
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rig_tools import MULTISINE, simulated
 from ros_tools import Caller, listen, start
 from std_srvs.srv import Trigger
-from test_ros_processes import PATIENCE, command, end
+from test_ros_processes import PATIENCE, REPOSITORY, command, end
 
 from eha_monitor.balances.machine import machine_of, save
 from eha_monitor.cli import main
@@ -85,7 +89,7 @@ class Ring:
 
     def _take_estimates(self, message):
         stamp = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
-        if self._newest is not None and "coulomb" not in self.said("model_in_force"):
+        if self._newest is not None and not self.value("model_in_force", "who"):
             rows = np.arange(self._newest + 1e-3, stamp + 5e-4, 1e-3)
             running = self.value("diagnosis", "state") == "a diagnosis is under way"
             self.late[running] += (1e3 * (time.time() - rows)).tolist()
@@ -183,6 +187,31 @@ def test_the_ring_ten_times(graph, tmp_path, adopt):
     begun = time.monotonic()
     told(*once(graph, tmp_path, adopt))
     assert time.monotonic() - begun < 120
+
+
+@pytest.mark.slow
+def test_no_row_is_late_because_of_a_diagnosis(graph, tmp_path):
+    """The same mismatch without and with a diagnosis, in turn: latencies, and rows lost."""
+    ring = Ring(graph, tmp_path, start="service")
+    with command("monitor", "--config", ring.config) as monitor:
+        ring.became("data", "STALE")
+        ring.start()
+        ring.became("model_mismatch", "OK")
+        ring.fault((ring.simulator._simulator.time, FRICTION))
+        ring.became("model_mismatch", "WARN")
+        settled = ring.simulator.samples + 20_000
+        ring.until(lambda: ring.simulator.samples > settled)
+        ring.late = {True: [], False: []}
+        for turn in range(1, 4):
+            ring.until(lambda turn=turn: len(ring.late[False]) > 15_000 * turn)
+            answer = ring.caller.trigger("/eha/monitor/diagnose")
+            assert answer.success and "Coulomb friction of" in answer.message, answer.message
+        told(ring)
+        summary = end(monitor)
+    print(summary)
+    assert "lost messages 0, missing samples 0" in summary, summary
+    without, with_it = (np.percentile(ring.late[running], 99) for running in (False, True))
+    assert with_it < 2.0 * without
 
 
 @pytest.fixture(scope="module")
@@ -292,6 +321,26 @@ def test_a_diagnosis_ends_with_its_monitor(graph, tmp_path):
     assert process.returncode == -signal.SIGKILL
     graph.until(future.done)
     assert "has stopped" in future.result().message
+
+
+KILLED = """
+import sys, time
+from pathlib import Path
+from eha_monitor.live.diagnosing import Diagnosing
+from eha_monitor.settings import Settings
+print(Diagnosing([Path("bags/air_ingress")], Settings(), Path(sys.argv[1]))._process.pid, flush=True)
+time.sleep(600)
+"""
+
+
+def test_a_diagnosis_ends_with_a_monitor_that_is_killed(graph, tmp_path):
+    with subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path)], cwd=REPOSITORY,
+                          env={**os.environ, "PYTHONPATH": str(REPOSITORY)}, text=True,
+                          stdout=subprocess.PIPE) as process:
+        running = Path("/proc", process.stdout.readline().strip(), "status")
+        graph.until(lambda: "eha_monitor.limited" in running.with_name("cmdline").read_text())
+        process.kill()
+    graph.until(lambda: not running.exists() or "State:\tZ" in running.read_text())
 
 
 def test_what_was_adopted_is_there_after_a_restart_and_only_for_the_same_config(graph, tmp_path):

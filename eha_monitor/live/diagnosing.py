@@ -6,13 +6,13 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from eha_monitor.errors import InputError
-from eha_monitor.output import write_text
 from eha_monitor.settings.document import annotated
 from eha_monitor.settings.load import load_settings
 from eha_monitor.settings.monitor import Settings
@@ -80,54 +80,69 @@ class Diagnosing:
 
     def __init__(self, bags: Sequence[Path], settings: Settings, folder: Path,
                  further: Sequence[str] = ()):
-        self._budget, self._folder, self._bags = settings.diagnosis, folder, tuple(bags)
+        self._budget, self._folder = settings.diagnosis, folder.absolute()
+        self._bags = tuple(bag.absolute() for bag in bags)
+        config, self._log = self._folder / "config.yaml", self._folder / "diagnose.log"
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            self._folder.mkdir(parents=True, exist_ok=True)
+            config.write_text(annotated(settings, "The config of the monitor."), encoding="utf-8")
+            log = self._log.open("wb")
         except OSError as problem:
             raise InputError(f"{folder}: cannot write: {problem.strerror}") from problem
-        write_text(folder / "config.yaml", annotated(settings, "The config in force."))
-        budget = (settings.diagnosis.niceness, math.ceil(settings.diagnosis.processor_time),
-                  round(1e9 * settings.diagnosis.memory_gigabytes))
-        self._log = folder / "diagnose.log"
+        budget = (self._budget.niceness, math.ceil(self._budget.processor_time),
+                  round(1e9 * self._budget.memory_gigabytes))
         self._started = time.monotonic()
-        with self._log.open("wb") as log:
+        with log:
+            # By this thread: the process ends with the thread that began it.
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "eha_monitor.limited", *map(str, budget), "diagnose",
-                 *map(str, bags), "--config", str(folder / "config.yaml"),
-                 "--json", str(folder / "diagnosis.json"),
-                 "--report", str(folder / "report.html"),
-                 "--write-config", str(folder / "completed.yaml"), *further],
+                 *map(str, self._bags), "--config", str(config),
+                 "--json", str(self._folder / "diagnosis.json"),
+                 "--report", str(self._folder / "report.html"),
+                 "--write-config", str(self._folder / "completed.yaml"), *further],
                 env=os.environ | {"PYTHONPATH": os.pathsep.join(
                     [str(PACKAGE.parent), *filter(None, [os.environ.get("PYTHONPATH")])])},
                 stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=log)
+        self._answer: Answer | None = None
+        # To read the answer takes a tenth of a second: rows must not wait for it.
+        self._reader = threading.Thread(target=self._read, daemon=True, name="diagnosis")
+        self._reader.start()
 
     def take(self) -> Answer | None:
         """Return the answer once there is one."""
-        status = self._process.poll()
-        wall = time.monotonic() - self._started
-        if status is None:
-            if wall > WALL * self._budget.processor_time:
-                self.end()
-                return self._failed(f"had not ended after {wall:.0f} s", wall)
-            return None
-        if status:
-            return self._failed(self._why(status), wall)
-        try:
-            tree = json.loads((self._folder / "diagnosis.json").read_text(encoding="utf-8"))
-            completed = load_settings(self._folder / "completed.yaml") if tree["verdict"] in (
-                "mismatch", "unexplained") else None
-        except (OSError, ValueError, InputError) as problem:
-            return self._failed(str(problem), wall)
-        return Answer("", self._folder, self._bags, tree, completed, wall)
+        return self._answer
 
     def end(self) -> None:
         """End the process, if it still runs."""
         self._process.kill()
-        self._process.wait()
+        self._reader.join()
 
-    def _failed(self, why: str, wall: float) -> Answer:
+    def _read(self) -> None:
+        """Wait for the process and read what it wrote."""
+        longest = WALL * self._budget.processor_time
+        try:
+            status = self._process.wait(longest)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+            self._answer = self._failed(f"had not ended after {longest:.0f} s")
+            return
+        if status:
+            self._answer = self._failed(self._why(status))
+            return
+        try:
+            tree = json.loads((self._folder / "diagnosis.json").read_text(encoding="utf-8"))
+            completed = load_settings(self._folder / "completed.yaml") if tree["verdict"] in (
+                "mismatch", "unexplained") else None
+        except (OSError, ValueError, KeyError, InputError) as problem:
+            self._answer = self._failed(f"left no answer: {problem}")
+            return
+        self._answer = Answer("", self._folder, self._bags, tree, completed,
+                              time.monotonic() - self._started)
+
+    def _failed(self, why: str) -> Answer:
         return Answer(f"the diagnosis of {self._bags[0]} {why}", self._folder, self._bags,
-                      wall_s=wall)
+                      wall_s=time.monotonic() - self._started)
 
     def _why(self, status: int) -> str:
         """Return why it ended without an answer, as the end of a sentence."""

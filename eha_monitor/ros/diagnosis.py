@@ -94,7 +94,7 @@ class SelfDiagnosis:
     def _over(self) -> None:
         """The model fits: what comes next is another mismatch."""
         self._since_s: float | None = None
-        self._tries = 0
+        self._tries, self._explained = 0, False
         self._same: list[tuple[Path, int]] = []  # bags of this mismatch, and where each ends, ns
 
     # ---- what the monitor tells -----------------------------------------------------------------
@@ -125,7 +125,7 @@ class SelfDiagnosis:
         wanted = self._settings.diagnosis
         wait = min(wanted.after * 2**self._tries, LONGEST_S)
         if (wanted.start == AUTOMATIC and now_s - self._since_s >= wait
-                and self._keeper.ring is not None and not self._busy):
+                and not self._explained and self._keeper.ring is not None and not self._busy):
             self._begin(AUTOMATIC)
 
     def push(self, times: np.ndarray, columns: Columns) -> None:
@@ -241,13 +241,15 @@ class SelfDiagnosis:
             self._tell(answer.problem, "WARN")
         else:
             self._answer = answer
+            self._explained = self._since_s is not None and self._adoptable() is None
             self._tell(f"diagnosed {', '.join(map(str, answer.bags))} in {answer.wall_s:.0f} s: "
                        f"{answer.verdict}: {answer.tree.get('message', '')}")
         service = self._services["diagnose"]
         service.take_up()
         service.answer(not answer.problem, answer.problem or (
             f"{answer.verdict}: {answer.tree.get('message', '')}; {answer.folder}"))
-        if not answer.problem and self._settings.diagnosis.adopt == AUTOMATIC:
+        if (not answer.problem and self._settings.diagnosis.adopt == AUTOMATIC
+                and self._coming is None):
             self._consider(answer)
 
     # ---- adopting -------------------------------------------------------------------------------
@@ -271,7 +273,7 @@ class SelfDiagnosis:
         return None
 
     def _on_adopt(self) -> str | None:
-        refused = f"{self._state()}: expected none" if self._busy else self._adoptable()
+        refused = self._exchanging() or self._adoptable()
         if refused is None:
             self._try(self._answer, SERVICE)
         return refused
@@ -279,12 +281,17 @@ class SelfDiagnosis:
     def _on_revert(self) -> str | None:
         if self._coming is not None and self._gate:
             self._refuse("monitor/revert was called")  # a trial is ended by it too
-        elif self._busy:
-            return f"{self._state()}: expected none"
-        if self.adopted is None:
-            return "nothing to take back: the model of the config is in force"
+        refused = self._exchanging()
+        if refused is None and self.adopted is None:
+            refused = "nothing to take back: the model of the config is in force"
+        if refused is not None:
+            return refused
         self._try(None, SERVICE)
         return None
+
+    def _exchanging(self) -> str | None:
+        """Return that the model is being exchanged, if so; a diagnosis may be under way."""
+        return None if self._coming is None else f"{self._state()}: expected none"
 
     def _try(self, answer: Answer | None, by: str) -> None:
         """Begin to exchange the model: for that of an answer, or back for that of the config."""
@@ -305,7 +312,7 @@ class SelfDiagnosis:
             f"the model with {self._target.words}")
 
     def _refuse(self, why: str) -> None:
-        self._coming = None
+        self._coming, self._explained = None, False
         self._tell(f"{self._name()} is not adopted: {why}", "WARN")
 
     def _take_over(self) -> None:
