@@ -328,7 +328,8 @@ import sys, time
 from pathlib import Path
 from eha_monitor.live.diagnosing import Diagnosing
 from eha_monitor.settings import Settings
-print(Diagnosing([Path("bags/air_ingress")], Settings(), Path(sys.argv[1]))._process.pid, flush=True)
+made = Diagnosing([Path("bags/air_ingress")], Settings(), Path(sys.argv[1]))
+print(made._process.pid, flush=True)
 time.sleep(600)
 """
 

@@ -89,7 +89,7 @@ class Diagnosing:
             log = self._log.open("wb")
         except OSError as problem:
             raise InputError(f"{folder}: cannot write: {problem.strerror}") from problem
-        budget = (self._budget.niceness, math.ceil(self._budget.processor_time),
+        budget = (os.getpid(), self._budget.niceness, math.ceil(self._budget.processor_time),
                   round(1e9 * self._budget.memory_gigabytes))
         self._started = time.monotonic()
         with log:
