@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +21,33 @@ from eha_monitor.settings.monitor import Settings
 PACKAGE = Path(__file__).parents[1]
 WALL = 10.0  # times its processor time: then it hangs
 _NO_MEMORY = ("MemoryError", "Memory allocation", "Cannot allocate memory")
+
+
+class Turn:
+    """Whose diagnosis is under way: one at a time in a process, for all its actuators.
+
+    Whoever is collected without giving it back holds it no longer.
+    """
+
+    def __init__(self):
+        self._holder: weakref.ref | None = None
+
+    @property
+    def holder(self) -> object | None:
+        """Who has it, None where it is free."""
+        return None if self._holder is None else self._holder()
+
+    def take(self, whose: object) -> None:
+        """Take it; to be asked for first."""
+        self._holder = weakref.ref(whose)
+
+    def give_back(self, whose: object) -> None:
+        """Give it back, if it was taken."""
+        if self.holder is whose:
+            self._holder = None
+
+
+TURN = Turn()
 
 
 @dataclass(frozen=True)

@@ -69,8 +69,8 @@ def answer_findings(answer: Answer | None) -> list[Finding]:
     return found
 
 
-def comparison_findings(answer: Answer | None, since: str, healthy: int, why: str = ""
-                        ) -> list[Finding]:
+def comparison_findings(answer: Answer | None, since: str, healthy: int, why: str = "",
+                        kept: bool = False) -> list[Finding]:
     """Return what has changed from the healthy recordings, and the indicators of health.
 
     Parameters
@@ -79,20 +79,23 @@ def comparison_findings(answer: Answer | None, since: str, healthy: int, why: st
     since : from when on the compared rows are, ISO 8601.
     healthy : number of healthy recordings.
     why : what moved then.
+    kept : whether its recording and its report are.
     """
     if answer is None:
         return [Finding(MACHINE, "STALE", f"not yet compared with {healthy} healthy recordings")]
     tree, values = answer.tree, {"since_utc": since, "why": why, "verdict": answer.verdict}
+    if kept:
+        values |= {"bag": str(answer.bags[0]), "report": str(answer.folder / "report.html")}
     if answer.verdict == "consistent":
         found = [Finding(MACHINE, "OK", tree["message"], values)]
     else:
         found = [Finding(MACHINE, "WARN", f"changed since {since} ({why}): {tree['message']}",
-                         values | {"bag": str(answer.bags[0]),
-                                   "report": str(answer.folder / "report.html")})]
+                         values)]
     for one in tree["changes"]:
         before, now = one["reference"]["value"], one["now"]["value"]
         found.append(Finding(
-            f"changed {one['what']}", "WARN", f"{one['statement']}, since {since}",
+            f"changed {one['what']} {one['parameter']}".strip(), "WARN",
+            f"{one['statement']}, since {since}",
             _number("healthy", one["reference"]) | _number("now", one["now"])
             | {"unit": one["unit"], "since_utc": since}
             | ({"change_percent": 100.0 * (now / before - 1.0)} if before and now and abs(

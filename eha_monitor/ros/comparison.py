@@ -9,7 +9,7 @@ from eha_monitor.errors import InputError
 from eha_monitor.estimation.model_watch import MOVED
 from eha_monitor.estimation.results import ModelStatus, ParameterEstimate
 from eha_monitor.health.judge import Finding
-from eha_monitor.live.diagnosing import Answer, Diagnosing
+from eha_monitor.live.diagnosing import TURN, Answer, Diagnosing
 from eha_monitor.live.diagnosis_findings import comparison_findings
 from eha_monitor.recordings.ring import Saved
 from eha_monitor.ros.keeper import Keeper
@@ -53,6 +53,7 @@ class Comparison:
         self._healthy = len(known.sources)
         self._running: Diagnosing | None = None
         self._saving = False
+        self._compared = (0.0, 0, "")  # as what was due
         self._changed: set[str] = set()
         self.reset()
 
@@ -64,15 +65,10 @@ class Comparison:
         self._fits: bool | None = None
         self._values: dict[str, float] = {}
 
-    @property
-    def busy(self) -> bool:
-        """Whether a comparison is under way."""
-        return self._saving or self._running is not None
-
     def note(self, model: ModelStatus, parameters: Mapping[str, ParameterEstimate], now_s: float
              ) -> None:
         """Look whether something has moved since the comparison before."""
-        if model.status not in ("consistent", "mismatch") or self._due is not None or self.busy:
+        if model.status not in ("consistent", "mismatch") or self._due is not None:
             return
         fits, known = not model.mismatches, {
             name: one.value for name, one in parameters.items() if one.status == "converged"}
@@ -93,7 +89,8 @@ class Comparison:
         """Save what came since something moved, once that is enough, and compare it."""
         enough = self._settings.diagnosis.after * (2.0 if self._again else 1.0)
         if self._due is not None and now_s - self._due[0] >= enough:
-            self._saving, self._last_s = True, now_s
+            TURN.take(self)
+            self._saving, self._last_s, self._compared = True, now_s, self._due
             self._keeper.save_since(self._due[1], self._saved)
 
     def _saved(self, bag: Saved) -> None:
@@ -107,6 +104,7 @@ class Comparison:
                 [bag.path], self._settings, bag.path.with_name(f"{bag.path.name}_comparison"),
                 ["--machine", str(self._file)])
         except (InputError, OSError) as problem:
+            TURN.give_back(self)
             self._due = None
             self._tell(str(problem), "WARN")
 
@@ -115,7 +113,8 @@ class Comparison:
         answer = self._running.take() if self._running is not None else None
         if answer is None:
             return False
-        self._running, (_, since_ns, why) = None, self._due
+        self._running, (_, since_ns, why) = None, self._compared
+        TURN.give_back(self)
         if answer.verdict == "unexplained" and not self._again:
             self._again = True  # a short recording may lack the motion of the healthy ones
             forget(answer)
@@ -125,14 +124,15 @@ class Comparison:
         if answer.problem:
             self._tell(answer.problem, "WARN")
             return False
-        self.findings = comparison_findings(answer, since, self._healthy, why)
-        changed = {one["statement"].split(" is ")[0] for one in answer.tree["changes"]}
+        changed = {one["what"] for one in answer.tree["changes"]}
         if answer.verdict == "unexplained":
-            changed = {"what no effect explains"}
-        if changed != self._changed:
-            self._changed = changed
+            changed = {"unexplained"}
+        news, self._changed = changed != self._changed, changed
+        kept = news and bool(changed)  # what says nothing new must not fill the disk
+        self.findings = comparison_findings(answer, since, self._healthy, why, kept)
+        if news:
             self._tell(self.findings[0].message, self.findings[0].level)
-        if answer.verdict == "consistent":  # a recording in which nothing has changed says nothing
+        if not kept:
             forget(answer)
         return True
 
@@ -140,6 +140,7 @@ class Comparison:
         """End what is under way."""
         if self._running is not None:
             self._running.end()
+        TURN.give_back(self)
         self._running, self._saving, self._due, self._again = None, False, None, False
 
 

@@ -18,7 +18,7 @@ from rclpy.node import Node
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.results import ModelStatus, ParameterEstimate
 from eha_monitor.health.judge import Finding
-from eha_monitor.live.diagnosing import Answer, Diagnosing
+from eha_monitor.live.diagnosing import TURN, Answer, Diagnosing
 from eha_monitor.live.diagnosis_findings import answer_findings, effects_in_words, model_finding
 from eha_monitor.live.exchange import Adopted, Candidate, adopted_before, model_of
 from eha_monitor.live.ingest import Columns
@@ -168,6 +168,7 @@ class SelfDiagnosis:
         if self._comparison is not None:
             self._comparison.stop()
         self._running, self._saving, self._coming = None, False, None
+        TURN.give_back(self)
         for service in self._services.values():
             service.take_up()
             service.answer(False, "the monitor has stopped")
@@ -183,8 +184,7 @@ class SelfDiagnosis:
 
     @property
     def _busy(self) -> bool:
-        return (self._saving or self._running is not None or self._coming is not None
-                or (self._comparison is not None and self._comparison.busy))
+        return self._coming is not None or TURN.holder is not None
 
     def _on_diagnose(self) -> str | None:
         if self._keeper.ring is None:
@@ -196,6 +196,7 @@ class SelfDiagnosis:
 
     def _begin(self, by: str) -> None:
         """Save what has come since the mismatch began, or all there is; then diagnose it."""
+        TURN.take(self)
         self._by, self._saving = by, True
         self._tries += 1
         since_ns = self._same[-1][1] + 1 if self._same else (
@@ -237,6 +238,7 @@ class SelfDiagnosis:
 
     def _ended(self, answer: Answer) -> None:
         """Tell what came of a diagnosis; an answer of before stands where there is none."""
+        TURN.give_back(self)
         if answer.problem:
             self._tell(answer.problem, "WARN")
         else:
@@ -348,8 +350,9 @@ class SelfDiagnosis:
             return "the recording is being saved"
         if self._running is not None:
             return "a diagnosis is under way"
-        return "idle" if self._comparison is None or not self._comparison.busy else (
-            "a comparison with the healthy machine is under way")
+        if self._comparison is not None and TURN.holder is self._comparison:
+            return "a comparison with the healthy machine is under way"
+        return "idle" if TURN.holder is None else "a diagnosis of another actuator is under way"
 
     def _tell(self, text: str, level: str = "OK") -> None:
         """Log an event and publish it."""
