@@ -98,6 +98,8 @@ def test_numbers_equal_the_topics_and_a_reload_loses_nothing(graph, browser, add
         graph.until(lambda: all(heard.values()) and health and all(
             "innovation_nis" in heard_values(health, stage) for stage in STAGES), PATIENCE)
         graph.until(lambda: not eyes.shows("silence"))
+        graph.until(lambda: "the model of the config is in force"
+                    in eyes.read("diagnosis-lines"))
         before = eyes.read("actuator"), style(eyes)
         graph.until(lambda: style(eyes) != before[1])  # the piston moves
         # Enough of a history for the reload below: none comes once the simulator has ended.

@@ -100,6 +100,25 @@ def test_the_log_has_transitions_resets_mismatch_bags_and_silence(rig):
                                    "the monitor is heard again"]
 
 
+def test_a_diagnosis_is_an_event_and_a_card(rig):
+    def tells(number, event, *effects, **values):
+        rig.state.take_diagnosis([
+            Finding("diagnosis", "WARN", "friction", {
+                "event": event, "event_number": number, "event_level": "OK", "state": "idle"}
+                | values), Finding("model_in_force", "OK", "the config's model"), *effects])
+        return words.diagnosis_lines(rig.state.view(rig.now))
+
+    assert not words.diagnosis_lines(rig.state.view(rig.now))
+    tells("3", "of before the page was there")
+    assert tells("4", "diagnosis begun by service", state="a diagnosis is under way") == [
+        "the config's model", "a diagnosis is under way"]
+    found = Finding("effect coulomb_friction", "WARN", "40 N", {"probability": "0.999"})
+    assert tells("5", "adopted", found, report="why.html") == [
+        "the config's model", "40 N (99.9 %)", "report: why.html"]
+    tells("5", "adopted", found)
+    assert rig.told("diagnosis") == ["diagnosis begun by service", "adopted"]
+
+
 def test_warnings_about_samples_can_be_left_out_and_stops_cannot(rig):
     for level in ("OK", "WARN", "OK", "STALE", "OK"):
         rig.state.take_findings("eha", [Finding("data", level, level)], rig.now)

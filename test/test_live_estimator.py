@@ -4,10 +4,21 @@ import math
 
 import numpy as np
 import pytest
-from rig_tools import BETA, LOUD, SINE, TRIANGLE, settings, simulated, with_channels, without
+from rig_tools import (
+    BETA,
+    LOUD,
+    MULTISINE,
+    SINE,
+    TRIANGLE,
+    settings,
+    simulated,
+    with_channels,
+    without,
+)
 
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.live.estimator import LiveEstimator
+from eha_monitor.live.exchange import Candidate
 
 FIXED = {"noise": {"fixed": True}}
 
@@ -296,3 +307,34 @@ def test_a_long_gap_among_the_first_rows_starts_the_record_behind_it(run):
     made.push([(time + 2.0, row) for time, row in rows[100:3100]])
     assert made.history[-1].parameters["B"].status == "converged"
     assert made.history[-1].parameters["B"].value == pytest.approx(600.0, rel=0.01)
+
+
+def test_an_estimator_with_another_model_catches_up_while_rows_come():
+    friction = {"coulomb_friction": {"F_c": 40.0}}
+    columns = simulated(MULTISINE, 8.0, effects=friction).recording(0).channels
+    times = 1e-3 * np.arange(8000)
+
+    def batch(start):
+        return times[start:start + 100], {name: values[start:start + 100]
+                                          for name, values in columns.items()}
+
+    running = LiveEstimator(settings(**FIXED))
+    for start in range(0, 6000, 100):
+        running.push_rows(*batch(start))
+    assert running.snapshot().model.mismatches
+    coming = Candidate(LiveEstimator(settings(effects=friction, **FIXED)), running.past(1.0))
+    assert coming.first_s == 1.0 and not coming.advance(0.0)
+    coming.withdraw("omega", 5.0)  # a channel that no stage needs
+    for start in range(6000, 8000, 100):
+        running.push_rows(*batch(start))
+        coming.push(*batch(start))
+        coming.advance(0.02)
+    assert coming.advance(60.0)
+    found = coming.estimator.snapshot()
+    assert found.time_s == running.snapshot().time_s and not found.model.mismatches
+    assert found.parameters["B"].value == pytest.approx(600, rel=0.01)
+    buffer = coming.estimator._grid.buffer
+    assert buffer.end - buffer.first == 7000  # no row is lost
+    assert np.isnan(buffer.column("omega", 4000, 5000)).all()
+    assert np.isfinite(buffer.column("omega", 3900, 4000)).all()
+    assert not LiveEstimator(settings()).past(0.0)

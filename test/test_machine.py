@@ -6,10 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from machine_tools import stranger, stranger_settings
+from rig_tools import MULTISINE, simulated
 from test_machine_baseline import read
 
 from eha_monitor.balances.alone import alone, probability_of
 from eha_monitor.balances.candidates import Scale, candidates_of, stop, taken_up
+from eha_monitor.balances.changed import against
 from eha_monitor.balances.course import course_of
 from eha_monitor.balances.discrepancy import learned
 from eha_monitor.balances.judge import judge
@@ -134,6 +136,17 @@ def test_the_next_recording_is_judged(machine, settings, tmp_path):
     assert found.changed[0].effect in ("coulomb_friction", "presliding_friction")
     assert found.changed[0].here == pytest.approx(260.0, rel=0.03)
     assert found.explained and found.balances[0].after < 0.5 * found.balances[0].error
+
+
+def test_a_damping_that_alone_has_changed_has_a_place():
+    healthy = simulated(MULTISINE, 6.0)
+    known = machine_of([replace(healthy.recording(seed), source=f"{seed}") for seed in range(3)],
+                       healthy.config)
+    worn = simulated(MULTISINE, 6.0, rig={"viscous_damping": 800.0}).recording(9)
+    found = against(known, [worn], healthy.config, known.sources)
+    assert found.verdict == "mismatch" and [one.what for one in found.changes] == ["B"]
+    assert found.location.balance["force"] == 1.0
+    assert found.changes[0].now.value == pytest.approx(800, rel=0.01)
 
 
 def test_bad_machines_are_refused_in_one_line(recordings, settings, tmp_path):

@@ -18,6 +18,7 @@ from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import (
     Agreement,
+    Change,
     Diagnosis,
     Fitted,
     Gate,
@@ -370,8 +371,9 @@ def _wrong(model: Model, rig: Rig, policy: Policy) -> list[RigFinding]:
     return found
 
 
-def place_of(models: Sequence[Model], courses: Sequence[Course], effects: Sequence[NamedEffect],
-             wrong: Sequence[RigFinding], verdict: str) -> tuple[Location, tuple]:
+def place_of(models: Sequence[Model], courses: Sequence[Course],
+             effects: Sequence[NamedEffect | Change], wrong: Sequence[RigFinding], verdict: str
+             ) -> tuple[Location, tuple]:
     """Return where the disagreement lies, and its shape.
 
     Parameters

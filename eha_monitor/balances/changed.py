@@ -57,7 +57,7 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
                     ) if verdict == "mismatch" else ()
     effects = tuple(_effect(one, change, models) for one, change in zip(
         moved, changes, strict=False) if change.symbol)
-    where, curves = place_of(models, courses, effects, (), verdict)
+    where, curves = place_of(models, courses, changes, (), verdict)
     if changes:
         weights = dict.fromkeys(where.balance, 0.0)
         for one in changes:

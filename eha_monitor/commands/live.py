@@ -28,12 +28,16 @@ def simulator(ros_args: list[str], config: Path | None, duration: float | None,
                    "several actuators in one process.")
 @click.option("--inactive", is_flag=True,
               help="Start inactive and wait for the lifecycle transition 'activate'.")
+@click.option("--machine", "machine_file", type=FILE, metavar="FILE",
+              help="Compare with the healthy machine that `diagnose A B C --machine FILE` wrote, "
+                   "whenever something moves (docs/live.md); key diagnosis.machine.")
 @duration_option
 @click.pass_obj
 def monitor(ros_args: list[str], config: Path | None, actuators: tuple[str, ...], inactive: bool,
-            duration: float | None) -> int:
+            machine_file: Path | None, duration: float | None) -> int:
     """Run the two stages on live topics; publish estimates and health."""
-    return ros_module("managed_node").run_monitor(config, ros_args, duration, actuators, inactive)
+    return ros_module("managed_node").run_monitor(config, ros_args, duration, actuators, inactive,
+                                                  machine_file)
 
 
 @click.command()

@@ -20,6 +20,7 @@ from eha_monitor.dashboard.events import MISMATCH
 from eha_monitor.dashboard.history import Span, thinned
 from eha_monitor.dashboard.state import STAGES, Actuator, View, alarms
 from eha_monitor.health.alarms import ALARM_NAMES, WATCHED
+from eha_monitor.health.judge import DIAGNOSIS
 from eha_monitor.quantity import NOTE, SYMBOLS, readable
 
 # Where the scale of the drawing shrinks: not at each pause of the motion.
@@ -48,6 +49,7 @@ class Detail:
         self._build_alarms()
         self._build_actuator()
         self._build_model()
+        self._build_diagnosis()
 
     def _build_estimate(self, symbol: str, title: str) -> dict:
         name = f"{title.capitalize()} {SYMBOLS[symbol]}"
@@ -150,6 +152,24 @@ class Detail:
             self._data = text("", "note", "data")
             text(NOTE, "note", "plus-minus")
 
+    def _build_diagnosis(self) -> None:
+        with ui.element("section").classes("card wide") as self._diagnosis:
+            heading("h2", "Diagnosis")
+            with ui.element("div").classes("alarm"):
+                self._verdict = Level("diagnosis-level")
+                self._diagnosed = text("", "name", "diagnosis")
+            self._diagnosis_lines = text("", "note lines", "diagnosis-lines")
+
+    def _refresh_diagnosis(self, view: View) -> None:
+        """Show the card once a monitor tells of a diagnosis."""
+        head = view.diagnosis.get(DIAGNOSIS)
+        self._diagnosis.set_visibility(head is not None)
+        if head is not None:
+            verdict = str(head.values.get("verdict", ""))
+            self._verdict.show(head.word, f"{words.SIGNS[head.word]} {verdict or 'none yet'}")
+            self._diagnosed.set_text(head.message)
+            self._diagnosis_lines.set_text("\n".join(words.diagnosis_lines(view)))
+
     def refresh(self, view: View) -> None:
         """Bring numbers, words and the piston up to date."""
         for alarm in alarms(view):
@@ -165,6 +185,7 @@ class Detail:
                 label.set_text(content)
         self._data.set_text(words.data_text(view))
         self._refresh_actuator(view)
+        self._refresh_diagnosis(view)
 
     def _refresh_alarm(self, view: View, name: str, word: str, content: str) -> None:
         level, message, given, answer = self._alarms[name]

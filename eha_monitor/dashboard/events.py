@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from itertools import islice
 
 from eha_monitor.health.alarms import ALARM_NAMES, NOT_JUDGED
-from eha_monitor.health.judge import Finding
+from eha_monitor.health.judge import DIAGNOSIS, Finding
 
 MISMATCH = "model_mismatch"
 QUALITY = "data quality"
@@ -28,8 +28,9 @@ class Change:
 
     Attributes
     ----------
-    kind : ``alarm``, ``acknowledged``, ``model``, ``reset``, ``bag``, ``monitor``, ``data`` (they
-        stop, come, or are refused) or ``data quality`` (a warning about the samples, and its end).
+    kind : ``alarm``, ``acknowledged``, ``model``, ``diagnosis`` (begun, ended, adopted or taken
+        back), ``reset``, ``bag``, ``monitor``, ``data`` (they stop, come, or are refused) or
+        ``data quality`` (a warning about the samples, and its end).
     level : the word of the level that it has now, "" where it has none.
     text : a sentence.
     """
@@ -105,6 +106,15 @@ def changes(before: Mapping[str, Finding], after: Mapping[str, Finding]) -> Iter
             yield from _alarm(before.get(name), after[name])
     if "data" in after:
         yield from _data(before.get("data"), after["data"])
+
+
+def diagnosis_changes(before: Mapping[str, Finding], after: Mapping[str, Finding]
+                      ) -> Iterator[Change]:
+    """Give the event that came with ``monitor/diagnosis``; one of before the page is none."""
+    if DIAGNOSIS in before and DIAGNOSIS in after:
+        old, new = before[DIAGNOSIS].values, after[DIAGNOSIS].values
+        if new.get("event") and new.get("event_number") != old.get("event_number"):
+            yield Change(DIAGNOSIS, str(new.get("event_level", "")), str(new["event"]))
 
 
 def _alarm(old: Finding | None, new: Finding) -> Iterator[Change]:

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
-from eha_monitor.dashboard.events import ACKNOWLEDGED, Change, EventLog, changes
+from eha_monitor.dashboard.events import ACKNOWLEDGED, Change, EventLog, changes, diagnosis_changes
 from eha_monitor.dashboard.history import History, LongHistory, Row
 from eha_monitor.health.alarms import ALARM_NAMES, SEVERITY, WATCHED
 from eha_monitor.health.judge import Finding
@@ -65,6 +65,7 @@ class View:
         and of the health; infinite where none has come.
     acknowledged : by the name of the alarm, what of it has been acknowledged.
     stamp : of the last measured position, s; NaN where none has come.
+    diagnosis : the monitor's own diagnosis, by name; empty where none has come.
     """
 
     value: dict[str, float]
@@ -77,6 +78,7 @@ class View:
     silence: dict[str, float] = field(default_factory=dict)
     acknowledged: dict[str, Acknowledgement] = field(default_factory=dict)
     stamp: float = math.nan
+    diagnosis: dict[str, Finding] = field(default_factory=dict)
 
 
 class State:
@@ -108,6 +110,7 @@ class State:
         self._pair: tuple[float, float] | None = None
         self._pair_came = -math.inf
         self._findings: dict[str, Finding] = {}
+        self._diagnosis: dict[str, Finding] = {}
         self._health_came = -math.inf
         self._hardware = settings.rig.name
         gap = settings.monitor.stale_after
@@ -171,6 +174,13 @@ class State:
                     row = (_number(finding, NIS), _number(finding, VARIANCE_RATIO))
                     if any(math.isfinite(value) for value in row):
                         self._histories[stage].add(now, *row)
+
+    def take_diagnosis(self, findings: Iterable[Finding]) -> None:
+        """Take the monitor's own diagnosis as it was published."""
+        with self._lock:
+            before, self._diagnosis = self._diagnosis, {f.name: f for f in findings}
+            for change in diagnosis_changes(before, self._diagnosis):
+                self._note(change)
 
     def watch(self, now: float) -> None:
         """Log that the monitor has gone silent; to be called each second, ``now`` monotonic."""
@@ -242,7 +252,8 @@ class State:
                         {s: n.value for s, n in self._stddevs.items()},
                         measured, estimated, pair is not None, dict(findings), self._hardware,
                         silence, dict(self._acknowledged),
-                        self._recent[-1][0] if self._recent else math.nan)
+                        self._recent[-1][0] if self._recent else math.nan,
+                        dict(self._diagnosis))
 
     def history(self, name: str, now: float, since: float = -math.inf) -> list[Row]:
         """Return the rows of a symbol or a stage.

@@ -15,7 +15,7 @@ from eha_monitor.dashboard.state import (
 )
 from eha_monitor.estimation.results import units_of
 from eha_monitor.health.alarms import NOT_JUDGED, SEVERITY
-from eha_monitor.health.judge import Finding
+from eha_monitor.health.judge import DIAGNOSIS, MODEL_IN_FORCE, Finding
 from eha_monitor.quantity import SYMBOLS, Scale, number, readable, with_uncertainty
 from eha_monitor.settings import Settings
 
@@ -169,6 +169,27 @@ def duration_text(seconds: float) -> str:
     first = next((k for k, (count, _) in enumerate(parts) if count), 3)
     return " ".join(f"{count} {unit}" for count, unit in parts[first:first + 2]
                     if count or first == 3)
+
+
+def diagnosis_lines(view: View) -> list[str]:
+    """Return what the monitor's own diagnosis says, after its verdict: the model in force first.
+
+    Each effect with its probability; then B and beta_e before and after; what goes on; the report.
+    """
+    found = dict(view.diagnosis)
+    head, model = found.pop(DIAGNOSIS, None), found.pop(MODEL_IN_FORCE, None)
+    if head is None:
+        return []
+    lines = [model.message] if model is not None else []
+    for one in found.values():
+        probability = _written(100.0 * float(one.values["probability"]), 3) if one.values.get(
+            "probability") else ""
+        lines.append(one.message + (f" ({probability} %)" if probability else ""))
+    if head.values.get("state") not in ("idle", None):
+        lines.append(str(head.values["state"]))
+    if head.values.get("report"):
+        lines.append(f"report: {head.values['report']}")
+    return lines
 
 
 def stage_status(view: View, stage: str) -> str:

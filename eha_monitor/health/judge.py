@@ -15,6 +15,9 @@ from eha_monitor.estimation.model_watch import LONGEST_TRIAL_S
 from eha_monitor.settings.monitor import Limits
 
 Level = Literal["OK", "WARN", "ERROR", "STALE"]
+# Lines of ``monitor/diagnosis`` that are always there.
+DIAGNOSIS, MODEL_IN_FORCE = "diagnosis", "model_in_force"
+MACHINE = "machine"  # and this one beside a machine file
 RAISED: tuple[Level, ...] = ("OK", "WARN", "ERROR")
 NOT_JUDGED = "not judged"
 # As it is reported; what counts most comes last.

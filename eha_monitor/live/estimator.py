@@ -45,6 +45,7 @@ from eha_monitor.quantity import SYMBOLS, quantity, with_uncertainty
 from eha_monitor.recordings.recording import LARGEST
 from eha_monitor.settings.monitor import Settings
 
+PAST = 100  # rows of a batch of the past
 LAG = 6  # rows that the hold looks ahead: five for the instrument, one for its next sample
 CONTEXT = 16  # rows that it looks back
 NOISE_AGAIN_S = (1.0, 4.0, 10.0)  # after the start; then every 10 s
@@ -153,6 +154,23 @@ class LiveEstimator:
             self._grid = Grid(start, self.dt, frozenset(buffer.seen))
             self._state.restart_rows()
             self._checkpoints.clear()
+
+    def past(self, since_s: float) -> list[tuple[np.ndarray, Columns]]:
+        """Return the buffered rows from ``since_s`` on, in batches that are soon taken."""
+        self._settle()
+        if self._grid is None:
+            return []
+        buffer = self._grid.buffer
+        first = max(buffer.first, math.ceil(
+            min((since_s - self._grid.origin) / self.dt, buffer.end)))
+        found = []
+        for start in range(first, buffer.end, PAST):
+            stop = min(start + PAST, buffer.end)
+            columns = buffer.channels(start, stop)
+            came = np.any(np.isfinite([*columns.values()]), axis=0)
+            found.append((self._grid.time_of(np.arange(start, stop)[came]),
+                          {name: values[came] for name, values in columns.items()}))
+        return [batch for batch in found if len(batch[0])]
 
     def withdraw(self, channel: str, since_s: float) -> None:
         """Take back what a channel gave from ``since_s`` on: it was no measurement."""

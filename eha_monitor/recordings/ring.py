@@ -136,6 +136,13 @@ class Ring:
             self._held = tuple(kept)
         return found
 
+    def since(self, stamp_ns: int) -> tuple[Chunk, ...]:
+        """Return the chunks that began no earlier than a log time; they go on ageing."""
+        if self._open_count:
+            self._close(time.monotonic())
+        with self._lock:
+            return tuple(chunk for chunk in self._chunks if chunk.first_ns >= stamp_ns)
+
     def release(self) -> None:
         """The held messages are saved: let them age as all others."""
         with self._lock:
@@ -217,6 +224,11 @@ class Saved:
                 f"{times[1]} UTC{gap}{left}")
 
 
+def plain_name(name: str) -> str:
+    """Return a name as the beginning of a file's name."""
+    return "".join(c if c.isalnum() or c in "-_" else "_" for c in name) or "bag"
+
+
 class Saver:
     """Writes what a ring holds to bags, one at a time.
 
@@ -229,7 +241,7 @@ class Saver:
 
     def __init__(self, ring: Ring, folder: Path, name: str):
         self.ring, self.folder = ring, Path(folder)
-        self.name = "".join(c if c.isalnum() or c in "-_" else "_" for c in name) or "bag"
+        self.name = plain_name(name)
         self._hurry = threading.Event()
         self._thread: threading.Thread | None = None
         self._result: Saved | None = None
@@ -239,13 +251,21 @@ class Saver:
         """Whether a bag is being written, or its result has not been taken yet."""
         return self._thread is not None
 
-    def start(self) -> None:
-        """Begin to write all that the ring has; not while :attr:`busy`."""
-        chunks, streams = self.ring.hold(), list(self.ring.streams)
+    def start(self, since_ns: int | None = None) -> None:
+        """Begin to write all that the ring has; not while :attr:`busy`.
+
+        Parameters
+        ----------
+        since_ns : write only what came from this log time on; nothing is held for that.
+        """
+        whole = since_ns is None
+        chunks = self.ring.hold() if whole else self.ring.since(since_ns)
+        streams = list(self.ring.streams)
         moment = datetime.now(UTC).strftime("%Y%m%dT%H%M%S_%f")[:-3]
         path = self.folder / f"{self.name}_{moment}Z"
         self._thread = threading.Thread(target=self._run, daemon=True, name="saver",
-                                        args=(path, chunks, streams, self.ring.dropped))
+                                        args=(path, chunks, streams,
+                                              self.ring.dropped if whole else None))
         self._thread.start()
 
     def take(self, wait: bool = False) -> Saved | None:
@@ -258,21 +278,24 @@ class Saver:
         self._thread = None
         return self._result
 
-    def _run(self, path: Path, chunks: tuple[Chunk, ...], streams: list, dropped: int) -> None:
+    def _run(self, path: Path, chunks: tuple[Chunk, ...], streams: list,
+             dropped: int | None) -> None:
+        """Write a bag; ``dropped`` is None where it is not all that is held."""
         span = (chunks[0].first_ns, chunks[-1].last_ns) if chunks else (0, 0)
         count, problem, left_out = sum(chunk.count for chunk in chunks), None, ()
         try:
             if not chunks:
                 raise InputError(f"{path}: nothing to write, no message has come")
             left_out = _write(path, chunks, streams, self._hurry)
-            self.ring.release()
+            if dropped is not None:
+                self.ring.release()
         except (InputError, OSError) as caught:
             cause = caught if isinstance(caught, OSError) else caught.__cause__
             problem = (f"{path}: cannot write bag: {cause.strerror or cause}"
                        if isinstance(cause, OSError) else str(caught))
         except Exception as caught:  # noqa: BLE001  told as a diagnostic: the monitor goes on
             problem = f"{path}: cannot write bag: {caught!r}"
-        self._result = Saved(path, *span, count, dropped, problem, left_out)
+        self._result = Saved(path, *span, count, dropped or 0, problem, left_out)
 
 
 def _write(path: Path, chunks: tuple[Chunk, ...], streams: list,

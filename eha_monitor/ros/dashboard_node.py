@@ -20,9 +20,9 @@ from eha_monitor.health.alarms import WATCHED
 from eha_monitor.live.rows import Source
 from eha_monitor.ros import running
 from eha_monitor.ros.inputs import Topic, topics_of
-from eha_monitor.ros.messages import findings_of, subscribe_to_monitor
+from eha_monitor.ros.messages import DIAGNOSIS, findings_of, subscribe_to_monitor
 from eha_monitor.ros.parameters import settings_of_node
-from eha_monitor.ros.qos import SHOWN_QOS
+from eha_monitor.ros.qos import LATCHED, SHOWN_QOS
 from eha_monitor.ros.subscriptions import TopicInput
 from eha_monitor.settings import Settings
 
@@ -74,6 +74,9 @@ class Listener:
                              (TAKE_PERIOD, self._take_measured)):
             node.create_timer(period, work, clock=Clock(clock_type=ClockType.STEADY_TIME))
         subscribe_to_monitor(node, self._take_number, self._take_estimated, self._take_health)
+        node.create_subscription(
+            DiagnosticArray, DIAGNOSIS, lambda message: self.state.take_diagnosis(
+                findings_of(message)), LATCHED)
         node.create_service(Trigger, "dashboard/acknowledge", self._on_acknowledge)
 
     def close(self) -> None:

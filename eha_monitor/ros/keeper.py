@@ -46,6 +46,8 @@ class Keeper:
         self._due: float | None = None  # when the next bag is to be written, s, monotonic
         self._alarm_bag_until = 0.0
         self._asked = False
+        self._part: tuple[int, Callable[[Saved], None]] | None = None  # to be written
+        self._part_told: Callable[[Saved], None] | None = None  # that is being written
         self.bags: dict[str, str] = {}
         self._written: list[str] = []  # alarms of which the bag is being written
         self.last: Saved | None = None
@@ -77,6 +79,10 @@ class Keeper:
         if raised and self._saver is not None and self._due is None:
             self._due = max(time.monotonic(), self._alarm_bag_until)
 
+    def save_since(self, stamp_ns: int, told: Callable[[Saved], None]) -> None:
+        """Save what came from a log time on; ``told`` is called with what came of it."""
+        self._part = stamp_ns, told
+
     def poll(self) -> None:
         """Take the result of a bag, and begin the next if one is due."""
         if self._saver is None:
@@ -91,6 +97,9 @@ class Keeper:
             if due:
                 self._due, self._alarm_bag_until = None, now + self._span
             self._start(due)
+        elif self._part is not None and not self._saver.busy:
+            (since_ns, self._part_told), self._part = self._part, None
+            self._saver.start(since_ns)
 
     def _start(self, due: bool) -> None:
         self._asked = False
@@ -132,6 +141,13 @@ class Keeper:
         return None
 
     def _take(self, result: Saved) -> None:
+        told, self._part_told = self._part_told, None
+        if told is not None:
+            if result.problem is None:
+                self._last_good = result
+            told(result)
+            self._tell()
+            return
         self.last = result
         good = result.problem is None
         if good:

@@ -178,13 +178,15 @@ def warm_up() -> None:
 
 
 def run_monitor(config: Path | None, ros_args: list[str], duration: float | None = None,
-                actuators: tuple[str, ...] = (), inactive: bool = False) -> int:
+                actuators: tuple[str, ...] = (), inactive: bool = False,
+                machine: Path | None = None) -> int:
     """Run the monitor until a signal or for ``duration`` s; returns the exit status.
 
     Parameters
     ----------
     actuators : ``NAME=CONFIG`` for each of several actuators; else ``config`` is the only one.
     inactive : whether to wait for the transition ``activate``.
+    machine : file of the healthy machine; None leaves it to the config.
 
     Raises
     ------
@@ -192,6 +194,12 @@ def run_monitor(config: Path | None, ros_args: list[str], duration: float | None
         If a config, a parameter or a ROS argument is wrong.
     """
     wanted = running.actuators(config, actuators, ros_args, "monitor")
+    if machine is not None:
+        if actuators:
+            raise InputError("--machine: expected one actuator; for several it is the key "
+                             "diagnosis.machine of each config")
+        wanted = [(settings.model_copy(update={"diagnosis": settings.diagnosis.model_copy(
+            update={"machine": str(machine)})}), source) for settings, source in wanted]
     with running.ros_session(ros_args), ExitStack() as stack:
         nodes = [stack.enter_context(running.made("monitor", ManagedMonitor, *which))
                  for which in wanted]

@@ -25,6 +25,7 @@ from eha_monitor.ros.qos import LATCHED, QUEUED, clashes
 from eha_monitor.settings import Settings
 
 ESTIMATES = "monitor/estimates"  # each with its deviation, unit and status, in one stamped message
+DIAGNOSIS = "monitor/diagnosis"
 LEVELS = {"OK": DiagnosticStatus.OK, "WARN": DiagnosticStatus.WARN,
           "ERROR": DiagnosticStatus.ERROR, "STALE": DiagnosticStatus.STALE}
 # How serious it is that a parameter has a status.
@@ -166,6 +167,7 @@ class Outputs:
         self._estimates = self._make(DiagnosticArray, ESTIMATES)
         self._state = self._make(JointState, "monitor/joint_states")
         self._health = self._make(DiagnosticArray, "monitor/health", LATCHED)
+        self._diagnosis = self._make(DiagnosticArray, DIAGNOSIS, LATCHED)
         # The same messages as the health: once in the bag is enough.
         self._diagnostics = self._make(DiagnosticArray, "/diagnostics", kept=False)
 
@@ -191,6 +193,11 @@ class Outputs:
                                        self._hardware)
         self._publish(self._health, message)
         self._publish(self._diagnostics, message)
+
+    def diagnosis(self, findings: list[Finding]) -> None:
+        """Publish what the monitor's own diagnosis says, latched."""
+        self._publish(self._diagnosis, diagnostics(
+            self._node.get_clock().now().nanoseconds, findings, self._hardware))
 
     def clashes(self) -> list[str]:
         """Return in sentences which subscribers get nothing, as they ask for another QoS."""

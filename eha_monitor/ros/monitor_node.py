@@ -11,11 +11,14 @@ from rclpy.node import Node
 from rclpy.timer import Timer
 from std_srvs.srv import Trigger
 
+from eha_monitor.errors import InputError
 from eha_monitor.estimation.results import Event, ModelStatus, ParameterEstimate
 from eha_monitor.health.alarms import Alarm, AlarmBoard
 from eha_monitor.health.overload import BEHIND_S, LatencyMeter, ProcessorMeter
+from eha_monitor.live.exchange import Candidate
 from eha_monitor.live.faults import CONSEQUENCES, FaultWatch
 from eha_monitor.live.rows import RowAligner, Rows
+from eha_monitor.ros.diagnosis import SelfDiagnosis
 from eha_monitor.ros.findings import (
     DataState,
     all_findings,
@@ -60,13 +63,22 @@ class Monitor:
         if estimator_factory is None:
             from eha_monitor.live.estimator import LiveEstimator as estimator_factory
         self.node, self.settings = node, settings
+        self._factory = estimator_factory
         self.board = AlarmBoard(settings)
         self._topics = topics_of(settings, source, node.resolve_topic_name)
         self._topic_of = {channel: t.full_name for t in self._topics for e in t.entries
                           for channel, _ in e.channels}
-        self._estimator = estimator_factory(settings)
         self.keeper = Keeper(node, settings, self._tell_of_bag)
         self._outputs = Outputs(node, self.keeper, settings)
+        try:
+            self.diagnosis = SelfDiagnosis(node, settings, self.keeper, self._outputs.diagnosis,
+                                           self._candidate, self._exchange)
+        except InputError:
+            self.keeper.close()
+            self._outputs.close()
+            raise
+        self.settings = self.diagnosis.in_force
+        self._estimator = estimator_factory(self.settings)
         self._reset_service = node.create_service(Trigger, "monitor/reset", self._on_reset)
         self.inputs: list[TopicInput] = []
         self._timers: list[Timer] = []
@@ -124,12 +136,15 @@ class Monitor:
         self._stop("the monitor is not active")
         self._topics = topics_of(self.settings, resolve=self.node.resolve_topic_name)  # no past
         self._estimator.reset("deactivated")
+        self.diagnosis.stop()
+        self.diagnosis.reset("deactivated")
         self._begin_anew()
 
     def close(self) -> None:
         """End everything on the node, after a last health, and write the bag that is due."""
         if self.active:
             self._stop("the monitor has ended")
+        self.diagnosis.close()
         self.keeper.close()
         self._outputs.close()
         self.node.destroy_service(self._reset_service)
@@ -150,7 +165,7 @@ class Monitor:
 
     def reconfigure(self, settings: Settings) -> None:
         """Take other thresholds while running."""
-        self.settings = settings
+        self.settings = self.diagnosis.configure(settings)
         self.board.configure(settings)
         self._judge()
         if self.active:
@@ -168,6 +183,7 @@ class Monitor:
             now = time.monotonic()
             self._tick(now)
         if self.active:
+            self.diagnosis.advance()
             self._publish_health(only_changes=True)
 
     def _tick(self, now: float) -> None:
@@ -217,7 +233,9 @@ class Monitor:
         self.missing_samples += int((np.rint(steps[steps > 1.5]) - 1).sum())
         self._row_ns = int(rows.stamps[-1])
         # Since the first row: seconds since 1970 leave a double 0.2 µs of resolution.
-        self._estimator.push_rows((rows.stamps - self._origin_ns) * 1e-9, rows.columns)
+        times = (rows.stamps - self._origin_ns) * 1e-9
+        self._estimator.push_rows(times, rows.columns)
+        self.diagnosis.push(times, rows.columns)
         for name, values in rows.columns.items():
             there = np.isfinite(values)
             if there.any():
@@ -230,9 +248,21 @@ class Monitor:
     def _reset(self, reason: str) -> None:
         self.node.get_logger().warning(f"estimator reset: {reason}")
         self._estimator.reset(reason)
+        self.diagnosis.reset(reason)
         self._origin_ns = None
         self._seen.clear()
         self.latency.restart()
+
+    def _candidate(self, settings: Settings, since_s: float) -> Candidate:
+        """Return an estimator that begins with the buffered rows from ``since_s`` on."""
+        return Candidate(self._factory(settings), self._estimator.past(since_s))
+
+    def _exchange(self, estimator: object, settings: Settings) -> None:
+        """Go on with another estimator, which has taken the same rows with another model."""
+        self._estimator, self.settings = estimator, settings
+        estimator.snapshot()  # events of rows that were told of already
+        self._judge()
+        self._publish_health()
 
     def _on_reset(self, request, response):
         self._reset("requested by the service monitor/reset")
@@ -255,6 +285,7 @@ class Monitor:
         for event in snapshot.events:
             self._events[event.stage] = event
             self.node.get_logger().info(f"stage {event.stage}: {event.message}")
+        self.diagnosis.note(self._model, snapshot.parameters, self._seconds())
         self._note_diverged(snapshot.parameters)
         parameters = {}
         for symbol, estimate in snapshot.parameters.items():
@@ -304,7 +335,9 @@ class Monitor:
         self.data.overload = overload = self.load.found()
         for channel, since_ns in self.watch.look(now).items():
             if self._origin_ns is not None:
-                self._estimator.withdraw(channel, (since_ns - self._origin_ns) * 1e-9)
+                since_s = (since_ns - self._origin_ns) * 1e-9
+                self._estimator.withdraw(channel, since_s)
+                self.diagnosis.withdraw(channel, since_s)
         limit = self.settings.monitor.stale_after
         for problem in (p for each in self.inputs for p in each.problems(now, limit)):
             self.watch.note(problem, now, problem)

@@ -36,7 +36,7 @@ from eha_monitor.units import LARGEST, to_si
 
 # Sections that each node reads; a key of another section is not declared on it.
 MONITOR_KEYS = ("rig", "channels", "noise", "stage_one", "stage_two", "discretisation",
-                "command_hold", "thresholds", "viscosity", "monitor", "effects")
+                "command_hold", "thresholds", "viscosity", "monitor", "diagnosis", "effects")
 SIMULATOR_KEYS = ("rig", "channels", "simulation", "effects", "monitor")
 # What may change while the node runs.
 RUNTIME_SECTION = "thresholds"

@@ -219,6 +219,33 @@ class Monitor(Section):
     save_folder: str = Field("saved_bags", description="folder of those bags, made when needed")
 
 
+class Diagnosis(Section):
+    """How the monitor diagnoses itself, and what it may adopt (docs/live.md)."""
+
+    start: Literal["automatic", "service"] = Field(
+        "automatic", description="automatic: diagnose once model_mismatch has stood for after; "
+                                 "service: only on the service monitor/diagnose")
+    after: Si("s", "time that a mismatch must stand; the recording that is diagnosed begins with "
+                   "it. While nothing explains it, again after twice that time, and so on",
+              ge=2, le=3600) = 20.0
+    processor_time: Si("s", "processor time that one diagnosis may take", ge=1, le=86400) = 300.0
+    memory_gigabytes: Si("1", "address space that it may take, in 10⁹ bytes", gt=0,
+                         le=1000) = 4.0
+    niceness: int = Field(10, ge=0, le=19, description="how far it stands back behind other "
+                                                       "processes")
+    adopt: Literal["service", "automatic"] = Field(
+        "service", description="service: a diagnosed model is adopted on the service "
+                               "monitor/adopt; automatic: also by itself, if probable enough and "
+                               "if it fits the rows that follow")
+    adopt_probability: Si("1", "probability that each effect must reach to be adopted by itself",
+                          gt=0.5, le=1) = 0.95
+    adopt_after: Si("s", "duration of the rows, not seen by the diagnosis, that a model must fit "
+                         "before it is adopted by itself", ge=2, le=3600) = 60.0
+    machine: str = Field("", description="file of the healthy machine, as diagnose --machine "
+                                         "writes it of several recordings, with which the monitor "
+                                         "compares; empty: none")
+
+
 class Settings(Section):
     """The whole config; every section and key has a default."""
 
@@ -251,6 +278,7 @@ class Settings(Section):
     health: Health = Field(Health(), description="reference conditions and limits of the health "
                                                  "indicators (docs/health.md, docs/limits.md)")
     monitor: Monitor = Field(Monitor(), description="the live monitor")
+    diagnosis: Diagnosis = Field(Diagnosis(), description="the live monitor's own diagnosis")
     effects: Annotated[dict[str, dict[str, float | str | list[float]]],
                        BeforeValidator(effects_field)] = Field(
         {}, description="modelled physics beyond the linear model")

@@ -1,0 +1,150 @@
+"""Health against the machine file of healthy recordings: when to compare, and what has changed."""
+
+import shutil
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+
+from eha_monitor.errors import InputError
+from eha_monitor.estimation.model_watch import MOVED
+from eha_monitor.estimation.results import ModelStatus, ParameterEstimate
+from eha_monitor.health.judge import Finding
+from eha_monitor.live.diagnosing import TURN, Answer, Diagnosing
+from eha_monitor.live.diagnosis_findings import comparison_findings
+from eha_monitor.recordings.ring import Saved
+from eha_monitor.ros.keeper import Keeper
+from eha_monitor.settings import Settings
+
+EVERY_S = 600.0  # at least; what changes slowly moves nothing
+
+
+class Comparison:
+    """Compares the last rows with the machine, in another process, where something has moved.
+
+    Something has moved where the model begins or ceases to fit, or B or beta_e differ by more
+    than ``MOVED`` from what they were at the comparison before.  Whether that is a change is for
+    the spread of the healthy recordings to say; a change without a name must also show in a
+    recording twice as long.
+
+    Parameters
+    ----------
+    settings : ``diagnosis.machine`` is the file.
+    keeper : saves the rows that are compared.
+    tell : takes an event and its level.
+    log_ns : gives the log time, ns, of a row's time, s.
+
+    Raises
+    ------
+    InputError
+        If the file is none, or of another rig.
+    """
+
+    def __init__(self, settings: Settings, keeper: Keeper, tell: Callable[[str, str], None],
+                 log_ns: Callable[[float], int]):
+        from eha_monitor.balances.machine import load
+
+        self._file, self._settings = Path(settings.diagnosis.machine), settings
+        self._keeper, self._tell, self._log_ns = keeper, tell, log_ns
+        known = load(self._file)
+        if known.rig != settings.rig.name:
+            raise InputError(f"{self._file}: the machine of the rig {known.rig}, expected that of "
+                             f"{settings.rig.name} (rig.name)")
+        self.findings: list[Finding] = comparison_findings(None, "", len(known.sources))
+        self._healthy = len(known.sources)
+        self._running: Diagnosing | None = None
+        self._saving = False
+        self._compared = (0.0, 0, "")  # as what was due
+        self._changed: set[str] = set()
+        self.reset()
+
+    def reset(self) -> None:
+        """Count time anew."""
+        self._due: tuple[float, int, str] | None = None  # since when: s of the rows, ns of the log
+        self._again = False
+        self._last_s = -EVERY_S
+        self._fits: bool | None = None
+        self._values: dict[str, float] = {}
+
+    def note(self, model: ModelStatus, parameters: Mapping[str, ParameterEstimate], now_s: float
+             ) -> None:
+        """Look whether something has moved since the comparison before."""
+        if model.status not in ("consistent", "mismatch") or self._due is not None:
+            return
+        fits, known = not model.mismatches, {
+            name: one.value for name, one in parameters.items() if one.status == "converged"}
+        moved = [name for name, value in known.items() if name in self._values and abs(
+            value - self._values[name]) > MOVED * abs(self._values[name])]
+        why = ("the monitor began" if self._fits is None
+               else f"the model {'fits again' if fits else 'does not fit'}" if fits != self._fits
+               else f"{' and '.join(moved)} moved" if moved
+               else "the last comparison was long ago" if now_s - self._last_s > EVERY_S else "")
+        self._fits = fits
+        if why:
+            since_s = min((one.since_s for one in model.mismatches), default=now_s)
+            self._due = since_s, self._log_ns(since_s), why
+        self._values |= {name: value for name, value in known.items()
+                         if why or name not in self._values}
+
+    def begin_if_due(self, now_s: float) -> None:
+        """Save what came since something moved, once that is enough, and compare it."""
+        enough = self._settings.diagnosis.after * (2.0 if self._again else 1.0)
+        if self._due is not None and now_s - self._due[0] >= enough:
+            TURN.take(self)
+            self._saving, self._last_s, self._compared = True, now_s, self._due
+            self._keeper.save_since(self._due[1], self._saved)
+
+    def _saved(self, bag: Saved) -> None:
+        if not self._saving:
+            return
+        self._saving = False
+        try:
+            if bag.problem is not None:
+                raise InputError(bag.problem)
+            self._running = Diagnosing(
+                [bag.path], self._settings, bag.path.with_name(f"{bag.path.name}_comparison"),
+                ["--machine", str(self._file)])
+        except (InputError, OSError) as problem:
+            TURN.give_back(self)
+            self._due = None
+            self._tell(str(problem), "WARN")
+
+    def poll(self) -> bool:
+        """Take the result of a comparison; True where there is one."""
+        answer = self._running.take() if self._running is not None else None
+        if answer is None:
+            return False
+        self._running, (_, since_ns, why) = None, self._compared
+        TURN.give_back(self)
+        if answer.verdict == "unexplained" and not self._again:
+            self._again = True  # a short recording may lack the motion of the healthy ones
+            forget(answer)
+            return False
+        self._due, self._again = None, False
+        since = datetime.fromtimestamp(1e-9 * since_ns, UTC).isoformat(timespec="seconds")
+        if answer.problem:
+            self._tell(answer.problem, "WARN")
+            return False
+        changed = {one["what"] for one in answer.tree["changes"]}
+        if answer.verdict == "unexplained":
+            changed = {"unexplained"}
+        news, self._changed = changed != self._changed, changed
+        kept = news and bool(changed)  # what says nothing new must not fill the disk
+        self.findings = comparison_findings(answer, since, self._healthy, why, kept)
+        if news:
+            self._tell(self.findings[0].message, self.findings[0].level)
+        if not kept:
+            forget(answer)
+        return True
+
+    def stop(self) -> None:
+        """End what is under way."""
+        if self._running is not None:
+            self._running.end()
+        TURN.give_back(self)
+        self._running, self._saving, self._due, self._again = None, False, None, False
+
+
+def forget(answer: Answer) -> None:
+    """Remove the recordings and the report of an answer."""
+    for folder in (*answer.bags, answer.folder):
+        shutil.rmtree(folder, ignore_errors=True)
