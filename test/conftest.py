@@ -3,6 +3,7 @@
 The environment is set before anything imports rclpy or numpy, and child processes inherit it.
 """
 
+import fcntl
 import gc
 import os
 import shutil
@@ -11,10 +12,25 @@ import time
 
 import pytest
 
+
+def _domain() -> tuple[int, object]:
+    """Return a ROS domain that no other session on this machine has, and the lock that says so."""
+    for domain in range(1, 101):
+        lock = open(  # noqa: SIM115 - held as long as the session lasts
+            os.path.join(tempfile.gettempdir(), f"eha_monitor_domain_{domain}"), "w")
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return domain, lock
+        except OSError:
+            lock.close()
+    raise RuntimeError("all ROS domains from 1 to 100 are taken by test sessions")
+
+
+_DOMAIN, _LOCK = _domain()
 _LOGS = tempfile.TemporaryDirectory(prefix="eha_monitor_ros_")
 os.environ.update({
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    "ROS_DOMAIN_ID": str(1 + os.getpid() % 100),
+    "ROS_DOMAIN_ID": str(_DOMAIN),
     "ROS_PYTHON_CHECK_FIELDS": "1",  # a wrong Python type is an error, not garbage bytes
     "ROS_LOG_DIR": _LOGS.name,
     # As eha_monitor sets it; a test imports numpy before, and then BLAS spins on every core.
