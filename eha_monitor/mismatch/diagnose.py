@@ -94,15 +94,26 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
     """
     with computing(*(recording.source for recording in recordings)):
         return _diagnosed(recordings, settings, held_out, progress or (lambda text, share: None),
-                          hypothesis, without, vary)
+                          hypothesis, without, vary)[0]
+
+
+def diagnose_and_name(recordings: list[Recording], settings: Settings,
+                      progress: Report | None = None) -> tuple[Diagnosis, Naming | None]:
+    """Diagnose, and return the sets and fits behind the answer as well: for what to do next.
+
+    None where the balances judge, or the piston hardly moves.  See :func:`diagnose`.
+    """
+    with computing(*(recording.source for recording in recordings)):
+        return _diagnosed(recordings, settings, None, progress or (lambda text, share: None),
+                          None, (), ())
 
 
 def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Recording | None,
                say: Report, hypothesis: Hypothesis | None, without: tuple[str, ...],
-               vary: tuple[str, ...]) -> Diagnosis:
+               vary: tuple[str, ...]) -> tuple[Diagnosis, Naming | None]:
     if by_balances(recordings, settings):
         say("least squares on the balances", 0.1)
-        return answered(recordings, settings, Asked(held_out, hypothesis, without, vary))
+        return answered(recordings, settings, Asked(held_out, hypothesis, without, vary)), None
     started = time.perf_counter()
     held, decision = resolved(recordings, settings)
     experiment = at_its_angle(experiment_of(recordings, held, held_out is None, without))
@@ -120,7 +131,7 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     told = decision is not None and decision.decided
     return replace(found, machine=machine, channels=decision.findings if told else (),
                    command_hold=(held if told else settings).command_hold,
-                   wall_s=time.perf_counter() - started)
+                   wall_s=time.perf_counter() - started), named and named[1]
 
 
 def _machine(recordings: list[Recording], settings: Settings, vary: tuple[str, ...], say: Report
