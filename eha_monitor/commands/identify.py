@@ -91,8 +91,8 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
         aborted = experiment(SimulatedRig(config_of(simulated).settings, bounds, seed,
                                           str(simulated)))
     else:
-        aborted = ros_module("identify_node").run_identify(given.settings, bounds, ros_args,
-                                                           wait, experiment)
+        aborted = ros_module("identify_node").run_identify(
+            given.settings, bounds, ros_args, wait, (out, overwrite), experiment)
     if aborted:
         raise InputError(aborted)
 
@@ -117,7 +117,7 @@ def written(one: "Round", count: int, out: Path, settings, overwrite: bool,
     from eha_monitor.recordings.write import write_recording
 
     said(round_words(one, count, settings.rig.sample_time))
-    if len(one.ran.recording):
+    if one.ran.bag is None and len(one.ran.recording):
         out.mkdir(parents=True, exist_ok=True)
         write_recording(out / one.ran.recording.source, one.ran.recording, settings,
                         overwrite=overwrite)
@@ -135,7 +135,7 @@ def finish(rounds: list["Round"], planner: "Planner", wanted: float, out: Path, 
     json_file, report_file, config_file = targets
     settings, last = planner.settings, rounds[-1]
     found = next((one.diagnosis for one in reversed(rounds) if one.diagnosis is not None), None)
-    bags = [str(out / one.ran.recording.source) for one in rounds]
+    bags = [str(one.ran.bag or out / one.ran.recording.source) for one in rounds]
     if json_file:
         write_json(json_file, finite(tree(rounds, bags, planner.bounds, wanted,
                                           settings.rig.sample_time)
@@ -149,7 +149,8 @@ def finish(rounds: list["Round"], planner: "Planner", wanted: float, out: Path, 
     for path in (*bags, *targets):
         if path is not None and Path(path).exists():
             said(f"written: {path}")
-    return f"{bags[-1]}: aborted: {last.ran.aborted}" if last.ran.aborted else ""
+    return f"{bags[-1]}: aborted: {last.ran.aborted}" if (
+        last.ran.aborted and not last.ran.asked) else ""
 
 
 def show_first(planner: "Planner", bag: Path, overwrite: bool) -> None:

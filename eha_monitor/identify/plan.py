@@ -170,7 +170,9 @@ def beside(experiment: Experiment, structure: Structure) -> list[Structure]:
             if not own_sizes(start) or not all(np.isfinite(p.neutral) for p in own_sizes(start)):
                 continue  # a limit, or a shape only: it has no size that matters
             fit = with_effect(structure.fit, start, (MATTERS,) * len(own_sizes(start)))
-            found.append(Structure(structure.names | {name}, fit, 1.0))
+            # Its size is held: with it free, no data would speak against it.
+            found.append(Structure(structure.names | {name}, replace(
+                fit, free=structure.fit.free), 1.0))
     return [replace(one, probability=1.0 / len(found)) for one in found]
 
 
@@ -189,7 +191,9 @@ class Contest:
     def __init__(self, experiment: Experiment, structures: Sequence[Structure],
                  recorded: bool = True, explained: Mapping[str, float] | None = None):
         self.experiment, self.structures = experiment, tuple(structures)
-        self._explained = explained or {}
+        self._same = [(i, j, form_error(one, other, explained or {}))
+                      for i, one in enumerate(self.structures)
+                      for j, other in enumerate(self.structures) if alike(one, other)]
         self.fit = self.structures[0].fit
         self._base = free_slopes(self.fit)
         shared = {slope.label for slope in self._base}
@@ -238,12 +242,8 @@ class Contest:
         longer : how much more data there are than what is recorded.
         """
         found = -TEMPER * np.vectorize(counted)(units)
-        for i, one in enumerate(self.structures):
-            for j, other in enumerate(self.structures):
-                if alike(one, other):
-                    form = FORM_OF_LAW * longer * max(
-                        self._explained.get(name, 0.0) for name in one.names ^ other.names)
-                    found[i, j] = min(found[i, j], units[i, j] * -np.log(RIVAL) / max(form, 1e-9))
+        for i, j, form in self._same:
+            found[i, j] = min(found[i, j], units[i, j] * -np.log(RIVAL) / max(longer * form, 1e-9))
         return found
 
     def expected(self, there: Gram) -> tuple[float, tuple[int, int], np.ndarray]:
@@ -277,6 +277,11 @@ def alike(one: Structure, other: Structure) -> bool:
                                    for a in different for b in different)
 
 
+def form_error(one: Structure, other: Structure, explained: Mapping[str, float]) -> float:
+    """Return how many log units between two laws may be the form error of either."""
+    return FORM_OF_LAW * max(explained.get(name, 0.0) for name in one.names ^ other.names)
+
+
 class Planner:
     """Plans motions of a rig within limits.
 
@@ -306,12 +311,17 @@ class Planner:
         InputError
             If the limits allow none.
         """
-        experiment, structures = first_look(self.settings, self.bounds)
+        b = self.bounds
+        if not b.lower < position < b.upper:
+            raise InputError(f"{self.source}: experiment: the piston stands at x = {position:g} "
+                             f"m, expected between lower, {b.lower:g} m, and upper, "
+                             f"{b.upper:g} m")
+        experiment, structures = first_look(self.settings, b)
         found = self.best(Contest(experiment, structures, recorded=False), position,
-                          self.bounds.total_time)
+                          b.total_time)
         if found is None:
             raise InputError(f"{self.source}: experiment: the limits allow no motion of at least "
-                             f"{SMALLEST:.0%} of the travel within {self.bounds.motion_time:g} s "
+                             f"{SMALLEST:.0%} of the travel within {b.motion_time:g} s "
                              f"from x = {position:g} m, expected wider ones")
         return found
 
@@ -341,8 +351,9 @@ class Planner:
         It must by the models of the likely structures, with B and beta_e off by what is not known.
         """
         dt, share = contest.experiment.dt, 1.0
-        models = [theta for one in contest.structures[:SAFE_UNDER] for theta in around(
-            one.fit, contest.here is not None)]
+        recorded = contest.here is not None
+        models = [fit for one in contest.structures[:SAFE_UNDER if recorded else 1]
+                  for fit in around(one.fit, recorded)]
         for _ in range(ATTEMPTS):
             x_d = self.led(demand_of(motion, dt), position, dt)
             if len(x_d) * dt > self.bounds.motion_time:

@@ -1,7 +1,7 @@
 """What an experiment moves: a rig, and the simulated one."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -24,11 +24,14 @@ class Ran:
     Attributes
     ----------
     recording : what came.
-    aborted : why it ended early, or "".
+    aborted : why it ended early, or ""; ``asked`` : whether somebody asked for it.
+    bag : where it was recorded as it came, or None.
     """
 
     recording: Recording
     aborted: str = ""
+    asked: bool = False
+    bag: Path | None = None
 
 
 class Rig(Protocol):
@@ -41,7 +44,7 @@ class Rig(Protocol):
         """Run a demand (n,) m, one value to a sample, from where the piston is held.
 
         Where a limit is exceeded, data stop, or somebody asks for it, the position demanded last
-        is held: it lies within the limits, and the piston comes to rest there without a jolt.
+        is held, or the limit next to it: the piston comes to rest there without a jolt.
         """
 
 
@@ -52,15 +55,14 @@ class SimulatedRig:
     ----------
     settings : of the simulated actuator, effects and sensor noise included.
     bounds : complete limits.
-    stop : told at each look whether to stop.
     """
 
     def __init__(self, settings: Settings, bounds: Bounds, seed: int | None = None,
-                 source: str = "config", stop: Callable[[], str] = lambda: ""):
-        self._demand = np.full(1, np.clip(0.0, bounds.lower, bounds.upper))
+                 source: str = "config"):
+        self._demand = np.full(1, 0.5 * (bounds.lower + bounds.upper))
         self._began, self._dt = 0, settings.rig.sample_time
         self._simulator = Simulator(settings, seed, source, self._demanded)
-        self._bounds, self._stop = bounds, stop
+        self._bounds = bounds
         self._noise = max(settings.simulation.noise.position,
                           settings.simulation.noise.position_resolution)
 
@@ -83,9 +85,10 @@ class SimulatedRig:
         while simulator.samples < end:
             shown = simulator.advance(min(turn, end - simulator.samples))
             parts.append(shown)
-            aborted = aborted or watch.exceeded(shown) or self._stop()
+            aborted = aborted or watch.exceeded(shown)
             if aborted and end > simulator.samples and self._demand is x_d:
-                self._demand = x_d[simulator.samples - start - 1:][:1]
+                last = x_d[simulator.samples - start - 1:][:1]
+                self._demand = np.clip(last, self._bounds.lower, self._bounds.upper)
                 end = min(end, simulator.samples + round(HELD / simulator.dt))
         return Ran(Recording(simulator.dt, {key: np.concatenate([part[key] for part in parts])
                                             for key in parts[0]},
