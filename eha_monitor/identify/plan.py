@@ -17,7 +17,7 @@ from eha_monitor.mismatch.advise.motions import (
     resized,
     without_noise,
 )
-from eha_monitor.mismatch.advise.tells import MATTERS, effects_for
+from eha_monitor.mismatch.advise.tells import effects_for
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.data.inputs import CLOSED
 from eha_monitor.mismatch.likelihood.fit import Fit, free_run
@@ -43,7 +43,7 @@ MARGIN = 0.8  # of each limit, that a predicted motion may take
 SAFE_UNDER = 3  # most probable structures, whose own predictions must keep the limits
 SIGMAS = 3.0  # standard deviations of B and beta_e that the limits must bear
 SURE, UNSURE = 1.05, 1.8  # factors on B and beta_e that they bear at least and at most
-ALIKE = 0.01  # expected probability within which the shorter motion is better
+ALIKE = 0.02  # expected probability within which the shorter motion is better
 WORTH = 0.05  # expected probability: a motion that promises less tells nothing
 WAIT = 0.3  # s at rest before a motion and after it
 PACE = 0.5  # of the limits of speed and acceleration on the way to where a motion begins
@@ -95,9 +95,14 @@ def standing(naming: Naming) -> dict[Names, float]:
 
     A set that only adds to another, and that the data give no more than its prior, is no rival
     of it: no recording excludes an effect of size zero, or a Stribeck drop of none beside Coulomb
-    friction.  Its probability is the other's.
+    friction.  Its probability is the other's.  Nor is a set in which a number of the rig stands
+    for the effect that has the same equation.
     """
-    found = dict(naming.weights)
+    same: dict[Names, list[Names]] = {}
+    for names in naming.weights:
+        same.setdefault(frozenset(map(TWINS.get, names, names)), []).append(names)
+    found = {ties.best(group, naming.weights.get, sorted): sum(map(naming.weights.get, group))
+             for group in same.values()}
     for names in sorted(found, key=lambda names: (-size(names), sorted(names))):
         if not names or not all(map(is_named, names)):
             continue
@@ -106,6 +111,10 @@ def standing(naming: Naming) -> dict[Names, float]:
         if less:
             found[ties.best(less, found.get, sorted)] += found.pop(names)
     return {names: found[names] for names in ties.ordered(found, found.get, sorted)}
+
+
+# Effect -> number of the rig that has the same equation.
+TWINS = {name: f"rig.{effect.rig_twin}" for name, effect in CATALOGUE.items() if effect.rig_twin}
 
 
 def size(names: Names) -> int:
@@ -133,8 +142,8 @@ def running(naming: Naming) -> list[Structure]:
 def first_look(settings: Settings, bounds: Bounds) -> tuple[Experiment, list[Structure]]:
     """Return the rig as the config has it, and what may be missing there, all equally probable.
 
-    Each effect of the simplest kind enters at the size that matters.  Nothing is recorded yet: the
-    sensors are those of ``simulation.publish``, with ``simulation.noise``.
+    Nothing is recorded yet: the sensors are those of ``simulation.publish``, with
+    ``simulation.noise``.
 
     Raises
     ------
@@ -163,13 +172,16 @@ def first_look(settings: Settings, bounds: Bounds) -> tuple[Experiment, list[Str
 
 
 def beside(experiment: Experiment, structure: Structure) -> list[Structure]:
-    """Return a structure, and it with each further effect at a size that matters, all alike."""
-    found = [structure]
-    for name in effects_for(experiment, structure.fit, NAMES):
+    """Return a structure, and it with each further effect at its start, all as probable.
+
+    A start is 1 % of what the effect's balance does.
+    """
+    found, named = [structure], tuple(n for n in structure.fit.named if n in CATALOGUE)
+    for name in effects_for(experiment, replace(structure.fit, named=named), NAMES):
         for start in starts_of(name, experiment)[:1]:
             if not own_sizes(start) or not all(np.isfinite(p.neutral) for p in own_sizes(start)):
                 continue  # a limit, or a shape only: it has no size that matters
-            fit = with_effect(structure.fit, start, (MATTERS,) * len(own_sizes(start)))
+            fit = with_effect(structure.fit, start, (1.0,) * len(own_sizes(start)))
             # Its size is held: with it free, no data would speak against it.
             found.append(Structure(structure.names | {name}, replace(
                 fit, free=structure.fit.free), 1.0))
