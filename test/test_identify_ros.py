@@ -1,11 +1,13 @@
 """An experiment over DDS: the real simulator follows, and a motion is aborted in each way."""
 
+import json
+import signal
 import threading
 
 import numpy as np
 import pytest
 from ros_tools import Caller
-from test_ros_processes import command, end
+from test_ros_processes import PATIENCE, command, end
 
 from eha_monitor.errors import InputError
 from eha_monitor.ros.identify_node import RosRig
@@ -42,7 +44,8 @@ def sine(position, amplitude, frequency, seconds):
         round(seconds / DT)) * DT)
 
 
-def test_motion_abort_at_a_limit_by_the_service_and_without_data(graph, tmp_path):
+def test_motion_abort_at_a_limit_by_the_service_and_without_data(graph, tmp_path, monkeypatch):
+    monkeypatch.setattr("eha_monitor.ros.identify_node.PATIENCE", PATIENCE)
     config = tmp_path / "rig.yaml"
     config.write_text("simulation: {demand: topic}", encoding="utf-8")
     settings = load_settings("config/identify.yaml")
@@ -50,7 +53,7 @@ def test_motion_abort_at_a_limit_by_the_service_and_without_data(graph, tmp_path
     rig = RosRig(graph.node("identify", "/eha"), settings, bounds, tmp_path / "bags")
     asked, caller = Asked(graph, rig), Caller(graph)
     with command("simulator", "--config", config, "--seed", "1") as simulator:
-        assert asked(rig.position, timeout=90.0) == pytest.approx(0.0, abs=1e-4)
+        assert asked(rig.position, timeout=PATIENCE) == pytest.approx(0.0, abs=1e-4)
         assert asked(rig.ready) is None
 
         ran = asked(rig.run, sine(0.0, 0.005, 1.0, 1.5), "motion_01")
@@ -83,6 +86,29 @@ def test_motion_abort_at_a_limit_by_the_service_and_without_data(graph, tmp_path
         end(simulator)
         ran = graph.until(lambda: silent)[0]
     assert "nothing came of" in ran.aborted and not ran.asked
+
+
+@pytest.mark.slow
+def test_the_command_decides_over_dds_and_waits_to_be_told(graph, tmp_path):
+    config, answer = tmp_path / "rig.yaml", tmp_path / "a.json"
+    config.write_text("simulation: {demand: topic}\neffects: {quadratic_friction: {a_1: 600}}",
+                      encoding="utf-8")
+    caller = Caller(graph, 120.0)
+    with command("simulator", "--config", config, "--seed", "1"), \
+            command("identify", "--config", "config/identify.yaml", "--wait", "--out",
+                    tmp_path / "bags", "--json", answer) as process:
+        assert caller.trigger("/eha/identify/start").success
+        assert not caller.trigger("/eha/identify/start").success
+        out, err = process.communicate(timeout=400)
+    assert process.returncode == 0, err
+    assert "quadratic friction, 99.9 %. Decided" in out
+    assert json.loads(answer.read_text(encoding="utf-8"))["end"] == "decided"
+
+
+def test_an_interrupted_wait_ends_quietly(graph):
+    with command("identify", "--config", "config/identify.yaml", "--wait") as process:
+        Caller(graph, 90.0).trigger("/eha/identify/start")
+        end(process, signal.SIGINT)
 
 
 def test_nobody_to_move_is_one_line(graph, tmp_path, monkeypatch):

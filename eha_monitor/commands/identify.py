@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from eha_monitor.identify.experiment import Round
     from eha_monitor.identify.plan import Planner
     from eha_monitor.identify.rig import Rig
+    from eha_monitor.settings import Settings
 
 MOST_MOTIONS = 99
 
@@ -60,6 +61,7 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
     from eha_monitor.api.config import config_of
     from eha_monitor.identify.bounds import bounds_of
     from eha_monitor.identify.plan import Planner
+    from eha_monitor.quantity import rig_motion
 
     if simulated is not None and (ros_args or wait):
         raise InputError("--simulate: expected neither --wait nor ROS arguments beside it")
@@ -79,11 +81,12 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
                         for option, value in (("--config", config), ("--simulate", simulated))
                         if value is not None)])
 
-    def experiment(rig: "Rig", said: Callable[[str], None] = click.echo) -> str:
-        rounds = run(rig, planner, probability, lambda one, count: written(
-            one, count, out, given.settings, overwrite, said))
-        return finish(rounds, planner, probability, out, command,
-                      (json_file, report_file, config_file), config, said)
+    def experiment(rig: "Rig") -> str:
+        with rig_motion(given.settings.rig.motion):  # of this thread
+            rounds = run(rig, planner, probability, lambda one, count: written(
+                one, count, out, given.settings, overwrite))
+            return finish(rounds, planner, probability, out, command,
+                          (json_file, report_file, config_file), config)
 
     if simulated is not None:
         from eha_monitor.identify.rig import SimulatedRig
@@ -100,23 +103,24 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
 def run(rig: "Rig", planner: "Planner", wanted: float,
         each: Callable[["Round", int], None]) -> list["Round"]:
     """Run the experiment; ``each`` is told every round as it comes."""
+    from eha_monitor.api.plausible import checked
     from eha_monitor.identify.experiment import identify as rounds_of
 
     rounds = []
     with progress_bar() as told:
-        for one in rounds_of(rig, planner, wanted, report=told):
+        for one in rounds_of(rig, planner, wanted, lambda recording: checked(
+                [recording], planner.settings), told):
             rounds.append(one)
             each(one, len(rounds))
     return rounds
 
 
-def written(one: "Round", count: int, out: Path, settings, overwrite: bool,
-            said: Callable[[str], None]) -> None:
+def written(one: "Round", count: int, out: Path, settings: "Settings", overwrite: bool) -> None:
     """Write the bag of a round, and say what is known after it."""
     from eha_monitor.identify.words import round_words
     from eha_monitor.recordings.write import write_recording
 
-    said(round_words(one, count, settings.rig.sample_time))
+    click.echo(round_words(one, count, settings.rig.sample_time))
     if one.ran.bag is None and len(one.ran.recording):
         out.mkdir(parents=True, exist_ok=True)
         write_recording(out / one.ran.recording.source, one.ran.recording, settings,
@@ -124,17 +128,18 @@ def written(one: "Round", count: int, out: Path, settings, overwrite: bool,
 
 
 def finish(rounds: list["Round"], planner: "Planner", wanted: float, out: Path, command: str,
-           targets: tuple[Path | None, Path | None, Path | None], config: Path | None,
-           said: Callable[[str], None]) -> str:
+           targets: tuple[Path | None, Path | None, Path | None], config: Path | None) -> str:
     """Write JSON, report and config; return why the experiment was aborted, or ""."""
     from eha_monitor.api.answer import finite
     from eha_monitor.api.diagnosis_answer import answer, written_config
     from eha_monitor.identify.words import tree
+    from eha_monitor.quantity import in_units
     from eha_monitor.reports.diagnosis_report import write_diagnosis_report
 
     json_file, report_file, config_file = targets
     settings, last = planner.settings, rounds[-1]
-    found = next((one.diagnosis for one in reversed(rounds) if one.diagnosis is not None), None)
+    found = next((in_units(one.diagnosis) for one in reversed(rounds)
+                  if one.diagnosis is not None), None)
     bags = [str(one.ran.bag or out / one.ran.recording.source) for one in rounds]
     if json_file:
         write_json(json_file, finite(tree(rounds, bags, planner.bounds, wanted,
@@ -145,10 +150,10 @@ def finish(rounds: list["Round"], planner: "Planner", wanted: float, out: Path, 
             write_text(config_file, written_config(found, settings, config))
         if report_file:
             write_diagnosis_report(report_file, found, settings, (), command)
-        said(found.message)
+        click.echo(found.message)
     for path in (*bags, *targets):
         if path is not None and Path(path).exists():
-            said(f"written: {path}")
+            click.echo(f"written: {path}")
     return f"{bags[-1]}: aborted: {last.ran.aborted}" if (
         last.ran.aborted and not last.ran.asked) else ""
 

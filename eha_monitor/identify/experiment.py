@@ -55,7 +55,8 @@ class Round:
     would: tuple[str, ...] = ()
 
 
-def identify(rig: Rig, planner: Planner, wanted: float, first: Planned | None = None,
+def identify(rig: Rig, planner: Planner, wanted: float,
+             check: Callable[[Recording], object] = lambda recording: None,
              report: Report | None = None) -> Iterator[Round]:
     """Run motions until a set of effects has the probability asked for, or none can get it.
 
@@ -63,7 +64,7 @@ def identify(rig: Rig, planner: Planner, wanted: float, first: Planned | None = 
     ----------
     rig : what moves; ``planner`` knows config and limits.
     wanted : probability at which a set stands.
-    first : the first motion, where it is planned already.
+    check : of each recording before it is diagnosed; raises what is wrong with it.
     report : told what is done and how far it is, 0 to 1.
 
     Yields
@@ -77,7 +78,8 @@ def identify(rig: Rig, planner: Planner, wanted: float, first: Planned | None = 
         If the limits allow no motion, or what came cannot be diagnosed.
     """
     say = report or (lambda text, share: None)
-    planned: Planned | None = first or planner.first(rig.position())
+    say("planning the first motion", 0.0)
+    planned: Planned | None = planner.first(rig.position())
     recordings: list[Recording] = []
     seconds, number = 0.0, 0
     while planned is not None:
@@ -88,11 +90,15 @@ def identify(rig: Rig, planner: Planner, wanted: float, first: Planned | None = 
         if ran.aborted:
             yield Round(planned, ran, seconds, end=ABORTED)
             return
+        check(ran.recording)
         recordings.append(ran.recording)
         found, naming = diagnose_and_name(recordings, planner.settings, say)
         if naming is None:
-            raise InputError(f"{ran.recording.source}: {found.message}; expected a piston that "
-                             "follows the command")
+            raise InputError(f"{ran.recording.source}: " + (
+                f"{found.message}; expected a piston that follows the command"
+                if found.verdict == "insufficient_data" else
+                "the balances judge what this rig records, and plan nothing: advise says what to "
+                "record"))
         one = judged(planned, ran, seconds, found, naming)
         one = following(planner, naming, one, wanted, rig.position())
         planned = one.following

@@ -283,10 +283,11 @@ class Contest:
 
 
 def alike(one: Structure, other: Structure) -> bool:
-    """Tell whether two structures differ in laws of one family only."""
+    """Tell whether two structures differ in laws of one family only, of which both have one."""
     different = one.names ^ other.names
-    return bool(different) and all(b == a or b in form_kin(a) or a in form_kin(b)
-                                   for a in different for b in different)
+    return bool(different) and all(
+        different <= family and one.names & family and other.names & family
+        for family in ({law, *form_kin(law)} for law in different))
 
 
 def form_error(one: Structure, other: Structure, explained: Mapping[str, float]) -> float:

@@ -30,7 +30,7 @@ from eha_monitor.settings.monitor import Settings
 TURN = 0.01  # s between two turns: what comes is looked at, what is due is sent
 GRAPH = 0.2  # s between two looks at who publishes
 HOLDING = 0.1  # s between two commands while a position is held
-PATIENCE = 10.0  # s that a rig has to appear
+PATIENCE = 30.0  # s that a rig has to appear
 TAIL = 0.2  # s for which what comes is still recorded after a motion
 COMMAND = "command"
 

@@ -112,6 +112,11 @@ class SimulatorNode:
 
     def _on_excite(self, request, response):
         """Begin the test excitation with the next block, at most 0.1 s ahead."""
+        if self._commands is not None:
+            response.success = False
+            response.message = ("commands of others are followed (simulation.demand: topic), "
+                                "expected a simulator with its own motion")
+            return response
         stretches = ", ".join(self._simulator.settings.simulation.test_excitation)
         left = self._simulator.test_left
         response.success = left == 0.0
