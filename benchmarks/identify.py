@@ -163,14 +163,15 @@ def main() -> None:
                   f"{time.process_time() - started:.0f} s of processor", flush=True)
     print(f"limits exceeded: {exceeded}; the most that was taken: "
           + ", ".join(f"{key} {value:.0%}" for key, value in worst.items()))
-    figures = {"limits_exceeded": record.spread([exceeded])}
+    figures = {"limits_exceeded": record.spread([exceeded])} | {
+        key: record.spread([100.0 * value], "%") for key, value in worst.items()}
     for way, found in rows.items():
         # What is not decided rightly has cost all the time there is.
         seconds = [s if right else LIMITS["total_time"] for s, _, right in found]
         share = sum(right for *_, right in found) / len(found)
         wrong = sum(decided and not right for _, decided, right in found)
         figures[f"{way}_s"] = record.spread(seconds, "s")
-        figures[f"{way}_right"] = record.spread([right for *_, right in found])
+        figures[f"{way}_right"] = record.spread([sum(right for *_, right in found)])
         figures[f"{way}_wrong"] = record.spread([wrong])
         print(f"{way}: median {np.median(seconds):.1f} s, mean {np.mean(seconds):.1f} s until "
               f"right (undecided counts {LIMITS['total_time']:g} s), decided rightly "
