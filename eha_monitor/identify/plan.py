@@ -43,6 +43,7 @@ MARGIN = 0.8  # of each limit, that a predicted motion may take
 SAFE_UNDER = 3  # most probable structures, whose own predictions must keep the limits
 SIGMAS = 3.0  # standard deviations of B and beta_e that the limits must bear
 SURE, UNSURE = 1.05, 1.8  # factors on B and beta_e that they bear at least and at most
+TIGHT = 0.05  # of the configured leakage: of that only the order of magnitude is known
 ALIKE = 0.02  # expected probability within which the shorter motion is better
 WORTH = 0.05  # expected probability: a motion that promises less tells nothing
 WAIT = 0.3  # s at rest before a motion and after it
@@ -419,6 +420,7 @@ def around(fit: Fit, recorded: bool) -> list[Fit]:
     """Return a fit, and it with B and beta_e at the ends of what is known of them.
 
     Before anything is recorded that is next to nothing: they are what the monitor is there for.
+    At those ends hardly anything leaks, as leakage damps the resonance.
     """
     found = [fit]
     wide = [float(np.clip(np.exp(SIGMAS * fit.stddev(name) / fit.value(name)), SURE, UNSURE))
@@ -429,6 +431,7 @@ def around(fit: Fit, recorded: bool) -> list[Fit]:
             theta = fit.theta.copy()
             theta[s.B] *= damping
             theta[s.BETA_E] *= modulus
+            theta[[s.C_T, s.G_MAKEUP]] *= TIGHT
             found.append(replace(fit, theta=theta))
     return found
 
