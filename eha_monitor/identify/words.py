@@ -42,7 +42,8 @@ def plan_words(planned: Planned, dt: float) -> str:
 
 def round_words(one: Round, count: int, dt: float) -> str:
     """Return what stands after a motion, with which probability, and what is next and why."""
-    head = f"motion {count}, {one.planned.motion.words}, {number(one.seconds, 3)} s so far: "
+    what = one.planned.motion.words.replace("the speed of this recording", "full speed")
+    head = f"motion {count}, {what}, {number(one.seconds, 3)} s so far: "
     if one.end == ABORTED:
         return f"{head}aborted: {one.ran.aborted}; the position demanded last is held"
     if one.diagnosis is not None and one.diagnosis.verdict == "unexplained":
