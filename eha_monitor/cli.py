@@ -18,6 +18,7 @@ from eha_monitor.commands.diagnose import diagnose
 from eha_monitor.commands.estimate import estimate
 from eha_monitor.commands.export import export
 from eha_monitor.commands.files import config, import_table, simulate
+from eha_monitor.commands.identify import identify
 from eha_monitor.commands.init import init
 from eha_monitor.commands.live import dashboard, monitor, record, replay, simulator
 from eha_monitor.commands.prove import prove
@@ -25,7 +26,7 @@ from eha_monitor.commands.thresholds import thresholds
 from eha_monitor.errors import InputError
 
 # Those that know what to do with ROS arguments.
-_NODES = ("simulator", "monitor", "dashboard", "replay", "record")
+_NODES = ("simulator", "monitor", "dashboard", "replay", "record", "identify")
 BAD_INPUT, DEFECT, INTERRUPTED, BROKEN_PIPE = 2, 70, 130, 141
 
 
@@ -53,7 +54,7 @@ def cli(context: click.Context) -> None:
 
 
 for _command in (init, simulator, monitor, dashboard, replay, record, simulate, estimate, diagnose,
-                 advise, prove, import_table, thresholds, export, config):
+                 advise, identify, prove, import_table, thresholds, export, config):
     cli.add_command(_command)
 
 

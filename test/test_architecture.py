@@ -26,6 +26,8 @@ FORBIDDEN = {
     "recordings": ("rclpy", "eha_monitor.ros", "eha_monitor.estimation", "eha_monitor.mismatch"),
     "mismatch": ("rclpy", "eha_monitor.ros", "eha_monitor.commands", "eha_monitor.prove",
                  "eha_monitor.concealed", "eha_monitor.reports"),
+    "identify": ("rclpy", "eha_monitor.ros", "eha_monitor.commands", "eha_monitor.reports",
+                 "eha_monitor.concealed"),
     "prove": ("rclpy", "eha_monitor.ros", "eha_monitor.commands", "eha_monitor.reports"),
     "reports": ("rclpy", "eha_monitor.ros", "eha_monitor.commands"),
     "exports": ("rclpy", "eha_monitor.ros", "eha_monitor.estimation", "eha_monitor.health",

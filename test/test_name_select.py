@@ -12,6 +12,7 @@ from mismatch_tools import fitted, recorded
 
 from eha_monitor.concealed.cases import Case
 from eha_monitor.mismatch.data.experiment import experiment_of
+from eha_monitor.mismatch.name import posterior
 from eha_monitor.mismatch.name.base import with_effect
 from eha_monitor.mismatch.name.candidates import log_prior
 from eha_monitor.mismatch.name.columns import rig_free
@@ -47,7 +48,10 @@ from eha_monitor.mismatch.name.select import (
 from eha_monitor.mismatch.name.starts import starts_of
 from eha_monitor.mismatch.policy import POLICY
 
-counted = Refits(POLICY).counted
+
+def counted(left):
+    return posterior.counted(left, POLICY)
+
 
 
 def ranked(evidence: float, *names: str, prior: float = 0.0) -> Ranked:

@@ -94,15 +94,26 @@ def diagnose(recordings: list[Recording], settings: Settings, held_out: Recordin
     """
     with computing(*(recording.source for recording in recordings)):
         return _diagnosed(recordings, settings, held_out, progress or (lambda text, share: None),
-                          hypothesis, without, vary)
+                          hypothesis, without, vary)[0]
+
+
+def diagnose_and_name(recordings: list[Recording], settings: Settings,
+                      progress: Report | None = None) -> tuple[Diagnosis, Naming | None]:
+    """Diagnose, and return the sets and fits behind the answer as well: for what to do next.
+
+    None where the balances judge, or the piston hardly moves.  See :func:`diagnose`.
+    """
+    with computing(*(recording.source for recording in recordings)):
+        return _diagnosed(recordings, settings, None, progress or (lambda text, share: None),
+                          None, (), ())
 
 
 def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Recording | None,
                say: Report, hypothesis: Hypothesis | None, without: tuple[str, ...],
-               vary: tuple[str, ...]) -> Diagnosis:
+               vary: tuple[str, ...]) -> tuple[Diagnosis, Naming | None]:
     if by_balances(recordings, settings):
         say("least squares on the balances", 0.1)
-        return answered(recordings, settings, Asked(held_out, hypothesis, without, vary))
+        return answered(recordings, settings, Asked(held_out, hypothesis, without, vary)), None
     started = time.perf_counter()
     say("least squares on the balances", 0.02)
     first = first_answer(recordings, settings, Asked(held_out, None, without, vary))
@@ -110,7 +121,7 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     experiment = at_its_angle(experiment_of(recordings, held, held_out is None, without))
     far = hypothesis is None and far_from_config(first)
     if far and not credible(experiment, first.config_effects):
-        return replace(first, advice=(FINER, *first.advice))
+        return replace(first, advice=(FINER, *first.advice)), None
     named = named_in(experiment, say)
     if decision is not None and named is not None and (
             named[1].unexplained > experiment.policy.rival):
@@ -123,13 +134,13 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
             decision = replace(decision, hold=held.command_hold, evidence=gained, decided=True)
     found = diagnosed(recordings, experiment, named, held_out, started, say, hypothesis)
     if far and found.verdict == "unexplained" and not found.learned:
-        return replace(first, advice=(FINER, *first.advice))
+        return replace(first, advice=(FINER, *first.advice)), None
     decided = decision is not None and decision.decided
     return replace(found, machine=None if first is None else first.machine,
                    policy=experiment.policy.to_dict(),
                    channels=decision.findings if decided else (),
                    command_hold=(held if decided else settings).command_hold,
-                   wall_s=time.perf_counter() - started)
+                   wall_s=time.perf_counter() - started), named and named[1]
 
 
 def named_in(experiment: Experiment, say: Report) -> tuple[Experiment, Naming] | None:

@@ -1,5 +1,7 @@
 """The simulated rig: plant, faults over time, sensors; as a stream or all at once."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from eha_monitor.physics import excitation, parameters, plant, signals
@@ -16,9 +18,12 @@ class Simulator:
     settings : config; rig, simulation and effects are read.
     seed : seed of the sensor noise; None takes the config's.
     source : name of the config in errors.
+    demand : x_d in m at times in s, any shape, in place of the config's excitation; what it says
+        of a time may change until that is simulated.
     """
 
-    def __init__(self, settings: Settings, seed: int | None = None, source: str = "config"):
+    def __init__(self, settings: Settings, seed: int | None = None, source: str = "config",
+                 demand: Callable[[np.ndarray], np.ndarray] | None = None):
         parameters.require_plant(settings.rig, source)
         self.settings = settings
         self.dt = settings.rig.sample_time
@@ -32,14 +37,15 @@ class Simulator:
         self.theta, self.active = parameters.theta_of(settings.rig, effects)
         self.rng = np.random.default_rng(
             settings.simulation.seed if seed is None else seed)
-        start = excitation.demanded_position(settings.simulation.excitation, np.zeros(1))[0]
+        self._own_demand = demand
+        self._tests: list[float] = []  # when each test excitation began, s
+        start = self._demanded(np.zeros(1))[0]
         charge = settings.rig.charge_pressure
         self.y = plant.new_state(  # at rest: the forces balance
             start, charge, charge * settings.rig.area_1 / settings.rig.area_2)
         self._past, self._last = plant.new_past(self.y), 0
         self._memory = new_memory()
         self._shaft = np.nan, 0.0  # speed rad/s and angle rad at the last sample
-        self._tests: list[float] = []  # when each test excitation began, s
 
     @property
     def time(self) -> float:
@@ -98,6 +104,8 @@ class Simulator:
 
     def _demanded(self, time: np.ndarray) -> np.ndarray:
         """Return x_d at each time, m; the excitation's own time stands still during a test."""
+        if self._own_demand is not None:
+            return self._own_demand(time)
         simulation = self.settings.simulation
         test, own, added = simulation.test_excitation, time, 0.0
         whole = excitation.total_duration(test)

@@ -6,23 +6,29 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from std_srvs.srv import Trigger
 
 from eha_monitor.errors import InputError
+from eha_monitor.physics.excitation import demanded_position
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.ros import running
 from eha_monitor.ros.inputs import HELD, Entry, message_class, topics_of
 from eha_monitor.ros.parameters import SIMULATOR_KEYS, declare, settings_of_node
 from eha_monitor.ros.qos import OUTPUT_QOS
+from eha_monitor.ros.subscriptions import TopicInput
 from eha_monitor.settings import Settings
 
 # Samples go out in bursts of this spacing: fewer wake-ups, and little against 20 ms of latency.
 BURST = 0.002
 # The plant is simulated in blocks, as one call costs as much as a hundred samples.
 BLOCK = 100
+# Where commands are followed, a block must not begin before they have come.
+FOLLOWING_BLOCK = 10
+KEPT_COMMANDS = 4000
 # Temperature is a slow sensor.
 SLOW_PERIOD = 0.1
 
@@ -66,21 +72,30 @@ class SimulatorNode:
     def __init__(self, node: Node, settings: Settings, seed: int | None = None,
                  source: str = "config"):
         self.samples = self.messages = 0
-        self._simulator = Simulator(settings, seed, source)
-        self._streams = _streams(node, settings, source)
+        follows = settings.simulation.demand == "topic"
+        self._commands = _Commands(node, settings, source) if follows else None
+        self._simulator = Simulator(settings, seed, source,
+                                    self._commands.at if follows else None)
+        published = set(settings.simulation.publish) - ({"x_d"} if follows else set())
+        self._streams = _streams(node, settings, source, published)
         self._step_ns = settings.rig.sample_time * 1e9
+        self._ahead = FOLLOWING_BLOCK if follows else BLOCK
         self._block: dict[str, list[float]] = {}
         self._begin = self._end = 0  # samples that the block holds
         self._advance()  # before the clock starts: the first call compiles or loads the plant
         self._start_ns = node.get_clock().now().nanoseconds
         self._start = time.monotonic()
+        if self._commands is not None:
+            self._commands.start_ns = self._start_ns
         node.create_timer(BURST, self._burst, clock=Clock(clock_type=ClockType.STEADY_TIME))
         node.create_service(Trigger, "simulator/excite", self._on_excite)
 
     def _advance(self) -> None:
-        shown = self._simulator.advance(BLOCK)
+        if self._commands is not None:
+            self._commands.take()
+        shown = self._simulator.advance(self._ahead)
         self._block = {name: values.tolist() for name, values in shown.items()}
-        self._begin, self._end = self._end, self._end + BLOCK
+        self._begin, self._end = self._end, self._end + self._ahead
 
     def _burst(self) -> None:
         """Publish every sample whose time has come: timers skip ticks, samples do not."""
@@ -97,6 +112,11 @@ class SimulatorNode:
 
     def _on_excite(self, request, response):
         """Begin the test excitation with the next block, at most 0.1 s ahead."""
+        if self._commands is not None:
+            response.success = False
+            response.message = ("commands of others are followed (simulation.demand: topic), "
+                                "expected a simulator with its own motion")
+            return response
         stretches = ", ".join(self._simulator.settings.simulation.test_excitation)
         left = self._simulator.test_left
         response.success = left == 0.0
@@ -115,8 +135,44 @@ class SimulatorNode:
         return f"published {self.samples} samples in {self.messages} messages"
 
 
-def _streams(node: Node, settings: Settings, source: str) -> list[_Stream]:
-    published = set(settings.simulation.publish)
+class _Commands:
+    """What others demand, by stamp: each holds until the next one, straight lines between.
+
+    A command with an earlier stamp than one that came before takes the place of all later ones.
+    """
+
+    def __init__(self, node: Node, settings: Settings, source: str):
+        topic = next((one for one in topics_of(settings, source, node.resolve_topic_name)
+                      if any(channel == "x_d" for entry in one.entries
+                             for channel, _ in entry.channels)), None)
+        if topic is None:
+            raise InputError(f"{source}: channels.x_d: expected the topic that is followed")
+        self._input = TopicInput(node, topic, OUTPUT_QOS)
+        self.start_ns = 0
+        start = demanded_position(settings.simulation.excitation, np.zeros(1))
+        self._stamps, self._values = np.zeros(1, dtype=np.int64), start
+
+    def take(self) -> None:
+        """Take the commands that came."""
+        while True:
+            messages, _, _ = self._input.take()
+            for batch in self._input.read(messages, np.zeros(len(messages)), np.zeros(
+                    len(messages), dtype=np.int64)) if messages else ():
+                column = batch.source.channels.index("x_d")
+                for at, value in zip(batch.stamps, batch.values[:, column], strict=True):
+                    kept = np.searchsorted(self._stamps, at)
+                    self._stamps = np.append(self._stamps[:kept], at)[-KEPT_COMMANDS:]
+                    self._values = np.append(self._values[:kept], value)[-KEPT_COMMANDS:]
+            if not self._input.waits:
+                return
+
+    def at(self, time_s: np.ndarray) -> np.ndarray:
+        """Return x_d at times since the start, m."""
+        return np.interp(time_s, (self._stamps - self.start_ns) * 1e-9, self._values)
+
+
+def _streams(node: Node, settings: Settings, source: str, published: set[str]
+             ) -> list[_Stream]:
     if unmapped := sorted(published - set(settings.channels)):
         raise InputError(f"{source}: simulation.publish: {unmapped[0]} has no entry in channels")
     frame = settings.frame_id

@@ -13,6 +13,7 @@ from eha_monitor.settings.channels import (
     check_unit,
     fill_channels,
 )
+from eha_monitor.settings.experiment import Experiment
 from eha_monitor.settings.own_terms import effects_field
 from eha_monitor.settings.rig import Rig, SensorNoise, Simulation
 from eha_monitor.units import Section, Si
@@ -279,6 +280,8 @@ class Settings(Section):
                                                  "indicators (docs/health.md, docs/limits.md)")
     monitor: Monitor = Field(Monitor(), description="the live monitor")
     diagnosis: Diagnosis = Field(Diagnosis(), description="the live monitor's own diagnosis")
+    experiment: Experiment = Field(Experiment(), description="limits within which identify moves "
+                                   "the rig (docs/identify.md)")
     effects: Annotated[dict[str, dict[str, float | str | list[float]]],
                        BeforeValidator(effects_field)] = Field(
         {}, description="modelled physics beyond the linear model")

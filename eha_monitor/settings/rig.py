@@ -150,6 +150,10 @@ class Simulation(Section):
     """What the simulator does beyond the rig's constants."""
 
     seed: int = Field(0, ge=0, description="seed of the sensor noise")
+    demand: Literal["excitation", "topic"] = Field(
+        "excitation", description="x_d of the node simulator; excitation: that of this config, "
+                                  "and it publishes it; topic: what others publish on the topic "
+                                  "of the channel x_d, by stamp, held between and after")
     substeps: int = Field(10, ge=1, le=1000, description="integration steps in a sample")
     noise: SensorNoise = Field(SensorNoise(), description="sensor noise and resolution")
     publish: tuple[Literal["x", "v", "x_d", "omega", "p1", "p2", "force", "temperature"], ...] = (

@@ -186,7 +186,11 @@ def _tidy(value: float) -> float:
 
 def planned(experiment: Experiment, fit: Fit, limits: Limits, motion: Motion) -> Experiment:
     """Return a motion as an experiment: the fitted model's own outputs, without noise."""
-    blank = with_motion(experiment, fit, limits, motion)
+    return without_noise(with_motion(experiment, fit, limits, motion), fit)
+
+
+def without_noise(blank: Experiment, fit: Fit) -> Experiment:
+    """Return an experiment of one stretch with the fitted model's own outputs."""
     stretch = blank.stretches[0]
     clean = free_run(blank, stretch, fit)
     clean[~np.isfinite(stretch.z)] = np.nan
@@ -197,16 +201,25 @@ def with_motion(experiment: Experiment, fit: Fit, limits: Limits, motion: Motion
     """Return the rig at rest where a motion begins, driven by it."""
     if experiment.mode == FORCED:
         return forced(experiment, fit, limits, motion)
-    rig, dt = experiment.settings.rig, experiment.dt
+    return demanded(experiment, motion.name, demand_of(motion, experiment.dt))
+
+
+def demand_of(motion: Motion, dt: float) -> np.ndarray:
+    """Return x_d of a motion, one value to a sample of ``dt`` s, (n,) m."""
     time = np.arange(max(4, round(motion.duration / dt))) * dt
-    x_d = demanded_position(motion.segments, time)
+    return demanded_position(motion.segments, time)
+
+
+def demanded(experiment: Experiment, name: str, x_d: np.ndarray) -> Experiment:
+    """Return the rig at rest at the first of the demanded positions (n,), driven by them."""
+    rig, time = experiment.settings.rig, np.arange(len(x_d)) * experiment.dt
     z = np.full((len(time), N_OUTPUTS), np.nan)
     charge, charge_2 = rig.charge_pressure, rig.charge_pressure * rig.area_1 / rig.area_2
     for column, value in enumerate((x_d[0], 0.0, charge, charge_2, 0.0)):
         if experiment.used[column]:
             z[:, column] = value
     counted = time >= BURN_IN
-    stretch = Stretch(motion.name, 0.0, z, cubics(x_d, 0.0), np.full(len(time), charge),
+    stretch = Stretch(name, 0.0, z, cubics(x_d, 0.0), np.full(len(time), charge),
                       np.full(len(time), charge_2), counted, np.zeros(len(time), dtype=bool))
     return replace(experiment, mode=CLOSED, stretches=(stretch,))
 

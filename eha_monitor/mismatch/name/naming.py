@@ -43,6 +43,7 @@ class Naming:
     tried : set -> its model and the log units by which it is behind, best first.
     loads : when a load without a name of its own acts, (from s, to s, N); ``intermittent_load``.
     gates : checks that a set with more evidence, or a member of one, did not pass.
+    weights : set -> probability that it is all that is there, and nothing without a name.
     """
 
     experiment: Experiment
@@ -57,6 +58,7 @@ class Naming:
     tried: tuple[tuple[Names, Fit, float], ...] = ()
     loads: tuple[tuple[float, float, float], ...] = ()
     gates: tuple[Gate, ...] = ()
+    weights: dict[Names, float] = field(default_factory=dict)
 
 
 def in_place_of(name: str, best: Names, weights: dict[Names, float]) -> dict[str, float]:
@@ -200,7 +202,7 @@ def naming_of(experiment: Experiment, found: Selection, before: Fit) -> Naming:
         tuple(key for name in after.named if (key := candidate(name).key)),
         probability, float(empty), unnamed, evidence, rivals,
         tuple((names, refits.fits[names], scores[best] - scores[names]) for names in order),
-        loads, gates)
+        loads, gates, {names: weight * (1.0 - beyond) for names, weight in weights.items()})
 
 
 def on_all_of(experiment: Experiment, naming: Naming) -> Naming:

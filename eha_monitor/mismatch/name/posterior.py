@@ -69,25 +69,15 @@ class Refits:
         """Return the set with the highest evidence, the plainest of equals."""
         return ties.best(sets, self.evidence.get, plainness, ties.SAME_FIT)
 
-    def counted(self, left: float) -> float:
-        """Return what evidence that is lacking counts: in full near the noise, less far above it.
-
-        No model is exact to the last newton.  A likelihood (1 + left / form)^-form is that of a
-        model whose form error is unknown in size: what takes a tenth of much that is left has
-        gained little, what takes the last bit has gained all of it.
-        """
-        form = self.policy.form
-        return -form * float(np.log1p(max(left, 0.0) / form))
-
     def score(self, evidence: float, prior: float) -> float:
-        """Return what an evidence counts, log units: see :meth:`counted`."""
-        return self.policy.temper * self.counted(self.floor() - evidence) + prior
+        """Return what an evidence counts, log units: see :func:`counted`."""
+        return self.policy.temper * counted(self.floor() - evidence, self.policy) + prior
 
     def pursued(self, evidence: float, than: float) -> bool:
         """Tell whether evidence counts for so much more than another that it is worth a look."""
         floor = max(self.floor(), evidence)
         return self.policy.temper * (
-            self.counted(floor - evidence) - self.counted(floor - than)) > PURSUED
+            counted(floor - evidence, self.policy) - counted(floor - than, self.policy)) > PURSUED
 
     def scores(self) -> dict[Names, float]:
         """Return the score of every refitted set.
@@ -156,6 +146,16 @@ class Refits:
                     names == best or self.pursued(value, went)):
                 return names, fit
         return None
+
+
+def counted(left: float, policy: SearchPolicy) -> float:
+    """Return what evidence that is lacking counts: in full near the noise, less far above it.
+
+    No model is exact to the last newton.  A likelihood (1 + left / form)^-form is that of a
+    model whose form error is unknown in size: what takes a tenth of much that is left has
+    gained little, what takes the last bit has gained all of it.
+    """
+    return -policy.form * float(np.log1p(max(left, 0.0) / policy.form))
 
 
 def plainness(names: Names) -> tuple[int, int, list[str]]:

@@ -1,0 +1,182 @@
+"""``identify``: an experiment that decides what a rig has, within limits."""
+
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from eha_monitor.commands.common import (
+    FILE,
+    check_new,
+    check_outputs,
+    config_option,
+    json_option,
+    overwrite_option,
+    progress_bar,
+    report_option,
+    ros_module,
+    write_config_option,
+)
+from eha_monitor.errors import InputError
+from eha_monitor.output import write_bytes, write_json, write_text
+
+if TYPE_CHECKING:
+    from eha_monitor.identify.experiment import Round
+    from eha_monitor.identify.plan import Planner
+    from eha_monitor.identify.rig import Rig
+    from eha_monitor.settings import Settings
+
+MOST_MOTIONS = 99
+
+
+@click.command()
+@config_option
+@click.option("--simulate", "simulated", type=FILE, metavar="CONFIG",
+              help="Experiment on the simulated actuator of this config, without ROS and as fast "
+                   "as it goes.")
+@click.option("--out", type=FILE, metavar="FOLDER", default=Path("identify"), show_default=True,
+              help="Folder of the bags, one for each motion.")
+@overwrite_option
+@click.option("--probability", type=click.FloatRange(0.5, 0.999), default=0.95,
+              show_default=True, help="Probability at which a set of effects is decided.")
+@click.option("--dry-run", is_flag=True,
+              help="Move nothing: write the first motion as a picture and a bag.")
+@click.option("--wait", is_flag=True, help="Wait for the service identify/start.")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of the simulated sensor noise.")
+@json_option
+@report_option
+@write_config_option("Write the config with the identified effects and corrected rig data.")
+@click.pass_obj
+def identify(ros_args: list[str], config: Path | None, simulated: Path | None, out: Path,
+             overwrite: bool, probability: float, dry_run: bool, wait: bool, seed: int | None,
+             json_file: Path | None, report_file: Path | None, config_file: Path | None) -> None:
+    """Move the rig until it is decided which effects it has, and diagnose it.
+
+    Motions are planned within the limits of the config (section experiment), each by what the
+    last one left in doubt, and run through the topic `command`, or with --simulate on a simulated
+    actuator. A motion is aborted at a limit, by the service identify/stop, and where data stop.
+    """
+    from eha_monitor.api.config import config_of
+    from eha_monitor.identify.bounds import bounds_of
+    from eha_monitor.identify.plan import Planner
+    from eha_monitor.quantity import rig_motion
+
+    if simulated is not None and (ros_args or wait):
+        raise InputError("--simulate: expected neither --wait nor ROS arguments beside it")
+    check_outputs({"--json": json_file, "--report": report_file, "--write-config": config_file},
+                  (), config)
+    planned_bag = out / "planned"
+    for name in ("planned",) if dry_run else (f"motion_{i:02d}" for i in range(MOST_MOTIONS)):
+        check_new(out / name, overwrite)
+    given = config_of(config)
+    source = str(config or "default config")
+    bounds = bounds_of(given.settings, source)
+    planner = Planner(given.settings, bounds, source)
+    if dry_run:
+        show_first(planner, planned_bag, overwrite)
+        return
+    command = " ".join(["eha-monitor identify", *(f"{option} {shlex.quote(str(value))}"
+                        for option, value in (("--config", config), ("--simulate", simulated))
+                        if value is not None)])
+
+    def experiment(rig: "Rig") -> str:
+        with rig_motion(given.settings.rig.motion):  # of this thread
+            rounds = run(rig, planner, probability, lambda one, count: written(
+                one, count, out, given.settings, overwrite))
+            return finish(rounds, planner, probability, out, command,
+                          (json_file, report_file, config_file), config)
+
+    if simulated is not None:
+        from eha_monitor.identify.rig import SimulatedRig
+
+        aborted = experiment(SimulatedRig(config_of(simulated).settings, bounds, seed,
+                                          str(simulated)))
+    else:
+        aborted = ros_module("identify_node").run_identify(
+            given.settings, bounds, ros_args, wait, (out, overwrite), experiment)
+    if aborted:
+        raise InputError(aborted)
+
+
+def run(rig: "Rig", planner: "Planner", wanted: float,
+        each: Callable[["Round", int], None]) -> list["Round"]:
+    """Run the experiment; ``each`` is told every round as it comes."""
+    from eha_monitor.api.plausible import checked
+    from eha_monitor.identify.experiment import identify as rounds_of
+
+    rounds = []
+    with progress_bar() as told:
+        for one in rounds_of(rig, planner, wanted, lambda recording: checked(
+                [recording], planner.settings), told):
+            rounds.append(one)
+            each(one, len(rounds))
+    return rounds
+
+
+def written(one: "Round", count: int, out: Path, settings: "Settings", overwrite: bool) -> None:
+    """Write the bag of a round, and say what is known after it."""
+    from eha_monitor.identify.words import round_words
+    from eha_monitor.recordings.write import write_recording
+
+    click.echo(round_words(one, count, settings.rig.sample_time))
+    if one.ran.bag is None and len(one.ran.recording):
+        out.mkdir(parents=True, exist_ok=True)
+        write_recording(out / one.ran.recording.source, one.ran.recording, settings,
+                        overwrite=overwrite)
+
+
+def finish(rounds: list["Round"], planner: "Planner", wanted: float, out: Path, command: str,
+           targets: tuple[Path | None, Path | None, Path | None], config: Path | None) -> str:
+    """Write JSON, report and config; return why the experiment was aborted, or ""."""
+    from eha_monitor.api.answer import finite
+    from eha_monitor.api.diagnosis_answer import answer, written_config
+    from eha_monitor.identify.words import tree
+    from eha_monitor.quantity import in_units
+    from eha_monitor.reports.diagnosis_report import write_diagnosis_report
+
+    json_file, report_file, config_file = targets
+    settings, last = planner.settings, rounds[-1]
+    found = next((in_units(one.diagnosis) for one in reversed(rounds)
+                  if one.diagnosis is not None), None)
+    bags = [str(one.ran.bag or out / one.ran.recording.source) for one in rounds]
+    if json_file:
+        write_json(json_file, finite(tree(rounds, bags, planner.bounds, wanted,
+                                          settings.rig.sample_time)
+                                     | {"diagnosis": answer(found) if found else None}))
+    if found is not None:
+        if config_file:
+            write_text(config_file, written_config(found, settings, config))
+        if report_file:
+            write_diagnosis_report(report_file, found, settings, (), command)
+        click.echo(found.message)
+    for path in (*bags, *targets):
+        if path is not None and Path(path).exists():
+            click.echo(f"written: {path}")
+    return f"{bags[-1]}: aborted: {last.ran.aborted}" if (
+        last.ran.aborted and not last.ran.asked) else ""
+
+
+def show_first(planner: "Planner", bag: Path, overwrite: bool) -> None:
+    """Write the first motion as a picture and as a bag of its command."""
+    from eha_monitor.identify.words import plan_words
+    from eha_monitor.recordings.recording import Recording
+    from eha_monitor.recordings.write import write_recording
+    from eha_monitor.reports.motion_figure import motion_figure
+    from eha_monitor.reports.still_image import drawn, png
+
+    settings, bounds = planner.settings, planner.bounds
+    with progress_bar() as told:
+        told("planning the first motion", 0.1)
+        planned = planner.first(0.5 * (bounds.lower + bounds.upper))
+    bag.parent.mkdir(parents=True, exist_ok=True)
+    dt = settings.rig.sample_time
+    write_recording(bag, Recording(dt, {"x_d": planned.x_d}, 1_000_000_000), settings,
+                    overwrite=overwrite)
+    picture = bag.with_suffix(".png")
+    write_bytes(picture, png(drawn(motion_figure(planned.x_d, planned.shown, bounds, settings.rig,
+                                                 planned.motion.words))))
+    click.echo(f"nothing is moved; planned: {plan_words(planned, dt)}")
+    for path in (bag, picture):
+        click.echo(f"written: {path}")

@@ -1,0 +1,293 @@
+"""A rig over ROS for an experiment: commands out, recordings in, limits watched."""
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from eha_monitor.errors import InputError
+from eha_monitor.identify.bounds import CHANNELS, Watch
+from eha_monitor.identify.rig import HELD, Ran, Rig
+from eha_monitor.recordings.read import read_recording
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.recordings.write import BagWriter
+from eha_monitor.ros import running
+from eha_monitor.ros.inputs import topics_of
+from eha_monitor.ros.messages import stamp
+from eha_monitor.ros.parameters import with_namespace
+from eha_monitor.ros.qos import OUTPUT_QOS
+from eha_monitor.ros.subscriptions import TopicInput
+from eha_monitor.settings.experiment import Experiment as Bounds
+from eha_monitor.settings.monitor import Settings
+
+TURN = 0.01  # s between two turns: what comes is looked at, what is due is sent
+GRAPH = 0.2  # s between two looks at who publishes
+HOLDING = 0.1  # s between two commands while a position is held
+PATIENCE = 30.0  # s that a rig has to appear
+TAIL = 0.2  # s for which what comes is still recorded after a motion
+COMMAND = "command"
+
+
+@dataclass
+class Job:
+    """A motion that is run.
+
+    Attributes
+    ----------
+    x_d : (n,) m; ``start_ns`` stamp of the first, ``sent`` how many are.
+    end_ns : stamp up to which what comes is recorded.
+    kept : topic and type -> (received ns, message).
+    aborted, asked : why it ends early, and whether somebody asked for it.
+    """
+
+    x_d: np.ndarray
+    start_ns: int
+    end_ns: int
+    watch: Watch
+    sent: int = 0
+    kept: dict[tuple[str, str], list[tuple[int, bytes]]] = field(default_factory=dict)
+    aborted: str = ""
+    asked: bool = False
+    done: threading.Event = field(default_factory=threading.Event)
+
+
+class RosRig:
+    """A rig on the topics of the channel map: its node turns in one thread, others ask it.
+
+    Parameters
+    ----------
+    node : in the namespace of the topics.
+    settings : validated config; ``source`` names it in errors.
+    bounds : complete limits.
+    folder : where each motion becomes a bag; ``overwrite`` those that are there.
+    """
+
+    def __init__(self, node: Node, settings: Settings, bounds: Bounds, folder: Path,
+                 overwrite: bool = False, source: str = "config"):
+        self._node, self._settings, self._bounds = node, settings, bounds
+        self._folder, self._overwrite = folder, overwrite
+        self._dt_ns = round(settings.rig.sample_time * 1e9)
+        self._lead_ns = round(bounds.command_lead * 1e9)
+        self._name = settings.channels["x"].name or "piston"
+        self._inputs = [TopicInput(node, topic) for topic in topics_of(
+            settings, source, node.resolve_topic_name)]
+        self._publisher = node.create_publisher(JointState, COMMAND, OUTPUT_QOS)
+        self._job: Job | None = None
+        self._demanded = self._measured = np.nan
+        self._heard: dict[str, float] = {}
+        self._told, self._stop = 0.0, ""
+        self.started, self.seen = threading.Event(), threading.Event()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        node.create_timer(TURN, self._turn, clock=steady)
+        node.create_timer(GRAPH, self._look, clock=steady)
+        node.create_service(Trigger, "identify/start", self._on_start)
+        node.create_service(Trigger, "identify/stop", self._on_stop)
+
+    def position(self) -> float:
+        """Return where the piston is held, m.
+
+        Raises
+        ------
+        InputError
+            If no position comes.
+        """
+        if not self.seen.wait(PATIENCE):
+            channel = self._settings.channels["x"]
+            raise InputError(f"{self._node.resolve_topic_name(channel.topic)}: no position came "
+                             f"within {PATIENCE:g} s, expected {channel.field} of {self._name}")
+        return float(self._demanded if np.isfinite(self._demanded) else self._measured)
+
+    def ready(self) -> None:
+        """Wait until somebody follows the command.
+
+        Raises
+        ------
+        InputError
+            If nobody does, or somebody else commands.
+        """
+        topic, own = self._node.resolve_topic_name(COMMAND), self._node.get_name()
+        end = time.monotonic() + PATIENCE
+        while not any(info.node_name != own
+                      for info in self._node.get_subscriptions_info_by_topic(topic)):
+            if time.monotonic() > end:
+                raise InputError(f"{topic}: nobody subscribes to it within {PATIENCE:g} s, "
+                                 "expected a rig that follows it")
+            time.sleep(GRAPH)
+        others = {info.node_name for info in self._node.get_publishers_info_by_topic(topic)} - {
+            own}
+        if others:
+            raise InputError(f"{topic}: {min(others)} commands the rig already, expected nobody "
+                             "else")
+
+    def run(self, x_d: np.ndarray, name: str) -> Ran:
+        """Run a demand; see :meth:`Rig.run`."""
+        now = self._node.get_clock().now().nanoseconds
+        job = Job(x_d, now + self._lead_ns, now + self._lead_ns + len(x_d) * self._dt_ns
+                  + round(TAIL * 1e9),
+                  Watch(self._bounds, self._settings.rig.sample_time, self._noise()))
+        self._heard = dict.fromkeys(self._heard, time.monotonic())
+        self._job = job
+        while not job.done.wait(1.0):
+            pass
+        bag = self._folder / name
+        if not any(job.kept.values()):
+            return Ran(Recording(self._settings.rig.sample_time, {}, source=name), job.aborted,
+                       job.asked)
+        self._folder.mkdir(parents=True, exist_ok=True)
+        with BagWriter(bag, dict(job.kept.keys()),
+                       overwrite=self._overwrite) as writer:
+            for received, topic, data in sorted(
+                    (received, topic, data) for (topic, _), messages in job.kept.items()
+                    for received, data in messages):
+                writer.write_raw(topic, received, data)
+        try:
+            recording = read_recording(bag, self._settings)
+        except InputError:
+            if not job.aborted:
+                raise
+            recording = Recording(self._settings.rig.sample_time, {}, source=str(bag))
+        return Ran(recording, job.aborted, job.asked, bag)
+
+    def abort(self, why: str, asked: bool = False) -> bool:
+        """Hold the position demanded last; returns whether a motion was under way."""
+        job, now = self._job, self._node.get_clock().now().nanoseconds
+        if job is None or job.aborted:
+            return False
+        job.aborted, job.asked = why, asked
+        at = min(max((now - job.start_ns) // self._dt_ns, 0), len(job.x_d) - 1)
+        if job.sent:
+            self._hold(float(np.clip(job.x_d[at], self._bounds.lower, self._bounds.upper)), now)
+        job.sent = len(job.x_d)
+        job.end_ns = now + round(HELD * 1e9)
+        return True
+
+    def _noise(self) -> float:
+        noise = self._settings.noise
+        return max(noise.position, noise.position_resolution)
+
+    def _hold(self, position: float, now: int) -> None:
+        """Command a position from now on; commands that were sent for later are no more."""
+        self._demanded, self._told = position, time.monotonic()
+        self._send(position, now)
+
+    def _send(self, position: float, stamp_ns: int) -> None:
+        message = JointState(name=[self._name], position=[position])
+        message.header.stamp = stamp(stamp_ns)
+        message.header.frame_id = self._settings.frame_id
+        self._publisher.publish(message)
+
+    def _turn(self) -> None:
+        """Look at what came, send what is due."""
+        job, now = self._job, self._node.get_clock().now().nanoseconds
+        self._take(job)
+        if job is None:
+            if np.isfinite(self._demanded) and time.monotonic() - self._told >= HOLDING:
+                self._hold(self._demanded, now)
+            return
+        if self._stop and not job.aborted:
+            self.abort(self._stop, asked=True)
+        silent = [name for name, at in self._heard.items()
+                  if time.monotonic() - at > self._bounds.silence]
+        if silent and not job.aborted:
+            self.abort(f"nothing came of {', '.join(silent)} for {self._bounds.silence:g} s")
+        due = min((now + self._lead_ns - job.start_ns) // self._dt_ns + 1, len(job.x_d))
+        for k in range(job.sent, due):
+            self._send(float(job.x_d[k]), job.start_ns + k * self._dt_ns)
+        if due > job.sent:
+            job.sent, self._demanded = due, float(job.x_d[due - 1])
+            self._told = time.monotonic()
+        if now >= job.end_ns:
+            self._job = None
+            job.done.set()
+
+    def _take(self, job: Job | None) -> None:
+        clock_ns, now = self._node.get_clock().now().nanoseconds, time.monotonic()
+        for each in self._inputs:
+            messages, received, _ = each.take()
+            if not messages:
+                continue
+            if job is not None:
+                job.kept.setdefault((each.topic.full_name, each.type), []).extend(
+                    zip(received, messages, strict=True))
+            for batch in each.read(messages, np.full(len(messages), now),
+                                   np.full(len(messages), clock_ns)):
+                shown = {name: values for name, values in zip(
+                    batch.source.channels, batch.values.T, strict=True)
+                    if name in CHANNELS and np.isfinite(values).any()}
+                self._heard |= dict.fromkeys(shown, now)
+                if "x" in shown:
+                    self._measured = float(shown["x"][np.isfinite(shown["x"])][-1])
+                    self.seen.set()
+                if job is not None and not job.aborted and (why := job.watch.exceeded(shown)):
+                    self.abort(why)
+
+    def _look(self) -> None:
+        for each in self._inputs:
+            each.follow_graph()
+
+    def _on_start(self, request, response):
+        response.success = not self.started.is_set()
+        response.message = ("the experiment begins" if response.success else
+                            "the experiment runs already, expected one that waits")
+        self.started.set()
+        return response
+
+    def _on_stop(self, request, response):
+        """Abort the motion, and run no further one."""
+        self._stop = "the service identify/stop was called"
+        moving = self.abort(self._stop, asked=True)
+        self.started.set()
+        response.success = True
+        response.message = ("the motion is aborted, and its last position held" if moving else
+                            "no motion is under way, and none will follow")
+        return response
+
+
+def run_identify(settings: Settings, bounds: Bounds, ros_args: list[str], wait: bool,
+                 folder: tuple[Path, bool], experiment: Callable[[Rig], str]) -> str:
+    """Run an experiment over ROS; returns why it was aborted, or "".
+
+    Parameters
+    ----------
+    wait : for the service ``identify/start``.
+    folder : of the bags, and whether to replace those that are there.
+    experiment : runs on the rig, in a thread of its own.
+
+    Raises
+    ------
+    InputError
+        If the rig does not answer, or the experiment raises it.
+    """
+    settings = with_namespace(settings, ros_args, "identify")
+    result: list[str] = []
+    failed: list[BaseException] = []
+    with (running.ros_session(ros_args),
+          running.node("identify", settings.monitor.namespace) as node):
+        rig = RosRig(node, settings, bounds, *folder)
+
+        def work() -> None:
+            try:
+                if wait:
+                    print("waiting for the service identify/start", flush=True)
+                    rig.started.wait()
+                rig.started.set()
+                rig.position()
+                rig.ready()
+                result.append(experiment(rig))
+            except BaseException as problem:  # noqa: BLE001  raised again where it is told
+                failed.append(problem)
+
+        worker = threading.Thread(target=work, name="identify", daemon=True)
+        worker.start()
+        running.spin(node, finished=lambda: not worker.is_alive())
+        rig.abort("interrupted", asked=True)
+    if failed:
+        raise failed[0]
+    return result[0] if result else ""

@@ -1,0 +1,153 @@
+"""The experiment that decides: limits, planned motions, the simulated rig, and one in full."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+
+from eha_monitor.cli import main
+from eha_monitor.errors import InputError
+from eha_monitor.identify.bounds import NEEDED, Watch, bounds_of
+from eha_monitor.identify.plan import Planner, standing, within
+from eha_monitor.identify.rig import SimulatedRig
+from eha_monitor.mismatch.name.naming import Naming
+from eha_monitor.recordings.read import read_recording
+from eha_monitor.settings import load_settings, settings_from_tree
+
+CONFIG = "config/identify.yaml"
+NUMBERS = (st.floats(-1e9, 1e9) | st.sampled_from(["30 mm", "-3 cm", "5 m/s^2", "60 bar", "2 s", 0,
+                                                   None, "fast", True]) | st.floats())
+KEYS = (*NEEDED, "motion_time", "total_time", "silence", "command_lead")
+
+
+@given(st.dictionaries(st.sampled_from(KEYS), NUMBERS))
+@hypothesis_settings(max_examples=200, deadline=None)
+def test_any_limits_are_complete_and_agree_or_one_line(section):
+    try:
+        found = bounds_of(settings_from_tree({"experiment": section}, "my.yaml"), "my.yaml")
+    except InputError as problem:
+        text = str(problem)
+        assert text.startswith("my.yaml: ") and "experiment" in text and "\n" not in text
+        return
+    assert found.lower < found.upper and min(found.speed, found.acceleration) > 0
+    assert found.pressure > 2e6 and found.motion_time <= found.total_time
+    assert all(np.isfinite(getattr(found, key)) for key in KEYS)
+
+
+@pytest.mark.parametrize("change, said", [
+    ({"lower": 0.03}, "expected lower below upper"),
+    ({"speed": None}, "experiment.speed: expected a number"),
+    ({"pressure": "15 bar"}, "expected more than the charge pressure"),
+    ({"motion_time": 90}, "expected motion_time of at most total_time"),
+    ({"motion_time": 1}, "the limits allow no motion"),
+])
+def test_limits_that_contradict_are_one_line(tmp_path, capsys, change, said):
+    file = tmp_path / "my.json"  # JSON is YAML
+    tree = load_settings(CONFIG).model_dump(include={"experiment"})
+    tree["experiment"] |= change
+    file.write_text(json.dumps(tree), encoding="utf-8")
+    assert main(["identify", "--config", str(file), "--simulate", CONFIG,
+                 "--out", str(tmp_path / "bags")]) == 2
+    text = capsys.readouterr().err
+    assert said in text and str(file) in text and text.count("\n") == 1
+
+
+def test_a_piston_outside_the_limits_is_not_moved():
+    settings = load_settings(CONFIG)
+    with pytest.raises(InputError, match=r"the piston stands at x = 0\.05 m"):
+        Planner(settings, settings.experiment, CONFIG).first(0.05)
+
+
+def bounds(**change):
+    return load_settings(CONFIG).experiment.model_copy(update=change)
+
+
+@given(st.floats(0.2, 2.0), st.sampled_from(["upper", "lower", "speed", "acceleration"]))
+@hypothesis_settings(max_examples=60, deadline=None)
+def test_watch_tells_what_is_beyond_a_limit_and_nothing_else(share, which):
+    time, omega, noise = np.arange(1000) * 1e-3, 2.0 * np.pi * 2.0, 1e-6
+    peak = {"upper": 1.0, "lower": 1.0, "speed": omega, "acceleration": omega**2}[which]
+    limit = 0.01 * peak
+    b = bounds(**{which: -limit if which == "lower" else limit})
+    x = share * 0.01 * np.sin(omega * time) + noise * np.random.default_rng(1).standard_normal(
+        len(time))
+    watch = Watch(replace_others(b, which), 1e-3, noise)
+    told = [watch.exceeded({"x": part}) for part in np.array_split(x, 37)]
+    if abs(share - 1.0) > 0.05:
+        assert any(told) == (share > 1.0)
+        assert share < 1.0 or {"upper": "position", "lower": "position"}.get(
+            which, which) in "".join(told)
+
+
+def replace_others(b, which):
+    wide = {"lower": -1.0, "upper": 1.0, "speed": 1e3, "acceleration": 1e6}
+    return b.model_copy(update={key: value for key, value in wide.items() if key != which})
+
+
+def test_a_spike_aborts_nothing_and_missing_samples_are_no_jump():
+    watch = Watch(bounds(speed=1e3, acceleration=1e6), 1e-3, 1e-6)
+    x = np.zeros(200)
+    x[100], x[50:60] = 1.0, np.nan
+    assert not watch.exceeded({"x": x, "p1": np.full(200, 2e6)})
+    assert "p1 of 8 MPa" in watch.exceeded({"x": x[:20], "p1": np.full(200, 8e6)})
+
+
+def test_simulated_rig_aborts_and_holds_what_was_demanded_last():
+    settings = load_settings(CONFIG)
+    rig = SimulatedRig(settings, settings.experiment, 1)
+    time = np.arange(1000) * 1e-3
+    ran = rig.run(0.05 * np.sin(2 * np.pi * time), "too_far")
+    assert "speed" in ran.aborted
+    held = rig.position()
+    assert len(ran.recording) < 1000 and abs(held) <= 0.03
+    again = rig.run(np.full(1500, held), "still")
+    assert not again.aborted and again.recording.channels["x"][-1] == pytest.approx(held, abs=1e-4)
+
+
+def test_a_set_that_adds_what_no_data_ask_for_is_no_rival():
+    one, more, other = (frozenset(names) for names in (
+        ("coulomb_friction",), ("coulomb_friction", "rig.mass"), ("pressure_friction",)))
+    law = frozenset({"stribeck_friction"})
+    assert within(one, law) and within(one, more) and not within(one, other)
+    weights = {one: 0.6, more: 0.003, law: 0.3, other: 0.09, frozenset(): 1e-9}
+    found = standing(replace(NOTHING, weights=weights))
+    assert next(iter(found)) == one and found[one] == pytest.approx(0.903)
+    assert found[other] == 0.09 and law not in found
+    asked = standing(replace(NOTHING, weights=weights | {more: 0.2}))
+    assert asked[more] == 0.2  # the data ask for it
+
+
+NOTHING = Naming(None, None, None)
+
+
+def test_dry_run_moves_nothing(tmp_path, capsys):
+    assert main(["identify", "--config", CONFIG, "--dry-run", "--out", str(tmp_path)]) == 0
+    assert "nothing is moved; planned:" in capsys.readouterr().out
+    assert (tmp_path / "planned.png").read_bytes()[:4] == b"\x89PNG"
+    settings = load_settings(CONFIG)
+    x_d = read_recording(tmp_path / "planned", settings).channels["x_d"]
+    assert 0.005 < np.abs(x_d).max() < settings.experiment.upper and x_d[0] == 0.0
+
+
+def test_an_experiment_decides_within_its_limits(tmp_path, capsys):
+    hidden, answer, config = (tmp_path / name for name in ("rig.yaml", "a.json", "found.yaml"))
+    hidden.write_text("effects: {quadratic_friction: {a_1: 600}}", encoding="utf-8")
+    assert main(["identify", "--config", CONFIG, "--simulate", str(hidden), "--seed", "1",
+                 "--out", str(tmp_path / "bags"), "--json", str(answer), "--report",
+                 str(tmp_path / "r.html"), "--write-config", str(config)]) == 0
+    out = capsys.readouterr().out
+    assert "so far: quadratic friction, 9" in out and "Decided" in out
+    found = json.loads(answer.read_text(encoding="utf-8"))
+    assert found["schema"] == "eha_monitor/identify/1" and found["end"] == "decided"
+    assert found["names"] == ["quadratic_friction"] and found["probability"] >= 0.95
+    assert found["diagnosis"]["effects"][0]["name"] == "quadratic_friction"
+    assert load_settings(config).effects["quadratic_friction"]["a_1"] == pytest.approx(600, 0.05)
+    b, settings = bounds(), load_settings(CONFIG)
+    for bag in found["bags"]:
+        x = read_recording(bag, settings).channels["x"]
+        assert b.lower < x.min() and x.max() < b.upper
+        assert np.abs(np.gradient(x, 1e-3)).max() < b.speed
