@@ -28,6 +28,7 @@ SEED, DRAWS = 7001, 24
 FACTORS = (2.0 / 3.0, 1.5)
 WEIGHED = tuple(f"c{number:03d}" for number in (1, 2, 4, 5, 9, 13, 15, 16, 17, 21))
 SEARCHED = ("c008", "c003")
+WEIGHS = ("effect", "rare", "temper", "form", "law", "rival", "likely", "few", "share")
 PACKAGE = "eha_monitor.mismatch"
 NUMERICS = (  # room, constants: how much is searched, and how finely
     ("name.proposals", "HANDFUL"), ("name.proposals", "MOST_OF"), ("name.proposals", "PROMISING"),
@@ -163,8 +164,8 @@ def main() -> None:
         row = {"number": number, "value": asdict(POLICY).get(number)}
         for (_, anew, _), one in zip(jobs, found, strict=True):
             for factor in FACTORS:
-                if (number, factor) not in one:
-                    continue
+                if (number, factor) not in one or not (anew or number in WEIGHS):
+                    continue  # it enters before anything is weighed
                 key = ("searched" if anew else "weighed") + ("_less" if factor < 1 else "_more")
                 was, now = one["", 1.0], one[number, factor]
                 cell = row.setdefault(key, [0, 0, 0])

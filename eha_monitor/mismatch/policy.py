@@ -1,7 +1,7 @@
 """The numbers that decide what the search by filter names, in one place; each with its reason.
 
-All others in ``mismatch`` are numerics (steps, blocks, grids, how far is searched); what varying
-both kinds by half does to names stands in docs/diagnosis.md (``benchmarks/policy_sweep.py``).
+All others of the search are numerics: steps, blocks, grids, how far is searched.
+``benchmarks/policy_sweep.py`` varies them; what moved stands in docs/diagnosis.md.
 """
 
 from dataclasses import asdict, dataclass
