@@ -12,13 +12,13 @@ from mismatch_tools import fitted, recorded
 
 from eha_monitor.concealed.cases import Case
 from eha_monitor.mismatch.data.experiment import experiment_of
-from eha_monitor.mismatch.name import posterior
 from eha_monitor.mismatch.name.base import with_effect
 from eha_monitor.mismatch.name.candidates import log_prior
 from eha_monitor.mismatch.name.columns import rig_free
 from eha_monitor.mismatch.name.naming import in_place_of
 from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.posterior import Refits, posterior
+from eha_monitor.mismatch.name.posterior import counted as counted_by
 from eha_monitor.mismatch.name.proposals import (
     HANDFUL,
     Linearised,
@@ -50,7 +50,7 @@ from eha_monitor.mismatch.policy import POLICY
 
 
 def counted(left):
-    return posterior.counted(left, POLICY)
+    return counted_by(left, POLICY)
 
 
 
