@@ -15,6 +15,7 @@ LOOP = ("area_1", "area_2", "volume_1", "volume_2", "pump_displacement", "positi
 CHANNELS = ("x", "p1", "p2")  # that are watched, where they come
 WINDOW = 0.02  # s over which speed and acceleration are taken from the position
 STANDING = 3  # samples beyond a limit before it counts: one may be a spike
+INSIDE = 0.02  # of the travel, from its ends, where a position is held
 NOISE = 5.0  # standard deviations that noise may add
 
 
@@ -44,6 +45,12 @@ def bounds_of(settings: Settings, source: str) -> Experiment:
                          f"of {quantity(rig.charge_pressure, 'Pa', 3)}, got "
                          f"{quantity(given.pressure, 'Pa', 3)}")
     return given
+
+
+def held(bounds: Experiment, position: float) -> float:
+    """Return where to hold a piston, m: as demanded, but a little within the travel."""
+    inside = INSIDE * (bounds.upper - bounds.lower)
+    return float(np.clip(position, bounds.lower + inside, bounds.upper - inside))
 
 
 class Watch:

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from eha_monitor.identify.bounds import Watch
+from eha_monitor.identify.bounds import Watch, held
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.experiment import Experiment as Bounds
@@ -87,8 +87,7 @@ class SimulatedRig:
             parts.append(shown)
             aborted = aborted or watch.exceeded(shown)
             if aborted and end > simulator.samples and self._demand is x_d:
-                last = x_d[simulator.samples - start - 1:][:1]
-                self._demand = np.clip(last, self._bounds.lower, self._bounds.upper)
+                self._demand = np.array([held(self._bounds, x_d[simulator.samples - start - 1])])
                 end = min(end, simulator.samples + round(HELD / simulator.dt))
         return Ran(Recording(simulator.dt, {key: np.concatenate([part[key] for part in parts])
                                             for key in parts[0]},

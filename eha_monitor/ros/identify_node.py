@@ -13,7 +13,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from eha_monitor.errors import InputError
-from eha_monitor.identify.bounds import CHANNELS, Watch
+from eha_monitor.identify.bounds import CHANNELS, Watch, held
 from eha_monitor.identify.rig import HELD, Ran, Rig
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import Recording
@@ -163,7 +163,7 @@ class RosRig:
         job.aborted, job.asked = why, asked
         at = min(max((now - job.start_ns) // self._dt_ns, 0), len(job.x_d) - 1)
         if job.sent:
-            self._hold(float(np.clip(job.x_d[at], self._bounds.lower, self._bounds.upper)), now)
+            self._hold(held(self._bounds, job.x_d[at]), now)
         job.sent = len(job.x_d)
         job.end_ns = now + round(HELD * 1e9)
         return True
