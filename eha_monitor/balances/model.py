@@ -195,11 +195,11 @@ def _instead(table: Table, rest: Sequence[str], error: float, effect: str, polic
 def of_machine(one: MachineBalance, courses: Sequence[Course], rig: Rig, scale: Scale,
                policy: Policy) -> Model:
     """Return the model of one balance that several recordings show."""
+    bare, held = nominal_of(one.balance, rig)
     tables = tables_of(courses, rig, one.balance, [
         c for c in candidates_of(one.balance, scale, rig)
-        if c.name in {*one.terms, *one.scatter.names}], policy)
+        if c.name in {*one.terms, *one.scatter.names, *bare, *held}], policy)
     of = {c.name: c for c in tables[0].candidates}
-    bare, held = nominal_of(one.balance, rig)
     plain = [replace(table, rows=np.column_stack([table.left(held), table.rows[:, 1:]]))
              for table in tables]
     together = Recordings(tables)

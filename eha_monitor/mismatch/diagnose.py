@@ -120,7 +120,8 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     held, decision = resolved(recordings, settings)
     experiment = at_its_angle(experiment_of(recordings, held, held_out is None, without))
     far = hypothesis is None and far_from_config(first)
-    if far and not credible(experiment, first.config_effects):
+    # Several recordings of such a machine say more together than a filter of one law can.
+    if far and (first.machine is not None or not credible(experiment, first.config_effects)):
         return replace(first, advice=(FINER, *first.advice)), None
     named = named_in(experiment, say)
     if decision is not None and named is not None and (
