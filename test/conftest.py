@@ -39,7 +39,8 @@ os.environ.update({
 
 
 def pytest_unconfigure():
-    """Remove the logs of the session."""
+    """Remove the logs of the session, and let its domain go."""
+    _LOCK.close()
     _LOGS.cleanup()
 
 

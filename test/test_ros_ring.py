@@ -179,6 +179,8 @@ def told(ring, moments=None, after=None, summary=""):
     print(summary)
 
 
+@pytest.mark.slow  # a minute of both cores: simulator, monitor and diagnosis at once
+@pytest.mark.timeout(300)
 def test_an_effect_is_found_adopted_and_taken_back(graph, tmp_path):
     told(*once(graph, tmp_path, "service"))
 
@@ -227,6 +229,8 @@ def machine(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow  # half a minute of motion; test_machine.py has the comparison itself
+@pytest.mark.timeout(300)
 def test_a_change_from_the_healthy_machine_is_told_with_its_time(graph, tmp_path, machine):
     worn = {"parameter": "viscous_damping", "start": 1e6, "value": 800.0}
     ring = Ring(graph, tmp_path, worn, after=6.0)
@@ -241,7 +245,8 @@ def test_a_change_from_the_healthy_machine_is_told_with_its_time(graph, tmp_path
         ring.until(lambda: plant.time >= at)
         moment = time.time()
         ring.became("machine", "WARN")
-        assert ring.value("machine", "why") in ("B moved", "the model does not fit")
+        why = ring.value("machine", "why")
+        assert "moved" in why or why == "the model does not fit"
         since = datetime.fromisoformat(ring.value("machine", "since_utc")).timestamp()
         assert moment - 2.0 < since < moment + 10.0
         changed = ring.found["changed B"].values
