@@ -17,9 +17,10 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
+
+import record
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = ROOT.parent / "shared" / "data"
@@ -67,7 +68,8 @@ def command(*arguments: object) -> tuple[int, str, float]:
 
 def imported(file: str, config: str, work: Path) -> Path:
     """Return the bag of a real recording."""
-    bag = work / "real" / file.replace("/", "_").partition(".")[0].replace(".", "_")
+    name = file.removesuffix(".gz").rpartition(".")[0]
+    bag = work / "real" / name.replace("/", "_").replace(".", "_")
     if not bag.exists():
         bag.parent.mkdir(parents=True, exist_ok=True)
         status, said, _ = command("import", DATA / file, "--map", ROOT / "config"
@@ -174,20 +176,6 @@ def differences(before: dict, after: dict) -> list[str]:
     return found
 
 
-def filterpy_rate() -> float:
-    """Return plain filterpy steps in a second of processor: four states, one sensor."""
-    import numpy as np
-    from filterpy.kalman import KalmanFilter
-
-    plain = KalmanFilter(dim_x=4, dim_z=1)
-    plain.F, plain.H = np.eye(4) + 1e-3 * np.eye(4, k=1), np.eye(1, 4)
-    started = time.process_time()
-    for _ in range(4000):
-        plain.predict()
-        plain.update(0.0)
-    return 4000 / (time.process_time() - started)
-
-
 def main() -> int:
     """Answer every question, compare; 1 where an answer differs."""
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -200,7 +188,7 @@ def main() -> int:
     todo = {name: arguments for name, arguments in questions(given.work).items()
             if name.startswith(tuple(given.only))}
     before = json.loads(given.against.read_text())["answers"] if given.against else {}
-    answers, differ, rate = {}, 0, filterpy_rate()
+    answers, differ, rate = {}, 0, 1.0 / record.plain_filterpy_cost(4)
     with ThreadPoolExecutor(given.jobs) as pool:
         futures = {pool.submit(answer, arguments): name for name, arguments in todo.items()}
         for future in as_completed(futures):

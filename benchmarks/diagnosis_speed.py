@@ -32,6 +32,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import record
 from rich.console import Console
 from rich.table import Table
 
@@ -56,7 +57,6 @@ KINDS = {
     "two recordings": (("dry", "any"), 2),
 }
 MEDIAN, WORST = 10.0, 30.0  # s of processor that a draw may take
-STEPS = 4000  # of filterpy, by which the processor is measured
 ONE = "dry friction"
 MOST_RUNS = 60  # simulations with all slopes that a rival fit may take
 FIRST = ("coulomb_friction", "quadratic_friction", "added_mass", "cross_port_leakage",
@@ -124,19 +124,6 @@ def filter_runs(bags: list[Path], config: Path) -> tuple[int, int, "Diagnosis"]:
     return counts["filtered"], counts["carry"], found
 
 
-def filterpy_rate() -> float:
-    """Return plain filterpy steps in a second of processor: four states, one sensor."""
-    from filterpy.kalman import KalmanFilter
-
-    plain = KalmanFilter(dim_x=4, dim_z=1)
-    plain.F, plain.H = np.eye(4) + 1e-3 * np.eye(4, k=1), np.eye(1, 4)
-    started = time.process_time()
-    for _ in range(STEPS):
-        plain.predict()
-        plain.update(0.0)
-    return STEPS / (time.process_time() - started)
-
-
 def draw(kind: str, i: int, seed: int, folder: Path) -> tuple[list[Path], Path, str]:
     """Make the i-th draw of a kind; returns bags, nominal config and what is concealed."""
     from dataclasses import replace
@@ -168,7 +155,7 @@ def draws_table(count: int, seed: int) -> Table:
     table = Table(title=f"diagnose on concealed draws, seed {seed}")
     for column in ("concealed", "answer", "processor, s", "runs + tangent passes", "has to be"):
         table.add_column(column)
-    rates, every = [filterpy_rate()], []
+    rates, every = [1.0 / record.plain_filterpy_cost(4)], []
     with tempfile.TemporaryDirectory() as name:
         for kind in KINDS:
             spans = []
@@ -183,7 +170,7 @@ def draws_table(count: int, seed: int) -> Table:
                 one = json.loads(made.splitlines()[-1])
                 table.add_row(concealed, one["answer"], f"{spans[-1]:.1f}",
                               f"{one['runs']} + {one['passes']}", "")
-            rates.append(filterpy_rate())
+            rates.append(1.0 / record.plain_filterpy_cost(4))
             every += spans
             table.add_row(f"[bold]{kind}", "median, worst",
                           f"{np.median(spans):.1f}, {max(spans):.1f}", "", "", end_section=True)
