@@ -7,8 +7,13 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from eha_monitor.balances.baseline import sentence as baseline_sentence
-from eha_monitor.commands.table import console, print_end, show_indicators, table
+from eha_monitor.commands.table import (
+    console,
+    print_end,
+    show_baselines,
+    show_indicators,
+    table,
+)
 from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.mismatch.diagnosis import Diagnosis
 from eha_monitor.quantity import DIAGNOSED, SYMBOLS, number
@@ -72,10 +77,7 @@ def show(found: Diagnosis, written: list[Path], notes: list[str] = (),
         show_indicators(to, indicators, settings)
     if found.signals:
         to.print(_fit(found))
-    for one in found.baselines:
-        for balance, fit in (("force", one.force), ("flow", one.flow)):
-            if fit is not None:
-                to.print(escape(f"least squares, {balance}: {baseline_sentence(fit)}"))
+    show_baselines(to, found.baselines)
     for finding in found.rig_within:
         to.print(f"[yellow]rig data[/]: {escape(finding.statement)}")
     for title, sentences in (("health", found.health), ("advice", found.advice),

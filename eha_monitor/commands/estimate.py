@@ -67,7 +67,7 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
     from eha_monitor.commands.table import show
 
     show(found, found.alarms, [path for path in (json_file, report_file) if path],
-         found.indicators)
+         found.indicators, config)
     if config_file:
         click.echo(f"{config_file}: written" if corrects else f"{config_file}: not written, since "
                    "the recording contradicts no sign, unit or channel of the config")

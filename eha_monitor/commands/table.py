@@ -8,8 +8,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from eha_monitor.balances.baseline import Baseline, baseline
+from eha_monitor.balances.baseline import sentence as baseline_sentence
 from eha_monitor.estimation.results import Estimate
-from eha_monitor.health.alarms import NOT_JUDGED, Alarm
+from eha_monitor.health.alarms import NO_LIMIT, NOT_JUDGED, Alarm
 from eha_monitor.indicators.indicator import AVAILABLE, NEEDS, NONE, NOT_LOOKED_FOR, Indicator
 from eha_monitor.quantity import NOTE, SYMBOLS
 from eha_monitor.settings import Settings
@@ -50,8 +52,8 @@ def print_end(to: Console, note: str, written: list[Path]) -> None:
 
 
 def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path],
-         indicators: tuple[Indicator, ...] = ()) -> None:
-    """Print parameters, indicators, alarms, model status, losses and events."""
+         indicators: tuple[Indicator, ...] = (), config: Path | None = None) -> None:
+    """Print parameters, indicators, alarms, model status, what to do, losses and events."""
     to, recording = console(), found.recording
     faster = recording.duration / found.wall_s if found.wall_s else 0.0
     speed = f", {faster:.0f}x real time" if faster >= 1.0 else ""
@@ -60,18 +62,38 @@ def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path],
                   f" (computed in {found.wall_s:.2f} s{speed})")
     to.print(_parameters(found))
     for parameter in found.parameters.values():
-        if parameter.message:
+        if found.model.status == "mismatch" and parameter.status == "not_excited":
+            to.print(f"{SYMBOLS.get(parameter.name, parameter.name)} is not determined while the "
+                     "model does not fit (below)")
+        elif parameter.message:
             to.print(escape(parameter.message))
     show_indicators(to, indicators, found.settings)
     to.print(_alarms(alarms))
     to.print(f"model: {_coloured(found.model.status)}: {escape(found.model.message)}")
+    if found.model.status == "mismatch":
+        show_baselines(to, (baseline(recording, found.settings),))
+        given = f" --config {config}" if config else ""
+        to.print(f"[bold]what to do[/]: eha-monitor diagnose {escape(recording.source + given)}",
+                 soft_wrap=True)
     for title, sentences in (("lost", recording.losses), ("note", found.warnings)):
         for sentence in sentences:
             to.print(f"[yellow]{title}[/]: {escape(sentence)}")
+    converged = {stage.stage for stage in (found.stage_one, found.stage_two)
+                 if stage.estimate.status == "converged"}
     for event in found.events:
+        if " converged at " in event.message and event.stage not in converged:
+            continue  # it has not stayed so
         to.print(f"{event.time_s:8.2f} s  stage {event.stage}: {escape(event.message)}")
     known = any(math.isfinite(p.value) for p in found.parameters.values())
     print_end(to, NOTE if known else "", written)
+
+
+def show_baselines(to: Console, baselines: Sequence[Baseline]) -> None:
+    """Print what ten lines of least squares say, which hold where a filter does not."""
+    for one in baselines:
+        for balance, fit in (("force", one.force), ("flow", one.flow)):
+            if fit is not None:
+                to.print(escape(f"least squares, {balance}: {baseline_sentence(fit)}"))
 
 
 def _coloured(word: str) -> str:
@@ -86,15 +108,17 @@ def _parameters(found: Estimate) -> Table:
     if found.joint is not None:
         rows += [("joint", parameter) for parameter in found.joint.parameters.values()]
     for estimator, p in rows:
-        shown.add_row(estimator, SYMBOLS.get(p.name, p.name), p.shown, _coloured(p.status))
+        # What must not be used does not speak like what may.
+        value = p.shown if p.status == "converged" or p.shown == "—" else f"[dim]({p.shown})[/]"
+        shown.add_row(estimator, SYMBOLS.get(p.name, p.name), value, _coloured(p.status))
     return shown
 
 
 def _alarms(alarms: tuple[Alarm, ...]) -> Table:
     shown = table("alarm", "level", "since", "why")
     for alarm in alarms:
-        shown.add_row(alarm.name, _coloured(alarm.word), f"{alarm.time_s:.2f} s",
-                      escape(alarm.message))
+        word = "[dim]–[/]" if alarm.message == NO_LIMIT else _coloured(alarm.word)
+        shown.add_row(alarm.name, word, f"{alarm.time_s:.2f} s", escape(alarm.message))
     return shown
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 from eha_monitor.estimation.results import ParameterEstimate, Taint, units_of
 from eha_monitor.health.judge import (
+    NO_LIMIT,
     NOT_JUDGED,
     RAISED,
     SEVERITY,
@@ -30,8 +31,18 @@ from eha_monitor.indicators.oil import viscosity_ratio
 from eha_monitor.quantity import quantity, share, with_uncertainty
 from eha_monitor.settings.monitor import Settings, Viscosity
 
-__all__ = ["ALARM_NAMES", "NOT_JUDGED", "SEVERITY", "WATCHED", "Alarm", "AlarmBoard", "Level",
-           "Watched", "viscosity_factor"]
+__all__ = [
+    "ALARM_NAMES",
+    "NOT_JUDGED",
+    "NO_LIMIT",
+    "SEVERITY",
+    "WATCHED",
+    "Alarm",
+    "AlarmBoard",
+    "Level",
+    "Watched",
+    "viscosity_factor",
+]
 ADVICE = "run `eha-monitor diagnose` on a recording to identify the cause"
 
 WATCHED = (Watched("B", "viscous_damping", "viscous damping", "N·s/m"),
@@ -216,7 +227,7 @@ class AlarmBoard:
         """Return the situation of an alarm in words; made only when somebody reads it."""
         kind, *rest = judge.situation
         if kind == "off":
-            return "no limit set"
+            return NO_LIMIT
         if kind == "unjudged":
             return f"not judged: {rest[0]}"
         if kind == "held":

@@ -20,6 +20,7 @@ DIAGNOSIS, MODEL_IN_FORCE = "diagnosis", "model_in_force"
 MACHINE = "machine"  # and this one beside a machine file
 RAISED: tuple[Level, ...] = ("OK", "WARN", "ERROR")
 NOT_JUDGED = "not judged"
+NO_LIMIT = "no limit set"  # what an alarm says that nobody asked for
 # As it is reported; what counts most comes last.
 SEVERITY: tuple[str, ...] = ("OK", "STALE", NOT_JUDGED, "WARN", "ERROR")
 
