@@ -116,17 +116,15 @@ class _Choice:
         table, policy = self.table, self.policy
         nominal = self.unseen(self.always)
         refused: list[Refused] = []
-        kept, often, equal = list(self.always), {}, {}
+        kept, often, rivals = list(self.always), {}, {}
         if nominal > max(policy.worse, policy.clean * table.floor / table.size):
-            kept, often, equal = self.stable()
+            kept, often, rivals = self.stable()
             kept = self.gated(kept, refused)
         named = set(kept) - set(self.always)
         kept = self.as_good_as_first_view(kept, refused)
         values, sure = self.parameters(kept)
         found, error = [], self.unseen(kept)
         biases = biases_of(table, kept, error, policy)
-        rivals = {kind: tuple(dict.fromkeys(self.of[name].effect for name in names))
-                  for kind, names in equal.items()}
         families = {self.of[name].kind for name in kept}
         for name, value, stddev, bias in zip(kept, values, sure, biases, strict=True):
             one = self.of[name]
@@ -143,7 +141,7 @@ class _Choice:
         return Alone(tuple(found), tuple(refused), table.effective, error, nominal)
 
     def stable(self) -> tuple[list[str], dict[str, float], dict[str, tuple[str, ...]]]:
-        """Return the terms that most halves choose, how often each family is, and its equals."""
+        """Return the terms that most halves choose, how often each family is, and rivals."""
         of, policy = self.of, self.policy
         effects, families, terms = Counter(), Counter(), Counter()
         for fit, judge in self.halves:
@@ -162,16 +160,14 @@ class _Choice:
             for name in steady or members[:1]:
                 if of[name].effect not in {of[other].effect for other in kept}:
                     kept.append(name)
-        equal = {}
+        rivals = {}
         for i, name in enumerate(kept):
             if not of[name].always:
-                kept[i], equal[of[name].kind] = self.plainest(kept, i)
-        return kept, {k: v / policy.halves for k, v in families.items()}, equal
+                kept[i], rivals[of[name].kind] = self.plainest(kept, i)
+        return kept, {k: v / policy.halves for k, v in families.items()}, rivals
 
     def plainest(self, kept: list[str], i: int) -> tuple[str, tuple[str, ...]]:
         """Return the first member of a family that fits as well as any, and the others that do.
-
-        Of each effect its best shape.
 
         Within a family the difference is one of form; a recording alone rarely decides it, and
         what it cannot decide goes to the one that stands first among the candidates.
@@ -188,15 +184,15 @@ class _Choice:
             if effect not in best or found[name] < found[best[effect]]:
                 best[effect] = name
         least = min(found.values())
-        equal = [name for name in best.values()
+        equal = [effect for effect, name in best.items()
                  if found[name] <= least * np.exp(self.policy.alone)]
-        return equal[0], tuple(equal[1:])
+        return best[equal[0]], tuple(equal[1:])
 
     def gated(self, kept: list[str], refused: list[Refused]) -> list[str]:
         """Return the terms that are there for sure and within their limits."""
         while True:
             values, sure = self.parameters(kept)
-            out, doubts = None, doubts_of(self.table, kept)
+            out, doubts = None, moved_by_doubts(self.table, kept)
             for name, value, stddev, doubt in zip(kept, values, sure, doubts, strict=True):
                 one = self.of[name]
                 if one.always:
@@ -293,10 +289,10 @@ def biases_of(table: Table, names: Sequence[str], error: float, policy: Policy) 
     form = np.sqrt(max((error * table.size) ** 2 - table.floor**2, 0.0))
     alike = table.n * np.diag(inverse_of(table.gram[np.ix_(places, places)]))
     return np.hypot(policy.coherent * form * np.sqrt(np.maximum(alike, 0.0)),
-                    doubts_of(table, names))
+                    moved_by_doubts(table, names))
 
 
-def doubts_of(table: Table, names: Sequence[str]) -> np.ndarray:
+def moved_by_doubts(table: Table, names: Sequence[str]) -> np.ndarray:
     """Return how far each parameter goes with what is in doubt of the left side, (k,) SI."""
     places = [table.places[name] for name in names]
     moved = inverse_of(table.gram[np.ix_(places, places)]) @ (

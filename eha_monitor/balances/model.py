@@ -16,7 +16,7 @@ from eha_monitor.balances.alone import (
     Refused,
     alone,
     biases_of,
-    doubts_of,
+    moved_by_doubts,
     parameters_of,
 )
 from eha_monitor.balances.candidates import Candidate, Scale, candidates_of
@@ -208,7 +208,7 @@ def of_machine(one: MachineBalance, courses: Sequence[Course], rig: Rig, scale: 
     own = {name: f"{name} 1" if f"{name} 1" in whole.places else name for name in one.terms}
     biases, doubts = (dict(zip(own, found, strict=True)) for found in (
         biases_of(whole, list(own.values()), rms(one.error), policy),
-        doubts_of(whole, list(own.values()))))
+        moved_by_doubts(whole, list(own.values()))))
     load = "F_0" if "F_0" in one.terms else ""
     if load:
         gained, t = gain(together.errors([name for name in one.terms if name != load]),

@@ -120,9 +120,10 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     held, decision = resolved(recordings, settings)
     experiment = at_its_angle(experiment_of(recordings, held, held_out is None, without))
     far = hypothesis is None and far_from_config(first)
+    coarse = replace(first, advice=(FINER, *first.advice)) if far else None
     # Several recordings of such a machine say more together than a filter of one law can.
     if far and (first.machine is not None or not credible(experiment, first.config_effects)):
-        return replace(first, advice=(FINER, *first.advice)), None
+        return coarse, None
     named = named_in(experiment, say)
     if decision is not None and named is not None and (
             named[1].unexplained > experiment.policy.rival):
@@ -135,7 +136,7 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
             decision = replace(decision, hold=held.command_hold, evidence=gained, decided=True)
     found = diagnosed(recordings, experiment, named, held_out, started, say, hypothesis)
     if far and found.verdict == "unexplained" and not found.learned:
-        return replace(first, advice=(FINER, *first.advice)), None
+        return coarse, None
     decided = decision is not None and decision.decided
     return replace(found, machine=None if first is None else first.machine,
                    policy=experiment.policy.to_dict(),
