@@ -143,6 +143,14 @@ def test_a_value_that_jumps_is_on_trial_and_a_slow_drift_is_not():
     assert not any(late)
 
 
+def test_what_is_only_new_dates_no_mismatch():
+    trial = Trial("N·s/m")
+    for k in range(30):
+        trial.update(0.1 * k, 600.0 if k < 20 else 1200.0)
+        assert (trial.moved is None) == (k < 20)
+    assert trial.moved.since_s == pytest.approx(2.0)
+
+
 def test_a_trial_is_of_the_last_moments_however_long_the_value_goes_on_moving():
     trial = Trial("N·s/m")
     for k in range(300):

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtr
 
 from eha_monitor.balances.candidates import Candidate
 from eha_monitor.balances.least_squares import inverse_of, signed_solution
@@ -134,8 +135,9 @@ class _Choice:
             gained = (table.effective * float(np.log(self.unseen(rest) / error))
                       if not one.always else 0.0)
             found.append(Name(
-                name, one.effect, value, total, frequency, probability_of(frequency, policy),
-                gained, name in named and abs(value) > total,
+                name, one.effect, value, total, frequency,
+                min(probability_of(frequency, policy), again(value, total, policy)),
+                gained, name in named and abs(value) > policy.varied * total,
                 tuple(e for e in rivals.get(one.kind, ()) if e not in {
                     self.of[other].effect for other in kept} and one.kind in families)))
         return Alone(tuple(found), tuple(refused), table.effective, error, nominal)
@@ -305,6 +307,14 @@ def probability_of(frequency: float, policy: Policy) -> float:
     half = 0.5 / policy.halves
     odds = np.log((frequency + half) / (1.0 - frequency + half))
     return float(min(1.0 / (1.0 + np.exp(-policy.slope * odds)), policy.certain))
+
+
+def again(value: float, stddev: float, policy: Policy) -> float:
+    """Return how probable it is that another day's value is as far from absent as a name's is.
+
+    That value differs from this one by both their deviations.
+    """
+    return float(ndtr((abs(value) / max(stddev, 1e-300) - policy.varied) / np.sqrt(2.0)))
 
 
 def chosen_on(table: Table, half: tuple[np.ndarray, np.ndarray], always: Sequence[str],

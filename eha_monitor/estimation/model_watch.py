@@ -108,10 +108,14 @@ class Trial:
     Parameters
     ----------
     unit : of the value, SI.
+
+    Attributes
+    ----------
+    taint : the doubt that the value deserves at present, or None.
     """
 
     def __init__(self, unit: str):
-        self._unit = unit
+        self._unit, self._moving = unit, False
         self._low: deque[tuple[float, float]] = deque()  # (s, value), rising: the least first
         self._high: deque[tuple[float, float]] = deque()
         self._known = self._began = math.inf
@@ -127,16 +131,22 @@ class Trial:
         before = max(low, high, key=lambda other: abs(value - other) / max(abs(other), 1e-300))
         moved = abs(value - before) > MOVED * abs(before)
         if not moved and time_s - self._known >= TRIAL_S:
-            self.taint = None
+            self.taint, self._moving = None, False
             return None
-        if self.taint is None:
-            self._began = time_s
+        if self.taint is None or (moved and not self._moving):
+            self._began = time_s  # what was only new has moved from here on
+        self._moving = self._moving or moved
         since = max(self._began, time_s - LONGEST_TRIAL_S)
         what = (f"it has moved from {quantity(before, self._unit)} to "
                 f"{quantity(value, self._unit)}") if moved else "it is new"
         self.taint = Taint(f"{what}, and the model is being tested on the data since "
                            f"t = {since:.1f} s", since, True)
         return self.taint
+
+    @property
+    def moved(self) -> Taint | None:
+        """The doubt while the value has moved; None where it is only new."""
+        return self.taint if self._moving else None
 
     def _extremes(self, time_s: float, value: float) -> tuple[float, float]:
         """Return the least and the largest value of the last ``TRIAL_S``."""

@@ -104,7 +104,7 @@ class LiveModel:
                 buffer.column(f"sd_{stage}", start, stop).copy(),
                 Window(buffer.dt, quantum, time_of(start), JUDGED_S), rows)
             self.verdicts[stage] = verdict
-            trial = self._trials[about.parameter].taint
+            trial = self._trials[about.parameter].moved
             if self.watches[stage].update(time_of(taken), verdict, trial):
                 started.append(self.watches[stage].standing)
                 self.trying, self.measuring = Backoff(*TRY_EVERY_S), Backoff(*TRY_EVERY_S)

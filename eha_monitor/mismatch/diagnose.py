@@ -35,6 +35,7 @@ from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
 from eha_monitor.mismatch.name.angle import at_its_angle
 from eha_monitor.mismatch.name.credible import credible
+from eha_monitor.mismatch.name.first_view import FirstView
 from eha_monitor.mismatch.name.informative import informative
 from eha_monitor.mismatch.name.naming import Naming, beyond_form, name_effects, on_all_of
 from eha_monitor.mismatch.name.select import nominal
@@ -124,7 +125,7 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     # Several recordings of such a machine say more together than a filter of one law can.
     if far and (first.machine is not None or not credible(experiment, first.config_effects)):
         return coarse, None
-    named = named_in(experiment, say)
+    named = named_in(experiment, say, first)
     if decision is not None and named is not None and (
             named[1].unexplained > experiment.policy.rival):
         # What is missing may have been taken for a hold, or the other way about.
@@ -132,7 +133,8 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
                                            without))
         gained = gained_under(other, named[1])
         if gained > 0.0:
-            experiment, held, named = other, other.settings, named_in(other, say)
+            experiment, held, named = other, other.settings, named_in(
+                other, say, first)
             decision = replace(decision, hold=held.command_hold, evidence=gained, decided=True)
     found = diagnosed(recordings, experiment, named, held_out, started, say, hypothesis)
     if far and found.verdict == "unexplained" and not found.learned:
@@ -145,12 +147,29 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
                    wall_s=time.perf_counter() - started), named and named[1]
 
 
-def named_in(experiment: Experiment, say: Report) -> tuple[Experiment, Naming] | None:
-    """Name what the most informative windows show; None where the piston hardly moves."""
+def named_in(experiment: Experiment, say: Report, first: Diagnosis | None = None
+             ) -> tuple[Experiment, Naming] | None:
+    """Name what the most informative windows show; None where the piston hardly moves.
+
+    Parameters
+    ----------
+    first : what the balances answer.
+    """
     if experiment.ranges.position < TRAVEL * experiment.noise[0]:
         return None
     windows = informative(experiment)
-    return windows, name_effects(windows, lambda text, share: say(text, 0.85 * share))
+    return windows, name_effects(windows, lambda text, share: say(text, 0.85 * share),
+                                 view_of(first))
+
+
+def view_of(first: Diagnosis | None) -> FirstView | None:
+    """Return what the balances name, as a place for the filter's fit to begin."""
+    if first is None or first.verdict != "mismatch":
+        return None
+    damping = first.after.get("B")
+    effects = {effect.name: first.config_effects[effect.name] for effect in first.effects
+               if effect.name in first.config_effects}
+    return FirstView(effects, None if damping is None else damping.value)
 
 
 def gained_under(other: Experiment, naming: Naming) -> float:

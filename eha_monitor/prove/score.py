@@ -88,7 +88,7 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
 
     Parameters
     ----------
-    truth : its entry in the key.
+    truth : its entry in the key; ``beside`` holds what is true as well and need not be found.
     answer : JSON of ``diagnose``; None where it failed.
     oracle : what a fit reached that knows the effects, and of the rig what the config says.
     run : how the diagnosis ran: ``seconds``, ``error``.
@@ -96,7 +96,7 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
     answer = answer or {"verdict": FAILED, "effects": [], "location": {"balance": {}},
                         "fit": {"signals": {}}, "parameters": {"after": {}},
                         "message": (run or {}).get("error") or "no answer"}
-    names = [one["name"] for one in truth["effects"]]
+    names, beside = [one["name"] for one in truth["effects"]], truth.get("beside", ())
     evidence = (oracle or {}).get("log_evidence", {})
     catalogued = [one["name"] for one in truth["effects"] if one["in_catalogue"]]
     outside = len(catalogued) < len(names)
@@ -114,7 +114,7 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
     said = {**classes, **{one["number"]: numbers.rivals_of(one, one["number"])
                           for one in findings}}
     accepted = {**{one["name"]: accepted_for(one, names, oracle)
-                   for one in truth["effects"] if one["in_catalogue"]},
+                   for one in [*truth["effects"], *beside] if one["in_catalogue"]},
                 **{name: {name} for name in (*off, *loose)}}
     pairs = matched(accepted, said)
     share = {name: value or 0.0 for name, value in answer["location"]["balance"].items()}
@@ -130,7 +130,8 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
         right = verdict == UNEXPLAINED and place_right if shown else not said
         exact, within = right and not set(said) - wanted - set(loose), right
     else:
-        exact = verdict == "mismatch" and wanted <= set(said) <= wanted | set(loose)
+        exact = verdict == "mismatch" and wanted <= set(said) <= wanted | set(loose) | {
+            one["name"] for one in beside}
         nothing = not known and not rig_known and not said
         within = nothing or (all_paired and {*known, *rig_known} <= set(pairs))
     # Without an oracle nobody knows whether this recording shows a wrong number of the rig; and

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from eha_monitor.concealed.generate import START_NS, write_both
-from eha_monitor.concealed.strangers.draw import Setting, StrangerRig
+from eha_monitor.concealed.strangers.draw import ERRORS, Setting, StrangerRig
 from eha_monitor.concealed.strangers.plant import DAHL, NO_FRICTION
 from eha_monitor.concealed.strangers.shown import ATMOSPHERE, PREROLL, recording
 from eha_monitor.draft.rig import Answers, rig_entries, seen_in
@@ -82,8 +82,9 @@ def truth_of(rig: StrangerRig, setting: Setting, length: float | None = None) ->
     dict
         ``B`` its mean over the recording, ``B_span`` at the start and at the end (N s/m),
         ``beta_e`` (Pa), ``load`` (N), ``hold`` (samples), ``effects`` beyond the drafted config,
-        each with the ``class`` of names that are right for it, and ``rig_off``, the config's
-        numbers beside the true ones, in tolerances.
+        each with the ``class`` of names that are right for it, ``beside`` what is true as well
+        and need not be found, and ``rig_off``, the config's numbers beside the true ones, in
+        tolerances.
     """
     c, length = rig.plant, length or setting.length
     running = PREROLL - min(setting.motion.before, 0.0)
@@ -95,7 +96,8 @@ def truth_of(rig: StrangerRig, setting: Setting, length: float | None = None) ->
             "B": setting.damping * (1.0 - c.damping_drop * mean),
             "B_span": [float(end) for end in ends], "beta_e": c.bulk_modulus,
             "load": setting.load, "hold": rig.drive.hold,
-            "effects": effects_of(rig, setting), "rig_off": rig_off(rig)}
+            "effects": effects_of(rig, setting), "beside": beside_of(rig),
+            "rig_off": rig_off(rig)}
 
 
 def effects_of(rig: StrangerRig, setting: Setting) -> list[dict]:
@@ -103,8 +105,7 @@ def effects_of(rig: StrangerRig, setting: Setting) -> list[dict]:
     c, found = rig.plant, []
 
     def add(name, balance, **parameters):
-        found.append({"name": name, "balance": balance, "strength": 1.0, "in_catalogue": True,
-                      "parameters": parameters, "class": list(CLASSES.get(name, (name,)))})
+        found.append(entry(name, balance, parameters))
 
     if c.friction == DAHL:
         add("coulomb_friction", "force", F_c=c.dry)
@@ -112,7 +113,7 @@ def effects_of(rig: StrangerRig, setting: Setting) -> list[dict]:
         add("stribeck_friction", "force", F_c=c.dry, F_d=c.breakaway - c.dry)
     if setting.load:
         add("constant_load", "force", F_0=setting.load)
-    if c.case_leakage or c.case_leakage_2:
+    if leak_shows(rig):
         add("external_leakage", "flow", L_1=c.case_leakage, L_2=c.case_leakage_2)
     said = rig.sheet.leakage
     if 2 * c.cross_leakage + c.makeup > 9.0 * said:
@@ -121,6 +122,34 @@ def effects_of(rig: StrangerRig, setting: Setting) -> list[dict]:
         add("backlash", "force", b=c.play, in_loop=1.0)
     if c.lag:
         add("drive_lag", "drive", tau=c.lag)
+    return found
+
+
+def entry(name: str, balance: str, parameters: dict[str, float]) -> dict:
+    """Return the key's entry of an effect."""
+    return {"name": name, "balance": balance, "strength": 1.0, "in_catalogue": True,
+            "parameters": parameters, "class": list(CLASSES.get(name, (name,)))}
+
+
+def leak_shows(rig: StrangerRig) -> bool:
+    """Tell whether a leak to ambient lowers the mean pressure by more than the sheet allows.
+
+    The chambers settle where make-up and leak are equal, at G / (G + L) of the source's pressure,
+    which its owner knows to a tolerance; who knows of no make-up path expects no pressure.
+    """
+    c = rig.plant
+    leak = 0.5 * (c.case_leakage + c.case_leakage_2)
+    return rig.sheet.makeup > 0.0 and math.log1p(leak / c.makeup) > 3.0 * ERRORS["charge"]
+
+
+def beside_of(rig: StrangerRig) -> list[dict]:
+    """Return entries of what every such rig has: the stroke in its volumes, an encoder's steps."""
+    c = rig.plant
+    found = [entry("position_dependent_volume", "flow", {"A_v": 0.5 * (c.area_1 + c.area_2)}),
+             entry("position_quantisation", "sensor", {"q": rig.sensors.encoder})]
+    if (c.case_leakage or c.case_leakage_2) and not leak_shows(rig):
+        found.append(entry("external_leakage", "flow", {"L_1": c.case_leakage,
+                                                        "L_2": c.case_leakage_2}))
     return found
 
 

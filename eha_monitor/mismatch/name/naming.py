@@ -14,6 +14,7 @@ from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.name.base import limits_of
 from eha_monitor.mismatch.name.candidates import RIG, all_named, candidate
 from eha_monitor.mismatch.name.columns import runs_of
+from eha_monitor.mismatch.name.first_view import FirstView
 from eha_monitor.mismatch.name.gram import evidences_at
 from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.posterior import plainness, posterior
@@ -138,15 +139,17 @@ def form_only(experiment: Experiment, before: Fit, after: Fit) -> bool:
     return bool(left[1] < experiment.policy.law * left[0])
 
 
-def name_effects(experiment: Experiment, report: Report | None = None) -> Naming:
+def name_effects(experiment: Experiment, report: Report | None = None,
+                 first_view: FirstView | None = None) -> Naming:
     """Find the effects and the wrong numbers of the rig that an experiment supports.
 
     Parameters
     ----------
     report : called with what is done and how far it is, 0 to 1.
+    first_view : what least squares say; see :func:`selected`.
     """
     say = report or (lambda text, share: None)
-    found = selected(experiment, say)
+    found = selected(experiment, say, first_view)
     say("fitting the nominal model to the end", 0.9)
     before = settled(found.experiment, found.nominal)
     return naming_of(found.experiment, found, before)

@@ -11,6 +11,7 @@ from eha_monitor.mismatch.likelihood.fit import Fit, remade, spread, with_unknow
 from eha_monitor.mismatch.name.base import limits_of, needs, with_effect, without_effect
 from eha_monitor.mismatch.name.candidates import candidate
 from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, rig_free
+from eha_monitor.mismatch.name.first_view import FirstView
 from eha_monitor.mismatch.name.gates import ends_of_tolerance, failures
 from eha_monitor.mismatch.name.informative import informative
 from eha_monitor.mismatch.name.polish import Slopes, polished
@@ -51,6 +52,7 @@ LOOKS = 3  # handfuls that are refitted from one linearisation
 WITHIN_REACH, FINALISTS = 20.0, 3  # log units; sets that are fitted to the end
 BENT = 0.2  # of the logarithm of B or beta_e
 CLOSE = 300.0  # log units: within them a set is a rival that is fitted to the end
+LADDER = (1.0, 4.0, 16.0, 64.0, 256.0)  # times an effect's start
 ROUNDS = 8
 SKETCH, SKETCH_WINDOW = 8_000, 2_000  # samples that a search begins on, in windows
 
@@ -89,6 +91,7 @@ class Search:
     done : names -> evidence with which a model was linearised.
     ended : what is best was fitted to the end, or need not be; ``far`` the last of the other
         places was tried.
+    view : what least squares name, until it was looked at.
     """
 
     experiment: Experiment
@@ -100,13 +103,29 @@ class Search:
     done: dict[Names, float] = field(default_factory=dict)
     ended: bool = False
     far: bool = False
+    view: FirstView | None = None
 
     @classmethod
-    def at(cls, experiment: Experiment, nominal: Fit, sketch: bool = False) -> "Search":
+    def at(cls, experiment: Experiment, nominal: Fit, sketch: bool = False,
+           view: FirstView | None = None) -> "Search":
         """Return a search at its beginning."""
         refits = Refits(experiment.policy)
         refits.add(experiment, frozenset(), nominal)
-        return cls(experiment, nominal, refits, sketch, ended=sketch)
+        return cls(experiment, nominal, refits, sketch, ended=sketch, view=view)
+
+    def look_at_first_view(self) -> None:
+        """Fit what least squares name, where what was found lacks something.
+
+        A fit that begins far off may stay between two models, where the unknowns that each asks
+        for hold it; least squares are linear and need no start.
+        """
+        view, self.view = self.view, None
+        if view is None or not lacks(self.experiment, self.refits.fits[self.refits.best()]):
+            return
+        fit = view.entered(self.experiment, self.nominal)
+        if fit is not None and np.isfinite(fit.log_likelihood):
+            fit = settled(self.experiment, with_rig(self.experiment, fit))
+            self.refits.add(self.experiment, frozenset(fit.named), fit)
 
     def going_on_from(self, found: "Search") -> None:
         """Take over what a sketch has left in the running, fitted to these samples."""
@@ -193,24 +212,31 @@ def strayed(view: Linearised, refits: Refits) -> bool:
         own.evidence - own.prior > evidence_at_start(refits, view.here) + STRAYED)
 
 
-def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
+def selected(experiment: Experiment, say=lambda text, share: None,
+             first_view: FirstView | None = None) -> Selection:
     """Find the set of effects and wrong numbers of the rig that a recording supports.
 
     What is missing and large shows in a third of the samples as well as in all of them: the
     search is made there, and goes on with all of them from what it has found.
+
+    Parameters
+    ----------
+    first_view : what least squares name: a set that is fitted from their numbers where all that
+        was found lacks something.
     """
     say("fitting the nominal model", 0.05)
     experiment, first = resolved_nominal(experiment)
     near = leans_less(experiment, first)
     start = (settled(experiment, with_rig(experiment, first)) if near
              else nominal_model(experiment, within=True))
-    search = Search.at(experiment, start)
+    search = Search.at(experiment, start, view=first_view)
     if not search.refits.evidence:
         raise np.linalg.LinAlgError("the nominal model's evidence is singular")
     sketch = sketch_of(experiment, start)
     if sketch is not None:
         say("searching a third of the samples", 0.1)
-        search.going_on_from(explored(Search.at(sketch, with_unknowns(sketch, start), True), say))
+        search.going_on_from(explored(
+            Search.at(sketch, with_unknowns(sketch, start), True, first_view), say))
     refits, views = explored(search, say).refits, search.views
     gated(experiment, refits)
     best = refits.best()
@@ -262,6 +288,9 @@ def next_place(search: Search, turn: int) -> tuple[Names, Fit] | None:
     What is best is fitted to the end before, which may put another set ahead.
     """
     at = search.refits.ahead(search.done, STRAYED)
+    if at is None and search.view is not None:
+        search.look_at_first_view()
+        at = search.refits.ahead(search.done, STRAYED)
     if at is None and not search.ended:
         finish(search.experiment, search.refits)
         search.ended = True
@@ -367,11 +396,16 @@ def crossed(fit: Fit, best: Fit) -> Fit | None:
 
 
 def simplified(experiment: Experiment, fit: Fit, name: str, other: str) -> Fit:
-    """Return a fit with a law as simple, or simpler, in an effect's place, where that stands."""
+    """Return a fit with a law as simple, or simpler, in an effect's place, where that stands.
+
+    Its size is the likeliest of a ladder: a start that is 60 times too small needs more steps than
+    a fit that is far behind is given.
+    """
     start = sharing(starts_of(other, experiment)[0], effect_values(fit.theta, name))
-    return with_unknowns(experiment, with_effect(
-        without_effect(experiment, fit, name), start, (1.0,) * len(CATALOGUE[other].sizes)),
-        fit.unknowns)
+    bare, sizes = without_effect(experiment, fit, name), len(CATALOGUE[other].sizes)
+    return ties.best(
+        [with_unknowns(experiment, with_effect(bare, start, (times,) * sizes), fit.unknowns)
+         for times in LADDER], lambda one: one.log_likelihood, within=ties.GUESS)
 
 
 def lesser(experiment: Experiment, fit: Fit, name: str) -> Fit:
@@ -498,10 +532,11 @@ def finish(experiment: Experiment, refits: Refits) -> None:
     lead = refits.fits[best]
     for name in sorted(best & CATALOGUE.keys()):  # a law as simple, from the same place
         for other in sorted({*CATALOGUE[name].contains, *candidate(name).simple_kin}):
-            if possible(other, experiment) and best - {name} | {other} not in refits.fits:
-                refits.add(experiment, best - {name} | {other}, settled(
-                    experiment, simplified(experiment, lead, name, other),
-                    worth=lead.log_likelihood - CLOSE))
+            swapped, worth = best - {name} | {other}, lead.log_likelihood - CLOSE
+            stuck = swapped not in refits.fits or refits.fits[swapped].log_likelihood < worth
+            if possible(other, experiment) and stuck:
+                refits.add(experiment, swapped, settled(
+                    experiment, simplified(experiment, lead, name, other), worth=worth))
     # That nothing is missing is never judged by half a fit.
     near = [names for i, names in enumerate(within_reach(refits)) if i < FINALISTS or not names]
     level = refits.fits[refits.best()].unknowns
