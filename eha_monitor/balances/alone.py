@@ -123,21 +123,23 @@ class _Choice:
             kept = self.gated(kept, refused)
         named = set(kept) - set(self.always)
         kept = self.as_good_as_first_view(kept, refused)
-        values, sure = self.parameters(kept)
         found, error = [], self.unseen(kept)
-        biases = biases_of(table, kept, error, policy)
+        values, chance = covariance_by_chance(table, kept)
+        covariance = chance + form_and_doubts(table, kept, error, policy)
         families = {self.of[name].kind for name in kept}
-        for name, value, stddev, bias in zip(kept, values, sure, biases, strict=True):
+        for name, value, total in zip(
+                kept, values, np.sqrt(np.diag(covariance)).tolist(), strict=True):
             one = self.of[name]
             frequency = often.get(one.kind, 0.0) if not one.always else 1.0
-            rest, total = [other for other in kept if other != name], float(
-                np.hypot(stddev, bias))
+            rest = [other for other in kept if other != name]
+            apart = from_absent(values, covariance, [
+                self.of[other].kind == one.kind and not self.of[other].always for other in kept])
             gained = (table.effective * float(np.log(self.unseen(rest) / error))
                       if not one.always else 0.0)
             found.append(Name(
                 name, one.effect, value, total, frequency,
-                min(probability_of(frequency, policy), again(value, total, policy)),
-                gained, name in named and abs(value) > policy.varied * total,
+                min(probability_of(frequency, policy), again(apart, policy)),
+                gained, name in named and apart > policy.varied,
                 tuple(e for e in rivals.get(one.kind, ()) if e not in {
                     self.of[other].effect for other in kept} and one.kind in families)))
         return Alone(tuple(found), tuple(refused), table.effective, error, nominal)
@@ -267,39 +269,50 @@ class _Choice:
 
 def parameters_of(table: Table, names: Sequence[str], held: dict[str, float] | None = None
                   ) -> tuple[list[float], list[float]]:
-    """Return the parameters of terms on a whole table, and their deviations."""
+    """Return the parameters of terms on a whole table, and their deviations by chance."""
+    values, chance = covariance_by_chance(table, names, held)
+    return values, np.sqrt(np.maximum(np.diag(chance), 0.0)).tolist()
+
+
+def covariance_by_chance(table: Table, names: Sequence[str], held: dict[str, float] | None = None
+                         ) -> tuple[list[float], np.ndarray]:
+    """Return the parameters of terms, and their covariance by as many independent samples."""
     places = [table.places[name] for name in names]
     mixture = table.mixture(table.gram, names, held)
     left = max(float(mixture @ table.gram @ mixture), 0.0) / max(table.n, 1)
     effective = table.effective
     scale = left * table.full[1] * effective / max(effective - len(names), 1.0)
-    variance = np.diag(inverse_of(table.gram[np.ix_(places, places)])) * scale
-    return (-mixture[places]).tolist(), np.sqrt(np.maximum(variance, 0.0)).tolist()
+    return (-mixture[places]).tolist(), scale * inverse_of(table.gram[np.ix_(places, places)])
 
 
-def biases_of(table: Table, names: Sequence[str], error: float, policy: Policy) -> np.ndarray:
-    """Return what may be wrong of each parameter beside chance, (k,) SI.
+def form_and_doubts(table: Table, names: Sequence[str], error: float, policy: Policy
+                    ) -> np.ndarray:
+    """Return the covariance of parameters that no longer record takes away, (k, k) SI.
 
-    The law that is missing repeats, however long the recording: a share ``coherent`` of what is
-    left beyond the sensors' noise may look like the term's own column.
+    The law that is missing repeats: a share ``coherent`` of what is left beyond the sensors'
+    noise may look like a term's own column.  What is in doubt of the left side moves all of the
+    parameters together.
 
     Parameters
     ----------
     error : share of the signal that is left on unseen parts.
     """
     places = [table.places[name] for name in names]
-    form = np.sqrt(max((error * table.size) ** 2 - table.floor**2, 0.0))
-    alike = table.n * np.diag(inverse_of(table.gram[np.ix_(places, places)]))
-    return np.hypot(policy.coherent * form * np.sqrt(np.maximum(alike, 0.0)),
-                    moved_by_doubts(table, names))
+    form = policy.coherent**2 * max((error * table.size) ** 2 - table.floor**2, 0.0) * table.n
+    moved = movement(table, names)
+    return form * inverse_of(table.gram[np.ix_(places, places)]) + moved @ moved.T
 
 
 def moved_by_doubts(table: Table, names: Sequence[str]) -> np.ndarray:
     """Return how far each parameter goes with what is in doubt of the left side, (k,) SI."""
+    return np.linalg.norm(movement(table, names), axis=1)
+
+
+def movement(table: Table, names: Sequence[str]) -> np.ndarray:
+    """Return how far each parameter goes with each doubt of the left side, (k, doubts) SI."""
     places = [table.places[name] for name in names]
-    moved = inverse_of(table.gram[np.ix_(places, places)]) @ (
+    return inverse_of(table.gram[np.ix_(places, places)]) @ (
         table.rows[table.good][:, places].T @ table.doubts[table.good])
-    return np.linalg.norm(moved, axis=1)
 
 
 def probability_of(frequency: float, policy: Policy) -> float:
@@ -309,12 +322,29 @@ def probability_of(frequency: float, policy: Policy) -> float:
     return float(min(1.0 / (1.0 + np.exp(-policy.slope * odds)), policy.certain))
 
 
-def again(value: float, stddev: float, policy: Policy) -> float:
+def from_absent(values: Sequence[float], covariance: np.ndarray, which: Sequence[bool]) -> float:
+    """Return how far some terms together are from absent, in standard deviations.
+
+    Two shapes of one seal's friction share it as chance has it: neither may be sure where their
+    sum is.
+
+    Parameters
+    ----------
+    values, covariance, which : (k,) SI; (k, k); (k,) the terms of a family.
+    """
+    own = np.flatnonzero(which)
+    w = np.asarray(values)[own]
+    return float(np.sqrt(max(w @ inverse_of(covariance[np.ix_(own, own)]) @ w, 0.0)))
+
+
+def again(apart: float, policy: Policy) -> float:
     """Return how probable it is that another day's value is as far from absent as a name's is.
 
-    That value differs from this one by both their deviations.
+    Parameters
+    ----------
+    apart : deviations of this day's value from absent; another day's differs by both days' own.
     """
-    return float(ndtr((abs(value) / max(stddev, 1e-300) - policy.varied) / np.sqrt(2.0)))
+    return float(ndtr((apart - policy.varied) / np.sqrt(2.0)))
 
 
 def chosen_on(table: Table, half: tuple[np.ndarray, np.ndarray], always: Sequence[str],

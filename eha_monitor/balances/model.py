@@ -15,8 +15,8 @@ from eha_monitor.balances.alone import (
     Alone,
     Refused,
     alone,
-    biases_of,
-    moved_by_doubts,
+    form_and_doubts,
+    from_absent,
     parameters_of,
 )
 from eha_monitor.balances.candidates import Candidate, Scale, candidates_of
@@ -206,9 +206,11 @@ def of_machine(one: MachineBalance, courses: Sequence[Course], rig: Rig, scale: 
     named = {name: family for family in one.named for name in family.terms}
     count, terms, whole = max(len(one.error) - 1, 1), [], pooled_table(tables)
     own = {name: f"{name} 1" if f"{name} 1" in whole.places else name for name in one.terms}
-    biases, doubts = (dict(zip(own, found, strict=True)) for found in (
-        biases_of(whole, list(own.values()), rms(one.error), policy),
-        moved_by_doubts(whole, list(own.values()))))
+    lasting = form_and_doubts(whole, list(own.values()), rms(one.error), policy)
+    biases = dict(zip(own, np.sqrt(np.diag(lasting)).tolist(), strict=True))
+    found = {p.name: p for p in (*one.parameters, *one.settings)}
+    sizes = [np.max(np.abs(found[name].value)) for name in own]
+    covariance = lasting + np.diag([np.max(found[name].stddev) ** 2 for name in own])
     load = "F_0" if "F_0" in one.terms else ""
     if load:
         gained, t = gain(together.errors([name for name in one.terms if name != load]),
@@ -225,7 +227,8 @@ def of_machine(one: MachineBalance, courses: Sequence[Course], rig: Rig, scale: 
             sure = float(stdtr(count, family.t))
         shared = not c.setting
         stddev = float(np.hypot(np.max(p.stddev) if shared else values.std(), biases[p.name]))
-        shows = np.abs(values).max() > max(policy.varied * doubts[p.name], stddev)
+        shows = policy.varied < from_absent(sizes, covariance, [
+            of[name].kind == c.kind and of[name].always == c.always for name in own])
         terms.append(Term(
             c, float(values.mean()), stddev,
             p.between if shared else 0.0, () if shared else p.value, min(sure, policy.certain),

@@ -23,6 +23,7 @@ CLASSES = {
     "coulomb_friction": DRY, "stribeck_friction": DRY,
     "external_leakage": ("external_leakage", "makeup_conductance", "charge_pressure"),
     "cross_port_leakage": ("cross_port_leakage", "leakage"),
+    "command_delay": ("command_delay", "drive_lag"),
 }
 FACTORS = ("leakage", "makeup_conductance")  # of which only the order of magnitude is known
 
@@ -143,10 +144,16 @@ def leak_shows(rig: StrangerRig) -> bool:
 
 
 def beside_of(rig: StrangerRig) -> list[dict]:
-    """Return entries of what every such rig has: the stroke in its volumes, an encoder's steps."""
-    c = rig.plant
+    """Return entries of what every such rig has: the stroke in its volumes, an encoder's steps.
+
+    A controller that holds its command delays it by half of that on the mean.
+    """
+    c, drive = rig.plant, rig.drive
     found = [entry("position_dependent_volume", "flow", {"A_v": 0.5 * (c.area_1 + c.area_2)}),
              entry("position_quantisation", "sensor", {"q": rig.sensors.encoder})]
+    if drive.hold:
+        found.append(entry("command_delay", "drive", {
+            "T": (0.5 * drive.hold + drive.phase) / rig.rate}))
     if (c.case_leakage or c.case_leakage_2) and not leak_shows(rig):
         found.append(entry("external_leakage", "flow", {"L_1": c.case_leakage,
                                                         "L_2": c.case_leakage_2}))
