@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.balances import places
 from eha_monitor.balances.advice import advice_of
 from eha_monitor.balances.baseline import baseline
@@ -42,6 +43,7 @@ FORCE_OF_SENSORS = ("pressure_offset", "pressure_scale")  # they make a constant
 LINEAR = ("B", "D_p", "C_h", "k_d")  # what the config's own model has
 SIDE_OF = {"mass": "force", "pump_displacement": "flow", "position_gain": "drive"}
 TWINS = {"pump_displacement": ("pump_flow_gain",), "position_gain": ("drive_gain",)}
+DRY_SYMBOLS = {"F_c", "F_d"}
 OVERLAY = 4.0  # s of an overlay
 LARGEST = 0.998  # quantile of a term that is its size
 WHERE = ("force", "flow", "drive", "sensor")
@@ -211,7 +213,26 @@ def effects_of(model: Model, rig: Rig, policy: Policy) -> list[NamedEffect]:
     for effect in list(groups):
         for simpler in CATALOGUE[effect].contains if effect in CATALOGUE else ():
             groups[effect] += groups.pop(simpler, [])
-    return [_effect(name, terms, model, rig) for name, terms in groups.items()]
+    return [_effect(name, terms, model, rig)
+            for name, terms in _dry_as_one(groups, policy).items()]
+
+
+def _dry_as_one(groups: dict[str, list[Term]], policy: Policy) -> dict[str, list[Term]]:
+    """Return the terms of effects, dry friction of several shapes as the one force that it is.
+
+    It is called by its fall with speed where that is sure of itself, else by its largest shape.
+    """
+    dry = {effect: terms for effect, terms in groups.items() if terms[0].candidate.family == "dry"
+           and DRY_SYMBOLS.issuperset(term.candidate.symbol for term in terms)}
+    terms = [term for one in dry.values() for term in one]
+    falls = [t for t in terms if t.candidate.symbol == "F_d"]
+    stays = [t for t in terms if t.candidate.symbol == "F_c"]
+    if len(dry) < 2 or not stays:
+        return groups
+    sure = [t for t in falls if abs(t.value) > policy.varied * t.stddev]
+    name = (sure or [ties.best(stays, lambda t: abs(t.value))])[0].candidate.effect
+    return {name: stays + sure, **{effect: terms for effect, terms in groups.items()
+                                   if effect not in dry}}
 
 
 def _effect(name: str, terms: Sequence[Term], model: Model, rig: Rig) -> NamedEffect:
