@@ -36,8 +36,8 @@ class Name:
     frequency : share of the halves in which the effect, or one of its family, came up.
     probability : calibrated and capped.
     gained : log units that the balance loses without it.
-    named : it is an answer, larger than its own deviation; else it corrects the form, or belongs
-        to every model.
+    named : it is an answer, as far from absent as :func:`owed` says; else it corrects the form,
+        or belongs to every model.
     rivals : effects that fit as well in its place.
     """
 
@@ -139,7 +139,7 @@ class _Choice:
             found.append(Name(
                 name, one.effect, value, total, frequency,
                 min(probability_of(frequency, policy), again(apart, policy)),
-                gained, name in named and apart > policy.varied,
+                gained, name in named and apart > owed(policy),
                 tuple(e for e in rivals.get(one.kind, ()) if e not in {
                     self.of[other].effect for other in kept} and one.kind in families)))
         return Alone(tuple(found), tuple(refused), table.effective, error, nominal)
@@ -337,8 +337,17 @@ def from_absent(values: Sequence[float], covariance: np.ndarray, which: Sequence
     return float(np.sqrt(max(w @ inverse_of(covariance[np.ix_(own, own)]) @ w, 0.0)))
 
 
+def owed(policy: Policy) -> float:
+    """Return how far from absent a name is, in standard deviations.
+
+    It is of the machine, so it holds on another day: what is surely absent there, ``varied``
+    deviations of the difference of two days, is no name here.
+    """
+    return float(np.sqrt(2.0) * policy.varied)
+
+
 def again(apart: float, policy: Policy) -> float:
-    """Return how probable it is that another day's value is as far from absent as a name's is.
+    """Return how probable it is that another day's value is surely there, by itself.
 
     Parameters
     ----------
