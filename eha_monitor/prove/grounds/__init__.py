@@ -63,10 +63,10 @@ def compared_row(group: str, name: str, true: float, said: dict | None, aim: flo
     """Return a parameter's truth and answer; ``aim`` is the relative error allowed, 0 for none."""
     value = (said or {}).get("value")
     sigma = (said or {}).get("stddev") or 0.0
-    error = None if value is None or not true else abs(value / true - 1.0)
+    error = None if value is None or not true else float(abs(value / true - 1.0))
     return {"group": group, "name": name, "true": true, "said": value, "stddev": sigma,
             "unit": (said or {}).get("unit", ""), "relative": error, "aim": aim,
-            "within": error is not None and error <= aim}
+            "within": error is not None and bool(error <= aim)}
 
 
 def with_ground(found: dict, name: str, facts: Sequence[str], parameters: Sequence[dict],
