@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from eha_monitor.balances.candidates import Candidate
+from eha_monitor.balances.candidates import Candidate, founded
 from eha_monitor.balances.least_squares import inverse_of, signed_solution
 from eha_monitor.balances.policy import Policy
 from eha_monitor.balances.table import Table
@@ -161,7 +161,10 @@ class _Choice:
                        if of[name].kind == family and not of[name].always]
             steady = [name for name in members
                       if effects[of[name].effect] >= policy.stable * policy.halves]
-            for name in steady or members[:1]:
+            steady = steady or members[:1]
+            if founded(steady, of) != steady:  # halves share what is added, not what it adds to
+                steady.insert(0, next(name for name in members if not of[name].upon))
+            for name in steady:
                 if of[name].effect not in {of[other].effect for other in kept}:
                     kept.append(name)
         rivals = {}
@@ -181,6 +184,8 @@ class _Choice:
         members = [name for name in self.allowed if not of[name].always and (
             of[name].effect == own.effect or (own.family and of[name].family == own.family
                                               and of[name].effect not in taken))]
+        members = [name for name in members if name in founded(
+            [*kept[:i], name, *kept[i + 1 :]], of)]
         found = {name: self.unseen([*kept[:i], name, *kept[i + 1 :]]) for name in members}
         best: dict[str, str] = {}  # effect -> its best shape
         for name in members:
@@ -201,7 +206,7 @@ class _Choice:
                 one = self.of[name]
                 if one.always:
                     continue
-                rest = [other for other in kept if other != name]
+                rest = founded([other for other in kept if other != name], self.of)
                 shown = quantity(value, one.unit, 3)
                 if abs(value) > self.table.reach[self.table.places[name]]:
                     out = Refused("bound", one.effect, f"{one.words} of {shown} is beyond what "
@@ -366,7 +371,8 @@ def chosen_on(table: Table, half: tuple[np.ndarray, np.ndarray], always: Sequenc
         taken = {of[name].effect for name in names}
         best, least = None, error * np.exp(-policy.alone)
         for name in allowed:
-            if name in names or (of[name].variant and of[name].effect in taken):
+            if name in names or (of[name].variant and of[name].effect in taken) or (
+                    name not in founded([*names, name], of)):
                 continue
             found = _error(table, half, [*names, name])
             if found < least:
@@ -376,7 +382,7 @@ def chosen_on(table: Table, half: tuple[np.ndarray, np.ndarray], always: Sequenc
         names.append(best)
         error = least
         for name in [one for one in names if one not in always and one != best]:
-            rest = [one for one in names if one != name]
+            rest = founded([one for one in names if one != name], of)
             found = _error(table, half, rest)
             if found < error * np.exp(policy.alone):
                 names, error = rest, found

@@ -9,7 +9,7 @@ the config: its mass, leakage, effects and drive are subtracted before (:func:`c
     drive   omega - wanted = k wanted - tau omega' - ...
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +32,7 @@ SIDES = {"force": "N", "flow": "m³/s", "drive": "rad/s"}
 BENT = (0.005, 0.015, 0.05, 0.15)
 SLACK = tuple(round(0.03 * 1.4**k, 4) for k in range(8))
 TURNS = (0.1, 0.3)
-SLOW = (0.03, 0.1, 0.3)
+SLOW = (0.1, 0.3)
 TOPS = (0.999, 0.98, 0.9)  # quantiles of the pump's speed at which its drive may saturate
 MASS = 5.0  # times the config's: oil in lines moves with the piston, but not more than that
 AIR_EXPONENT = 1.4  # adiabatic
@@ -62,6 +62,7 @@ class Candidate:
         separated from what it resembles; "" nothing.
     symbol, shape : the catalogue's parameter that it is, and those that its shape stands for.
     twins : effects that are the same column to first order.
+    upon : family of which another term must be there, because it only adds to one.
     odd : it changes its sign with the direction of motion.
     power : it grows with this power of the speed.
     """
@@ -83,6 +84,7 @@ class Candidate:
     symbol: str = ""
     shape: tuple[tuple[str, float], ...] = ()
     twins: tuple[str, ...] = ()
+    upon: str = ""
     odd: bool = True
     power: float = 0.0
 
@@ -90,6 +92,17 @@ class Candidate:
     def kind(self) -> str:
         """Its family, or else its effect."""
         return self.family or self.effect
+
+
+def founded(names: Iterable[str], of: Mapping[str, Candidate]) -> list[str]:
+    """Return the terms that stand by themselves, or on another of the terms.
+
+    Friction that falls with speed is not the whole of a seal's friction: without the part that
+    stays, a wide fall takes the place of viscous damping.
+    """
+    names = list(names)
+    grounds = {of[name].family for name in names if not of[name].upon}
+    return [name for name in names if not of[name].upon or of[name].upon in grounds]
 
 
 def stop(x: np.ndarray, reach: float) -> np.ndarray:
@@ -256,7 +269,7 @@ def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             f"F_s{i}", "stribeck_friction", "N", "Stribeck rise below "
             f"{1e3 * share * scale.speed:.2g} mm/s", 1,
             lambda c, r, d=share * scale.speed: c.direction * np.exp(-np.abs(c.v) / d),
-            family="dry", variant=True, symbol="F_d",
+            family="dry", variant=True, upon="dry", symbol="F_d",
             shape=(("v_s", share * scale.speed), ("delta", 1.0), ("v_e", standing))))
     for i in (1, 2, 3):
         found.append(one(
@@ -301,6 +314,12 @@ def _pump_difference(course: Course, rig: Rig) -> np.ndarray:
     return pumped_side(course, rig) * pumped_pressure(course, rig)
 
 
+def _as_of_chamber_1(course: Course, rig: Rig) -> np.ndarray | float:
+    """Return what a flow out of the filled chamber is worth at chamber 1's area, (m,)."""
+    share = rig.area_2 / rig.area_1
+    return 1.0 if share == 1.0 else np.where(pumped_side(course, rig) > 0.0, 1.0, 1.0 / share)
+
+
 def _air(course: Course, rig: Rig) -> np.ndarray | None:
     """Return the flow into air of one, by volume at atmospheric pressure: alpha V C(p) p'."""
     if not rig.volume_1:
@@ -325,7 +344,7 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
         return Candidate(name, effect, "flow", unit, words, sign, column, **more)
 
     def crossing(of):
-        return lambda c, r: -of(c.p1 - c.p2)
+        return lambda c, r: -of(c.p1 - c.p2) * _as_of_chamber_1(c, r)
 
     return (
         one("D_p", "pump_displacement", "m³/rad", "pump displacement", 1, lambda c, r: c.omega,
@@ -347,8 +366,8 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             crossing(lambda dp: dp / (dp**2 + LAMINAR**2) ** 0.25), family="gap", symbol="c",
             shape=(("dp_0", LAMINAR),)),
         one("L_1", "external_leakage", "m³/(s·Pa)", "leakage to ambient", 1,
-            lambda c, r: -pumped_side(c, r) * pumped_pressure(c, r), family="gap",
-            symbol="L_1"),
+            lambda c, r: -pumped_side(c, r) * pumped_pressure(c, r) * _as_of_chamber_1(c, r),
+            family="gap", symbol="L_1"),
         one("k_l", "pump_volumetric_loss", "1/Pa", "flow of the pump lost per pressure", 1,
             lambda c, r: None if not pump else -pump * np.abs(c.omega) * _pump_difference(c, r),
             family="gap", symbol="k", shape=(("motoring", 1.0),), power=1.0),

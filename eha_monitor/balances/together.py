@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from eha_monitor.balances.candidates import founded
 from eha_monitor.balances.least_squares import (
     independent,
     inverse_of,
@@ -158,7 +159,8 @@ class Recordings:
             tried.add(tuple(sorted(names)))
             best = None
             for name in allowed:
-                if name in names or self._has_variant(name, names):
+                if name in names or self._has_variant(name, names) or (
+                        name not in founded([*names, name], self.candidates)):
                     continue
                 with_it = self.errors([*names, name])
                 mean, t = gain(errors, with_it)
@@ -191,6 +193,7 @@ class Recordings:
                 effects = {self.candidates[name].effect for name in terms}
                 rivals = [name for name in allowed if self.candidates[name].kind == family
                           and self.candidates[name].effect not in effects
+                          and name in founded([*rest, name], self.candidates)
                           and gain(self.errors([*rest, name]), errors)[0] > -policy.alone]
                 found.append(Named(tuple(terms), mean, t, tuple(dict.fromkeys(
                     self.candidates[name].effect for name in rivals))))
@@ -219,7 +222,7 @@ class Recordings:
             for name in names:
                 if self.candidates[name].always:
                     continue
-                rest = [other for other in names if other != name]
+                rest = founded([other for other in names if other != name], self.candidates)
                 without_it = self.errors(rest)
                 mean, t = gain(without_it, errors)
                 if (mean < self.owed(name, policy) or t < policy.repeats) and (
