@@ -15,6 +15,7 @@ from eha_monitor.mismatch.name.gates import ends_of_tolerance, failures
 from eha_monitor.mismatch.name.informative import informative
 from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.posterior import (
+    CLOSE,
     Names,
     Refits,
     evidence_at_start,
@@ -50,7 +51,6 @@ MOST_GOING = 2  # of these
 LOOKS = 3  # handfuls that are refitted from one linearisation
 WITHIN_REACH, FINALISTS = 20.0, 3  # log units; sets that are fitted to the end
 BENT = 0.2  # of the logarithm of B or beta_e
-CLOSE = 300.0  # log units: within them a set is a rival that is fitted to the end
 ROUNDS = 8
 SKETCH, SKETCH_WINDOW = 8_000, 2_000  # samples that a search begins on, in windows
 
@@ -112,7 +112,8 @@ class Search:
         """Take over what a sketch has left in the running, fitted to these samples."""
         refits, experiment = self.refits, self.experiment
         for names in list(filter(None, within_reach(found.refits)))[:FINALISTS]:
-            worth = max(fit.log_likelihood for fit in refits.fits.values()) - CLOSE
+            lead = max(refits.fits.values(), key=lambda fit: fit.log_likelihood)
+            worth = refits.worth(lead, WITHIN_REACH)
             refits.add(experiment, names, settled(
                 experiment, with_unknowns(experiment, found.refits.fits[names]), worth=worth))
         if refits.best():
@@ -188,9 +189,9 @@ def held(experiment: Experiment, view: Linearised, refits: Refits) -> None:
 
 def strayed(view: Linearised, refits: Refits) -> bool:
     """Tell whether a model is far from the optimum that a guess from itself promises."""
-    own = view.own
-    return own is not None and (
-        own.evidence - own.prior > evidence_at_start(refits, view.here) + STRAYED)
+    own, now = view.own, evidence_at_start(refits, view.here)
+    return own is not None and own.evidence - own.prior > now + STRAYED and refits.pursued(
+        own.evidence - own.prior, now)
 
 
 def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
@@ -442,7 +443,8 @@ def without_each(experiment: Experiment, refits: Refits) -> None:
         refits.parted[best] = fit
         for name in sorted(best) if len(best) > 1 else ():
             refits.add(experiment, best - {name}, settled(
-                experiment, lesser(experiment, fit, name), worth=fit.log_likelihood - CLOSE))
+                experiment, lesser(experiment, fit, name),
+                worth=refits.worth(fit, WITHIN_REACH)))
 
 
 def gated(experiment: Experiment, refits: Refits) -> None:
@@ -473,7 +475,8 @@ def gated(experiment: Experiment, refits: Refits) -> None:
         for name in dict.fromkeys(gate.what for gate in failed):
             if best - {name} not in refits.fits:
                 refits.add(experiment, best - {name}, settled(
-                    experiment, lesser(experiment, fit, name), worth=fit.log_likelihood - CLOSE))
+                    experiment, lesser(experiment, fit, name),
+                worth=refits.worth(fit, WITHIN_REACH)))
 
 
 def within_reach(refits: Refits) -> list[Names]:
@@ -501,12 +504,12 @@ def finish(experiment: Experiment, refits: Refits) -> None:
             if possible(other, experiment) and best - {name} | {other} not in refits.fits:
                 refits.add(experiment, best - {name} | {other}, settled(
                     experiment, simplified(experiment, lead, name, other),
-                    worth=lead.log_likelihood - CLOSE))
+                    worth=refits.worth(lead, WITHIN_REACH)))
     # That nothing is missing is never judged by half a fit.
     near = [names for i, names in enumerate(within_reach(refits)) if i < FINALISTS or not names]
     level = refits.fits[refits.best()].unknowns
     lead = refits.fits[refits.likeliest(near)]
-    worth = lead.log_likelihood - CLOSE
+    worth = refits.worth(lead, WITHIN_REACH)
 
     def ended(names: frozenset[str]) -> Fit:
         fit = refits.fits[names]
