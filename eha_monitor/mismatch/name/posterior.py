@@ -15,7 +15,6 @@ from eha_monitor.mismatch.name.refit import discrepancy, evidence_of, impossible
 from eha_monitor.mismatch.policy import SearchPolicy
 
 Names = frozenset[str]
-CLOSE = 300.0  # log units: within them a set is a rival that may be fitted to the end
 PURSUED = 1.0  # log units of score: where less is gained the search does not go on
 
 
@@ -80,21 +79,6 @@ class Refits:
         return self.policy.temper * (
             counted(floor - evidence, self.policy) - counted(floor - than, self.policy)) > PURSUED
 
-    def worth(self, lead: Fit, within: float) -> float:
-        """Return the likelihood below which a set is more than ``within`` behind in score.
-
-        Below it a set is neither the answer nor a rival, and need not be fitted to the end.
-
-        Parameters
-        ----------
-        lead : the model that it is compared with.
-        within : log units of score.
-        """
-        left = max(self.floor() - max(self.evidence.values()), 0.0)
-        form = self.policy.form
-        return lead.log_likelihood - min(CLOSE, (form + left) * float(
-            np.expm1(within / (self.policy.temper * form))))
-
     def scores(self) -> dict[Names, float]:
         """Return the score of every refitted set.
 
@@ -147,7 +131,7 @@ class Refits:
         Parameters
         ----------
         done : names -> evidence with which a model was linearised before; one that has gained
-            ``enough`` since, and what counts in score, is linearised again.
+            ``enough`` since is linearised again.
         """
         best = self.best()
         known = {names: (self.fits[names], value) for names, value in self.evidence.items()
@@ -158,8 +142,7 @@ class Refits:
             names, self.policy), plainness, ties.SAME_FIT)
         went = max(done.values(), default=-np.inf)
         for names, (fit, value) in ((highest, every[highest]), (best, known[best])):
-            before = done.get(names, -np.inf)
-            if value > before + enough and self.pursued(value, before) and (
+            if value > done.get(names, -np.inf) + enough and (
                     names == best or self.pursued(value, went)):
                 return names, fit
         return None

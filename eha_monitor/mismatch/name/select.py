@@ -15,7 +15,6 @@ from eha_monitor.mismatch.name.gates import ends_of_tolerance, failures
 from eha_monitor.mismatch.name.informative import informative
 from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.posterior import (
-    CLOSE,
     Names,
     Refits,
     evidence_at_start,
@@ -51,6 +50,7 @@ MOST_GOING = 2  # of these
 LOOKS = 3  # handfuls that are refitted from one linearisation
 WITHIN_REACH, FINALISTS = 20.0, 3  # log units; sets that are fitted to the end
 BENT = 0.2  # of the logarithm of B or beta_e
+CLOSE = 300.0  # log units: within them a set is a rival that is fitted to the end
 ROUNDS = 8
 SKETCH, SKETCH_WINDOW = 8_000, 2_000  # samples that a search begins on, in windows
 
@@ -112,8 +112,7 @@ class Search:
         """Take over what a sketch has left in the running, fitted to these samples."""
         refits, experiment = self.refits, self.experiment
         for names in list(filter(None, within_reach(found.refits)))[:FINALISTS]:
-            lead = max(refits.fits.values(), key=lambda fit: fit.log_likelihood)
-            worth = refits.worth(lead, WITHIN_REACH)
+            worth = max(fit.log_likelihood for fit in refits.fits.values()) - CLOSE
             refits.add(experiment, names, settled(
                 experiment, with_unknowns(experiment, found.refits.fits[names]), worth=worth))
         if refits.best():
@@ -189,9 +188,9 @@ def held(experiment: Experiment, view: Linearised, refits: Refits) -> None:
 
 def strayed(view: Linearised, refits: Refits) -> bool:
     """Tell whether a model is far from the optimum that a guess from itself promises."""
-    own, now = view.own, evidence_at_start(refits, view.here)
-    return own is not None and own.evidence - own.prior > now + STRAYED and refits.pursued(
-        own.evidence - own.prior, now)
+    own = view.own
+    return own is not None and (
+        own.evidence - own.prior > evidence_at_start(refits, view.here) + STRAYED)
 
 
 def selected(experiment: Experiment, say=lambda text, share: None) -> Selection:
@@ -443,8 +442,7 @@ def without_each(experiment: Experiment, refits: Refits) -> None:
         refits.parted[best] = fit
         for name in sorted(best) if len(best) > 1 else ():
             refits.add(experiment, best - {name}, settled(
-                experiment, lesser(experiment, fit, name),
-                worth=refits.worth(fit, WITHIN_REACH)))
+                experiment, lesser(experiment, fit, name), worth=fit.log_likelihood - CLOSE))
 
 
 def gated(experiment: Experiment, refits: Refits) -> None:
@@ -475,8 +473,7 @@ def gated(experiment: Experiment, refits: Refits) -> None:
         for name in dict.fromkeys(gate.what for gate in failed):
             if best - {name} not in refits.fits:
                 refits.add(experiment, best - {name}, settled(
-                    experiment, lesser(experiment, fit, name),
-                worth=refits.worth(fit, WITHIN_REACH)))
+                    experiment, lesser(experiment, fit, name), worth=fit.log_likelihood - CLOSE))
 
 
 def within_reach(refits: Refits) -> list[Names]:
@@ -504,12 +501,12 @@ def finish(experiment: Experiment, refits: Refits) -> None:
             if possible(other, experiment) and best - {name} | {other} not in refits.fits:
                 refits.add(experiment, best - {name} | {other}, settled(
                     experiment, simplified(experiment, lead, name, other),
-                    worth=refits.worth(lead, WITHIN_REACH)))
+                    worth=lead.log_likelihood - CLOSE))
     # That nothing is missing is never judged by half a fit.
     near = [names for i, names in enumerate(within_reach(refits)) if i < FINALISTS or not names]
     level = refits.fits[refits.best()].unknowns
     lead = refits.fits[refits.likeliest(near)]
-    worth = refits.worth(lead, WITHIN_REACH)
+    worth = lead.log_likelihood - CLOSE
 
     def ended(names: frozenset[str]) -> Fit:
         fit = refits.fits[names]
