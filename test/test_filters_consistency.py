@@ -100,12 +100,12 @@ def test_samples_of_a_seen_change_are_left_out():
     change = np.array([[9_999.0, 600.0, 900.0, 400.0]])
     assert not verdict(e).consistent
     assert verdict(e, changes=change).consistent
-    mask = while_changing(20_000, change)
-    assert mask[9_500:9_900].all() and mask.sum() < 2_000
+    ((first, last),) = while_changing(20_000, change)
+    assert first <= 9_500 and last >= 9_900 and last - first < 2_000
     # A parameter that hops all the time excuses nothing.
     hopping = np.array([[k, 600.0 + 50 * (-1) ** i, 600.0, 200.0]
                         for i, k in enumerate(range(500, 20_000, 1000))])
-    assert not while_changing(20_000, hopping).any()
+    assert not while_changing(20_000, hopping)
 
 
 # ---- supervision -----------------------------------------------------------------------------

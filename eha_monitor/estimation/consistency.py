@@ -64,13 +64,7 @@ def normal_deviate(ratio: np.ndarray, blocks: np.ndarray) -> np.ndarray:
     return (np.cbrt(ratio) - (1.0 - spread)) / np.sqrt(spread)
 
 
-def while_changing(n: int, changes: np.ndarray | None, whole: int = 0) -> np.ndarray:
-    """Return (n,) bool, True on the samples that showed a change of the parameter."""
-    return _mask(spans_while_changing(n, changes, whole), 0, n)
-
-
-def spans_while_changing(n: int, changes: np.ndarray | None, whole: int = 0
-                         ) -> list[tuple[int, int]]:
+def while_changing(n: int, changes: np.ndarray | None, whole: int = 0) -> list[tuple[int, int]]:
     """Return the stretches of samples that showed a change of the parameter, in order.
 
     A parameter that hops to and fro for more than a third of the record, or that never settles,
@@ -207,7 +201,7 @@ def judge(innovation: np.ndarray, stddev: np.ndarray, window: Window, stage: str
         None with fewer than 200 innovations: too few to judge.
     """
     dt = window.dt
-    left_out = spans_while_changing(len(innovation), changes, round(window.seconds / dt))
+    left_out = while_changing(len(innovation), changes, round(window.seconds / dt))
     seen = _Squares(-(-len(innovation) // columns.IN_MEMORY))
     for first, last, rows in blocks(innovation, stddev):
         e = whitened(*rows)

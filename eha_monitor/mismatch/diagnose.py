@@ -9,7 +9,7 @@ import numpy as np
 
 from eha_monitor import ties
 from eha_monitor.balances.answer import Asked, answered, far_from_config, first_answer
-from eha_monitor.balances.baseline import Baseline, baseline
+from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.course import TRAVEL
 from eha_monitor.breakdown import computing
 from eha_monitor.estimation.hold_choice import other_hold, resolved
@@ -21,7 +21,6 @@ from eha_monitor.mismatch.diagnosis import (
     LearnedTerm,
     Location,
     NamedEffect,
-    Piece,
     RigFinding,
     Value,
     Window,
@@ -191,30 +190,24 @@ def diagnosed(recordings: list[Recording], experiment: Experiment,
               named: tuple[Experiment, Naming] | None, held_out: Recording | None,
               started: float, say: Report, hypothesis: Hypothesis | None = None) -> Diagnosis:
     """Return the answer for what was named on the most informative windows."""
-    bags = tuple(recording.source for recording in recordings)
-    duration = sum(recording.duration for recording in recordings)
-    baselines = tuple(baseline(recording, experiment.settings) for recording in recordings)
     if named is None:
-        return insufficient(bags, duration, started,
+        return insufficient(recordings, started,
                             f"the piston moves by {quantity(experiment.ranges.position, 'm', 2)} "
                             f"only, with {quantity(experiment.noise[0], 'm', 2)} of noise: "
                             "too little motion to identify anything")
     settings, whole, told = experiment.settings, experiment.stretches, named[0]
     naming = on_all_of(experiment, named[1])
-    experiment = naming.experiment
-    pieces: tuple[Piece, ...] = ()
     if verdict_of(naming) != "consistent" or naming.unexplained > experiment.policy.rival:
         say("testing whether a parameter changed", 0.86)
-        changed = changed_between(experiment, recordings, naming)
+        changed = changed_between(naming.experiment, recordings, naming)
         if changed is not None:
-            pieces, experiment = changed.pieces, changed.experiment
-            naming = Naming(experiment, changed.whole, changed.fit, consistent=naming.unexplained,
-                            unexplained=0.0)
+            naming = Naming(changed.experiment, changed.whole, changed.fit,
+                            consistent=naming.unexplained, unexplained=0.0,
+                            pieces=changed.pieces)
     say("showing the fit on unseen data", 0.88)
-    shown = experiment if held_out is None else replace(
-        experiment_of([held_out], settings, False), steps=experiment.steps)
-    found = assemble(experiment, shown, naming, bags, duration, started, held_out is not None,
-                     pieces, say, hypothesis, baselines)
+    shown = naming.experiment if held_out is None else replace(
+        experiment_of([held_out], settings, False), steps=naming.experiment.steps)
+    found = assemble(recordings, shown, naming, started, held_out is not None, say, hypothesis)
     windows = told.stretches if told.windows or told.stretches is not whole else ()
     return replace(found, named_on=tuple(Window(
         one.source, round(one.start, 4), round(one.start + len(one) * told.dt, 4))
@@ -222,11 +215,13 @@ def diagnosed(recordings: list[Recording], experiment: Experiment,
         looked_s=sum(map(len, whole)) * told.dt if told.windows else 0.0)
 
 
-def insufficient(bags: tuple[str, ...], duration: float, started: float, why: str) -> Diagnosis:
+def insufficient(recordings: list[Recording], started: float, why: str) -> Diagnosis:
     """Return the answer for a record that says nothing."""
     nowhere = Location(dict.fromkeys(BALANCES, 0.0), "", ())
-    return Diagnosis(bags, "insufficient_data", why, nowhere, (), {}, {}, "held_out", {},
-                     duration_s=duration, wall_s=time.perf_counter() - started)
+    return Diagnosis(tuple(one.source for one in recordings), "insufficient_data", why, nowhere,
+                     (), {}, {}, "held_out", {},
+                     duration_s=sum(one.duration for one in recordings),
+                     wall_s=time.perf_counter() - started)
 
 
 def verdict_of(naming: Naming) -> str:
@@ -238,11 +233,11 @@ def verdict_of(naming: Naming) -> str:
     return "consistent"
 
 
-def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tuple[str, ...],
-             duration: float, started: float, other_bag: bool, pieces: tuple[Piece, ...],
-             say: Report, hypothesis: Hypothesis | None, baselines: tuple[Baseline, ...]
-             ) -> Diagnosis:
+def assemble(recordings: list[Recording], shown: Experiment, naming: Naming, started: float,
+             other_bag: bool, say: Report, hypothesis: Hypothesis | None) -> Diagnosis:
     """Put the answer together."""
+    experiment, pieces = naming.experiment, naming.pieces
+    baselines = tuple(baseline(recording, experiment.settings) for recording in recordings)
     asked, naming = naming, replace(naming, before=robust(experiment, naming.before),
                                     after=robust(experiment, naming.after))
     verdict, gates, policy = verdict_of(naming), naming.gates, experiment.policy
@@ -321,7 +316,8 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
     elif told is None:
         known = known[0], between_models(known[1], asked)
     return Diagnosis(
-        bags, verdict, change_words(pieces, policy) if pieces else learned_words(told.term)
+        tuple(one.source for one in recordings), verdict,
+        change_words(pieces, policy) if pieces else learned_words(told.term)
         if told is not None and told.term is not None else message_of(
             verdict, effects, where, wrong, within), where, effects, *known,
         "held_out_bag" if other_bag else "held_out", signals, curves,
@@ -330,7 +326,8 @@ def assemble(experiment: Experiment, shown: Experiment, naming: Naming, bags: tu
         health_sentences(*known, effects), advise.advice_for(experiment, asked),
         config_effects(experiment, after, tuple(effect.name for effect in effects),
                        (told.name, told.entry) if told is not None else None),
-        duration_s=duration, wall_s=time.perf_counter() - started, pieces=pieces,
+        duration_s=sum(one.duration for one in recordings),
+        wall_s=time.perf_counter() - started, pieces=pieces,
         probability={"consistent": naming.consistent, "unexplained": naming.unexplained},
         rig_data=wrong, rig_within=within,
         learned=(told.term,) if told is not None and told.term is not None else (),

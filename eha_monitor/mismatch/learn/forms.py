@@ -213,17 +213,17 @@ def free_slot(experiment: Experiment) -> int | None:
                  if not experiment.active[i]), None)
 
 
-def ranked_forms(experiment: Experiment, fit: Fit) -> list[Guess]:
+def ranked_forms(experiment: Experiment, tables: Sequence[Table], fit: Fit) -> list[Guess]:
     """Return the forms that would gain anything beside a model, best first."""
-    tables = {table.form.name: table for table in tables_of(experiment, fit)}
+    by_name = {table.form.name: table for table in tables}
     view = weighed(experiment, frozenset(fit.named), fit,
-                   columns_with(experiment, fit, tuple(tables.values())), more=1)
+                   columns_with(experiment, fit, tables), more=1)
     found: dict[str, Guess] = {}
     for one in view.ranking:
-        name = next((name for name in one.names if name in tables), None)
+        name = next((name for name in one.names if name in by_name), None)
         if name is None or name in found or one.names - {name} != frozenset(fit.named):
             continue
-        table = tables[name]
+        table = by_name[name]
         values = np.array([value for place, value in sorted(one.amplitudes.items())
                            if view.what[place].owner == name])
         rest = tuple(member for member in one.members if member.owner != name)

@@ -21,6 +21,7 @@ from eha_monitor.mismatch.learn.learned import (
 from eha_monitor.mismatch.learn.shapes import RIPPLES, SHAPES, Shape
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread
 from eha_monitor.mismatch.name.refit import settled
+from eha_monitor.mismatch.name.select import CLOSE
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
 from eha_monitor.physics.expression import parsed
 from eha_monitor.physics.own_term import ADDED_UNITS, CONSTANTS, OF_UNITS, expressed_along
@@ -66,7 +67,9 @@ def formulas_of(experiment: Experiment, learned: Learned) -> list[Formula]:
     shapes = RIPPLES if learned.table.form.periodic else SHAPES
     fits = sorted((fit for shape in shapes if (fit := on_curve(shape, places, learned))),
                   key=lambda found: found[0])
-    made = spread(lambda found: refitted(experiment, learned, *found[1:]), fits[:REFITTED])
+    # What the curve itself is far from, the recording is too: only rivals are fitted to it.
+    made = spread(lambda found: refitted(experiment, learned, *found[1:]), [
+        one for one in fits[:REFITTED] if one[0] < fits[0][0] + CLOSE])
     return sorted((one for one in made if np.isfinite(one.evidence)
                    and lies_within(one, learned)),
                   key=lambda one: -one.evidence)

@@ -14,9 +14,11 @@ from eha_monitor.mismatch.learn.forms import (
     Table,
     free_slot,
     ranked_forms,
+    tables_of,
 )
-from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread
+from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread, with_unknowns
 from eha_monitor.mismatch.name.candidates import log_prior
+from eha_monitor.mismatch.name.informative import informative
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.refit import (
     evidence_of,
@@ -25,7 +27,13 @@ from eha_monitor.mismatch.name.refit import (
     settled,
     unfitted,
 )
-from eha_monitor.mismatch.name.select import lesser, with_rig
+from eha_monitor.mismatch.name.select import (
+    CLOSE,
+    SKETCH,
+    SKETCH_WINDOW,
+    lesser,
+    with_rig,
+)
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
 from eha_monitor.physics.own_term import SCALE, VALUES, cardinal
 from eha_monitor.settings.own_terms import slot_for
@@ -201,12 +209,15 @@ def learned_of(experiment: Experiment, naming: Naming) -> Learned | None:
     form = policy.form + policy.law * max(scores[0] - scores[1], 0.0)
     # What is left out bends these fits, and what is linear at the config is not so there.
     bases.append(with_rig(experiment, unfitted(experiment)))
-    places = [(base, guess) for base in bases
-              for guess in ranked_forms(experiment, base)[:TRIED]]
+    # What a term is a function of shows in a third of the samples, over the range of all of them.
+    some = informative(experiment, SKETCH, SKETCH_WINDOW)
+    places = [(with_unknowns(some, base), guess) for base in bases
+              for guess in ranked_forms(some, tables_of(experiment, base),
+                                        with_unknowns(some, base))[:TRIED]]
 
     def look(place: tuple[Fit, Guess]) -> tuple[float, Fit, Guess]:
         base, guess = place
-        made = looked(experiment, entered_at_best(experiment, base, which, guess))
+        made = looked(some, entered_at_best(some, base, which, guess))
         return made.log_likelihood + log_prior(made.named, policy), made, guess
 
     ahead: dict[Form, tuple[float, Fit, Guess]] = {}
@@ -215,11 +226,15 @@ def learned_of(experiment: Experiment, naming: Naming) -> Learned | None:
             ahead[one[2].table.form] = one
     going = ties.ordered(ahead.values(), lambda one: one[0], lambda one: one[2].table.form.name,
                          ties.GUESS)[:GOING]
-    found = spread(lambda one: as_fine(experiment, fitted(
-        experiment, one[1], which, one[2], KNOTS, without)), going)
+    found = spread(lambda one: fitted(experiment, with_unknowns(experiment, one[1]), which,
+                                      one[2], KNOTS, without), going)
     if not found:
         return None
-    best = ties.best(found, lambda one: one.evidence, within=ties.SAME_FIT)
+    # A form that is far behind with few values is not the one that more of them would do for.
+    ahead_of = max(one.evidence for one in found) - CLOSE
+    best = ties.best(spread(lambda one: as_fine(experiment, one), [
+        one for one in found if one.evidence >= ahead_of]), lambda one: one.evidence,
+        within=ties.SAME_FIT)
     if not best.gained > 0.0:
         return None
     fit = alone(experiment, best.fit)

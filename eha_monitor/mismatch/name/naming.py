@@ -8,7 +8,7 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import FORCED, OPEN
-from eha_monitor.mismatch.diagnosis import Gate
+from eha_monitor.mismatch.diagnosis import Gate, Piece
 from eha_monitor.mismatch.likelihood.fit import Fit, remade, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.name.base import limits_of
@@ -45,6 +45,7 @@ class Naming:
     loads : when a load without a name of its own acts, (from s, to s, N); ``intermittent_load``.
     gates : checks that a set with more evidence, or a member of one, did not pass.
     weights : set -> probability that it is all that is there, and nothing without a name.
+    pieces : of the recordings, between which a parameter changed; empty where none did.
     """
 
     experiment: Experiment
@@ -60,6 +61,7 @@ class Naming:
     loads: tuple[tuple[float, float, float], ...] = ()
     gates: tuple[Gate, ...] = ()
     weights: dict[Names, float] = field(default_factory=dict)
+    pieces: tuple[Piece, ...] = ()
 
 
 def in_place_of(name: str, best: Names, weights: dict[Names, float]) -> dict[str, float]:
