@@ -81,8 +81,8 @@ def counted(monkeypatch) -> list[str]:
     """Let answers be made in this process, without the page; returns the bags that are."""
     asked = []
     monkeypatch.setattr("eha_monitor.archive.run.on_this_machine", partial(here, asked=asked))
-    monkeypatch.setattr("eha_monitor.reports.archive_report.write_archive_report",
-                        lambda *arguments: None)
+    monkeypatch.setattr("eha_monitor.reports.archive_report.archive_page",
+                        lambda *arguments: "")
     return asked
 
 

@@ -32,6 +32,7 @@ from eha_monitor.mismatch.compare.compared import compared
 from eha_monitor.mismatch.diagnose import diagnose as run
 from eha_monitor.mismatch.diagnosis import Change
 from eha_monitor.mismatch.diagnosis import Diagnosis as Found
+from eha_monitor.output import write_text
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import SYMBOLS, in_units, rig_motion
 from eha_monitor.reports.diagnosis_words import probability, value_words
@@ -334,13 +335,13 @@ class Diagnosis(Record, Found):
         InputError
             If it cannot be written.
         """
-        from eha_monitor.reports.diagnosis_report import write_diagnosis_report
+        from eha_monitor.reports.diagnosis_report import diagnosis_page
 
         with calling():
             place = path_of(path, "a file to write")
-            write_diagnosis_report(place, self, self.config.settings, [
+            write_text(place, diagnosis_page(self, self.config.settings, [
                 *self.losses, *(finding.finding for finding in self.channels)], command,
-                self.indicators)
+                self.indicators))
             return place
 
     def _short(self):

@@ -6,14 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from eha_monitor.commands.common import (
-    FILE,
-    bags_argument,
-    check_outputs,
-    config_option,
-    json_option,
-    progress_bar,
-)
+from eha_monitor.commands import common
 from eha_monitor.output import write_json, write_text
 
 if TYPE_CHECKING:
@@ -21,10 +14,10 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@bags_argument
-@config_option
-@json_option
-@click.option("--write-excitation", "excitation_file", type=FILE, metavar="FILE",
+@common.bags_argument
+@common.config_option
+@common.json_option
+@click.option("--write-excitation", "excitation_file", type=common.FILE, metavar="FILE",
               help="Write the config with the proposed motion, for simulator and simulate.")
 @click.option("--check/--no-check", default=True,
               help="Test the proposed motion in a simulation with noise.")
@@ -41,9 +34,10 @@ def advise(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
     from eha_monitor.api.read import distinct
 
     distinct(bags)
-    check_outputs({"--json": json_file, "--write-excitation": excitation_file}, bags, config)
+    common.check_outputs({"--json": json_file, "--write-excitation": excitation_file}, bags,
+                         config)
     given = config_of(config)
-    with progress_bar() as told:
+    with common.progress_bar() as told:
         found = run(bags, given, check=check, progress=told)
     motion = found.motion
     if json_file:

@@ -19,18 +19,10 @@ from eha_monitor.mismatch.diagnosis import (
     RigFinding,
     Value,
 )
-from eha_monitor.output import write_text
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import DIAGNOSED, SYMBOLS, number, quantity
+from eha_monitor.reports import diagnosis_figures as figures
 from eha_monitor.reports import diagnosis_words as words
-from eha_monitor.reports.diagnosis_figures import (
-    agreement_figure,
-    curve_figure,
-    informative,
-    learned_figure,
-    overlay_figure,
-    presentable,
-)
 from eha_monitor.reports.estimate_figures import NAMES
 from eha_monitor.reports.figure import Block
 from eha_monitor.reports.page import FirstScreen, Table, render, table
@@ -44,34 +36,19 @@ from eha_monitor.words import effect_words, listed
 _MOST_CURVES = 6
 
 
-def write_diagnosis_report(path: str | Path, found: Diagnosis, settings: Settings,
-                           losses: Sequence[str] = (), command: str = "",
-                           indicators: Sequence[Indicator] = ()) -> None:
-    """Write the report of a diagnosis as a single HTML file.
+def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] = (),
+                   command: str = "", indicators: Sequence[Indicator] = ()) -> str:
+    """Return the report of a diagnosis as HTML text.
 
     Parameters
     ----------
-    path : file to write; an existing one is replaced at once when the new one is complete.
-    found : the diagnosis.
     settings : the config it was made with.
     losses : sentences about what was lost in reading the recordings.
     command : the command that makes the same answer again.
-    indicators : of the health, with a value or without.
-
-    Raises
-    ------
-    InputError
-        If ``path`` cannot be written.
     """
-    write_text(path, diagnosis_page(found, settings, losses, command, indicators))
-
-
-def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] = (),
-                   command: str = "", indicators: Sequence[Indicator] = ()) -> str:
-    """Return the report as HTML text."""
-    found = presentable(found)
+    found = figures.presentable(found)
     name = listed([Path(bag).name or bag for bag in found.bags]) or settings.rig.name
-    curves = informative(found)
+    curves = figures.informative(found)
     _, statistics = words.advice_in_parts(found)
     return render(
         "diagnosis.html.j2", plus_minus=DIAGNOSED, title=f"EHA diagnosis: {name}", name=name,
@@ -84,7 +61,7 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
         learned=[_learned(term) for term in found.learned],
         effects=[_effect(effect, found.duration_s) for effect in found.effects],
         location=_location(found),
-        curves=[curve_figure(found, curve)
+        curves=[figures.curve_figure(found, curve)
                 for curve in curves[0 if found.learned else 1 : _MOST_CURVES]],
         fit=_fit(found), fit_data=words.DATA.get(found.data, found.data),
         by_balances="position" not in found.signals, overlays=_overlays(found),
@@ -114,9 +91,10 @@ def _first_screen(found: Diagnosis, curves: list[Curve]) -> FirstScreen:
     """Return the verdict, the missing term, B and beta_e before and after, what to do."""
     picture, caption = None, ""
     if found.learned:
-        picture, caption = learned_figure(found.learned[0]), _learned_note(found.learned[0])
+        picture = figures.learned_figure(found.learned[0])
+        caption = _learned_note(found.learned[0])
     elif curves:
-        picture = curve_figure(found, curves[0], large=True)
+        picture = figures.curve_figure(found, curves[0], large=True)
         caption = _curve_note(found, curves[0])
     shown = (found.before, found.after) if _compared(found) else (found.before,)
     heads = ("parameter", *(_names(found) if _compared(found) else ("model of the config",)))
@@ -314,7 +292,7 @@ def _fit(found: Diagnosis) -> Table:
 
 def _overlays(found: Diagnosis) -> list:
     names = ("healthy model", "model now") if found.references else ("model before", "model after")
-    made = [overlay_figure(overlay, _compared(found), names) for overlay in found.overlays]
+    made = [figures.overlay_figure(overlay, _compared(found), names) for overlay in found.overlays]
     return [one for one in made if one is not None]
 
 
@@ -384,8 +362,8 @@ def _agreement(found: Diagnosis) -> Block | None:
     names = dict.fromkeys(name for part in found.agreement for name in (*part.before, *part.after))
     pictures, notes = [], []
     for name in names:
-        one = agreement_figure(name, found.agreement, found.before.get(name),
-                               found.after.get(name))
+        one = figures.agreement_figure(name, found.agreement, found.before.get(name),
+                                       found.after.get(name))
         if one is None:
             continue
         pictures.append(one)
