@@ -1,9 +1,11 @@
-"""Writing a file whole or not at all."""
+"""Writing a file whole or not at all, and answers as JSON."""
 
 import json
+import math
 import os
 import tempfile
 from pathlib import Path
+from typing import Any
 
 from eha_monitor.errors import InputError
 
@@ -17,6 +19,19 @@ def write_text(path: str | Path, text: str) -> None:
 def write_json(path: str | Path, tree: dict) -> None:
     """Write an answer as JSON for programs and for people; NaN must be null in it already."""
     write_text(path, json.dumps(tree, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def finite(tree: Any) -> Any:
+    """Return the tree in plain types, with null for every number that is not finite."""
+    if isinstance(tree, dict):
+        return {str(key): finite(value) for key, value in tree.items()}
+    if isinstance(tree, (list, tuple)):
+        return [finite(value) for value in tree]
+    if getattr(tree, "ndim", None) == 0:  # a number of numpy's
+        tree = tree.item()
+    if isinstance(tree, float) and not math.isfinite(tree):
+        return None
+    return tree
 
 
 def write_bytes(path: str | Path, content: bytes) -> None:

@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eha_monitor.api.answer import finite
 from eha_monitor.api.calls import READING, Progress, calling, reporter
 from eha_monitor.api.config import Config
 from eha_monitor.api.plausible import checked, finding_tree
@@ -19,6 +18,7 @@ from eha_monitor.mismatch.advise.motions import Motion, excitation_tree
 from eha_monitor.mismatch.advise.separate import Advice as Found
 from eha_monitor.mismatch.advise.separate import Doubt
 from eha_monitor.mismatch.advise.words import motion_sentence, sentences
+from eha_monitor.output import finite
 from eha_monitor.quantity import SYMBOLS, in_units, number, rig_motion, with_uncertainty
 from eha_monitor.recordings.recording import ChannelFinding
 from eha_monitor.settings.document import annotated

@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eha_monitor.api.answer import finite
 from eha_monitor.api.calls import READING, Progress, calling, reporter
 from eha_monitor.api.config import Config, path_of
 from eha_monitor.api.diagnosis_answer import answer, completed
@@ -32,7 +31,7 @@ from eha_monitor.mismatch.compare.compared import compared
 from eha_monitor.mismatch.diagnose import diagnose as run
 from eha_monitor.mismatch.diagnosis import Change
 from eha_monitor.mismatch.diagnosis import Diagnosis as Found
-from eha_monitor.output import write_text
+from eha_monitor.output import finite, write_text
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import SYMBOLS, in_units, rig_motion
 from eha_monitor.reports.diagnosis_words import probability, value_words

@@ -6,8 +6,8 @@ from pathlib import Path
 from textwrap import wrap
 
 from eha_monitor import __version__
-from eha_monitor.api.answer import finite
 from eha_monitor.mismatch.diagnosis import Change, Diagnosis, LearnedTerm, NamedEffect, Value
+from eha_monitor.output import finite
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import NOTE, with_uncertainty
 from eha_monitor.reports.diagnosis_words import (

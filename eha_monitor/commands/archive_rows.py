@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eha_monitor.api.answer import answer, finite
+from eha_monitor.api.answer import answer
 from eha_monitor.archive import run
 from eha_monitor.archive.find import Place, find_bags, stamp_of
 from eha_monitor.archive.store import INDICATORS, PARAMETERS, Store, check_parquet, iso_time
@@ -23,7 +23,7 @@ from eha_monitor.commands.common import end_as_on_interrupt, progress_bar
 from eha_monitor.errors import InputError
 from eha_monitor.health.alarms import NOT_JUDGED, SEVERITY, Alarm
 from eha_monitor.indicators.indicator import Indicator
-from eha_monitor.output import write_text
+from eha_monitor.output import finite, write_text
 from eha_monitor.settings import Settings, load_settings
 from eha_monitor.source import PACKAGE, source_digest
 

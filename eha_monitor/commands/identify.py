@@ -9,7 +9,7 @@ import click
 
 from eha_monitor.commands import common
 from eha_monitor.errors import InputError
-from eha_monitor.output import write_bytes, write_json, write_text
+from eha_monitor.output import finite, write_bytes, write_json, write_text
 
 if TYPE_CHECKING:
     from eha_monitor.identify.experiment import Round
@@ -119,7 +119,6 @@ def written(one: "Round", count: int, out: Path, settings: "Settings", overwrite
 def finish(rounds: list["Round"], planner: "Planner", wanted: float, out: Path, command: str,
            targets: tuple[Path | None, Path | None, Path | None], config: Path | None) -> str:
     """Write JSON, report and config; return why the experiment was aborted, or ""."""
-    from eha_monitor.api.answer import finite
     from eha_monitor.api.diagnosis_answer import answer, written_config
     from eha_monitor.identify.words import tree
     from eha_monitor.quantity import in_units

@@ -2,7 +2,7 @@
 
 It is the very equations of :mod:`eha_monitor.physics`, compiled by numba for any processor of the
 architecture; nothing is written down a second time.  Run as a module it writes the LLVM assembly
-of the function, which :mod:`eha_monitor.exports.fmu_build` turns into shared libraries.
+of the function, which :mod:`eha_monitor.exports.fmu` turns into shared libraries.
 """
 
 import sys

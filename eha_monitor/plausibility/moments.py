@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from eha_monitor.recordings.columns import blocks, let_go, spans_of
+from eha_monitor.recordings.grid import filled
 from eha_monitor.recordings.recording import Recording, sample_of
 
 LONGEST = 32_768  # samples that are looked at: those of the piece with the most motion
@@ -175,15 +176,6 @@ def quick_length(samples: int) -> int:
         if left == 1:
             return length
     return samples
-
-
-def filled(values: np.ndarray) -> np.ndarray:
-    """Return (n,) with what is missing interpolated from its neighbours."""
-    good = np.isfinite(values)
-    if good.all():
-        return values
-    index = np.arange(len(values))
-    return np.interp(index, index[good], values[good])
 
 
 def spectrum(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -205,9 +205,3 @@ def tell_grid(grid: Grid, label: str, nominal: float, said: list[str]) -> None:
     elif abs(grid.step / nominal - 1) > 1e-6:
         said.append(f"{label}: the stamps give a sample time of {grid.step * 1e3:.6g} ms, the "
                     f"config {nominal * 1e3:.6g} ms; the stamps are used")
-
-
-def spans(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return first and behind-last index of each stretch of True."""
-    edges = np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8))
-    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)

@@ -10,15 +10,8 @@ import numpy as np
 
 from eha_monitor.balances.baseline import Baseline
 from eha_monitor.indicators.indicator import Indicator
-from eha_monitor.mismatch.diagnosis import (
-    Considered,
-    Curve,
-    Diagnosis,
-    LearnedTerm,
-    NamedEffect,
-    RigFinding,
-    Value,
-)
+from eha_monitor.mismatch import diagnosis
+from eha_monitor.mismatch.diagnosis import Diagnosis, Value
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import DIAGNOSED, SYMBOLS, number, quantity
 from eha_monitor.reports import diagnosis_figures as figures
@@ -87,7 +80,7 @@ def _names(found: Diagnosis) -> tuple[str, str]:
 
 # ---- the first screen -----------------------------------------------------------------------
 
-def _first_screen(found: Diagnosis, curves: list[Curve]) -> FirstScreen:
+def _first_screen(found: Diagnosis, curves: list[diagnosis.Curve]) -> FirstScreen:
     """Return the verdict, the missing term, B and beta_e before and after, what to do."""
     picture, caption = None, ""
     if found.learned:
@@ -118,7 +111,7 @@ def _symbol(name: str) -> str:
     return f"{NAMES.get(name, name)} {SYMBOLS.get(name, name)}"
 
 
-def _curve_note(found: Diagnosis, curve: Curve) -> str:
+def _curve_note(found: Diagnosis, curve: diagnosis.Curve) -> str:
     dots, line = ("Grey", "Blue") if curve.against == "time" else ("Dots", "Line")
     if found.effects:
         note = (f"{dots}: measured term that the linear model lacks. {line}: the identified "
@@ -132,7 +125,7 @@ def _curve_note(found: Diagnosis, curve: Curve) -> str:
     return note
 
 
-def _learned_note(term: LearnedTerm) -> str:
+def _learned_note(term: diagnosis.LearnedTerm) -> str:
     formula = ("Dashed: the formula, which explains as much as the curve to within 5 %."
                if term.formula else "Dashed: the best formula; the curve fits better."
                if term.rivals else "")
@@ -204,7 +197,8 @@ def _machine(found: Diagnosis) -> tuple[Table, Table] | None:
                        "that stays unexplained when the fit leaves that recording out."))
 
 
-def _rig_table(findings: Sequence[RigFinding], tolerance: Tolerance, key: str = "") -> Table:
+def _rig_table(findings: Sequence[diagnosis.RigFinding], tolerance: Tolerance, key: str = ""
+               ) -> Table:
     """Return numbers of the rig as configured and as the recording has them."""
     wrong = not key
     rows = []
@@ -220,7 +214,7 @@ def _rig_table(findings: Sequence[RigFinding], tolerance: Tolerance, key: str = 
                  "key | number | number | value" + (" | number | value | " if wrong else ""), key)
 
 
-def _learned(term: LearnedTerm) -> dict[str, Any]:
+def _learned(term: diagnosis.LearnedTerm) -> dict[str, Any]:
     """Return what the page says of a learned term."""
     rivals = [f"{shown} ({words.log_units(behind)} log units "
               f"{'better' if behind < 0 else 'worse'})" for shown, behind in term.rivals]
@@ -234,7 +228,7 @@ def _learned(term: LearnedTerm) -> dict[str, Any]:
                        "its last value")]}
 
 
-def _effect(effect: NamedEffect, duration_s: float) -> dict[str, Any]:
+def _effect(effect: diagnosis.NamedEffect, duration_s: float) -> dict[str, Any]:
     """Return what the page says of an effect."""
     known = CATALOGUE.get(effect.name)
     about = {p.name: p.description for p in known.parameters} if known else {}
@@ -337,9 +331,9 @@ def _first_view(baselines: Sequence[Baseline]) -> Table:
                       "refused.")
 
 
-def _considered(considered: tuple[Considered, ...]) -> list[tuple[str, Table]]:
+def _considered(considered: tuple[diagnosis.Considered, ...]) -> list[tuple[str, Table]]:
     """Return what was tried: title and table, one for each set of effects named by then."""
-    groups: dict[tuple[str, ...], list[Considered]] = {}
+    groups: dict[tuple[str, ...], list[diagnosis.Considered]] = {}
     for one in considered:
         groups.setdefault(one.beside, []).append(one)
     found = []

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from eha_monitor.output import finite
 from eha_monitor.reports import figure as fig
 
 _GAP, _GAP_WITH_LABEL = 0.07, 0.22  # between panels, share of the height
@@ -37,7 +38,7 @@ def packed_library() -> str:
 
 def chart_json(figure: fig.Figure) -> str:
     """Return :func:`chart` as JSON."""
-    return json.dumps(_finite(chart(figure)), separators=(",", ":"), ensure_ascii=False,
+    return json.dumps(finite(chart(figure)), separators=(",", ":"), ensure_ascii=False,
                       allow_nan=False)
 
 
@@ -57,15 +58,6 @@ def chart(figure: fig.Figure) -> dict[str, Any]:
     clock = figure.panels[-1].x.scale.factor if figure.on_time else None
     return {"data": data, "layout": layout, "clock": clock,
             "rows": bool(figure.panels[0].y.rows)}
-
-
-def _finite(tree: Any) -> Any:
-    """Return a tree with null for each number that JSON does not know."""
-    if isinstance(tree, dict):
-        return {key: _finite(value) for key, value in tree.items()}
-    if isinstance(tree, list):
-        return [_finite(value) for value in tree]
-    return None if isinstance(tree, float) and not math.isfinite(tree) else tree
 
 
 def _domains(figure: fig.Figure) -> list[tuple[float, float]]:
