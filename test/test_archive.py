@@ -355,7 +355,7 @@ def test_a_defect_is_a_row_too(folder, monkeypatch):
     def broken(*arguments):
         raise ZeroDivisionError("a defect")
 
-    monkeypatch.setattr("eha_monitor.estimation.pipeline.estimate", broken)
+    monkeypatch.setattr("eha_monitor.api.estimate.run", broken)
     settings = settings_from_tree({}, "test")
     row = row_of(Task("n0", folder / "october/n0", "estimate", settings, "1", "2"))
     assert row["error"].startswith("defect of eha_monitor: ZeroDivisionError: a defect at ")

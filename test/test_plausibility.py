@@ -17,7 +17,7 @@ from eha_monitor.errors import InputError
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.plausibility.judge import corrected, plausibility_of, reading_of
 from eha_monitor.plausibility.moments import derivatives, moments_of
-from eha_monitor.plausibility.reading import ratio
+from eha_monitor.plausibility.relations import ratio
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.write import write_recording

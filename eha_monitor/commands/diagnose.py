@@ -7,7 +7,6 @@ from pathlib import Path
 import click
 
 from eha_monitor.commands import common
-from eha_monitor.commands.archive import Archive, archive_options
 from eha_monitor.errors import InputError
 from eha_monitor.output import write_json, write_text
 
@@ -41,7 +40,7 @@ from eha_monitor.output import write_json, write_text
               help="No effect; kept for compatibility.")
 @click.option("--exit-code", is_flag=True,
               help="Exit with 1 if the model does not fit the recording.")
-@archive_options
+@common.archive_options
 def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
              report_file: Path | None, config_file: Path | None, out_bag: Path | None,
              held_out: Path | None, hypothesis_file: Path | None, references: tuple[Path, ...],
@@ -53,7 +52,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
     changed from healthy recordings, or that nothing has. If BAG is a folder of bags, each is
     diagnosed separately, into one table with trends over time.
     """
-    archive = Archive(**of_folder)
+    archive = common.Archive(**of_folder)
     if len(bags) > 1 and any(map(archive.covers, bags)):
         raise InputError("expected one folder that holds bags, or bags, got "
                          + ", ".join(map(str, bags)))

@@ -5,7 +5,6 @@ from pathlib import Path
 import click
 
 from eha_monitor.commands import common
-from eha_monitor.commands.archive import Archive, archive_options
 from eha_monitor.output import write_json, write_text
 
 
@@ -19,14 +18,14 @@ from eha_monitor.output import write_json, write_text
                             "contradiction.")
 @click.option("--exit-code", is_flag=True,
               help="Exit with 1 if an alarm is active or the model does not fit.")
-@archive_options
+@common.archive_options
 def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file: Path | None,
              config_file: Path | None, exit_code: bool, **of_folder) -> int:
     """Estimate B and the bulk modulus from BAG and check them against the thresholds.
 
     If BAG is a folder of bags, process all of them into one table with trends over time.
     """
-    archive = Archive(**of_folder)
+    archive = common.Archive(**of_folder)
     if archive.covers(bag, json=json_file, report=report_file, write_config=config_file):
         from eha_monitor.commands.archive_rows import answer_folder
 

@@ -36,14 +36,7 @@ from eha_monitor.exports.model import (
     plain,
 )
 from eha_monitor.output import write_text
-from eha_monitor.physics import plant, signals
-from eha_monitor.physics.contributions import (
-    N_EFFECTS,
-    N_THETA,
-    circuit_of,
-    with_term,
-    with_update,
-)
+from eha_monitor.physics import contributions, plant, signals
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import BASE_KEYS, place_of, theta_of
 from eha_monitor.physics.signals import K_POS
@@ -362,7 +355,7 @@ def fmu_of(model: Model, units: Mapping[str, str], wanted: tuple[str, ...] = ())
 
 
 def _refuse_long_delays(model: Model, theta: np.ndarray, active: np.ndarray, h: float) -> None:
-    w = circuit_of(theta, active)
+    w = contributions.circuit_of(theta, active)
     longest = {signals.COMMAND_DELAY: fmu_kernel.KEPT - 2, signals.FEEDBACK_DELAY: plant.RING - 2,
                signals.POSITION_DELAY: plant.RING - 2, signals.PRESSURE_DELAY: plant.RING - 2}
     for place, steps in longest.items():
@@ -387,8 +380,9 @@ def header(closed: bool, guid: str, h: float, start: float, theta: np.ndarray, a
            parameters: list[Variable]) -> str:
     """Return ``model.h``: what fmi2.c needs to know of the physics and of this config."""
     sizes = {
-        "N_STATE": plant.N_STATE, "N_THETA": N_THETA, "N_CIRCUIT": signals.N_CIRCUIT,
-        "N_MEMORY": N_EFFECTS * signals.MAX_MEMORY, "RING": plant.RING, "ROWS": fmu_kernel.ROWS,
+        "N_STATE": plant.N_STATE, "N_THETA": contributions.N_THETA, "N_CIRCUIT": signals.N_CIRCUIT,
+        "N_MEMORY": contributions.N_EFFECTS * signals.MAX_MEMORY,
+        "RING": plant.RING, "ROWS": fmu_kernel.ROWS,
         "N_SCRATCH": signals.N_CONTRIBUTIONS + signals.N_SIGNALS, "N_OUT": fmu_kernel.N_OUT,
         "P_CHARGE": signals.P_CHARGE, "AREA_1": signals.AREA_1, "AREA_2": signals.AREA_2,
         "VR_X_START": VR_X_START, "VR_CLOSED": VR_CLOSED, "VR_OUTPUT": VR_OUTPUT,
@@ -396,7 +390,7 @@ def header(closed: bool, guid: str, h: float, start: float, theta: np.ndarray, a
     lines = ["#include <stdint.h>", f'#define GUID "{guid}"', f"#define STEP {h!r}",
              f"#define X_START {start!r}",
              *(f"#define {name} {value}" for name, value in sizes.items())]
-    terms, updates = with_term(active), with_update(active, theta)
+    terms, updates = contributions.with_term(active), contributions.with_update(active, theta)
     for name, places in (("TERMS", terms), ("UPDATES", updates)):
         lines += [f"#define N_{name} {len(places)}",
                   _table("int64_t", name, [int(place) for place in places] or [0])]

@@ -11,8 +11,7 @@ from typing import Any
 from eha_monitor import ties
 from eha_monitor.plausibility.mistakes import EVERYDAY, Mistake, mistakes_for
 from eha_monitor.plausibility.moments import Moments, moments_of
-from eha_monitor.plausibility.reading import Reading, Source
-from eha_monitor.plausibility.relations import Check, checks, unexplained
+from eha_monitor.plausibility.relations import Check, Reading, Source, checks, unexplained
 from eha_monitor.recordings.recording import ChannelFinding, Recording
 from eha_monitor.settings.channels import ATMOSPHERE, unit_of
 from eha_monitor.settings.load import merge, settings_from_tree
