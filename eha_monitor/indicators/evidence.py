@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from eha_monitor.estimation.results import Estimate
 from eha_monitor.indicators.laws import LEAKS
@@ -191,4 +190,6 @@ def with_configured(values: dict[str, float], covariance: np.ndarray, settings: 
 
 def wider(covariance: np.ndarray, spread: list[float]) -> np.ndarray:
     """Return a covariance with further numbers, independent of all others."""
-    return block_diag(covariance, np.diag(np.square(spread)))
+    size, whole = len(covariance), np.pad(covariance, (0, len(spread)))
+    whole[size:, size:] = np.diag(np.square(spread))
+    return whole

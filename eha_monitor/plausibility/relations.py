@@ -14,6 +14,8 @@ from math import copysign, inf, log, log10, sqrt
 import numpy as np
 
 from eha_monitor.plausibility.moments import DIRECTION, Moments
+from eha_monitor.quantity import ROTARY
+from eha_monitor.settings.channels import CHANNEL_UNITS
 
 # Of the share of a side that the others cannot explain: below, they are the same thing.
 DISTINCT = 1e-3
@@ -428,9 +430,8 @@ def sizes(reading: Reading) -> list[Check]:
 
 def unit_of(role: str, rotary: bool) -> str:
     """Return the SI unit of a channel."""
-    return {"x": "rad" if rotary else "m", "x_d": "rad" if rotary else "m",
-            "v": "rad/s" if rotary else "m/s", "omega": "rad/s", "p1": "Pa", "p2": "Pa",
-            "force": "N·m" if rotary else "N"}[role]
+    unit = CHANNEL_UNITS[role]
+    return ROTARY.get(unit, unit) if rotary else unit
 
 
 def clock(reading: Reading) -> Check | None:

@@ -12,7 +12,7 @@ import numpy as np
 from eha_monitor.estimation.results import Estimate, JointResult, ParameterEstimate
 from eha_monitor.health.alarms import WATCHED, Alarm
 from eha_monitor.indicators.indicator import Indicator
-from eha_monitor.quantity import FLOOR, SYMBOLS, number, quantity, share
+from eha_monitor.quantity import FLOOR, ROTARY, SYMBOLS, number, quantity, share
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.reports import estimate_figures as figures
 from eha_monitor.reports.diagnosis_words import sentence
@@ -178,7 +178,6 @@ def next_steps(estimate: Estimate, alarms: tuple[Alarm, ...]) -> tuple[str, ...]
 _CHANNEL_WORDS = {"x": "position x", "v": "velocity v", "x_d": "demanded position x_d",
                   "omega": "pump speed ω", "p1": "pressure p₁", "p2": "pressure p₂",
                   "force": "force", "temperature": "temperature"}
-_ROTARY_UNITS = {"m": "rad", "m/s": "rad/s", "N": "N·m"}
 _HERO = 330  # pixels of the height of the first picture
 _STRONG = 0.9  # correlation that is marked
 
@@ -349,7 +348,7 @@ def _noise_table(estimate: Estimate) -> Table:
     for name, noise in estimate.noise.items():
         unit = CHANNEL_UNITS.get(name, "")
         rows.append((_CHANNEL_WORDS.get(name, name), quantity(
-            noise.value, _ROTARY_UNITS.get(unit, unit) if rotary else unit, 3),
+            noise.value, ROTARY.get(unit, unit) if rotary else unit, 3),
             "measured from this recording" if noise.measured else "taken from the config"))
     return table("channel | standard deviation of a sample | source", rows, " | number | ",
                  "noise")
