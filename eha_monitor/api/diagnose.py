@@ -112,7 +112,8 @@ def diagnose(recordings: Several, config: Config | str | os.PathLike | dict | No
     with calling():
         given, config = several(recordings, "recordings"), config_for(
             recordings, config, "recordings")
-        healthy = _unfolded(several(references, "references")) if _any(references) else ()
+        none = not references if isinstance(references, (list, tuple)) else references is None
+        healthy = () if none else _unfolded(several(references, "references"))
         unseen = several(held_out, "held_out") if held_out is not None else ()
         if len(unseen) > 1:
             raise InputError(f"held_out: expected one recording, got {len(unseen)}")
@@ -377,11 +378,6 @@ def known_effects(names: str | Sequence[str], option: str) -> tuple[str, ...]:
         raise InputError(f"{option}: {unknown[0]}: expected an effect of the catalogue, "
                          f"e.g. {', '.join(sorted(CATALOGUE)[:3])}")
     return names
-
-
-def _any(given: Any) -> bool:
-    """Tell whether an argument names a recording at all."""
-    return not (given is None or (isinstance(given, (list, tuple)) and not given))
 
 
 def _unfolded(references: Sequence[Recording | Path]) -> tuple[Recording | Path, ...]:
