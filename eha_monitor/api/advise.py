@@ -233,15 +233,24 @@ class Advice(Record, Found):
                  "log_units": one.gains} for one in self.tried]
 
     def _short(self):
-        health = [one for one in self.parameters if one.name in ("B", "beta_e")
-                  or one.name.partition(".")[0] in self.named]
-        rows = [[SYMBOLS.get(one.name, one.name),
-                 with_uncertainty(one.value, one.stddev, one.unit), number(one.inflation, 3),
-                 f"{one.most_with} ({number(one.correlation, 3)})"] for one in health]
-        return (listed(self.bags), "named beside B and βe: " + (
-            listed([effect_words(name) for name in self.named]) or "nothing"),
-            ("parameter", "value", "variance inflation", "most correlated with"), rows,
-            self.sentences)
+        return (listed(self.bags), named_words(self), HEADS, parameter_rows(self), self.sentences)
+
+
+HEADS = ("parameter", "value", "variance inflation", "most correlated with")
+
+
+def named_words(found: Advice) -> str:
+    """Return which effects stand in the model."""
+    named = listed([effect_words(name) for name in found.named])
+    return f"named beside B and βe: {named or 'nothing'}"
+
+
+def parameter_rows(found: Advice) -> list[list[str]]:
+    """Return a row for B, beta_e and each parameter of the named effects, under ``HEADS``."""
+    return [[SYMBOLS.get(one.name, one.name), with_uncertainty(one.value, one.stddev, one.unit),
+             number(one.inflation, 3), f"{one.most_with} ({number(one.correlation, 3)})"]
+            for one in found.known if one.name in ("B", "beta_e")
+            or one.name.partition(".")[0] in found.named]
 
 
 def excited(motion: Motion, settings: Settings) -> Settings:
