@@ -42,9 +42,11 @@ def named(module: str, name: str, *fields) -> BaseTuple:
 
 # What a simulator, a monitor and a replay call: `make demo` begins once these are compiled.
 LIVE = {live}
-SIGNATURES = (
+# The named tuples of the package that they take.
+{tuples}SIGNATURES = (
 '''
 LIVE = ("simulator", "monitor", "replay")
+NAMED = r"named\('[\w.]+', '(\w+)'"  # a named tuple of the package, in types
 # Commands on what `grounds` makes.  {k} is a bag there; a config stands beside its bag.
 ESTIMATES = {"plain": {}, "euler": {"discretisation": "euler"},
              "sampled": {"command_hold": "sampled"},
@@ -190,17 +192,44 @@ def write_signatures(lines: list[list]) -> None:
             seconds[one] = max(took, seconds.get(one, 0.0))
             if command[1:2] and command[1] in LIVE:
                 live.add(one[:2])
-    names = "".join(f'    ("{module}", "{name}"),\n' for module, name in sorted(live))
-    text = HEAD.replace("{live}", f"(\n{names})")
-    for (module, name, types), _ in sorted(seconds.items(), key=lambda item: (-item[1], item[0])):
-        text += f'    ("{module}", "{name}", (\n'
-        line = "       "
-        for word in re.split(r", (?!:)", types[1:-1].removesuffix(",")):
-            if len(line) + len(word) > 97:
-                text, line = f"{text}{line}\n", "       "
-            line += f" {word},"
-        text += f"{line}\n    )),\n"
+    ordered = [one for one, _ in sorted(seconds.items(), key=lambda item: (-item[1], item[0]))]
+    every = [one for _, _, types in ordered for one in tuples_of(types)]
+    tuples = {re.match(NAMED, one)[1]: one for one in every}
+    places = "".join(f'    ("{module}", "{name}"),\n' for module, name in sorted(live))
+    text = HEAD.replace("{live}", f"(\n{places})").replace("{tuples}", "".join(
+        wrapped(f"{name} = named(", one[6:-1], ")") for name, one in tuples.items()))
+    for module, name, types in ordered:
+        for short, one in tuples.items():
+            types = types.replace(one, short)
+        text += wrapped(f'    ("{module}", "{name}", (', types[1:-1].removesuffix(","), ")),")
     SIGNATURES.write_text(f"{text})\n")
+
+
+def tuples_of(types: str) -> list[str]:
+    """Return each ``named(...)`` in types as they are written."""
+    found = []
+    for start in (match.start() for match in re.finditer(NAMED, types)):
+        end, depth = types.index("(", start) + 1, 1
+        while depth:
+            depth += {"(": 1, ")": -1}.get(types[end], 0)
+            end += 1
+        found.append(types[start:end])
+    return found
+
+
+def wrapped(head: str, words: str, foot: str) -> str:
+    """Return words between a head and a foot, on one line or in lines of the source's width."""
+    words = re.split(r", (?!:)", words)
+    foot = "," * (len(words) == 1) + foot  # a tuple of one
+    if len(line := f"{head}{', '.join(words)}{foot}") <= 99:
+        return f"{line}\n"
+    indent = " " * (len(head) - len(head.lstrip()) + 3)
+    text, line = f"{head}\n", indent
+    for word in (*(f" {word}," for word in words[:-1]), f" {words[-1]}{foot}"):
+        if len(line) + len(word) > 99:
+            text, line = f"{text}{line}\n", indent
+        line += word
+    return f"{text}{line}\n"
 
 
 def show(title: str, lines: list[list], most: int) -> None:

@@ -23,7 +23,7 @@ from eha_monitor.commands.init import init
 from eha_monitor.commands.live import dashboard, monitor, record, replay, simulator
 from eha_monitor.commands.prove import prove
 from eha_monitor.commands.thresholds import thresholds
-from eha_monitor.errors import InputError
+from eha_monitor.errors import InputError, refused
 
 # Those that know what to do with ROS arguments.
 _NODES = ("simulator", "monitor", "dashboard", "replay", "record", "identify")
@@ -86,8 +86,7 @@ def main(arguments: list[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
     except OSError as problem:
-        return _complain(": ".join(str(part) for part in (
-            problem.filename, problem.strerror or problem) if part))
+        return _complain(refused(problem))
     except (KeyboardInterrupt, click.Abort):
         return INTERRUPTED
     except Exception:  # noqa: BLE001  shown in full, with a status that no answer has

@@ -17,6 +17,11 @@ def installs(extra: str) -> str:
             f"pip install '.[{extra}]'")
 
 
+def refused(problem: OSError) -> str:
+    """Return what the system refused, in one line that names the file."""
+    return ": ".join(str(part) for part in (problem.filename, problem.strerror or problem) if part)
+
+
 class InputError(Exception):
     """Bad input: the message is one line that names what is wrong and what was expected.
 

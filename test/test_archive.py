@@ -81,8 +81,8 @@ def counted(monkeypatch) -> list[str]:
     """Let answers be made in this process, without the page; returns the bags that are."""
     asked = []
     monkeypatch.setattr("eha_monitor.archive.run.on_this_machine", partial(here, asked=asked))
-    monkeypatch.setattr("eha_monitor.reports.archive_report.write_archive_report",
-                        lambda *arguments: None)
+    monkeypatch.setattr("eha_monitor.reports.archive_report.archive_page",
+                        lambda *arguments: "")
     return asked
 
 
@@ -355,7 +355,7 @@ def test_a_defect_is_a_row_too(folder, monkeypatch):
     def broken(*arguments):
         raise ZeroDivisionError("a defect")
 
-    monkeypatch.setattr("eha_monitor.estimation.pipeline.estimate", broken)
+    monkeypatch.setattr("eha_monitor.api.estimate.run", broken)
     settings = settings_from_tree({}, "test")
     row = row_of(Task("n0", folder / "october/n0", "estimate", settings, "1", "2"))
     assert row["error"].startswith("defect of eha_monitor: ZeroDivisionError: a defect at ")

@@ -5,7 +5,7 @@ import pytest
 
 from eha_monitor.archive.history import MONTH, history, trend
 from eha_monitor.archive.store import iso_time
-from eha_monitor.reports.history_figures import history_block, trend_words
+from eha_monitor.reports.archive_report import history_block, trend_words
 from eha_monitor.settings import Settings
 
 DAY = 86_400.0

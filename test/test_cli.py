@@ -13,9 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eha_monitor.api.answer import finite
 from eha_monitor.cli import cli, main
-from eha_monitor.output import write_text
+from eha_monitor.output import finite, write_text
 
 ROOT = Path(__file__).parents[1]
 BAG = ROOT / "bags" / "air_ingress"

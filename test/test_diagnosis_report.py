@@ -10,7 +10,7 @@ from diagnosis_tools import ALL, CHARGE, MASS, NAN, coulomb, damping, everything
 from test_reports import Page
 
 from eha_monitor.api.diagnosis_answer import answer, mismatched, written_config
-from eha_monitor.commands.diagnosis_table import show
+from eha_monitor.commands.table import show_diagnosis
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import (
     Agreement,
@@ -22,9 +22,10 @@ from eha_monitor.mismatch.diagnosis import (
     Value,
     Window,
 )
+from eha_monitor.output import write_text
 from eha_monitor.quantity import DIAGNOSED, in_units, quantity, rig_motion, with_uncertainty
 from eha_monitor.reports.diagnosis_figures import informative
-from eha_monitor.reports.diagnosis_report import diagnosis_page, write_diagnosis_report
+from eha_monitor.reports.diagnosis_report import diagnosis_page
 from eha_monitor.reports.diagnosis_words import (
     head_words,
     message_words,
@@ -128,7 +129,7 @@ def test_no_number_breaks_page_table_or_json(number, capsys):
     found = spoilt(everything(), number)
     text = Page(page_of(found)).text
     assert " nan" not in text and "inf" not in text.replace("information", "")
-    show(found, [])
+    show_diagnosis(found, [])
     text = json.dumps(answer(found), allow_nan=False)
     assert json.loads(text)["schema"] == "eha_monitor/diagnosis/1"
     assert "coulomb_friction" in capsys.readouterr().out
@@ -218,7 +219,7 @@ def test_config_without_a_name_stays_as_it_was(name, tmp_path):
 
 
 def test_table_for_a_person(capsys, tmp_path):
-    show(ALL["pair"](), [tmp_path / "report.html"])
+    show_diagnosis(ALL["pair"](), [tmp_path / "report.html"])
     out = " ".join(capsys.readouterr().out.split())
     for words in ("Mismatch identified (>99 %): The force balance lacks",
                   "coulomb_friction >99 %", "pump_dead_zone 91 %",
@@ -247,7 +248,7 @@ def test_a_wrong_number_of_the_rig_is_read_first(capsys):
                   "It acts at 3.2–5.1, 8.0–9.4, 17.2–21.0 s", "not in it: intermittent load"):
         assert words in page.text, words
     assert page.text.count(CHARGE.statement) == 1  # not again in the message
-    show(everything(), [])
+    show_diagnosis(everything(), [])
     lines = capsys.readouterr().out.splitlines()
     assert lines[1].endswith(f"{CHARGE.statement} (99 %)")
     assert lines[3].endswith("mass is indistinguishable from added mass")
@@ -256,7 +257,7 @@ def test_a_wrong_number_of_the_rig_is_read_first(capsys):
 
 
 def test_a_wrong_number_alone_is_the_whole_answer(capsys):
-    show(wrong_number(), [])
+    show_diagnosis(wrong_number(), [])
     out = capsys.readouterr().out
     assert "Wrong rig data explain the mismatch; no effect is missing (98 %)\n" in out
     assert "left out  " not in out  # no empty table of effects
@@ -319,7 +320,7 @@ def test_a_rig_that_turns_has_newton_metres_everywhere(capsys):
         assert quantity(0.0, "m") == "0 rad" and quantity(5e-4, "m²") == "5 cm²·m/rad"
     assert quantity(7.0, "m") == "7 m"
     assert turned.bags == found.bags and turned.config_effects == found.config_effects
-    show(turned, [])
+    show_diagnosis(turned, [])
     table = " ".join(capsys.readouterr().out.split())
     rotary = settings_from_tree({"rig": {"motion": "rotary"}}, "x")
     page = Page(diagnosis_page(turned, rotary)).text
@@ -335,7 +336,7 @@ def test_a_rig_that_turns_has_newton_metres_everywhere(capsys):
 
 def test_report_that_cannot_be_written(tmp_path):
     with pytest.raises(InputError, match="cannot write"):
-        write_diagnosis_report(tmp_path / "missing" / "x.html", coulomb(), Settings())
+        write_text(tmp_path / "missing" / "x.html", diagnosis_page(coulomb(), Settings()))
 
 
 def test_a_long_recording_says_on_which_windows_its_effects_were_named():

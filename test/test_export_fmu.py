@@ -14,7 +14,7 @@ from fmpy.validation import validate_fmu
 from rig_tools import T_S, linear_response
 
 from eha_monitor.errors import InputError
-from eha_monitor.exports import fmu_build
+from eha_monitor.exports import fmu
 from eha_monitor.exports.fmu import fmu_of
 
 OUTPUTS = ("x", "v", "p1", "p2", "omega", "x_measured", "p1_measured", "p2_measured")
@@ -241,8 +241,8 @@ def test_a_rig_without_a_number_is_refused_in_one_line():
 
 
 def test_without_a_compiler_one_line_says_what_to_install(monkeypatch):
-    monkeypatch.setattr(fmu_build.importlib.util, "find_spec", lambda name: None)
-    monkeypatch.setattr(fmu_build, "_compiler", lambda: None)
+    monkeypatch.setattr(fmu.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(fmu, "_compiler", lambda: None)
     with pytest.raises(InputError, match="make setup WITH=export"):
         fmu_of(model_of({}), {})
 

@@ -10,8 +10,7 @@ import pytest
 from export_tools import CASES, model_of
 from fmpy import read_model_description
 
-from eha_monitor.exports.fmu import fmu_of
-from eha_monitor.exports.fmu_build import CACHE
+from eha_monitor.exports.fmu import CACHE, fmu_of
 
 WINE = shutil.which("wine64") or shutil.which("wine")
 # A master of a few lines: x_d is a sine, every hundredth sample is printed.

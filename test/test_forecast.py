@@ -25,7 +25,7 @@ from eha_monitor.archive.forecast import (
     z_of,
 )
 from eha_monitor.archive.history import history
-from eha_monitor.reports.history_figures import history_block, horizon, outlook_words
+from eha_monitor.reports.archive_report import history_block, horizon, outlook_words
 from eha_monitor.settings import settings_from_tree
 
 TIMES = START + DAY * np.arange(60.0)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from eha_monitor.estimation.hold_choice import fitted_with_signs, local_derivatives
-from eha_monitor.plausibility.moments import quick_length
 
 RNG = np.random.default_rng(0)
 
@@ -37,9 +36,3 @@ def test_weights_with_signs_are_those_of_the_bounded_fit():
 def test_a_column_of_zeros_takes_no_weight():
     columns = np.column_stack([np.ones(9), np.zeros(9)])
     assert fitted_with_signs(columns, np.full(9, 2.0)) == pytest.approx([2.0, 0.0])
-
-
-def test_quick_lengths_are_those_of_scipy():
-    from scipy.fft import prev_fast_len
-
-    assert all(quick_length(n) == prev_fast_len(n) for n in range(1, 4000))

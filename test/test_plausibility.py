@@ -15,10 +15,9 @@ from rig_tools import MULTISINE, TRIANGLE, motion, settings
 from eha_monitor import cli
 from eha_monitor.errors import InputError
 from eha_monitor.physics.simulator import Simulator
-from eha_monitor.plausibility.corrections import corrected
-from eha_monitor.plausibility.judge import plausibility_of, reading_of
+from eha_monitor.plausibility.judge import corrected, plausibility_of, reading_of
 from eha_monitor.plausibility.moments import derivatives, moments_of
-from eha_monitor.plausibility.reading import ratio
+from eha_monitor.plausibility.relations import ratio
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.write import write_recording

@@ -18,11 +18,11 @@ from eha_monitor.errors import InputError
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.estimation.results import Event, ModelStatus
 from eha_monitor.health.alarms import Alarm
+from eha_monitor.output import write_text
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.quantity import NOTE, with_uncertainty
 from eha_monitor.recordings.recording import Recording
-from eha_monitor.reports.estimate_report import estimate_page, heading, write_estimate_report
-from eha_monitor.reports.estimate_words import verdict
+from eha_monitor.reports.estimate_report import estimate_page, heading, verdict
 from eha_monitor.settings import settings_from_tree
 
 FIGURES = {"parameter-B", "parameter-beta_e", "timeline", "pressure", "position", "velocity",
@@ -343,12 +343,12 @@ def test_written_at_once_and_refused_in_one_line(short, tmp_path, monkeypatch):
     case = case_of(recording.part(0, 3), settings)
     target = tmp_path / "report.html"
     target.write_text("older")
-    write_estimate_report(target, case.estimate, case.alarms, case.history)
+    write_text(target, estimate_page(case.estimate, case.alarms, case.history))
     assert target.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
     assert os.listdir(tmp_path) == ["report.html"]
     for bad in (tmp_path / "absent" / "r.html", tmp_path):
         with pytest.raises(InputError, match="cannot write") as refused:
-            write_estimate_report(bad, case.estimate, case.alarms, case.history)
+            write_text(bad, estimate_page(case.estimate, case.alarms, case.history))
         assert str(bad) in str(refused.value) and "\n" not in str(refused.value)
     assert os.listdir(tmp_path) == ["report.html"]
 

@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eha_monitor.api.answer import finite
 from eha_monitor.api.calls import READING, Progress, calling, reporter
 from eha_monitor.api.config import Config
 from eha_monitor.api.plausible import checked, finding_tree
@@ -19,6 +18,7 @@ from eha_monitor.mismatch.advise.motions import Motion, excitation_tree
 from eha_monitor.mismatch.advise.separate import Advice as Found
 from eha_monitor.mismatch.advise.separate import Doubt
 from eha_monitor.mismatch.advise.words import motion_sentence, sentences
+from eha_monitor.output import finite
 from eha_monitor.quantity import SYMBOLS, in_units, number, rig_motion, with_uncertainty
 from eha_monitor.recordings.recording import ChannelFinding
 from eha_monitor.settings.document import annotated
@@ -233,15 +233,24 @@ class Advice(Record, Found):
                  "log_units": one.gains} for one in self.tried]
 
     def _short(self):
-        health = [one for one in self.parameters if one.name in ("B", "beta_e")
-                  or one.name.partition(".")[0] in self.named]
-        rows = [[SYMBOLS.get(one.name, one.name),
-                 with_uncertainty(one.value, one.stddev, one.unit), number(one.inflation, 3),
-                 f"{one.most_with} ({number(one.correlation, 3)})"] for one in health]
-        return (listed(self.bags), "named beside B and βe: " + (
-            listed([effect_words(name) for name in self.named]) or "nothing"),
-            ("parameter", "value", "variance inflation", "most correlated with"), rows,
-            self.sentences)
+        return (listed(self.bags), named_words(self), HEADS, parameter_rows(self), self.sentences)
+
+
+HEADS = ("parameter", "value", "variance inflation", "most correlated with")
+
+
+def named_words(found: Advice) -> str:
+    """Return which effects stand in the model."""
+    named = listed([effect_words(name) for name in found.named])
+    return f"named beside B and βe: {named or 'nothing'}"
+
+
+def parameter_rows(found: Advice) -> list[list[str]]:
+    """Return a row for B, beta_e and each parameter of the named effects, under ``HEADS``."""
+    return [[SYMBOLS.get(one.name, one.name), with_uncertainty(one.value, one.stddev, one.unit),
+             number(one.inflation, 3), f"{one.most_with} ({number(one.correlation, 3)})"]
+            for one in found.known if one.name in ("B", "beta_e")
+            or one.name.partition(".")[0] in found.named]
 
 
 def excited(motion: Motion, settings: Settings) -> Settings:

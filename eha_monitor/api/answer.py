@@ -1,8 +1,6 @@
 """What ``estimate`` answers: the alarms of a recording, and the JSON of the contract."""
 
-import math
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 
@@ -16,6 +14,7 @@ from eha_monitor.estimation.results import (
 )
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.health.series import ParameterSeries, judge_series
+from eha_monitor.output import finite
 from eha_monitor.recordings.columns import blocks
 from eha_monitor.recordings.recording import Recording
 
@@ -112,16 +111,3 @@ def _joint(found: Estimate) -> dict | None:
     return {"parameters": {n: _parameter(p) for n, p in found.joint.parameters.items()},
             "correlation": np.asarray(found.joint.correlation).tolist(),
             "message": found.joint.message}
-
-
-def finite(tree: Any) -> Any:
-    """Return the tree in plain types, with null for every number that is not finite."""
-    if isinstance(tree, dict):
-        return {str(key): finite(value) for key, value in tree.items()}
-    if isinstance(tree, (list, tuple)):
-        return [finite(value) for value in tree]
-    if isinstance(tree, np.generic):
-        tree = tree.item()
-    if isinstance(tree, float) and not math.isfinite(tree):
-        return None
-    return tree

@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from eha_monitor.errors import InputError
+from eha_monitor.errors import InputError, refused
 
 Progress = bool | Callable[[str, float], None]
 READING = 0.03  # of a diagnosis' progress is the reading
@@ -30,13 +30,7 @@ def calling() -> Iterator[None]:
         try:
             yield
         except OSError as problem:
-            raise InputError(words_of(problem)) from problem
-
-
-def words_of(problem: OSError) -> str:
-    """Return what the system refused, in one line that names the file."""
-    return ": ".join(str(part) for part in (
-        problem.filename, problem.strerror or problem) if part)
+            raise InputError(refused(problem)) from problem
 
 
 def reporter(progress: Progress) -> Callable[[str, float], None]:

@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eha_monitor.api.answer import finite
 from eha_monitor.api.calls import READING, Progress, calling, reporter
 from eha_monitor.api.config import Config, path_of
 from eha_monitor.api.diagnosis_answer import answer, completed
@@ -32,6 +31,7 @@ from eha_monitor.mismatch.compare.compared import compared
 from eha_monitor.mismatch.diagnose import diagnose as run
 from eha_monitor.mismatch.diagnosis import Change
 from eha_monitor.mismatch.diagnosis import Diagnosis as Found
+from eha_monitor.output import finite, write_text
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import SYMBOLS, in_units, rig_motion
 from eha_monitor.reports.diagnosis_words import probability, value_words
@@ -112,7 +112,8 @@ def diagnose(recordings: Several, config: Config | str | os.PathLike | dict | No
     with calling():
         given, config = several(recordings, "recordings"), config_for(
             recordings, config, "recordings")
-        healthy = _unfolded(several(references, "references")) if _any(references) else ()
+        none = not references if isinstance(references, (list, tuple)) else references is None
+        healthy = () if none else _unfolded(several(references, "references"))
         unseen = several(held_out, "held_out") if held_out is not None else ()
         if len(unseen) > 1:
             raise InputError(f"held_out: expected one recording, got {len(unseen)}")
@@ -334,13 +335,13 @@ class Diagnosis(Record, Found):
         InputError
             If it cannot be written.
         """
-        from eha_monitor.reports.diagnosis_report import write_diagnosis_report
+        from eha_monitor.reports.diagnosis_report import diagnosis_page
 
         with calling():
             place = path_of(path, "a file to write")
-            write_diagnosis_report(place, self, self.config.settings, [
+            write_text(place, diagnosis_page(self, self.config.settings, [
                 *self.losses, *(finding.finding for finding in self.channels)], command,
-                self.indicators)
+                self.indicators))
             return place
 
     def _short(self):
@@ -377,11 +378,6 @@ def known_effects(names: str | Sequence[str], option: str) -> tuple[str, ...]:
         raise InputError(f"{option}: {unknown[0]}: expected an effect of the catalogue, "
                          f"e.g. {', '.join(sorted(CATALOGUE)[:3])}")
     return names
-
-
-def _any(given: Any) -> bool:
-    """Tell whether an argument names a recording at all."""
-    return not (given is None or (isinstance(given, (list, tuple)) and not given))
 
 
 def _unfolded(references: Sequence[Recording | Path]) -> tuple[Recording | Path, ...]:

@@ -6,16 +6,11 @@ from pathlib import Path
 from textwrap import wrap
 
 from eha_monitor import __version__
-from eha_monitor.api.answer import finite
 from eha_monitor.mismatch.diagnosis import Change, Diagnosis, LearnedTerm, NamedEffect, Value
+from eha_monitor.output import finite
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import NOTE, with_uncertainty
-from eha_monitor.reports.diagnosis_words import (
-    in_brackets,
-    interval_words,
-    rig_values,
-    value_words,
-)
+from eha_monitor.reports import diagnosis_words as words
 from eha_monitor.settings.document import annotated
 from eha_monitor.settings.load import settings_from_tree
 from eha_monitor.settings.monitor import Settings
@@ -199,9 +194,9 @@ def _corrected_numbers(found: Diagnosis, settings: Settings, rig: dict, missing:
     lines = []
     for key, value in values.items():
         if key in findings and value == rounded(findings[key].found.value):
-            before, now = rig_values(findings[key])
+            before, now = words.rig_values(findings[key])
             lines.append(f"rig.{key}: {now}, was {before}"
-                         f"{in_brackets(findings[key].probability)}")
+                         f"{words.in_brackets(findings[key].probability)}")
         else:
             lines.append(f"rig.{key}: {value:g}, was {getattr(settings.rig, key):g}; "
                          "makeup_conductance is a part of leakage")
@@ -215,9 +210,9 @@ def _named_physics(found: Diagnosis, tree: dict, missing: list[str]) -> list[str
         for name, values in found.config_effects.items() if name in CATALOGUE or is_own(values)}
     for effect in found.effects:
         if effect.name not in tree["effects"]:
-            sizes = ", ".join(f"{name} = {value_words(value)}"
+            sizes = ", ".join(f"{name} = {words.value_words(value)}"
                               for name, value in effect.parameters.items())
-            when = interval_words(effect.intervals_s)
+            when = words.interval_words(effect.intervals_s)
             missing.append(f"{effect.name}: {sizes}{f' at {when}' if when else ''}; a config "
                            "contains only permanent effects")
     names = [effect.name for effect in found.effects if effect.name in tree["effects"]]

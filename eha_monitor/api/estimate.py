@@ -23,6 +23,7 @@ from eha_monitor.estimation.results import ParameterEstimate
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.indicators.assemble import of_estimate
 from eha_monitor.indicators.indicator import Indicator
+from eha_monitor.output import write_text
 from eha_monitor.quantity import SYMBOLS
 from eha_monitor.recordings.recording import SHORTEST_S
 from eha_monitor.recordings.recording import Recording as InnerRecording
@@ -245,12 +246,12 @@ class Estimate(Record, Found):
         InputError
             If it cannot be written.
         """
-        from eha_monitor.reports.estimate_report import write_estimate_report
+        from eha_monitor.reports.estimate_report import estimate_page
 
         with calling():
             place = path_of(path, "a file to write")
-            write_estimate_report(place, self, self.alarms, self.alarm_history,
-                                  self.observability, self.indicators)
+            write_text(place, estimate_page(self, self.alarms, self.alarm_history,
+                                            self.observability, self.indicators))
             return place
 
     def _parameters(self) -> "pandas.DataFrame":

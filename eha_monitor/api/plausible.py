@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from eha_monitor import __version__
-from eha_monitor.api.answer import finite
 from eha_monitor.api.config import Config
 from eha_monitor.errors import InputError
-from eha_monitor.plausibility.corrections import corrected
-from eha_monitor.plausibility.judge import plausibility_of
+from eha_monitor.output import finite
+from eha_monitor.plausibility.judge import corrected, plausibility_of
 from eha_monitor.recordings.recording import SHORTEST_S, ChannelFinding, Recording
 from eha_monitor.settings.document import annotated
 from eha_monitor.settings.monitor import Settings

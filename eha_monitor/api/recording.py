@@ -16,13 +16,13 @@ from eha_monitor.quantity import number, quantity
 from eha_monitor.recordings.columns import blocks
 from eha_monitor.recordings.recording import CHANNELS
 from eha_monitor.recordings.recording import Recording as Inner
+from eha_monitor.settings.channels import CHANNEL_UNITS
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-UNITS = ReadOnly(x="m", v="m/s", x_d="m", omega="rad/s", omega_d="rad/s", p1="Pa", p2="Pa",
-                 force="N", temperature="°C")
+UNITS = ReadOnly(CHANNEL_UNITS)
 UNEVEN = 1e-3  # of a step: by which the steps of a table may differ
 
 

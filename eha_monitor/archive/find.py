@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from eha_monitor.regular import natural
+from eha_monitor.output import natural
 
 ENDINGS = (".mcap", ".mcap.zstd", ".db3")  # a .db3 is no bag for us, and a row says so
 METADATA = "metadata.yaml"

@@ -6,14 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from eha_monitor.commands.common import (
-    FILE,
-    bags_argument,
-    check_outputs,
-    config_option,
-    json_option,
-    progress_bar,
-)
+from eha_monitor.commands import common
 from eha_monitor.output import write_json, write_text
 
 if TYPE_CHECKING:
@@ -21,10 +14,10 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@bags_argument
-@config_option
-@json_option
-@click.option("--write-excitation", "excitation_file", type=FILE, metavar="FILE",
+@common.bags_argument
+@common.config_option
+@common.json_option
+@click.option("--write-excitation", "excitation_file", type=common.FILE, metavar="FILE",
               help="Write the config with the proposed motion, for simulator and simulate.")
 @click.option("--check/--no-check", default=True,
               help="Test the proposed motion in a simulation with noise.")
@@ -41,9 +34,10 @@ def advise(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
     from eha_monitor.api.read import distinct
 
     distinct(bags)
-    check_outputs({"--json": json_file, "--write-excitation": excitation_file}, bags, config)
+    common.check_outputs({"--json": json_file, "--write-excitation": excitation_file}, bags,
+                         config)
     given = config_of(config)
-    with progress_bar() as told:
+    with common.progress_bar() as told:
         found = run(bags, given, check=check, progress=told)
     motion = found.motion
     if json_file:
@@ -65,23 +59,18 @@ def show(bags: tuple[Path, ...], found: "Advice") -> None:
     from rich.markup import escape
     from ruamel.yaml import YAML
 
+    from eha_monitor.api.advise import HEADS, named_words, parameter_rows
     from eha_monitor.commands.table import console, table
     from eha_monitor.mismatch.advise.motions import excitation_tree
     from eha_monitor.mismatch.advise.words import doubt_words
-    from eha_monitor.quantity import NOTE, SYMBOLS, number, with_uncertainty
+    from eha_monitor.quantity import NOTE, number
     from eha_monitor.reports.diagnosis_words import log_units, sentence
-    from eha_monitor.words import effect_words, listed
 
     to = console()
-    named = listed([effect_words(name) for name in found.named]) or "nothing"
-    to.print(escape(f"{', '.join(map(str, bags))}: named beside B and βe: {named}"))
-    rows = table("parameter", "value", "variance inflation", "most correlated with")
-    for one in found.known:
-        if one.name in ("B", "beta_e") or one.name.partition(".")[0] in found.named:
-            rows.add_row(SYMBOLS.get(one.name, one.name),
-                         with_uncertainty(one.value, one.stddev, one.unit),
-                         number(one.inflation, 3),
-                         f"{one.most_with} ({number(one.correlation, 3)})")
+    to.print(escape(f"{', '.join(map(str, bags))}: {named_words(found)}"))
+    rows = table(*HEADS)
+    for row in parameter_rows(found):
+        rows.add_row(*row)
     to.print(rows)
     to.print(NOTE, style="dim")
     for text in found.sentences:

@@ -6,7 +6,6 @@ the single-bag command, so that a row says what that says.
 
 import hashlib
 import os
-import threading
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
@@ -15,22 +14,20 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eha_monitor.api.answer import answer, finite, judged
+from eha_monitor.api.answer import answer
 from eha_monitor.archive import run
 from eha_monitor.archive.find import Place, find_bags, stamp_of
 from eha_monitor.archive.store import INDICATORS, PARAMETERS, Store, check_parquet, iso_time
-from eha_monitor.commands.archive import Archive
-from eha_monitor.commands.common import end_as_on_interrupt, progress_bar
+from eha_monitor.commands.common import Archive, end_as_on_interrupt, progress_bar
 from eha_monitor.errors import InputError
 from eha_monitor.health.alarms import NOT_JUDGED, SEVERITY, Alarm
 from eha_monitor.indicators.indicator import Indicator
+from eha_monitor.output import finite, write_text
 from eha_monitor.settings import Settings, load_settings
 from eha_monitor.source import PACKAGE, source_digest
 
 if TYPE_CHECKING:
     from eha_monitor.estimation.results import Estimate
-    from eha_monitor.mismatch.diagnosis import Diagnosis
-    from eha_monitor.recordings.recording import Recording
 
 OUT = Path("archive")
 MOST = 20  # recordings shown; all are in the table
@@ -41,7 +38,6 @@ _DIAGNOSIS = ("diagnosis", "balances", "mismatch")  # nor these in one of ``esti
 _EFFECT = ("name", "balance", "size", "statement", "probability", "log_evidence",
            "intervals_s", "indistinguishable_from")
 _RIG = ("key", "configured", "probability", "statement", "indistinguishable_from")
-_ONE = threading.Lock()  # a worker of a cluster may have threads, and the filters use all cores
 
 
 @dataclass(frozen=True)
@@ -85,10 +81,10 @@ def answer_folder(command: str, folder: Path, config: Path | None, options: Arch
                 work(store, todo, cluster, options.jobs)
         finally:  # also on Ctrl-C: what is answered is in the table
             store.write()
-            from eha_monitor.reports.archive_report import write_archive_report
+            from eha_monitor.reports.archive_report import archive_page
 
-            write_archive_report(store.page, list(store.rows.values()), command, settings,
-                                 folder, made_with, store.reports())
+            write_text(store.page, archive_page(list(store.rows.values()), command, settings,
+                                                folder, made_with, store.reports()))
     rows = list(store.rows.values())
     show(rows, command, settings, made_with, folder, len(todo), [store.table, store.page])
     here = [row for row in rows if not row.get("gone")]
@@ -192,13 +188,12 @@ def row_of(task: Task) -> dict:
     """Return the row of a bag; where there is no answer, the reason is in ``error``."""
     started = time.perf_counter()
     row: dict = {"bag": task.name, "stamp": task.stamp, "made_with": task.made_with}
-    with _ONE:
-        try:
-            _fill(row, task)
-        except InputError as problem:
-            row["error"] = " ".join(str(problem).split())
-        except Exception as problem:  # noqa: BLE001  a defect must not cost the other bags
-            row["error"] = f"defect of eha_monitor: {_where(problem)}"
+    try:
+        _fill(row, task)
+    except InputError as problem:
+        row["error"] = " ".join(str(problem).split())
+    except Exception as problem:  # noqa: BLE001  a defect must not cost the other bags
+        row["error"] = f"defect of eha_monitor: {_where(problem)}"
     row["wall_s"] = time.perf_counter() - started
     row["answered"] = iso_time(time.time_ns())
     return finite(row)
@@ -211,55 +206,24 @@ def error_row(task: Task, error: str) -> dict:
 
 
 def _fill(row: dict, task: Task) -> None:
-    from eha_monitor.api.estimate import refuse_short
-    from eha_monitor.api.plausible import checked
-    from eha_monitor.compiled import load_runtime
-    from eha_monitor.estimation.pipeline import estimate
-    from eha_monitor.indicators.assemble import of_diagnosis, of_estimate
-    from eha_monitor.recordings.read import read_recording
+    from eha_monitor.api.config import Config
+    from eha_monitor.api.estimate import estimate
 
-    load_runtime()
-    recording = read_recording(task.path, task.settings)
-    checked([recording], task.settings)
-    refuse_short(recording)
-    if recording.dated:
-        row["start"] = iso_time(recording.start_ns)
-    found = estimate(recording, task.settings)
-    alarms, history = judged(found)
-    row.update(estimate_columns(answer(found, alarms, history)), **_at_reference(found))
+    config = Config.of(task.settings)
+    found = last = estimate(task.path, config)
+    if found.recording.dated:
+        row["start"] = iso_time(found.recording.start_ns)
+    row.update(estimate_columns(answer(found, found.alarms, found.alarm_history)),
+               **_at_reference(found))
     if task.command == "diagnose":
-        from eha_monitor.api.diagnosis_answer import answer as diagnosis_answer
-        from eha_monitor.mismatch.diagnose import diagnose
-        from eha_monitor.quantity import in_units, rig_motion
+        from eha_monitor.api.diagnose import diagnose
 
-        with rig_motion(task.settings.rig.motion):
-            diagnosis = in_units(diagnose([recording], task.settings))
-        row.update(diagnosis_columns(diagnosis_answer(diagnosis)))
-        indicators = of_diagnosis(diagnosis, [recording], task.settings)
-    else:
-        indicators = of_estimate(found)
-    row.update(indicator_columns(indicators))
+        last = diagnose(found.recording, config)
+        row.update(diagnosis_columns(last.to_dict()))
+    row.update(indicator_columns(last.indicators))
     if task.report is not None:
         task.report.parent.mkdir(parents=True, exist_ok=True)
-        if task.command == "diagnose":
-            _diagnosis_report(task, recording, diagnosis, indicators)
-        else:
-            from eha_monitor.estimation.observability import observability
-            from eha_monitor.reports.estimate_report import write_estimate_report
-
-            write_estimate_report(task.report, found, alarms, history, observability(found),
-                                  indicators)
-
-
-def _diagnosis_report(task: Task, recording: "Recording", diagnosis: "Diagnosis",
-                      indicators: tuple[Indicator, ...]) -> None:
-    """Write the page that ``diagnose`` writes of this bag alone."""
-    from eha_monitor.reports.diagnosis_report import write_diagnosis_report
-
-    losses = [f"{recording.source}: {loss}" for loss in recording.losses]
-    write_diagnosis_report(task.report, diagnosis, task.settings,
-                           losses + [finding.finding for finding in diagnosis.channels],
-                           indicators=indicators)
+        last.report(task.report)
 
 
 def indicator_columns(indicators: tuple[Indicator, ...]) -> dict:
@@ -353,8 +317,12 @@ def show(rows: Sequence[dict], command: str, settings: Settings, made_with: str,
 
     from eha_monitor.commands.table import COLOURS, console, print_end, table
     from eha_monitor.quantity import NOTE
-    from eha_monitor.reports.archive_report import histories_of, summary_words
-    from eha_monitor.reports.history_figures import outlook_words, trend_words
+    from eha_monitor.reports.archive_report import (
+        histories_of,
+        outlook_words,
+        summary_words,
+        trend_words,
+    )
 
     to = console()
     gone = sum(bool(row.get("gone")) for row in rows)

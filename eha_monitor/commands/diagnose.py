@@ -6,40 +6,26 @@ from pathlib import Path
 
 import click
 
-from eha_monitor.commands.archive import Archive, archive_options
-from eha_monitor.commands.common import (
-    FILE,
-    Several,
-    bags_argument,
-    check_new,
-    check_outputs,
-    config_option,
-    json_option,
-    progress_bar,
-    refusing,
-    report_option,
-    working,
-    write_config_option,
-)
+from eha_monitor.commands import common
 from eha_monitor.errors import InputError
 from eha_monitor.output import write_json, write_text
 
 
-@click.command(cls=Several)
-@bags_argument
-@config_option
-@json_option
-@report_option
-@write_config_option("Write the config with the identified effects and corrected rig data.")
-@click.option("--out-bag", type=FILE, metavar="BAG",
+@click.command(cls=common.Several)
+@common.bags_argument
+@common.config_option
+@common.json_option
+@common.report_option
+@common.write_config_option("Write the config with the identified effects and corrected rig data.")
+@click.option("--out-bag", type=common.FILE, metavar="BAG",
               help="Write measured, modelled and missing signals as a bag (docs/exports.md).")
-@click.option("--held-out", type=FILE, metavar="BAG",
+@click.option("--held-out", type=common.FILE, metavar="BAG",
               help="Show the fit on this recording; default: on a held-out part of BAG.")
-@click.option("--hypothesis", "hypothesis_file", type=FILE, metavar="FILE|NAME",
+@click.option("--hypothesis", "hypothesis_file", type=common.FILE, metavar="FILE|NAME",
               help="Your own hypothesis, a file or the name of an installed one: an expression "
                    "whose parameters are fitted and which is ranked with the catalogue "
                    "(docs/effects.md).")
-@click.option("--reference", "references", type=FILE, multiple=True,
+@click.option("--reference", "references", type=common.FILE, multiple=True,
               metavar="HEALTHY [HEALTHY ...]",
               help="Healthy recordings of the machine, or a folder of them: report what has "
                    "changed from these. Give BAG before it.")
@@ -47,14 +33,14 @@ from eha_monitor.output import write_json, write_text
               help="Effects of the catalogue to exclude, such as those that this rig cannot have.")
 @click.option("--vary", multiple=True, type=click.Choice(["load"]),
               help="What is known to differ between several BAGs.")
-@click.option("--machine", "machine_file", type=FILE, metavar="FILE",
+@click.option("--machine", "machine_file", type=common.FILE, metavar="FILE",
               help="With several BAGs: write the machine that they show. With one: judge it "
                    "against that machine, in a fraction of a second (docs/one_machine.md).")
 @click.option("--calibration/--no-calibration", hidden=True, expose_value=False,
               help="No effect; kept for compatibility.")
 @click.option("--exit-code", is_flag=True,
               help="Exit with 1 if the model does not fit the recording.")
-@archive_options
+@common.archive_options
 def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None,
              report_file: Path | None, config_file: Path | None, out_bag: Path | None,
              held_out: Path | None, hypothesis_file: Path | None, references: tuple[Path, ...],
@@ -66,7 +52,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
     changed from healthy recordings, or that nothing has. If BAG is a folder of bags, each is
     diagnosed separately, into one table with trends over time.
     """
-    archive = Archive(**of_folder)
+    archive = common.Archive(**of_folder)
     if len(bags) > 1 and any(map(archive.covers, bags)):
         raise InputError("expected one folder that holds bags, or bags, got "
                          + ", ".join(map(str, bags)))
@@ -90,16 +76,17 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
     if references and (held_out or hypothesis_file or without):
         raise InputError("--reference: expected neither --held-out, --hypothesis nor --without "
                          "beside it")
-    check_outputs({"--json": json_file, "--report": report_file, "--write-config": config_file},
-                  (*bags, *references, *((held_out,) if held_out else ())), config)
+    common.check_outputs({"--json": json_file, "--report": report_file,
+                          "--write-config": config_file},
+                         (*bags, *references, *((held_out,) if held_out else ())), config)
     check_out_bag(out_bag, (*bags, *references))
     known_effects(without, "--without")
     several = len(bags) > 1
     if machine_file and several:
-        check_outputs({"--machine": machine_file}, bags, config)
+        common.check_outputs({"--machine": machine_file}, bags, config)
     given = config_of(config)
     hypothesis = load_hypothesis(hypothesis_file) if hypothesis_file else None
-    with progress_bar() as told, refusing(
+    with common.progress_bar() as told, common.refusing(
             given, config, json_file, config_file, lambda problem: refusal(
             bags, str(problem), finding_tree(problem.channels))):
         found = run(bags, given, held_out=held_out, references=references, hypothesis=hypothesis,
@@ -118,13 +105,13 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
         if not completed(found, given.settings)[1]:
             notes.append(f"{config_file}: the config as it was, since nothing was identified")
     if report_file:
-        with working(f"drawing {report_file}"):
+        with common.working(f"drawing {report_file}"):
             found.report(report_file, command=command_line(
                 bags, config, held_out, hypothesis_file, references, without, vary, machine_file))
 
-    from eha_monitor.commands.diagnosis_table import show
+    from eha_monitor.commands.table import show_diagnosis
 
-    show(found, [path for path in (json_file, report_file, config_file,
+    show_diagnosis(found, [path for path in (json_file, report_file, config_file,
                                      machine_file if several else None) if path],
          notes, found.indicators, given.settings)
     write_out_bag(out_bag, found, bags, given.settings)
@@ -155,7 +142,7 @@ def check_out_bag(place: Path | None, bags: Sequence[Path]) -> None:
         raise InputError(f"{place}: is a bag that is read, expected another place for --out-bag")
     if not place.absolute().parent.is_dir():
         raise InputError(f"{place}: the folder {place.parent} does not exist")
-    check_new(place, False)
+    common.check_new(place, False)
 
 
 def write_out_bag(place: Path | None, found, bags: Sequence[Path], settings) -> None:

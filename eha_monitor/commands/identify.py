@@ -7,20 +7,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from eha_monitor.commands.common import (
-    FILE,
-    check_new,
-    check_outputs,
-    config_option,
-    json_option,
-    overwrite_option,
-    progress_bar,
-    report_option,
-    ros_module,
-    write_config_option,
-)
+from eha_monitor.commands import common
 from eha_monitor.errors import InputError
-from eha_monitor.output import write_bytes, write_json, write_text
+from eha_monitor.output import finite, write_bytes, write_json, write_text
 
 if TYPE_CHECKING:
     from eha_monitor.identify.experiment import Round
@@ -32,22 +21,22 @@ MOST_MOTIONS = 99
 
 
 @click.command()
-@config_option
-@click.option("--simulate", "simulated", type=FILE, metavar="CONFIG",
+@common.config_option
+@click.option("--simulate", "simulated", type=common.FILE, metavar="CONFIG",
               help="Experiment on the simulated actuator of this config, without ROS and as fast "
                    "as it goes.")
-@click.option("--out", type=FILE, metavar="FOLDER", default=Path("identify"), show_default=True,
-              help="Folder of the bags, one for each motion.")
-@overwrite_option
+@click.option("--out", type=common.FILE, metavar="FOLDER", default=Path("identify"),
+              show_default=True, help="Folder of the bags, one for each motion.")
+@common.overwrite_option
 @click.option("--probability", type=click.FloatRange(0.5, 0.999), default=0.95,
               show_default=True, help="Probability at which a set of effects is decided.")
 @click.option("--dry-run", is_flag=True,
               help="Move nothing: write the first motion as a picture and a bag.")
 @click.option("--wait", is_flag=True, help="Wait for the service identify/start.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the simulated sensor noise.")
-@json_option
-@report_option
-@write_config_option("Write the config with the identified effects and corrected rig data.")
+@common.json_option
+@common.report_option
+@common.write_config_option("Write the config with the identified effects and corrected rig data.")
 @click.pass_obj
 def identify(ros_args: list[str], config: Path | None, simulated: Path | None, out: Path,
              overwrite: bool, probability: float, dry_run: bool, wait: bool, seed: int | None,
@@ -65,11 +54,11 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
 
     if simulated is not None and (ros_args or wait):
         raise InputError("--simulate: expected neither --wait nor ROS arguments beside it")
-    check_outputs({"--json": json_file, "--report": report_file, "--write-config": config_file},
-                  (), config)
+    common.check_outputs({"--json": json_file, "--report": report_file,
+                          "--write-config": config_file}, (), config)
     planned_bag = out / "planned"
     for name in ("planned",) if dry_run else (f"motion_{i:02d}" for i in range(MOST_MOTIONS)):
-        check_new(out / name, overwrite)
+        common.check_new(out / name, overwrite)
     given = config_of(config)
     source = str(config or "default config")
     bounds = bounds_of(given.settings, source)
@@ -94,7 +83,7 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
         aborted = experiment(SimulatedRig(config_of(simulated).settings, bounds, seed,
                                           str(simulated)))
     else:
-        aborted = ros_module("identify_node").run_identify(
+        aborted = common.ros_module("identify_node").run_identify(
             given.settings, bounds, ros_args, wait, (out, overwrite), experiment)
     if aborted:
         raise InputError(aborted)
@@ -107,7 +96,7 @@ def run(rig: "Rig", planner: "Planner", wanted: float,
     from eha_monitor.identify.experiment import identify as rounds_of
 
     rounds = []
-    with progress_bar() as told:
+    with common.progress_bar() as told:
         for one in rounds_of(rig, planner, wanted, lambda recording: checked(
                 [recording], planner.settings), told):
             rounds.append(one)
@@ -130,11 +119,10 @@ def written(one: "Round", count: int, out: Path, settings: "Settings", overwrite
 def finish(rounds: list["Round"], planner: "Planner", wanted: float, out: Path, command: str,
            targets: tuple[Path | None, Path | None, Path | None], config: Path | None) -> str:
     """Write JSON, report and config; return why the experiment was aborted, or ""."""
-    from eha_monitor.api.answer import finite
     from eha_monitor.api.diagnosis_answer import answer, written_config
     from eha_monitor.identify.words import tree
     from eha_monitor.quantity import in_units
-    from eha_monitor.reports.diagnosis_report import write_diagnosis_report
+    from eha_monitor.reports.diagnosis_report import diagnosis_page
 
     json_file, report_file, config_file = targets
     settings, last = planner.settings, rounds[-1]
@@ -149,7 +137,7 @@ def finish(rounds: list["Round"], planner: "Planner", wanted: float, out: Path, 
         if config_file:
             write_text(config_file, written_config(found, settings, config))
         if report_file:
-            write_diagnosis_report(report_file, found, settings, (), command)
+            write_text(report_file, diagnosis_page(found, settings, (), command))
         click.echo(found.message)
     for path in (*bags, *targets):
         if path is not None and Path(path).exists():
@@ -163,11 +151,11 @@ def show_first(planner: "Planner", bag: Path, overwrite: bool) -> None:
     from eha_monitor.identify.words import plan_words
     from eha_monitor.recordings.recording import Recording
     from eha_monitor.recordings.write import write_recording
-    from eha_monitor.reports.motion_figure import motion_figure
+    from eha_monitor.reports.api_figures import motion_figure
     from eha_monitor.reports.still_image import drawn, png
 
     settings, bounds = planner.settings, planner.bounds
-    with progress_bar() as told:
+    with common.progress_bar() as told:
         told("planning the first motion", 0.1)
         planned = planner.first(0.5 * (bounds.lower + bounds.upper))
     bag.parent.mkdir(parents=True, exist_ok=True)

@@ -4,22 +4,16 @@ from pathlib import Path
 
 import click
 
-from eha_monitor.commands.common import (
-    FILE,
-    check_target,
-    config_option,
-    end_as_on_interrupt,
-    json_option,
-    progress_bar,
-)
+from eha_monitor.commands import common
 from eha_monitor.errors import InputError
+from eha_monitor.output import write_text
 
 GROUNDS = ("draws", "mcmaster", "simulator", "strangers", "triangle")
 DRAWS = 200
 
 
 @click.command()
-@config_option
+@common.config_option
 @click.option("--ground", type=click.Choice(GROUNDS), default="draws", show_default=True,
               help="Source of the test cases: draws of the independent plant; the published "
                    "McMaster plant "
@@ -28,14 +22,14 @@ DRAWS = 200
               "triangle with Coulomb friction and a second recording as advised.")
 @click.option("--cases", type=click.IntRange(1, 10000), default=None,
               help="How many recordings, or rigs; 200 draws, or all that a ground has.")
-@click.option("--data", type=FILE, metavar="DIR",
+@click.option("--data", type=common.FILE, metavar="DIR",
               help="Folder of the simulator's recordings, with its key.json; needs --config.")
 @click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=1, show_default=True,
               help="Seed of the draws; the first cases of a longer trial are the same.")
-@json_option
-@click.option("--report", "report_file", type=FILE, metavar="FILE.html",
+@common.json_option
+@click.option("--report", "report_file", type=common.FILE, metavar="FILE.html",
               help="Write a self-contained HTML report; without it DIR/proof.html.")
-@click.option("--markdown", "text_file", type=FILE, metavar="FILE.md",
+@click.option("--markdown", "text_file", type=common.FILE, metavar="FILE.md",
               help="Put the result into a Markdown file, between its two result marks.")
 @click.option("--draw", type=click.Choice(("mixed", "ladder", "outside")), default="mixed",
               show_default=True, help="Sets of 0 to 3 effects on all rigs and motions; single "
@@ -45,7 +39,7 @@ DRAWS = 200
               show_default=True, help="What the nominal configs say of the rig: the truth; each "
               "number off by one tolerance (standard deviation); one number off by 3 to 10 of "
               "them; or 40 %, 40 % and 20 % of these.")
-@click.option("--work", type=FILE, metavar="DIR",
+@click.option("--work", type=common.FILE, metavar="DIR",
               help="Folder of recordings, key and answers; by default out/proof/... here. An "
                    "interrupted trial is resumed.")
 @click.option("--keep", type=click.Choice(("same", "all", "none")), default="same",
@@ -67,22 +61,22 @@ def prove(config: Path | None, ground: str, cases: int | None, data: Path | None
     The key's SHA-256 is printed before any recording is read.  With a config all cases are on its
     rig; without one, on the paper's and others about it.
     """
-    end_as_on_interrupt()
+    common.end_as_on_interrupt()
     check_ground(ground, config, data, oracle)
-    check_target(json_file)
-    check_target(report_file)
+    common.check_target(json_file)
+    common.check_target(report_file)
     if text_file and not text_file.is_file():
         raise InputError(f"{text_file}: no such file; expected one with the result marks")
 
     from eha_monitor.prove.files import write_json
     from eha_monitor.prove.trial import misses
-    from eha_monitor.reports.proof_report import write_proof_report
+    from eha_monitor.reports.proof_report import proof_page
 
     kind = draw if rig == "mixed" else f"{draw}-{rig}"
     folder = f"{kind}-seed{seed}-{cases or DRAWS}" if ground == "draws" else (
         f"{ground}-seed{seed}" + (f"-{cases}" if cases else ""))
     work = (work or Path("out", "proof", folder)).resolve()
-    with progress_bar() as told:
+    with common.progress_bar() as told:
         if ground == "draws":
             from eha_monitor.prove.trial import Trial
             from eha_monitor.prove.trial import prove as run
@@ -96,7 +90,7 @@ def prove(config: Path | None, ground: str, cases: int | None, data: Path | None
                               config, told)
         told("writing the report", 1.0)
         report = report_file or work / "proof.html"
-        write_proof_report(report, found, work)
+        write_text(report, proof_page(found, work))
     if json_file:
         write_json(json_file, found)
     if text_file:

@@ -1,4 +1,4 @@
-"""What the commands print on a terminal, and the answer of ``estimate`` there."""
+"""What the commands print on a terminal: the answers of ``estimate`` and ``diagnose``."""
 
 import math
 from collections.abc import Sequence
@@ -13,9 +13,11 @@ from eha_monitor.balances.baseline import sentence as baseline_sentence
 from eha_monitor.estimation.results import Estimate
 from eha_monitor.health.alarms import NO_LIMIT, NOT_JUDGED, Alarm
 from eha_monitor.indicators.indicator import AVAILABLE, NEEDS, NONE, NOT_LOOKED_FOR, Indicator
-from eha_monitor.quantity import NOTE, SYMBOLS
+from eha_monitor.mismatch.diagnosis import Diagnosis
+from eha_monitor.quantity import DIAGNOSED, NOTE, SYMBOLS, number
+from eha_monitor.reports import diagnosis_words as words
 from eha_monitor.settings import Settings
-from eha_monitor.words import listed
+from eha_monitor.words import effect_words, listed
 
 COLOURS = {"OK": "green", "WARN": "yellow", "ERROR": "red", "STALE": "dim", NOT_JUDGED: "cyan",
            "converged": "green", "not_excited": "yellow", "diverged": "red", "no_data": "dim",
@@ -60,7 +62,7 @@ def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path],
     to.print(f"{escape(recording.source)}: {recording.duration:.3f} s, {len(recording)} "
                   f"samples, channels {', '.join(recording.channels)}"
                   f" (computed in {found.wall_s:.2f} s{speed})")
-    to.print(_parameters(found))
+    to.print(_estimated(found))
     for parameter in found.parameters.values():
         if found.model.status == "mismatch" and parameter.status == "not_excited":
             to.print(f"{SYMBOLS.get(parameter.name, parameter.name)} is not determined while the "
@@ -101,7 +103,7 @@ def _coloured(word: str) -> str:
     return f"[{colour}]{word}[/]" if colour else word
 
 
-def _parameters(found: Estimate) -> Table:
+def _estimated(found: Estimate) -> Table:
     shown = table("estimator", "parameter", "value", "status")
     rows = [(f"stage {stage.stage}", stage.estimate)
             for stage in (found.stage_one, found.stage_two)]
@@ -142,3 +144,123 @@ def show_indicators(to: Console, indicators: Sequence[Indicator], settings: Sett
         lacking = listed([one.words for one in indicators if one.status == NEEDS])
         to.print(escape(f"not computed: {lacking}; set {listed(list(missing))} in the "
                         "config (docs/health.md)"), style="dim")
+
+
+# ---- diagnose -----------------------------------------------------------------------------------
+
+RIVAL_FORMULA = 20.0  # log units: a formula that is worse by more is not worth a line
+_COLOURS = {"ok": "green", "warn": "yellow", "error": "red", "unknown": "dim"}
+
+
+def show_diagnosis(found: Diagnosis, written: list[Path], notes: list[str] = (),
+         indicators: tuple[Indicator, ...] = (), settings: Settings | None = None) -> None:
+    """Print wrong numbers of the rig, verdict, place, effects, parameters, indicators, proof."""
+    to = console()
+    kind = words.head_of(found)[0]
+    to.print(f"{escape(', '.join(found.bags))}: {number(found.duration_s)} s "
+                  f"(computed in {found.wall_s:.1f} s)")
+    for finding in found.rig_data:  # first of all: what follows rests on them
+        to.print(f"[bold yellow]wrong rig data[/]: {escape(words.rig_words(finding))}")
+        if finding.indistinguishable_from:
+            to.print(escape(f"  in this recording {finding.key} is indistinguishable from "
+                                 f"{_rivals(finding.indistinguishable_from)}"))
+    to.print(f"[bold {_COLOURS[kind]}]{escape(words.head_words(found))}[/]: "
+                  f"{escape(words.message_words(found))}".rstrip(": "))
+    for gate in found.gates:
+        to.print(escape(f"refused: {gate.statement}"))
+    _print_place(to, found)
+    if found.changes:
+        to.print(_changes(found))
+    if found.effects and not found.references:
+        to.print(_effects(found))
+        for effect in found.effects:
+            if effect.statement not in found.message:
+                to.print(escape(words.sentence(effect.statement)))
+            if effect.intervals_s:
+                to.print(escape(f"{effect.name} acts at "
+                                     f"{words.interval_words(effect.intervals_s)}"))
+    if found.learned:
+        to.print(_learned(found))
+    if found.before or found.after:
+        to.print(_parameters(found))
+    if settings is not None:
+        show_indicators(to, indicators, settings)
+    if found.signals:
+        to.print(_fit(found))
+    show_baselines(to, found.baselines)
+    for finding in found.rig_within:
+        to.print(f"[yellow]rig data[/]: {escape(finding.statement)}")
+    for title, sentences in (("health", found.health), ("advice", found.advice),
+                             ("note", notes)):
+        for text in sentences:
+            to.print(f"[yellow]{title}[/]: {escape(words.sentence(text))}")
+    for text in filter(None, (words.certainty(found), words.windows_words(found))):
+        to.print(escape(text), style="dim")
+    print_end(to, DIAGNOSED if found.before or found.after else "", written)
+
+
+def _print_place(to: Console, found: Diagnosis) -> None:
+    place = words.place_words(found)
+    if found.verdict in ("mismatch", "unexplained") and place:
+        worst = words.interval_words(found.location.intervals_s)
+        to.print(escape(f"where: {place}{f'; worst at {worst}' if worst else ''}"))
+
+
+def _effects(found: Diagnosis) -> Table:
+    shown = table("left out", "probability", "balance", "size", "parameters",
+                   "indistinguishable from")
+    for effect in found.effects:
+        shown.add_row(effect.name, words.probability(effect.probability), effect.balance,
+                      escape(effect.size),
+                      escape("\n".join(f"{name} = {words.value_words(value)}"
+                                       for name, value in effect.parameters.items())),
+                      escape(_rivals(effect.indistinguishable_from)) or "–")
+    return shown
+
+
+def _changes(found: Diagnosis) -> Table:
+    shown = table("changed", "healthy", "now", "indistinguishable from")
+    for change in found.changes:
+        name = f"{effect_words(change.what)} {change.symbol}" if change.symbol else SYMBOLS.get(
+            change.what, change.what)
+        shown.add_row(name, words.value_words(change.reference), words.value_words(change.now),
+                      escape(_rivals(change.indistinguishable_from)) or "–")
+    return shown
+
+
+def _learned(found: Diagnosis) -> Table:
+    shown = table("learned", "function of", "size", "removed on unseen data", "formula")
+    for term in found.learned:
+        rivals = [f"or {shown}, {words.log_units(behind)} log units worse"
+                  for shown, behind in term.rivals if behind < RIVAL_FORMULA]
+        shown.add_row(f"missing {term.balance}", ", ".join(term.of), term.size,
+                      words.percent(term.removed),
+                      escape("\n".join([term.formula or "none fits as well as the curve",
+                                         *rivals])))
+    return shown
+
+
+def _rivals(names: tuple[str, ...]) -> str:
+    return listed([effect_words(name) for name in names], "or")
+
+
+def _parameters(found: Diagnosis) -> Table:
+    shown = table("parameter", *("healthy", "now") if found.references else ("before", "after"))
+    for name in dict.fromkeys((*found.before, *found.after)):
+        shown.add_row(SYMBOLS.get(name, name), *(words.value_words(values.get(name))
+                              for values in (found.before, found.after)))
+    return shown
+
+
+def _fit(found: Diagnosis) -> Table:
+    shown = table("error on unseen data", "before", "after", "noise", "removed")
+    for name, fit in found.signals.items():
+        cells = [words.error_words(value, fit)
+                 for value in (fit.before_rms, fit.after_rms, fit.noise_rms)]
+        share = words.removed(fit)
+        shown.add_row(escape(name.replace("_", " ")), *cells,
+                      words.percent(share) if math.isfinite(share) else "—")
+    how = "free run" if "position" in found.signals else "residual of each balance below 5 Hz"
+    shown.caption = f"root mean square, {how}; on {words.DATA.get(found.data, found.data)}"
+    shown.caption_justify = "left"
+    return shown

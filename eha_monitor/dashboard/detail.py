@@ -7,15 +7,7 @@ from collections.abc import Callable
 
 from nicegui import ui
 
-from eha_monitor.dashboard import charts, words
-from eha_monitor.dashboard.elements import (
-    Level,
-    ask_for_acknowledgement,
-    button,
-    heading,
-    tagged,
-    text,
-)
+from eha_monitor.dashboard import charts, elements, words
 from eha_monitor.dashboard.events import MISMATCH
 from eha_monitor.dashboard.history import Span, thinned
 from eha_monitor.dashboard.state import STAGES, Actuator, View, alarms
@@ -55,10 +47,10 @@ class Detail:
         name = f"{title.capitalize()} {SYMBOLS[symbol]}"
         with ui.element("section").classes("card") as card:
             with ui.element("div").classes("title"):
-                heading("h2", name)
-                picture = button("PNG", f"{symbol}-png")
+                elements.heading("h2", name)
+                picture = elements.button("PNG", f"{symbol}-png")
             with ui.element("div").classes("figure"):
-                parts = {part: text("", part, f"{symbol}-{part}")
+                parts = {part: elements.text("", part, f"{symbol}-{part}")
                          for part in ("value", "stddev", "unit", "status")}
             chart = self._chart(charts.estimate_frame(self._scales[symbol]), name, picture)
         return {"card": card, "chart": chart, **parts}
@@ -97,33 +89,33 @@ class Detail:
 
     def _build_alarms(self) -> None:
         with ui.element("section").classes("card"):
-            heading("h2", "Alarms")
+            elements.heading("h2", "Alarms")
             for name in ALARM_NAMES:
                 self._build_alarm(name, words.plain_name(name))
 
     def _build_alarm(self, name: str, title: str, key: str = "") -> ui.label:
         key = key or name
         with ui.element("div").classes("alarm"):
-            level = Level(f"{key}-level")
-            label = text(title, "name")
-            message = text("", "message", f"{key}-message")
-            given = text("", "message by", f"{key}-acknowledged")
+            level = elements.Level(f"{key}-level")
+            label = elements.text(title, "name")
+            message = elements.text("", "message", f"{key}-message")
+            given = elements.text("", "message by", f"{key}-acknowledged")
             with ui.element("div").classes("answer") as answer:
-                button("Acknowledge", f"{key}-acknowledge",
-                       lambda: ask_for_acknowledgement(self.state, name))
+                elements.button("Acknowledge", f"{key}-acknowledge",
+                                lambda: elements.ask_for_acknowledgement(self.state, name))
         self._alarms[name] = level, message, given, answer
         return label
 
     def _build_actuator(self) -> None:
         with ui.element("section").classes("card"):
             with ui.element("div").classes("title"):
-                heading("h2", "Position, the last 15 s")
-                picture = button("PNG", "position-png")
+                elements.heading("h2", "Position, the last 15 s")
+                picture = elements.button("PNG", "position-png")
             with ui.element("div").classes("actuator") as self._drawing_box:
-                tagged(self._drawing_box, "actuator")
+                elements.tagged(self._drawing_box, "actuator")
                 self._drawing = ui.html("", sanitize=False)
             with ui.element("div").classes("positions"):
-                self._positions = [text("", "", key) for key in
+                self._positions = [elements.text("", "", key) for key in
                                    ("measured", "estimated", "difference")]
             self._position_scale = readable(0.02, self._unit)
             self._position_chart = ui.echart(
@@ -133,10 +125,10 @@ class Detail:
     def _build_model(self) -> None:
         with ui.element("section").classes("card wide"):
             with ui.element("div").classes("title"):
-                heading("h2", "Model and residual")
-                picture = button("PNG", "residual-png")
+                elements.heading("h2", "Model and residual")
+                picture = elements.button("PNG", "residual-png")
             self._model_status = self._build_alarm(MISMATCH, "", "model")
-            tagged(self._model_status, "model-status")
+            elements.tagged(self._model_status, "model-status")
             with ui.element("div").classes("line names"):
                 for title in ("innovations of", "size (NIS)", "drift (variance ratio)", "samples"):
                     ui.label(title)
@@ -144,21 +136,21 @@ class Detail:
             for stage in STAGES:
                 with ui.element("div").classes("line"):
                     ui.label(words.plain_name(stage))
-                    self._innovations[stage] = [
-                        text("", "", f"{stage}-{key}") for key in ("nis", "variance", "samples")]
-            text("Both are 1 where the model explains the data; what is judged is whether they "
-                 "stay near it.", "note")
+                    self._innovations[stage] = [elements.text("", "", f"{stage}-{key}")
+                                                for key in ("nis", "variance", "samples")]
+            elements.text("Both are 1 where the model explains the data; what is judged is "
+                          "whether they stay near it.", "note")
             self._residual_chart = self._chart(charts.residual_frame(), "Innovations", picture)
-            self._data = text("", "note", "data")
-            text(NOTE, "note", "plus-minus")
+            self._data = elements.text("", "note", "data")
+            elements.text(NOTE, "note", "plus-minus")
 
     def _build_diagnosis(self) -> None:
         with ui.element("section").classes("card wide") as self._diagnosis:
-            heading("h2", "Diagnosis")
+            elements.heading("h2", "Diagnosis")
             with ui.element("div").classes("alarm"):
-                self._verdict = Level("diagnosis-level")
-                self._diagnosed = text("", "name", "diagnosis")
-            self._diagnosis_lines = text("", "note lines", "diagnosis-lines")
+                self._verdict = elements.Level("diagnosis-level")
+                self._diagnosed = elements.text("", "name", "diagnosis")
+            self._diagnosis_lines = elements.text("", "note lines", "diagnosis-lines")
 
     def _refresh_diagnosis(self, view: View) -> None:
         """Show the card once a monitor tells of a diagnosis."""

@@ -8,13 +8,13 @@ from nicegui import ui
 
 from eha_monitor.dashboard import words
 from eha_monitor.dashboard.detail import Detail
-from eha_monitor.dashboard.elements import SCRIPT, Level, button, heading, tagged, text
+from eha_monitor.dashboard.elements import Level, button, heading, tagged, text
 from eha_monitor.dashboard.events import QUALITY, EventLog
 from eha_monitor.dashboard.history import CHOICES, Span
 from eha_monitor.dashboard.state import Actuator, View
 from eha_monitor.health.alarms import WATCHED
 
-STYLE = Path(__file__).with_name("page.css")
+STYLE, SCRIPT = (Path(__file__).with_name(f"page.{kind}") for kind in ("css", "js"))
 # How often numbers and words are looked up, and how often the charts are drawn, s.
 REFRESH_PERIOD, POSITION_PERIOD, CHART_PERIOD = 0.2, 0.5, 1.0
 # Events on the page; all that are kept are in the file.
@@ -38,7 +38,7 @@ class Page:
         self._title = ""
         ui.colors(primary="#0d4f86")
         ui.add_css(STYLE.read_text(encoding="utf-8"))
-        ui.add_body_html(SCRIPT)
+        ui.add_body_html(f"<script>\n{SCRIPT.read_text(encoding='utf-8')}</script>")
         with ui.element("main").classes("page"):
             self._build_head()
             self._tiles = {name: self._build_tile(name) for name in shown}

@@ -4,15 +4,8 @@ import math
 import time
 from dataclasses import dataclass
 
+from eha_monitor.dashboard import state
 from eha_monitor.dashboard.events import ACKNOWLEDGED
-from eha_monitor.dashboard.state import (
-    HEALTH_STALE_AFTER,
-    NIS,
-    SAMPLES,
-    VARIANCE_RATIO,
-    View,
-    alarms,
-)
 from eha_monitor.estimation.results import units_of
 from eha_monitor.health.alarms import NOT_JUDGED, SEVERITY
 from eha_monitor.health.judge import DIAGNOSIS, MODEL_IN_FORCE, Finding
@@ -81,7 +74,7 @@ def worst(findings: list[Finding]) -> str:
     return max((f.word for f in findings), key=SEVERITY.index, default="STALE")
 
 
-def overall(view: View) -> tuple[str, str]:
+def overall(view: state.View) -> tuple[str, str]:
     """Return the level of the header and its words.
 
     It is the worst of what is judged.  STALE is for data that do not come; while they come, an
@@ -91,7 +84,7 @@ def overall(view: View) -> tuple[str, str]:
     if not view.findings or (data is not None and data.level == "STALE"):
         return "STALE", level_text("STALE")
     mismatch = [view.findings["model_mismatch"]] if "model_mismatch" in view.findings else []
-    listed = alarms(view)
+    listed = state.alarms(view)
     judged = [finding for finding in listed if finding.word not in ("STALE", NOT_JUDGED)]
     # A value beyond its limit that a misfit holds back must be visible.
     held = [one for one in listed if one.word == NOT_JUDGED and one.level == "WARN"]
@@ -113,19 +106,19 @@ def short(symbol: str, number: Shown) -> str:
                     if part)
 
 
-def waiting(view: View) -> list[str]:
+def waiting(view: state.View) -> list[str]:
     """Return the names of what is raised and has not been acknowledged."""
     return [name for name in ACKNOWLEDGED if name in view.findings
             and view.findings[name].raised and name not in view.acknowledged]
 
 
-def quiet(view: View) -> bool:
+def quiet(view: state.View) -> bool:
     """Return whether something is raised and all of that has been acknowledged."""
     raised = any(view.findings[name].raised for name in ACKNOWLEDGED if name in view.findings)
     return raised and not waiting(view)
 
 
-def acknowledged_text(view: View, name: str) -> str:
+def acknowledged_text(view: state.View, name: str) -> str:
     """Return who acknowledged an alarm and when, or nothing."""
     given = view.acknowledged.get(name)
     return f"acknowledged by {given.who}, {clock_text(given.time_s)}" if given else ""
@@ -138,7 +131,7 @@ def clock_text(time_s: float) -> str:
     return time.strftime("%H:%M:%S" if today else "%Y-%m-%d %H:%M:%S", then)
 
 
-def last_data(view: View, now: float) -> tuple[bool, str]:
+def last_data(view: state.View, now: float) -> tuple[bool, str]:
     """Return whether data come, and when the last ones came.
 
     Parameters
@@ -171,7 +164,7 @@ def duration_text(seconds: float) -> str:
                     if count or first == 3)
 
 
-def diagnosis_lines(view: View) -> list[str]:
+def diagnosis_lines(view: state.View) -> list[str]:
     """Return what the monitor's own diagnosis says, after its verdict: the model in force first.
 
     Each effect with its probability; then B and beta_e before and after; what goes on; the report.
@@ -192,7 +185,7 @@ def diagnosis_lines(view: View) -> list[str]:
     return lines
 
 
-def stage_status(view: View, stage: str) -> str:
+def stage_status(view: state.View, stage: str) -> str:
     """Return the status of a parameter in words: converged, not excited, ..."""
     finding = view.findings.get(stage)
     status = str(finding.values.get("status", "")) if finding else ""
@@ -202,18 +195,18 @@ def stage_status(view: View, stage: str) -> str:
     return f"{words} (last heard)" if finding.level == "STALE" else words
 
 
-def model_status(view: View) -> str:
+def model_status(view: state.View) -> str:
     """Return whether the model fits, in words."""
     finding = view.findings.get("model")
     words = plain_name(str(finding.values.get("status") or "unknown")) if finding else "Unknown"
     return f"{words} (last heard)" if finding and finding.level == "STALE" else words
 
 
-def innovation_texts(view: View, stage: str) -> tuple[str, str, str]:
+def innovation_texts(view: state.View, stage: str) -> tuple[str, str, str]:
     """Return NIS, variance ratio and number of innovations of a stage."""
     values = view.findings[stage].values if stage in view.findings else {}
     nis, ratio, samples = (_written(values.get(key, ""), 3) or "–"
-                           for key in (NIS, VARIANCE_RATIO, SAMPLES))
+                           for key in (state.NIS, state.VARIANCE_RATIO, state.SAMPLES))
     return nis, ratio, samples
 
 
@@ -225,7 +218,7 @@ def _written(value: float | int | str, digits: int) -> str:
         return str(value)
 
 
-def silence_text(view: View, settings: Settings, topics: dict[str, str]) -> str:
+def silence_text(view: state.View, settings: Settings, topics: dict[str, str]) -> str:
     """Return what has stopped, since when and what may be the reason; empty if all comes.
 
     Parameters
@@ -236,7 +229,7 @@ def silence_text(view: View, settings: Settings, topics: dict[str, str]) -> str:
     # The monitor's rate may be slow by choice; one period late is not silent.
     for name in {"estimates", "estimated"} & set(topics):
         limits[name] += 1.0 / settings.monitor.publish_rate
-    limits["health"] = HEALTH_STALE_AFTER
+    limits["health"] = state.HEALTH_STALE_AFTER
     silent = {name: view.silence[name] for name in topics if view.silence[name] > limits[name]}
     if not silent:
         return ""
@@ -259,7 +252,7 @@ def silence_text(view: View, settings: Settings, topics: dict[str, str]) -> str:
     return "; ".join(parts)
 
 
-def position_texts(view: View, scale: Scale) -> tuple[str, str, str]:
+def position_texts(view: state.View, scale: Scale) -> tuple[str, str, str]:
     """Return measured and estimated position, and their difference where it means something."""
     texts = [f"{name} {value * scale.factor:.2f} {scale.unit}" if math.isfinite(value)
              else f"{name} –" for name, value in (("measured", view.measured),
@@ -270,7 +263,7 @@ def position_texts(view: View, scale: Scale) -> tuple[str, str, str]:
     return texts[0], texts[1], f"difference {difference:+.1f} {_FINE[scale.unit]}"
 
 
-def data_text(view: View) -> str:
+def data_text(view: state.View) -> str:
     """Return how the data come, as the monitor says it, in one line."""
     finding = view.findings.get("data")
     if finding is None:

@@ -2,7 +2,7 @@
 
 It is the very equations of :mod:`eha_monitor.physics`, compiled by numba for any processor of the
 architecture; nothing is written down a second time.  Run as a module it writes the LLVM assembly
-of the function, which :mod:`eha_monitor.exports.fmu_build` turns into shared libraries.
+of the function, which :mod:`eha_monitor.exports.fmu` turns into shared libraries.
 """
 
 import sys
@@ -12,19 +12,10 @@ import numpy as np
 from numba import carray, types
 
 from eha_monitor.compiled import ANNOUNCER, literal_unroll, njit
-from eha_monitor.physics import plant
+from eha_monitor.physics import plant, signals
 from eha_monitor.physics.contributions import N_EFFECTS, N_THETA
 from eha_monitor.physics.effect import no_circuit
 from eha_monitor.physics.effects import CATALOGUE
-from eha_monitor.physics.signals import (
-    LIMITS,
-    MAX_MEMORY,
-    MAX_PARAMETERS,
-    N_BASE,
-    N_CIRCUIT,
-    N_CONTRIBUTIONS,
-    N_SIGNALS,
-)
 
 NAME = "eha_kernel"
 CIRCUIT, ADVANCE, OUTPUTS = range(3)  # what the function is asked for
@@ -60,21 +51,21 @@ def kernel(what, y_, theta_, w_, memory_, past_, u_, scratch_, out_, terms_, n_t
     n, closed : steps to take; whether the drive closes the loop.
     """
     y, theta = carray(y_, (plant.N_STATE,)), carray(theta_, (N_THETA,))
-    w, active = carray(w_, (N_CIRCUIT,)), carray(active_, (N_EFFECTS,))
+    w, active = carray(w_, (signals.N_CIRCUIT,)), carray(active_, (N_EFFECTS,))
     if what == CIRCUIT:
         # As contributions.circuit_of, which makes an array: here nothing is allocated.
         w[:] = 0.0
-        for place in LIMITS:
+        for place in signals.LIMITS:
             w[place] = np.inf
         count = 0
         for circuit in literal_unroll(_CIRCUITS):
             which = _AT[count]
             count += 1
             if active[which]:
-                first = N_BASE + which * MAX_PARAMETERS
-                circuit(theta[first : first + MAX_PARAMETERS], w)
+                first = signals.N_BASE + which * signals.MAX_PARAMETERS
+                circuit(theta[first : first + signals.MAX_PARAMETERS], w)
         return
-    memory, past = carray(memory_, (N_EFFECTS, MAX_MEMORY)), carray(past_, (plant.RING, 4))
+    memory, past = carray(memory_, (N_EFFECTS, signals.MAX_MEMORY)), carray(past_, (plant.RING, 4))
     u, places = carray(u_, (ROWS, 4)), carray(places_, (2,))
     if what == OUTPUTS:
         out, here = carray(out_, (N_OUT,)), places[1]
@@ -84,8 +75,8 @@ def kernel(what, y_, theta_, w_, memory_, past_, u_, scratch_, out_, terms_, n_t
         out[4], out[5] = speed, given
         return
     terms, updates = carray(terms_, (n_terms,)), carray(updates_, (n_updates,))
-    scratch = carray(scratch_, (N_CONTRIBUTIONS + N_SIGNALS,))
-    c, s = scratch[:N_CONTRIBUTIONS], scratch[N_CONTRIBUTIONS:]
+    scratch = carray(scratch_, (signals.N_CONTRIBUTIONS + signals.N_SIGNALS,))
+    c, s = scratch[:signals.N_CONTRIBUTIONS], scratch[signals.N_CONTRIBUTIONS:]
     c[:] = 0.0
     for i in range(n):
         here = places[1]

@@ -7,28 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from eha_monitor.estimation.results import Estimate
-from eha_monitor.indicators import evidence
+from eha_monitor.indicators import evidence, indicator, laws
 from eha_monitor.indicators.evidence import Evidence
-from eha_monitor.indicators.indicator import (
-    AVAILABLE,
-    NEEDS,
-    NONE,
-    NOT_LOOKED_FOR,
-    UNITS,
-    UNKNOWN,
-    Indicator,
-    propagated,
-)
-from eha_monitor.indicators.laws import (
-    DRY,
-    LEAKS,
-    LOSSES,
-    dry_friction,
-    free_air,
-    leakage_flow,
-    moved,
-    volumetric_efficiency,
-)
+from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.indicators.oil import viscosity_ratio
 from eha_monitor.mismatch.diagnosis import Diagnosis
 from eha_monitor.quantity import number, quantity
@@ -78,7 +59,7 @@ def indicators(found: Evidence, settings: Settings) -> tuple[Indicator, ...]:
 
 def _doubted(made: Indicator, parameter: str, found: Evidence) -> Indicator:
     """Return an indicator with what speaks against the parameter that it is made of."""
-    if made.status != AVAILABLE or parameter not in found.doubts:
+    if made.status != indicator.AVAILABLE or parameter not in found.doubts:
         return made
     return replace(made, doubtful=True,
                    message=f"{made.message}; in doubt: {found.doubts[parameter]}")
@@ -90,11 +71,11 @@ def _leakage(found: Evidence, settings: Settings) -> Indicator:
         return _needs("leakage", "health.rated_pressure")
     if "leakage" not in found.values:
         return _unknown("leakage", found.why.get("leakage", "not identified from this recording"))
-    names = ("leakage", *_parameters(found, LEAKS))
+    names = ("leakage", *_parameters(found, laws.LEAKS))
     at = f"at {quantity(pressure, 'Pa', 3)}{_temperature_words(found, settings)}"
 
     def flow(values: Values) -> float:
-        return leakage_flow(values, pressure, _thinner(values, settings))
+        return laws.leakage_flow(values, pressure, _thinner(values, settings))
 
     return _made("leakage", flow, *_with_temperature(found, settings, names), (), at)
 
@@ -110,11 +91,11 @@ def _efficiency(found: Evidence, settings: Settings) -> Indicator:
     if "leakage" not in found.values:
         return _unknown("pump_efficiency",
                         found.why.get("leakage", "leakage not identified from this recording"))
-    names = ("leakage", "pump_displacement", *_parameters(found, LEAKS + LOSSES))
+    names = ("leakage", "pump_displacement", *_parameters(found, laws.LEAKS + laws.LOSSES))
 
     def efficiency(values: Values) -> float:
-        return volumetric_efficiency(values, rig.pump_displacement, health.rated_speed,
-                                     health.rated_pressure, _thinner(values, settings))
+        return laws.volumetric_efficiency(values, rig.pump_displacement, health.rated_speed,
+                                          health.rated_pressure, _thinner(values, settings))
 
     at = (f"at {quantity(health.rated_pressure, 'Pa', 3)}, {health.rated_speed:.4g} rad/s"
           f"{_temperature_words(found, settings)}")
@@ -141,9 +122,9 @@ def _free_air(found: Evidence, settings: Settings) -> Indicator:
     if "entrained_air.alpha" in found.values:
         values, covariance = found.part("entrained_air.alpha")
         exponent = found.values.get("entrained_air.n", FAST)
-        return _made("free_air", lambda v: moved(v["entrained_air.alpha"], health.air_pressure,
-                                                 exponent), values, covariance, (),
-                     f"{at}, named by the diagnosis")
+        return _made("free_air", lambda v: laws.moved(v["entrained_air.alpha"],
+                                                      health.air_pressure, exponent),
+                     values, covariance, (), f"{at}, named by the diagnosis")
     if health.air_free_modulus is None:
         return _needs("free_air", "health.air_free_modulus")
     if "beta_e" not in found.values:
@@ -156,16 +137,16 @@ def _free_air(found: Evidence, settings: Settings) -> Indicator:
     values["n"] = health.polytropic_exponent or 0.5 * (SLOW + FAST)
     spread = [health.air_free_tolerance * health.air_free_modulus,
               0.0 if health.polytropic_exponent else (FAST - SLOW) / math.sqrt(12.0)]
-    covariance = _wider(covariance, spread)
+    covariance = evidence.wider(covariance, spread)
     pressures = found.pressures
 
     def share(v: Values) -> float:
-        return free_air(max(v["beta_e"], 1.0), max(v["oil"], 1.0), max(v["n"], SLOW), pressures,
-                        health.air_pressure)
+        return laws.free_air(max(v["beta_e"], 1.0), max(v["oil"], 1.0), max(v["n"], SLOW),
+                             pressures, health.air_pressure)
 
     made = _made("free_air", share, values, covariance, ("oil", "n"),
                  f"{at}, from βe at {quantity(float(np.mean(pressures)), 'Pa', 3)} on average")
-    if made.status == UNKNOWN:
+    if made.status == indicator.UNKNOWN:
         return replace(made, message="βe is not clearly below the air-free modulus; "
                        f"below {number(made.below, 2)} % {at}")
     return made
@@ -173,21 +154,22 @@ def _free_air(found: Evidence, settings: Settings) -> Indicator:
 
 def _friction(found: Evidence, settings: Settings) -> Indicator:
     unit = "N·m" if settings.rig.motion == "rotary" else "N"
-    none = _not_looked_for("friction", found, DRY, "dry friction", ("x",), unit)
+    none = _not_looked_for("friction", found, laws.DRY, "dry friction", ("x",), unit)
     if none is not None:
         return none
     total = (2.0 * float(np.mean(found.pressures)) if len(found.pressures)
              else 2.0 * settings.rig.charge_pressure)
-    values, covariance = found.part(*_parameters(found, DRY))
-    named = [effect_words(name) for name in found.named(*DRY)]
+    values, covariance = found.part(*_parameters(found, laws.DRY))
+    named = [effect_words(name) for name in found.named(*laws.DRY)]
     at = listed(named)
-    if "pressure_friction" in found.named(*DRY):
+    if "pressure_friction" in found.named(*laws.DRY):
         at += f", at p₁ + p₂ = {quantity(total, 'Pa', 3)}"
-    return _made("friction", lambda v: dry_friction(v, total), values, covariance, (), at, unit)
+    return _made("friction", lambda v: laws.dry_friction(v, total), values, covariance, (), at,
+                 unit)
 
 
 def _friction_share(friction: Indicator, settings: Settings) -> Indicator:
-    if friction.status != AVAILABLE:
+    if friction.status != indicator.AVAILABLE:
         return replace(friction, name="friction_share", unit="%", law=LAWS["friction_share"])
     missing = [key for key, value in (("health.rated_pressure", settings.health.rated_pressure),
                                       ("rig.area_1", settings.rig.area_1),
@@ -197,7 +179,7 @@ def _friction_share(friction: Indicator, settings: Settings) -> Indicator:
     stall = settings.health.rated_pressure * min(settings.rig.area_1, settings.rig.area_2)
     share = 100.0 / stall
     return Indicator("friction_share", share * friction.value, share * friction.stddev,
-                     share * friction.noise, "%", AVAILABLE,
+                     share * friction.noise, "%", indicator.AVAILABLE,
                      f"of {quantity(stall, friction.unit, 3)} at "
                      f"{quantity(settings.health.rated_pressure, 'Pa', 3)}",
                      LAWS["friction_share"])
@@ -217,7 +199,7 @@ def _not_looked_for(name: str, found: Evidence, effects: tuple[str, ...], words:
                     channels: tuple[str, ...], unit: str = "") -> Indicator | None:
     """Return why an indicator that only a named effect makes is not there, or None."""
     if not found.diagnosed:
-        return _unknown(name, NOT_LOOKED_FOR, unit)
+        return _unknown(name, indicator.NOT_LOOKED_FOR, unit)
     if found.named(*effects):
         return None
     if assumed := [effect for effect in effects if effect in found.assumed]:
@@ -227,38 +209,37 @@ def _not_looked_for(name: str, found: Evidence, effects: tuple[str, ...], words:
         return _unknown(name, f"{listed(lost)} not recorded", unit)
     if not found.settled:
         return _unknown(name, "the diagnosed model does not fit the recording", unit)
-    return Indicator(name, math.nan, math.nan, math.nan, unit or UNITS[name][1], NONE,
-                     f"the recording shows no {words}", LAWS[name])
+    return _unknown(name, f"the recording shows no {words}", unit, indicator.NONE)
 
 
 def _made(name: str, function: Callable[[Values], float], values: Values, covariance: np.ndarray,
           common: tuple[str, ...], message: str, unit: str = "") -> Indicator:
     """Return an indicator from its law; ``common`` values are the same in every recording."""
-    factor, unit = (1.0, unit) if unit else UNITS[name]
-    value, stddev = propagated(function, values, covariance)
+    factor, unit = (1.0, unit) if unit else indicator.UNITS[name]
+    value, stddev = indicator.propagated(function, values, covariance)
     places = [i for i, one in enumerate(values) if one in common]
     random = covariance.copy()
     random[places, :] = random[:, places] = 0.0
-    noise = propagated(function, values, random)[1]
+    noise = indicator.propagated(function, values, random)[1]
     value, stddev, noise = factor * value, factor * stddev, factor * noise
     if not (math.isfinite(value) and math.isfinite(stddev)):
         return _unknown(name, "its equation gives no finite number here", unit)
     if value <= CLEAR * stddev:
         below = max(value, 0.0) + SIDE * stddev
-        return Indicator(name, value, stddev, noise, unit, UNKNOWN,
+        return Indicator(name, value, stddev, noise, unit, indicator.UNKNOWN,
                          f"too uncertain: below {number(below, 2)} {unit} {message}", LAWS[name],
                          below=below)
-    return Indicator(name, value, stddev, noise, unit, AVAILABLE, message, LAWS[name])
+    return Indicator(name, value, stddev, noise, unit, indicator.AVAILABLE, message, LAWS[name])
 
 
-def _unknown(name: str, why: str, unit: str = "") -> Indicator:
-    return Indicator(name, math.nan, math.nan, math.nan, unit or UNITS[name][1], UNKNOWN, why,
-                     LAWS[name])
+def _unknown(name: str, why: str, unit: str = "", status: str = indicator.UNKNOWN,
+             keys: tuple[str, ...] = ()) -> Indicator:
+    return Indicator(name, math.nan, math.nan, math.nan, unit or indicator.UNITS[name][1], status,
+                     why, LAWS[name], keys)
 
 
 def _needs(name: str, *keys: str) -> Indicator:
-    return Indicator(name, math.nan, math.nan, math.nan, UNITS[name][1], NEEDS,
-                     f"set {listed(keys)} in the config", LAWS[name], keys)
+    return _unknown(name, f"set {listed(keys)} in the config", status=indicator.NEEDS, keys=keys)
 
 
 def _parameters(found: Evidence, effects: tuple[str, ...]) -> tuple[str, ...]:
@@ -272,16 +253,7 @@ def _with_temperature(found: Evidence, settings: Settings, names: tuple[str, ...
     if found.temperature is None:
         return values, covariance
     values["temperature"] = found.temperature
-    return values, _wider(covariance, [settings.health.oil_temperature_stddev])
-
-
-def _wider(covariance: np.ndarray, spread: list[float]) -> np.ndarray:
-    """Return a covariance with further numbers, independent of all others."""
-    size = len(covariance)
-    whole = np.zeros((size + len(spread), size + len(spread)))
-    whole[:size, :size] = covariance
-    whole[range(size, size + len(spread)), range(size, size + len(spread))] = np.square(spread)
-    return whole
+    return values, evidence.wider(covariance, [settings.health.oil_temperature_stddev])
 
 
 def _thinner(values: Values, settings: Settings) -> float:

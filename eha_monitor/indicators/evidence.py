@@ -177,18 +177,19 @@ def fitted_values(found: Diagnosis) -> tuple[dict[str, float], np.ndarray]:
     fixed = {f"{effect.name}.{symbol}": value.value for effect in found.effects
              for symbol, value in effect.parameters.items()
              if f"{effect.name}.{symbol}" not in values}
-    size, more = len(values), len(fixed)
-    whole = np.zeros((size + more, size + more))
-    whole[:size, :size] = covariance
-    return values | fixed, whole
+    return values | fixed, wider(covariance, [0.0] * len(fixed))
 
 
 def with_configured(values: dict[str, float], covariance: np.ndarray, settings: Settings
                     ) -> tuple[dict[str, float], np.ndarray]:
     """Return values with the config's leakage, as uncertain as its tolerance says."""
     leakage = settings.rig.leakage
-    size = len(values)
-    whole = np.zeros((size + 1, size + 1))
-    whole[:size, :size] = covariance
-    whole[size, size] = (leakage * settings.rig.tolerance.log_spread("leakage")) ** 2
-    return values | {"leakage": leakage}, whole
+    spread = leakage * settings.rig.tolerance.log_spread("leakage")
+    return values | {"leakage": leakage}, wider(covariance, [spread])
+
+
+def wider(covariance: np.ndarray, spread: list[float]) -> np.ndarray:
+    """Return a covariance with further numbers, independent of all others."""
+    size, whole = len(covariance), np.pad(covariance, (0, len(spread)))
+    whole[size:, size:] = np.diag(np.square(spread))
+    return whole

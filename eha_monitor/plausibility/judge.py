@@ -6,14 +6,15 @@ that somebody made these mistakes (:mod:`mistakes`).  No mistake at all is one o
 
 from dataclasses import dataclass
 from math import log
+from typing import Any
 
 from eha_monitor import ties
 from eha_monitor.plausibility.mistakes import EVERYDAY, Mistake, mistakes_for
 from eha_monitor.plausibility.moments import Moments, moments_of
-from eha_monitor.plausibility.reading import Reading, Source
-from eha_monitor.plausibility.relations import Check, checks, unexplained
+from eha_monitor.plausibility.relations import Check, Reading, Source, checks, unexplained
 from eha_monitor.recordings.recording import ChannelFinding, Recording
 from eha_monitor.settings.channels import ATMOSPHERE, unit_of
+from eha_monitor.settings.load import merge, settings_from_tree
 from eha_monitor.settings.monitor import Settings
 
 ROLES = ("x", "v", "x_d", "omega", "p1", "p2", "force")
@@ -157,8 +158,6 @@ def explain(reading: Reading) -> tuple[Explanation, list[Explanation]]:
 def finding_of(mistake: Mistake, best: Explanation, rivals: list[Explanation], reading: Reading,
                settings: Settings) -> ChannelFinding:
     """Return a mistake with the relation that shows it best, before and after it is mended."""
-    from eha_monitor.plausibility.corrections import correction_of
-
     others = tuple(one for one in best.mistakes if one is not mistake)
     without = {check.name: check for check in explained(reading, others).checks}
     mended = {check.name: check for check in best.checks}
@@ -235,3 +234,56 @@ def gauge(moments: Moments, settings: Settings) -> tuple[ChannelFinding, ...]:
     return (ChannelFinding(
         f"p1 and p2 look like gauge pressures, not absolute ones: {why}", "offset", ("p1", "p2"),
         {"channels": channels}),)
+
+
+# ---- what mends a mistake -----------------------------------------------------------------------
+
+FIGURES = 12  # digits: a scale of 0.001 is written as that
+
+
+def correction_of(mistake: Mistake, settings: Settings) -> dict[str, Any]:
+    """Return the sections and keys that mend a mistake, with their new values.
+
+    A channel is mended where the bag is read (``channels``), not where a table was imported
+    (``table``): the bag at hand keeps its numbers.  The time is the exception, since a bag's
+    stamps are its own; it is mended in ``table.time_scale`` and takes another import.
+    """
+    if mistake.swap is not None:
+        one, other = mistake.swap
+        if not {one, other} <= set(settings.channels):
+            return {}
+        return {"channels": {one: settings.channels[other].model_dump(),
+                             other: settings.channels[one].model_dump()}}
+    if mistake.clock != 1.0:
+        return {"table": {"time_scale": rounded(settings.table.time_scale * mistake.clock)}} \
+            if settings.table.columns else {}
+    found: dict[str, Any] = {}
+    for role, factor in mistake.factors.items():
+        channel = settings.channels.get(role)
+        if channel is not None:
+            found.setdefault("channels", {})[role] = {
+                **({"unit": ""} if channel.unit else {}),
+                "scale": rounded(channel.gain * factor),
+                "offset": rounded(channel.zero * factor)}
+    for key, factor in mistake.numbers.items():
+        found.setdefault("rig", {})[key] = rounded(getattr(settings.rig, key) * factor)
+    return found
+
+
+def rounded(value: float) -> float:
+    """Return a number without the digits that a product of floats adds."""
+    return float(f"{value:.{FIGURES}g}")
+
+
+def corrected(settings: Settings, findings: tuple[ChannelFinding, ...]) -> Settings:
+    """Return the settings with what the findings correct.
+
+    Raises
+    ------
+    InputError
+        If a corrected value is out of the range of its key.
+    """
+    tree = settings.model_dump()
+    for finding in findings:
+        merge(tree, finding.correction)
+    return settings_from_tree(tree, "correction")

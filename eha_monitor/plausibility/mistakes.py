@@ -9,8 +9,7 @@ from dataclasses import dataclass, field, replace
 from itertools import combinations
 from math import log, log10, pi
 
-from eha_monitor.plausibility.reading import Reading, Source
-from eha_monitor.plausibility.relations import Check
+from eha_monitor.plausibility.relations import Check, Reading, Source
 from eha_monitor.recordings.recording import Kind
 
 EVERYDAY, RARE, RAREST = -3.0, -4.5, -6.0

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from eha_monitor.recordings.columns import blocks, let_go, spans_of
+from eha_monitor.recordings.grid import filled
 from eha_monitor.recordings.recording import Recording, sample_of
 
 LONGEST = 32_768  # samples that are looked at: those of the piece with the most motion
@@ -140,9 +141,11 @@ def stretch_of(recording: Recording) -> tuple[int, int]:
         let_go(x)
         return power
 
+    from scipy.fft import prev_fast_len
+
     start, stop = moving(x, *max(pieces, key=motion))
     # One sample more than a length whose transform is quick.
-    return start, start + (quick_length(stop - start - 1) + 1 if stop - start > 2 else 0)
+    return start, start + (prev_fast_len(stop - start - 1) + 1 if stop - start > 2 else 0)
 
 
 def moving(x: np.ndarray, start: int, stop: int) -> tuple[int, int]:
@@ -163,27 +166,6 @@ def moving(x: np.ndarray, start: int, stop: int) -> tuple[int, int]:
     if back[-1] - left[0] > (1.0 - STANDS) * len(here):
         return start, stop
     return start + int(left[0]), start + int(back[-1]) + 1
-
-
-def quick_length(samples: int) -> int:
-    """Return the largest number of samples, of factors up to 11, that is no larger."""
-    for length in range(samples, 1, -1):
-        left = length
-        for factor in (2, 3, 5, 7, 11):
-            while left % factor == 0:
-                left //= factor
-        if left == 1:
-            return length
-    return samples
-
-
-def filled(values: np.ndarray) -> np.ndarray:
-    """Return (n,) with what is missing interpolated from its neighbours."""
-    good = np.isfinite(values)
-    if good.all():
-        return values
-    index = np.arange(len(values))
-    return np.interp(index, index[good], values[good])
 
 
 def spectrum(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -53,7 +53,8 @@ def align(series: dict[str, tuple[Series, str]], settings: Settings, *, source: 
     if points > SPARSE * len(t) + 1000:
         raise InputError(f"{source}: {label}: {len(t)} samples over {t[-1]:.6g} s are too sparse "
                          f"for a sample time of {grid.step:g} s")
-    window = _window(leader, keep) if jumped else None
+    logs = leader.log_ns[keep]  # between these the kept stretch was recorded
+    window = (int(logs.min()), int(logs.max())) if jumped else None
 
     axes: dict[tuple, tuple] = {}
     columns: dict[str, np.ndarray] = {}
@@ -64,7 +65,7 @@ def align(series: dict[str, tuple[Series, str]], settings: Settings, *, source: 
             shared = len(axes) == 0  # the reference comes first
             axes[key] = ((keep, t, grid) if shared else
                          _axis(found, topic or name, leader, keep, origin, grid, window, said))
-        columns[name] = _place(found.values, axes[key], grid, points)
+        columns[name] = placing(found.values, axes[key], grid)(0, points)
         tell_rate(name, axes[key], grid, said)
     columns = {name: columns[name] for name in CHANNELS
                if name in columns and (name == reference or np.isfinite(columns[name]).any())}
@@ -86,11 +87,6 @@ def within_range(found: Series, name: str, topic: str, source: str, said: list[s
                                  ": ".join(part for part in (source, topic) if part))
     said += told
     return Series(stamps, np.clip(found.log_ns, 0, CLOCKS), values, found.stamped)
-
-
-def _window(leader: Series, keep: np.ndarray) -> tuple[int, int]:
-    """Log times between which the kept stretch of the reference was recorded."""
-    return int(leader.log_ns[keep].min()), int(leader.log_ns[keep].max())
 
 
 def _axis(found: Series, label: str, leader: Series, led, origin: int, grid: Grid, window, said):
@@ -118,13 +114,11 @@ def _axis(found: Series, label: str, leader: Series, led, origin: int, grid: Gri
     return chosen, t, own
 
 
-def _place(values: np.ndarray, axis: tuple, grid: Grid, points: int) -> np.ndarray:
-    """Put one channel on the grid: direct where its times fall on it, else interpolated."""
-    return placing(values, axis, grid)(0, points)
-
-
 def placing(values: np.ndarray, axis: tuple, grid: Grid) -> Callable[[int, int], np.ndarray]:
-    """Return what gives rows ``start`` to ``stop`` of the grid of one channel."""
+    """Return what gives rows ``start`` to ``stop`` of the grid of one channel.
+
+    Directly where its times fall on the grid, else interpolated.
+    """
     keep, t, own = axis
     times = own.times(t)
     place = (times - grid.start) / grid.step
@@ -205,9 +199,3 @@ def tell_grid(grid: Grid, label: str, nominal: float, said: list[str]) -> None:
     elif abs(grid.step / nominal - 1) > 1e-6:
         said.append(f"{label}: the stamps give a sample time of {grid.step * 1e3:.6g} ms, the "
                     f"config {nominal * 1e3:.6g} ms; the stamps are used")
-
-
-def spans(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return first and behind-last index of each stretch of True."""
-    edges = np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8))
-    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)

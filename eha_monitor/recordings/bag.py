@@ -21,9 +21,9 @@ from mcap.opcode import Opcode
 from mcap.stream_reader import get_chunk_data_stream
 
 from eha_monitor.errors import InputError
+from eha_monitor.output import check_regular, natural
 from eha_monitor.recordings.columns import let_go
 from eha_monitor.recordings.walk import AT_END, FOOTER, FULL, PREFIX, walk_records
-from eha_monitor.regular import check_regular, natural
 
 MAGIC = b"\x89MCAP0\r\n"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"

@@ -9,7 +9,7 @@ with the process); :func:`let_go` gives the memory of its pages back.  The files
 import mmap
 import tempfile
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
@@ -121,7 +121,7 @@ def chosen(values: np.ndarray, index: np.ndarray) -> np.ndarray:
     return np.concatenate(found) if found else values[index]
 
 
-def spans_of(masks: Iterator[tuple[int, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+def spans_of(masks: Iterable[tuple[int, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
     """Return first and behind-last row of each stretch of True over consecutive masks.
 
     ``masks`` : (row of the first, (m,) bool), one following the other.

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from eha_monitor.recordings.align import spans
+from eha_monitor.recordings.columns import spans_of
 
 OVER = 0.04  # s over which the velocity is taken
 STANDS = 0.05  # of the largest speed: slower is standing
@@ -35,9 +35,9 @@ def between_stops(x: np.ndarray, force: np.ndarray, dt: float) -> list[tuple[int
     top, near = np.quantile(speed, 0.998), NEAR * np.ptp(x)
     moves = np.median(force[speed >= 0.5 * top])
     held = (speed < STANDS * top) & ((x < x.min() + near) | (x > x.max() - near))
-    places = [float(np.median(x[a:b])) for a, b in zip(*spans(held), strict=True)
+    places = [float(np.median(x[a:b])) for a, b in zip(*spans_of([(0, held)]), strict=True)
               if (b - a) * dt >= LASTING and np.median(force[a:b]) > PRESSES * moves]
     if not places:
         return [(0, len(x))]
     away = np.all(np.abs(x[:, None] - np.array(places)) > near, axis=1)
-    return [(int(a), int(b)) for a, b in zip(*spans(away), strict=True)]
+    return [(int(a), int(b)) for a, b in zip(*spans_of([(0, away)]), strict=True)]

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from eha_monitor.errors import InputError
-from eha_monitor.regular import check_regular
+from eha_monitor.output import check_regular
 from eha_monitor.settings.channels import Table
 
 DAY = np.timedelta64(24, "h")

@@ -1,4 +1,4 @@
-"""What ``plot()`` of the API draws: a recording, an estimate, a diagnosis, a proposed motion."""
+"""What ``plot()`` of the API draws, and the planned motion of ``identify``."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -13,29 +13,12 @@ from eha_monitor.quantity import Scale
 from eha_monitor.recordings.columns import sampled
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.reports import diagnosis_figures, estimate_figures
-from eha_monitor.reports.diagnosis_figures import (
-    agreement_figure,
-    curve_figure,
-    informative,
-    learned_figure,
-    overlay_figure,
-)
-from eha_monitor.reports.estimate_figures import NAMES, parameter_figure
-from eha_monitor.reports.figure import (
-    OTHER,
-    STAGE_ONE,
-    STAGE_TWO,
-    WIDTH,
-    Figure,
-    Panel,
-    Side,
-    padded,
-    scale_of,
-    time_scale,
-)
+from eha_monitor.reports import figure as fig
+from eha_monitor.reports.estimate_figures import NAMES
 from eha_monitor.reports.still_image import Drawing, drawn, words_drawn
 from eha_monitor.reports.traces import robust_range
-from eha_monitor.settings.rig import Segment
+from eha_monitor.settings.experiment import Experiment
+from eha_monitor.settings.rig import Rig, Segment
 
 # Channels that are drawn on the same axes, and what these are called.
 _TOGETHER = {"x": "position", "x_d": "position", "v": "velocity", "omega": "pump speed",
@@ -45,6 +28,8 @@ _LABELS = {"x": "x", "x_d": "x_d, demanded", "v": "v", "omega": "ω", "omega_d":
            "p1": "p₁", "p2": "p₂", "force": "force", "temperature": "temperature"}
 _ROW, _FOOT = 150, 60  # CSS pixels
 _SAMPLES = 4000  # of a demanded motion
+_PLANNED_ROW = 130  # CSS pixels
+_X, _V, _P1, _P2 = 0, 1, 2, 3  # columns of a prediction
 
 
 def recording_drawing(recording: Recording, names: Sequence[str], units: Mapping[str, str]
@@ -59,29 +44,31 @@ def recording_drawing(recording: Recording, names: Sequence[str], units: Mapping
     groups: dict[str, list[str]] = {}
     for name in names:
         groups.setdefault(_TOGETHER[name], []).append(name)
-    clock = time_scale(recording.duration)
+    clock = fig.time_scale(recording.duration)
     step = recording.sample_time
-    time = Side("time", clock, limits=(0.0, max(len(recording) - 1, 1) * step))
+    time = fig.Side("time", clock, limits=(0.0, max(len(recording) - 1, 1) * step))
     panels = []
     for quantity, members in groups.items():
         columns = [sampled(recording.channels[name]) for name in members]
-        scale = scale_of(np.concatenate(columns), units[members[0]])
+        scale = fig.scale_of(np.concatenate(columns), units[members[0]])
         low, high, _ = robust_range(columns)
         last = len(panels) == len(groups) - 1
-        panel = Panel(time if last else replace(time, name=""),
-                          Side(quantity, scale, limits=padded(low, high)))
-        for name, values, colour in zip(members, columns, (STAGE_ONE, STAGE_TWO), strict=False):
+        panel = fig.Panel(time if last else replace(time, name=""),
+                          fig.Side(quantity, scale, limits=fig.padded(low, high)))
+        colours = fig.STAGE_ONE, fig.STAGE_TWO
+        for name, values, colour in zip(members, columns, colours, strict=False):
             every = -(-len(recording) // max(len(values), 1))
             panel.signal(np.arange(len(values)) * every * step, values,
                          _LABELS[name], colour, width=1.2, legend=len(members) > 1)
         panels.append(panel)
-    return drawn(Figure(tuple(panels), "channels against time", (1.0,) * len(panels),
-                        (WIDTH, _ROW * len(groups) + _FOOT)))
+    return drawn(fig.Figure(tuple(panels), "channels against time", (1.0,) * len(panels),
+                            (fig.WIDTH, _ROW * len(groups) + _FOOT)))
 
 
 def estimate_drawing(estimate: Estimate, names: Sequence[str]) -> Drawing:
     """Draw ``B``, ``beta_e`` or both as they converge, with band and limits."""
-    return _drawn(parameter_figure(estimate_figures.presentable(estimate), names), "; ".join(
+    figure = estimate_figures.parameter_figure(estimate_figures.presentable(estimate), names)
+    return _drawn(figure, "; ".join(
         f"{NAMES[name]}: {estimate.parameters[name].message or 'no data'}" for name in names))
 
 
@@ -94,17 +81,18 @@ def diagnosis_drawing(found: Diagnosis, what: str) -> Drawing:
     """
     found = diagnosis_figures.presentable(found)
     if what == "missing":
-        curves = informative(found)
-        figure = (learned_figure(found.learned[0]) if found.learned
-                  else curve_figure(found, curves[0], large=True) if curves else None)
+        curves = diagnosis_figures.informative(found)
+        figure = (diagnosis_figures.learned_figure(found.learned[0]) if found.learned
+                  else diagnosis_figures.curve_figure(found, curves[0], large=True) if curves
+                  else None)
         return _drawn(figure, found.message)
     if what == "fit":
         compared = bool(found.effects or found.rig_data or found.learned or found.pieces
                         or found.references)
-        made = (overlay_figure(one, compared) for one in found.overlays)
+        made = (diagnosis_figures.overlay_figure(one, compared) for one in found.overlays)
         return _drawn(next(filter(None, made), None),
                       "No data were held out to run the models on.")
-    return _drawn(agreement_figure(what, found.agreement, found.before.get(what),
+    return _drawn(diagnosis_figures.agreement_figure(what, found.agreement, found.before.get(what),
                                    found.after.get(what)),
                   f"{NAMES[what]}: no value from parts of the recording")
 
@@ -126,11 +114,52 @@ def motion_drawing(proposed: tuple[dict[str, Segment], str] | None, motion: str)
     segments, words = proposed
     time = np.linspace(0.0, total_duration(segments), _SAMPLES, endpoint=False)
     values = demanded_position(segments, time)
-    scale = scale_of(values, "rad" if motion == "rotary" else "m")
-    panel = Panel(Side("time", Scale(1.0, "s")), Side("demanded position", scale))
-    panel.signal(time, values, words, OTHER, width=1.5)
-    return drawn(Figure((panel,), words, size=(WIDTH, _ROW + 2 * _FOOT)))
+    scale = fig.scale_of(values, "rad" if motion == "rotary" else "m")
+    panel = fig.Panel(fig.Side("time", Scale(1.0, "s")), fig.Side("demanded position", scale))
+    panel.signal(time, values, words, fig.OTHER, width=1.5)
+    return drawn(fig.Figure((panel,), words, size=(fig.WIDTH, _ROW + 2 * _FOOT)))
 
 
-def _drawn(figure: Figure | None, otherwise: str) -> Drawing:
+def _drawn(figure: fig.Figure | None, otherwise: str) -> Drawing:
     return words_drawn(otherwise) if figure is None else drawn(figure)
+
+
+def motion_figure(x_d: np.ndarray, shown: np.ndarray, bounds: Experiment, rig: Rig, words: str
+                  ) -> fig.Figure:
+    """Return position, speed, acceleration and pressures against time, with their limits.
+
+    Parameters
+    ----------
+    x_d : (n,) demanded position, m, one value to a sample of the rig.
+    shown : (n, N_OUTPUTS) what the model predicts, SI.
+    words : what the motion is.
+    """
+    dt, rotary = rig.sample_time, rig.motion == "rotary"
+    time = np.arange(len(x_d)) * dt
+    length = "rad" if rotary else "m"
+    v = shown[:, _V]
+    rows = [("position", length, (bounds.lower, bounds.upper),
+             ((shown[:, _X], "predicted", fig.STAGE_ONE), (x_d, "demanded", fig.OTHER))),
+            ("velocity", f"{length}/s", (-bounds.speed, bounds.speed),
+             ((v, "predicted", fig.STAGE_ONE),)),
+            ("acceleration", f"{length}/s²", (-bounds.acceleration, bounds.acceleration),
+             ((np.gradient(v, dt), "predicted", fig.STAGE_ONE),)),
+            ("pressure", "Pa", (bounds.pressure,),
+             ((shown[:, _P1], "chamber 1", fig.STAGE_ONE),
+              (shown[:, _P2], "chamber 2", fig.STAGE_TWO)))]
+    panels = []
+    for i, (name, unit, limits, signals) in enumerate(rows):
+        every = np.concatenate([np.array(limits), *(values for values, _, _ in signals)])
+        last = i == len(rows) - 1
+        panel = fig.Panel(fig.Side("time" if last else "", Scale(1.0, "s" if last else ""),
+                                   limits=(0.0, float(time[-1]))),
+                          fig.Side(name, fig.scale_of(every, unit),
+                                   limits=fig.padded(float(every.min()), float(every.max()), 0.1)))
+        for values, label, colour in signals:
+            panel.signal(time, values, label, colour, width=1.3,
+                         legend=len(signals) > 1)
+        for at in limits:
+            panel.add(fig.Level(at, "", fig.ERROR_LINE, dash="dash"))
+        panels.append(panel)
+    return fig.Figure(tuple(panels), words, (1.0,) * len(panels),
+                      (fig.WIDTH, _PLANNED_ROW * len(panels) + _FOOT))

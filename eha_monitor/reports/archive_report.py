@@ -1,54 +1,264 @@
 """The HTML page of a folder of bags: trends, what needs a look, and every recording."""
 
+import math
 import shlex
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
-from eha_monitor.archive.history import History, history
+import numpy as np
+
+from eha_monitor.archive.forecast import BEYOND, NO_LIMIT, NOT_YET, TOLD, Forecast
+from eha_monitor.archive.history import LEAST, MONTH, History, history
 from eha_monitor.archive.store import INDICATORS, PARAMETERS
 from eha_monitor.health.alarms import NOT_JUDGED
+from eha_monitor.indicators.indicator import WORDS, limits_of_indicator
 from eha_monitor.mismatch.diagnosis import Value
-from eha_monitor.output import write_text
-from eha_monitor.quantity import number, quantity
+from eha_monitor.quantity import SYMBOLS, Scale, number, quantity, with_uncertainty
+from eha_monitor.reports import figure as fig
 from eha_monitor.reports.diagnosis_words import probability, value_words
-from eha_monitor.reports.estimate_words import STATUS_WORDS
-from eha_monitor.reports.history_figures import history_block
+from eha_monitor.reports.estimate_figures import NAMES, add_limits, is_near, limits_of
+from eha_monitor.reports.estimate_report import STATUS_WORDS
 from eha_monitor.reports.page import Cell, Table, render, table
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import effect_words, listed
+
+DAY = 86400.0  # s
+_ENLARGED = 0.4  # share of the picture with the limits below which the values get one of their own
+_WHOLE = "with the limits"
+_INDICATOR = "#007A5A"
+_SOON = 60.0  # s that a picture of a single recording spans
+_FAR = 1.0  # times what has been recorded: so far ahead a picture shows
+_NEVER = 50.0  # years: beyond that a date is no date
+
+
+# ---- in words -------------------------------------------------------------------------------
+
+def title_of(name: str) -> str:
+    """Return the heading of a parameter or an indicator."""
+    return (f"{NAMES[name].capitalize()} {SYMBOLS[name]}" if name in NAMES and name != "L"
+            else WORDS[name][0].upper() + WORDS[name][1:])
+
+
+def trend_words(found: History) -> str:
+    """Return what the line says, in one or two sentences."""
+    line = found.line
+    name = SYMBOLS.get(found.name) or WORDS[found.name]
+    if line is None:
+        lately = int((found.usable & (found.time >= found.since)).sum())
+        return (f"No trend of {name}: it needs {LEAST} values at different times that converged, "
+                f"{lately} there{' since the last step' if found.outlook.jumps else ''}.")
+    slope, spread = MONTH * line.slope, MONTH * line.slope_stddev
+    sign = "+" if slope > 0 else ""
+    words = (f"Trend of {name}: {sign}{with_uncertainty(slope, spread, found.unit)} per 30 "
+             f"days, through {line.count} recordings")
+    if line.level:
+        words += f" ({sign}{number(100 * slope / abs(line.level), 2)} % per 30 days)"
+    words += "." if abs(slope) > 2 * spread else ": not significant."
+    if line.scatter > 0:
+        words += (f" They scatter by {quantity(line.scatter, found.unit, 2)} more than their own "
+                  "uncertainty, which is included in that of the slope.")
+    if found.doubtful:
+        words += (" Fewer than three are from a model that fits: the line goes through values of "
+                  "a model that does not fit and shows changes only.")
+    return words
+
+
+def outlook_words(found: History) -> str:
+    """Return steps and the time to each limit, in sentences; empty where nothing is to say."""
+    words = []
+    if jumps := found.outlook.jumps:
+        words.append(f"Step{'s' if len(jumps) > 1 else ''} at {', '.join(map(_day, jumps))} (a "
+                     "repair, other oil): the trend restarts there.")
+    words += [_forecast_words(one, found) for one in found.outlook.forecasts
+              if one.status != NO_LIMIT]
+    return " ".join(filter(None, words))
+
+
+def _forecast_words(one: Forecast, found: History) -> str:
+    """Return when a limit is reached, or why that is not known."""
+    name = SYMBOLS.get(found.name) or WORDS[found.name].capitalize()
+    limit = quantity(one.limit, found.unit)
+    if one.status == BEYOND:
+        return f"{name} is at its limit of {limit} or beyond it."
+    if one.status == NOT_YET:
+        return (f"Time to {limit}: cannot be predicted yet"
+                + (f" (odds of growth {number(one.odds, 2)} to 1; predicted from 200 on)."
+                   if math.isfinite(one.odds) else " (fewer than eight values)."))
+    if one.status != TOLD:
+        return f"Time to {limit}: no growth towards it."
+    if not math.isfinite(one.early):
+        return f"{name} grows, but does not reach {limit} within the forecast horizon."
+    now = float(found.time[found.usable][-1])
+
+    def near(time: float) -> bool:
+        return math.isfinite(time) and time - now < _NEVER * 365.25 * DAY
+
+    late = _day(one.late) if near(one.late) else "no upper bound"
+    middle = (f", median {_day(one.middle)} ({_from_now(one.middle - now)})"
+              if near(one.middle) else "")
+    return f"{name} reaches {limit} between {_day(one.early)} and {late} (90 % interval){middle}."
+
+
+def _day(time: float) -> str:
+    """Return a time, s since the epoch, as a date, UTC."""
+    return datetime.fromtimestamp(time, tz=UTC).strftime("%Y-%m-%d")
+
+
+def _from_now(seconds: float) -> str:
+    days = seconds / DAY
+    if days < 1.0:
+        return "now"
+    return f"in {days:.0f} days" if days < 100 else f"in {days / 30.4:.0f} months"
+
+
+# ---- drawn ----------------------------------------------------------------------------------
+
+def history_block(found: History, settings: Settings) -> fig.Block:
+    """Return the picture of one parameter over time, with what it says in sentences."""
+    title = title_of(found.name)
+    if found.at_reference:
+        title += f" at {settings.viscosity.reference_temperature:g} °C"
+    if not len(found.time):
+        reason = ("the stamps of the recordings are not calendar times" if found.undated
+                  else "no recording gives a value")
+        return fig.Block(f"history-{found.name}", title, notes=(f"No picture: {reason}.",))
+    lines = _lines_of(found.name, settings)
+    low, high = _range(found, everything=True)
+    near = [limit for limit, _ in lines if is_near(limit, low, high)]
+    view = (min([low, *near]), max([high, *near]))
+    notes = [*filter(None, (trend_words(found), outlook_words(found)))]
+    pictures = [_figure(found, view, lines, _WHOLE)]
+    close = _range(found, everything=False)
+    if close[1] - close[0] < _ENLARGED * (view[1] - view[0]):
+        pictures.append(_figure(found, close, lines, "enlarged"))
+    far = [f"{words} {quantity(limit, found.unit)}" for limit, words in lines
+           if limit not in near]
+    if far:
+        notes.append(f"Outside the plot: {', '.join(far)}.")
+    if found.undated:
+        notes.append(f"{found.undated} more with stamps that are not calendar times: not shown.")
+    return fig.Block(f"history-{found.name}", title, tuple(pictures), tuple(notes))
+
+
+def _lines_of(name: str, settings: Settings) -> list[tuple[float, str]]:
+    """Return the limits to draw, SI, each with its words."""
+    sections = {"B": settings.thresholds.viscous_damping,
+                "beta_e": settings.thresholds.bulk_modulus}
+    if name in sections:
+        return limits_of(sections[name])
+    low, high = limits_of_indicator(name, settings)
+    return [(limit, words) for limit, words in ((low, "limit, below"), (high, "limit, above"))
+            if limit is not None]
+
+
+def _range(found: History, everything: bool) -> tuple[float, float]:
+    """Return the range of the values that the line goes through, with the others that are near."""
+    good = found.usable if found.usable.any() else np.ones(len(found.time), dtype=bool)
+    spread = 2 * fig.stated(found.value[good], np.nan_to_num(found.stddev[good], posinf=0.0))
+    # A bar may be longer than all that there is to see.
+    spread = np.minimum(spread, 2 * np.median(spread) + np.ptp(found.value[good]))
+    low, high = np.min(found.value[good] - spread), np.max(found.value[good] + spread)
+    if not everything:
+        return float(low), float(high)
+    others = found.value[~good]
+    reach = 1.5 * max(high - low, 0.2 * max(abs(low), abs(high)))
+    near = others[(others > low - reach) & (others < high + reach)]
+    return (float(np.min(near, initial=low)), float(np.max(near, initial=high)))
+
+
+def _figure(found: History, view: tuple[float, float], lines: list[tuple[float, str]],
+            which: str) -> fig.Figure:
+    """Draw the values, their bars and the line, with the limits that fall into ``view``, SI."""
+    colour = {"B": fig.STAGE_ONE, "beta_e": fig.STAGE_TWO}.get(found.name, _INDICATOR)
+    scale = fig.axis_scale(max(map(abs, view)), found.unit)
+    value = found.value
+    spread = fig.stated(value, np.nan_to_num(found.stddev, posinf=0.0))
+    bottom, top = fig.padded(*view, 0.12)
+    start, stop = float(found.time[0]), float(found.time[-1])
+    last = horizon(found) if which == _WHOLE else stop
+    margin = 0.04 * (last - start) or _SOON
+    dates = f"{_day(start)} to {_day(stop)}" if _day(start) != _day(stop) else _day(start)
+    panel = fig.Panel(fig.Side(dates, Scale(1.0, "UTC"), which, (start - margin, last + margin),
+                               dates=True),
+                      fig.Side(SYMBOLS.get(found.name) or WORDS[found.name], scale,
+                               limits=(bottom, top)))
+    if found.line is not None:
+        used = found.time[found.usable & (found.time >= found.since)]
+        time = np.linspace(used[0], used[-1], 60)
+        line, stddev = found.line.at(time)
+        panel.add(fig.Band(time, line - stddev, line + stddev, opacity=0.13),
+                  fig.Curve(time, line, "trend ± 1σ",
+                            dash="dash" if found.doubtful else "solid"))
+    for chosen, face, words in ((found.reliable, colour, "value ± 1σ"),
+                                (~found.reliable, "#ffffff", "in doubt ± 1σ")):
+        here = chosen & (value > bottom) & (value < top)
+        if here.any():
+            panel.add(fig.Curve(found.time[here], value[here], words, colour, 0.0, marker="circle",
+                                size=7.0, face=face, error_width=1.0,
+                                y_error=np.minimum(spread[here], 9 * (top - bottom))))
+    for outside, place, marker in ((value >= top, 0.985, "triangle-up"),
+                                   (value <= bottom, 0.015, "triangle-down")):
+        if outside.any():
+            panel.add(fig.Curve(found.time[outside], np.full(outside.sum(), bottom + place * (
+                top - bottom)), f"outside the plot ({int(outside.sum())})", colour, 0.0,
+                marker=marker, size=9.0, face="#ffffff"))
+    add_limits(panel, value, lines, found.unit)
+    _add_outlook(panel, found)
+    words = (f"{title_of(found.name)} of {len(value)} recordings against the date, {which}; "
+             f"{trend_words(found)} {outlook_words(found)}")
+    return fig.Figure((panel,), words.rstrip())
+
+
+def _add_outlook(panel: fig.Panel, found: History) -> None:
+    """Add steps as upright lines and the interval of the passage as a bar on the limit."""
+    for place, jump in enumerate(found.outlook.jumps):
+        panel.add(fig.Level(jump, "" if place else "step", fig.INK, 1.2, "dot", upright=True))
+    bottom, top = panel.ends("y")
+    right = panel.ends("x")[1]
+    for one in _predicted(found):
+        height = one.limit
+        if not bottom <= height <= top or one.early >= right:
+            continue
+        panel.add(fig.Curve(np.array([one.early, min(one.late, right)]), np.full(2, height),
+                            "limit reached, 90 % interval", fig.ERROR_LINE, 9.0, opacity=0.35))
+        if one.middle < right:
+            panel.add(fig.Curve(np.array([one.middle]), np.array([height]), "median",
+                                fig.ERROR_LINE, 0.0, marker="diamond", size=8.0))
+
+
+def _predicted(found: History) -> list[Forecast]:
+    """Return the forecasts that give a date."""
+    return [one for one in found.outlook.forecasts
+            if one.status == TOLD and math.isfinite(one.early)]
+
+
+def horizon(found: History) -> float:
+    """Return the end of a picture, s since the epoch: that of the interval, within reason."""
+    last = float(found.time[-1])
+    ahead = _FAR * max(last - float(found.time[0]), DAY)
+    ends = [min(one.late, last + ahead) for one in _predicted(found) if one.early < last + ahead]
+    return max([last, *ends])
+
+
+# ---- the page -----------------------------------------------------------------------------------
 
 # Verdict -> class of its badge, which are those of the model's status.
 _FITS = {"consistent": "consistent", "mismatch": "mismatch", "unexplained": "mismatch"}
 
 
-def write_archive_report(path: str | Path, rows: Sequence[dict], command: str,
-                         settings: Settings, folder: Path, made_with: str,
-                         reports: Mapping[str, str] | None = None) -> None:
-    """Write the page of a table as a single HTML file.
+def archive_page(rows: Sequence[dict], command: str, settings: Settings, folder: Path,
+                 made_with: str, reports: Mapping[str, str] | None = None) -> str:
+    """Return the page of a table as HTML text.
 
     Parameters
     ----------
-    path : file to write.
-    rows : of the table, in any order.
-    command : ``estimate`` or ``diagnose``.
-    settings : its thresholds are drawn.
+    rows : of the table, in any order; those with another digest than ``made_with`` are marked.
     folder : of the bags.
-    made_with : digest of what the rows are made with now; others are marked as older.
     reports : bag -> address of its report, relative to the page.
-
-    Raises
-    ------
-    InputError
-        If ``path`` cannot be written.
     """
-    write_text(path, archive_page(rows, command, settings, folder, made_with, reports))
-
-
-def archive_page(rows: Sequence[dict], command: str, settings: Settings, folder: Path,
-                 made_with: str, reports: Mapping[str, str] | None = None) -> str:
-    """Return the page as HTML text."""
     reports = reports or {}
     shown = sorted(rows, key=lambda row: (row.get("start") or "", row["bag"]), reverse=True)
     name = folder.resolve().name or str(folder)  # of "." too

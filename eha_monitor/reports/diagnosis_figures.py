@@ -15,27 +15,13 @@ from eha_monitor.mismatch.diagnosis import (
     Curve as MissingTerm,
 )
 from eha_monitor.quantity import SYMBOLS
+from eha_monitor.reports import figure as fig
 from eha_monitor.reports.estimate_figures import NAMES
-from eha_monitor.reports.figure import (
-    STAGE_ONE,
-    STAGE_TWO,
-    Band,
-    Curve,
-    Figure,
-    Level,
-    Panel,
-    Side,
-    axis_scale,
-    padded,
-    scale_of,
-    stated,
-    time_scale,
-)
 from eha_monitor.reports.traces import LARGEST, robust_range, tamed
 from eha_monitor.words import effect_words, listed
 
 # What is measured is dark grey, the model before orange, the model after blue.
-SEEN, BEFORE, AFTER, _FAINT = "#5b6873", STAGE_TWO, STAGE_ONE, "#b4bcc4"
+SEEN, BEFORE, AFTER, _FAINT = "#5b6873", fig.STAGE_TWO, fig.STAGE_ONE, "#b4bcc4"
 LARGE, SMALL = (520, 380), (380, 290)  # CSS pixels; three small ones side by side at 1280
 MISSING = {"force": "missing force", "flow": "missing flow", "drive": "missing drive speed",
            "sensor": "sensor error"}
@@ -99,12 +85,12 @@ def _contrast(curve: MissingTerm) -> float:
                         1e-300)
 
 
-def curve_figure(found: Diagnosis, curve: MissingTerm, large: bool = False) -> Figure:
+def curve_figure(found: Diagnosis, curve: MissingTerm, large: bool = False) -> fig.Figure:
     """Draw the missing term against one quantity: dots measured, a line modelled."""
     order = np.argsort(curve.x)
     x, measured, spread, modelled = (values[order] for values in (
         curve.x, curve.measured, curve.spread, curve.modelled))
-    across = scale_of(x, curve.against_unit)
+    across = fig.scale_of(x, curve.against_unit)
     named = listed([effect_words(effect.name) for effect in found.effects
                     if effect.balance == curve.balance]
                    + ["the learned term" for term in found.learned
@@ -113,50 +99,50 @@ def curve_figure(found: Diagnosis, curve: MissingTerm, large: bool = False) -> F
     spread = np.where(np.isfinite(spread), spread, 0.0)
     low, high, _ = robust_range([measured, measured - spread, measured + spread,
                                  *([modelled] if with_line else [])])
-    scale = axis_scale(max(abs(low), abs(high)), curve.unit)
+    scale = fig.axis_scale(max(abs(low), abs(high)), curve.unit)
     what = MISSING.get(curve.balance, curve.balance)
-    panel = Panel(Side(axis_words(curve.against), across),
-                      Side(what, scale, limits=padded(low, high)))
-    panel.add(Level(0.0, width=0.8))
+    panel = fig.Panel(fig.Side(axis_words(curve.against), across),
+                      fig.Side(what, scale, limits=fig.padded(low, high)))
+    panel.add(fig.Level(0.0, width=0.8))
     label, width = "measured, with its spread", 2.2
     if curve.against == "time":  # it hops to and fro: lines, the model's thin on top
-        panel.add(Curve(x, measured, "measured", SEEN, 3.0, opacity=0.5))
+        panel.add(fig.Curve(x, measured, "measured", SEEN, 3.0, opacity=0.5))
         width = 0.9
     elif len(x) > _MOST_BARS:
-        panel.add(Band(x, measured - spread, measured + spread, colour=SEEN),
-                  Curve(x, measured, label, SEEN, 0.0, marker="circle", size=3.2))
+        panel.add(fig.Band(x, measured - spread, measured + spread, colour=SEEN),
+                  fig.Curve(x, measured, label, SEEN, 0.0, marker="circle", size=3.2))
     else:
-        panel.add(Curve(x, measured, label, SEEN, 0.0, marker="circle", y_error=spread,
+        panel.add(fig.Curve(x, measured, label, SEEN, 0.0, marker="circle", y_error=spread,
                               size=5.6 if large else 4.2, error_colour=_FAINT))
     if with_line:
-        panel.add(Curve(x, modelled, f"modelled: {named}", AFTER, width))
-    return Figure((panel,), f"{what} against {curve.against.replace('_', ' ')}: measured"
+        panel.add(fig.Curve(x, modelled, f"modelled: {named}", AFTER, width))
+    return fig.Figure((panel,), f"{what} against {curve.against.replace('_', ' ')}: measured"
                             f"{' and modelled' if with_line else ''}",
-                  size=LARGE if large else SMALL,
-                  on_time=curve.against == "time")
+                      size=LARGE if large else SMALL,
+                      on_time=curve.against == "time")
 
 
-def learned_figure(term: LearnedTerm) -> Figure:
+def learned_figure(term: LearnedTerm) -> fig.Figure:
     """Draw a learned curve with its band, what was measured of it, and its best formula."""
     shown = [term.curve, *([term.formula_curve] if np.isfinite(term.formula_curve).all() else [])]
     low, high, _ = robust_range([*shown, term.measured])
-    scale, across = axis_scale(max(abs(low), abs(high)), term.unit), scale_of(
+    scale, across = fig.axis_scale(max(abs(low), abs(high)), term.unit), fig.scale_of(
         term.x, term.against_unit)
     x, curve, band = term.x, term.curve, 2.0 * term.band
     name, what = axis_words(term.of[0]), learned_words(term)
-    panel = Panel(Side(name, across), Side(what, scale, limits=padded(low, high)))
+    panel = fig.Panel(fig.Side(name, across), fig.Side(what, scale, limits=fig.padded(low, high)))
     panel.add(
-        Level(0.0, width=0.8),
-        Curve(term.at, term.measured, "measured, with its spread", SEEN, 0.0,
+        fig.Level(0.0, width=0.8),
+        fig.Curve(term.at, term.measured, "measured, with its spread", SEEN, 0.0,
                   marker="circle", y_error=np.abs(term.spread), error_colour=_FAINT, size=5.6),
-        Band(x, curve - band, curve + band, "learned, ± 2 standard deviations", AFTER, 0.25),
-        Curve(x, curve, "learned", AFTER, 2.2))
+        fig.Band(x, curve - band, curve + band, "learned, ± 2 standard deviations", AFTER, 0.25),
+        fig.Curve(x, curve, "learned", AFTER, 2.2))
     if len(shown) > 1:
-        panel.add(Curve(x, term.formula_curve,
+        panel.add(fig.Curve(x, term.formula_curve,
                               "formula" if term.formula else "best formula, worse", BEFORE, 1.6,
                               "dash"))
-    return Figure((panel,), f"{what} against {name}: measured, learned, and the formula",
-                  size=LARGE)
+    return fig.Figure((panel,), f"{what} against {name}: measured, learned, and the formula",
+                      size=LARGE)
 
 
 def learned_words(term: LearnedTerm) -> str:
@@ -170,7 +156,7 @@ def learned_words(term: LearnedTerm) -> str:
 
 
 def overlay_figure(overlay: Overlay, with_after: bool = True,
-                   names: tuple[str, str] = ("model before", "model after")) -> Figure | None:
+                   names: tuple[str, str] = ("model before", "model after")) -> fig.Figure | None:
     """Draw a signal with both models running free, and below what remains of it."""
     known = np.isfinite(overlay.measured) & np.isfinite(overlay.time)
     if known.sum() < 2:
@@ -178,33 +164,33 @@ def overlay_figure(overlay: Overlay, with_after: bool = True,
     start, stop = (float(overlay.time[known][place]) for place in (0, -1))
     # Milliseconds since the start of the recording are no place in it; seconds are.
     t = overlay.time
-    time = Side("time", time_scale(max(stop - start, 1.0)),
-                    limits=padded(start, stop, 0.0))
+    time = fig.Side("time", fig.time_scale(max(stop - start, 1.0)),
+                    limits=fig.padded(start, stop, 0.0))
     models = [(names[0] if with_after else "model", overlay.before, BEFORE,
                "dash" if with_after else "solid")]
     models += [(names[1], overlay.after, AFTER, "solid")] if with_after else []
-    scale = scale_of(overlay.measured, overlay.unit)
+    scale = fig.scale_of(overlay.measured, overlay.unit)
     errors = [overlay.measured - values for _, values, *_ in models]
     low, high, _ = robust_range(errors)
-    error_scale = axis_scale(max(abs(low), abs(high)), overlay.unit)
-    bottom = Panel(time, Side("measured − model", error_scale,
-                                      limits=padded(low, high)))
+    error_scale = fig.axis_scale(max(abs(low), abs(high)), overlay.unit)
+    bottom = fig.Panel(time, fig.Side("measured − model", error_scale,
+                                      limits=fig.padded(low, high)))
     low, high, _ = robust_range([overlay.measured], [values for _, values, *_ in models])
     words = overlay.signal.replace("_", " ")
-    top = Panel(replace(time, name=""), Side(words, scale, limits=padded(low, high)))
-    bottom.add(Level(0.0, width=0.8))
+    top = fig.Panel(replace(time, name=""), fig.Side(words, scale, limits=fig.padded(low, high)))
+    bottom.add(fig.Level(0.0, width=0.8))
     top.signal(t, overlay.measured, "measured", SEEN, width=3.2, opacity=0.55)
     for (name, values, colour, dash), error in zip(models, errors, strict=True):
         top.signal(t, values, name, colour, width=1.3, dash=dash)
         bottom.signal(t, error, f"{name}, error", colour, width=1.1,
                       dash=dash, legend=False)
-    return Figure((top, bottom), f"{words}: measured and simulated by both models, and their "
+    return fig.Figure((top, bottom), f"{words}: measured and simulated by both models, and their "
                                  "errors", (1.0, 1.0), (LARGE[0], LARGE[1] + 40), on_time=True,
-                  stretch=f"{start:.4g} to {stop:.4g} s")
+                      stretch=f"{start:.4g} to {stop:.4g} s")
 
 
 def agreement_figure(name: str, parts: tuple[Agreement, ...], before: Value | None,
-                     after: Value | None) -> Figure | None:
+                     after: Value | None) -> fig.Figure | None:
     """Draw one parameter as each part of the record gives it, with error bars of one sigma."""
     rows = [(part.part.replace("_", " "), part.before.get(name), part.after.get(name))
             for part in parts] + [("whole record", before, after)]
@@ -213,14 +199,14 @@ def agreement_figure(name: str, parts: tuple[Agreement, ...], before: Value | No
         return None
     known = [value for _, *pair in rows for value in pair if _drawable(value)]
     ends = [end for value in known for end in (value.value, *_ends(value, known))]
-    scale = axis_scale(max(map(abs, ends)), known[0].unit)
+    scale = fig.axis_scale(max(map(abs, ends)), known[0].unit)
     low, high = min(ends), max(ends)
     margin = 0.06 * (high - low) or 0.1 * abs(high) or 1.0
     words = f"{NAMES.get(name, name)} {SYMBOLS.get(name, name)}"
-    panel = Panel(Side(words, scale, limits=(low - margin, high + margin)),
-                  Side(rows=tuple(row[0] for row in rows)))
+    panel = fig.Panel(fig.Side(words, scale, limits=(low - margin, high + margin)),
+                      fig.Side(rows=tuple(row[0] for row in rows)))
     if _drawable(after):
-        panel.add(Level(after.value, "", AFTER, dash="dash", upright=True))
+        panel.add(fig.Level(after.value, "", AFTER, dash="dash", upright=True))
     for which, colour, shift, label, marker in ((1, BEFORE, 0.14, "before", "square"),
                                                 (2, AFTER, -0.14, "after", "circle")):
         mine = [(row[which], place + shift) for place, row in enumerate(rows)
@@ -228,12 +214,12 @@ def agreement_figure(name: str, parts: tuple[Agreement, ...], before: Value | No
         if mine:
             reach = np.array([_ends(value, known) for value, _ in mine]).T
             at = np.array([value.value for value, _ in mine])
-            panel.add(Curve(
+            panel.add(fig.Curve(
                 at, np.array([place for _, place in mine]), f"{label}, ± 1σ",
                 colour, 0.0, marker=marker, size=7.5, error_width=2.0, cap=3.0,
                 x_error=np.maximum([at - reach[0], reach[1] - at], 0.0)))
-    return Figure((panel,), f"{NAMES.get(name, name)} from each part of the record, before and "
-                            "after modelling", size=(LARGE[0], 110 + 44 * len(rows)))
+    return fig.Figure((panel,), f"{NAMES.get(name, name)} from each part of the record, before "
+                                "and after modelling", size=(LARGE[0], 110 + 44 * len(rows)))
 
 
 def _drawable(value: Value | None) -> bool:
@@ -244,5 +230,5 @@ def _ends(value: Value, all_of_them: list[Value]) -> tuple[float, float]:
     """Return the ends of an error bar, cut where it would squeeze all others flat."""
     centres = [other.value for other in all_of_them]
     reach = max(1.5 * (max(centres) - min(centres)), 0.2 * max(map(abs, centres)))
-    half = float(stated(value.value, value.stddev)) if value.stddev > 0 else 0.0
+    half = float(fig.stated(value.value, value.stddev)) if value.stddev > 0 else 0.0
     return value.value - min(half, reach), value.value + min(half, reach)

@@ -10,27 +10,12 @@ import numpy as np
 
 from eha_monitor.balances.baseline import Baseline
 from eha_monitor.indicators.indicator import Indicator
-from eha_monitor.mismatch.diagnosis import (
-    Considered,
-    Curve,
-    Diagnosis,
-    LearnedTerm,
-    NamedEffect,
-    RigFinding,
-    Value,
-)
-from eha_monitor.output import write_text
+from eha_monitor.mismatch import diagnosis
+from eha_monitor.mismatch.diagnosis import Diagnosis, Value
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import DIAGNOSED, SYMBOLS, number, quantity
+from eha_monitor.reports import diagnosis_figures as figures
 from eha_monitor.reports import diagnosis_words as words
-from eha_monitor.reports.diagnosis_figures import (
-    agreement_figure,
-    curve_figure,
-    informative,
-    learned_figure,
-    overlay_figure,
-    presentable,
-)
 from eha_monitor.reports.estimate_figures import NAMES
 from eha_monitor.reports.figure import Block
 from eha_monitor.reports.page import FirstScreen, Table, render, table
@@ -44,34 +29,19 @@ from eha_monitor.words import effect_words, listed
 _MOST_CURVES = 6
 
 
-def write_diagnosis_report(path: str | Path, found: Diagnosis, settings: Settings,
-                           losses: Sequence[str] = (), command: str = "",
-                           indicators: Sequence[Indicator] = ()) -> None:
-    """Write the report of a diagnosis as a single HTML file.
+def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] = (),
+                   command: str = "", indicators: Sequence[Indicator] = ()) -> str:
+    """Return the report of a diagnosis as HTML text.
 
     Parameters
     ----------
-    path : file to write; an existing one is replaced at once when the new one is complete.
-    found : the diagnosis.
     settings : the config it was made with.
     losses : sentences about what was lost in reading the recordings.
     command : the command that makes the same answer again.
-    indicators : of the health, with a value or without.
-
-    Raises
-    ------
-    InputError
-        If ``path`` cannot be written.
     """
-    write_text(path, diagnosis_page(found, settings, losses, command, indicators))
-
-
-def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] = (),
-                   command: str = "", indicators: Sequence[Indicator] = ()) -> str:
-    """Return the report as HTML text."""
-    found = presentable(found)
+    found = figures.presentable(found)
     name = listed([Path(bag).name or bag for bag in found.bags]) or settings.rig.name
-    curves = informative(found)
+    curves = figures.informative(found)
     _, statistics = words.advice_in_parts(found)
     return render(
         "diagnosis.html.j2", plus_minus=DIAGNOSED, title=f"EHA diagnosis: {name}", name=name,
@@ -84,7 +54,7 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
         learned=[_learned(term) for term in found.learned],
         effects=[_effect(effect, found.duration_s) for effect in found.effects],
         location=_location(found),
-        curves=[curve_figure(found, curve)
+        curves=[figures.curve_figure(found, curve)
                 for curve in curves[0 if found.learned else 1 : _MOST_CURVES]],
         fit=_fit(found), fit_data=words.DATA.get(found.data, found.data),
         by_balances="position" not in found.signals, overlays=_overlays(found),
@@ -110,13 +80,14 @@ def _names(found: Diagnosis) -> tuple[str, str]:
 
 # ---- the first screen -----------------------------------------------------------------------
 
-def _first_screen(found: Diagnosis, curves: list[Curve]) -> FirstScreen:
+def _first_screen(found: Diagnosis, curves: list[diagnosis.Curve]) -> FirstScreen:
     """Return the verdict, the missing term, B and beta_e before and after, what to do."""
     picture, caption = None, ""
     if found.learned:
-        picture, caption = learned_figure(found.learned[0]), _learned_note(found.learned[0])
+        picture = figures.learned_figure(found.learned[0])
+        caption = _learned_note(found.learned[0])
     elif curves:
-        picture = curve_figure(found, curves[0], large=True)
+        picture = figures.curve_figure(found, curves[0], large=True)
         caption = _curve_note(found, curves[0])
     shown = (found.before, found.after) if _compared(found) else (found.before,)
     heads = ("parameter", *(_names(found) if _compared(found) else ("model of the config",)))
@@ -140,7 +111,7 @@ def _symbol(name: str) -> str:
     return f"{NAMES.get(name, name)} {SYMBOLS.get(name, name)}"
 
 
-def _curve_note(found: Diagnosis, curve: Curve) -> str:
+def _curve_note(found: Diagnosis, curve: diagnosis.Curve) -> str:
     dots, line = ("Grey", "Blue") if curve.against == "time" else ("Dots", "Line")
     if found.effects:
         note = (f"{dots}: measured term that the linear model lacks. {line}: the identified "
@@ -154,7 +125,7 @@ def _curve_note(found: Diagnosis, curve: Curve) -> str:
     return note
 
 
-def _learned_note(term: LearnedTerm) -> str:
+def _learned_note(term: diagnosis.LearnedTerm) -> str:
     formula = ("Dashed: the formula, which explains as much as the curve to within 5 %."
                if term.formula else "Dashed: the best formula; the curve fits better."
                if term.rivals else "")
@@ -226,7 +197,8 @@ def _machine(found: Diagnosis) -> tuple[Table, Table] | None:
                        "that stays unexplained when the fit leaves that recording out."))
 
 
-def _rig_table(findings: Sequence[RigFinding], tolerance: Tolerance, key: str = "") -> Table:
+def _rig_table(findings: Sequence[diagnosis.RigFinding], tolerance: Tolerance, key: str = ""
+               ) -> Table:
     """Return numbers of the rig as configured and as the recording has them."""
     wrong = not key
     rows = []
@@ -242,7 +214,7 @@ def _rig_table(findings: Sequence[RigFinding], tolerance: Tolerance, key: str = 
                  "key | number | number | value" + (" | number | value | " if wrong else ""), key)
 
 
-def _learned(term: LearnedTerm) -> dict[str, Any]:
+def _learned(term: diagnosis.LearnedTerm) -> dict[str, Any]:
     """Return what the page says of a learned term."""
     rivals = [f"{shown} ({words.log_units(behind)} log units "
               f"{'better' if behind < 0 else 'worse'})" for shown, behind in term.rivals]
@@ -256,7 +228,7 @@ def _learned(term: LearnedTerm) -> dict[str, Any]:
                        "its last value")]}
 
 
-def _effect(effect: NamedEffect, duration_s: float) -> dict[str, Any]:
+def _effect(effect: diagnosis.NamedEffect, duration_s: float) -> dict[str, Any]:
     """Return what the page says of an effect."""
     known = CATALOGUE.get(effect.name)
     about = {p.name: p.description for p in known.parameters} if known else {}
@@ -314,7 +286,7 @@ def _fit(found: Diagnosis) -> Table:
 
 def _overlays(found: Diagnosis) -> list:
     names = ("healthy model", "model now") if found.references else ("model before", "model after")
-    made = [overlay_figure(overlay, _compared(found), names) for overlay in found.overlays]
+    made = [figures.overlay_figure(overlay, _compared(found), names) for overlay in found.overlays]
     return [one for one in made if one is not None]
 
 
@@ -359,9 +331,9 @@ def _first_view(baselines: Sequence[Baseline]) -> Table:
                       "refused.")
 
 
-def _considered(considered: tuple[Considered, ...]) -> list[tuple[str, Table]]:
+def _considered(considered: tuple[diagnosis.Considered, ...]) -> list[tuple[str, Table]]:
     """Return what was tried: title and table, one for each set of effects named by then."""
-    groups: dict[tuple[str, ...], list[Considered]] = {}
+    groups: dict[tuple[str, ...], list[diagnosis.Considered]] = {}
     for one in considered:
         groups.setdefault(one.beside, []).append(one)
     found = []
@@ -384,8 +356,8 @@ def _agreement(found: Diagnosis) -> Block | None:
     names = dict.fromkeys(name for part in found.agreement for name in (*part.before, *part.after))
     pictures, notes = [], []
     for name in names:
-        one = agreement_figure(name, found.agreement, found.before.get(name),
-                               found.after.get(name))
+        one = figures.agreement_figure(name, found.agreement, found.before.get(name),
+                                       found.after.get(name))
         if one is None:
             continue
         pictures.append(one)

@@ -8,43 +8,8 @@ import numpy as np
 from eha_monitor.estimation.consistency import variance_ratios, whitened
 from eha_monitor.estimation.results import Estimate, StageResult
 from eha_monitor.quantity import SYMBOLS, Scale, number, quantity
-from eha_monitor.reports.figure import (
-    ERROR_LINE,
-    HEIGHT,
-    MEASURED,
-    OTHER,
-    STAGE_ONE,
-    STAGE_TWO,
-    WARN_LINE,
-    WIDTH,
-    WINDOW,
-    Band,
-    Block,
-    Curve,
-    Figure,
-    Level,
-    Panel,
-    Side,
-    Span,
-    Text,
-    axis_scale,
-    cut_note,
-    padded,
-    scale_of,
-    stated,
-    time_scale,
-)
-from eha_monitor.reports.traces import (
-    autocorrelation,
-    band_envelope,
-    choose_smoother,
-    in_gap,
-    informative_window,
-    robust_peak,
-    robust_range,
-    running_rms,
-    tamed,
-)
+from eha_monitor.reports import figure as fig
+from eha_monitor.reports import traces
 from eha_monitor.settings.monitor import Limits
 
 NAMES = {"B": "viscous damping", "beta_e": "effective bulk modulus", "L": "leakage"}
@@ -56,10 +21,11 @@ _WHOLE, _SHARED = slice(None), "record"  # charts of the whole record zoom toget
 def presentable(estimate: Estimate) -> Estimate:
     """Return the estimate with NaN for infinities and for sizes that no picture can show."""
     recording = replace(estimate.recording, channels={
-        name: tamed(values) for name, values in estimate.recording.channels.items()})
-    one, two = (replace(stage, **{f.name: tamed(getattr(stage, f.name)) for f in fields(stage)
-                                  if isinstance(getattr(stage, f.name), np.ndarray)})
-                for stage in (estimate.stage_one, estimate.stage_two))
+        name: traces.tamed(values) for name, values in estimate.recording.channels.items()})
+    one, two = (replace(stage, **{
+        f.name: traces.tamed(getattr(stage, f.name)) for f in fields(stage)
+        if isinstance(getattr(stage, f.name), np.ndarray)})
+        for stage in (estimate.stage_one, estimate.stage_two))
     return replace(estimate, recording=recording, stage_one=one, stage_two=two)
 
 
@@ -84,18 +50,20 @@ class _Watched:
 def _watched(estimate: Estimate, name: str) -> _Watched:
     thresholds = estimate.settings.thresholds
     if name == "B":
-        return _Watched(name, estimate.stage_one, limits_of(thresholds.viscous_damping), STAGE_ONE)
-    return _Watched(name, estimate.stage_two, limits_of(thresholds.bulk_modulus), STAGE_TWO)
+        stage, limits, colour = estimate.stage_one, thresholds.viscous_damping, fig.STAGE_ONE
+    else:
+        stage, limits, colour = estimate.stage_two, thresholds.bulk_modulus, fig.STAGE_TWO
+    return _Watched(name, stage, limits_of(limits), colour)
 
 
-def parameter_block(estimate: Estimate, name: str) -> Block:
+def parameter_block(estimate: Estimate, name: str) -> fig.Block:
     """Return the convergence of ``B`` or ``beta_e``: all of it with the limits, and its end."""
     one = _watched(estimate, name)
     stage, value = one.stage, one.stage.value
     key, title = f"parameter-{name}", f"{NAMES[name].capitalize()} {SYMBOLS[name]}"
     if not np.isfinite(value).any():
         reason = stage.estimate.message or "the stage had no data"
-        return Block(key, title, notes=(f"No curve: {reason}",))
+        return fig.Block(key, title, notes=(f"No curve: {reason}",))
     notes = []
     low, high = core_range(stage, 0.4)
     far = [f"{words} {quantity(limit, stage.estimate.unit)}" for limit, words in one.limits
@@ -118,19 +86,19 @@ def parameter_block(estimate: Estimate, name: str) -> Block:
         notes.append(f"A temperature was recorded: the limits apply at {at:g} °C, to which B is "
                      "converted by the viscosity law before it is compared; the curve shows B as "
                      "estimated.")
-    return Block(key, title, tuple(pictures), tuple(notes))
+    return fig.Block(key, title, tuple(pictures), tuple(notes))
 
 
 def parameter_figure(estimate: Estimate, names: Sequence[str], height: int | None = None
-                     ) -> Figure | None:
+                     ) -> fig.Figure | None:
     """Draw ``B``, ``beta_e`` or both over the whole record; None where neither has a curve."""
     shown = [one for one in (_watched(estimate, name) for name in names)
              if np.isfinite(one.stage.value).any()]
     if not shown:
         return None
-    height = height or (HEIGHT - 100 if len(shown) == 1 else 560)
+    height = height or (fig.HEIGHT - 100 if len(shown) == 1 else 560)
     return replace(_parameters(shown, _WHOLE, [one.view() for one in shown], "whole record"),
-                   size=(WIDTH, height))
+                   size=(fig.WIDTH, height))
 
 
 def core_range(stage: StageResult, from_share: float) -> tuple[float, float]:
@@ -144,7 +112,7 @@ def core_range(stage: StageResult, from_share: float) -> tuple[float, float]:
         value, stddev = stage.value, stage.stddev
     finite = np.isfinite(value)
     value = value[finite]
-    spread = 2 * stated(value, np.nan_to_num(stddev[finite], nan=0.0, posinf=0.0))
+    spread = 2 * fig.stated(value, np.nan_to_num(stddev[finite], nan=0.0, posinf=0.0))
     half = len(value) // 2
     low, high = np.percentile(value, (0.5, 99.5))
     late, wide = value[half:], spread[half:]
@@ -173,7 +141,7 @@ def _settled(stage: StageResult) -> int:
 
 
 def _parameters(shown: list[_Watched], part: slice, views: list[tuple[float, float]], words: str
-                ) -> Figure:
+                ) -> fig.Figure:
     """Draw parameters one above the other over a part of the record; ``views`` SI."""
     time = _time_side(shown[0].stage.time, part, words)
     panels = tuple(_parameter_panel(one, part, view, time if one is shown[-1] else replace(
@@ -181,38 +149,39 @@ def _parameters(shown: list[_Watched], part: slice, views: list[tuple[float, flo
     last = [f"{NAMES[one.name]}, last value " + quantity(
         one.stage.value[np.isfinite(one.stage.value)][-1], one.stage.estimate.unit)
         for one in shown]
-    return Figure(panels, f"{' and '.join(last)}: against time with the one-sigma band and the "
-                          f"limits, {words}", (1.0,) * len(panels), on_time=True,
-                  stretch="" if part.start else _SHARED)
+    return fig.Figure(panels, f"{' and '.join(last)}: against time with the one-sigma band and "
+                              f"the limits, {words}", (1.0,) * len(panels), on_time=True,
+                      stretch="" if part.start else _SHARED)
 
 
-def _time_side(time: np.ndarray, part: slice, words: str) -> Side:
+def _time_side(time: np.ndarray, part: slice, words: str) -> fig.Side:
     """Return the axis of a part of (n,) times, s, in the unit that suits all of it."""
     t = time[part]
-    return Side("time", time_scale(float(time[-1] - time[0])), words,
-                (float(t[0]), float(t[-1])) if len(t) > 1 and t[-1] > t[0] else None)
+    return fig.Side("time", fig.time_scale(float(time[-1] - time[0])), words,
+                    (float(t[0]), float(t[-1])) if len(t) > 1 and t[-1] > t[0] else None)
 
 
-def _parameter_panel(one: _Watched, part: slice, view: tuple[float, float], time: Side) -> Panel:
+def _parameter_panel(one: _Watched, part: slice, view: tuple[float, float], time: fig.Side
+                     ) -> fig.Panel:
     """Return the curve, its band and the limits that fall into ``view``, SI."""
     stage, unit = one.stage, one.stage.estimate.unit
     t, value = stage.time[part], stage.value[part]
-    spread = stated(value, stage.stddev[part])
-    low, high = padded(*view, 0.12)
-    panel = Panel(time, Side(SYMBOLS[one.name], axis_scale(max(map(abs, view)), unit),
-                             limits=(low, high)))
-    band = band_envelope(t, np.clip(value - spread, low - 9 * (high - low), None),
-                         np.clip(value + spread, None, high + 9 * (high - low)))
+    spread = fig.stated(value, stage.stddev[part])
+    low, high = fig.padded(*view, 0.12)
+    panel = fig.Panel(time, fig.Side(SYMBOLS[one.name], fig.axis_scale(max(map(abs, view)), unit),
+                                     limits=(low, high)))
+    band = traces.band_envelope(t, np.clip(value - spread, low - 9 * (high - low), None),
+                                np.clip(value + spread, None, high + 9 * (high - low)))
     if len(band[0]):
         thin = 2 * np.nanmedian(spread) < 0.006 * (high - low)
-        panel.add(Band(*band, "± 1σ (mostly thinner than the line)" if thin else "± 1σ",
-                       one.colour))
+        panel.add(fig.Band(*band, "± 1σ (mostly thinner than the line)" if thin else "± 1σ",
+                           one.colour))
     panel.signal(t, value, f"{SYMBOLS[one.name]} estimated", one.colour, width=1.8)
     add_limits(panel, value, one.limits, unit)
     return panel
 
 
-def add_limits(panel: Panel, value: np.ndarray, lines: list[tuple[float, str]], unit: str
+def add_limits(panel: fig.Panel, value: np.ndarray, lines: list[tuple[float, str]], unit: str
                ) -> None:
     """Add the limits that fall into a panel, each with its name where ``value`` leaves room.
 
@@ -228,8 +197,8 @@ def add_limits(panel: Panel, value: np.ndarray, lines: list[tuple[float, str]], 
         if not bottom < place < top:
             continue
         warn = label.startswith("WARN")
-        colour = WARN_LINE if warn else ERROR_LINE
-        panel.add(Level(place, "", colour, 1.3, "dash" if warn else "dot"))
+        colour = fig.WARN_LINE if warn else fig.ERROR_LINE
+        panel.add(fig.Level(place, "", colour, 1.3, "dash" if warn else "dot"))
         # Labels stand apart where a WARN and an ERROR limit lie close together.
         above = label in ("WARN below", "ERROR above", "limit, above")
         height = (place - bottom) / (top - bottom) + (0.025 if above else -0.025)
@@ -237,9 +206,9 @@ def add_limits(panel: Panel, value: np.ndarray, lines: list[tuple[float, str]], 
             continue
         taken.append(height)
         left = not _clear(value, place, top - bottom, -1) and _clear(value, place, top - bottom, 1)
-        panel.add(Text(0.0 if left else 1.0, place, f"{label} {quantity(place, unit)}", colour,
-                       "left" if left else "right", "bottom" if above else "top", x_share=True,
-                       shift=(4 if left else -4, 4 if above else -4)))
+        panel.add(fig.Text(0.0 if left else 1.0, place, f"{label} {quantity(place, unit)}", colour,
+                           "left" if left else "right", "bottom" if above else "top", x_share=True,
+                           shift=(4 if left else -4, 4 if above else -4)))
 
 
 def _clear(value: np.ndarray, place: float, height: float, end: int) -> bool:
@@ -303,23 +272,23 @@ class _Motion:
 
     def estimated(self, attribute: str) -> list[_Signal]:
         """Return the states of both stages that have data; nothing where the data have a gap."""
-        gap = in_gap(self.estimate.recording.get("x"))
-        stages = ((self.estimate.stage_one, "stage one", STAGE_ONE, "solid"),
-                  (self.estimate.stage_two, "stage two", STAGE_TWO, "dash"))
+        gap = traces.in_gap(self.estimate.recording.get("x"))
+        stages = ((self.estimate.stage_one, "stage one", fig.STAGE_ONE, "solid"),
+                  (self.estimate.stage_two, "stage two", fig.STAGE_TWO, "dash"))
         found = [_Signal(label, np.where(gap, np.nan, getattr(stage, attribute)), colour, 1.5,
                          dash, True) for stage, label, colour, dash in stages
                  if len(getattr(stage, attribute)) == len(self.estimate.recording)]
         return [one for one in found if one.drawable]
 
     def pictures(self, signals: list[_Signal], residuals: list[_Signal], name: str, unit: str
-                 ) -> tuple[Figure, ...]:
+                 ) -> tuple[fig.Figure, ...]:
         """Return the whole record and the window, each with the signals above their residuals."""
         n = len(self.estimate.recording)
         signals = [one for one in signals if one.drawable]
         residuals = sorted((one for one in residuals if one.drawable), reverse=True,
                            key=lambda one: float(np.nanstd(one.values)))  # small ones on top
         known = [one.values for one in signals if not one.estimated]
-        scale = scale_of(np.concatenate(known or [one.values for one in signals]), unit)
+        scale = fig.scale_of(np.concatenate(known or [one.values for one in signals]), unit)
         parts = [_Window(0, n, "whole record")]
         if self.window.stop - self.window.start < n:
             parts.append(self.window)
@@ -327,56 +296,58 @@ class _Motion:
                      for part in parts)
 
     def _picture(self, part: _Window, signals: list[_Signal], residuals: list[_Signal],
-                 named: tuple[str, str], scale) -> Figure:
+                 named: tuple[str, str], scale) -> fig.Figure:
         """Draw one part of the record; ``named`` is the quantity and its SI unit."""
         recording, (name, unit) = self.estimate.recording, named
         here = slice(part.start, part.stop)
         whole = part.stop - part.start == len(recording)
         t = recording.time[here]
-        clock = time_scale(recording.duration if whole else 1.0)
-        time = Side("time", clock, part.words,
-                    (float(t[0]), float(t[-1])) if len(t) > 1 else None)
-        low, high, peak = robust_range(
+        clock = fig.time_scale(recording.duration if whole else 1.0)
+        time = fig.Side("time", clock, part.words,
+                        (float(t[0]), float(t[-1])) if len(t) > 1 else None)
+        low, high, peak = traces.robust_range(
             [one.values[here] for one in signals if not one.estimated],
             [one.values[here] for one in signals if one.estimated])
-        top = Panel(time, Side(name, scale, limits=padded(low, high)))
+        top = fig.Panel(time, fig.Side(name, scale, limits=fig.padded(low, high)))
         if whole and self.window.stop - self.window.start < len(t):
-            top.add(Span(t[self.window.start], t[self.window.stop - 1], "", WINDOW, 0.45, True))
+            top.add(fig.Span(t[self.window.start], t[self.window.stop - 1], "", fig.WINDOW, 0.45,
+                             True))
         for one in signals:
             top.signal(t, one.values[here], one.label, one.colour, width=one.width, dash=one.dash)
         if peak:
-            top.add(cut_note(quantity(peak, unit, 2)))
+            top.add(fig.cut_note(quantity(peak, unit, 2)))
         panels = [top]
         if residuals:
             panels = [replace(top, x=replace(time, name="", note="")), _residuals(
                 time, t, [(one, one.values[here]) for one in residuals], (unit, high - low))]
-        return Figure(tuple(panels), f"{name} against time, {part.words}: "
-                      + ", ".join(one.label for one in signals),
-                      (2.0, 1.0)[:len(panels)], (WIDTH, HEIGHT + (60 if residuals else -60)),
-                      on_time=True, stretch=_SHARED if whole else "part")
+        return fig.Figure(tuple(panels), f"{name} against time, {part.words}: "
+                          + ", ".join(one.label for one in signals),
+                          (2.0, 1.0)[:len(panels)],
+                          (fig.WIDTH, fig.HEIGHT + (60 if residuals else -60)),
+                          on_time=True, stretch=_SHARED if whole else "part")
 
 
-def _residuals(time: Side, t: np.ndarray, signals: list[tuple[_Signal, np.ndarray]],
-               size: tuple[str, float]) -> Panel:
+def _residuals(time: fig.Side, t: np.ndarray, signals: list[tuple[_Signal, np.ndarray]],
+               size: tuple[str, float]) -> fig.Panel:
     """Return measured minus estimated about zero, and say where single peaks are cut off.
 
     ``size`` is the SI unit and the height of the panel above, beyond which nothing is followed.
     """
     unit, most = size
-    half, peak = robust_peak(np.concatenate([values for _, values in signals]))
+    half, peak = traces.robust_peak(np.concatenate([values for _, values in signals]))
     if most > 0:
         half = min(half, most)
-    panel = Panel(time, Side("residual", axis_scale(half or 1.0, unit),
-                             limits=padded(-half, half)))
+    panel = fig.Panel(time, fig.Side("residual", fig.axis_scale(half or 1.0, unit),
+                                     limits=fig.padded(-half, half)))
     for one, values in signals:
         panel.signal(t, values, f"{one.label}, residual", one.colour, width=1.0, legend=False)
-    panel.add(Level(0.0, width=0.8))
+    panel.add(fig.Level(0.0, width=0.8))
     if peak > 1.01 * half:
-        panel.add(cut_note(quantity(peak, unit, 2)))
+        panel.add(fig.cut_note(quantity(peak, unit, 2)))
     return panel
 
 
-def motion_blocks(estimate: Estimate) -> list[Block]:
+def motion_blocks(estimate: Estimate) -> list[fig.Block]:
     """Return pressure difference, position, velocity and acceleration, in that order."""
     motion = _Motion(estimate, _find_window(estimate))
     return [_pressure_block(motion), _position_block(motion), _derivative_block(motion, 1),
@@ -394,64 +365,65 @@ def _find_window(estimate: Estimate) -> _Window:
         verdicts = [s.consistency for s in (estimate.stage_one, estimate.stage_two)
                     if s.consistency is not None and not s.consistency.consistent]
         peak = next((v.peak_time_s for v in verdicts if np.isfinite(v.peak_time_s)), None)
-    start, stop, words = informative_window(position, recording.sample_time, peak)
+    start, stop, words = traces.informative_window(position, recording.sample_time, peak)
     return _Window(start, stop, words + ("" if peak is None else " near the worst misfit"))
 
 
-def _pressure_block(motion: _Motion) -> Block:
+def _pressure_block(motion: _Motion) -> fig.Block:
     """Return the pressure difference, or the measured force where there is no pressure."""
     recording, rig = motion.estimate.recording, motion.estimate.settings.rig
     p1, p2 = recording.get("p1"), recording.get("p2")
-    signals, notes = [_Signal("p₁ − p₂, measured", p1 - p2, STAGE_ONE)], ()
+    signals, notes = [_Signal("p₁ − p₂, measured", p1 - p2, fig.STAGE_ONE)], ()
     title = "Pressure difference"
     if signals[0].drawable:
         if rig.area_1 and rig.area_2 and abs(rig.area_2 / rig.area_1 - 1) > 1e-3:
             signals.append(_Signal("load pressure p₁ − p₂·A₂/A₁", p1 - p2 * rig.area_2
-                                   / rig.area_1, STAGE_TWO))
+                                   / rig.area_1, fig.STAGE_TWO))
             notes = ("The areas differ, so the load pressure is plotted.",)
         pictures = motion.pictures(signals, [], "pressure difference", "Pa")
     elif recording.has("force"):
         unit, word = ("N·m", "torque") if rig.motion == "rotary" else ("N", "force")
         title = f"Driving {word}"
         pictures = motion.pictures([_Signal(f"measured {word}", recording.get("force"),
-                                            STAGE_ONE)], [], word, unit)
+                                            fig.STAGE_ONE)], [], word, unit)
         notes = (f"The pressures were not both recorded; the measured {word} replaces A·Δp.",)
     else:
         pictures = ()
         notes = ("Neither both pressures nor a force were recorded, so there is nothing to show.",)
-    return Block("pressure", title, pictures, notes)
+    return fig.Block("pressure", title, pictures, notes)
 
 
-def _position_block(motion: _Motion) -> Block:
+def _position_block(motion: _Motion) -> fig.Block:
     """Return position measured and estimated."""
     unit = motion.unit(0)
     word = "angle" if unit == "rad" else "position"
-    measured = _Signal("measured", motion.estimate.recording.get("x"), MEASURED, 4.0)
+    measured = _Signal("measured", motion.estimate.recording.get("x"), fig.MEASURED, 4.0)
     estimated = motion.estimated("position")
     if not measured.drawable and not estimated:
-        return Block("position", word.capitalize(),
-                     notes=("No position was recorded and none was estimated.",))
+        return fig.Block("position", word.capitalize(),
+                         notes=("No position was recorded and none was estimated.",))
     residuals = [replace(one, values=measured.values - one.values) for one in estimated]
     notes = () if estimated else ("No stage had data, so there is no estimate to compare.",)
-    return Block("position", word.capitalize(), motion.pictures(
+    return fig.Block("position", word.capitalize(), motion.pictures(
         [measured, *estimated], residuals, word, unit), notes)
 
 
-def _derivative_block(motion: _Motion, order: int) -> Block:
+def _derivative_block(motion: _Motion, order: int) -> fig.Block:
     """Return velocity (order 1) or acceleration (order 2), measured and estimated."""
     name = ("velocity", "acceleration")[order - 1]
     recording, estimated = motion.estimate.recording, motion.estimated(name)
     smoother = None
     if order == 1 and recording.has("v"):
-        measured = _Signal("measured", recording.get("v"), MEASURED, 4.0)
+        measured = _Signal("measured", recording.get("v"), fig.MEASURED, 4.0)
     else:
-        smoother = choose_smoother(recording.get("x"), recording.sample_time, order)
+        smoother = traces.choose_smoother(recording.get("x"), recording.sample_time, order)
         which = ("derivative", "second derivative")[order - 1]
         values = smoother.of(recording.get("x")) if smoother else recording.get("none")
         length = quantity(smoother.length, "s", 2) if smoother else ""
-        measured = _Signal(f"{which} of measured position, over {length}", values, MEASURED, 4.0)
+        measured = _Signal(f"{which} of measured position, over {length}", values,
+                           fig.MEASURED, 4.0)
     if not measured.drawable and not estimated:
-        return Block(name, name.capitalize(), notes=(
+        return fig.Block(name, name.capitalize(), notes=(
             f"No {name} was measured or estimated, and there are too few position samples to "
             "differentiate.",))
     notes: tuple[str, ...] = ()
@@ -464,27 +436,27 @@ def _derivative_block(motion: _Motion, order: int) -> Block:
     residuals = [replace(one, values=measured.values - (
         smoother.alike(one.values, recording.get("x")) if smoother else one.values))
         for one in estimated]
-    return Block(name, name.capitalize(), motion.pictures(
+    return fig.Block(name, name.capitalize(), motion.pictures(
         [measured, *estimated], residuals, name, motion.unit(order)), notes)
 
 
 # ---- the innovations ------------------------------------------------------------------------
 
-def innovation_block(estimate: Estimate, stage: StageResult) -> Block:
+def innovation_block(estimate: Estimate, stage: StageResult) -> fig.Block:
     """Return the innovations of one stage: over time, their memory, and the verdict."""
     key, title = f"innovations-{stage.stage}", f"Innovations of stage {stage.stage}"
     z = whitened(stage.innovation, stage.innovation_stddev)
     z = np.where(np.isfinite(z), z, np.nan)
     count = int(np.isfinite(z).sum())
     if not count:
-        return Block(key, title, notes=(
+        return fig.Block(key, title, notes=(
             f"Stage {stage.stage} had no data, so there are no innovations to judge.",))
-    colour = STAGE_ONE if stage.stage == "one" else STAGE_TWO
+    colour = fig.STAGE_ONE if stage.stage == "one" else fig.STAGE_TWO
     pictures = [_innovations(stage, z, colour)]
     memory = _memory(stage, z, colour, estimate.recording.sample_time) if count >= 50 else None
     if memory:
         pictures.append(memory)
-    return Block(key, title, tuple(pictures), _innovation_words(stage, count))
+    return fig.Block(key, title, tuple(pictures), _innovation_words(stage, count))
 
 
 def _innovation_words(stage: StageResult, count: int) -> tuple[str, ...]:
@@ -509,31 +481,32 @@ def _innovation_words(stage: StageResult, count: int) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _innovations(stage: StageResult, z: np.ndarray, colour: str) -> Figure:
+def _innovations(stage: StageResult, z: np.ndarray, colour: str) -> fig.Figure:
     """Draw standardised innovations, and their RMS in windows, against time."""
     t, time = stage.time, _time_side(stage.time, _WHOLE, "whole record")
-    half, peak = robust_peak(z)
+    half, peak = traces.robust_peak(z)
     half = max(4.5, 1.05 * half)
-    top = Panel(replace(time, name="", note=""), Side("innovation / its σ",
-                                                      limits=(-half, half)))
+    top = fig.Panel(replace(time, name="", note=""), fig.Side("innovation / its σ",
+                                                              limits=(-half, half)))
     top.signal(t, z, "innovation / its σ", colour, width=0.8, legend=False)
-    top.add(Level(-2.0, dash="dash"), Level(2.0, "±2: 95 % should lie within", dash="dash"))
+    top.add(fig.Level(-2.0, dash="dash"),
+            fig.Level(2.0, "±2: 95 % should lie within", dash="dash"))
     if peak > half:
-        top.add(cut_note(number(peak, 2)))
-    middle, rms = running_rms(z)
-    bottom = Panel(time, Side(
+        top.add(fig.cut_note(number(peak, 2)))
+    middle, rms = traces.running_rms(z)
+    bottom = fig.Panel(time, fig.Side(
         "running RMS,\nexpected 1", limits=(0.0, max(2.0, 1.1 * np.nanmax(rms, initial=0.0)))))
-    bottom.add(Curve(np.interp(middle, np.arange(len(t)), t), rms, "running RMS", colour, 1.5,
-                     marker="circle" if len(rms) < 4 else "", legend=False),
-               Level(1.0, dash="dash"))
-    return Figure((top, bottom), f"standardised innovations of stage {stage.stage} against time, "
-                                 "and their running RMS", (2.0, 1.0), (WIDTH, HEIGHT + 40),
-                  on_time=True, stretch=_SHARED)
+    bottom.add(fig.Curve(np.interp(middle, np.arange(len(t)), t), rms, "running RMS", colour, 1.5,
+                         marker="circle" if len(rms) < 4 else "", legend=False),
+               fig.Level(1.0, dash="dash"))
+    return fig.Figure((top, bottom), f"standardised innovations of stage {stage.stage} against "
+                      "time, and their running RMS", (2.0, 1.0), (fig.WIDTH, fig.HEIGHT + 40),
+                      on_time=True, stretch=_SHARED)
 
 
-def _memory(stage: StageResult, z: np.ndarray, colour: str, dt: float) -> Figure | None:
+def _memory(stage: StageResult, z: np.ndarray, colour: str, dt: float) -> fig.Figure | None:
     """Draw the autocorrelation with its 95 % bounds, and the variance of block sums."""
-    correlation, used = autocorrelation(z, min(200, len(z) // 4))
+    correlation, used = traces.autocorrelation(z, min(200, len(z) // 4))
     judged = z[np.isfinite(z)]
     lengths, ratios = variance_ratios(judged)
     if not len(correlation) or len(lengths) < 2:
@@ -541,21 +514,23 @@ def _memory(stage: StageResult, z: np.ndarray, colour: str, dt: float) -> Figure
     lag = np.arange(1, len(correlation) + 1) * dt
     bound = 1.96 / np.sqrt(used)
     reach = max(3 * bound, 1.1 * float(np.nanmax(np.abs(correlation))))
-    top = Panel(Side("lag", Scale(1e3, "ms"), limits=(0.0, lag[-1] + 0.5 * dt)),
-                Side("autocorrelation", limits=(-reach, reach)))
-    top.add(Span(-bound, bound, "95 % of the lags of white noise"),
-            Curve(lag, correlation, "autocorrelation", colour, 0.0, error_width=1.2, legend=False,
-                  y_error=np.maximum([correlation, -correlation], 0.0)), Level(0.0, width=0.8))
+    top = fig.Panel(fig.Side("lag", Scale(1e3, "ms"), limits=(0.0, lag[-1] + 0.5 * dt)),
+                    fig.Side("autocorrelation", limits=(-reach, reach)))
+    top.add(fig.Span(-bound, bound, "95 % of the lags of white noise"),
+            fig.Curve(lag, correlation, "autocorrelation", colour, 0.0, error_width=1.2,
+                      legend=False, y_error=np.maximum([correlation, -correlation], 0.0)),
+            fig.Level(0.0, width=0.8))
     block, chance = lengths * dt, 2 * np.sqrt(2 / (len(judged) // lengths))
     positive = ratios[ratios > 0]
-    bottom = Panel(Side("length of a block", Scale(1.0, "s"), log=True,
-                        limits=(block[0], block[-1])),
-                   Side("block variance /\nwhite noise", log=True, limits=(
+    bottom = fig.Panel(fig.Side("length of a block", Scale(1.0, "s"), log=True,
+                                limits=(block[0], block[-1])),
+                       fig.Side("block variance /\nwhite noise", log=True, limits=(
                        min(0.3, 0.7 * positive.min(initial=1.0)),
                        max(3.0, 1.5 * positive.max(initial=1.0)))))
-    bottom.add(Band(block, np.maximum(1 - chance, 1e-3), 1 + chance, "95 % of white noise", OTHER,
-                    0.25),
-               Curve(block, np.where(ratios > 0, ratios, np.nan), "block variance", colour,
-                     marker="circle", size=5.0, legend=False))
-    return Figure((top, bottom), "autocorrelation and block variance of the innovations of stage "
-                                 f"{stage.stage}", (1.0, 1.0), (WIDTH, HEIGHT + 40), shared=False)
+    bottom.add(fig.Band(block, np.maximum(1 - chance, 1e-3), 1 + chance, "95 % of white noise",
+                        fig.OTHER, 0.25),
+               fig.Curve(block, np.where(ratios > 0, ratios, np.nan), "block variance", colour,
+                         marker="circle", size=5.0, legend=False))
+    return fig.Figure((top, bottom), "autocorrelation and block variance of the innovations of "
+                      f"stage {stage.stage}", (1.0, 1.0), (fig.WIDTH, fig.HEIGHT + 40),
+                      shared=False)

@@ -1,6 +1,8 @@
 """The HTML report of ``estimate``: verdict and what to do, figures, alarms, innovations."""
 
 import math
+import shlex
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,68 +12,187 @@ import numpy as np
 from eha_monitor.estimation.results import Estimate, JointResult, ParameterEstimate
 from eha_monitor.health.alarms import WATCHED, Alarm
 from eha_monitor.indicators.indicator import Indicator
-from eha_monitor.output import write_text
-from eha_monitor.quantity import FLOOR, SYMBOLS, number, quantity, share
+from eha_monitor.quantity import FLOOR, ROTARY, SYMBOLS, number, quantity, share
 from eha_monitor.recordings.recording import Recording
-from eha_monitor.reports.estimate_figures import (
-    NAMES,
-    innovation_block,
-    limits_in_words,
-    motion_blocks,
-    parameter_block,
-    parameter_figure,
-    presentable,
-)
-from eha_monitor.reports.estimate_words import (
-    STATUS_WORDS,
-    effect_of_mismatch,
-    next_steps,
-    verdict,
-)
+from eha_monitor.reports import estimate_figures as figures
+from eha_monitor.reports.diagnosis_words import sentence
+from eha_monitor.reports.estimate_figures import NAMES
 from eha_monitor.reports.page import Cell, FirstScreen, Table, render, table
 from eha_monitor.reports.shared_tables import config_tables, indicator_table, law_table
 from eha_monitor.reports.timeline import alarm_timeline, alarm_words
 from eha_monitor.settings.channels import CHANNEL_UNITS
+from eha_monitor.words import listed
 
 if TYPE_CHECKING:
     from eha_monitor.estimation.observability import ObservabilityTable
 
+STATUS_WORDS = {"converged": "converged", "not_excited": "not excited by this motion",
+                "diverged": "diverged", "no_data": "no data"}
+_SECTIONS = {watched.symbol: watched.section for watched in WATCHED}
+# Alarm -> what is wrong, and where to look first.
+_ALARMS = {
+    "viscous_damping_high": ("the viscous damping B is too high",
+                             "look for what brakes the piston (worn or swollen seals, a side "
+                             "load, cold oil)"),
+    "viscous_damping_low": ("the viscous damping B is too low",
+                            "check the oil's temperature and grade, and the areas in the config"),
+    "bulk_modulus_high": ("the effective bulk modulus βe is too high",
+                          "check the volumes in the config"),
+    "bulk_modulus_low": ("the effective bulk modulus βe is too low",
+                         "look for air in the oil: bleed the circuit, check the suction side and "
+                         "the charge pressure")}
+_STEPS = {"not_excited": "record a motion that excites {name} {symbol}: `eha-monitor advise "
+                         "{bag}` proposes one",
+          "diverged": "check the channels and the rig data in the config: the estimate of {name} "
+                      "{symbol} diverged",
+          "no_data": "record what {name} {symbol} needs: {message}"}
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """``kind`` is ``ok``, ``warn``, ``error`` or ``unknown`` and sets the colour."""
+
+    kind: str
+    headline: str
+    text: str
+
+    @property
+    def sentence(self) -> str:
+        """Headline and text."""
+        return f"{self.headline}: {self.text}"
+
+
+def verdict(estimate: Estimate, alarms: tuple[Alarm, ...]) -> Verdict:
+    """Return what the recording says about the actuator, and what it does not say."""
+    raised = _raised(alarms)
+    known = [p for p in estimate.parameters.values() if p.status == "converged"]
+    unknown = [p for p in estimate.parameters.values() if p.status != "converged"]
+    mismatch = estimate.model.status == "mismatch"
+    parts = []
+    if raised:
+        parts.append(" and ".join(
+            f"{_ALARMS[a.name][0] if a.name in _ALARMS else a.name.replace('_', ' ')} ({a.level})"
+            for a in raised))
+    if mismatch:
+        parts.append("the model does not fit this recording" + (
+            ", so the values are biased by the model error" if known else ""))
+    if known and not raised:
+        parts.append(_values(known, alarms))
+    if unknown:
+        parts.append("no estimate of " + " and ".join(
+            f"{NAMES[p.name]} {SYMBOLS[p.name]} ({STATUS_WORDS.get(p.status, p.status)})"
+            for p in unknown))
+    if estimate.model.status == "consistent":
+        parts.append("the model fits the recording")
+    elif known and not mismatch:
+        parts.append("the recording does not show whether the model fits")
+    held = any(a.not_judged for a in alarms)
+    kind, headline = _head(raised, estimate.model.status, bool(known), bool(unknown) or held)
+    if held and kind == "ok":
+        kind = "unknown"
+    return Verdict(kind, headline, f"{'; '.join(parts)}.")
+
+
+def _raised(alarms: tuple[Alarm, ...]) -> list[Alarm]:
+    """Return the raised alarms, errors first."""
+    return [a for word in ("ERROR", "WARN") for a in alarms if a.word == word]
+
+
+def _head(raised: list[Alarm], model: str, known: bool, open_questions: bool) -> tuple[str, str]:
+    """Return colour and first words: the gravest thing leads."""
+    if raised:
+        grave = raised[0].word == "ERROR"
+        words = "Alarm" if grave else "Warning"
+        found = ("error" if grave else "warn",
+                 words + (" and mismatch" if model == "mismatch" else ""))
+    elif model == "mismatch":
+        found = "warn", "Mismatch"
+    elif not known:
+        found = "unknown", "No answer"
+    elif open_questions or model != "consistent":
+        found = ("ok" if model == "consistent" else "unknown",
+                 "No fault found in what could be judged")
+    else:
+        found = "ok", "Healthy"
+    return found
+
+
+def _values(known: list[ParameterEstimate], alarms: tuple[Alarm, ...]) -> str:
+    """Return the values that no alarm complains about, and whether one could have."""
+    def of(parameter: ParameterEstimate) -> list[Alarm]:
+        return [a for a in alarms if a.name.startswith(_SECTIONS[parameter.name])]
+
+    def shown(some: list[ParameterEstimate]) -> str:
+        return " and ".join(f"{SYMBOLS[p.name]} = {p.shown}" for p in some)
+
+    doubtful = [p for p in known if any(a.not_judged for a in of(p))]
+    sure = [p for p in known if p not in doubtful]
+    parts = []
+    if sure:
+        parts.append(shown(sure) + (f" {'is' if len(sure) == 1 else 'are'} within the limits"
+                                    if all(map(of, sure)) else ", without configured limits"))
+    if doubtful:
+        parts.append(f"{shown(doubtful)} {'is' if len(doubtful) == 1 else 'are'} not judged")
+    return "; ".join(parts)
+
+
+def effect_of_mismatch(estimate: Estimate) -> tuple[str, ...]:
+    """Return what a model that does not fit does to B and beta_e, a sentence each."""
+    found = []
+    for name, taint in estimate.model.tainted.items():
+        parameter, symbol = estimate.parameters[name], SYMBOLS[name]
+        if not math.isfinite(taint.reach):
+            found.append(f"{symbol} cannot be used: how far the model error moves it is not known")
+        elif name == "B":
+            found.append(f"{symbol} may be off by {quantity(taint.reach, parameter.unit, 2)} "
+                         "because of the model error")
+        else:
+            found.append(f"{symbol} may be off by a factor of {number(math.exp(taint.reach), 2)} "
+                         "because of the model error")
+    return tuple(map(sentence, found))
+
+
+def next_steps(estimate: Estimate, alarms: tuple[Alarm, ...]) -> tuple[str, ...]:
+    """Return what to do, the most important first; commands stand between backticks."""
+    bag = shlex.quote(estimate.recording.source or "BAG")
+    steps = []
+    if estimate.model.status == "mismatch":
+        steps.append("do not act on B and βe yet: `eha-monitor diagnose " + bag + "` identifies "
+                     "what the model lacks")
+    steps += [_ALARMS[a.name][1] for a in _raised(alarms) if a.name in _ALARMS]
+    for p in estimate.parameters.values():
+        if p.status in _STEPS:
+            steps.append(_STEPS[p.status].format(
+                name=NAMES[p.name], symbol=SYMBOLS[p.name], bag=bag,
+                message=p.message.rstrip(".") or "its channels are missing"))
+    judged = {p.name for p in estimate.parameters.values() for a in alarms
+              if a.name.startswith(_SECTIONS[p.name])}
+    if without := [SYMBOLS[name] for name in estimate.parameters if name not in judged]:
+        steps.append(f"set limits for {listed(without)}: `eha-monitor thresholds` derives them "
+                     "from healthy recordings")
+    return tuple(map(sentence, steps)) or ("Nothing.",)
+
+
+# ---- the page -----------------------------------------------------------------------------------
+
 _CHANNEL_WORDS = {"x": "position x", "v": "velocity v", "x_d": "demanded position x_d",
                   "omega": "pump speed ω", "p1": "pressure p₁", "p2": "pressure p₂",
                   "force": "force", "temperature": "temperature"}
-_ROTARY_UNITS = {"m": "rad", "m/s": "rad/s", "N": "N·m"}
 _HERO = 330  # pixels of the height of the first picture
 _STRONG = 0.9  # correlation that is marked
-
-
-def write_estimate_report(path: str | Path, estimate: Estimate, alarms: tuple[Alarm, ...],
-                          history: tuple[Alarm, ...],
-                          observability: "ObservabilityTable | None" = None,
-                          indicators: tuple[Indicator, ...] = ()) -> None:
-    """Write the report of one recording as a single HTML file.
-
-    Parameters
-    ----------
-    path : file to write; an existing one is replaced at once when the new one is complete.
-    estimate : what the pipeline found.
-    alarms : state of each alarm at the end of the recording.
-    history : every change of a level, in order of time.
-    observability : standard deviations that each combination of channels would reach, or None.
-    indicators : of the health, with a value or without.
-
-    Raises
-    ------
-    InputError
-        If ``path`` cannot be written.
-    """
-    write_text(path, estimate_page(estimate, alarms, history, observability, indicators))
 
 
 def estimate_page(estimate: Estimate, alarms: tuple[Alarm, ...], history: tuple[Alarm, ...],
                   observability: "ObservabilityTable | None" = None,
                   indicators: tuple[Indicator, ...] = ()) -> str:
-    """Return the report as HTML text."""
-    estimate = presentable(estimate)
+    """Return the report of one recording as HTML text.
+
+    Parameters
+    ----------
+    alarms, history : alarms at the end of the recording, and every change of a level in order.
+    observability : standard deviations that each combination of channels would reach, or None.
+    """
+    estimate = figures.presentable(estimate)
     recording, settings = estimate.recording, estimate.settings
     name = Path(recording.source).name or settings.rig.name
     return render(
@@ -79,10 +200,10 @@ def estimate_page(estimate: Estimate, alarms: tuple[Alarm, ...], history: tuple[
         first=_first_screen(estimate, alarms), model=estimate.model,
         indicators=indicator_table(indicators, settings), laws=law_table(indicators),
         warnings=(*estimate.warnings, *recording.losses),
-        motion=motion_blocks(estimate),
-        convergence=[parameter_block(estimate, "B"), parameter_block(estimate, "beta_e")],
-        innovations=[innovation_block(estimate, estimate.stage_one),
-                     innovation_block(estimate, estimate.stage_two)],
+        motion=figures.motion_blocks(estimate),
+        convergence=[figures.parameter_block(estimate, name) for name in ("B", "beta_e")],
+        innovations=[figures.innovation_block(estimate, estimate.stage_one),
+                     figures.innovation_block(estimate, estimate.stage_two)],
         timeline=alarm_timeline(alarms, history, estimate.events, recording.duration),
         alarms=_alarm_table(alarms, "alarms"), history=_alarm_table(history, "history"),
         events=table("no. | time | stage | event", [
@@ -107,13 +228,13 @@ def _first_screen(estimate: Estimate, alarms: tuple[Alarm, ...]) -> FirstScreen:
               if a.word in ("WARN", "ERROR") and a.name.startswith(watched.section)]
     order = [*raised, *(p.name for p in estimate.parameters.values()
                         if p.status == "converged"), *estimate.parameters]
-    pictures = (parameter_figure(estimate, (name,), _HERO) for name in order)
+    pictures = (figures.parameter_figure(estimate, (name,), _HERO) for name in order)
     return FirstScreen(
         said.kind, said.headline, said.text,
         picture=next(filter(None, pictures), None),
         parameters=table("parameter | value | limits", [
             (f"{NAMES[key]} {SYMBOLS[key]}", _value_cell(p, key in estimate.model.tainted), Cell(
-                limits_in_words(limits[key], p.unit), "message desk"))
+                figures.limits_in_words(limits[key], p.unit), "message desk"))
             for key, p in estimate.parameters.items()], key="parameters"),
         sentences=effect_of_mismatch(estimate), actions=next_steps(estimate, alarms))
 
@@ -227,7 +348,7 @@ def _noise_table(estimate: Estimate) -> Table:
     for name, noise in estimate.noise.items():
         unit = CHANNEL_UNITS.get(name, "")
         rows.append((_CHANNEL_WORDS.get(name, name), quantity(
-            noise.value, _ROTARY_UNITS.get(unit, unit) if rotary else unit, 3),
+            noise.value, ROTARY.get(unit, unit) if rotary else unit, 3),
             "measured from this recording" if noise.measured else "taken from the config"))
     return table("channel | standard deviation of a sample | source", rows, " | number | ",
                  "noise")

@@ -16,17 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from eha_monitor.reports.figure import (
-    Band,
-    Bars,
-    Curve,
-    Figure,
-    Level,
-    Panel,
-    Span,
-    Text,
-    in_units,
-)
+from eha_monitor.output import finite
+from eha_monitor.reports import figure as fig
 
 _GAP, _GAP_WITH_LABEL = 0.07, 0.22  # between panels, share of the height
 _LETTER = 9.5  # of an axis' title with the room about it, pixels
@@ -45,13 +36,13 @@ def packed_library() -> str:
     return ""
 
 
-def chart_json(figure: Figure) -> str:
+def chart_json(figure: fig.Figure) -> str:
     """Return :func:`chart` as JSON."""
-    return json.dumps(_finite(chart(figure)), separators=(",", ":"), ensure_ascii=False,
+    return json.dumps(finite(chart(figure)), separators=(",", ":"), ensure_ascii=False,
                       allow_nan=False)
 
 
-def chart(figure: Figure) -> dict[str, Any]:
+def chart(figure: fig.Figure) -> dict[str, Any]:
     """Return ``data`` and ``layout`` of plotly.js, and what the page's script needs to know.
 
     That is the ``clock``, the units of the x axis for each second of the recording where that is
@@ -62,23 +53,14 @@ def chart(figure: Figure) -> dict[str, Any]:
     for place, (panel, domain) in enumerate(zip(figure.panels, _domains(figure), strict=True), 1):
         number = "" if place == 1 else str(place)
         own = "" if figure.shared else number
-        _Drawing(in_units(panel, 1e3), f"x{own}", f"y{number}", layout, data).draw(
+        _Drawing(fig.in_units(panel, 1e3), f"x{own}", f"y{number}", layout, data).draw(
             own, number, domain, (domain[1] - domain[0]) * figure.size[1])
     clock = figure.panels[-1].x.scale.factor if figure.on_time else None
     return {"data": data, "layout": layout, "clock": clock,
             "rows": bool(figure.panels[0].y.rows)}
 
 
-def _finite(tree: Any) -> Any:
-    """Return a tree with null for each number that JSON does not know."""
-    if isinstance(tree, dict):
-        return {key: _finite(value) for key, value in tree.items()}
-    if isinstance(tree, list):
-        return [_finite(value) for value in tree]
-    return None if isinstance(tree, float) and not math.isfinite(tree) else tree
-
-
-def _domains(figure: Figure) -> list[tuple[float, float]]:
+def _domains(figure: fig.Figure) -> list[tuple[float, float]]:
     """Return the share of the height that each panel has, the first on top."""
     ratios = np.array(figure.ratios, dtype=float)
     gaps = [_GAP if figure.shared else _GAP_WITH_LABEL for _ in figure.panels[1:]]
@@ -93,7 +75,7 @@ def _domains(figure: Figure) -> list[tuple[float, float]]:
 class _Drawing:
     """Adds one panel to the data and the layout of a chart."""
 
-    def __init__(self, panel: Panel, x: str, y: str, layout: dict, data: list):
+    def __init__(self, panel: fig.Panel, x: str, y: str, layout: dict, data: list):
         self.panel, self.x, self.y, self.layout, self.data = panel, x, y, layout, data
         self.legend = f"legend{y[1:]}"
         self.hover = "%{x:.4~g}" if panel.y.rows else (
@@ -136,7 +118,7 @@ class _Drawing:
             "showlegend": bool(label) and legend and not again, "name": label,
             "hovertemplate": self.hover} | more)
 
-    def _curve(self, one: Curve) -> None:
+    def _curve(self, one: fig.Curve) -> None:
         mode = [*(["lines"] if one.width else []), *(["markers"] if one.marker else [])]
         look: dict[str, Any] = {"mode": "+".join(mode)}
         if not mode:  # strokes, at whose ends the cursor reads
@@ -157,7 +139,7 @@ class _Drawing:
                              "thickness": one.error_width}
         self._trace(one.x, one.y, one.label, one.colour, one.legend, **look)
 
-    def _band(self, one: Band) -> None:
+    def _band(self, one: fig.Band) -> None:
         colour = rgba(one.colour, one.opacity)
         here = np.flatnonzero(np.isfinite(one.low) & np.isfinite(one.high))
         parts = np.split(here, np.flatnonzero(np.diff(here) > 1) + 1) if len(here) else []
@@ -168,23 +150,24 @@ class _Drawing:
         self._trace(x, y, one.label, one.colour, mode="lines", fill="toself", fillcolor=colour,
                     line={"width": 0, "color": colour}, hoverinfo="skip", hovertemplate=None)
 
-    def _bars(self, one: Bars) -> None:
+    def _bars(self, one: fig.Bars) -> None:
         self._trace(one.x, one.height, one.label or self.panel.y.name, one.colour, bool(one.label),
                     type="bar", width=one.width, marker={"color": one.colour})
         for x, height in zip(one.x, one.height, strict=True):
-            self._text(Text(float(x), float(height), f"{height:g}", up="bottom", shift=(0, 2)))
+            self._text(fig.Text(float(x), float(height), f"{height:g}", up="bottom", shift=(0, 2)))
 
-    def _level(self, one: Level) -> None:
+    def _level(self, one: fig.Level) -> None:
         self._shape(one, one.at, one.at, {
             "type": "line", "layer": "above",
             "line": {"color": one.colour, "width": one.width, "dash": one.dash}})
 
-    def _span(self, one: Span) -> None:
+    def _span(self, one: fig.Span) -> None:
         self._shape(one, one.low, one.high, {
             "type": "rect", "layer": "below", "line": {"width": 0},
             "fillcolor": rgba(one.colour, one.opacity)})
 
-    def _shape(self, one: Level | Span, low: float, high: float, shape: dict[str, Any]) -> None:
+    def _shape(self, one: fig.Level | fig.Span, low: float, high: float, shape: dict[str, Any]
+               ) -> None:
         """Add a shape that goes all across the panel."""
         if one.upright:
             shape |= {"x0": low, "x1": high, "xref": self.x, "y0": 0, "y1": 1,
@@ -196,7 +179,7 @@ class _Drawing:
             shape |= {"name": one.label, "showlegend": True, "legend": self.legend}
         self.layout["shapes"].append(shape)
 
-    def _text(self, one: Text) -> None:
+    def _text(self, one: fig.Text) -> None:
         x = math.log10(one.x) if self.panel.x.log and not one.x_share else one.x
         y = math.log10(one.y) if self.panel.y.log and not one.y_share else one.y
         self.layout["annotations"].append({

@@ -5,15 +5,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from eha_monitor.indicators.indicator import (
-    AVAILABLE,
-    NEEDS,
-    NONE,
-    NOT_LOOKED_FOR,
-    Indicator,
-    limits_of_indicator,
-    passed,
-)
+from eha_monitor.indicators import indicator
+from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.own_term import ADDED_UNITS
 from eha_monitor.quantity import number, quantity
@@ -30,15 +23,15 @@ def indicator_table(indicators: Sequence[Indicator], settings: Settings) -> Tabl
     """Return the indicators with their limits, those without a value last; None without any."""
     if not indicators:
         return None
-    last = [one for one in indicators if one.status in (NEEDS, NONE)
-            or one.message == NOT_LOOKED_FOR]
+    last = [one for one in indicators if one.status in (indicator.NEEDS, indicator.NONE)
+            or one.message == indicator.NOT_LOOKED_FOR]
     first = [one for one in indicators if one not in last]
     rows = tuple(
         (Cell(one.words, title=one.law),
          Cell(one.shown, "value", exact=(one.value, one.stddev)
-              if one.status == AVAILABLE else None),
+              if one.status == indicator.AVAILABLE else None),
          Cell(_limit_words(one, settings), "number", level="ERROR",
-              badge="beyond its limit" if passed(one, settings) else ""),
+              badge="beyond its limit" if indicator.passed(one, settings) else ""),
          Cell(one.message, "message")) for one in (*first, *last))
     shown = len(first) or len(rows)
     return Table(("indicator", "value", "limit", "conditions, or why there is no value"),
@@ -53,7 +46,7 @@ def law_table(indicators: Sequence[Indicator]) -> Table:
 
 def _limit_words(one: Indicator, settings: Settings) -> str:
     """Return the limits of an indicator, ``below 50 mL/min``, or ``not set``."""
-    low, high = limits_of_indicator(one.name, settings)
+    low, high = indicator.limits_of_indicator(one.name, settings)
     parts = [f"{words} {number(limit, 3)} {one.unit}"
              for words, limit in (("above", low), ("below", high)) if limit is not None]
     return ", ".join(parts) or "not set"

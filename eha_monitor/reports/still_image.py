@@ -16,21 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.ticker import MaxNLocator, NullLocator, ScalarFormatter
 from PIL import Image
 
-from eha_monitor.reports.figure import (
-    GRID,
-    INK,
-    WIDTH,
-    Band,
-    Bars,
-    Curve,
-    Figure,
-    Level,
-    Panel,
-    Side,
-    Span,
-    Text,
-    in_units,
-)
+from eha_monitor.reports import figure as fig
 
 _DAYS = 1.0 / 86400.0  # of a second; matplotlib counts dates in them
 _PIXELS_PER_INCH = 96
@@ -44,8 +30,8 @@ _MARKERS = {"": "", "circle": "o", "square": "s", "x": "X", "diamond": "D", "tri
             "triangle-down": "v"}
 _STYLE = {
     "font.family": ["DejaVu Sans"], "font.size": 10, "text.usetex": False,
-    "axes.edgecolor": "#98a2ab", "axes.labelcolor": INK, "text.color": INK,
-    "xtick.color": INK, "ytick.color": INK, "axes.grid": True, "grid.color": GRID,
+    "axes.edgecolor": "#98a2ab", "axes.labelcolor": fig.INK, "text.color": fig.INK,
+    "xtick.color": fig.INK, "ytick.color": fig.INK, "axes.grid": True, "grid.color": fig.GRID,
     "grid.linewidth": 0.8, "axes.axisbelow": True, "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.labelsize": 10, "xtick.labelsize": 9.5, "ytick.labelsize": 9.5,
@@ -63,19 +49,19 @@ class Drawing(matplotlib.figure.Figure):
         return png(self), {"width": int(width), "height": int(height)}
 
 
-def image_uri(figure: Figure) -> str:
+def image_uri(figure: fig.Figure) -> str:
     """Return a figure at twice its CSS size as a PNG in a data URI."""
     return f"data:image/png;base64,{base64.b64encode(png(drawn(figure))).decode('ascii')}"
 
 
-def drawn(figure: Figure) -> Drawing:
+def drawn(figure: fig.Figure) -> Drawing:
     """Draw a described figure."""
     with matplotlib.rc_context(_STYLE):
         made = Drawing(figsize=[side / _PIXELS_PER_INCH for side in figure.size],
                        dpi=_PIXELS_PER_INCH)
         FigureCanvasAgg(made)
         grid = made.subplots(len(figure.panels), 1, sharex=figure.shared, squeeze=False)[:, 0]
-        for axis, panel in zip(grid, (in_units(one, _DAYS) for one in figure.panels),
+        for axis, panel in zip(grid, (fig.in_units(one, _DAYS) for one in figure.panels),
                                strict=True):
             for one in panel.shown:
                 _SHOW[type(one)](axis, one)
@@ -88,9 +74,8 @@ def drawn(figure: Figure) -> Drawing:
 
 def words_drawn(words: str) -> Drawing:
     """Return a drawing that says why there is nothing to draw."""
-    unit = Side(limits=(0.0, 1.0))
-    made = drawn(Figure((Panel(unit, unit, [Text(0.5, 0.5, textwrap.fill(words, 70))]),), words,
-                        size=(WIDTH, 120)))
+    unit, text = fig.Side(limits=(0.0, 1.0)), fig.Text(0.5, 0.5, textwrap.fill(words, 70))
+    made = drawn(fig.Figure((fig.Panel(unit, unit, [text]),), words, size=(fig.WIDTH, 120)))
     made.axes[0].set_axis_off()
     return made
 
@@ -108,7 +93,7 @@ def png(made: matplotlib.figure.Figure) -> bytes:
     return memory.getvalue()
 
 
-def _curve(axis: Axes, one: Curve) -> None:
+def _curve(axis: Axes, one: fig.Curve) -> None:
     look = {"color": one.colour, "linewidth": one.width, "marker": _MARKERS[one.marker],
             "linestyle": _DASHES[one.dash] if one.width else "", "alpha": one.opacity,
             "markersize": one.size * _POINT, "markerfacecolor": one.face or one.colour,
@@ -121,18 +106,18 @@ def _curve(axis: Axes, one: Curve) -> None:
                   elinewidth=one.error_width, capsize=one.cap, **look)
 
 
-def _band(axis: Axes, one: Band) -> None:
+def _band(axis: Axes, one: fig.Band) -> None:
     axis.fill_between(one.x, one.low, one.high, color=one.colour, alpha=one.opacity,
                       linewidth=0, label=one.label or None)
 
 
-def _bars(axis: Axes, one: Bars) -> None:
+def _bars(axis: Axes, one: fig.Bars) -> None:
     axis.bar(one.x, one.height, width=one.width, color=one.colour, label=one.label or None)
     for x, height in zip(one.x, one.height, strict=True):
-        _text(axis, Text(float(x), float(height), f"{height:g}", up="bottom", shift=(0, 2)))
+        _text(axis, fig.Text(float(x), float(height), f"{height:g}", up="bottom", shift=(0, 2)))
 
 
-def _level(axis: Axes, one: Level) -> None:
+def _level(axis: Axes, one: fig.Level) -> None:
     look = {"color": one.colour, "linewidth": one.width, "linestyle": _DASHES[one.dash],
             "label": one.label or None}
     if one.upright:
@@ -141,7 +126,7 @@ def _level(axis: Axes, one: Level) -> None:
         axis.axhline(one.at, **look)
 
 
-def _span(axis: Axes, one: Span) -> None:
+def _span(axis: Axes, one: fig.Span) -> None:
     look = {"color": one.colour, "alpha": one.opacity, "linewidth": 0, "zorder": 0,
             "label": one.label or None}
     if one.upright:
@@ -150,7 +135,7 @@ def _span(axis: Axes, one: Span) -> None:
         axis.axhspan(one.low, one.high, **look)
 
 
-def _text(axis: Axes, one: Text) -> None:
+def _text(axis: Axes, one: fig.Text) -> None:
     axis.annotate(one.words, (one.x, one.y),
                   xycoords=("axes fraction" if one.x_share else "data",
                             "axes fraction" if one.y_share else "data"),
@@ -160,11 +145,11 @@ def _text(axis: Axes, one: Text) -> None:
                                           "alpha": 0.75})
 
 
-_SHOW = {Curve: _curve, Band: _band, Bars: _bars, Level: _level, Span: _span,
-         Text: _text}
+_SHOW = {fig.Curve: _curve, fig.Band: _band, fig.Bars: _bars, fig.Level: _level, fig.Span: _span,
+         fig.Text: _text}
 
 
-def _scale(axis: Axes, panel: Panel, which: str) -> None:
+def _scale(axis: Axes, panel: fig.Panel, which: str) -> None:
     """Set scale, limits, ticks and words of the axis ``x`` or ``y``."""
     about, side = getattr(panel, which), getattr(axis, f"{which}axis")
     low, high = panel.ends(which)
@@ -212,7 +197,7 @@ def _legend_width(labels: list[str], columns: int) -> float:
     return sum(50 + _LETTER * part.max() for part in parts)
 
 
-def _arrange(made: Drawing, figure: Figure) -> None:
+def _arrange(made: Drawing, figure: fig.Figure) -> None:
     """Put each axes in its place, with room for legend, ticks and labels.
 
     Constrained layout does the same by drawing everything once more, which would be a third of

@@ -1,6 +1,5 @@
 """Curves made fit for a picture: envelopes, derivatives, windows, limits, correlations."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -134,6 +133,8 @@ def choose_smoother(values: np.ndarray, dt: float, order: int) -> Smoother | Non
     Smoother or None
         None where no window fits into the data.
     """
+    from scipy.signal import savgol_coeffs
+
     filled = _bridged(values)
     best = None
     spacing = usual_spacing(values)
@@ -149,8 +150,7 @@ def choose_smoother(values: np.ndarray, dt: float, order: int) -> Smoother | Non
         # The mean is little moved by the reversals, where a cubic does not fit, and unlike the
         # median it hears the steps of a coarse encoder that stands still most of the time.
         rest = np.abs(filled - _fitted(filled, window, 0, dt))[finite]
-        noise = 1.25 * np.mean(rest) * np.linalg.norm(
-            _weights(window, order, dt))
+        noise = 1.25 * np.mean(rest) * np.linalg.norm(savgol_coeffs(window, 3, order, dt))
         if noise < 0.03 * np.percentile(np.abs(slope[finite]), 95):
             break
     return best
@@ -158,22 +158,13 @@ def choose_smoother(values: np.ndarray, dt: float, order: int) -> Smoother | Non
 
 def _fitted(values: np.ndarray, window: int, order: int, dt: float) -> np.ndarray:
     """Return the ``order``-th derivative of the sliding cubic; (n,), NaN where it has no data."""
+    from scipy.signal import savgol_filter  # takes as long to import as a page to draw
+
     fitted = np.full(len(values), np.nan)
     if window <= len(values):
         inside = slice(window // 2, len(values) - window // 2)
-        fitted[inside] = np.correlate(values, _weights(window, order, dt), mode="valid")
+        fitted[inside] = savgol_filter(values, window, 3, order, dt, mode="constant")[inside]
     return fitted
-
-
-def _weights(window: int, order: int, dt: float) -> np.ndarray:
-    """Return the weights of the samples in that derivative: least squares about the middle.
-
-    scipy.signal has the same (a test compares), but its import would cost more time than all
-    pictures of a page.
-    """
-    place = np.arange(-(window // 2), window // 2 + 1)
-    solution = np.linalg.pinv(np.vander(place, 4, increasing=True).astype(float))
-    return solution[order] * math.factorial(order) / dt**order
 
 
 def usual_spacing(values: np.ndarray) -> int:

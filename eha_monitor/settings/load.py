@@ -9,7 +9,7 @@ from typing import TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 
 from eha_monitor.errors import InputError
-from eha_monitor.regular import check_regular
+from eha_monitor.output import check_regular
 from eha_monitor.settings.monitor import Settings
 
 LARGEST = 1024 * 1024  # bytes of a config
