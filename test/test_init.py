@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eha_monitor.cli import main
-from eha_monitor.draft.rig import answers_of, full_scale
+from eha_monitor.draft.answers import answers_of, full_scale
 from eha_monitor.draft.sources import layout_of
 from eha_monitor.draft.words import read
 from eha_monitor.errors import InputError
