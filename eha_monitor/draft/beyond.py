@@ -28,7 +28,7 @@ QUESTIONS = {
 }
 
 
-def effects_of(answers: Answers, entries: list[Entry], seen: Seen) -> list[Entry]:
+def effects_of(answers: Answers, entries: list[Entry]) -> list[Entry]:
     """Return the lines of ``effects``: the load that was answered, volumes that change with x."""
     found, of = [], {entry.key: value_of(entry, answers) for entry in entries
                      if entry.key in ("area_1", "area_2", "mass")}
@@ -43,13 +43,12 @@ def effects_of(answers: Answers, entries: list[Entry], seen: Seen) -> list[Entry
         found.append(Entry("spring_load", f"{{k: {number(spring)}, x_0: {number(rest)}}}",
                            f"answered: {answers.rig['spring']}, relaxed at "
                            f"{answers.rig.get('spring_rest', 'x = 0')}"))
-    zero, who = zero_of(answers, seen)
-    if zero != "middle" and of["area_1"] and of["area_2"] and answers.number("stroke") and not (
-            answers.lacks("volume_1")):
+    if of["area_1"] and of["area_2"] and answers.number("stroke") and not (
+            answers.lacks("volume_1") or {"volume_1", "volume_2"} & set(answers.rig)):
         found.append(Entry(
             "position_dependent_volume", f"{{A_v: {number(of['area_1'])}, ratio: "
-            f"{number(of['area_2'] / of['area_1'])}}}", f"{who}: x = 0 is at an end, so the "
-            "volumes above hold there alone and change with x"))
+            f"{number(of['area_2'] / of['area_1'])}}}", "answered: the volumes above hold at "
+            "x = 0, and each changes with x by its area"))
     return found
 
 
