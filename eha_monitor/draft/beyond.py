@@ -24,14 +24,14 @@ QUESTIONS = {
     "spring_rest": "position at which the spring is relaxed, such as 0 mm",
     "zero": "x = 0 of the position lies at the middle of the stroke, or at the end with the rod "
             "retracted or extended",
-    "pressures": "pressures are absolute or gauge (0 bar in the open air)",
+    "pressures": "pressures are absolute or gauge (0 bar in the open air); absolute until told",
 }
 
 
-def effects_of(answers: Answers, entries: list[Entry]) -> list[Entry]:
+def effects_of(answers: Answers, entries: list[Entry], seen: Seen) -> list[Entry]:
     """Return the lines of ``effects``: the load that was answered, volumes that change with x."""
     found, of = [], {entry.key: value_of(entry, answers) for entry in entries
-                     if entry.key in ("area_1", "area_2", "mass")}
+                     if entry.key in ("area_1", "area_2", "volume_1", "volume_2", "mass")}
     load, slope, spring = (answers.rig.get("load"), answers.number("inclination"),
                            answers.number("spring"))
     if load == "gravity" and slope is not None:
@@ -43,12 +43,14 @@ def effects_of(answers: Answers, entries: list[Entry]) -> list[Entry]:
         found.append(Entry("spring_load", f"{{k: {number(spring)}, x_0: {number(rest)}}}",
                            f"answered: {answers.rig['spring']}, relaxed at "
                            f"{answers.rig.get('spring_rest', 'x = 0')}"))
-    if of["area_1"] and of["area_2"] and answers.number("stroke") and not (
-            answers.lacks("volume_1") or {"volume_1", "volume_2"} & set(answers.rig)):
-        found.append(Entry(
-            "position_dependent_volume", f"{{A_v: {number(of['area_1'])}, ratio: "
-            f"{number(of['area_2'] / of['area_1'])}}}", "answered: the volumes above hold at "
-            "x = 0, and each changes with x by its area"))
+    zero, who = zero_of(answers, seen)
+    shrinking = of["volume_1" if zero == "extended" else "volume_2"]
+    if zero != "middle" and shrinking and of["area_1"] and not answers.lacks("volume_1"):
+        # One area for both chambers; of a single rod the mean, as long as oil is left at the end.
+        reach = max(map(abs, seen.span)) if seen.span else answers.number("stroke") or 1.0
+        slope = min(0.5 * (of["area_1"] + of["area_2"]), 0.8 * shrinking / reach)
+        found.append(Entry("position_dependent_volume", f"{{A_v: {number(slope)}}}", f"{who}: x = "
+                           "0 is at an end; the volumes above hold there and change with x"))
     return found
 
 

@@ -193,7 +193,7 @@ def _lines(source: Source, found: Map, answers: Answers, seen: Seen) -> Lines:
     rig = rig_entries(answers, seen, found.rotary, name)
     # Nobody has to say what a unit says, or what there are no pressures for.
     known = not absolute(found) or "p1" not in found.channels
-    return Lines(rig, effects_of(answers, rig), open_choices(answers, rig, seen, known))
+    return Lines(rig, effects_of(answers, rig, seen), open_choices(answers, rig, seen, known))
 
 
 def _told_alone(settings: Settings, entries: list[Entry]) -> Settings:

@@ -7,21 +7,19 @@ from eha_monitor.physics.signals import VOLUME_1, VOLUME_2, X
 
 @njit
 def term(s, p, m, c):
-    """Add A_v x to chamber 1, and take the share ``ratio`` of it from chamber 2."""
+    """Move A_v x of oil volume from chamber 2 to chamber 1."""
     c[VOLUME_1] += p[0] * s[X]
-    c[VOLUME_2] -= p[0] * p[1] * s[X]
+    c[VOLUME_2] -= p[0] * s[X]
 
 
 EFFECT = Effect(
     name="position_dependent_volume",
     balance="flow",
-    equation="V1 + A_v x,  V2 - ratio A_v x",
+    equation="V1 + A_v x,  V2 - A_v x",
     source="chamber volumes, Merritt 1967, Eq. 6-34 and 6-35",
     parameters=(
         Parameter("A_v", "m^2", "volume over position; the piston area if nothing makes up for it",
                   0.0, 0.1, 5e-4),
-        Parameter("ratio", "1", "area of chamber 2 over that of chamber 1, of a single rod", 0.0,
-                  10.0, 0.1, 1.0, fitted=False),
     ),
     term=term,
     adds=(VOLUME_1, VOLUME_2),
