@@ -153,11 +153,13 @@ def drafted(source: Source, answers: Answers) -> Draft:
     """
     found = as_answered(_answered(guessed(source, answers.columns()), answers), answers)
     checks: list[str] = []
+    step = Rig().sample_time
     for _ in range(ROUNDS):
-        settings, text, lines, recording, problem = _read(source, found, answers, checks)
+        settings, text, lines, recording, problem = _read(source, found, answers, checks, step)
         if recording is None:
             return Draft(text, found, settings, None, _open(found, lines), Plausibility(),
                          problem)
+        step = recording.sample_time
         told = _told_alone(settings, lines.rig)
         better, checks = mended(found, plausibility_of(recording, told).findings, told)
         if better is found:
@@ -167,16 +169,16 @@ def drafted(source: Source, answers: Answers) -> Draft:
             break
         found = better
     # Once more, since the last round may have left something to ask.
-    settings, text, lines, recording, problem = _read(source, found, answers, checks)
+    settings, text, lines, recording, problem = _read(source, found, answers, checks, step)
     return Draft(text, found, settings, recording, _open(found, lines),
                  plausibility_of(recording, settings), problem)
 
 
-def _read(source: Source, found: Map, answers: Answers, checks: list[str]
+def _read(source: Source, found: Map, answers: Answers, checks: list[str], step: float
           ) -> tuple[Settings, str, Lines, Recording | None, str]:
     """Return settings, text and rig of a map, and the recording as it reads it."""
     # The stamps of the file tell its sample time, whatever stands here.
-    lines = _lines(source, found, answers, Seen(Rig().sample_time))
+    lines = _lines(source, found, answers, Seen(step))
     settings, text = _made(source, found, lines, checks)
     try:
         recording = read_recording(source.path, settings) if source.bag else read_table(
