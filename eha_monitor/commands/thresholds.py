@@ -53,7 +53,7 @@ def thresholds(bags: tuple[Path, ...], config: Path | None, rate: float, least: 
 
     settings = load_settings(config)
     healthy, told, unfit, seconds = _healthy(bags, settings, config)
-    remedy = _remedy(unfit, bags, config)
+    remedy = _remedy(list(unfit), bags, config, bool(settings.rig.identified))
     if not any(healthy.values()):
         raise InputError("; ".join([
             f"{bags[0]}: expected at least one recording in which B or βe converges", *told,
@@ -62,7 +62,7 @@ def thresholds(bags: tuple[Path, ...], config: Path | None, rate: float, least: 
                  for symbol, found in healthy.items() if found]
     if remedy:
         told += [f"the model does not fit {len(unfit)} of {len(bags)} recordings "
-                 f"({', '.join(map(str, unfit))}), so their values are biased by what it lacks; "
+                 f"({', '.join(map(str, unfit))}), so {_biased(unfit)} biased by what it lacks; "
                  "limits with the diagnosed model:", *(f"  {command}" for command in remedy)]
     _show(proposals, told, seconds, settings)
     if json_file:
@@ -88,7 +88,7 @@ def _healthy(bags, settings, config):
     from eha_monitor.recordings.read import read_recording
 
     load_runtime()
-    found, told, unfit, seconds = {"B": [], "beta_e": []}, [], [], []
+    found, told, unfit, seconds = {"B": [], "beta_e": []}, [], {}, []
     for bag in bags:
         with working(f"estimating {bag}"):
             recording = read_recording(bag, settings)
@@ -107,18 +107,31 @@ def _healthy(bags, settings, config):
                 why = "it is not determined while the model does not fit"
             told.append(f"{bag}: {SYMBOLS.get(symbol, symbol)} is left out: {why}")
         if answer.model.status == "mismatch":
-            unfit.append(bag)
+            unfit[bag] = set(answer.model.tainted)
     return found, told, unfit, float(np.median(seconds))
 
 
-def _remedy(unfit, bags, config) -> list[str]:
-    """Return the commands that bring limits with a model that fits; none where it does."""
+def _biased(unfit) -> str:
+    """Return whose values a model error moves, with the verb."""
+    from eha_monitor.quantity import SYMBOLS
+
+    names = [SYMBOLS.get(name, name) for name in ("B", "beta_e") if any(
+        name in tainted for tainted in unfit.values())]
+    return f"{names[0]} is" if len(names) == 1 else "B and βe are"
+
+
+def _remedy(unfit, bags, config, diagnosed) -> list[str]:
+    """Return the commands that bring limits with a model that fits; none where it does.
+
+    What one recording has shown is in a config that was ``diagnosed``; all together show more.
+    """
     if not unfit:
         return []
     given = ["--config", str(config)] if config else []
     better = "diagnosed.yaml" if not config or config.name != "diagnosed.yaml" else "again.yaml"
     return [f"eha-monitor {shlex.join(words)}" for words in (
-        ["diagnose", str(unfit[0]), *given, "--write-config", better],
+        ["diagnose", *map(str, unfit if diagnosed else unfit[:1]), *given, "--write-config",
+         better],
         ["thresholds", "--from", *map(str, bags), "--config", better, "--write-config",
          "judged.yaml"])]
 
