@@ -514,19 +514,18 @@ def test_a_person_at_a_terminal_is_asked(tmp_path):
         text=True,
         cwd=ROOT,
     )
-    # machine, load and its inclination, pressures, bore (first nonsense), rod, stroke and where x
-    # = 0 lies, lines, mass, pump, leakage, charge: as asked, in order.
-    os.write(leader, b"double_rod\ngravity\n0 deg\nabsolute\nforty\n40 mm\n25 mm\n100 mm\n"
-             b"retracted\n20 cm^3\n30 kg\n\n\n\n\n")
+    # machine, load, pressures, bore (first nonsense), rod, stroke and where x = 0 lies, lines, mass,
+    # pump, leakage, charge: as asked, in order.
+    os.write(leader, b"double_rod\nnone\nabsolute\nforty\n40 mm\n25 mm\n100 mm\n"
+             b"middle\n20 cm^3\n30 kg\n\n\n\n\n")
     _, err = process.communicate(timeout=60)
     os.close(leader)
     os.close(follower)
     assert process.returncode == 0, err
     assert "expected bore of the cylinder" in err
-    found = load_settings(tmp_path / "r.yaml")
-    rig = found.rig
+    rig = load_settings(tmp_path / "r.yaml").rig
     assert rig.area_1 == pytest.approx(np.pi / 4 * (0.04**2 - 0.025**2), rel=1e-4)
-    assert rig.volume_1 == pytest.approx(20e-6, rel=1e-4)
-    assert rig.volume_2 == pytest.approx(rig.area_1 * 0.1 + 20e-6, rel=1e-4)
-    assert found.effects["constant_load"]["F_0"] == 0.0
+    assert rig.volume_2 == pytest.approx(rig.area_1 * 0.05 + 20e-6, rel=1e-4)
+    assert (rig.mass, rig.tolerance.mass) == (30.0, 0.05)
+    assert "x = 0 lies" in err
     assert "ASK" in (tmp_path / "r.yaml").read_text()
