@@ -514,7 +514,7 @@ def test_a_person_at_a_terminal_is_asked(tmp_path):
         text=True,
         cwd=ROOT,
     )
-    # machine, load, pressures, bore (first nonsense), rod, stroke and where x = 0 lies, lines, mass,
+    # machine, load, pressures, bore (first nonsense), rod, stroke, where x = 0 lies, lines, mass,
     # pump, leakage, charge: as asked, in order.
     os.write(leader, b"double_rod\nnone\nabsolute\nforty\n40 mm\n25 mm\n100 mm\n"
              b"middle\n20 cm^3\n30 kg\n\n\n\n\n")
