@@ -185,7 +185,8 @@ def write(folder: Path) -> None:
         shown = recording(replace(made, sensors=replace(made.sensors, pressure_noise=1e3)), seed)
         excel(folder / f"{name}.csv", {key: shown[key] - gauge.get(key, 0.0)
                                        for key in ("time", *EXCEL)})
-    answers = [*sheet.answers(), "p1.unit=bar gauge", "p2.unit=bar gauge"]
+    answers = [*sheet.answers(), "machine=two_pumps", "load=gravity", "inclination=20 deg",
+               "zero=middle", "pressures=gauge"]
     (folder / "answers.txt").write_text("\n".join(answers) + "\n")
 
 

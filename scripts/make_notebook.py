@@ -1,8 +1,8 @@
-"""Execute docs/notebook.ipynb anew, in place; what its cells say stays.
+"""Execute docs/notebook.ipynb and docs/real_machine.ipynb anew, in place; their cells stay.
 
-    python scripts/make_notebook.py [FILE]
+    python scripts/make_notebook.py [NOTEBOOK ...]
 
-FILE is where the executed notebook goes instead.
+The second reads recordings beside the repository (docs/real_recordings.md); without them it stays.
 """
 
 import os
@@ -15,6 +15,8 @@ from nbclient import NotebookClient
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOK = ROOT / "docs" / "notebook.ipynb"
+REAL = ROOT / "docs" / "real_machine.ipynb"
+DATA = Path(os.environ.get("EHA_DATA", ROOT.parent / "shared" / "data"))
 LONGEST = 300  # s of one cell
 
 
@@ -41,9 +43,13 @@ def executed(path: Path) -> nbformat.NotebookNode:
 
 def main() -> None:
     """Execute and write."""
-    target = Path(sys.argv[1]) if len(sys.argv) > 1 else NOTEBOOK
-    nbformat.write(executed(NOTEBOOK), target)
-    print(f"{target}: {target.stat().st_size / 1e3:.0f} kB")
+    os.environ["EHA_DATA"] = str(DATA.resolve())
+    for path in [Path(name).resolve() for name in sys.argv[1:]] or [NOTEBOOK, REAL]:
+        if path == REAL and not (DATA / "flo_tork").exists():
+            print(f"{path}: left as it is, {DATA / 'flo_tork'} is not here")
+            continue
+        nbformat.write(executed(path), path)
+        print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
 
 
 if __name__ == "__main__":

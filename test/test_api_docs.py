@@ -59,6 +59,19 @@ def test_the_notebook_is_kept_whole_and_its_code_is_that_of_the_package():
     assert sum(["image/png", "text/plain"] in kind for kind in kinds_of(shown)) == 3  # pictures
 
 
+def test_the_notebook_of_a_real_machine_is_kept_whole():
+    nbformat = pytest.importorskip("nbformat", reason="nbformat is not installed (extra test)")
+    from make_notebook import REAL
+
+    assert REAL.stat().st_size < LARGEST
+    shown = nbformat.read(REAL, as_version=4)
+    code = [cell for cell in shown.cells if cell.cell_type == "code"]
+    assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))
+    assert sum(["image/png", "text/plain"] in kind for kind in kinds_of(shown)) == 4
+    said = "".join(output.get("text", "") for cell in code for output in cell.outputs)
+    assert re.search(r"Coulomb friction .* is 19\d", said)
+
+
 # A diagnosis, a study and a report: what the docstrings' examples run in test_api_examples.py.
 @pytest.mark.slow
 @pytest.mark.timeout(300)

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eha_monitor.cli import main
-from eha_monitor.draft.rig import answers_of, full_scale
+from eha_monitor.draft.answers import answers_of, full_scale
 from eha_monitor.draft.sources import layout_of
 from eha_monitor.draft.words import read
 from eha_monitor.errors import InputError
@@ -338,6 +338,8 @@ def test_bore_rod_and_stroke():
         ("area_1=-5 cm^2", "expected at least 0"),
         ("bore=40 bar", "expected bore of the cylinder in m"),
         ("rods=3", "expected 1 or 2"),
+        ("machine=pump", "expected double_rod or two_pumps"),
+        ("inclination=20", "such as '20 deg'"),
         ("x.colum=a", "expected x.column or unit"),
         ("x.unit=bar", "expected a length such as mm"),
         ("x.full=much", "such as"),
@@ -386,6 +388,95 @@ def test_nothing_is_overwritten(tmp_path, capsys):
     assert out.read_text() == "mine"
 
 
+def entries(*answers, span=None):
+    from eha_monitor.draft.beyond import effects_of, tolerances
+    from eha_monitor.draft.rig import Seen, rig_entries
+
+    said, seen = answers_of(answers), Seen(1e-3, span=span)
+    rig = rig_entries(said, seen, False, "a")
+    return ({one.key: one.value for one in rig}, {one.key: one for one in effects_of(
+        said, rig, seen)}, {one.key: float(one.value) for one in tolerances(rig)})
+
+
+@pytest.mark.parametrize(
+    ("zero", "span", "oil"),
+    [
+        ("zero=middle", (-0.07, 0.07), (140.5, 101.3)),
+        ("zero=retracted", (0, 0.15), (40, 162.5)),
+        ("zero=extended", (-0.15, 0), (241.1, 40)),
+        ("mass=1 kg", (0.001, 0.15), (40, 162.5)),  # nobody said it: the recording shows it
+    ],
+)
+def test_volumes_at_zero_follow_from_where_it_lies(zero, span, oil):
+    rig, effects, _ = entries(
+        "bore=40 mm", "rod=25 mm", "stroke=160 mm", "line_volume=40 cm^3", zero, span=span
+    )
+    assert [1e6 * float(rig[f"volume_{k}"]) for k in (1, 2)] == pytest.approx(oil, rel=1e-3)
+    if zero == "zero=middle":
+        assert not effects
+        return
+    slope = float(re.search(r"A_v: ([\d.e-]+)", effects["position_dependent_volume"].value)[1])
+    for x in span:  # no chamber runs out of oil
+        assert float(rig["volume_1"]) + slope * x > 0 < float(rig["volume_2"]) - slope * x
+
+
+def test_a_load_becomes_an_effect_that_the_model_has():
+    from eha_monitor.settings.load import settings_from_tree
+
+    _, effects, _ = entries("mass=60 kg", "load=gravity", "inclination=20 deg")
+    assert float(effects["constant_load"].value[6:-1]) == pytest.approx(201.3, rel=1e-3)
+    _, effects, _ = entries("load=spring", "spring=8 N/mm", "spring_rest=-5 mm")
+    assert effects["spring_load"].value == "{k: 8000.0, x_0: -0.005}"
+    assert settings_from_tree({"effects": {"spring_load": {"k": 8e3, "x_0": -5e-3}}}, "a")
+    assert not entries("load=unknown")[1]
+
+
+def test_tolerances_follow_from_where_a_number_comes_from():
+    answered = entries("mass=60 kg", "area_1=5 cm^2", "bore=40 mm", "rod=25 mm")[2]
+    nobody = entries("bore=40 mm")[2]
+    assert answered["mass"] < nobody["mass"]
+    assert answered["area_1"] < answered["area_2"] == nobody["area_1"]
+    assert nobody["leakage"] > entries("leakage=1e-12")[2]["leakage"]
+
+
+@pytest.mark.parametrize(
+    ("machine", "nothing"),
+    [
+        ("valve", ("volume_1", "pump_displacement", "position_gain")),
+        ("force", ("area_1", "area_2", "volume_1", "pump_displacement")),
+    ],
+)
+def test_a_machine_without_a_pump_is_not_asked_for_one(tmp_path, capsys, monkeypatch, machine,
+                                                       nothing):
+    monkeypatch.chdir(tmp_path)
+    status, out, _ = init(capsys, german(tmp_path / "a.csv"), "--yes", "--set",
+                          f"machine={machine}", *sets("mass=20 kg", "load=none"))
+    assert status == 0
+    rig = load_settings("my_rig.yaml").rig
+    assert all(getattr(rig, key) is None for key in nothing)
+    assert not any(f"rig.{key}:" in out for key in (*nothing, "leakage"))
+
+
+@pytest.mark.parametrize(
+    ("more", "unit", "said"),
+    [
+        ((), "bar gauge", "is not below 1 bar"),
+        (("pressures=absolute",), "bar", "are these gauge pressures"),
+        (("pressures=gauge",), "bar gauge", "answered"),
+    ],
+)
+def test_pressures_below_the_open_air_are_no_absolute_ones(tmp_path, capsys, monkeypatch, more,
+                                                           unit, said):
+    monkeypatch.chdir(tmp_path)
+    low = {f"Druck {one} [bar]": (SEEN[key] - SEEN[key].min()) * 1e-5 for one, key in
+           (("A", "p1"), ("B", "p2"))}
+    status, *_ = init(capsys, german(tmp_path / "a.csv", **low), "--yes", *sets(
+        *(one for one in SHEET if "charge" not in one), *more))
+    assert status == 0
+    assert load_settings("my_rig.yaml").table.columns["p1"].unit == unit
+    assert said in Path("my_rig.yaml").read_text(encoding="utf-8")
+
+
 def test_full_scales():
     assert full_scale("x", "80 mm", "share") == ("mm", 0.8)
     assert full_scale("p1", "27648 = 250 bar", "counts") == ("bar", pytest.approx(250 / 27648))
@@ -423,8 +514,10 @@ def test_a_person_at_a_terminal_is_asked(tmp_path):
         text=True,
         cwd=ROOT,
     )
-    # bore (first nonsense), rod, rods, stroke, lines, mass, pump, leakage: as asked, in order.
-    os.write(leader, b"forty\n40 mm\n25 mm\n2\n100 mm\n20 cm^3\n\n\n\n\n\n")
+    # machine, load, pressures, bore (first nonsense), rod, stroke, where x = 0 lies, lines, mass,
+    # pump, leakage, charge: as asked, in order.
+    os.write(leader, b"double_rod\nnone\nabsolute\nforty\n40 mm\n25 mm\n100 mm\n"
+             b"middle\n20 cm^3\n30 kg\n\n\n\n\n")
     _, err = process.communicate(timeout=60)
     os.close(leader)
     os.close(follower)
@@ -433,4 +526,6 @@ def test_a_person_at_a_terminal_is_asked(tmp_path):
     rig = load_settings(tmp_path / "r.yaml").rig
     assert rig.area_1 == pytest.approx(np.pi / 4 * (0.04**2 - 0.025**2), rel=1e-4)
     assert rig.volume_2 == pytest.approx(rig.area_1 * 0.05 + 20e-6, rel=1e-4)
+    assert (rig.mass, rig.tolerance.mass) == (30.0, 0.05)
+    assert "x = 0 lies" in err
     assert "ASK" in (tmp_path / "r.yaml").read_text()

@@ -83,14 +83,28 @@ def test_two_recordings_are_wide_and_say_so(bags, capsys):
     assert "2 recordings give wide limits" in capsys.readouterr().out
 
 
-def test_a_mismatch_is_named(bags, tmp_path, capsys):
+def test_dry_friction_needs_the_diagnosed_model(bags, tmp_path, capsys):
     config = tmp_path / "dry.yaml"
     config.write_text("effects: {coulomb_friction: {F_c: 40}}\n")
     bag = tmp_path / "dry"
     assert main(["simulate", "--out", str(bag), "--config", str(config), "--duration", "4"]) == 0
+    capsys.readouterr()
     assert main(["thresholds", "--from", *bags[:3], str(bag)]) == 0
-    out = " ".join(capsys.readouterr().out.split())
-    assert "dry: the model does not fit this recording" in out
+    out = capsys.readouterr().out
+    assert "model does not fit 1 of 4 recordings" in out
+    assert "no --config: the rig's values are those of the paper" in out
+    assert f"  eha-monitor diagnose {bag} --write-config diagnosed.yaml\n" in out
+    again = re.search(r"^  eha-monitor (thresholds .* --config diagnosed.yaml .*)$", out, re.M)
+    assert again, out
+    # What diagnose would write: the second command then has nothing to say against the model.
+    words = again[1].replace("diagnosed.yaml", str(config)).replace("judged.yaml", str(
+        tmp_path / "judged.yaml")).split()
+    assert main([*words[:2], str(bag), *words[words.index("--config"):]]) == 0
+    out = capsys.readouterr().out
+    assert "does not fit" not in out
+    assert "no --config" not in out
+    limits = load_settings(tmp_path / "judged.yaml").thresholds.viscous_damping
+    assert limits.high_warn == pytest.approx(1000, rel=0.02)  # the paper's, scaled to B = 600
 
 
 @pytest.mark.parametrize(("words", "said"), [

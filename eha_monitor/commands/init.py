@@ -10,8 +10,9 @@ from eha_monitor.commands.common import FILE, check_target, working
 from eha_monitor.errors import InputError
 from eha_monitor.output import write_text
 
-# What a person at the terminal is asked, in this order; the rest stays as the draft has it.
-QUESTIONS = (
+# What a person at the terminal is asked of the data sheet, in this order; the choices come first,
+# the rest stays as the draft has it.
+SHEET = (
     ("bore", "bore of the cylinder, such as 50 mm"), ("rod", "diameter of its rod, such as 28 mm"),
     ("rods", "rod on 1 or on 2 sides"), ("stroke", "stroke, such as 200 mm"),
     ("line_volume", "oil in the line to one chamber, such as 10 cm^3"),
@@ -23,6 +24,9 @@ QUESTIONS = (
 # Key of the config -> questions that answer it.
 _ANSWERS = {"area_1": ("bore",), "area_2": ("rod", "rods"), "volume_1": ("stroke", "line_volume"),
             "volume_2": ("stroke", "line_volume")}
+# Question -> those that its answer makes sensible, and with which answer ("": any).
+_THEN = {"load": (("gravity", "inclination"), ("spring", "spring"), ("spring", "spring_rest")),
+         "stroke": (("", "zero"),)}
 
 
 @click.command()
@@ -31,7 +35,8 @@ _ANSWERS = {"area_1": ("bore",), "area_2": ("rod", "rods"), "volume_1": ("stroke
               show_default=True, metavar="FILE.yaml", help="The config to write.")
 @click.option("--set", "given", multiple=True, metavar="KEY=VALUE",
               help="A value: rig.area_1='5.05 cm^2', rig.bore='50 mm', x.column='Weg [mm]', "
-              "p1.unit='bar gauge', x.full='80 mm' (at 100 %); several times.")
+              "x.full='80 mm' (at 100 %), machine=two_pumps, load=gravity, inclination='20 deg', "
+              "zero=retracted, pressures=gauge; several times.")
 @click.option("--yes", is_flag=True, help="Ask nothing: unknown values stay marked ASK.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing config.")
 def init(file: Path, out: Path, given: tuple[str, ...], yes: bool, overwrite: bool) -> None:
@@ -40,8 +45,8 @@ def init(file: Path, out: Path, given: tuple[str, ...], yes: bool, overwrite: bo
     Columns, units and time are guessed from header and values; what cannot be guessed is asked
     for on a terminal; otherwise it is marked ASK in the config.
     """
+    from eha_monitor.draft.answers import answers_of
     from eha_monitor.draft.draft import drafted
-    from eha_monitor.draft.rig import answers_of
     from eha_monitor.draft.sources import source_of
 
     answers = answers_of(given)
@@ -56,37 +61,50 @@ def init(file: Path, out: Path, given: tuple[str, ...], yes: bool, overwrite: bo
         draft = drafted(source, answers)
     write_text(out, draft.text)
     _tell(draft)
-    _first_estimate(draft)
+    _first_estimate(draft, out)
     _next(file, out, draft, source.bag)
 
 
 def _asked(asked, answers, given):
     """Ask at the terminal for what is open; an empty answer leaves it open."""
-    from eha_monitor.draft.rig import answers_of
+    from eha_monitor.draft.answers import CHOICES, answers_of
+    from eha_monitor.draft.beyond import QUESTIONS
 
     wanted = []
     for key, question in asked:
         name = key.removeprefix("rig.")
-        if key.endswith((".full", ".column")):
+        if name in CHOICES or key.endswith((".full", ".column")):
             wanted.append((key, question))
             continue
         wanted += [(part, words) for part in _ANSWERS.get(name, (name,))
-                   for of, words in QUESTIONS if of == part]
+                   for of, words in SHEET if of == part]
     said = list(given)
     click.echo("Press Enter to skip a question.", err=True)
-    for key, question in dict.fromkeys(wanted):
-        if key.removeprefix("rig.") in answers.rig:
+    wanted = list(dict.fromkeys(wanted))
+    while wanted:
+        key, question = wanted.pop(0)
+        if key in answers.rig or answers.lacks(key):
             continue
-        while True:
-            text = click.prompt(question, default="", show_default=False, err=True).strip()
-            try:
-                if text:
-                    answers_of((*said, f"{key}={text}"))
-                    said.append(f"{key}={text}")
-                break
-            except InputError as problem:
-                click.echo(str(problem), err=True)
-    return answers_of(tuple(said))
+        text = _answer(key, question, said)
+        answers = answers_of(tuple(said))
+        wanted[:0] = [(then, QUESTIONS[then]) for on, then in _THEN.get(key, ())
+                      if text and text == (on or text)]
+    return answers
+
+
+def _answer(key, question, said):
+    """Ask until the answer can be read, add it to what was said, and return it."""
+    from eha_monitor.draft.answers import answers_of
+
+    while True:
+        text = click.prompt(question, default="", show_default=False, err=True).strip()
+        try:
+            if text:
+                answers_of((*said, f"{key}={text}"))
+                said.append(f"{key}={text}")
+            return text
+        except InputError as problem:
+            click.echo(str(problem), err=True)
 
 
 def _tell(draft) -> None:
@@ -112,7 +130,7 @@ def _tell(draft) -> None:
         to.print(f"check: {finding.finding}", markup=False)
 
 
-def _first_estimate(draft) -> None:
+def _first_estimate(draft, out: Path) -> None:
     """Run the first estimate where the draft can be read, and say why where it cannot."""
     from eha_monitor.recordings.recording import SHORTEST_S
 
@@ -139,7 +157,7 @@ def _first_estimate(draft) -> None:
     except InputError as problem:
         click.echo(f"no estimate yet: {problem}")
         return
-    show(found, alarms, [])
+    show(found, alarms, [], config=out)
 
 
 def _next(file: Path, out: Path, draft, bag: bool) -> None:

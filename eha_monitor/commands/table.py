@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+import click
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -49,8 +50,17 @@ def print_end(to: Console, note: str, written: list[Path]) -> None:
     """Print what holds for all numbers, and which files were written."""
     if note:
         to.print(note, style="dim")
+    show_paper(to)
     for path in written:
         to.print(f"written: {escape(str(path))}", soft_wrap=True)
+
+
+def show_paper(to: Console) -> None:
+    """Say so where a command that takes ``--config`` runs without one."""
+    context = click.get_current_context(silent=True)
+    if context and context.params.get("config", "") is None:
+        to.print("no --config: the rig's values are those of the paper's EHA (eha-monitor config "
+                 "prints them; eha-monitor init FILE drafts your own)", soft_wrap=True)
 
 
 def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path],

@@ -1,6 +1,7 @@
 """``thresholds``: limits for the config from recordings of the healthy machine."""
 
 import math
+import shlex
 from dataclasses import asdict
 from pathlib import Path
 
@@ -51,12 +52,18 @@ def thresholds(bags: tuple[Path, ...], config: Path | None, rate: float, least: 
     from eha_monitor.settings import load_settings
 
     settings = load_settings(config)
-    healthy, told, seconds = _healthy(bags, settings, config)
+    healthy, told, unfit, seconds = _healthy(bags, settings, config)
+    remedy = _remedy(list(unfit), bags, config, bool(settings.rig.identified))
     if not any(healthy.values()):
-        raise InputError(f"{bags[0]}: expected at least one recording in which B or βe converges; "
-                         + "; ".join(told))
+        raise InputError("; ".join([
+            f"{bags[0]}: expected at least one recording in which B or βe converges", *told,
+            *(["run `" + "`, then `".join(remedy) + "`"] if remedy else [])]))
     proposals = [proposed(symbol, found, rate, least)
                  for symbol, found in healthy.items() if found]
+    if remedy:
+        told += [f"the model does not fit {len(unfit)} of {len(bags)} recordings "
+                 f"({', '.join(map(str, unfit))}), so {_biased(unfit)} biased by what it lacks; "
+                 "limits with the diagnosed model:", *(f"  {command}" for command in remedy)]
     _show(proposals, told, seconds, settings)
     if json_file:
         write_json(json_file, _tree(proposals, told, seconds))
@@ -67,7 +74,7 @@ def thresholds(bags: tuple[Path, ...], config: Path | None, rate: float, least: 
 
 
 def _healthy(bags, settings, config):
-    """Return symbol -> what each recording says of it, sentences, and the usual length in s."""
+    """Return what each recording says of each symbol, sentences, misfits, the usual length, s."""
     import numpy as np
 
     from eha_monitor.api.answer import series_of
@@ -77,10 +84,11 @@ def _healthy(bags, settings, config):
     from eha_monitor.estimation.inputs import time_of
     from eha_monitor.estimation.pipeline import estimate
     from eha_monitor.health.proposal import healthy_of
+    from eha_monitor.quantity import SYMBOLS
     from eha_monitor.recordings.read import read_recording
 
     load_runtime()
-    found, told, seconds = {"B": [], "beta_e": []}, [], []
+    found, told, unfit, seconds = {"B": [], "beta_e": []}, [], {}, []
     for bag in bags:
         with working(f"estimating {bag}"):
             recording = read_recording(bag, settings)
@@ -91,20 +99,45 @@ def _healthy(bags, settings, config):
         warmth = recording.get("temperature") if recording.has("temperature") else None
         for symbol, series in series_of(answer).items():
             one = healthy_of(str(bag), symbol, time_of(recording), series, settings, warmth)
-            if one is None:
-                told.append(f"{bag}: {symbol} is left out: "
-                            f"{series.final.message or series.final.status}")
-            else:
+            if one is not None:
                 found[symbol].append(one)
+                continue
+            why = series.final.message or series.final.status
+            if answer.model.status == "mismatch" and series.final.status != "no_data":
+                why = "it is not determined while the model does not fit"
+            told.append(f"{bag}: {SYMBOLS.get(symbol, symbol)} is left out: {why}")
         if answer.model.status == "mismatch":
-            told.append(f"{bag}: the model does not fit this recording, so its values are biased "
-                        "by the model error; `eha-monitor diagnose` identifies the cause "
-                        f"({answer.model.message})")
-    return found, told, float(np.median(seconds))
+            unfit[bag] = set(answer.model.tainted)
+    return found, told, unfit, float(np.median(seconds))
+
+
+def _biased(unfit) -> str:
+    """Return whose values a model error moves, with the verb."""
+    from eha_monitor.quantity import SYMBOLS
+
+    names = [SYMBOLS.get(name, name) for name in ("B", "beta_e") if any(
+        name in tainted for tainted in unfit.values())]
+    return f"{names[0]} is" if len(names) == 1 else "B and βe are"
+
+
+def _remedy(unfit, bags, config, diagnosed) -> list[str]:
+    """Return the commands that bring limits with a model that fits; none where it does.
+
+    What one recording has shown is in a config that was ``diagnosed``; all together show more.
+    """
+    if not unfit:
+        return []
+    given = ["--config", str(config)] if config else []
+    better = "diagnosed.yaml" if not config or config.name != "diagnosed.yaml" else "again.yaml"
+    return [f"eha-monitor {shlex.join(words)}" for words in (
+        ["diagnose", *map(str, unfit if diagnosed else unfit[:1]), *given, "--write-config",
+         better],
+        ["thresholds", "--from", *map(str, bags), "--config", better, "--write-config",
+         "judged.yaml"])]
 
 
 def _show(proposals, told, seconds, settings) -> None:
-    from eha_monitor.commands.table import console, table
+    from eha_monitor.commands.table import console, show_paper, table
     from eha_monitor.estimation.results import units_of
     from eha_monitor.quantity import SYMBOLS, quantity
 
@@ -124,8 +157,9 @@ def _show(proposals, told, seconds, settings) -> None:
                       f"{quantity(one.mean, units[one.symbol], 4)}, spread within a recording "
                       f"{one.within:.2%}, between recordings {between}", markup=False)
     to.print(rows)
+    show_paper(to)
     for sentence in _sentences(proposals, told, seconds):
-        to.print(sentence, markup=False)
+        to.print(sentence, markup=False, soft_wrap=sentence.startswith("  "))  # may be copied
 
 
 def _rate(rate: float) -> str:

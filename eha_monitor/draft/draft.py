@@ -2,120 +2,56 @@
 
 from dataclasses import dataclass, replace
 from json import dumps
-from math import isclose, log
 
 from eha_monitor import __version__
+from eha_monitor.draft.answers import Answers, full_scale
+from eha_monitor.draft.beyond import effects_of, open_choices, tolerances
 from eha_monitor.draft.guess import Guess, Map, guessed
-from eha_monitor.draft.rig import Answers, Entry, Seen, full_scale, number, rig_entries, seen_in
+from eha_monitor.draft.mend import absolute, as_answered, mended, not_absolute
+from eha_monitor.draft.rig import Entry, Seen, number, rig_entries, seen_in
 from eha_monitor.draft.sources import Source
 from eha_monitor.errors import InputError
 from eha_monitor.plausibility.judge import Plausibility, plausibility_of
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.read import read_recording
-from eha_monitor.recordings.recording import ChannelFinding, Recording
-from eha_monitor.settings.channels import check_unit, unit_of
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.channels import check_unit
 from eha_monitor.settings.load import settings_from_tree, text_tree
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
-
-# Units that a column may be in, by its channel; a factor that is none of them becomes a scale.
-UNITS = {"x": ("m", "mm", "cm", "um", "inch"), "x_d": ("m", "mm", "cm", "um", "inch"),
-         "v": ("m/s", "mm/s", "cm/s", "m/min"),
-         "omega": ("rad/s", "rpm", "rev/s", "deg/s"),
-         "omega_d": ("rad/s", "rpm", "rev/s", "deg/s"),
-         "p1": ("Pa", "bar", "kPa", "MPa", "psi", "mbar"),
-         "p2": ("Pa", "bar", "kPa", "MPa", "psi", "mbar"), "force": ("N", "kN", "kgf", "daN")}
-TIMES = {1e-3: "1 ms", 1.0: "1 s", 1e-6: "1 us", 1e-9: "1 ns", 60.0: "1 min"}
-
-
-def mended(found: Map, findings: tuple[ChannelFinding, ...], settings: Settings
-           ) -> tuple[Map, list[str]]:
-    """Return the map with what the recording corrects, and what is left to ask.
-
-    A sign and a swap are corrected whatever the header says, since cables and hoses are mixed up;
-    a unit only where no header and nobody has named it.  Numbers of the rig are never touched.
-    """
-    left = []
-    for finding in findings:
-        changed = _one(found, finding, settings)
-        if changed is None:
-            left.append(finding.finding)
-        else:
-            found = changed
-    return found, left
-
-
-def _one(found: Map, finding: ChannelFinding, settings: Settings) -> Map | None:
-    names = finding.channels
-    if names == ("time",):
-        scale = finding.correction.get("table", {}).get("time_scale")
-        if found.time is None or found.time.sure or scale is None:
-            return None
-        unit = next((text for value, text in TIMES.items() if isclose(value, scale, rel_tol=1e-6)),
-                    None)
-        return unit and replace(found, time=replace(found.time, unit=unit, why=_told(finding)))
-    if any(name not in found.channels for name in names) or "channels" not in finding.correction:
-        return None
-    if finding.kind == "swapped" and len(names) == 2:
-        one, other = (found.channels[name] for name in names)
-        swapped = {names[0]: replace(other, why=_told(finding)),
-                   names[1]: replace(one, why=_told(finding))}
-        return replace(found, channels={**found.channels, **swapped})
-    for name in names:
-        guess = found.channels[name]
-        if finding.kind == "offset":
-            # Against a charge pressure that nobody has told it says nothing.
-            if "charge pressure" in finding.finding and (
-                    "charge_pressure" not in settings.rig.model_fields_set):
-                return found
-            if not guess.unit or (guess.sure and "gauge" in guess.unit):
-                return None
-            found = found.with_channel(name, replace(
-                guess, unit=f"{guess.unit} gauge", why=_told(finding)))
-            continue
-        old, new = settings.channels[name].gain, finding.correction["channels"][name]["scale"]
-        factor = new / old
-        if factor < 0:
-            found = found.with_channel(name, replace(guess, scale=-guess.scale,
-                                                     why=_told(finding)))
-        if abs(log(abs(factor))) > 1e-6:
-            if guess.sure:
-                return None
-            found = found.with_channel(name, _in_another_unit(found.channels[name], name,
-                                                              abs(factor), finding))
-    return found
-
-
-def _in_another_unit(guess, name: str, factor: float, finding: ChannelFinding):
-    wanted = unit_of(guess.unit).factor * factor
-    unit = next((unit for unit in UNITS.get(name, ())
-                 if isclose(unit_of(unit).factor, wanted, rel_tol=1e-4)), None)
-    if unit is not None:
-        return replace(guess, unit=unit, why=_told(finding))
-    return replace(guess, scale=float(f"{guess.scale * factor:.10g}"), why=_told(finding))
-
-
-def _told(finding: ChannelFinding) -> str:
-    return f"values: {finding.finding}"
-
 
 ASK = "ASK"
 _COLUMN = 34  # where comments begin, if there is room
 
 
-def draft_text(source: Source, found: Map, rig: list[Entry], checks: list[str]) -> str:
+@dataclass(frozen=True)
+class Lines:
+    """What a draft says beside its channels: lines of ``rig`` and ``effects``, open choices."""
+
+    rig: list[Entry]
+    effects: list[Entry]
+    choices: list[tuple[str, str]]
+
+
+def draft_text(source: Source, found: Map, told: Lines, checks: list[str]) -> str:
     """Return the config.
 
     Parameters
     ----------
     source, found : the recording and its channels.
-    rig : lines of ``rig``.
+    told : what is known of the rig.
     checks : sentences of the plausibility checks that nothing was done about.
     """
     lines = [f"# Drafted by eha_monitor {__version__} from {source.path.name}.",
              "# The comment behind each value gives its source; ASK marks missing values.",
-             *(f"# {ASK}: {check}" for check in checks), "rig:"]
-    lines += [_line(f"  {entry.key}: {entry.value}", entry.why, entry.ask) for entry in rig]
+             *(f"# {ASK}: {check}" for check in checks),
+             *(f"# {ASK} {key}: {words}" for key, words in told.choices), "rig:"]
+    lines += [_line(f"  {entry.key}: {entry.value}", entry.why, entry.ask) for entry in told.rig]
+    lines += ["  tolerance:  # one standard deviation; diagnose fits each value within it"]
+    lines += [_line(f"    {one.key}: {one.value}", one.why) for one in tolerances(told.rig)]
+    if told.effects:
+        lines += ["effects:", *(_line(f"  {one.key}: {one.value}", one.why)
+                                for one in told.effects)]
     lines += ["channels:"] if source.bag else ["table:"]
     if not source.bag:
         lines += [_line(f"  {key}: {_scalar(value)}", "values: how the file is laid out")
@@ -215,39 +151,51 @@ def drafted(source: Source, answers: Answers) -> Draft:
     InputError
         If an answer is of no use, in one line.
     """
-    found = _answered(guessed(source, answers.columns()), answers)
+    found = as_answered(_answered(guessed(source, answers.columns()), answers), answers)
     checks: list[str] = []
+    step = Rig().sample_time
     for _ in range(ROUNDS):
-        settings, text, entries, recording, problem = _read(source, found, answers, checks)
+        settings, text, lines, recording, problem = _read(source, found, answers, checks, step)
         if recording is None:
-            return Draft(text, found, settings, None, _open(found, entries), Plausibility(),
+            return Draft(text, found, settings, None, _open(found, lines), Plausibility(),
                          problem)
-        told = _told_alone(settings, entries)
+        step = recording.sample_time
+        told = _told_alone(settings, lines.rig)
         better, checks = mended(found, plausibility_of(recording, told).findings, told)
+        if better is found:
+            better, said = not_absolute(found, recording, answers)
+            checks += [said] if said else []
         if better is found:
             break
         found = better
     # Once more, since the last round may have left something to ask.
-    settings, text, entries, recording, problem = _read(source, found, answers, checks)
-    return Draft(text, found, settings, recording, _open(found, entries),
+    settings, text, lines, recording, problem = _read(source, found, answers, checks, step)
+    return Draft(text, found, settings, recording, _open(found, lines),
                  plausibility_of(recording, settings), problem)
 
 
-def _read(source: Source, found: Map, answers: Answers, checks: list[str]
-          ) -> tuple[Settings, str, list[Entry], Recording | None, str]:
+def _read(source: Source, found: Map, answers: Answers, checks: list[str], step: float
+          ) -> tuple[Settings, str, Lines, Recording | None, str]:
     """Return settings, text and rig of a map, and the recording as it reads it."""
-    name = source.path.name.split(".")[0] or "my_rig"
     # The stamps of the file tell its sample time, whatever stands here.
-    entries = rig_entries(answers, Seen(Rig().sample_time), found.rotary, name)
-    settings, text = _made(source, found, entries, checks)
+    lines = _lines(source, found, answers, Seen(step))
+    settings, text = _made(source, found, lines, checks)
     try:
         recording = read_recording(source.path, settings) if source.bag else read_table(
             source.path, settings, map_source="the draft")
     except InputError as problem:
-        return settings, text, entries, None, str(problem)
-    entries = rig_entries(answers, seen_in(recording), found.rotary, name)
-    settings, text = _made(source, found, entries, checks)
-    return settings, text, entries, recording, ""
+        return settings, text, lines, None, str(problem)
+    lines = _lines(source, found, answers, seen_in(recording))
+    settings, text = _made(source, found, lines, checks)
+    return settings, text, lines, recording, ""
+
+
+def _lines(source: Source, found: Map, answers: Answers, seen: Seen) -> Lines:
+    name = source.path.name.split(".")[0] or "my_rig"
+    rig = rig_entries(answers, seen, found.rotary, name)
+    # Nobody has to say what a unit says, or what there are no pressures for.
+    known = not absolute(found) or "p1" not in found.channels
+    return Lines(rig, effects_of(answers, rig, seen), open_choices(answers, rig, seen, known))
 
 
 def _told_alone(settings: Settings, entries: list[Entry]) -> Settings:
@@ -264,9 +212,8 @@ def _told_alone(settings: Settings, entries: list[Entry]) -> Settings:
     return settings_from_tree(tree, "the draft")
 
 
-def _made(source: Source, found: Map, entries: list[Entry], checks: list[str]
-          ) -> tuple[Settings, str]:
-    text = draft_text(source, found, entries, checks)
+def _made(source: Source, found: Map, lines: Lines, checks: list[str]) -> tuple[Settings, str]:
+    text = draft_text(source, found, lines, checks)
     return settings_from_tree(text_tree(text, "the draft"), "the draft"), text
 
 
@@ -304,11 +251,12 @@ def _with(name: str, guess: Guess, keys: dict[str, str], rotary: bool) -> Guess:
     return guess
 
 
-def _open(found: Map, entries: list[Entry]) -> tuple[tuple[str, str], ...]:
+def _open(found: Map, lines: Lines) -> tuple[tuple[str, str], ...]:
     """Return what nobody has told: key -> question."""
     asked = [(f"{name}.full", f"'{guess.candidate.shown}' is in "
               f"{'per cent' if guess.full == 'share' else 'counts'}; the full scale")
              for name, guess in found.channels.items() if guess.full]
     if "x" not in found.channels:
         asked.append(("x.column", "which column is the measured position"))
-    return tuple(asked + [(f"rig.{entry.key}", entry.why) for entry in entries if entry.ask])
+    return tuple(asked + lines.choices
+                 + [(f"rig.{entry.key}", entry.why) for entry in lines.rig if entry.ask])

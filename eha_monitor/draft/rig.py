@@ -1,142 +1,12 @@
 """The rig of a draft: what was answered (``--set``), what follows, what the recording shows."""
 
-import difflib
-import re
 from dataclasses import dataclass
 from math import pi
 
 import numpy as np
-from pydantic_core import PydanticCustomError
 
-from eha_monitor.errors import InputError
-from eha_monitor.settings.channels import CHANNELS, unit_of
+from eha_monitor.draft.answers import Answers
 from eha_monitor.settings.rig import Rig
-from eha_monitor.units import to_si
-
-# What a data sheet of a cylinder has, and the config's numbers follow from; unit, and words.
-SHEET = {"bore": ("m", "bore of the cylinder"), "rod": ("m", "diameter of the rod"),
-         "stroke": ("m", "stroke of the cylinder"),
-         "line_volume": ("m³", "oil in the line to one chamber")}
-RODS = ("1", "2")
-_NULL = ("null", "none", "-")
-_CHANNEL_KEYS = ("column", "unit", "scale", "offset", "full")
-_FULL = re.compile(r"^(?:(?P<raw>[-+\d.e]+)\s*=\s*)?(?P<value>[-+\d.]+(?:e[-+]?\d+)?)"
-                   r"\s*(?P<unit>\S.*)$", re.IGNORECASE)
-
-
-@dataclass(frozen=True)
-class Answers:
-    """What was answered.
-
-    Attributes
-    ----------
-    rig : key of ``rig`` or of a data sheet -> text as given.
-    channels : channel or ``time`` -> key -> text.
-    """
-
-    rig: dict[str, str]
-    channels: dict[str, dict[str, str]]
-
-    def number(self, key: str) -> float | None:
-        """Return an answer in SI, or None where there is none, or where it is ``null``."""
-        text = self.rig.get(key)
-        if text is None or text.casefold() in _NULL:
-            return None
-        return checked(key, text)
-
-    def columns(self) -> dict[str, str]:
-        """Return channel -> column that was named."""
-        return {name: keys["column"] for name, keys in self.channels.items() if "column" in keys}
-
-
-def answers_of(given: tuple[str, ...]) -> Answers:
-    """Return the answers of ``--set`` options.
-
-    Raises
-    ------
-    InputError
-        One line that names the option and what was expected.
-    """
-    rig: dict[str, str] = {}
-    channels: dict[str, dict[str, str]] = {}
-    for one in given:
-        key, equals, value = one.partition("=")
-        key, value = key.strip(), value.strip()
-        if not equals or not value:
-            raise InputError(f"--set {one}: expected KEY=VALUE, such as rig.area_1='5.05 cm^2'")
-        key = key.removeprefix("table.columns.").removeprefix("channels.").removeprefix("table.")
-        name, _, part = key.partition(".")
-        if name in (*CHANNELS, "time"):
-            part = part or "column"
-            if part not in _CHANNEL_KEYS:
-                raise InputError(f"--set {one}: expected {name}.{' or '.join(_CHANNEL_KEYS)}")
-            if part in ("scale", "offset"):
-                checked(f"{name}.{part}", value, "1")
-            channels.setdefault(name, {})[part] = value
-            continue
-        key = key.removeprefix("rig.")
-        rig[key] = value
-        checked(key, value)
-    return Answers(rig, channels)
-
-
-def checked(key: str, text: str, unit: str = "") -> float | None:
-    """Return an answer in SI.
-
-    Raises
-    ------
-    InputError
-        If there is no such key, or it is no such quantity.
-    """
-    fields = {**Rig.model_fields}
-    known = [*SHEET, "rods", *fields]
-    if not unit and key not in known:
-        close = difflib.get_close_matches(key, known, 1)
-        hint = f"did you mean rig.{close[0]}?" if close else (
-            f"expected a channel (x.unit, p1.column, ...) or rig.<{', '.join(known)}>")
-        raise InputError(f"--set {key}: unknown key, {hint}")
-    if key == "rods" and text not in RODS:
-        raise InputError(f"--set rods: expected 1 or 2 (a rod on both sides), got '{text}'")
-    if key in ("name", "motion", "rods") or text.casefold() in _NULL:
-        return None
-    si = unit or (SHEET[key][0] if key in SHEET else
-                  (fields[key].json_schema_extra or {}).get("unit", "1"))
-    words = SHEET[key][1] if key in SHEET else (fields[key].description if key in fields else key)
-    try:
-        number = float(text)
-    except ValueError:
-        try:
-            number = to_si(text, si)
-        except PydanticCustomError:
-            raise InputError(f"--set {key}: expected {words} in {si}, or with a unit, got "
-                             f"'{text}'") from None
-    if not unit and not number >= 0:
-        raise InputError(f"--set {key}: expected at least 0 {si}, got '{text}'")
-    return number
-
-
-def full_scale(channel: str, text: str, kind: str) -> tuple[str, float]:
-    """Return unit and scale of ``80 mm`` (at 100 %) or ``27648 = 250 bar`` (counts).
-
-    Raises
-    ------
-    InputError
-        If it is neither.
-    """
-    match = _FULL.match(text.replace(",", "."))
-    raw = None
-    if match:
-        raw = float(match["raw"]) if match["raw"] else (100.0 if kind == "share" else None)
-    if not raw:
-        example = "'80 mm', which is 100 %" if kind == "share" else "'27648 = 250 bar'"
-        raise InputError(f"--set {channel}.full: expected how much is the full scale, such as "
-                         f"{example}, got '{text}'")
-    try:
-        unit_of(match["unit"])
-    except ValueError as problem:
-        raise InputError(f"--set {channel}.full: {problem}") from None
-    return match["unit"], float(f"{float(match['value']) / raw:.10g}")
-
 
 FITS = 0.97  # share of the pump speed's variance that a gain must explain to be written
 PAPER = "default of the paper"
@@ -163,12 +33,14 @@ class Seen:
     gain : rad/(s·m), and the share of the speed's variance that it explains.
     charge : Pa, the mean of both pressures.
     pump_over_area : m of travel per rad of the pump, D_p/A.
+    span : m, the lowest and the highest position.
     """
 
     sample_time: float
     gain: tuple[float, float] | None = None
     charge: float | None = None
     pump_over_area: float | None = None
+    span: tuple[float, float] | None = None
 
 
 def number(value: float) -> str:
@@ -186,7 +58,7 @@ def rig_entries(answers: Answers, seen: Seen, rotary: bool, name: str) -> list[E
         Entry("name", _text(given.pop("name", name)), "from the file's name"),
         Entry("motion", given.get("motion", "rotary" if rotary else "linear"),
               "answered" if "motion" in given else "header: units of the position"),
-        area_1, area_2, *_volumes(answers, area_1, area_2),
+        area_1, area_2, *_volumes(answers, seen, area_1, area_2),
         _told(answers, "mass", "moving mass", "20 kg"),
         _told(answers, "pump_displacement", "of the pump", "1.6 cm^3/rev", seen_pump(
             answers, area_1, seen)),
@@ -196,10 +68,18 @@ def rig_entries(answers: Answers, seen: Seen, rotary: bool, name: str) -> list[E
         Entry("sample_time", number(seen.sample_time), "values: the usual step of the time")
         if "sample_time" not in given else _answered(answers, "sample_time"),
     ]
+    entries = [_nothing(answers, one.key) if answers.lacks(one.key) else one for one in entries]
     done = {entry.key for entry in entries}
     entries += [_answered(answers, key) for key in given
                 if key in Rig.model_fields and key not in done]
     return entries
+
+
+def _nothing(answers: Answers, key: str) -> Entry:
+    """Return what a machine has not: null, or the default where the config wants a number."""
+    needed = key in ("leakage", "makeup_conductance", "charge_pressure")
+    return Entry(key, number(Rig.model_fields[key].default) if needed else "null",
+                 f"not used: the machine is answered as {answers.rig['machine']}")
 
 
 def _text(value: str) -> str:
@@ -225,7 +105,7 @@ def _quoted(text: str) -> str:
 
 def _areas(answers: Answers) -> tuple[Entry, Entry]:
     bore, rod = answers.number("bore"), answers.number("rod")
-    rods = answers.rig.get("rods", "1")
+    rods = answers.rods()
     sheet = answers.rig
     found = []
     for key, open_end in (("area_1", rods == "1"), ("area_2", False)):
@@ -241,27 +121,51 @@ def _areas(answers: Answers) -> tuple[Entry, Entry]:
     return found[0], found[1]
 
 
-def _value(entry: Entry, answers: Answers) -> float | None:
+def value_of(entry: Entry, answers: Answers) -> float | None:
+    """Return the number of a line, SI, or None."""
     if entry.key in answers.rig:
         return answers.number(entry.key)
     return None if entry.value == "null" else float(entry.value)
 
 
-def _volumes(answers: Answers, *areas: Entry) -> list[Entry]:
+# Where x = 0 lies -> shares of the stroke that chambers 1 and 2 have there.
+_SHARES = {"middle": (0.5, 0.5), "retracted": (0.0, 1.0), "extended": (1.0, 0.0)}
+_WORDS = {"middle": "the middle of the stroke", "retracted": "the end with the rod in",
+          "extended": "the end with the rod out"}
+
+
+def zero_of(answers: Answers, seen: Seen) -> tuple[str, str]:
+    """Return where x = 0 lies, and who says so: ``answered``, ``values``, or "" for nobody.
+
+    A cylinder whose x leaves the middle by more than half of its stroke does not have x = 0 there.
+    """
+    if "zero" in answers.rig:
+        return answers.rig["zero"], "answered"
+    stroke = answers.number("stroke")
+    if stroke and seen.span and max(map(abs, seen.span)) > 0.51 * stroke:
+        return ("retracted" if sum(seen.span) > 0 else "extended"), "values"
+    return "middle", ""
+
+
+def _volumes(answers: Answers, seen: Seen, *areas: Entry) -> list[Entry]:
     stroke, line = answers.number("stroke"), answers.number("line_volume") or 0.0
+    zero, who = zero_of(answers, seen)
+    at = f"{who or 'answered'}: x = 0 at {_WORDS[zero]}"
     found = []
-    for key, area in zip(("volume_1", "volume_2"), areas, strict=True):
-        own = _value(area, answers)
+    for key, area, share in zip(("volume_1", "volume_2"), areas, _SHARES[zero], strict=True):
+        own = value_of(area, answers)
         if key in answers.rig:
             found.append(_answered(answers, key))
-        elif stroke and own:
-            words = f"answered: half of the stroke {answers.rig['stroke']}" + (
-                f" and the line's {answers.rig['line_volume']}" if line else
-                "; the lines' oil is left out, --set rig.line_volume='10 cm^3'")
-            found.append(Entry(key, number(own * stroke / 2 + line), words, not line))
+        elif stroke and own and share * stroke + line:
+            words = f"{at}, stroke {answers.rig['stroke']}" + (
+                f", the line's {answers.rig['line_volume']}" if line else
+                "; the lines' oil is left out, --set rig.line_volume='10 cm^3'") + (
+                "" if who else "; if it is elsewhere, --set zero=retracted")
+            found.append(Entry(key, number(own * stroke * share + line), words, not line))
         else:
             found.append(Entry(key, "null", "oil of chamber " + key[-1] + " and its line at x = "
-                               "0, such as 68.5 cm^3, or the stroke; without it no beta_e", True))
+                               "0, such as 68.5 cm^3, or stroke and line_volume; without it no "
+                               "beta_e", True))
     return found
 
 
@@ -276,7 +180,7 @@ def _told(answers: Answers, key: str, words: str, example: str, hint: str = "") 
 
 def seen_pump(answers: Answers, area: Entry, seen: Seen) -> str:
     """Return what the recording suggests for the pump, in words, or ""."""
-    own = _value(area, answers)
+    own = value_of(area, answers)
     if not own or not seen.pump_over_area:
         return ""
     return (f"; the recording shows about {abs(seen.pump_over_area) * own * 2 * pi * 1e6:.3g} "
@@ -309,7 +213,7 @@ def _makeup(answers: Answers) -> Entry:
 def _charge(answers: Answers, seen: Seen, *areas: Entry) -> Entry:
     if "charge_pressure" in answers.rig:
         return _answered(answers, "charge_pressure")
-    own = [_value(area, answers) for area in areas]
+    own = [value_of(area, answers) for area in areas]
     if seen.charge and seen.charge > 0 and own[0] == own[1] and own[0]:
         return Entry("charge_pressure", number(seen.charge), f"values: {MEAN_FREE}")
     return Entry("charge_pressure", number(Rig.model_fields["charge_pressure"].default),
@@ -319,7 +223,9 @@ def _charge(answers: Answers, seen: Seen, *areas: Entry) -> Entry:
 def seen_in(recording, rig_known: bool = True) -> Seen:
     """Return what a recording, in SI, shows of its rig."""
     step = recording.sample_time
-    gain = charge = ratio = None
+    gain = charge = ratio = span = None
+    if recording.has("x") and np.isfinite(recording.get("x")).any():
+        span = float(np.nanmin(recording.get("x"))), float(np.nanmax(recording.get("x")))
     if recording.has("omega", "x", "x_d"):
         gain = _slope(recording.get("omega"), recording.get("x_d") - recording.get("x"))
     if recording.has("p1", "p2"):
@@ -328,7 +234,7 @@ def seen_in(recording, rig_known: bool = True) -> Seen:
         turned = np.nancumsum(np.nan_to_num(recording.get("omega"))) * step
         fit = _slope(_trendless(recording.get("x")), _trendless(turned))
         ratio = fit[0] if fit and fit[1] > FITS else None
-    return Seen(step, gain, charge, ratio)
+    return Seen(step, gain, charge, ratio, span)
 
 
 def _trendless(values: np.ndarray) -> np.ndarray:

@@ -1,0 +1,168 @@
+"""What a person answers to ``init``, by ``--set`` or at the terminal: keys, units, choices."""
+
+import difflib
+import re
+from dataclasses import dataclass
+from math import pi
+
+from pydantic_core import PydanticCustomError
+
+from eha_monitor.errors import InputError
+from eha_monitor.settings.channels import CHANNELS, unit_of
+from eha_monitor.settings.rig import Rig
+from eha_monitor.units import to_si
+
+# What a data sheet of a cylinder has, and the config's numbers follow from; unit, and words.
+SHEET = {"bore": ("m", "bore of the cylinder"), "rod": ("m", "diameter of the rod"),
+         "stroke": ("m", "stroke of the cylinder"),
+         "line_volume": ("m³", "oil in the line to one chamber"),
+         "inclination": ("rad", "inclination of the axis, positive if growing x lifts the load"),
+         "spring": ("N/m", "stiffness of the spring that the load is"),
+         "spring_rest": ("m", "position at which that spring is relaxed")}
+SIGNED = {"inclination": 0.5001 * pi, "spring_rest": 10.0}  # largest, either sign
+SUCH_AS = {"inclination": "20 deg", "spring_rest": "40 mm"}
+# Questions with a few answers; the config's numbers, effects and units follow from them.
+CHOICES = {
+    "machine": ("double_rod", "two_pumps", "accumulator", "valve", "force"),
+    "rods": ("1", "2"),
+    "load": ("none", "gravity", "spring", "unknown"),
+    "zero": ("middle", "retracted", "extended"),
+    "pressures": ("absolute", "gauge"),
+}
+# Machine -> what it does not have: null in the config, and nobody is asked for it.
+_OIL = ("stroke", "line_volume", "zero", "volume_1", "volume_2", "pump_displacement",
+        "position_gain", "leakage", "makeup_conductance")
+NOT_OF = {"valve": _OIL, "force": (*_OIL, "bore", "rod", "rods", "area_1", "area_2", "pressures",
+                                   "charge_pressure"),
+          "double_rod": ("rods",), "two_pumps": ("rods",), "accumulator": ("rods",)}
+_NULL = ("null", "none", "-")
+_CHANNEL_KEYS = ("column", "unit", "scale", "offset", "full")
+_FULL = re.compile(r"^(?:(?P<raw>[-+\d.e]+)\s*=\s*)?(?P<value>[-+\d.]+(?:e[-+]?\d+)?)"
+                   r"\s*(?P<unit>\S.*)$", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Answers:
+    """What was answered.
+
+    Attributes
+    ----------
+    rig : key of ``rig`` or of a data sheet -> text as given.
+    channels : channel or ``time`` -> key -> text.
+    """
+
+    rig: dict[str, str]
+    channels: dict[str, dict[str, str]]
+
+    def number(self, key: str) -> float | None:
+        """Return an answer in SI, or None where there is none, or where it is ``null``."""
+        text = self.rig.get(key)
+        if text is None or text.casefold() in _NULL:
+            return None
+        return checked(key, text)
+
+    def rods(self) -> str:
+        """Return how many sides have a rod, as answered or as the machine has it."""
+        return self.rig.get("rods", "2" if self.rig.get("machine") == "double_rod" else "1")
+
+    def lacks(self, key: str) -> bool:
+        """Tell whether the machine that was answered has no such number."""
+        return key not in self.rig and key in NOT_OF.get(self.rig.get("machine", ""), ())
+
+    def columns(self) -> dict[str, str]:
+        """Return channel -> column that was named."""
+        return {name: keys["column"] for name, keys in self.channels.items() if "column" in keys}
+
+
+def answers_of(given: tuple[str, ...]) -> Answers:
+    """Return the answers of ``--set`` options.
+
+    Raises
+    ------
+    InputError
+        One line that names the option and what was expected.
+    """
+    rig: dict[str, str] = {}
+    channels: dict[str, dict[str, str]] = {}
+    for one in given:
+        key, equals, value = one.partition("=")
+        key, value = key.strip(), value.strip()
+        if not equals or not value:
+            raise InputError(f"--set {one}: expected KEY=VALUE, such as rig.area_1='5.05 cm^2'")
+        key = key.removeprefix("table.columns.").removeprefix("channels.").removeprefix("table.")
+        name, _, part = key.partition(".")
+        if name in (*CHANNELS, "time"):
+            part = part or "column"
+            if part not in _CHANNEL_KEYS:
+                raise InputError(f"--set {one}: expected {name}.{' or '.join(_CHANNEL_KEYS)}")
+            if part in ("scale", "offset"):
+                checked(f"{name}.{part}", value, "1")
+            channels.setdefault(name, {})[part] = value
+            continue
+        key = key.removeprefix("rig.")
+        rig[key] = value
+        checked(key, value)
+    return Answers(rig, channels)
+
+
+def checked(key: str, text: str, unit: str = "") -> float | None:
+    """Return an answer in SI.
+
+    Raises
+    ------
+    InputError
+        If there is no such key, or it is no such quantity.
+    """
+    fields = {**Rig.model_fields}
+    known = [*CHOICES, *SHEET, *fields]
+    if not unit and key not in known:
+        close = difflib.get_close_matches(key, known, 1)
+        hint = f"did you mean rig.{close[0]}?" if close else (
+            f"expected a channel (x.unit, p1.column, ...) or rig.<{', '.join(known)}>")
+        raise InputError(f"--set {key}: unknown key, {hint}")
+    if key in CHOICES and not unit and text not in CHOICES[key]:
+        more = " (a rod on both sides)" if key == "rods" else ""
+        raise InputError(f"--set {key}: expected {' or '.join(CHOICES[key])}{more}, got '{text}'")
+    if key in ("name", "motion", *CHOICES) or text.casefold() in _NULL:
+        return None
+    si = unit or (SHEET[key][0] if key in SHEET else
+                  (fields[key].json_schema_extra or {}).get("unit", "1"))
+    words = SHEET[key][1] if key in SHEET else (fields[key].description if key in fields else key)
+    try:
+        number = float(text)
+    except ValueError:
+        try:
+            number = to_si(text, si)
+        except PydanticCustomError:
+            raise InputError(f"--set {key}: expected {words} in {si}, or with a unit, got "
+                             f"'{text}'") from None
+    if key in SIGNED and not unit:
+        if not abs(number) <= SIGNED[key]:
+            raise InputError(f"--set {key}: expected {words}, at most {SIGNED[key]:.3g} {si}, "
+                             f"such as '{SUCH_AS[key]}', got '{text}'")
+    elif not unit and not number >= 0:
+        raise InputError(f"--set {key}: expected at least 0 {si}, got '{text}'")
+    return number
+
+
+def full_scale(channel: str, text: str, kind: str) -> tuple[str, float]:
+    """Return unit and scale of ``80 mm`` (at 100 %) or ``27648 = 250 bar`` (counts).
+
+    Raises
+    ------
+    InputError
+        If it is neither.
+    """
+    match = _FULL.match(text.replace(",", "."))
+    raw = None
+    if match:
+        raw = float(match["raw"]) if match["raw"] else (100.0 if kind == "share" else None)
+    if not raw:
+        example = "'80 mm', which is 100 %" if kind == "share" else "'27648 = 250 bar'"
+        raise InputError(f"--set {channel}.full: expected how much is the full scale, such as "
+                         f"{example}, got '{text}'")
+    try:
+        unit_of(match["unit"])
+    except ValueError as problem:
+        raise InputError(f"--set {channel}.full: {problem}") from None
+    return match["unit"], float(f"{float(match['value']) / raw:.10g}")
