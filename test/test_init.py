@@ -527,5 +527,5 @@ def test_a_person_at_a_terminal_is_asked(tmp_path):
     assert rig.area_1 == pytest.approx(np.pi / 4 * (0.04**2 - 0.025**2), rel=1e-4)
     assert rig.volume_2 == pytest.approx(rig.area_1 * 0.05 + 20e-6, rel=1e-4)
     assert (rig.mass, rig.tolerance.mass) == (30.0, 0.05)
-    assert "x = 0 lies" in err
+    assert "x = 0 of the position lies" in err
     assert "ASK" in (tmp_path / "r.yaml").read_text()
