@@ -61,14 +61,13 @@ def test_screw_drive_agrees_with_the_published_friction():
     assert found.signals["force"].after_rms < 0.2 * found.signals["force"].before_rms
 
 
-def test_eha_at_its_largest_load_saturates():
+def test_eha_has_its_largest_load_while_extending():
     recordings, settings = read("ivliev_eha", "ivliev_eha/exp_data_5_4.csv")
     found = diagnose(recordings, settings)
-    names = [effect.name for effect in found.effects]
-    assert "drive_saturation" in names
-    # What this one stroke supports on halves that its fit has not seen; friction needs others.
-    assert {"one_sided_load", "asymmetric_damping"} & set(names) or any(
-        name.endswith("friction") for name in names)
+    load = next(effect for effect in found.effects if effect.name == "one_sided_load")
+    value = next(iter(load.parameters.values()))
+    # All 40 recordings of it support 8.9 kN extending (a trial outside this repository).
+    assert abs(value.value - 8900.0) < 2.0 * value.stddev and value.stddev < 2500.0
     assert found.signals["force"].after_rms < 0.5 * found.signals["force"].before_rms
 
 

@@ -162,7 +162,9 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
     largest, complete = None, not names
     while names:
         t = scatter.t_of(left)
-        far = np.where(np.isfinite(t), np.abs(t) / np.array(scatter.limit), 0.0)
+        # Beyond what its own recordings do, and beyond what this one knows of it.
+        known = np.abs(left.value - np.array(scatter.mean)) > policy.varied * np.array(left.stddev)
+        far = np.where(np.isfinite(t) & known, np.abs(t) / np.array(scatter.limit), 0.0)
         place = ties.largest(far)
         if largest is None:
             largest = _moved(scatter, table, held, first, place, t[place], scatter.limit[place])

@@ -45,7 +45,7 @@ def diagnosis_page(found: Diagnosis, settings: Settings, losses: Sequence[str] =
     _, statistics = words.advice_in_parts(found)
     return render(
         "diagnosis.html.j2", plus_minus=DIAGNOSED, title=f"EHA diagnosis: {name}", name=name,
-        first=_first_screen(found, curves), facts=_facts(found, settings), losses=losses,
+        first=_first_screen(found, curves, settings), facts=_facts(found, settings), losses=losses,
         verdict=found.verdict, references=len(found.references), compared=_compared(found),
         indicators=indicator_table(indicators, settings), laws=law_table(indicators),
         changes=_changes(found), pieces=_pieces(found), machine=_machine(found),
@@ -80,7 +80,8 @@ def _names(found: Diagnosis) -> tuple[str, str]:
 
 # ---- the first screen -----------------------------------------------------------------------
 
-def _first_screen(found: Diagnosis, curves: list[diagnosis.Curve]) -> FirstScreen:
+def _first_screen(found: Diagnosis, curves: list[diagnosis.Curve], settings: Settings
+                  ) -> FirstScreen:
     """Return the verdict, the missing term, B and beta_e before and after, what to do."""
     picture, caption = None, ""
     if found.learned:
@@ -104,7 +105,8 @@ def _first_screen(found: Diagnosis, curves: list[diagnosis.Curve]) -> FirstScree
                and f"In this recording {one.key} is indistinguishable from "
                    f"{_rivals(one.indistinguishable_from)}.") or "") for one in found.rig_data),
         picture, caption, parameters or None, tuple(map(words.sentence, found.health)),
-        words.next_steps(found, shlex.join(found.bags)), found.verdict)
+        words.next_steps(found, shlex.join(found.bags) + words.own_config(settings.rig)),
+        found.verdict)
 
 
 def _symbol(name: str) -> str:

@@ -12,7 +12,7 @@ from eha_monitor.quantity import (
     side_by_side,
     with_uncertainty,
 )
-from eha_monitor.settings.rig import Tolerance
+from eha_monitor.settings.rig import Rig, Tolerance
 from eha_monitor.units import LARGEST
 from eha_monitor.words import listed
 
@@ -62,6 +62,11 @@ def advice_in_parts(found: Diagnosis) -> tuple[tuple[str, ...], tuple[str, ...]]
     """Return the advice for whoever stands at the rig, and that on correlations."""
     statistics = tuple(text for text in found.advice if _STATISTICS in text)
     return tuple(text for text in found.advice if text not in statistics), statistics
+
+
+def own_config(rig: Rig) -> str:
+    """Return the option that a command needs; none for the rig that is taken without one."""
+    return "" if rig == Rig() else " --config CONFIG"
 
 
 def next_steps(found: Diagnosis, bags: str) -> tuple[str, ...]:

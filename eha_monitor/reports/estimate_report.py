@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eha_monitor.estimation.results import Estimate, JointResult, ParameterEstimate
-from eha_monitor.health.alarms import WATCHED, Alarm
+from eha_monitor.health.alarms import NO_LIMIT, WATCHED, Alarm
 from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.quantity import FLOOR, ROTARY, SYMBOLS, number, quantity, share
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.reports import estimate_figures as figures
-from eha_monitor.reports.diagnosis_words import sentence
+from eha_monitor.reports.diagnosis_words import own_config, sentence
 from eha_monitor.reports.estimate_figures import NAMES
 from eha_monitor.reports.page import Cell, FirstScreen, Table, render, table
 from eha_monitor.reports.shared_tables import config_tables, indicator_table, law_table
@@ -120,7 +120,8 @@ def _head(raised: list[Alarm], model: str, known: bool, open_questions: bool) ->
 def _values(known: list[ParameterEstimate], alarms: tuple[Alarm, ...]) -> str:
     """Return the values that no alarm complains about, and whether one could have."""
     def of(parameter: ParameterEstimate) -> list[Alarm]:
-        return [a for a in alarms if a.name.startswith(_SECTIONS[parameter.name])]
+        return [a for a in alarms if a.name.startswith(_SECTIONS[parameter.name])
+                and a.message != NO_LIMIT]
 
     def shown(some: list[ParameterEstimate]) -> str:
         return " and ".join(f"{SYMBOLS[p.name]} = {p.shown}" for p in some)
@@ -157,7 +158,9 @@ def next_steps(estimate: Estimate, alarms: tuple[Alarm, ...]) -> tuple[str, ...]
     bag = shlex.quote(estimate.recording.source or "BAG")
     steps = []
     if estimate.model.status == "mismatch":
-        steps.append("do not act on B and βe yet: `eha-monitor diagnose " + bag + "` identifies "
+        own = own_config(estimate.settings.rig)
+        wrong = listed([SYMBOLS[name] for name in estimate.model.tainted]) or "B and βe"
+        steps.append(f"do not act on {wrong} yet: `eha-monitor diagnose {bag}{own}` identifies "
                      "what the model lacks")
     steps += [_ALARMS[a.name][1] for a in _raised(alarms) if a.name in _ALARMS]
     for p in estimate.parameters.values():
@@ -166,7 +169,7 @@ def next_steps(estimate: Estimate, alarms: tuple[Alarm, ...]) -> tuple[str, ...]
                 name=NAMES[p.name], symbol=SYMBOLS[p.name], bag=bag,
                 message=p.message.rstrip(".") or "its channels are missing"))
     judged = {p.name for p in estimate.parameters.values() for a in alarms
-              if a.name.startswith(_SECTIONS[p.name])}
+              if a.name.startswith(_SECTIONS[p.name]) and a.message != NO_LIMIT}
     if without := [SYMBOLS[name] for name in estimate.parameters if name not in judged]:
         steps.append(f"set limits for {listed(without)}: `eha-monitor thresholds` derives them "
                      "from healthy recordings")
