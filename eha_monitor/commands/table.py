@@ -77,7 +77,8 @@ def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path],
         if found.model.status == "mismatch" and parameter.status == "not_excited":
             to.print(f"{SYMBOLS.get(parameter.name, parameter.name)} is not determined while the "
                      "model does not fit (below)")
-        elif parameter.message:
+        elif parameter.message and not (
+                parameter.status == "converged" and parameter.name in found.model.tainted):
             to.print(escape(parameter.message))
     show_indicators(to, indicators, found.settings)
     to.print(_alarms(alarms))
