@@ -113,6 +113,8 @@ class SelfDiagnosis:
              ) -> None:
         """Take the test of the model at ``now_s``; begin a diagnosis if that is due."""
         self._now_s = now_s
+        if self._moments and now_s < self._moments[-1][0]:
+            self._moments.clear()  # the estimator has begun anew, and its time with it
         self._moments.append((now_s, time.time_ns()))
         if self._comparison is not None:
             self._comparison.note(model, parameters, now_s)
