@@ -5,7 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.name.base import expected_likelihood, with_effect
+from eha_monitor.mismatch.name.base import expected_likelihood
+from eha_monitor.mismatch.name.first_view import with_effects
 from eha_monitor.mismatch.name.informative import informative
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.mismatch.name.select import (
@@ -15,7 +16,6 @@ from eha_monitor.mismatch.name.select import (
     resolved_nominal,
     with_rig,
 )
-from eha_monitor.mismatch.name.starts import Start, possible
 
 
 def credible(experiment: Experiment, effects: Mapping[str, Mapping[str, float]]) -> bool:
@@ -33,10 +33,7 @@ def credible(experiment: Experiment, effects: Mapping[str, Mapping[str, float]])
     try:
         sketch, _ = resolved_nominal(sketch)
         fit = nominal_model(sketch, within=True)
-        for name, values in effects.items():
-            if possible(name, sketch) and name not in fit.named:
-                fit = with_effect(fit, Start(name, tuple(values.items())), ())
-        fit = settled(sketch, with_rig(sketch, fit))
+        fit = settled(sketch, with_rig(sketch, with_effects(sketch, fit, effects)))
     except np.linalg.LinAlgError:
         return False
     lacks = expected_likelihood(sketch, fit) - fit.log_likelihood

@@ -30,15 +30,25 @@ class FirstView:
         Unknowns are those of a model that has not been fitted: those that the nominal model asks
         for stand for the effects.
         """
-        named = [name for name in self.effects
-                 if possible(name, experiment) and name not in fit.named]
-        if not named:
-            return None
         theta = fit.theta.copy()
         for f in fit.free:
             if f.place == B and self.damping is not None:
                 theta[B] = f.outward(self.damping)
-        fit = replace(fit, theta=theta)
-        for name in named:
-            fit = with_effect(fit, Start(name, tuple(self.effects[name].items())), ())
-        return with_unknowns(experiment, fit, unfitted(experiment).unknowns)
+        entered = with_effects(experiment, replace(fit, theta=theta), self.effects)
+        if entered.named == fit.named:
+            return None
+        return with_unknowns(experiment, entered, unfitted(experiment).unknowns)
+
+
+def with_effects(experiment: Experiment, fit: Fit, effects: Mapping[str, Mapping[str, float]]
+                 ) -> Fit:
+    """Return a fit with the effects that it has not yet entered where they stand, not refitted.
+
+    Parameters
+    ----------
+    effects : name -> parameters, SI, as in the config's section.
+    """
+    for name, values in effects.items():
+        if possible(name, experiment) and name not in fit.named:
+            fit = with_effect(fit, Start(name, tuple(values.items())), ())
+    return fit
