@@ -70,6 +70,15 @@ def test_a_day_of_estimates_does_not_grow(state, clock):
     assert state.view(500.0).value["B"] == 600.0
 
 
+def test_an_estimate_that_came_before_its_own_measurement_is_paired(state):
+    state.take_position("measured", 0.019, 0.001, 0.0)
+    state.take_position("estimated", 0.020, 0.0079, 0.1)
+    assert not state.view(0.1).same_stamp
+    state.take_position("measured", 0.020, 0.008, 0.2)  # batches of them are taken by a timer
+    view = state.view(0.2)
+    assert view.same_stamp and (view.measured, view.estimated) == (0.008, 0.0079)
+
+
 def test_positions_are_compared_at_the_same_stamp(state):
     for k in range(100):
         state.take_position("measured", 1e-3 * k, 1e-4 * k, 0.0)

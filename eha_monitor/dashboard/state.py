@@ -108,6 +108,7 @@ class State:
         self._positions = {"measured": _Number(), "estimated": _Number()}
         self._recent: deque[tuple[float, float]] = deque(maxlen=RECENT)
         self._pair: tuple[float, float] | None = None
+        self._unpaired: tuple[float, float] | None = None
         self._pair_came = -math.inf
         self._findings: dict[str, Finding] = {}
         self._diagnosis: dict[str, Finding] = {}
@@ -143,16 +144,23 @@ class State:
             self._histories[which].add(time_s, position)
             if which == "measured":
                 self._recent.append((time_s, position))
-            elif (pair := self._paired(time_s, position)) is not None:
-                self._pair, self._pair_came = pair, now
+            else:
+                self._unpaired = (time_s, position)
+            # Measured positions are taken in batches: an estimate may come before its own.
+            if self._unpaired is not None and (
+                    measured := self._measured_at(self._unpaired[0])) is not None:
+                self._pair, self._pair_came = (measured, self._unpaired[1]), now
+                self._unpaired = None
 
-    def _paired(self, time_s: float, estimated: float) -> tuple[float, float] | None:
-        """Return the measured position of the same stamp and the estimated one, or None."""
+    def _measured_at(self, time_s: float) -> float | None:
+        """Return the measured position of this stamp, or None."""
         # A moving piston goes millimetres between two stamps that are not the same.
         within = 0.75 * self.settings.rig.sample_time
         for stamp, measured in reversed(self._recent):
             if abs(stamp - time_s) < within:
-                return measured, estimated
+                return measured
+            if stamp < time_s - within:  # a search of all at each sample would cost a core
+                return None
         return None
 
     def take_findings(self, hardware: str, findings: Iterable[Finding], now: float) -> None:
