@@ -114,14 +114,15 @@ def test_an_interrupted_wait_ends_quietly(graph):
 def test_nobody_to_move_is_one_line(graph, tmp_path, monkeypatch):
     monkeypatch.setattr("eha_monitor.ros.identify_node.PATIENCE", 0.3)
     settings = load_settings("config/identify.yaml")
-    rig = RosRig(graph.node("identify", "/eha"), settings, settings.experiment, tmp_path)
+    # A namespace of its own: a simulator that was killed just now is still discovered.
+    rig = RosRig(graph.node("identify", "/nobody"), settings, settings.experiment, tmp_path)
     asked = Asked(graph, rig)
     assert "no position came" in str(asked(rig.position))
     assert "nobody subscribes" in str(asked(rig.ready))
-    other = graph.node("controller", "/eha")
+    other = graph.node("controller", "/nobody")
     from sensor_msgs.msg import JointState
 
     other.create_publisher(JointState, "command", 10)
     other.create_subscription(JointState, "command", lambda message: None, 10)
-    graph.until(lambda: len(other.get_publishers_info_by_topic("/eha/command")) == 2)
+    graph.until(lambda: len(other.get_publishers_info_by_topic("/nobody/command")) == 2)
     assert "controller commands the rig already" in str(asked(rig.ready))

@@ -279,7 +279,8 @@ def live(graph, folder, **diagnosis):
 
 
 @pytest.mark.parametrize(("budget", "words"), [
-    ({"processor_time": 1}, "used up its 1 s of processor time (diagnosis.processor_time)"),
+    ({"processor_time": 1, "niceness": 0},
+     "used up its 1 s of processor time (diagnosis.processor_time)"),
     ({"memory_gigabytes": 0.1}, "ran out of its 0.1 GB of memory (diagnosis.memory_gigabytes)"),
     ({}, "expected at least")], ids=["time", "memory", "recording"])
 def test_a_diagnosis_that_fails_is_one_line_and_the_monitor_goes_on(

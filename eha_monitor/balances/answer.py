@@ -116,13 +116,15 @@ def first_answer(recordings: Sequence[Recording], settings: Settings, asked: Ask
 
 
 def far_from_config(found: Diagnosis | None, policy: Policy = POLICY) -> bool:
-    """Tell whether the config's model leaves more than a filter built on it can judge.
+    """Tell whether a filter built on the config's laws may be unable to judge what is named.
 
-    A filter weighs each sample's innovation: where the config leaves ``near`` of a balance open
-    it answers for the form of its laws, not for the machine.  The balances have then named what
-    halves the error on unseen parts, or nothing is known by either.
+    A filter weighs each sample's innovation: where the config leaves ``near`` of a balance open,
+    or friction is dry, whose law nobody knows, it answers for the form of its laws and not for the
+    machine.  The balances have then named what halves the error on unseen parts, or friction.
     """
-    return found is not None and found.verdict == "mismatch" and any(
+    if found is None or found.verdict != "mismatch":
+        return False
+    return any(DRY_SYMBOLS & effect.parameters.keys() for effect in found.effects) or any(
         fit.before_rms > max(policy.near * fit.signal_rms, 2.0 * fit.after_rms)
         for fit in found.signals.values())
 

@@ -54,6 +54,7 @@ class Candidate:
     column : of a course and the rig, (m,) not yet in the band; None where channels are missing.
     always : in every model of the balance.
     setting : its parameter belongs to the setting of each recording, not to the machine.
+    of_oil : it goes with the viscosity of the oil, which no recording shares with another.
     family : names of one family stand for one another: recordings rarely separate them.
     variant : one of several shapes of its effect; only one of them enters.
     limit : a larger parameter is no physics of this rig, but the error of another term.
@@ -76,6 +77,7 @@ class Candidate:
     column: Callable[[Course, Rig], np.ndarray | None]
     always: bool = False
     setting: bool = False
+    of_oil: bool = False
     family: str = ""
     variant: bool = False
     needs: str = ""
@@ -221,7 +223,7 @@ def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
     origin, standing = scale.origin, STANDING * scale.speed
     found = [
         one("B", "viscous_damping", "N·s/m", "viscous damping", 1, lambda c, r: c.v,
-            always=True, power=1.0),
+            always=True, power=1.0, of_oil=True),
         one("F_0", "constant_load", "N", "constant load", 0, lambda c, r: np.ones(len(c)),
             always=True, setting=scale.turns, symbol="F_0", odd=False),
         one("F_c", "coulomb_friction", "N", "dry friction", 1, lambda c, r: c.direction,
@@ -361,7 +363,7 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
         # A leakage that the config gives is known to a factor: that is free in every model.
         one("L", "cross_port_leakage", "m³/(s·Pa)", "leakage beyond the config's",
             0 if rig.leakage else 1, crossing(lambda dp: dp), always=rig.leakage > 0.0,
-            family="" if rig.leakage else "gap", symbol="L"),
+            family="" if rig.leakage else "gap", symbol="L", of_oil=rig.leakage > 0.0),
         one("c", "turbulent_leakage", "m³/(s·√Pa)", "leakage of an orifice", 1,
             crossing(lambda dp: dp / (dp**2 + LAMINAR**2) ** 0.25), family="gap", symbol="c",
             shape=(("dp_0", LAMINAR),)),

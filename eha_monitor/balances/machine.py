@@ -301,12 +301,15 @@ def _balance(kind: str, courses: Sequence[Course], scale: Scale, rig: Rig,
     tables = tables_of(courses, rig, kind, candidates_of(kind, scale, rig, varied, out), policy)
     recordings = Recordings(tables)
     of, allowed = recordings.candidates, [one.name for one in tables[0].candidates]
-    chosen, refused = gated(recordings, recordings.choose(policy, allowed), kind, policy)
+    # What is named is named beside them; what they are on the mean, and their spread, is the
+    # machine's.  Parts of one recording have one oil.
+    beside = recordings if pieces else Recordings(tables, own_oil=True)
+    chosen, refused = gated(beside, beside.choose(policy, allowed), kind, policy)
     fit = recordings.fit(chosen.names)
     between = fit.between
     if pieces:
         between = np.hypot(between, policy.between * np.abs(fit.value))
-    left = recordings.left_out(chosen.names)
+    left = beside.left_out(chosen.names)
     sizes = [table.size for table in tables]
     after = reference = chosen.errors
     repeats = 0.0

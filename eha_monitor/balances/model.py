@@ -93,8 +93,8 @@ class Model:
         return float(np.sqrt(np.mean([table.floor**2 for table in self.shown])))
 
     def share(self, left: Sequence[np.ndarray]) -> float:
-        """Return the rms of what is left, as a share of the signal."""
-        return rms([table.rms(one) for table, one in zip(self.shown, left, strict=True)])
+        """Return the rms of what is left, as a share of the signal's."""
+        return _whole_share(self.shown, left)
 
     @property
     def error(self) -> float:
@@ -202,11 +202,12 @@ def of_machine(one: MachineBalance, courses: Sequence[Course], rig: Rig, scale: 
     of = {c.name: c for c in tables[0].candidates}
     plain = [replace(table, rows=np.column_stack([table.left(held), table.rows[:, 1:]]))
              for table in tables]
-    together = Recordings(tables)
+    together = Recordings(tables, own_oil=True)
     named = {name: family for family in one.named for name in family.terms}
     count, terms, whole = max(len(one.error) - 1, 1), [], pooled_table(tables)
     own = {name: f"{name} 1" if f"{name} 1" in whole.places else name for name in one.terms}
-    lasting = form_and_doubts(whole, list(own.values()), rms(one.error), policy)
+    after = together.left_out(one.terms)
+    lasting = form_and_doubts(whole, list(own.values()), _whole_share(tables, after), policy)
     biases = dict(zip(own, np.sqrt(np.diag(lasting)).tolist(), strict=True))
     found = {p.name: p for p in (*one.parameters, *one.settings)}
     sizes = [np.max(np.abs(found[name].value)) for name in own]
@@ -241,7 +242,7 @@ def of_machine(one: MachineBalance, courses: Sequence[Course], rig: Rig, scale: 
                     for i in range(len(tables)))
     model = Model(one.balance, tuple(tables), weights, tuple(terms), one.refused,
                   _nominal(whole, one.balance, rig), tuple(Recordings(plain).left_out(bare)),
-                  tuple(together.left_out(one.terms)), tuple(tables), one.effective)
+                  tuple(after), tuple(tables), one.effective)
     return _unseen_gate(model, policy)
 
 
@@ -254,6 +255,16 @@ def on_held_out(model: Model, course: Course, rig: Rig, scale: Scale, policy: Po
             if not t.candidate.setting and t.candidate.name in table.places}
     after = table.crosswise([name for name in free if name in table.places], held)
     return _unseen_gate(replace(model, before=(before,), after=(after,), shown=(table,)), policy)
+
+
+def _whole_share(tables: Sequence[Table], left: Sequence[np.ndarray]) -> float:
+    """Return the rms of what is left of all recordings, as a share of the rms of their signals.
+
+    The mean of each one's own share would be that of the recording in which least moves.
+    """
+    sizes = np.array([table.size for table in tables])
+    return rms(sizes * [table.rms(one) for table, one in zip(tables, left, strict=True)]) / rms(
+        sizes)
 
 
 def _nominal(whole: Table, balance: str, rig: Rig) -> tuple[tuple[str, float, float], ...]:

@@ -144,7 +144,7 @@ def scatter_of(tables: Sequence[Table], weights: dict[str, float], settings: Seq
         spread = np.sqrt((weight * (rows - mean) ** 2).sum(axis=0) / (len(rows) - 1)
                          + extra**2)
         return Scatter(names, *(tuple(part.tolist()) for part in (
-            mean, np.maximum(spread, 1e-300), usual, np.median(noise, axis=0), limit)),
+            mean, np.maximum(spread, 1e-150), usual, np.median(noise, axis=0), limit)),
             len(rows))
 
     products = sum(one.response * one.power[:, None] for one in each)[np.ix_(kept, kept)]

@@ -86,10 +86,16 @@ class Fitted:
 
 
 class Recordings:
-    """Tables of one balance, and what sets of terms leave of them."""
+    """Tables of one balance, and what sets of terms leave of them.
 
-    def __init__(self, tables: list[Table]):
-        self.tables = tables
+    Parameters
+    ----------
+    own_oil : what goes with the viscosity is free in each recording, as its oil may be warmer or
+        colder: else a load or a loss that is free there takes its place.
+    """
+
+    def __init__(self, tables: list[Table], own_oil: bool = False):
+        self.tables, self.own_oil = tables, own_oil
         self.candidates = {one.name: one for one in tables[0].candidates}
         self.grams = [table.gram * table.weight for table in tables]
         self._reduced: dict[tuple[int, ...], list[np.ndarray]] = {}
@@ -97,8 +103,10 @@ class Recordings:
     def split(self, names: Iterable[str]) -> tuple[list[int], list[int], np.ndarray]:
         """Return columns of machine and settings' parameters, and the signs of the former."""
         places, own = self.tables[0].places, self.candidates
-        shared = [places[name] for name in names if not own[name].setting]
-        settings = [places[name] for name in names if own[name].setting]
+        shared, settings = [], []
+        for name in names:
+            free = own[name].setting or (self.own_oil and own[name].of_oil)
+            (settings if free else shared).append(places[name])
         signs = np.array([self.tables[0].candidates[i - 1].sign for i in shared], dtype=int)
         return shared, settings, signs
 
