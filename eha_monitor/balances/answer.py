@@ -14,6 +14,7 @@ from eha_monitor.balances.candidates import SIDES, Scale, balances_in
 from eha_monitor.balances.course import Course, course_of
 from eha_monitor.balances.hypothesis import candidate_of, untested
 from eha_monitor.balances.machine import Machine, machine_from, pressure_varied, rms
+from eha_monitor.balances.mean_pressure import leak_or_source
 from eha_monitor.balances.model import Model, Term, of_machine, of_recordings, on_held_out
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.errors import InputError
@@ -41,7 +42,8 @@ from eha_monitor.words import listed
 
 FORCE_OF_SENSORS = ("pressure_offset", "pressure_scale")  # they make a constant force as well
 LINEAR = ("B", "D_p", "C_h", "k_d")  # what the config's own model has
-SIDE_OF = {"mass": "force", "pump_displacement": "flow", "position_gain": "drive"}
+SIDE_OF = {"mass": "force", "pump_displacement": "flow", "position_gain": "drive",
+           "charge_pressure": "flow"}
 TWINS = {"pump_displacement": ("pump_flow_gain",), "position_gain": ("drive_gain",)}
 DRY_SYMBOLS = {"F_c", "F_d"}
 OVERLAY = 4.0  # s of an overlay
@@ -94,7 +96,9 @@ def answered(recordings: Sequence[Recording], settings: Settings, asked: Asked =
         there = balances_in(shown, rig)
         models = [on_held_out(one, shown[0], rig, scale, policy) for one in models
                   if one.balance in there]
-    found = _composed(models, shown, settings, policy)
+    flow = next((one["D_p"] for one in models if one.balance == "flow"), None)
+    found = _composed(models, shown, settings, policy, leak_or_source(
+        courses, settings, None if flow is None else flow.value, policy))
     return replace(
         found, bags=tuple(one.source for one in recordings),
         data="held_out" if asked.held_out is None else "held_out_bag", baselines=baselines,
@@ -143,12 +147,21 @@ def _still(recordings, courses: Sequence[Course], baselines: tuple, started: flo
 
 
 def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Settings,
-              policy: Policy) -> Diagnosis:
-    """Return verdict, names, numbers, place and proof of models."""
+              policy: Policy, charge: NamedEffect | RigFinding | None) -> Diagnosis:
+    """Return verdict, names, numbers, place and proof of models.
+
+    Parameters
+    ----------
+    charge : what the mean pressure says.
+    """
     rig = settings.rig
     wrong = tuple(finding for one in models for finding in _wrong(one, rig, policy))
-    effects = sorted((effect for one in models for effect in effects_of(one, rig, policy)),
-                     key=lambda effect: -effect.log_evidence)
+    effects = [effect for one in models for effect in effects_of(one, rig, policy)]
+    if isinstance(charge, RigFinding):
+        wrong += (charge,)
+    elif charge is not None and charge.name not in {effect.name for effect in effects}:
+        effects.append(charge)
+    effects.sort(key=lambda effect: -effect.log_evidence)
     open_ = [one for one in models if is_open(one, policy)]
     verdict = "unexplained" if open_ else "mismatch" if effects or wrong else "consistent"
     before, after = known_of(models, rig, policy, nominal=True), known_of(

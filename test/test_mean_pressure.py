@@ -1,0 +1,51 @@
+"""The mean of both pressures against the make-up path: a leak to ambient, or a wrong source."""
+
+import numpy as np
+import pytest
+
+from eha_monitor.balances.answer import answered
+from eha_monitor.concealed.strangers.draw import draw_rig
+from eha_monitor.concealed.strangers.generate import recorded, settings_of
+
+CHARGE = 1.2e6
+
+
+@pytest.fixture(scope="module")
+def rig():
+    """A rig of another simulator with equal areas and case leaks that no sheet knows."""
+    return draw_rig(1301, 3)
+
+
+def found_with(rig, charge):
+    settings = settings_of(rig)
+    settings = settings.model_copy(update={"rig": settings.rig.model_copy(update={
+        "charge_pressure": charge})})
+    return answered([recorded(rig, rig.settings[0], 0, 8.0)], settings)
+
+
+def test_a_low_mean_pressure_is_a_leak_to_ambient_as_large_as_it_must_be(rig):
+    leak = next(e for e in found_with(rig, CHARGE).effects if e.name == "external_leakage")
+    assert "charge_pressure" in leak.indistinguishable_from
+    # G (p_c - p) = L (p - p_a), and the true G: the sheet's is known to its tolerance only.
+    true, mean = rig.plant, found_mean(rig)
+    closed = true.makeup * (CHARGE - mean) / (mean - 101325.0)
+    value = leak.parameters["L_1"]
+    assert value.value == pytest.approx(closed * rig.sheet.makeup / true.makeup, rel=0.05)
+    assert abs(np.log(value.value / (0.5 * (true.case_leakage + true.case_leakage_2)))) < 1.1
+
+
+def found_mean(rig):
+    recording = recorded(rig, rig.settings[0], 0, 8.0)
+    return 0.5 * float(np.mean(recording.channels["p1"] + recording.channels["p2"]))
+
+
+def test_what_the_tolerance_of_the_source_covers_is_no_leak(rig):
+    found = found_with(rig, 1.3 * found_mean(rig))
+    assert "external_leakage" not in {e.name for e in found.effects}
+    assert "charge_pressure" not in {one.key for one in found.rig_data}
+
+
+def test_a_high_one_is_the_sources_pressure(rig):
+    found = found_with(rig, 0.4 * found_mean(rig))
+    (wrong,) = [one for one in found.rig_data if one.key == "charge_pressure"]
+    assert wrong.found.value == pytest.approx(found_mean(rig), rel=0.05)
