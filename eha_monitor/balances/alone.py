@@ -127,8 +127,8 @@ class _Choice:
         values, chance = covariance_by_chance(table, kept)
         covariance = chance + form_and_doubts(table, kept, error, policy)
         families = {self.of[name].kind for name in kept}
-        for name, value, total in zip(
-                kept, values, np.sqrt(np.diag(covariance)).tolist(), strict=True):
+        stddev = np.hypot(np.sqrt(np.diag(covariance)), self.between_forms(kept, values))
+        for name, value, total in zip(kept, values, stddev.tolist(), strict=True):
             one = self.of[name]
             frequency = often.get(one.kind, 0.0) if not one.always else 1.0
             rest = [other for other in kept if other != name]
@@ -196,6 +196,25 @@ class _Choice:
         equal = [effect for effect, name in best.items()
                  if found[name] <= least * np.exp(self.policy.alone)]
         return best[equal[0]], tuple(equal[1:])
+
+    def between_forms(self, kept: list[str], values: list[float]) -> np.ndarray:
+        """Return how far each parameter goes with the shapes of a family that fit as well, (k,).
+
+        Which of them is the machine's the recording does not say: its friction may fall with
+        speed, or turn round more slowly, and damping takes up what they do not hold.
+        """
+        of, most = self.of, self.unseen(kept) * np.exp(self.policy.alone)
+        moved = [np.zeros(len(kept))]
+        for i, name in enumerate(kept):
+            for other in self.allowed:
+                if not of[name].variant or other in kept or of[other].kind != of[name].kind:
+                    continue
+                more = bool(of[other].upon) and not of[name].upon
+                form = [*kept, other] if more else [*kept[:i], other, *kept[i + 1 :]]
+                if founded(form, of) == form and self.unseen(form) <= most:
+                    found, _ = self.parameters(form)
+                    moved.append(np.subtract(found[: len(kept)], values))
+        return np.sqrt(np.mean(np.square(moved), axis=0))
 
     def gated(self, kept: list[str], refused: list[Refused]) -> list[str]:
         """Return the terms that are there for sure and within their limits."""

@@ -129,8 +129,13 @@ def far_from_config(found: Diagnosis | None, policy: Policy = POLICY) -> bool:
     if found is None or found.verdict != "mismatch":
         return False
     return any(DRY_SYMBOLS & effect.parameters.keys() for effect in found.effects) or any(
-        fit.before_rms > max(policy.near * fit.signal_rms, 2.0 * fit.after_rms)
+        leaves_more(fit.before_rms / fit.signal_rms, fit.after_rms / fit.signal_rms, policy)
         for fit in found.signals.values())
+
+
+def leaves_more(before: float, after: float, policy: Policy) -> bool:
+    """Tell whether a model leaves ``near`` of a balance open, and another less than half of it."""
+    return before > max(policy.near, 2.0 * after)
 
 
 def _still(recordings, courses: Sequence[Course], baselines: tuple, started: float) -> Diagnosis:
@@ -163,13 +168,21 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
         effects.append(charge)
     effects.sort(key=lambda effect: -effect.log_evidence)
     open_ = [one for one in models if is_open(one, policy)]
-    verdict = "unexplained" if open_ else "mismatch" if effects or wrong else "consistent"
+    unsure = [] if open_ or effects or wrong else [
+        (one, [t.candidate.words for t in one.terms if t.candidate.name not in LINEAR])
+        for one in models if leaves_more(one.nominal_error, one.error, policy)]
+    verdict = ("unexplained" if open_ or unsure else
+               "mismatch" if effects or wrong else "consistent")
     before, after = known_of(models, rig, policy, nominal=True), known_of(
         models, rig, policy)
     if verdict == "unexplained":
         models, effects, wrong, after = [one.plain() for one in models], [], (), {}
     where, curves = place_of(models, courses, effects, wrong, verdict)
-    if verdict == "unexplained":
+    if unsure:
+        message = "; ".join(
+            f"the config's model leaves {share(one.nominal_error, 2)} of the {one.balance}; "
+            f"{listed(terms)} together explain it, none of them surely" for one, terms in unsure)
+    elif verdict == "unexplained":
         message = (f"the {listed([one.balance for one in open_])} balance"
                    f"{'s hold' if len(open_) > 1 else ' holds'} more than the catalogue explains")
     else:
