@@ -71,7 +71,7 @@ def answered(recordings: Sequence[Recording], settings: Settings, asked: Asked =
         If one of them has no force balance.
     """
     started, rig = time.perf_counter(), settings.rig
-    courses = [course_of(recording, settings) for recording in recordings]
+    recordings, courses, left_out = _courses(recordings, settings)
     baselines = tuple(baseline(recording, settings) for recording in recordings)
     if not any(course.moving.any() for course in courses):
         return _still(recordings, courses, baselines, started)
@@ -103,11 +103,32 @@ def answered(recordings: Sequence[Recording], settings: Settings, asked: Asked =
         found, bags=tuple(one.source for one in recordings),
         data="held_out" if asked.held_out is None else "held_out_bag", baselines=baselines,
         advice=advice_of(models, rig, policy, machine) + found.advice,
-        health=found.health + (lines_of(machine) if machine is not None else ()),
+        health=found.health + (lines_of(machine) if machine is not None else ()) + left_out,
         considered=untestable, machine=machine,
         agreement=_agreement(models, courses), policy=policy.to_dict(),
         duration_s=sum(one.duration for one in recordings),
         wall_s=time.perf_counter() - started)
+
+
+def _courses(recordings: Sequence[Recording], settings: Settings
+             ) -> tuple[list[Recording], list[Course], tuple[str, ...]]:
+    """Return the recordings that hold a motion, their motions, and why others are left out.
+
+    Raises
+    ------
+    InputError
+        If none does.
+    """
+    kept, courses, problems = [], [], []
+    for recording in recordings:
+        try:
+            courses.append(course_of(recording, settings))
+            kept.append(recording)
+        except InputError as problem:
+            problems.append(problem)
+    if not courses:
+        raise problems[0]
+    return kept, courses, tuple(f"left out: {problem}" for problem in problems)
 
 
 def first_answer(recordings: Sequence[Recording], settings: Settings, asked: Asked = Asked()
@@ -242,7 +263,24 @@ def effects_of(model: Model, rig: Rig, policy: Policy) -> list[NamedEffect]:
         for simpler in CATALOGUE[effect].contains if effect in CATALOGUE else ():
             groups[effect] += groups.pop(simpler, [])
     return [_effect(name, terms, model, rig)
-            for name, terms in _dry_as_one(groups, policy).items()]
+            for name, terms in _surest(_dry_as_one(groups, policy), policy).items()]
+
+
+def _surest(groups: dict[str, list[Term]], policy: Policy) -> dict[str, list[Term]]:
+    """Return the effects without those that only share what their family surely is.
+
+    Friction that grows with pressure and friction that does not are named together; which of them
+    it is, each says for itself.
+    """
+    def sure(name: str) -> float:
+        return max(abs(t.value) / t.stddev if t.stddev else np.inf for t in groups[name])
+
+    best: dict[str, float] = {}
+    for name, terms in groups.items():
+        kind = terms[0].candidate.kind
+        best[kind] = max(best.get(kind, 0.0), sure(name))
+    return {name: terms for name, terms in groups.items() if sure(name) >= min(
+        best[terms[0].candidate.kind], policy.varied)}
 
 
 def _dry_as_one(groups: dict[str, list[Term]], policy: Policy) -> dict[str, list[Term]]:
