@@ -33,3 +33,14 @@ def test_what_is_near_its_config_is_left_to_the_filter():
     recording, settings = record(rig, rig.settings[0], 1, 6.0)
     found = diagnose([recording], settings)
     assert "position" in found.signals and FINER not in found.advice
+
+
+def test_dry_friction_of_another_law_is_not_left_to_the_filter_near_its_config_either():
+    rig = draw_rig(1301, 9)
+    recording, settings = record(rig, rig.settings[1], 1)
+    truth = truth_of(rig, rig.settings[1])
+    found = diagnose([recording], settings)
+    assert {effect.name for effect in found.effects} <= DRY and found.effects, found.message
+    low, high = sorted(truth["B_span"])
+    damping = found.after["B"]
+    assert low - 2.0 * damping.stddev < damping.value < high + 2.0 * damping.stddev

@@ -63,6 +63,9 @@ from eha_monitor.words import listed
 
 FINER = ("With these effects in the config (diagnose --write-config FILE, then --config FILE) "
          "another diagnosis looks for what is smaller.")
+UNNAMED = ("A filter still sees more than the sensors' noise, too little for a balance of forces "
+           "or flows and with no name: compare with a healthy recording of this machine (diagnose "
+           "--reference) rather than with its config.")
 # Effect of the force balance -> errors of pressure sensors that make the same force: an offset,
 # and a scale by the mean pressure.
 FORCE_OF_SENSORS = {"constant_load": ("pressure_offset", "pressure_scale")}
@@ -136,8 +139,13 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
                 other, say, first)
             decision = replace(decision, hold=held.command_hold, evidence=gained, decided=True)
     found = diagnosed(recordings, experiment, named, held_out, started, say, hypothesis)
-    if far and found.verdict == "unexplained" and not found.learned:
-        return coarse, None
+    if found.verdict == "unexplained" and not found.learned:
+        if far:
+            return coarse, None
+        # Innovations of another form than the config's laws are no mismatch of this machine.
+        if hypothesis is None and first is not None and first.verdict == "consistent" and (
+                not credible(experiment, {})):
+            return replace(first, advice=(UNNAMED, *first.advice)), None
     decided = decision is not None and decision.decided
     return replace(found, machine=None if first is None else first.machine,
                    policy=experiment.policy.to_dict(),
