@@ -5,6 +5,7 @@ there is evidence and a few seconds longer, so that a fault that comes in bursts
 """
 
 import math
+import statistics
 from collections import deque
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
@@ -317,7 +318,7 @@ class FaultWatch:
         if len(steps) < FEW:
             return
         # With up to three quarters of the samples lost, a quarter of the steps are whole ones.
-        usual = float(np.quantile(steps, 0.25))
+        usual = float(np.partition(steps, len(steps) // 4)[len(steps) // 4])
         if usual <= 0:
             return
         missing = int(np.sum(np.round(steps[steps > GAP * usual] / usual) - 1))
@@ -364,7 +365,7 @@ class FaultWatch:
         if len(past.growth) < GROWTHS:
             past.best, past.was_late = behind, False
             return
-        growth = float(np.median(past.growth))
+        growth = statistics.median(past.growth)
         past.best = min(past.best + growth * elapsed, behind)
         excess = (behind - past.best) / max(1.0 - growth, 0.01)  # of stamps, in our own time
         late = excess > LATE_S

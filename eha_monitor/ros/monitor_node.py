@@ -22,6 +22,7 @@ from eha_monitor.ros.diagnosis import SelfDiagnosis
 from eha_monitor.ros.findings import (
     DataState,
     all_findings,
+    levels,
     lost,
     rates,
     summary,
@@ -105,7 +106,7 @@ class Monitor:
         self._row_ns = self._judged_ns = 0
         self._row_came: float | None = None
         self._seen: dict[str, int] = {}
-        self._levels: list | None = None
+        self._levels: tuple | None = None
         self._fresh = False
 
     @property
@@ -419,14 +420,14 @@ class Monitor:
 
     def _publish_health(self, only_changes: bool = False) -> None:
         snapshot = self._snapshot
-        found = all_findings(self.settings, self.board,
-                             snapshot.parameters if snapshot else {},
+        parameters = snapshot.parameters if snapshot else {}
+        now = levels(self.board, parameters, self._model, self.data)
+        if only_changes and now == self._levels:
+            return
+        self._levels = now
+        found = all_findings(self.settings, self.board, parameters,
                              snapshot.consistency if snapshot else {},
                              self._model, self._events, self.data)
-        levels = [(finding.level, finding.word) for finding in found]
-        if only_changes and levels == self._levels:
-            return
-        self._levels = levels
         self._outputs.health(with_bags(found, self.keeper.bags))
 
     def summary(self) -> str:
