@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from eha_monitor.live.rows import Counts, Rows, Source
+from eha_monitor.live.rows import Counts, Rows, Source, steps_from
 from eha_monitor.recordings.recording import LARGEST, LIMITS
 
 # A sentence stands for so long after its last evidence.
@@ -92,7 +92,7 @@ class Stillness:
         if name not in self._last:
             self._last[name], self.counts[name] = float(values[0]), 0
             self._changed[name] = self._seen[name] = int(stamps[0])
-        at = np.flatnonzero(np.diff(values, prepend=self._last[name]) != 0.0)
+        at = np.flatnonzero(steps_from(self._last[name], values))
         if len(at):
             seen = np.concatenate([[self._seen[name]], stamps])[at]  # by the value before
             pauses = seen - np.concatenate([[self._changed[name]], stamps[at[:-1]]])

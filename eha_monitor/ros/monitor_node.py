@@ -43,6 +43,7 @@ WATCH_PERIOD = 0.1
 DIVERGED_S = 2.0
 LOOK_S = 0.19  # between two looks for faults of the data
 DIAGNOSTICS_PERIOD = 1.0
+FEW = 7  # of so many rows one counts in the latencies of each second; no divisor of a batch
 CLASHES_PERIOD = 3.0  # to ask the graph for all ends of all topics costs 10 ms
 
 
@@ -400,7 +401,7 @@ class Monitor:
         self.data.values = values | self.counts() | {
             "missing_share_percent": 100.0 * self.load.watch.share,
             "behind_s": self.load.watch.behind,
-            **{f"latency_{key}_ms": value for key, value in self.latency.percentiles().items()},
+            **{f"latency_{key}_ms": value for key, value in self.latency.percentiles(FEW).items()},
             "latency_counts_from": self.latency.counts_from,
             "cpu_share_percent": 100.0 * self.processor.share()} | self._kept()
 
