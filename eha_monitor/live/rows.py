@@ -31,7 +31,7 @@ KEPT = 8192  # samples of a source that wait for a row, at most
 
 
 def steps_from(before: float, values: np.ndarray) -> np.ndarray:
-    """Return (n,) differences of values, the first from ``before``; what np.diff does at length."""
+    """Return the (n,) differences of (n,) values, the first from ``before``."""
     steps = np.empty_like(values)
     steps[:1] = values[:1] - before
     np.subtract(values[1:], values[:-1], out=steps[1:])
