@@ -148,10 +148,13 @@ def test_a_diagnosis_is_an_event_and_a_card(rig):
     assert not words.diagnosis_lines(rig.state.view(rig.now))
     tells("3", "of before the page was there")
     assert tells("4", "diagnosis begun by service", state="a diagnosis is under way") == [
-        "the config's model", "a diagnosis is under way"]
+        "• The config's model", "• A diagnosis is under way"]
     found = Finding("effect coulomb_friction", "WARN", "40 N", {"probability": "0.999"})
     assert tells("5", "adopted", found, report="why.html") == [
-        "the config's model", "40 N (99.9 %)", "report: why.html"]
+        "• The config's model", "• 40 N (probability 99.9 %)", "• Report: why.html"]
+    found = Finding("changed F_c", "WARN", "since 2023-11-14T22:13:20+00:00",
+                    {"since_utc": "2023-11-14T22:13:20+00:00"})
+    assert tells("5", "adopted", found)[1] == f"• Since {words.clock_text(1.7e9)}"
     tells("5", "adopted", found)
     assert rig.told("diagnosis") == ["diagnosis begun by service", "adopted"]
 
