@@ -173,8 +173,10 @@ class Ring:
             return (self._bytes + held + len(self._open)) / 1e6
 
     def _close(self, now: float) -> None:
+        # A copy of its own size: what zstandard returns holds the memory of the uncompressed.
+        data = bytes(memoryview(self._compressor.compress(self._open)))
         chunk = Chunk(self._closed, self._open_since, self._open_first_ns, self._open_last_ns,
-                      self._open_count, self._compressor.compress(bytes(self._open)))
+                      self._open_count, data)
         self._open, self._open_count, self._open_last_ns = bytearray(), 0, 0
         with self._lock:
             self._closed += 1
