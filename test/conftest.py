@@ -66,7 +66,7 @@ class Graph:
         self.nodes.append(made)
         return made
 
-    def until(self, condition, timeout=20.0):
+    def until(self, condition, timeout=60.0):  # only a failing test, or a busy machine, waits
         """Spin until ``condition()`` holds; fail after ``timeout`` s."""
         end = time.monotonic() + timeout
         while not (found := condition()):

@@ -68,6 +68,43 @@ def test_an_alarm_asks_until_it_is_acknowledged_and_again_when_it_comes_back(rig
         "Viscous damping high: ERROR acknowledged by Bob"]
 
 
+def test_an_acknowledgement_outlives_the_dashboard_and_no_other_alarm_takes_it(tmp_path):
+    file = tmp_path / "bags" / "eha_acknowledged.json"
+
+    def begun():
+        rig = Rig()
+        rig.state = State(Settings(), lambda: rig.wall + rig.now, rig.log, file)
+        return rig
+
+    def hears(rig, level, since):
+        rig.state.take_findings("eha", [Finding(HIGH, level, "", {"since_s": since})], rig.now)
+        return rig.state.view(rig.now)
+
+    first = begun()
+    hears(first, "WARN", "12.5")
+    assert first.state.acknowledge([HIGH], "Ada") == [HIGH]
+    again = begun()
+    assert not hears(again, "STALE", "0").acknowledged  # nothing is known: that is no clearing
+    assert words.acknowledged_text(hears(again, "WARN", "12.5"), HIGH).startswith(
+        "acknowledged by Ada, ")
+    assert words.waiting(hears(begun(), "WARN", "80.1")) == [HIGH]  # it was OK in between
+    assert words.waiting(hears(begun(), "WARN", "12.5")) == [HIGH]  # and that is kept too
+    again.state.acknowledge([HIGH], "Bob")
+    assert not hears(again, "OK", "90.0").acknowledged
+    assert words.waiting(hears(begun(), "WARN", "12.5")) == [HIGH]
+
+    file.write_text("[]")
+    broken = begun()  # it says so, and goes on
+    assert broken.told("acknowledged") == [
+        f"{file}: expected the acknowledgements that a dashboard wrote"]
+    file.unlink()
+    file.parent.rmdir()
+    file.parent.write_text("no folder")
+    hears(broken, "WARN", "1.0")
+    assert broken.state.acknowledge([HIGH], "Ada") == [HIGH]
+    assert "cannot make the folder" in broken.told("acknowledged")[-1]
+
+
 def test_what_is_not_judged_is_nothing_to_acknowledge(rig):
     rig.state.take_findings("eha", [Finding(HIGH, "WARN", "held", {"not_judged": "1"})], rig.now)
     assert rig.state.acknowledge([HIGH, "data", "no such"], "Ada") == []
@@ -111,10 +148,13 @@ def test_a_diagnosis_is_an_event_and_a_card(rig):
     assert not words.diagnosis_lines(rig.state.view(rig.now))
     tells("3", "of before the page was there")
     assert tells("4", "diagnosis begun by service", state="a diagnosis is under way") == [
-        "the config's model", "a diagnosis is under way"]
+        "• The config's model", "• A diagnosis is under way"]
     found = Finding("effect coulomb_friction", "WARN", "40 N", {"probability": "0.999"})
     assert tells("5", "adopted", found, report="why.html") == [
-        "the config's model", "40 N (99.9 %)", "report: why.html"]
+        "• The config's model", "• 40 N (probability 99.9 %)", "• Report: why.html"]
+    found = Finding("changed F_c", "WARN", "since 2023-11-14T22:13:20+00:00",
+                    {"since_utc": "2023-11-14T22:13:20+00:00"})
+    assert tells("5", "adopted", found)[1] == f"• Since {words.clock_text(1.7e9)}"
     tells("5", "adopted", found)
     assert rig.told("diagnosis") == ["diagnosis begun by service", "adopted"]
 

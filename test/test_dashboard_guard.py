@@ -1,7 +1,10 @@
 """Who is let in beyond loopback: the running command, asked over the network."""
 
+import contextlib
 import re
 import socket
+import socketserver
+import threading
 import urllib.error
 import urllib.request
 
@@ -96,6 +99,60 @@ def test_names_are_checked_beyond_loopback_too(served):
     proxied = {"Host": "proxy.example", "Origin": "https://proxy.example"}
     assert ask(address, "/events.csv", **proxied, **key)[0] == 200
     assert ask(address, "/events.csv", **proxied)[0] == 401
+
+
+@pytest.fixture
+def proxied(served):
+    """A reverse proxy that would have ended TLS: hands on HTTP and WebSocket, and says so."""
+    port = int(served[0].rpartition(":")[2])
+
+    class Hand(socketserver.StreamRequestHandler):
+        def handle(self):
+            head = b"".join(self.lines())
+            with socket.create_connection(("127.0.0.1", port)) as upstream:
+                upstream.sendall(head)
+                back = threading.Thread(target=pump, args=(upstream, self.connection))
+                back.start()
+                pump(self.connection, upstream)
+                back.join()
+
+        def lines(self):
+            while (line := self.rfile.readline()) not in (b"\r\n", b""):
+                yield line
+            yield (b"X-Forwarded-For: 192.0.2.7\r\nX-Forwarded-Proto: https\r\n"
+                   b"X-Forwarded-Host: proxy.example\r\n\r\n")
+
+    def pump(source, sink):
+        with contextlib.suppress(OSError):
+            while data := source.recv(65536):
+                sink.sendall(data)
+            sink.shutdown(socket.SHUT_WR)
+
+    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), Hand) as server:
+        server.daemon_threads = True
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_address[1]}", served[1]
+        server.shutdown()
+
+
+def test_behind_a_proxy_that_ends_tls_the_token_is_asked_for_and_the_page_lives(proxied):
+    address, token = proxied
+    name = {"Host": "proxy.example"}
+    for path in GUARDED:
+        assert ask(address, path, **name)[0] == 401, path
+    status, told, _ = ask(address, f"/?token={token}", **name)
+    assert (status, told["Location"]) == (303, "/")
+    assert "Secure" in told["Set-Cookie"]  # it never goes without TLS
+    kept = {"Cookie": told["Set-Cookie"].partition(";")[0]}
+    assert ask(address, "/", **name, **kept)[0] == 200
+    origin = {"Origin": "https://proxy.example"}
+    with connect("http://proxy.example", sock=socket.create_connection(
+            ("127.0.0.1", int(address.rpartition(":")[2]))),
+            additional_headers={**kept, **origin}) as socket_:
+        assert socket_.recv(timeout=10).startswith("0{")
+    with pytest.raises(exceptions.InvalidStatus, match="403"):
+        connect("http://proxy.example", sock=socket.create_connection(
+            ("127.0.0.1", int(address.rpartition(":")[2]))), additional_headers=origin)
 
 
 def test_a_name_beside_those_of_loopback_asks_for_a_token():

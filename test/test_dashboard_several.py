@@ -58,9 +58,12 @@ class Actuator:
 
 
 @pytest.fixture(scope="module")
-def address():
+def address(tmp_path_factory):
     """The command for all three, on a free port."""
-    arguments = [part for name in NAMES for part in ("--actuator", f"{name}=")]
+    folder = tmp_path_factory.mktemp("dashboard")
+    config = folder / "config.yaml"
+    config.write_text(f"monitor: {{save_folder: {folder}}}\n")
+    arguments = [part for name in NAMES for part in ("--actuator", f"{name}={config}")]
     with command("dashboard", "--port", 0, "--metrics", *arguments) as process:
         line = process.stdout.readline()
         found = re.fullmatch(r"dashboard: (http://127\.0\.0\.1:\d+/)\n", line)

@@ -4,6 +4,7 @@ import os
 import resource
 import subprocess
 import threading
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -58,6 +59,19 @@ def test_memory_is_bounded_and_the_oldest_go_first():
     assert ring.megabytes <= 6.1 * CHUNK_BYTES / 1e6
     stamps = [stamp - START for chunk in ring.hold() for _, stamp, _ in chunk.messages()]
     assert stamps == list(range(stamps[0], 20_000)) and stamps[0] > 15_000
+
+
+def test_what_compresses_well_takes_no_more_memory_than_it_says():
+    ring = Ring(60.0)
+    number = ring.stream("/a", NUMBER)
+    tracemalloc.start()
+    try:
+        for k in range(200):
+            ring.extend([(number, range(k, k + 400), [bytes(200)] * 400)])
+        taken = tracemalloc.get_traced_memory()[0] / 1e6
+    finally:
+        tracemalloc.stop()
+    assert ring.messages == 80_000 and taken < ring.megabytes + 0.5
 
 
 def test_the_span_is_bounded():

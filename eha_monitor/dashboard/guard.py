@@ -125,7 +125,8 @@ class Guard:
             answer = RedirectResponse(f"/?{rest}" if rest else "/", status_code=303,
                                       headers={"Referrer-Policy": "no-referrer",
                                                "Cache-Control": "no-store"})
-            answer.set_cookie(self._cookie, self._proof, httponly=True, samesite="lax", path="/")
+            answer.set_cookie(self._cookie, self._proof, httponly=True, samesite="lax", path="/",
+                              secure=scope["scheme"] == "https")  # a proxy on loopback says so
             return answer
         if given is None and _same(self._kept(headers), self._proof):
             return None

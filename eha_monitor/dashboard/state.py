@@ -5,9 +5,13 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 
+from eha_monitor.dashboard import acknowledged
+from eha_monitor.dashboard.acknowledged import Acknowledgement
 from eha_monitor.dashboard.events import ACKNOWLEDGED, Change, EventLog, changes, diagnosis_changes
 from eha_monitor.dashboard.history import History, LongHistory, Row
+from eha_monitor.errors import InputError
 from eha_monitor.health.alarms import ALARM_NAMES, SEVERITY, WATCHED
 from eha_monitor.health.judge import Finding
 from eha_monitor.settings import Settings
@@ -39,15 +43,6 @@ class _Number:
 
     value: float = math.nan
     came: float = -math.inf
-
-
-@dataclass(frozen=True)
-class Acknowledgement:
-    """Who acknowledged an alarm, when (time of day, s since the epoch) and at which level."""
-
-    who: str
-    time_s: float
-    level: str
 
 
 @dataclass(frozen=True)
@@ -91,15 +86,17 @@ class State:
     settings : config: limits until the monitor's own are heard, and when data count as stopped.
     wall_clock : gives the time of day, s since the epoch.
     log : takes what changes; without it nothing is logged.
+    file : where acknowledgements outlive this process; None: nowhere.
     """
 
     def __init__(self, settings: Settings, wall_clock: Callable[[], float],
-                 log: EventLog | None = None):
+                 log: EventLog | None = None, file: Path | None = None):
         self.settings, self._wall_clock = settings, wall_clock
         self.name = settings.rig.name
         self.log = log or EventLog()
         self._offset = math.inf
         self._acknowledged: dict[str, Acknowledgement] = {}
+        self._file, self._before = file, {}
         self._heard = False
         self._last_reset = ("", -math.inf)
         self._lock = threading.Lock()
@@ -121,6 +118,8 @@ class State:
             **{name: History(POSITION_SPAN, POSITION_EVERY, gap) for name in self._positions},
             **{stage: LongHistory(ESTIMATES_SPAN, ESTIMATES_EVERY, HEALTH_STALE_AFTER, LONG_SPAN,
                                   STRETCH) for stage in STAGES}}
+        if file is not None:
+            self._try(lambda: self._before.update(acknowledged.read(file)))
 
     def take_value(self, symbol: str, value: float, now: float) -> None:
         """Take an estimate of ``B`` or ``beta_e``, SI; ``now`` in s, monotonic."""
@@ -210,19 +209,41 @@ class State:
                 if name not in ACKNOWLEDGED or finding is None or not finding.raised or (
                         name in self._acknowledged):
                     continue
-                self._acknowledged[name] = Acknowledgement(who, self._wall_clock(), finding.word)
+                self._acknowledged[name] = Acknowledgement(
+                    who, self._wall_clock(), finding.word, acknowledged.since(finding))
                 self._note(Change("acknowledged", finding.word,
                                   f"{name.replace('_', ' ').capitalize()}: {finding.word} "
                                   f"acknowledged by {who}"))
                 done.append(name)
+            if done:
+                self._keep()
         return done
 
     def _drop_acknowledgements(self) -> None:
-        for name, given in list(self._acknowledged.items()):
-            finding = self._findings.get(name)
-            if finding is not None and (finding.word == "OK" or (finding.raised and SEVERITY.index(
-                    finding.word) > SEVERITY.index(given.level))):
-                del self._acknowledged[name]
+        """Let go what is over; of before this process what is not of this very alarm."""
+        known = self._before | self._acknowledged
+        kept = {name: given for name, given in self._acknowledged.items()
+                if name not in self._findings or not given.over(self._findings[name])}
+        for name in [*self._before.keys() & self._findings.keys()]:
+            finding, given = self._findings[name], self._before[name]
+            if finding.word in SEVERITY and finding.level != "STALE":  # else nothing is known
+                del self._before[name]
+                if given.of(finding):
+                    kept[name] = given
+        self._acknowledged = kept
+        if self._before | kept != known:
+            self._keep()
+
+    def _keep(self) -> None:
+        if self._file is not None:
+            self._try(lambda: acknowledged.write(self._file, self._before | self._acknowledged))
+
+    def _try(self, work: Callable[[], None]) -> None:
+        """Do something with the file; where that fails, the page goes on without."""
+        try:
+            work()
+        except InputError as problem:
+            self._note(Change("acknowledged", "WARN", str(problem)))
 
     def _is_new(self, text: str, now: float) -> bool:
         """Return whether a reset is another one: its event and its count may come apart."""

@@ -1,8 +1,10 @@
 """The page's texts: numbers as people write them, levels, and what to say of silence."""
 
+import contextlib
 import math
 import time
 from dataclasses import dataclass
+from datetime import datetime
 
 from eha_monitor.dashboard import state
 from eha_monitor.dashboard.events import ACKNOWLEDGED
@@ -173,16 +175,28 @@ def diagnosis_lines(view: state.View) -> list[str]:
     head, model = found.pop(DIAGNOSIS, None), found.pop(MODEL_IN_FORCE, None)
     if head is None:
         return []
-    lines = [model.message] if model is not None else []
+    # Names are those of the catalogue there, as programs read them too.
+    lines = [_local_times(model).replace("_", " ")] if model is not None else []
     for one in found.values():
         probability = _written(100.0 * float(one.values["probability"]), 3) if one.values.get(
             "probability") else ""
-        lines.append(one.message + (f" ({probability} %)" if probability else ""))
+        lines.append(_local_times(one) + (f" (probability {probability} %)" if probability
+                                          else ""))
     if head.values.get("state") not in ("idle", None):
         lines.append(str(head.values["state"]))
     if head.values.get("report"):
         lines.append(f"report: {head.values['report']}")
-    return lines
+    return [f"• {line[:1].upper()}{line[1:]}" for line in lines]
+
+
+def _local_times(finding: Finding) -> str:
+    """Return a message with its times as all others on the page: of this machine's zone."""
+    text = finding.message
+    for key in ("time_utc", "since_utc"):
+        when = str(finding.values.get(key) or "")
+        with contextlib.suppress(ValueError):
+            text = text.replace(when, clock_text(datetime.fromisoformat(when).timestamp()))
+    return text
 
 
 def stage_status(view: state.View, stage: str) -> str:

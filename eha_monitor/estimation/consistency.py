@@ -214,10 +214,11 @@ def judge(innovation: np.ndarray, stddev: np.ndarray, window: Window, stage: str
     lengths, ratios = seen.ratios()
     chance = np.sqrt(2.0 / (n // lengths))
     excess = (ratios - 1.0) / chance
-    # Root mean square of block means.
-    size = np.sqrt(ratios / lengths) * float(np.median(np.concatenate(seen.stddevs)))
-    judged = np.where((excess > SIGNIFICANCE) & (ratios > TOLERANCE)
-                      & (size > RESOLVED * window.quantum), ratios, 0.0)
+    judged = np.where((excess > SIGNIFICANCE) & (ratios > TOLERANCE), ratios, 0.0)
+    if window.quantum:
+        # Root mean square of block means.
+        size = np.sqrt(ratios / lengths) * float(np.median(np.concatenate(seen.stddevs)))
+        judged[size <= RESOLVED * window.quantum] = 0.0
     if (changes is not None and len(changes) and one_way(changes)
             and (window.seconds or not left_out)):
         # A parameter that drifts is always a little behind: each change that was seen, and the

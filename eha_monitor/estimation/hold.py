@@ -47,7 +47,7 @@ def instrument_of(u: np.ndarray) -> np.ndarray:
     n = len(u)
     if n < 11:
         return u
-    padded = np.pad(u, 5, mode="edge")
+    padded = np.concatenate([u[:1].repeat(5), u, u[-1:].repeat(5)])
     return sum(w * padded[5 + d : 5 + d + n] for w, d in zip(WEIGHTS, AROUND, strict=True))
 
 
@@ -94,12 +94,12 @@ def hold_of(u: np.ndarray, sigma: float, sampled: bool = False, kinked: bool = F
     step = np.zeros(n)
     step[1:] = u[1:] - u[:-1]
     size = np.abs(step)
-    jump = size > JUMP * largest_neighbour(np.nan_to_num(size), 2) + VISIBLE * 2.0 * sigma
+    jump = size > JUMP * largest_neighbour(np.fmax(size, 0.0), 2) + VISIBLE * 2.0 * sigma
     bend = np.zeros(n)
     bend[1:-1] = u[2:] - 2 * u[1:-1] + u[:-2]
     fourth = np.zeros(n)
     fourth[2:-2] = u[4:] - 4 * u[3:-1] + 6 * u[2:-2] - 4 * u[1:-3] + u[:-4]
-    fourth, bent = np.abs(np.nan_to_num(fourth)), np.abs(np.nan_to_num(bend))
+    fourth, bent = np.fmax(np.abs(fourth), 0.0), np.fmax(np.abs(bend), 0.0)  # NaN to 0
     rough = fourth > VISIBLE * ROOT_70 * sigma
     corner = (bent > KINK * largest_neighbour(bent, 2)) & rough
     beside = jump.copy()

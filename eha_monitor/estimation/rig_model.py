@@ -152,7 +152,8 @@ def mean_pressure(channels: dict[str, np.ndarray], rig: Rig) -> np.ndarray:
     window = np.ones(2 * SMOOTHED) / (2 * SMOOTHED)
     index = np.arange(len(mean))
     filled = np.interp(index, index[good], mean[good])
-    padded = np.pad(filled, (SMOOTHED, SMOOTHED - 1), mode="edge")
+    padded = np.concatenate([filled[:1].repeat(SMOOTHED), filled,
+                             filled[-1:].repeat(SMOOTHED - 1)])
     return np.convolve(padded, window, mode="valid")
 
 

@@ -102,6 +102,11 @@ class AlarmBoard:
         """State of all four alarms now."""
         return tuple(self._alarm(judge) for judge in self._judges)
 
+    @property
+    def levels(self) -> tuple[tuple[str | None, bool], ...]:
+        """Level of each alarm, and whether it is not judged; without the words."""
+        return tuple((judge.level, judge.not_judged) for judge in self._judges)
+
     def update(self, time_s: float, parameters: dict[str, ParameterEstimate],
                temperature: float | None = None,
                tainted: Mapping[str, Taint] | None = None) -> list[Alarm]:

@@ -345,8 +345,9 @@ class LiveEstimator:
         state.tester.go_on(self._grid.time_of(state.taken))
         if (state.taken - state.tester.judged_at) * self.dt >= JUDGE_EVERY_S:
             self._judge()
+        estimates = self._parameters()
         for stage in STAGES.values():
-            estimate = self._parameters()[stage.parameter]
+            estimate = estimates[stage.parameter]
             if estimate.status == "converged" and stage.parameter not in state.announced:
                 state.announced.add(stage.parameter)
                 self._report(stage.key,
@@ -491,11 +492,12 @@ class LiveEstimator:
         self._settle()
         state = self._state
         events, self._events = tuple(sorted(self._events, key=lambda e: e.time_s)), []
-        model = within(state.tester.status(self._now, self._parameters(), state.two),
+        estimates = self._parameters()
+        model = within(state.tester.status(self._now, estimates, state.two),
                        *self._beyond)
         runs = state.one or state.two
         position, velocity = map(float, runs.state.x[:2]) if runs else (math.nan, math.nan)
         return self._plausible.applied(LiveSnapshot(
-            self._now, self._parameters(), position, velocity, model, events, self._temperature,
+            self._now, estimates, position, velocity, model, events, self._temperature,
             dict(state.tester.verdicts),
             self._grid.time_of(state.taken - 1) if state.taken else math.nan))

@@ -5,13 +5,14 @@ there is evidence and a few seconds longer, so that a fault that comes in bursts
 """
 
 import math
+import statistics
 from collections import deque
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from eha_monitor.live.rows import Counts, Rows, Source
+from eha_monitor.live.rows import Counts, Rows, Source, steps_from
 from eha_monitor.recordings.recording import LARGEST, LIMITS
 
 # A sentence stands for so long after its last evidence.
@@ -91,7 +92,7 @@ class Stillness:
         if name not in self._last:
             self._last[name], self.counts[name] = float(values[0]), 0
             self._changed[name] = self._seen[name] = int(stamps[0])
-        at = np.flatnonzero(np.diff(values, prepend=self._last[name]) != 0.0)
+        at = np.flatnonzero(steps_from(self._last[name], values))
         if len(at):
             seen = np.concatenate([[self._seen[name]], stamps])[at]  # by the value before
             pauses = seen - np.concatenate([[self._changed[name]], stamps[at[:-1]]])
@@ -317,7 +318,7 @@ class FaultWatch:
         if len(steps) < FEW:
             return
         # With up to three quarters of the samples lost, a quarter of the steps are whole ones.
-        usual = float(np.quantile(steps, 0.25))
+        usual = float(np.partition(steps, len(steps) // 4)[len(steps) // 4])
         if usual <= 0:
             return
         missing = int(np.sum(np.round(steps[steps > GAP * usual] / usual) - 1))
@@ -364,7 +365,7 @@ class FaultWatch:
         if len(past.growth) < GROWTHS:
             past.best, past.was_late = behind, False
             return
-        growth = float(np.median(past.growth))
+        growth = statistics.median(past.growth)
         past.best = min(past.best + growth * elapsed, behind)
         excess = (behind - past.best) / max(1.0 - growth, 0.01)  # of stamps, in our own time
         late = excess > LATE_S

@@ -39,7 +39,7 @@ from eha_monitor.live.checks import Handover
 from eha_monitor.live.model import LiveModel
 from eha_monitor.settings.monitor import Settings
 
-EVERY_S, KEPT = 0.5, 12  # a copy each so many seconds, so many of them
+EVERY_S, KEPT = 1.0, 6  # a copy each so many seconds, so many of them
 BROKEN = "the filter's covariance is no longer positive"
 Change = tuple[int, float, float, int]  # sample, before, after, samples that showed it
 B_PLACE = 2

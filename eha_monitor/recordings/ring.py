@@ -7,11 +7,12 @@ import struct
 import threading
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
 import zstandard
 
 from eha_monitor.errors import InputError
@@ -22,7 +23,8 @@ LIMIT_BYTES = 128 * 1024 * 1024
 # 0.2 ms of work), or at this part of the span, so that the oldest goes in small steps.
 CHUNK_BYTES = 64 * 1024
 CHUNKS_IN_SPAN = 60
-_RECORD = struct.Struct("<qHI")  # stamp in ns, stream, length; then the message
+_BLOCK = struct.Struct("<HI")  # stream, messages; then their stamps in ns, lengths, contents
+Block = tuple[int, Sequence[int], Sequence[bytes]]  # stream, log times in ns, messages
 _LARGEST_STREAM = 2**16
 
 
@@ -42,14 +44,20 @@ class Chunk:
     data: bytes
 
     def messages(self) -> Iterator[tuple[int, int, memoryview]]:
-        """Yield stream, log time in ns and message."""
+        """Yield stream, log time in ns and message, in the order of their log times."""
         raw = memoryview(zstandard.decompress(self.data))
-        at = 0
+        at, found = 0, []
         while at < len(raw):
-            stamp_ns, stream, length = _RECORD.unpack_from(raw, at)
-            at += _RECORD.size
-            yield stream, stamp_ns, raw[at:at + length]
-            at += length
+            stream, count = _BLOCK.unpack_from(raw, at)
+            at += _BLOCK.size
+            stamps = np.frombuffer(raw, "<i8", count, at).tolist()
+            ends = np.cumsum(np.frombuffer(raw, "<u4", count, at + 8 * count)) + at + 12 * count
+            starts = [at + 12 * count, *ends.tolist()]
+            found += zip((stream,) * count, stamps, map(
+                slice, starts, starts[1:]), strict=False)
+            at = starts[-1]
+        for stream, stamp_ns, place in sorted(found, key=lambda one: one[1]):
+            yield stream, stamp_ns, raw[place]
 
 
 class Ring:
@@ -91,22 +99,21 @@ class Ring:
 
     def append(self, stream: int, stamp_ns: int, data: bytes) -> None:
         """Take one message; ``stamp_ns`` is its log time."""
-        self.extend([(stamp_ns, stream, data)])
+        self.extend([(stream, [stamp_ns], [data])])
 
-    def extend(self, messages: Iterable[tuple[int, int, bytes]]) -> None:
-        """Take messages in the order of their log times: (log time in ns, stream, message)."""
-        parts, count, first = [], 0, None
-        for stamp_ns, stream, data in messages:
-            first = stamp_ns if first is None else first
-            parts += _RECORD.pack(stamp_ns, stream, len(data)), data
-            count += 1
-        if not count:
+    def extend(self, blocks: Sequence[Block]) -> None:
+        """Take what came of each stream, one message at least, in the order of its log times."""
+        if not blocks:
             return
         if not self._open_count:
-            self._open_first_ns, self._open_since = first, time.monotonic()
-        self._open += b"".join(parts)
-        self._open_count += count
-        self._open_last_ns = stamp_ns
+            self._open_first_ns = min(stamps[0] for _, stamps, _ in blocks)
+            self._open_since = time.monotonic()
+        for stream, stamps, messages in blocks:
+            self._open += b"".join([_BLOCK.pack(stream, len(messages)),
+                                    np.array(stamps, "<i8").tobytes(),
+                                    np.array([*map(len, messages)], "<u4").tobytes(), *messages])
+            self._open_count += len(messages)
+            self._open_last_ns = max(self._open_last_ns, stamps[-1])
         if len(self._open) >= CHUNK_BYTES:
             self._close(time.monotonic())
 
@@ -166,9 +173,11 @@ class Ring:
             return (self._bytes + held + len(self._open)) / 1e6
 
     def _close(self, now: float) -> None:
+        # A copy of its own size: what zstandard returns holds the memory of the uncompressed.
+        data = bytes(memoryview(self._compressor.compress(self._open)))
         chunk = Chunk(self._closed, self._open_since, self._open_first_ns, self._open_last_ns,
-                      self._open_count, self._compressor.compress(bytes(self._open)))
-        self._open, self._open_count = bytearray(), 0
+                      self._open_count, data)
+        self._open, self._open_count, self._open_last_ns = bytearray(), 0, 0
         with self._lock:
             self._closed += 1
             self._chunks.append(chunk)

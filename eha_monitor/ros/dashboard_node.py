@@ -18,6 +18,7 @@ from eha_monitor.dashboard.state import State
 from eha_monitor.errors import InputError, installs
 from eha_monitor.health.alarms import WATCHED
 from eha_monitor.live.rows import Source
+from eha_monitor.recordings.ring import plain_name
 from eha_monitor.ros import running
 from eha_monitor.ros.inputs import Topic, topics_of
 from eha_monitor.ros.messages import DIAGNOSIS, findings_of, subscribe_to_monitor
@@ -60,7 +61,8 @@ class Listener:
 
     def __init__(self, node: Node, settings: Settings, source: str = "config",
                  log: EventLog | None = None):
-        self.state = State(settings, time.time, log)
+        self.state = State(settings, time.time, log, Path(settings.monitor.save_folder)
+                           / f"{plain_name(settings.rig.name)}_acknowledged.json")
         name = node.resolve_topic_name
         measured = position_topic(settings, source, name)
         self.topics = {"measured": name(measured.name),

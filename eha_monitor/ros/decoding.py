@@ -54,8 +54,10 @@ class Layout:
         found = locate(data, TYPES, type_name,
                        (*(want for stream in wants for want in stream), *stamp))
         self._length = len(data)
-        self._fixed = [(place, bytes(data[place]), np.frombuffer(data[place], dtype=np.uint8))
-                       for place in found.fixed]
+        self._pattern = np.frombuffer(bytes(data), dtype=np.uint8)
+        self._fixed = np.zeros(len(data), dtype=np.uint8)  # all bits of a byte that stays
+        for place in found.fixed:
+            self._fixed[place] = 0xFF
         # An entry that is there may lack a number, as a list may be empty: that is a NaN.
         self._complete = all(any(want in found.places for want in stream) for stream in wants)
         self._columns = [[(*found.places.get(want, (0, None)), channel.gain, channel.zero)
@@ -65,15 +67,14 @@ class Layout:
 
     def fits(self, data: bytes) -> bool:
         """Return whether a message is of this layout."""
-        return len(data) == self._length and all(
-            data[place] == content for place, content, _ in self._fixed)
+        return self.fit([data], data)
 
     def fit(self, messages: Sequence[bytes], raw: bytes) -> bool:
         """Return whether all messages are of this layout; ``raw`` is all of them."""
         if set(map(len, messages)) != {self._length}:
             return False
         table = np.frombuffer(raw, dtype=np.uint8).reshape(-1, self._length)
-        return all((table[:, place] == content).all() for place, _, content in self._fixed)
+        return not ((table ^ self._pattern) & self._fixed).any()
 
     def read(self, raw: bytes) -> tuple[np.ndarray, list[np.ndarray]] | None:
         """Return (n,) stamps in ns, zeros without, and the (n, k) values of each entry, SI.

@@ -90,6 +90,16 @@ def all_findings(settings: Settings, board: AlarmBoard,
     return found
 
 
+def levels(board: AlarmBoard, parameters: dict[str, ParameterEstimate], model: ModelStatus,
+           data: DataState) -> tuple:
+    """Return what the levels of :func:`all_findings` follow from, without making any words."""
+    overload = data.overload.level if data.overload is not None else None
+    return (board.levels, tuple(estimate.status for estimate in parameters.values()),
+            frozenset(data.unsettled), model.status, bool(model.mismatches),
+            data.stopped is None, data.refused, bool(data.problems), data.unsaved is None,
+            bool(data.implausible), overload)
+
+
 def _numbers(estimate: ParameterEstimate | None) -> dict[str, float | int | str]:
     if estimate is None:
         return {}

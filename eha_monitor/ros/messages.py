@@ -4,6 +4,7 @@ Each message is also kept for the bag of the last minutes.
 """
 
 import math
+import struct
 import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
@@ -31,6 +32,7 @@ LEVELS = {"OK": DiagnosticStatus.OK, "WARN": DiagnosticStatus.WARN,
 # How serious it is that a parameter has a status.
 ESTIMATE_LEVELS = {"converged": "OK", "not_excited": "OK", "diverged": "ERROR",
                    "no_data": "STALE"}
+DOUBLE = struct.Struct("<xBxxd")  # a Float64 as it is sent, behind the encapsulation
 _SECTIONS = {watched.symbol: watched.section for watched in WATCHED}
 _LEVEL_NAMES = {level: name for name, level in LEVELS.items()}
 
@@ -223,6 +225,7 @@ class Outputs:
         if stream is None:
             publisher.publish(message)
             return
-        data = serialize_message(message)
+        data = (DOUBLE.pack(1, message.data) if type(message) is Float64
+                else serialize_message(message))
         self._keeper.ring.append(stream, time.time_ns(), data)
         publisher.publish(data)

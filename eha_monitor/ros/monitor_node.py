@@ -22,6 +22,7 @@ from eha_monitor.ros.diagnosis import SelfDiagnosis
 from eha_monitor.ros.findings import (
     DataState,
     all_findings,
+    levels,
     lost,
     rates,
     summary,
@@ -42,6 +43,7 @@ WATCH_PERIOD = 0.1
 DIVERGED_S = 2.0
 LOOK_S = 0.19  # between two looks for faults of the data
 DIAGNOSTICS_PERIOD = 1.0
+FEW = 7  # of so many rows one counts in the latencies of each second; no divisor of a batch
 CLASHES_PERIOD = 3.0  # to ask the graph for all ends of all topics costs 10 ms
 
 
@@ -105,7 +107,7 @@ class Monitor:
         self._row_ns = self._judged_ns = 0
         self._row_came: float | None = None
         self._seen: dict[str, int] = {}
-        self._levels: list | None = None
+        self._levels: tuple | None = None
         self._fresh = False
 
     @property
@@ -399,7 +401,7 @@ class Monitor:
         self.data.values = values | self.counts() | {
             "missing_share_percent": 100.0 * self.load.watch.share,
             "behind_s": self.load.watch.behind,
-            **{f"latency_{key}_ms": value for key, value in self.latency.percentiles().items()},
+            **{f"latency_{key}_ms": value for key, value in self.latency.percentiles(FEW).items()},
             "latency_counts_from": self.latency.counts_from,
             "cpu_share_percent": 100.0 * self.processor.share()} | self._kept()
 
@@ -419,14 +421,14 @@ class Monitor:
 
     def _publish_health(self, only_changes: bool = False) -> None:
         snapshot = self._snapshot
-        found = all_findings(self.settings, self.board,
-                             snapshot.parameters if snapshot else {},
+        parameters = snapshot.parameters if snapshot else {}
+        now = levels(self.board, parameters, self._model, self.data)
+        if only_changes and now == self._levels:
+            return
+        self._levels = now
+        found = all_findings(self.settings, self.board, parameters,
                              snapshot.consistency if snapshot else {},
                              self._model, self._events, self.data)
-        levels = [(finding.level, finding.word) for finding in found]
-        if only_changes and levels == self._levels:
-            return
-        self._levels = levels
         self._outputs.health(with_bags(found, self.keeper.bags))
 
     def summary(self) -> str:

@@ -199,12 +199,10 @@ class Drain:
             self._transport = min(self._transport, transport)
             self.oldest = max(self.oldest, float(waited[0]) + transport - self._transport)
             if self._keeper.ring is not None:
-                kept += zip(received, (self._stream(each),) * len(messages), messages,
-                            strict=True)
+                kept.append((self._stream(each), received, messages))
         if batches:
             self._aligner.take(batches)
         if kept:
-            kept.sort()
             self._keeper.ring.extend(kept)
         return any(each.waits for each in self._inputs)
 
