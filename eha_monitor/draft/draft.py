@@ -151,7 +151,8 @@ def drafted(source: Source, answers: Answers) -> Draft:
     InputError
         If an answer is of no use, in one line.
     """
-    found = as_answered(_answered(guessed(source, answers.columns()), answers), answers)
+    found = as_answered(_answered(_without_pump(guessed(source, answers.columns()), answers),
+                                  answers), answers)
     checks: list[str] = []
     step = Rig().sample_time
     for _ in range(ROUNDS):
@@ -195,7 +196,22 @@ def _lines(source: Source, found: Map, answers: Answers, seen: Seen) -> Lines:
     rig = rig_entries(answers, seen, found.rotary, name)
     # Nobody has to say what a unit says, or what there are no pressures for.
     known = not absolute(found) or "p1" not in found.channels
-    return Lines(rig, effects_of(answers, rig, seen), open_choices(answers, rig, seen, known))
+    choices = open_choices(answers, rig, seen, known)
+    if found.machines:
+        own, *others = found.machines
+        choices = [("x.column", f"columns of several machines: {own}, {', '.join(others)}; {own} "
+                    "moves most and is taken"), *choices]
+    return Lines(rig, effects_of(answers, rig, seen), choices)
+
+
+def _without_pump(found: Map, answers: Answers) -> Map:
+    """Return the map without a pump's speed where the machine has no pump."""
+    speeds = {"omega", "omega_d"} & found.channels.keys() - answers.channels.keys()
+    if not speeds or not answers.lacks("pump_displacement"):
+        return found
+    kept = {name: guess for name, guess in found.channels.items() if name not in speeds}
+    return replace(found, channels=kept, unused=(*found.unused, *(
+        found.channels[name].candidate for name in speeds)))
 
 
 def _told_alone(settings: Settings, entries: list[Entry]) -> Settings:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eha_monitor.draft.sources import Candidate, Source
-from eha_monitor.draft.words import ANGLES, plain, words_of
+from eha_monitor.draft.words import ANGLES, beside_chamber, plain, words_of
 from eha_monitor.settings.channels import CHANNELS
 
 # Quantity -> (largest absolute value below which, unit): what a rig shows, coarsest guess.
@@ -85,6 +85,8 @@ def is_rate_of(speed: np.ndarray, position: np.ndarray, step: float) -> bool:
 HOTTEST = 700.0  # of a temperature in any unit; more are counts
 ACTUAL = ("ist", "act", "actual", "meas", "measured", "real", "mesure", "medida", "fbk",
           "feedback", "gemessen", "effettiva")
+VALVE = ("dcv", "valve", "ventil", "spool")
+_STRAIGHT = ("x", "xdot", "dot", "piston", "kolben", "rod", "cyl", "cylinder")  # no shaft turns
 _UNITS_OF = {"x": "position", "x_d": "position", "v": "velocity", "omega": "turning",
              "omega_d": "turning", "p1": "pressure", "p2": "pressure", "force": "force",
              "temperature": "temperature"}
@@ -113,12 +115,17 @@ class Guess:
 
 @dataclass(frozen=True)
 class Map:
-    """What was guessed: the time, the channels, what nobody uses."""
+    """What was guessed: the time, the channels, what nobody uses.
+
+    ``machines`` are the first words of the columns where these part several machines, that of
+    ``x`` first; empty where the file is of one machine, or somebody has named the column of x.
+    """
 
     time: Guess | None
     channels: dict[str, Guess]
     unused: tuple[Candidate, ...]
     rotary: bool = False
+    machines: tuple[str, ...] = ()
 
     def with_channel(self, name: str, guess: Guess) -> "Map":
         """Return the map with another channel."""
@@ -137,13 +144,15 @@ def guessed(source: Source, chosen: dict[str, str] | None = None) -> Map:
     named = {name: _named(source, column) for name, column in chosen.items()}
     left = [one for one in source.candidates if one not in named.values()]
     time = named.pop("time", None) or _time(source, left)
-    left = [one for one in left if one is not time]
-    rotary = any(_turns(one) for one in left) and not any(
-        one.header.kind == "position" for one in left)
+    machines = _machines([one for one in left if one is not time], named.get("x"))
+    left = [one for one in left if one is not time and _first(one) not in machines[1:]]
     found = dict(named)
     for channel, one, why in (*_pressures(left), *_others(left, time, source)):
         if channel not in found and one not in named.values():
             found[channel] = (one, why)
+    taken = [entry[0] if isinstance(entry, tuple) else entry for entry in found.values()]
+    rotary = any(map(_turns, taken)) and not any(
+        one.header.kind == "position" for one in taken)
     channels = {}
     for channel, entry in sorted(found.items(), key=lambda one: CHANNELS.index(one[0])):
         one, why = entry if isinstance(entry, tuple) else (entry, "answered")
@@ -151,7 +160,29 @@ def guessed(source: Source, chosen: dict[str, str] | None = None) -> Map:
     used = [guess.candidate for guess in channels.values()]
     unused = tuple(one for one in source.candidates if one is not time
                    and not any(one is other for other in used))
-    return Map(_time_guess(time, source.bag), channels, unused, rotary)
+    return Map(_time_guess(time, source.bag), channels, unused, rotary,
+               () if "x" in named else machines)
+
+
+def _first(one: Candidate) -> str:
+    return next(iter(words_of(one.shown)), "")
+
+
+def _machines(left: list[Candidate], x: Candidate | None) -> tuple[str, ...]:
+    """Return the first words of the columns of several machines, own first.
+
+    Empty where one word, or none, has a measured position and another channel.
+    """
+    told = [one for one in left if one.header.quantity]
+    travel = {}
+    for one in told:
+        if one.header.quantity == "position" and not one.header.demand and _moves(one) and any(
+                other is not one and _first(other) == _first(one) for other in told):
+            travel[_first(one)] = max(float(np.ptp(one.values[np.isfinite(one.values)])),
+                                      travel.get(_first(one), 0.0))
+    own = _first(x) if x else max(travel, key=travel.get, default="")
+    others = [word for word in travel if word != own]
+    return (own, *others) if others and (x is None or own in words_of(x.shown)) else ()
 
 
 def _named(source: Source, column: str) -> Candidate:
@@ -208,6 +239,12 @@ def _pressures(left: list[Candidate]) -> list[tuple[str, Candidate, str]]:
               for chamber in (1, 2)}
     free = [one for one in all_ if not one.header.chamber]
     first, second = (marked[chamber][0] if marked[chamber] else None for chamber in (1, 2))
+    # Both at the same place: the cylinder's, where the valve has its own.
+    pairs = [(one, other) for one in marked[1] for other in marked[2]
+             if beside_chamber(one.shown) == beside_chamber(other.shown)]
+    if pairs:
+        first, second = min(pairs, key=lambda pair: bool(
+            set(VALVE) & set(words_of(pair[0].shown))))
     why = "header"
     if first is None and second is None and len(free) == 2:
         (first, second), why = free, "header, in the order of the columns"
@@ -233,7 +270,8 @@ def _others(left: list[Candidate], time: Candidate | None, source: Source
                                                           for one in demanded[:1]]
     for one in left:
         quantity, header = one.header.quantity, one.header
-        if quantity == "velocity" and not header.kind and not source.bag:
+        if quantity == "velocity" and not header.kind and not source.bag and not (
+                set(_STRAIGHT) & set(words_of(one.shown))):
             quantity = "velocity" if _is_rate(one, measured[:1], time) else "turning"
         if quantity in ("turning", "velocity", "force"):
             name = {"turning": "omega", "velocity": "v", "force": "force"}[quantity]

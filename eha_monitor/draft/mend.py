@@ -52,6 +52,8 @@ def _one(found: Map, finding: ChannelFinding, settings: Settings) -> Map | None:
         return None
     if finding.kind == "swapped" and len(names) == 2:
         one, other = (found.channels[name] for name in names)
+        if one.unit and other.unit and unit_of(one.unit).si != unit_of(other.unit).si:
+            return None  # a position in the column of a speed: no hose or cable does that
         swapped = {names[0]: replace(other, why=_told(finding)),
                    names[1]: replace(one, why=_told(finding))}
         return replace(found, channels={**found.channels, **swapped})

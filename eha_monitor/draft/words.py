@@ -20,8 +20,10 @@ _LONG = {
                  "carrera", "stroke", "displac", "encoder", "geber", "lvdt", "travel", *ANGLES),
 }
 _SHORT = {
-    "time": ("t", "temps", "ms", "sec", "hora", "ts", "tempo"), "pressure": ("p", "pr", "pg"),
-    "temperature": (), "turning": ("n", "w", "rps"), "velocity": ("v", "vel", "xdot", "dx", "vx"),
+    "time": ("t", "temps", "ms", "sec", "hora", "ts", "tempo"),
+    "pressure": ("p", "pr", "pg", "pa", "pb", "pk"),
+    "temperature": (), "turning": ("n", "w", "rps"),
+    "velocity": ("v", "vel", "xdot", "dot", "dx", "vx"),
     "force": ("f", "tq", "fz", "fx", "load", "par"),
     "position": ("x", "s", "pos", "y", "q", "qm", "xact", "xist", "xmeas"),
 }
@@ -34,10 +36,10 @@ _TURNS = ("pump", "pumpe", "motor", "pompe", "bomba", "moteur", "pompa", "motore
 NOT_MEASURED = ("current", "strom", "voltage", "spannung", "power", "leistung", "status", "error",
                 "fehler", "flow", "durchfluss", "volumenstrom", "valve", "ventil", "accel",
                 "alarm", "erreur", "debit", "courant", "corriente", "caudal")
-_ONE = ("a", "1", "k", "ka", "kolben", "kolbenseite", "boden", "cap", "blind", "bore", "fond",
-        "base", "left", "links", "gauche", "piston")
-_TWO = ("b", "2", "st", "stange", "stangenseite", "ringseite", "ring", "rod", "tige", "vastago",
-        "annulus", "annular", "right", "rechts", "droite", "stelo")
+_ONE = ("a", "1", "k", "ka", "pa", "pk", "kolben", "kolbenseite", "boden", "cap", "blind",
+        "bore", "fond", "base", "left", "links", "gauche", "piston")
+_TWO = ("b", "2", "pb", "st", "stange", "stangenseite", "ringseite", "ring", "rod", "tige",
+        "vastago", "annulus", "annular", "right", "rechts", "droite", "stelo")
 _OTHER_PRESSURE = ("supply", "tank", "system", "speise", "versorg", "reservoir", "charge",
                    "return", "speicher", "accumulator", "alimentation", "ambient", "delta", "diff")
 _OTHER_SHORT = ("ps", "pt", "p0", "dp", "t", "0")
@@ -192,5 +194,9 @@ def _chamber(words: list[str]) -> int:
             if len(part) > 3 and part in joined]
     if long:
         return max(long, key=lambda one: len(one[0]))[1]
-    # pA, pK, pS without a gap; a head beside a rod is the other side.
-    return {"pa": 1, "pk": 1, "pb": 2}.get(joined, 0)
+    return 0
+
+
+def beside_chamber(name: str) -> list[str]:
+    """Return the words of a pressure's name without those that name its chamber."""
+    return [word for word in words_of(name) if word not in (*_ONE, *_TWO)]
