@@ -33,6 +33,7 @@ SHORTEST = 0.5  # s of usable recording
 COMMANDED, MEASURED = 0.005, 0.05  # of its size: a smaller demand has no sign; noise-free, noisy
 TRAVEL = 20.0  # times the position's noise: less is no motion
 CHANNELS = ("x", "x_d", "omega", "omega_d", "p1", "p2", "force")
+HELD = 0.15  # of the other chamber's spread: on rigs of another simulator 0.01 to 0.09, else 0.24
 GAUGE = 0.5  # of the ambient pressure: a reading below is no absolute pressure
 
 
@@ -264,8 +265,12 @@ def direction_of(course: Course) -> np.ndarray:
 def pumped_side(course: Course, rig: Rig) -> np.ndarray:
     """Return the chamber that the pump fills, (m,): 1, -1, or 0 before the first demand.
 
-    Behind valves it is the demand that says so, not the pressure: that falls at each switch.
+    Behind valves it is the demand that says so, not the pressure: that falls at each switch.  A
+    chamber whose pressure an accumulator holds is never filled by the pump alone.
     """
+    if rig.area_1 != rig.area_2 and np.std(course.p2[course.good]) < HELD * np.std(
+            course.p1[course.good]):
+        return np.ones(len(course))
     if course.demand is None or rig.area_1 == rig.area_2:
         return np.where(course.p1 > course.p2, 1.0, -1.0)
     return direction_of(course)

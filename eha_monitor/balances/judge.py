@@ -202,7 +202,7 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
                       [table.places[name] for name in free], np.array(list(weights.values())))
 
     return JudgedBalance(one.balance, table, held, now,
-                         error(held), error(now), max(one.error),
+                         error(held), error(now), max(one.held),
                          tuple(moved for _, moved in changes), complete, largest, tuple(free))
 
 

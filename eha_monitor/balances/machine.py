@@ -75,7 +75,8 @@ class MachineBalance:
     parameters, settings : of its terms.
     each, each_stddev : recording x parameter, each fitted to that recording alone.
     nominal, error : of each recording left out, over the standard deviation of its balance:
-        with the terms of the config, and with those chosen on the others.
+        with the terms of the config, and with those chosen on the others.  ``held`` the latter
+        with what goes with the oil held as well: what the next recording is judged by.
     learned, reference : the same with what repeats but has no name beside the chosen terms, and
         with a flexible function of the signals in place of all physics.
     repeats : share of the squared error that repeats from recording to recording without a name.
@@ -106,6 +107,7 @@ class MachineBalance:
     named: tuple[Named, ...]
     scatter: Scatter
     refused: tuple[Refused, ...] = ()
+    held: tuple[float, ...] = ()
 
     @property
     def terms(self) -> tuple[str, ...]:
@@ -340,7 +342,8 @@ def _balance(kind: str, courses: Sequence[Course], scale: Scale, rig: Rig,
         tuple(after.tolist()), tuple(reference.tolist()), repeats, regimes(courses, left),
         float(np.median(sizes)), float(np.median([table.floor for table in tables])),
         float(sum(table.effective for table in tables)), chosen.steps,
-        chosen.named, scatter_of(tables, weights, fit.settings, allowed, policy, pieces), refused)
+        chosen.named, scatter_of(tables, weights, fit.settings, allowed, policy, pieces), refused,
+        tuple(recordings.errors(chosen.names).tolist()))
 
 
 def gated(recordings: Recordings, chosen: Chosen, kind: str, policy: Policy
@@ -450,6 +453,7 @@ def _read_balance(data: dict) -> MachineBalance:
     made["steps"] = tuple(map(tuple, data["steps"]))
     for name in ("each", "each_stddev"):
         made[name] = tuple(map(_numbers, data[name]))
-    for name in ("nominal", "error", "learned", "reference"):
-        made[name] = _numbers(data[name])
+    made.setdefault("held", data["error"])  # of a file before oils were told apart
+    for name in ("nominal", "error", "learned", "reference", "held"):
+        made[name] = _numbers(made[name])
     return MachineBalance(**made)
