@@ -206,9 +206,9 @@ class _Choice:
         of, most = self.of, self.unseen(kept) * np.exp(self.policy.alone)
         moved = [np.zeros(len(kept))]
         for i, name in enumerate(kept):
-            for other in self.allowed:
-                if not of[name].variant or other in kept or of[other].kind != of[name].kind:
-                    continue
+            others = [other for other in self.allowed if of[name].variant
+                      and other not in kept and of[other].kind == of[name].kind]
+            for other in others:
                 more = bool(of[other].upon) and not of[name].upon
                 form = [*kept, other] if more else [*kept[:i], other, *kept[i + 1 :]]
                 if founded(form, of) == form and self.unseen(form) <= most:

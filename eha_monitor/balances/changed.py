@@ -5,12 +5,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from eha_monitor.balances.answer import overlay_of, place_of, size_of
+from eha_monitor.balances.answer import overlay_of, place_of
 from eha_monitor.balances.candidates import SIDES
 from eha_monitor.balances.course import Course, course_of
 from eha_monitor.balances.judge import Judged, JudgedBalance, Moved, judge
 from eha_monitor.balances.machine import Machine
 from eha_monitor.balances.model import Model, Term, of_judged
+from eha_monitor.balances.named import size_of
 from eha_monitor.mismatch.diagnosis import (
     Change,
     Diagnosis,

@@ -1,0 +1,227 @@
+"""The named terms of a balance as effects of the catalogue, and as wrong numbers of the config."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from eha_monitor import ties
+from eha_monitor.balances.candidates import SIDES
+from eha_monitor.balances.model import Model, Term
+from eha_monitor.balances.policy import Policy
+from eha_monitor.mismatch.diagnosis import NamedEffect, RigFinding, Value
+from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.quantity import quantity, share, side_by_side, with_uncertainty
+from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.rig import Rig
+
+FORCE_OF_SENSORS = ("pressure_offset", "pressure_scale")  # they make a constant force as well
+LINEAR = ("B", "D_p", "C_h", "k_d")  # what the config's own model has
+TWINS = {"pump_displacement": ("pump_flow_gain",), "position_gain": ("drive_gain",)}
+DRY_SYMBOLS = {"F_c", "F_d"}
+LARGEST = 0.998  # quantile of a term that is its size
+
+
+def effects_of(model: Model, rig: Rig, policy: Policy) -> list[NamedEffect]:
+    """Return the named terms of a balance as effects; one that contains another holds both."""
+    named = [t for t in model.terms if (t.named or _leaks_more(t, policy))
+             and t.candidate.name not in LINEAR and not _within_tolerance(t, rig, policy)]
+    groups: dict[str, list[Term]] = {}
+    for term in named:
+        groups.setdefault(term.candidate.effect, []).append(term)
+    for effect in list(groups):
+        for simpler in CATALOGUE[effect].contains if effect in CATALOGUE else ():
+            groups[effect] += groups.pop(simpler, [])
+    return [_effect(name, terms, model, rig)
+            for name, terms in _surest(_dry_as_one(groups, policy), policy).items()]
+
+
+def _surest(groups: dict[str, list[Term]], policy: Policy) -> dict[str, list[Term]]:
+    """Return the effects without those that only share what their family surely is.
+
+    Friction that grows with pressure and friction that does not are named together; which of them
+    it is, each says for itself.
+    """
+    def sure(name: str) -> float:
+        return max(abs(t.value) / t.stddev if t.stddev else np.inf for t in groups[name])
+
+    best: dict[str, float] = {}
+    for name, terms in groups.items():
+        kind = terms[0].candidate.kind
+        best[kind] = max(best.get(kind, 0.0), sure(name))
+    return {name: terms for name, terms in groups.items() if sure(name) >= min(
+        best[terms[0].candidate.kind], policy.varied)}
+
+
+def _dry_as_one(groups: dict[str, list[Term]], policy: Policy) -> dict[str, list[Term]]:
+    """Return the terms of effects, dry friction of several shapes as the one force that it is.
+
+    It is called by its fall with speed where that is sure of itself, else by its largest shape.
+    """
+    dry = {effect: terms for effect, terms in groups.items() if terms[0].candidate.family == "dry"
+           and DRY_SYMBOLS.issuperset(term.candidate.symbol for term in terms)}
+    terms = [term for one in dry.values() for term in one]
+    falls = [t for t in terms if t.candidate.symbol == "F_d"]
+    stays = [t for t in terms if t.candidate.symbol == "F_c"]
+    if len(dry) < 2 or not stays:
+        return groups
+    sure = [t for t in falls if abs(t.value) > policy.varied * t.stddev]
+    name = (sure or [ties.best(stays, lambda t: abs(t.value))])[0].candidate.effect
+    return {name: stays + sure, **{effect: terms for effect, terms in groups.items()
+                                   if effect not in dry}}
+
+
+def _effect(name: str, terms: Sequence[Term], model: Model, rig: Rig) -> NamedEffect:
+    entry, first = CATALOGUE.get(name), terms[0]
+    values: dict[str, Value] = {}
+    for term in terms:
+        symbol, value = shown_as(term, model, rig)
+        if symbol in values:  # dry friction of two shapes is one force
+            value = Value(values[symbol].value + value.value,
+                          float(np.hypot(values[symbol].stddev, value.stddev)), value.unit)
+        values[symbol] = value
+    numbers = numbers_of(name, terms, values)
+    whole = entry is not None and not any(term.each for term in terms) and all(
+        p.name in values for p in entry.sizes if np.isfinite(p.neutral))
+    said = entry.said(numbers) if whole else ""
+    if not said:
+        said = "; ".join(_said(term) for term in terms)
+    spread = [f"± {share(t.between / abs(t.value), 2)} between recordings" for t in terms
+              if t.between and t.value]
+    rivals = tuple(dict.fromkeys(r for term in terms for r in (
+        *term.rivals, *term.candidate.twins)))
+    if name == "constant_load" and rig.area_1 and rig.area_2:
+        rivals += tuple(r for r in FORCE_OF_SENSORS if r not in rivals)
+    return NamedEffect(
+        name, model.balance, "; ".join([said, *spread]), values,
+        max(sum(term.gained for term in terms), 0.0), rivals,
+        entry.equation if entry else "", entry.rig_check if entry else "",
+        size_of(terms, model), probability=max(
+            (t.probability for t in terms if np.isfinite(t.probability)), default=np.nan),
+        effective_samples=model.effective, stability=max(first.stability, 0.0))
+
+
+def shown_as(term: Term, model: Model, rig: Rig) -> tuple[str, Value]:
+    """Return the parameter of the catalogue that a term is, and its value there."""
+    c, shape = term.candidate, dict(term.candidate.shape)
+    if c.symbol == "omega_max":
+        return c.symbol, Value(shape["omega_max"], model.floor, "rad/s")
+    soft = model["C_h"]
+    if c.name == "C_x" and soft is not None and soft.value > 0.0 and rig.volume_1:
+        factor = rig.volume_1 / soft.value
+        return "A_v", Value(factor * term.value, factor * term.stddev, "m²")
+    return c.symbol or c.name, Value(term.value, term.stddev, c.unit)
+
+
+def numbers_of(name: str, terms: Sequence[Term], values: dict[str, Value]) -> dict[str, float]:
+    """Return all parameters of an effect of the catalogue: found, of its shape, and defaults."""
+    entry = CATALOGUE.get(name)
+    if entry is None:
+        return {}
+    numbers = {p.name: p.neutral if p.default is None else p.default for p in entry.parameters}
+    for term in reversed(terms):
+        numbers |= {key: value for key, value in term.candidate.shape if key in numbers}
+    numbers |= {key: one.value for key, one in values.items() if key in numbers}
+    if name == "external_leakage":
+        numbers["L_2"] = numbers["L_1"]
+    return numbers
+
+
+def config_effects(models: Sequence[Model], effects: Sequence[NamedEffect], settings: Settings
+                   ) -> dict[str, dict[str, float]]:
+    """Return the ``effects:`` section: what the config had, and what of the catalogue is named.
+
+    What the catalogue does not hold, or not that way round, has no place there.
+    """
+    found = {name: dict(values) for name, values in settings.effects.items()}
+    for effect in effects:
+        entry, model = CATALOGUE.get(effect.name), next(
+            one for one in models if one.balance == effect.balance)
+        if entry is None or effect.name in found:
+            continue
+        terms = [t for t in model.named if t.candidate.effect in (effect.name, *entry.contains)]
+        numbers = numbers_of(effect.name, terms, effect.parameters)
+        if all(p.name not in effect.parameters or numbers[p.name] >= p.lower
+               for p in entry.parameters):
+            found[effect.name] = {p.name: float(min(max(numbers[p.name], p.lower), p.upper))
+                                  for p in entry.parameters}
+    return found
+
+
+def _said(term: Term) -> str:
+    """Return a term with its number, or those of all recordings."""
+    c = term.candidate
+    if not term.each:
+        return f"{c.words}: {with_uncertainty(term.value, term.stddev, c.unit)}"
+    low, high = side_by_side(min(term.each), max(term.each), max(term.stddev, 1e-300), c.unit)
+    return f"{c.words}: {low} to {high} over the recordings"
+
+
+def size_of(terms: Sequence[Term], model: Model) -> str:
+    """Return how much terms do at their largest, in words."""
+    made = np.concatenate([np.abs(one[table.good]) for one, table in zip(
+        made_by(terms, model), model.tables, strict=True)])
+    return quantity(float(np.quantile(made, LARGEST)), SIDES[model.balance], 3)
+
+
+def made_by(terms: Sequence[Term], model: Model) -> list[np.ndarray]:
+    """Return what terms make in each recording at the compared points, (m,) each."""
+    names = [term.candidate.name for term in terms]
+    found = []
+    for table, weights in zip(model.tables, model.weights, strict=True):
+        total = np.zeros(len(table.rows))
+        for name in names:
+            if name in table.places:
+                total += weights.get(name, 0.0) * table.rows[:, table.places[name]]
+        found.append(total)
+    return found
+
+
+def _configured(term: Term, rig: Rig) -> tuple[str, float, Value] | None:
+    """Return the config's number that a term corrects: its key, the config's value, what it is.
+
+    The leakage is C_T / 2 of the pressure difference; a mass or a leakage is added to.
+    """
+    gain = rig.position_gain or 0.0
+    key, value, slope = {
+        "D_p": ("pump_displacement", term.value, 1.0), "dM": ("mass", rig.mass + term.value, 1.0),
+        "k_d": ("position_gain", gain * (1.0 + term.value), gain),
+        "L": ("leakage", rig.leakage + 2.0 * term.value, 2.0),
+    }.get(term.candidate.name, ("", 0.0, 0.0))
+    configured = getattr(rig, key) if key else None
+    if not configured or not value > 0.0:
+        return None
+    unit = type(rig).model_fields[key].json_schema_extra["unit"]
+    return key, configured, Value(value, slope * term.stddev, unit)
+
+
+def _within_tolerance(term: Term, rig: Rig, policy: Policy) -> bool:
+    """Tell whether a number of the config may be what a term says of it, by its tolerance."""
+    found = _configured(term, rig)
+    if found is None:
+        return False
+    key, configured, now = found
+    return abs(np.log(now.value / configured)) <= policy.varied * float(np.hypot(
+        rig.tolerance.log_spread(key), now.stddev / now.value))
+
+
+def _leaks_more(term: Term, policy: Policy) -> bool:
+    """Tell whether the leakage that every model has is surely more than the config's."""
+    return (term.candidate.name == "L" and term.candidate.always
+            and term.value > policy.varied * term.stddev)
+
+
+def wrong_numbers(model: Model, rig: Rig, policy: Policy) -> list[RigFinding]:
+    """Return the numbers of the config that are far from the recordings'."""
+    found = []
+    for term in model.terms:
+        one = _configured(term, rig)
+        if one is None or not np.isfinite(term.stddev) or _within_tolerance(term, rig, policy):
+            continue
+        key, configured, now = one
+        if key == "leakage" or (key == "mass" and (term.value > 0.0 or not term.named)):
+            continue  # more of either is an effect of the catalogue
+        shown = side_by_side(configured, now.value, now.stddev, now.unit)
+        found.append(RigFinding(
+            key, configured, now, policy.certain,
+            f"{key}: the config says {shown[0]}, the recording {shown[1]}", TWINS.get(key, ())))
+    return found
