@@ -1,5 +1,7 @@
 """The mean of both pressures against the make-up path: a leak to ambient, or a wrong source."""
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -49,3 +51,10 @@ def test_a_high_one_is_the_sources_pressure(rig):
     found = found_with(rig, 0.4 * found_mean(rig))
     (wrong,) = [one for one in found.rig_data if one.key == "charge_pressure"]
     assert wrong.found.value == pytest.approx(found_mean(rig), rel=0.05)
+
+
+def test_a_source_without_pressure_is_compared_with_nothing(rig):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = found_with(rig, 0.0)
+    assert "charge_pressure" not in {one.key for one in found.rig_data}

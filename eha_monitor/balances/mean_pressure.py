@@ -28,15 +28,17 @@ def leak_or_source(courses: Sequence[Course], settings: Settings, displacement: 
                    policy: Policy) -> NamedEffect | RigFinding | None:
     """Return the leak to ambient, or the source's pressure, that a mean pressure asks for.
 
-    None where the config holds no make-up path or that leak already, or its mean pressure fits.
+    None where the config holds no make-up path, a source without pressure or that leak already,
+    or where its mean pressure fits.
 
     Parameters
     ----------
     displacement : of the pump as the flow balance has it, m^3/rad.
     """
     rig = settings.rig
-    if not rig.makeup_conductance or EFFECT in settings.effects or not displacement or not all(
-            has_flow(course, rig) for course in courses):
+    if not rig.makeup_conductance or not rig.charge_pressure or EFFECT in settings.effects:
+        return None
+    if not displacement or not all(has_flow(course, rig) for course in courses):
         return None
     mean, piston = np.mean([_means(course, rig, displacement) for course in courses], axis=0)
     needed = mean + 0.5 * piston / rig.makeup_conductance
