@@ -3,6 +3,8 @@
 import json
 from dataclasses import replace
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from machine_tools import stranger, stranger_settings
@@ -18,7 +20,7 @@ from eha_monitor.balances.judge import judge
 from eha_monitor.balances.machine import load, machine_of, save
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.table import tables_of
-from eha_monitor.balances.together import Recordings, gain, pooled, without
+from eha_monitor.balances.together import Recordings, pooled, without
 from eha_monitor.commands.diagnose import diagnose as command
 from eha_monitor.errors import InputError
 from eha_monitor.recordings.write import write_recording
@@ -98,7 +100,13 @@ def test_spread_between_recordings_is_found():
 
 
 def test_gain_is_a_log_ratio_with_its_t():
-    mean, t = gain(np.array([2.0, 2.0, 2.2]), np.array([1.0, 1.0, 1.0]))
+    table = SimpleNamespace(candidates=(), gram=np.eye(1), weight=1.0, good=np.ones(9, bool),
+                            moving=np.ones(9, bool))
+    rest = SimpleNamespace(**vars(table) | {"moving": np.zeros(9, bool)})
+    mean, t = Recordings([table] * 3).gain(np.array([2.0, 2.0, 2.2]), np.array([1.0, 1.0, 1.0]))
+    # A recording in which nothing moves has no say.
+    assert Recordings([table, table, rest]).gain(
+        np.array([2.0, 2.0, 1.0]), np.array([1.0, 1.0, 9.0]))[0] == pytest.approx(np.log(2.0))
     assert mean == pytest.approx(np.log([2.0, 2.0, 2.2]).mean())
     assert t == pytest.approx(mean * np.sqrt(3) / np.log([2.0, 2.0, 2.2]).std(ddof=1))
 

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 
@@ -129,7 +130,13 @@ def _courses(recordings: Sequence[Recording], settings: Settings
             problems.append(problem)
     if not courses:
         raise problems[0]
-    return kept, courses, tuple(f"left out: {problem}" for problem in problems)
+    lines = [f"left out: {problem}" for problem in problems]
+    moves = [bool(course.moving.any()) for course in courses]
+    if any(moves):  # at rest a seal holds whatever load there is
+        lines += [f"left out: {one.source}: nothing moves in it"
+                  for one, there in zip(kept, moves, strict=True) if not there]
+        kept, courses = list(compress(kept, moves)), list(compress(courses, moves))
+    return kept, courses, tuple(lines)
 
 
 def first_answer(recordings: Sequence[Recording], settings: Settings, asked: Asked = Asked()

@@ -155,6 +155,11 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
             free: list[str]) -> JudgedBalance:
     """Return what has changed in one balance: one more term at a time, until none is far."""
     policy = machine.policy
+
+    def error(weights: dict[str, float]) -> float:
+        return unseen(table, [table.places[name] for name in weights],
+                      [table.places[name] for name in free], np.array(list(weights.values())))
+
     names = [name for name in one.scatter.names if name in table.places]
     scatter = one.scatter.only(names)
     left = amplitudes_of(table, held, free, names)
@@ -178,28 +183,31 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
         lower = (np.sqrt(left.left) - np.sqrt(np.maximum(left.left - removed, 0.0))) / (
             table.size * np.sqrt(max(table.n, 1)))
         most = float(removed.max())
-        if not lower.max() > policy.worse:  # beyond chance, and too little to repair a machine for
+        loud = error(now) > ERROR * max(max(one.held), table.floor / table.size)
+        if not (loud or lower.max() > policy.worse):  # too little to repair a machine for
             complete = True
             break
         of = {c.name: i for i, c in enumerate(table.candidates)}
-        # What removes nearly as much is not told apart.  Seals wear before anything else does;
-        # then comes a number that the machine has, then what stands first among the candidates.
-        equal = sorted((i for i in range(len(removed)) if removed[i] >= most * np.exp(
-            -2.0 * policy.alone)), key=lambda i: (
-                left.names[i] != WEARS, left.names[i] not in held, of[left.names[i]]))
-        i = equal[0]
+        # What removes nearly as much is a rival.  Of what leaves the same, a number that the
+        # machine has comes first, then what stands first among the candidates.  But a seal wears
+        # before a load or a spring comes to a machine; its oil is another matter.
+        equal = [i for i in range(len(removed)) if removed[i] >= most * np.exp(
+            -2.0 * policy.alone)]
+        i = min((i for i in equal if left.left - removed[i] <= max(
+            left.left - most, table.n * table.floor**2) * np.exp(2.0 * policy.alone)),
+                key=lambda i: (left.names[i] != WEARS, left.names[i] not in held,
+                               of[left.names[i]]))
+        if not table.candidates[of[left.names[i]]].of_oil:
+            i = next((j for j in equal if left.names[j] == WEARS), i)
+        equal.remove(i)
         effect = table.candidates[of[left.names[i]]].effect
         rivals = tuple(dict.fromkeys(
-            other for j in equal[1:]
+            other for j in equal
             if (other := table.candidates[of[left.names[j]]].effect) != effect))
         changes.append((left.names[i], _moved(scatter, table, held, left, i, t[i],
                                               scatter.limit[i], float(lower[i]), rivals)))
         now[left.names[i]] = now.get(left.names[i], 0.0) + float(amount[i])
         left = left.moved(i, float(amount[i]))
-
-    def error(weights: dict[str, float]) -> float:
-        return unseen(table, [table.places[name] for name in weights],
-                      [table.places[name] for name in free], np.array(list(weights.values())))
 
     return JudgedBalance(one.balance, table, held, now,
                          error(held), error(now), max(one.held),
@@ -213,6 +221,7 @@ def _moved(scatter: Scatter, table: Table, held: dict[str, float], found: Amplit
     name = found.names[i]
     c = table.candidates[table.places[name] - 1]
     base = held.get(name, 0.0)
-    return Moved(name, c.effect, c.balance, c.words, c.unit, base + float(found.value[i]),
-                 float(found.stddev[i]), base + scatter.mean[i], scatter.spread[i],
-                 float(t), limit, removed, rivals, c.symbol)
+    stddev = float(np.hypot(found.stddev[i], scatter.spread[i]))
+    return Moved(name, c.effect, c.balance, c.words, c.unit, base + float(found.value[i]), stddev,
+                 base + scatter.mean[i], scatter.spread[i], float(t), limit, removed, rivals,
+                 c.symbol)

@@ -24,7 +24,7 @@ from eha_monitor.balances.course import Course
 from eha_monitor.balances.machine import MachineBalance, rms
 from eha_monitor.balances.policy import Policy
 from eha_monitor.balances.table import Table, nominal_of, pooled_table, tables_of
-from eha_monitor.balances.together import Named, Recordings, gain, setting_of
+from eha_monitor.balances.together import Named, Recordings, setting_of
 from eha_monitor.settings.rig import Rig
 
 
@@ -210,12 +210,13 @@ def of_machine(one: MachineBalance, courses: Sequence[Course], rig: Rig, scale: 
     lasting = form_and_doubts(whole, list(own.values()), _whole_share(tables, after), policy)
     biases = dict(zip(own, np.sqrt(np.diag(lasting)).tolist(), strict=True))
     found = {p.name: p for p in (*one.parameters, *one.settings)}
-    sizes = [np.max(np.abs(found[name].value)) for name in own]
-    covariance = lasting + np.diag([np.max(found[name].stddev) ** 2 for name in own])
+    sizes = [rms(np.atleast_1d(found[name].value)) for name in own]
+    covariance = lasting + np.diag([rms(np.atleast_1d(found[name].stddev)) ** 2 for name in own])
     load = "F_0" if "F_0" in one.terms else ""
     if load:
-        gained, t = gain(together.errors([name for name in one.terms if name != load]),
-                         together.errors(one.terms))
+        gained, t = together.gain(
+            together.errors([name for name in one.terms if name != load]),
+            together.errors(one.terms))
         rows = next(((s.value, s.stddev) for s in one.settings if s.name == load), None) or next(
             ((p.value,), (p.stddev,)) for p in one.parameters if p.name == load)
         if gained >= policy.named and t >= policy.repeats and max(

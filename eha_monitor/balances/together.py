@@ -98,6 +98,9 @@ class Recordings:
         self.tables, self.own_oil = tables, own_oil
         self.candidates = {one.name: one for one in tables[0].candidates}
         self.grams = [table.gram * table.weight for table in tables]
+        # One that hardly moves is mostly rest, where a seal holds whatever load there is.
+        motion = np.array([float((table.moving & table.good).sum()) for table in tables])
+        self.motion = motion if motion.any() else np.ones(len(tables))
         self._reduced: dict[tuple[int, ...], list[np.ndarray]] = {}
 
     def split(self, names: Iterable[str]) -> tuple[list[int], list[int], np.ndarray]:
@@ -157,6 +160,20 @@ class Recordings:
             found.append(left)
         return found
 
+    def rms(self, errors: np.ndarray) -> float:
+        """Return the root of the mean square of errors over the recordings' motion."""
+        return float(np.sqrt(np.average(np.square(errors), weights=self.motion)))
+
+    def gain(self, before: np.ndarray, after: np.ndarray) -> tuple[float, float]:
+        """Return the mean of ln(before / after) over the recordings' motion, and Student's t."""
+        d = np.log(np.maximum(before, 1e-12) / np.maximum(after, 1e-12))
+        share, count = self.motion / self.motion.sum(), len(d)
+        mean = float(share @ d)
+        if count < 2:
+            return mean, 0.0
+        error = float(np.sqrt(share**2 @ (d - mean) ** 2 * count / (count - 1)))
+        return mean, mean / max(error, 1e-12)
+
     def choose(self, policy: Policy, allowed: Iterable[str]) -> Chosen:
         """Choose the terms of the balance among those that are allowed."""
         names = [one.name for one in self.candidates.values() if one.always]
@@ -171,7 +188,7 @@ class Recordings:
                         name not in founded([*names, name], self.candidates)):
                     continue
                 with_it = self.errors([*names, name])
-                mean, t = gain(errors, with_it)
+                mean, t = self.gain(errors, with_it)
                 if mean >= self.owed(name, policy) and t >= policy.repeats and (
                         best is None or mean > best[1]) and self._possible([*names, name]):
                     best = name, mean, t, with_it
@@ -196,13 +213,13 @@ class Recordings:
         found = []
         for family, terms in families.items():
             rest = [name for name in names if name not in terms]
-            mean, t = gain(self.errors(rest), errors)
+            mean, t = self.gain(self.errors(rest), errors)
             if mean >= policy.named and t >= policy.repeats:
                 effects = {self.candidates[name].effect for name in terms}
                 rivals = [name for name in allowed if self.candidates[name].kind == family
                           and self.candidates[name].effect not in effects
                           and name in founded([*rest, name], self.candidates)
-                          and gain(self.errors([*rest, name]), errors)[0] > -policy.alone]
+                          and self.gain(self.errors([*rest, name]), errors)[0] > -policy.alone]
                 found.append(Named(tuple(terms), mean, t, tuple(dict.fromkeys(
                     self.candidates[name].effect for name in rivals))))
         return tuple(sorted(found, key=lambda one: -one.gain))
@@ -232,7 +249,7 @@ class Recordings:
                     continue
                 rest = founded([other for other in names if other != name], self.candidates)
                 without_it = self.errors(rest)
-                mean, t = gain(without_it, errors)
+                mean, t = self.gain(without_it, errors)
                 if (mean < self.owed(name, policy) or t < policy.repeats) and (
                         worst is None or mean < worst[0]):
                     worst = mean, rest, without_it
@@ -252,7 +269,7 @@ class Recordings:
                         and other.name in allowed):
                     trial = [*names[:i], other.name, *names[i + 1 :]]
                     found = self.errors(trial)
-                    if np.log(found).mean() < np.log(errors).mean() - 1e-9:
+                    if self.gain(errors, found)[0] > 1e-9:
                         names, errors = trial, found
         return names, errors
 
@@ -290,13 +307,6 @@ class Recordings:
             rows.append(value)
             deviations.append(stddev)
         return np.array(rows), np.array(deviations)
-
-
-def gain(before: np.ndarray, after: np.ndarray) -> tuple[float, float]:
-    """Return the mean of ln(before / after) over recordings, and its Student's t."""
-    d = np.log(np.maximum(before, 1e-12) / np.maximum(after, 1e-12))
-    spread = float(d.std(ddof=1)) if len(d) > 1 else np.inf
-    return float(d.mean()), float(d.mean() * np.sqrt(len(d)) / max(spread, 1e-12))
 
 
 def pooled(each: np.ndarray, stddev: np.ndarray, joint: float) -> tuple[float, float, float]:

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from eha_monitor.balances.answer import far_from_config, first_answer
 from eha_monitor.balances.changed import against
 from eha_monitor.balances.machine import healthy_machine
 from eha_monitor.breakdown import computing
+from eha_monitor.errors import InputError
 from eha_monitor.estimation.hold_choice import resolved
 from eha_monitor.mismatch.compare.changes import Comparison, Explanation
 from eha_monitor.mismatch.compare.healthy import FALSE, Healthy, healthy_of
@@ -28,6 +30,7 @@ from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, Missing, missing_terms
 from eha_monitor.mismatch.name.columns import ALWAYS
+from eha_monitor.mismatch.name.credible import credible
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.show import held_out as show
 from eha_monitor.mismatch.show.model import config_effects, values_of
@@ -64,11 +67,19 @@ def compared(recordings: list[Recording], references: list[Recording], settings:
     """
     say, started = progress or (lambda text, share: None), time.perf_counter()
     with computing(*(one.source for one in (*recordings, *references))):
-        if by_balances([*recordings, *references], settings) or far_from_config(
-                first_answer(references, settings)):
-            return against(healthy_machine(references, settings), recordings, settings,
-                           tuple(one.source for one in references))
+        if by_balances([*recordings, *references], settings):
+            return _by_balances(recordings, references, settings)
+        first, coarse = first_answer(references, settings), None
+        if first is not None:
+            with suppress(InputError):  # too little motion for a spread of parts
+                coarse = _by_balances(recordings, references, settings)
+        # A filter of the config's laws is for what is smaller than a balance shows.
+        if coarse is not None and (coarse.verdict != "consistent" or far_from_config(first)):
+            return coarse
         held, _ = resolved(references, settings)
+        if coarse is not None and not credible(experiment_of(references, held, False),
+                                               first.config_effects):
+            return coarse
         say("learning the spread of healthy recordings", 0.1)
         healthy = healthy_of(references, held)
         say("comparing", 0.6)
@@ -77,6 +88,12 @@ def compared(recordings: list[Recording], references: list[Recording], settings:
             healthy.experiment.only(one.stretches) for one in here), say)
     return replace(found, wall_s=time.perf_counter() - started,
                    advice=_advice(healthy, references, here[0], found.verdict))
+
+
+def _by_balances(recordings: list[Recording], references: list[Recording], settings: Settings
+                 ) -> Diagnosis:
+    return against(healthy_machine(references, settings), recordings, settings,
+                   tuple(one.source for one in references))
 
 
 def _answer(healthy: Healthy, recordings: list[Recording], references: list[Recording],
