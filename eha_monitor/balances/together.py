@@ -213,8 +213,11 @@ class Recordings:
         found = []
         for family, terms in families.items():
             rest = [name for name in names if name not in terms]
-            mean, t = self.gain(self.errors(rest), errors)
-            if mean >= policy.named and t >= policy.repeats:
+            bare = self.errors(rest)
+            mean, t = self.gain(bare, errors)
+            # What is less than ``worse`` of the signal nobody would repair a machine for.
+            if mean >= policy.named and t >= policy.repeats and (
+                    self.rms(bare) - self.rms(errors) > policy.worse):
                 effects = {self.candidates[name].effect for name in terms}
                 rivals = [name for name in allowed if self.candidates[name].kind == family
                           and self.candidates[name].effect not in effects
