@@ -199,7 +199,7 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
     open_ = [one for one in models if is_open(one, policy)]
     unsure = [] if open_ or effects or wrong else [
         (one, [t.candidate.words for t in one.terms if t.candidate.name not in LINEAR])
-        for one in models if leaves_more(one.nominal_error, one.error, policy)]
+        for one in models if not agrees(one, policy)]
     verdict = ("unexplained" if open_ or unsure else
                "mismatch" if effects or wrong else "consistent")
     before, after = known_of(models, rig, policy, nominal=True), known_of(
@@ -210,7 +210,9 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
     if unsure:
         message = "; ".join(
             f"the config's model leaves {share(one.nominal_error, 2)} of the {one.balance}; "
-            f"{listed(terms)} together explain it, none of them surely" for one, terms in unsure)
+            + (f"{listed(terms)} together explain {share(1.0 - one.error / one.nominal_error, 2)} "
+               "of that, none of them surely" if terms else "nothing of the catalogue explains it")
+            for one, terms in unsure)
     elif verdict == "unexplained":
         message = (f"the {listed([one.balance for one in open_])} balance"
                    f"{'s hold' if len(open_) > 1 else ' holds'} more than the catalogue explains")
@@ -235,6 +237,11 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
 def is_open(model: Model, policy: Policy) -> bool:
     """Tell whether a balance leaves more than an answer may, and more than the sensors make."""
     return model.error > max(policy.open, policy.clean * model.floor / model.size)
+
+
+def agrees(model: Model, policy: Policy) -> bool:
+    """Tell whether the config's own model explains a balance: it leaves less than ``near``."""
+    return not model.nominal_error > max(policy.near, policy.clean * model.floor / model.size)
 
 
 def known_of(models: Sequence[Model], rig: Rig, policy: Policy, nominal: bool = False

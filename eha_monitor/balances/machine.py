@@ -352,12 +352,12 @@ def gated(recordings: Recordings, chosen: Chosen, kind: str, policy: Policy
     first = [name for name, one in recordings.candidates.items()
              if one.always or (kind == "force" and name in FIRST_VIEW)]
     errors = recordings.errors(first)
-    if recordings.rms(chosen.errors) <= recordings.rms(errors) + policy.worse:
+    if rms(chosen.errors) <= rms(errors) + policy.worse:
         return chosen, ()
     return Chosen(tuple(first), errors, (), ()), (Refused(
-        "unseen_error", kind, f"least squares leave {share(recordings.rms(errors), 2)} of the "
+        "unseen_error", kind, f"least squares leave {share(rms(errors), 2)} of the "
         f"{kind} on recordings left out, what was chosen "
-        f"{share(recordings.rms(chosen.errors), 2)}: their terms stand in its place"),)
+        f"{share(rms(chosen.errors), 2)}: their terms stand in its place"),)
 
 
 def nominal_errors(kind: str, tables: Sequence[Table], rig: Rig) -> np.ndarray:

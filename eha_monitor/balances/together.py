@@ -100,7 +100,8 @@ class Recordings:
         self.grams = [table.gram * table.weight for table in tables]
         # One that hardly moves is mostly rest, where a seal holds whatever load there is.
         motion = np.array([float((table.moving & table.good).sum()) for table in tables])
-        self.motion = motion if motion.any() else np.ones(len(tables))
+        self.motion = (np.minimum(motion / np.median(motion[motion > 0.0]), 1.0)
+                       if motion.any() else np.ones(len(tables)))
         self._reduced: dict[tuple[int, ...], list[np.ndarray]] = {}
 
     def split(self, names: Iterable[str]) -> tuple[list[int], list[int], np.ndarray]:
@@ -165,7 +166,7 @@ class Recordings:
         return float(np.sqrt(np.average(np.square(errors), weights=self.motion)))
 
     def gain(self, before: np.ndarray, after: np.ndarray) -> tuple[float, float]:
-        """Return the mean of ln(before / after) over the recordings' motion, and Student's t."""
+        """Return the mean of ln(before / after) over the recordings, and Student's t."""
         d = np.log(np.maximum(before, 1e-12) / np.maximum(after, 1e-12))
         share, count = self.motion / self.motion.sum(), len(d)
         mean = float(share @ d)
