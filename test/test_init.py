@@ -398,6 +398,29 @@ def entries(*answers, span=None):
         said, rig, seen)}, {one.key: float(one.value) for one in tolerances(rig)})
 
 
+def test_x_that_lies_elsewhere_is_counted_from_the_middle(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    file = german(tmp_path / "a.csv", **{"Weg [mm]": SEEN["x"] * 1e3 + 137,
+                                         "Sollweg [mm]": SEEN["x_d"] * 1e3 + 137})
+    sheet = sets("bore=40 mm", "rod=22 mm", "machine=double_rod", "stroke=160 mm",
+                 "line_volume=40 cm^3", "p1.delay=5 ms", "charge_pressure=19 bar gauge")
+    status, out, _ = init(capsys, file, "--yes", *sheet)
+    assert status == 0
+    assert "beyond the ends of a stroke of 160 mm" in " ".join(out.split())
+    status, out, _ = init(capsys, file, "--yes", "--overwrite", *sheet, *sets("zero=137 mm"))
+    assert status == 0 and "beyond the ends" not in out
+    found = load_settings(tmp_path / "my_rig.yaml")
+    assert found.table.columns["x"].offset == found.table.columns["x_d"].offset == -137
+    assert found.table.columns["p1"].delay == pytest.approx(5e-3)
+    assert found.rig.charge_pressure == pytest.approx(19e5 + 101325)
+    # x falls while the pump drives it out: the sign turns round with the middle in its place.
+    turned = german(tmp_path / "b.csv", **{"Weg [mm]": 137 - SEEN["x"] * 1e3,
+                                           "Sollweg [mm]": 137 - SEEN["x_d"] * 1e3})
+    assert init(capsys, turned, "--yes", "--overwrite", *sheet, *sets("zero=137 mm"))[0] == 0
+    x = load_settings(tmp_path / "my_rig.yaml").table.columns["x"]
+    assert x.scale * 137 + x.offset == 0, x
+
+
 @pytest.mark.parametrize(
     ("zero", "span", "oil"),
     [

@@ -98,7 +98,7 @@ class Guess:
 
     Attributes
     ----------
-    unit, scale, offset : as the map takes them; ``unit`` is of the time ``1 ms`` and so on.
+    unit, scale, offset, delay : as the map takes them; ``unit`` is of the time ``1 ms`` and so on.
     why : where column and unit come from, as the end of a line.
     sure : the header names the unit, or somebody has answered: values do not overrule it.
     full : ``share`` or ``counts`` where nothing can be read before somebody says how much is all.
@@ -111,6 +111,7 @@ class Guess:
     offset: float = 0.0
     sure: bool = False
     full: str = ""
+    delay: float = 0.0
 
 
 @dataclass(frozen=True)
