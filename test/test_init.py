@@ -421,6 +421,19 @@ def test_x_that_lies_elsewhere_is_counted_from_the_middle(tmp_path, capsys, monk
     assert x.scale * 137 + x.offset == 0, x
 
 
+def test_thousands_in_groups_and_a_time_that_begins_anew(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    lines = german(tmp_path / "a.csv").read_text("cp1252").splitlines()
+    cells = [line.split(";") for line in lines]
+    grouped = [";".join([*row[:3], f"{float(row[3].replace(',', '.')):,.2f}".translate(
+        str.maketrans(",.", ".,")), *row[4:]]) for row in cells[1:]]
+    assert any(row.count(".") for row in grouped)
+    (tmp_path / "a.csv").write_text("\n".join([lines[0], *grouped, grouped[0]]), "cp1252")
+    status, out, _ = init(capsys, "a.csv", "--yes", *sets(*SHEET))
+    assert status == 0 and "are NaN" not in out
+    assert re.search(r"^time +Zeit \[ms\] ", out, re.M), out
+
+
 @pytest.mark.parametrize(
     ("zero", "span", "oil"),
     [
