@@ -78,6 +78,8 @@ HEADERS = [  # header, unit of the map, quantity, demand, chamber
     ("Position error [mm]", "mm", "", False, 0),
     ("Winkel [°]", "°", "position", False, 0),
     ("pA_raw", "counts", "pressure", False, 1),
+    ("Position [V]", "counts", "position", False, 0),
+    ("Druck B [mA]", "counts", "pressure", False, 2),
 ]
 
 

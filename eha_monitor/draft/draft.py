@@ -65,7 +65,7 @@ def draft_text(source: Source, found: Map, told: Lines, checks: list[str]) -> st
             all_ = "100 %" if guess.full == "share" else "how many counts"
             example = "'80 mm'" if guess.full == "share" else "'27648 = 250 bar'"
             lines.append(f"{margin}# {ASK} {name}: '{guess.candidate.shown}' is in "
-                         f"{'per cent' if guess.full == 'share' else 'counts'}: how much is "
+                         f"{'per cent' if guess.full == 'share' else 'counts, volts or mA'}: how much is "
                          f"{all_}?  --set {name}.full={example}")
         else:
             lines += _channel(name, guess, margin)
@@ -284,7 +284,7 @@ def _with(name: str, guess: Guess, keys: dict[str, str], rotary: bool) -> Guess:
 def _open(found: Map, lines: Lines) -> tuple[tuple[str, str], ...]:
     """Return what nobody has told: key -> question."""
     asked = [(f"{name}.full", f"'{guess.candidate.shown}' is in "
-              f"{'per cent' if guess.full == 'share' else 'counts'}; the full scale")
+              f"{'per cent' if guess.full == 'share' else 'counts, volts or mA'}; the full scale")
              for name, guess in found.channels.items() if guess.full]
     if "x" not in found.channels:
         asked.append(("x.column", "which column is the measured position"))
