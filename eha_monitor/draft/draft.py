@@ -64,9 +64,9 @@ def draft_text(source: Source, found: Map, told: Lines, checks: list[str]) -> st
         if guess.full:
             all_ = "100 %" if guess.full == "share" else "how many counts"
             example = "'80 mm'" if guess.full == "share" else "'27648 = 250 bar'"
-            lines.append(f"{margin}# {ASK} {name}: '{guess.candidate.shown}' is in "
-                         f"{'per cent' if guess.full == 'share' else 'counts, volts or mA'}: how much is "
-                         f"{all_}?  --set {name}.full={example}")
+            kind = "per cent" if guess.full == "share" else "counts, volts or mA"
+            lines.append(f"{margin}# {ASK} {name}: '{guess.candidate.shown}' is in {kind}: how "
+                         f"much is {all_}?  --set {name}.full={example}")
         else:
             lines += _channel(name, guess, margin)
     if found.unused:
