@@ -225,6 +225,13 @@ def test_a_tainted_value_raises_nothing_and_says_why():
     assert drive(board, [1600.0] * 20, start=6.0)[-1] == "ERROR"  # it fits again
 
 
+def test_one_comma_before_but():
+    board = AlarmBoard(settings())
+    for k in range(20):
+        board.update(1.0 + k * STEP, damping(1600.0), temperature=50.0, tainted=DOUBT)
+    assert "reference temperature of 40 °C, but the model" in high(board).message
+
+
 def reaching(reach):
     return {"B": Taint(DOUBT["B"].reason, 1.0, reach=reach)}
 

@@ -78,6 +78,8 @@ HEADERS = [  # header, unit of the map, quantity, demand, chamber
     ("Position error [mm]", "mm", "", False, 0),
     ("Winkel [°]", "°", "position", False, 0),
     ("pA_raw", "counts", "pressure", False, 1),
+    ("Position [V]", "counts", "position", False, 0),
+    ("Druck B [mA]", "counts", "pressure", False, 2),
 ]
 
 
@@ -396,6 +398,42 @@ def entries(*answers, span=None):
     rig = rig_entries(said, seen, False, "a")
     return ({one.key: one.value for one in rig}, {one.key: one for one in effects_of(
         said, rig, seen)}, {one.key: float(one.value) for one in tolerances(rig)})
+
+
+def test_x_that_lies_elsewhere_is_counted_from_the_middle(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    file = german(tmp_path / "a.csv", **{"Weg [mm]": SEEN["x"] * 1e3 + 137,
+                                         "Sollweg [mm]": SEEN["x_d"] * 1e3 + 137})
+    sheet = sets("bore=40 mm", "rod=22 mm", "machine=double_rod", "stroke=160 mm",
+                 "line_volume=40 cm^3", "p1.delay=5 ms", "charge_pressure=19 bar gauge")
+    status, out, _ = init(capsys, file, "--yes", *sheet)
+    assert status == 0
+    assert "beyond the ends of a stroke of 160 mm" in " ".join(out.split())
+    status, out, _ = init(capsys, file, "--yes", "--overwrite", *sheet, *sets("zero=137 mm"))
+    assert status == 0 and "beyond the ends" not in out
+    found = load_settings(tmp_path / "my_rig.yaml")
+    assert found.table.columns["x"].offset == found.table.columns["x_d"].offset == -137
+    assert found.table.columns["p1"].delay == pytest.approx(5e-3)
+    assert found.rig.charge_pressure == pytest.approx(19e5 + 101325)
+    # x falls while the pump drives it out: the sign turns round with the middle in its place.
+    turned = german(tmp_path / "b.csv", **{"Weg [mm]": 137 - SEEN["x"] * 1e3,
+                                           "Sollweg [mm]": 137 - SEEN["x_d"] * 1e3})
+    assert init(capsys, turned, "--yes", "--overwrite", *sheet, *sets("zero=137 mm"))[0] == 0
+    x = load_settings(tmp_path / "my_rig.yaml").table.columns["x"]
+    assert x.scale * 137 + x.offset == 0, x
+
+
+def test_thousands_in_groups_and_a_time_that_begins_anew(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    lines = german(tmp_path / "a.csv").read_text("cp1252").splitlines()
+    cells = [line.split(";") for line in lines]
+    grouped = [";".join([*row[:3], f"{float(row[3].replace(',', '.')):,.2f}".translate(
+        str.maketrans(",.", ".,")), *row[4:]]) for row in cells[1:]]
+    assert any(row.count(".") for row in grouped)
+    (tmp_path / "a.csv").write_text("\n".join([lines[0], *grouped, grouped[0]]), "cp1252")
+    status, out, _ = init(capsys, "a.csv", "--yes", *sets(*SHEET))
+    assert status == 0 and "are NaN" not in out
+    assert re.search(r"^time +Zeit \[ms\] ", out, re.M), out
 
 
 @pytest.mark.parametrize(

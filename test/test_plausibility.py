@@ -15,7 +15,13 @@ from rig_tools import MULTISINE, TRIANGLE, motion, settings
 from eha_monitor import cli
 from eha_monitor.errors import InputError
 from eha_monitor.physics.simulator import Simulator
-from eha_monitor.plausibility.judge import corrected, plausibility_of, reading_of
+from eha_monitor.plausibility.judge import (
+    corrected,
+    plausibility_of,
+    reading_of,
+    stuck,
+    unsigned,
+)
 from eha_monitor.plausibility.moments import derivatives, moments_of
 from eha_monitor.plausibility.relations import ratio
 from eha_monitor.recordings.read import read_recording
@@ -142,6 +148,26 @@ def test_gauge_pressures_are_told_and_block_nothing():
     found = plausibility_of(replace(recording, channels=channels), config)
     assert [finding.kind for finding in found.findings] == ["offset"]
     assert not found.blocking
+
+
+def test_what_a_unit_says_to_be_gauge_is_not_gauge_again():
+    recording, config = PAPER
+    low = replace(recording, channels=dict(recording.channels, **{
+        name: recording.channels[name] - 101325.0 for name in ("p1", "p2")}))
+    tree = config.model_dump() | {"table": {"columns": {
+        name: {"column": name, "unit": "bar gauge"} for name in ("p1", "p2")}}}
+    assert plausibility_of(low, config).findings and not plausibility_of(
+        low, settings(**tree)).findings
+
+
+def test_a_dead_pressure_and_a_speed_without_its_sign_are_told():
+    recording, _ = PAPER
+    assert not stuck(moments_of(recording)) and not unsigned(moments_of(recording))
+    odd = moments_of(replace(recording, channels=dict(
+        recording.channels, p2=np.full(len(recording), 13e5),
+        omega=np.abs(recording.channels["omega"]))))
+    assert "p2 is 13 bar in the whole recording" in stuck(odd)[0].finding
+    assert "its sign may be missing" in unsigned(odd)[0].finding
 
 
 def test_a_measured_force_tells_its_unit_and_sign():

@@ -16,13 +16,18 @@ from eha_monitor.api.answer import judged
 from eha_monitor.commands.table import show
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.pipeline import estimate
-from eha_monitor.estimation.results import Event, ModelStatus
+from eha_monitor.estimation.results import Event, ModelStatus, Taint
 from eha_monitor.health.alarms import Alarm
 from eha_monitor.output import write_text
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.quantity import NOTE, with_uncertainty
 from eha_monitor.recordings.recording import Recording
-from eha_monitor.reports.estimate_report import estimate_page, heading, verdict
+from eha_monitor.reports.estimate_report import (
+    effect_of_mismatch,
+    estimate_page,
+    heading,
+    verdict,
+)
 from eha_monitor.settings import settings_from_tree
 
 FIGURES = {"parameter-B", "parameter-beta_e", "timeline", "pressure", "position", "velocity",
@@ -191,6 +196,12 @@ def test_what_is_not_judged_is_not_within_the_limits(triangle):
     assert said.headline == "No fault found in what could be judged" and said.kind != "ok"
     text = Page(estimate_page(triangle.estimate, tuple(alarms), tuple(alarms), None)).text
     assert "not judged" in text
+
+
+def test_a_modulus_that_may_be_anything_has_no_factor(triangle):
+    model = replace(triangle.estimate.model, tainted={"beta_e": Taint("it", 1.0, reach=1e3)})
+    assert effect_of_mismatch(replace(triangle.estimate, model=model)) == (
+        "βe cannot be used: how far the model error moves it is not known.",)
 
 
 def test_a_rising_damping_shows_as_an_alarm():

@@ -103,6 +103,11 @@ def test_dry_friction_needs_the_diagnosed_model(bags, tmp_path, capsys):
     out = capsys.readouterr().out
     assert "does not fit" not in out
     assert "no --config" not in out
+    # Diagnosed already, and it still does not fit: not the same advice in a circle.
+    config.write_text("rig: {identified: viscous_damping}\n")
+    assert main(["thresholds", "--from", str(bag), "--config", str(config)]) == 0
+    assert f"  eha-monitor diagnose NOW --reference {bag} --config DRAFT.yaml\n" in (
+        capsys.readouterr().out)
     limits = load_settings(tmp_path / "judged.yaml").thresholds.viscous_damping
     assert limits.high_warn == pytest.approx(1000, rel=0.02)  # the paper's, scaled to B = 600
 

@@ -17,8 +17,9 @@ SHEET = (
     ("rods", "rod on 1 or on 2 sides"), ("stroke", "stroke, such as 200 mm"),
     ("line_volume", "oil in the line to one chamber, such as 10 cm^3"),
     ("mass", "moving mass, such as 20 kg"),
-    ("pump_displacement", "pump displacement, such as 1.6 cm^3/rev"),
-    ("charge_pressure", "absolute pressure of the make-up source, such as 20 bar"),
+    ("pump_displacement", "pump displacement, of two pumps chamber 1's, such as "
+     "1.6 cm^3/rev"),
+    ("charge_pressure", "absolute pressure of the make-up source, such as 20 bar or 19 bar gauge"),
     ("leakage", "leakage coefficient in m³/(s·Pa), such as 5e-13"),
 )
 # Key of the config -> questions that answer it.

@@ -64,6 +64,11 @@ def thresholds(bags: tuple[Path, ...], config: Path | None, rate: float, least: 
         told += [f"the model does not fit {len(unfit)} of {len(bags)} recordings "
                  f"({', '.join(map(str, unfit))}), so {_biased(unfit)} biased by what it lacks; "
                  "limits with the diagnosed model:", *(f"  {command}" for command in remedy)]
+        if settings.rig.identified:  # it was diagnosed once, and may not fit after another time
+            words = ["diagnose", "NOW", "--reference", *map(str, bags), "--config", "DRAFT.yaml"]
+            told += ["where it does not fit after that either, use no limits, but compare the "
+                     "next recording (NOW) with these, by the config that init drafted:",
+                     f"  eha-monitor {shlex.join(words)}"]
     _show(proposals, told, seconds, settings)
     if json_file:
         write_json(json_file, _tree(proposals, told, seconds))

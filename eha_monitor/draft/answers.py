@@ -35,8 +35,9 @@ _OIL = ("stroke", "line_volume", "zero", "volume_1", "volume_2", "pump_displacem
 NOT_OF = {"valve": _OIL, "force": (*_OIL, "bore", "rod", "rods", "area_1", "area_2", "pressures",
                                    "charge_pressure"),
           "double_rod": ("rods",), "two_pumps": ("rods",), "accumulator": ("rods",)}
+_PRESSURES = ("charge_pressure", "ambient_pressure")  # absolute in the config
 _NULL = ("null", "none", "-")
-_CHANNEL_KEYS = ("column", "unit", "scale", "offset", "full")
+_CHANNEL_KEYS = {"column": "", "unit": "", "scale": "1", "offset": "1", "full": "", "delay": "s"}
 _FULL = re.compile(r"^(?:(?P<raw>[-+\d.e]+)\s*=\s*)?(?P<value>[-+\d.]+(?:e[-+]?\d+)?)"
                    r"\s*(?P<unit>\S.*)$", re.IGNORECASE)
 
@@ -60,6 +61,10 @@ class Answers:
         if text is None or text.casefold() in _NULL:
             return None
         return checked(key, text)
+
+    def middle(self) -> float | None:
+        """Return the reading of x in the middle of the stroke, m, where that was answered."""
+        return self.number("zero") if "zero" in self.rig else None
 
     def rods(self) -> str:
         """Return how many sides have a rod, as answered or as the machine has it."""
@@ -95,14 +100,24 @@ def answers_of(given: tuple[str, ...]) -> Answers:
             part = part or "column"
             if part not in _CHANNEL_KEYS:
                 raise InputError(f"--set {one}: expected {name}.{' or '.join(_CHANNEL_KEYS)}")
-            if part in ("scale", "offset"):
-                checked(f"{name}.{part}", value, "1")
+            if _CHANNEL_KEYS[part]:
+                checked(f"{name}.{part}", value, _CHANNEL_KEYS[part])
             channels.setdefault(name, {})[part] = value
             continue
         key = key.removeprefix("rig.")
-        rig[key] = value
-        checked(key, value)
+        rig[key] = _absolute(value) if key in _PRESSURES else value
+        checked(key, rig[key])
     return Answers(rig, channels)
+
+
+def _absolute(text: str) -> str:
+    """Return a gauge pressure, such as ``12 bar gauge``, as an absolute one; others as given."""
+    value, _, unit = text.partition(" ")
+    try:
+        of = unit_of(unit)
+        return f"{of.factor * float(value) + of.zero:.9g} Pa" if of.zero else text
+    except ValueError:
+        return text
 
 
 def checked(key: str, text: str, unit: str = "") -> float | None:
@@ -120,22 +135,19 @@ def checked(key: str, text: str, unit: str = "") -> float | None:
         hint = f"did you mean rig.{close[0]}?" if close else (
             f"expected a channel (x.unit, p1.column, ...) or rig.<{', '.join(known)}>")
         raise InputError(f"--set {key}: unknown key, {hint}")
+    if key == "zero" and text not in CHOICES[key] and text[:1] in "+-.0123456789":
+        return to_si_of(key, text, "m", "the reading of x in the middle of the stroke")
     if key in CHOICES and not unit and text not in CHOICES[key]:
-        more = " (a rod on both sides)" if key == "rods" else ""
+        more = {"rods": " (a rod on both sides)",
+                "zero": ", or the reading of x in the middle of the stroke, such as '137 mm'"
+                }.get(key, "")
         raise InputError(f"--set {key}: expected {' or '.join(CHOICES[key])}{more}, got '{text}'")
     if key in ("name", "motion", *CHOICES) or text.casefold() in _NULL:
         return None
     si = unit or (SHEET[key][0] if key in SHEET else
                   (fields[key].json_schema_extra or {}).get("unit", "1"))
     words = SHEET[key][1] if key in SHEET else (fields[key].description if key in fields else key)
-    try:
-        number = float(text)
-    except ValueError:
-        try:
-            number = to_si(text, si)
-        except PydanticCustomError:
-            raise InputError(f"--set {key}: expected {words} in {si}, or with a unit, got "
-                             f"'{text}'") from None
+    number = to_si_of(key, text, si, words)
     if key in SIGNED and not unit:
         if not abs(number) <= SIGNED[key]:
             raise InputError(f"--set {key}: expected {words}, at most {SIGNED[key]:.3g} {si}, "
@@ -143,6 +155,24 @@ def checked(key: str, text: str, unit: str = "") -> float | None:
     elif not unit and not number >= 0:
         raise InputError(f"--set {key}: expected at least 0 {si}, got '{text}'")
     return number
+
+
+def to_si_of(key: str, text: str, unit: str, words: str) -> float:
+    """Return an answer in SI, of a number or of a number with a unit.
+
+    Raises
+    ------
+    InputError
+        If it is neither.
+    """
+    try:
+        return float(text)
+    except ValueError:
+        try:
+            return to_si(text, unit)
+        except PydanticCustomError:
+            raise InputError(f"--set {key}: expected {words} in {unit}, or with a unit, got "
+                             f"'{text}'") from None
 
 
 def full_scale(channel: str, text: str, kind: str) -> tuple[str, float]:

@@ -3,7 +3,7 @@
 from math import sin
 
 from eha_monitor.draft.answers import Answers
-from eha_monitor.draft.rig import Entry, Seen, number, value_of, zero_of
+from eha_monitor.draft.rig import Entry, Seen, no_such_zero, number, value_of, zero_of
 
 GRAVITY = 9.81  # m/s²
 # Key -> tolerance where it was answered, where it follows from other numbers or the recording,
@@ -23,7 +23,7 @@ QUESTIONS = {
     "spring": "stiffness of the spring, such as 8000 N/m",
     "spring_rest": "position at which the spring is relaxed, such as 0 mm",
     "zero": "x = 0 of the position lies at the middle of the stroke, or at the end with the rod "
-            "retracted or extended",
+            "retracted or extended; or what x reads in the middle, such as 137 mm",
     "pressures": "pressures are absolute or gauge (0 bar in the open air); absolute until told",
 }
 
@@ -79,4 +79,6 @@ def open_choices(answers: Answers, entries: list[Entry], seen: Seen, gauge_known
         asked.append("zero")
     if "pressures" not in told and not gauge_known:
         asked.append("pressures")
-    return [(key, QUESTIONS[key]) for key in asked if not answers.lacks(key)]
+    found = [(key, QUESTIONS[key]) for key in asked if not answers.lacks(key)]
+    outside = "" if answers.lacks("zero") else no_such_zero(answers, seen)
+    return [*(one for one in found if one[0] != "zero"), ("zero", outside)] if outside else found

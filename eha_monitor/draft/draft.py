@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from json import dumps
 
 from eha_monitor import __version__
-from eha_monitor.draft.answers import Answers, full_scale
+from eha_monitor.draft.answers import Answers, checked, full_scale
 from eha_monitor.draft.beyond import effects_of, open_choices, tolerances
 from eha_monitor.draft.guess import Guess, Map, guessed
 from eha_monitor.draft.mend import absolute, as_answered, mended, not_absolute
@@ -15,7 +15,7 @@ from eha_monitor.plausibility.judge import Plausibility, plausibility_of
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import Recording
-from eha_monitor.settings.channels import check_unit
+from eha_monitor.settings.channels import check_unit, unit_of
 from eha_monitor.settings.load import settings_from_tree, text_tree
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
@@ -64,9 +64,9 @@ def draft_text(source: Source, found: Map, told: Lines, checks: list[str]) -> st
         if guess.full:
             all_ = "100 %" if guess.full == "share" else "how many counts"
             example = "'80 mm'" if guess.full == "share" else "'27648 = 250 bar'"
-            lines.append(f"{margin}# {ASK} {name}: '{guess.candidate.shown}' is in "
-                         f"{'per cent' if guess.full == 'share' else 'counts'}: how much is "
-                         f"{all_}?  --set {name}.full={example}")
+            kind = "per cent" if guess.full == "share" else "counts, volts or mA"
+            lines.append(f"{margin}# {ASK} {name}: '{guess.candidate.shown}' is in {kind}: how "
+                         f"much is {all_}?  --set {name}.full={example}")
         else:
             lines += _channel(name, guess, margin)
     if found.unused:
@@ -107,6 +107,7 @@ def _channel(name: str, guess: Guess, margin: str) -> list[str]:
     parts += [f"unit: {_scalar(guess.unit)}"] if guess.unit else []
     parts += [f"scale: {number(guess.scale)}"] if guess.scale != 1.0 else []
     parts += [f"offset: {number(guess.offset)}"] if guess.offset else []
+    parts += [f"delay: {number(guess.delay)}"] if guess.delay else []
     return [_line(f"{margin}{name}: {{{', '.join(parts)}}}", guess.why)]
 
 
@@ -151,8 +152,8 @@ def drafted(source: Source, answers: Answers) -> Draft:
     InputError
         If an answer is of no use, in one line.
     """
-    found = as_answered(_answered(_without_pump(guessed(source, answers.columns()), answers),
-                                  answers), answers)
+    found = as_answered(_from_middle(_answered(_without_pump(
+        guessed(source, answers.columns()), answers), answers), answers), answers)
     checks: list[str] = []
     step = Rig().sample_time
     for _ in range(ROUNDS):
@@ -246,8 +247,21 @@ def _answered(found: Map, answers: Answers) -> Map:
     return found
 
 
+def _from_middle(found: Map, answers: Answers) -> Map:
+    """Count x and x_d from the middle of the stroke, where its reading was answered."""
+    middle = answers.middle()
+    for name in ("x", "x_d") if middle is not None else ():
+        guess = found.channels.get(name)
+        if guess and not guess.full:
+            offset = guess.offset - middle / unit_of(guess.unit).factor
+            found = found.with_channel(name, replace(guess, offset=float(f"{offset:.10g}")))
+    return found
+
+
 def _with(name: str, guess: Guess, keys: dict[str, str], rotary: bool) -> Guess:
     numbers = {key: float(keys[key]) for key in ("scale", "offset") if key in keys}
+    if "delay" in keys:
+        guess = replace(guess, delay=checked(f"{name}.delay", keys["delay"], "s"))
     if "full" in keys:
         unit, scale = full_scale(name, keys["full"], guess.full or "counts")
         guess = replace(guess, unit=unit, scale=scale, full="", sure=True,
@@ -270,7 +284,7 @@ def _with(name: str, guess: Guess, keys: dict[str, str], rotary: bool) -> Guess:
 def _open(found: Map, lines: Lines) -> tuple[tuple[str, str], ...]:
     """Return what nobody has told: key -> question."""
     asked = [(f"{name}.full", f"'{guess.candidate.shown}' is in "
-              f"{'per cent' if guess.full == 'share' else 'counts'}; the full scale")
+              f"{'per cent' if guess.full == 'share' else 'counts, volts or mA'}; the full scale")
              for name, guess in found.channels.items() if guess.full]
     if "x" not in found.channels:
         asked.append(("x.column", "which column is the measured position"))

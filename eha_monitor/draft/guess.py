@@ -31,11 +31,15 @@ def likely_unit(quantity: str, values: np.ndarray) -> tuple[str, str]:
     return unit, f"values up to {largest:.4g}"
 
 
-def is_time(values: np.ndarray) -> bool:
-    """Tell whether numbers or dates go forward as a time does."""
+def is_time(values: np.ndarray, named: bool = False) -> bool:
+    """Tell whether numbers or dates go forward as a time does.
+
+    One that is ``named`` so may begin anew, as where two recordings stand in one file.
+    """
     steps = steps_of(values)
+    forward = steps.clip(min=0.0) if named else steps
     return len(steps) > 1 and float(np.mean(steps >= 0)) > REGULAR and np.median(steps) >= 0 and (
-        float(steps.sum()) > 0)
+        float(forward.sum()) > 0)
 
 
 def steps_of(values: np.ndarray) -> np.ndarray:
@@ -98,7 +102,7 @@ class Guess:
 
     Attributes
     ----------
-    unit, scale, offset : as the map takes them; ``unit`` is of the time ``1 ms`` and so on.
+    unit, scale, offset, delay : as the map takes them; ``unit`` is of the time ``1 ms`` and so on.
     why : where column and unit come from, as the end of a line.
     sure : the header names the unit, or somebody has answered: values do not overrule it.
     full : ``share`` or ``counts`` where nothing can be read before somebody says how much is all.
@@ -111,6 +115,7 @@ class Guess:
     offset: float = 0.0
     sure: bool = False
     full: str = ""
+    delay: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -198,7 +203,7 @@ def _named(source: Source, column: str) -> Candidate:
 def _time(source: Source, left: list[Candidate]) -> Candidate | None:
     if source.bag:
         return None
-    going = [one for one in left if is_time(one.values)]
+    going = [one for one in left if is_time(one.values, one.header.quantity == "time")]
     dated = [one for one in going if one.values.dtype.kind == "M"]
     named = [one for one in going if one.header.quantity == "time" or "".join(
         words_of(one.shown)) == "xvalue"]

@@ -72,8 +72,8 @@ def _one(found: Map, finding: ChannelFinding, settings: Settings) -> Map | None:
         old, new = settings.channels[name].gain, finding.correction["channels"][name]["scale"]
         factor = new / old
         if factor < 0:
-            found = found.with_channel(name, replace(guess, scale=-guess.scale,
-                                                     why=_told(finding)))
+            found = found.with_channel(name, replace(
+                guess, scale=-guess.scale, offset=-guess.offset, why=_told(finding)))
         if abs(log(abs(factor))) > 1e-6:
             if guess.sure:
                 return None

@@ -140,11 +140,32 @@ def zero_of(answers: Answers, seen: Seen) -> tuple[str, str]:
     A cylinder whose x leaves the middle by more than half of its stroke does not have x = 0 there.
     """
     if "zero" in answers.rig:
-        return answers.rig["zero"], "answered"
+        return ("middle" if answers.middle() is not None else answers.rig["zero"]), "answered"
     stroke = answers.number("stroke")
     if stroke and seen.span and max(map(abs, seen.span)) > 0.51 * stroke:
-        return ("retracted" if sum(seen.span) > 0 else "extended"), "values"
+        end = "retracted" if sum(seen.span) > 0 else "extended"
+        if not _beyond(end, stroke, seen.span):
+            return end, "values"
     return "middle", ""
+
+
+# Where x = 0 lies -> the ends of the stroke, as shares of it.
+_ENDS = {"middle": (-0.5, 0.5), "retracted": (0.0, 1.0), "extended": (-1.0, 0.0)}
+
+
+def _beyond(zero: str, stroke: float, span: tuple[float, float]) -> bool:
+    low, high = _ENDS[zero]
+    return span[0] < (low - 0.03) * stroke or span[1] > (high + 0.03) * stroke
+
+
+def no_such_zero(answers: Answers, seen: Seen) -> str:
+    """Return in words how far x runs where that is beyond the cylinder's ends, or ""."""
+    stroke, zero = answers.number("stroke"), zero_of(answers, seen)[0]
+    if not stroke or not seen.span or not _beyond(zero, stroke, seen.span):
+        return ""
+    return (f"x runs from {1e3 * seen.span[0]:.4g} to {1e3 * seen.span[1]:.4g} mm, beyond the "
+            f"ends of a stroke of {answers.rig['stroke']} with x = 0 at {_WORDS[zero]}; is the "
+            "stroke right?  What does x read in the middle of the stroke?  --set zero='100 mm'")
 
 
 def _volumes(answers: Answers, seen: Seen, *areas: Entry) -> list[Entry]:

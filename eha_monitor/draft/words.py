@@ -108,7 +108,9 @@ def kind_of(unit: str) -> tuple[str, str]:
         return "%", "share"
     if low in _COUNTS:
         return "counts", "counts"
-    if low in ("v", "mv", "a", "ma", "-", ""):
+    if low in ("v", "mv", "ma"):  # of a transducer: how much one is, somebody has to tell
+        return "counts", "counts"
+    if low in ("a", "-", ""):
         return "", ""
     text = _SAID.get(low, unit.strip()) if unit.strip() not in ("mPa", "nm") else unit.strip()
     try:

@@ -245,7 +245,7 @@ class AlarmBoard:
         if kind == "held back":
             advice = "" if now.taint.testing else f"{self._moved(judge, now)}; {ADVICE}"
             head = f"{RAISED[judge.raised]} held" if judge.raised else NOT_JUDGED
-            return f"{head}: {value}, but {now.taint.reason}{advice}"
+            return f"{head}: {value.rstrip(',')}, but {now.taint.reason}{advice}"
         text = f"{value} {self._against_limit(judge, now.value)}"
         if now.taint is not None and not now.taint.testing:
             text = f"{text}; {now.taint.reason}{self._moved(judge, now)}"

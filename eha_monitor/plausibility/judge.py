@@ -89,7 +89,7 @@ def plausibility_of(recording: Recording, settings: Settings) -> Plausibility:
                   for mistake in best.mistakes)
     if found:
         return Plausibility(found, any(set(one.channels) != {"v"} for one in found))
-    return Plausibility(gauge(moments, settings), False)
+    return Plausibility((*gauge(moments, settings), *stuck(moments), *unsigned(moments)), False)
 
 
 def reading_of(moments: Moments, settings: Settings) -> Reading:
@@ -215,7 +215,9 @@ def gauge(moments: Moments, settings: Settings) -> tuple[ChannelFinding, ...]:
     """Return whether the pressures look like gauge pressures where absolute ones are expected."""
     levels = [moments.levels[name] for name in ("p1", "p2") if name in moments.levels]
     rig = settings.rig
-    if len(levels) < 2 or not any(level.largest for level in levels):
+    if len(levels) < 2 or not any(level.largest for level in levels) or any(
+            unit_of(of[name].unit).zero for of in (settings.channels, settings.table.columns)
+            for name in ("p1", "p2") if name in of):
         return ()
     lowest = min(level.low for level in levels)
     middle = 0.5 * (levels[0].middle + levels[1].middle)
@@ -234,6 +236,32 @@ def gauge(moments: Moments, settings: Settings) -> tuple[ChannelFinding, ...]:
     return (ChannelFinding(
         f"p1 and p2 look like gauge pressures, not absolute ones: {why}", "offset", ("p1", "p2"),
         {"channels": channels}),)
+
+
+def stuck(moments: Moments) -> tuple[ChannelFinding, ...]:
+    """Return the pressures that never change although the piston moves."""
+    if ("x", 0) not in moments.place:
+        return ()
+    return tuple(ChannelFinding(
+        f"{name} is {moments.levels[name].middle / 1e5:.4g} bar in the whole recording although "
+        "the piston moves: its sensor or its cable may be dead", "hold", (name,))
+        for name in ("p1", "p2") if name in moments.levels and not moments.levels[name].span)
+
+
+FOLLOWS = 0.5  # correlation of pump speed and motion above which the speed has its sign
+
+
+def unsigned(moments: Moments) -> tuple[ChannelFinding, ...]:
+    """Return whether the pump's speed is told without its sign, as many drives do."""
+    level, place = moments.levels.get("omega"), moments.place
+    if level is None or ("omega", 0) not in place or ("x", 1) not in place or level.low < 0:
+        return ()
+    if abs(moments.gram[place["omega", 0], place["x", 1]]) > FOLLOWS:
+        return ()
+    return (ChannelFinding(
+        "omega is never negative and does not follow the motion: its sign may be missing (a drive "
+        "that records the size of its speed), or a valve turns the flow round", "sign",
+        ("omega",)),)
 
 
 # ---- what mends a mistake -----------------------------------------------------------------------

@@ -100,7 +100,10 @@ def ratio(reading: Reading, left: np.ndarray, right: np.ndarray, *beside: np.nda
     if signal < NOISY * c[1][1]:
         return None
     explains = c[0][1] ** 2 / signal
-    rest = max(c[0][0] - explains - left_blur, 1e-9 * c[0][0])
+    rest = c[0][0] - explains
+    if left_blur < c[0][0]:  # more than all there is cannot be noise: then none is known
+        rest -= left_blur
+    rest = max(rest, 1e-9 * c[0][0])
     rho = copysign(sqrt(explains / (explains + rest)), c[0][1])
     return Ratio(c[0][1] / signal, rho, min(max(1.0 - rest / whole, 0.0), 1.0))
 

@@ -68,6 +68,9 @@ DELIMITERS = {"tab": "\t", "space": " "}
 MOST_CELLS = 100_000_000  # of the wanted variables of a MAT file, 800 MB
 MOST_HEAD = 5  # rows below the names that may hold units, ranges, remarks
 NO_NUMBER = ("nan", "n/a", "na", "null", "none", "inf", "-inf", "-nan", "+inf", "#n/a")
+# Thousands in groups, as 1.234,5 or 1,234.5: the last sign of them is the decimal one.
+_GROUPED = r"[-+]?\d{1,3}(?:(?:\.\d{3})+,|(?:,\d{3})+\.)\d+"
+_NOT_LAST = r"[.,](?=.*[.,])"
 _SLICE = re.compile(r"(\w+)(?:\[\s*:\s*,\s*(\d+)\s*\])?")
 
 
@@ -125,6 +128,9 @@ def _csv(path: Path, table: Table, wanted: list[str]) -> dict[str, np.ndarray]:
         cells = frame.iloc[:, place].str.strip()
         # A comma within a cell is a decimal one: a comma between cells is not in them.
         numbers = pandas.to_numeric(cells.str.replace(",", ".", regex=False), errors="coerce")
+        if (grouped := numbers.isna() & cells.str.fullmatch(_GROUPED)).any():
+            plain = cells[grouped].str.replace(_NOT_LAST, "", regex=True)
+            numbers[grouped] = pandas.to_numeric(plain.str.replace(",", ".", regex=False))
         found[name] = numbers.to_numpy(dtype=float)
         if name == table.time and numbers.isna().all():
             found[name] = stamps_of(cells)

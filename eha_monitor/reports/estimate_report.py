@@ -137,12 +137,15 @@ def _values(known: list[ParameterEstimate], alarms: tuple[Alarm, ...]) -> str:
     return "; ".join(parts)
 
 
+_FAR = 5.0  # logarithm of a factor beyond which beta_e says nothing; exp overflows from 710 on
+
+
 def effect_of_mismatch(estimate: Estimate) -> tuple[str, ...]:
     """Return what a model that does not fit does to B and beta_e, a sentence each."""
     found = []
     for name, taint in estimate.model.tainted.items():
         parameter, symbol = estimate.parameters[name], SYMBOLS[name]
-        if not math.isfinite(taint.reach):
+        if not math.isfinite(taint.reach) or (name != "B" and taint.reach > _FAR):
             found.append(f"{symbol} cannot be used: how far the model error moves it is not known")
         elif name == "B":
             found.append(f"{symbol} may be off by {quantity(taint.reach, parameter.unit, 2)} "
