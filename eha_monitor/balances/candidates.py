@@ -235,7 +235,7 @@ def force_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
         one("F_v", "valve_direction", "N", "force in the direction of valve or pump", 0,
             lambda c, r: direction_of(c) if valves(c, r) else None),
         one("dM", "added_mass", "kg", "moving mass beyond the config's", 0, lambda c, r: c.a,
-            limit=MASS * rig.mass, symbol="dM", power=2.0),
+            limit=MASS * rig.mass, symbol="dM", power=2.0, twins=("pressure_delay",)),
         one("a_1", "quadratic_friction", "N·s²/m²", "quadratic damping", 1,
             lambda c, r: c.v * np.abs(c.v), family="viscous", symbol="a_1", power=2.0),
         one("dB", "asymmetric_friction", "N·s/m", "damping more forwards than the mean", 0,

@@ -16,7 +16,8 @@ from eha_monitor.settings.rig import Rig
 
 FORCE_OF_SENSORS = ("pressure_offset", "pressure_scale")  # they make a constant force as well
 LINEAR = ("B", "D_p", "C_h", "k_d")  # what the config's own model has
-TWINS = {"pump_displacement": ("pump_flow_gain",), "position_gain": ("drive_gain",)}
+TWINS = {"mass": ("pressure_delay",), "pump_displacement": ("pump_flow_gain",),
+         "position_gain": ("drive_gain",)}
 DRY_SYMBOLS = {"F_c", "F_d"}
 LARGEST = 0.998  # quantile of a term that is its size
 

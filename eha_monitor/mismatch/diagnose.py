@@ -11,6 +11,7 @@ from eha_monitor import ties
 from eha_monitor.balances.answer import Asked, answered, far_from_config, first_answer
 from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.course import TRAVEL
+from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.breakdown import computing
 from eha_monitor.estimation.hold_choice import other_hold, resolved
 from eha_monitor.mismatch.advise import advice as advise
@@ -139,6 +140,8 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
                 other, say, first)
             decision = replace(decision, hold=held.command_hold, evidence=gained, decided=True)
     found = diagnosed(recordings, experiment, named, held_out, started, say, hypothesis)
+    if far and explains_more(first, found):
+        return coarse, None
     if found.verdict == "unexplained" and not found.learned:
         if far:
             return coarse, None
@@ -152,6 +155,16 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
                    channels=decision.findings if decided else (),
                    command_hold=(held if decided else settings).command_hold,
                    wall_s=time.perf_counter() - started), named and named[1]
+
+
+def explains_more(first: Diagnosis, found: Diagnosis, policy: Policy = POLICY) -> bool:
+    """Tell whether what the balances name leaves less of the force on unseen data.
+
+    By more than ``worse`` of it: the gate that an answer by a filter owes to least squares.
+    """
+    here, there = first.signals.get("force"), found.signals.get("force")
+    return here is not None and there is not None and (
+        there.after_rms - here.after_rms > policy.worse * here.signal_rms)
 
 
 def named_in(experiment: Experiment, say: Report, first: Diagnosis | None = None
