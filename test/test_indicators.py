@@ -26,7 +26,7 @@ from eha_monitor.indicators.laws import (
 from eha_monitor.indicators.oil import viscosity_ratio, walther
 from eha_monitor.mismatch.diagnosis import Diagnosis, Fitted, Location, NamedEffect, Value
 from eha_monitor.physics.balances import rates
-from eha_monitor.physics.effects.entrained_air import compliance
+from eha_monitor.physics.effects.oil import compliance
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.physics.signals import N_CONTRIBUTIONS
 from eha_monitor.physics.simulator import Simulator

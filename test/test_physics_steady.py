@@ -19,8 +19,8 @@ from rig_tools import BETA, C_T, D_P, SINE, TRIANGLE, V0, A, B, M, simulated
 
 from eha_monitor.compiled import njit
 from eha_monitor.physics import signals as s
-from eha_monitor.physics.dry_friction import dry_force, remember, sliding
 from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.effects.friction import dry_force, remember, sliding
 
 V, CHARGE, MAKEUP, AMBIENT = 0.04, 2e6, 1e-13, 101325.0
 DP = B * V / A  # 47.5 kPa, of the linear model

@@ -22,7 +22,7 @@ from eha_monitor.balances.course import (
     has_flow,
     pumped_side,
 )
-from eha_monitor.physics.effects.entrained_air import compliance
+from eha_monitor.physics.effects.oil import compliance
 from eha_monitor.settings.rig import Rig
 
 BALANCES = ("force", "flow", "drive")

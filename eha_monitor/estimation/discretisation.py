@@ -8,7 +8,7 @@ c = beta_0/beta_e: the equations are nearly linear in c, so that the filter conv
 guess that is ten times off, where it overshoots in beta_e.  ``discretisation: euler`` runs
 Eq. 5 as printed, in its own states (:mod:`euler`).
 
-A line between pump and cylinder (:mod:`physics.effects.line_dynamics`) has two states of its own,
+A line between pump and cylinder (:mod:`physics.effects.oil`) has two states of its own,
 the speed n whose flow reaches the chambers and the pressure dp_l at the pump.  The chambers load
 it and it feeds them: both oscillate together.  Fed with measured pressures instead, the lightly
 damped line would ring with the sensors' noise.  What the pump loses or gains acts behind the line.

@@ -22,8 +22,8 @@ from eha_monitor.physics.contributions import (
     new_memory,
     with_term,
 )
-from eha_monitor.physics.dry_friction import V_E
 from eha_monitor.physics.effects import NAMES
+from eha_monitor.physics.effects.friction import V_E
 from eha_monitor.physics.excitation import demanded_position, total_duration
 from eha_monitor.physics.own_term import BALANCES
 from eha_monitor.physics.parameters import theta_of

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from eha_monitor.physics.effects.entrained_air import P_ATM, compliance
+from eha_monitor.physics.effects.oil import P_ATM, compliance
 
 _UNIT_AIR = getattr(compliance, "py_func", compliance)
 LEAKS = ("cross_port_leakage", "turbulent_leakage", "leakage_offset")

@@ -1,4 +1,4 @@
-"""The catalogue: every module of this folder is one effect; adding a file adds the physics."""
+"""The catalogue: every :class:`Effect` that a module of this folder has, in the order of names."""
 
 import importlib
 import pkgutil
@@ -7,11 +7,11 @@ from eha_monitor.physics.effect import Effect
 
 
 def _load() -> dict[str, Effect]:
-    found = {}
-    for info in sorted(pkgutil.iter_modules(__path__), key=lambda item: item.name):
-        effect = importlib.import_module(f"{__name__}.{info.name}").EFFECT
-        found[effect.name] = effect
-    return found
+    modules = (importlib.import_module(f"{__name__}.{info.name}")
+               for info in pkgutil.iter_modules(__path__))
+    found = {entry.name: entry for module in modules for entry in vars(module).values()
+             if isinstance(entry, Effect)}
+    return dict(sorted(found.items()))  # the order of their places in theta
 
 
 CATALOGUE: dict[str, Effect] = _load()
