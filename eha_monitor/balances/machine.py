@@ -31,6 +31,7 @@ SCHEMA = "eha_monitor/balances/1"
 SHORTEST_S = 1.0  # of a part
 PIECES = 8  # in which fewer recordings than a machine needs are cut, together
 LEAST = 0.25  # of the typical spread: a few others may agree by chance
+BASE = ("B", "D_p", "L", "k_d")  # what the config's own model has
 LEVELS = (0.05, 0.95)  # quantiles of the force that stand for the load in the flexible reference
 
 
@@ -389,12 +390,16 @@ def _odd(sources: Sequence[str], balances: Sequence[MachineBalance], policy: Pol
         middle = np.median(log)
         spread = max(1.4826 * float(np.median(np.abs(log - middle))), 0.1)
         for source, value, error in zip(sources, log, one.error, strict=True):
-            if (value - middle) / spread > policy.odd:
+            if (value - middle) / spread > policy.odd and (
+                    error - np.exp(middle) > policy.worse):
                 found.setdefault(source, Odd(source, (
                     f"its {one.balance} is {100 * error:.0f} % unexplained, the others "
                     f"{100 * np.exp(middle):.0f} %")))
         each, stddevs = np.array(one.each), np.array(one.each_stddev)
+        sure = {*BASE, *(name for family in one.named for name in family.terms)}
         for j, p in enumerate(one.parameters):
+            if p.name not in sure:  # a correction of form is of the motion, not of the machine
+                continue
             for i, source in enumerate(sources):
                 rest = np.arange(len(sources)) != i
                 value, between, stddev = pooled(each[rest, j], stddevs[rest, j], p.value)
