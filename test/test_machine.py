@@ -22,6 +22,7 @@ from eha_monitor.balances.table import tables_of
 from eha_monitor.balances.together import Recordings, pooled, without
 from eha_monitor.commands.diagnose import diagnose as command
 from eha_monitor.errors import InputError
+from eha_monitor.mismatch.compare.compared import compared
 from eha_monitor.recordings.write import write_recording
 
 LOADS = (338.0, 120.0, 560.0, 250.0)
@@ -154,6 +155,15 @@ def test_a_damping_that_alone_has_changed_has_a_place():
     assert found.verdict == "mismatch" and [one.what for one in found.changes] == ["B"]
     assert found.location.balance["force"] == 1.0
     assert found.changes[0].now.value == pytest.approx(800, rel=0.01)
+
+
+def test_the_balances_compare_first_whatever_the_config_holds():
+    healthy, effect = simulated(MULTISINE, 6.0), {"quadratic_friction": {"a_1": 1.0}}
+    worn = simulated(MULTISINE, 6.0, rig={"viscous_damping": 800.0}).recording(9)
+    found = compared([worn], [healthy.recording(seed) for seed in range(4)],
+                     healthy.config.model_copy(update={"effects": effect}))
+    assert [one.what for one in found.changes] == ["B"]
+    assert found.machine is not None and "position" not in found.signals  # no filter was asked
 
 
 def test_bad_machines_are_refused_in_one_line(recordings, settings, tmp_path):
