@@ -145,7 +145,7 @@ def judge(machine: Machine, recordings: Sequence[Recording], settings: Settings)
         own |= {name: (float(v), float(d)) for name, v, d in zip(free, value, stddev,
                                                                  strict=True)}
         found.append(replace(_judged(machine, one, table, held, free), each=tuple(tables)))
-        fitted = [*held, *free]
+        fitted = [*found[-1].now, *free]  # else damping takes up the friction that came
         values |= {name: row for name, *row in zip(fitted, *parameters_of(table, fitted),
                                                    strict=True) if name in held}
     return Judged(", ".join(one.source for one in recordings), tuple(found), own, values)
