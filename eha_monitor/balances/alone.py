@@ -254,19 +254,13 @@ class _Choice:
         return kept
 
     def as_good_as_first_view(self, kept: list[str], refused: list[Refused]) -> list[str]:
-        """Return the terms with those of the first view where these leave less while it moves."""
+        """Return the terms with those of the first view where these leave less."""
         more = [name for name in FIRST_VIEW if name in self.of and name not in kept]
         if self.table.candidates[0].balance != "force" or not more:
             return kept
-        table, there = self.table, self.table.moving & self.table.good
-        if there.sum() < 4 * MOST_TERMS:
-            return kept
-
-        def left(names):
-            return float(np.sqrt(np.mean(table.crosswise(names)[there] ** 2))) / table.size
-
         first = [*self.always, *(name for name in FIRST_VIEW if name in self.of)]
-        mine, view = left(kept), left(first)
+        table = self.table
+        mine, view = table.rms(table.crosswise(kept)), table.rms(table.crosswise(first))
         if mine <= view + self.policy.worse or self.beyond(first):
             return kept
         refused.append(Refused(
@@ -356,7 +350,8 @@ def from_absent(values: Sequence[float], covariance: np.ndarray, which: Sequence
     ----------
     values, covariance, which : (k,) SI; (k, k); (k,) the terms of a family.
     """
-    own = np.flatnonzero(which)
+    known = np.isfinite(np.diag(covariance))  # of what no recording shows nothing is apart
+    own = np.flatnonzero(np.asarray(which, dtype=bool) & known)
     w = np.asarray(values)[own]
     return float(np.sqrt(max(w @ inverse_of(covariance[np.ix_(own, own)]) @ w, 0.0)))
 

@@ -311,10 +311,9 @@ def parts_of(model: Model, courses: Sequence[Course]) -> list[places.Part]:
         x, v = course.compared(course.x), course.compared(course.v)
         dp = None if course.p1 is None else course.compared(course.p1 - course.p2)
         omega = None if course.omega is None else course.compared(course.omega)
-        there = table.good & (table.moving | (model.balance != "force"))
         found.append(places.Part(
-            0.0, table.dt, x, v, dp, omega, there,
-            np.where(there, left + (0.0 if one is None else one), np.nan), one))
+            0.0, table.dt, x, v, dp, omega, table.good,
+            np.where(table.good, left + (0.0 if one is None else one), np.nan), one))
     return found
 
 
@@ -342,7 +341,7 @@ def _agreement(models: Sequence[Model], courses: Sequence[Course]) -> tuple[Agre
         return ()
     speeds = [np.abs(course.compared(course.v)) for course in courses]
     middle = np.median(np.concatenate([
-        speed[table.good & table.moving] for speed, table in zip(
+        speed[table.good] for speed, table in zip(
             speeds, force.tables, strict=True)] or [np.zeros(1)]))
     found = []
     for name, fast in (("slow half", False), ("fast half", True)):
@@ -350,7 +349,7 @@ def _agreement(models: Sequence[Model], courses: Sequence[Course]) -> tuple[Agre
         for model in (None, force):
             gram, count, left, n = np.zeros(2), 0, 0.0, 1.0
             for table, weights, speed in zip(force.tables, force.weights, speeds, strict=True):
-                here = table.good & table.moving & ((speed > middle) == fast)
+                here = table.good & ((speed > middle) == fast)
                 others = {} if model is None else {
                     key: value for key, value in weights.items() if key != "B"}
                 y, column = table.left(others)[here], table.rows[here, table.places["B"]]

@@ -1,6 +1,6 @@
 """Ten lines of least squares: what any recording says of its machine before any search.
 
-    F     = M x'' + B x' + F_c sgn(x') + F_0                    force balance
+    F - known = M x'' + B x' + F_c sgn(x') + F_0                force balance
     A x'  = D_p omega - C_L (p1 - p2) - C_h p'                   flow balance
 
 No answer may contradict these without saying so: they ask for little, use all samples that move,
@@ -13,9 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from eha_monitor.balances.candidates import pressure_rate
-from eha_monitor.balances.course import Course, course_of
+from eha_monitor.balances.course import Course, course_of, known_of
 from eha_monitor.balances.least_squares import independent, inverse_of, signed_solution
 from eha_monitor.errors import InputError
+from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics.parameters import theta_of
 from eha_monitor.quantity import share, with_uncertainty
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
@@ -26,6 +28,7 @@ BLOCK = 1.5  # s: parts that are left out in turn; several correlation times of 
 FOLDS = 5
 SLOW = (0.03, 0.1, 0.3)  # of the top speed, below which friction may rise
 BETTER = 4.0  # of the chi-square of one more number: two deviations
+VIEWED = ("constant_load", "added_mass")  # beside dry friction: columns of the force balance
 UNITS = {"linear": ("kg", "N·s/m", "N"), "rotary": ("kg·m²", "N·m·s/rad", "N·m")}
 
 
@@ -119,7 +122,7 @@ def baseline(recording: Recording, settings: Settings) -> Baseline:
         return Baseline(recording.source, None, None,
                         dict.fromkeys(("force", "flow"), str(problem)))
     missing: dict[str, str] = {}
-    force, flow = force_fit(course, settings.rig), None
+    force, flow = force_fit(course, settings.rig, beside(course, settings)), None
     if force is None:
         missing["force"] = "too little motion at a steady direction"
     columns = flow_columns(course, settings.rig)
@@ -132,12 +135,28 @@ def baseline(recording: Recording, settings: Settings) -> Baseline:
     return Baseline(recording.source, force, flow, missing)
 
 
-def force_fit(course: Course, rig: Rig) -> BalanceFit | None:
-    """Return the force balance on samples that move; None where too few do."""
+def beside(course: Course, settings: Settings) -> np.ndarray:
+    """Return the force of the config's effects that no column of the view stands for, (m,) N.
+
+    A spring that the config knows, or backlash; its dry friction and its load are measured anew.
+    """
+    kept = {name: values for name, values in settings.effects.items()
+            if name not in VIEWED and getattr(CATALOGUE.get(name), "family", "") != "dry"}
+    rig = settings.rig
+    return known_of(course, rig, *theta_of(rig, kept))["force"] - rig.mass * course.a
+
+
+def force_fit(course: Course, rig: Rig, known: np.ndarray | float = 0.0) -> BalanceFit | None:
+    """Return the force balance on samples that move; None where too few do.
+
+    Parameters
+    ----------
+    known : (m,) N, what else the config knows to act.
+    """
     one, speed = np.ones(len(course)), np.abs(course.v) / max(course.speed, 1e-300)
     inertia, damping, force = UNITS[rig.motion]
     bent = [course.v * speed, *(course.direction * np.exp(-speed / slow) for slow in SLOW)]
-    return fitted(course, course.moving, course.force, (
+    return fitted(course, course.moving, course.force - known, (
         ("M", inertia, "moving mass", 1, course.a),
         ("B", damping, "viscous damping", 1, course.v),
         ("F_c", force, "dry friction", 1, course.direction),

@@ -116,6 +116,14 @@ class Course:
         """Return values (m,) at the compared points."""
         return values[:: self.every]
 
+    def counted(self, balance: str) -> np.ndarray:
+        """Return which samples of a balance count, (m,) bool.
+
+        Those of the force only at a steady direction: dry friction at rest is a reaction, which
+        holds whatever the pressures make up to its limit, and of which no law of motion knows.
+        """
+        return self.moving if balance == "force" else self.good
+
     def track(self) -> np.ndarray:
         """Return the signals of the catalogue's terms, (m, N_SIGNALS)."""
         found = np.zeros((len(self), s.N_SIGNALS))

@@ -137,15 +137,16 @@ class Regime:
     time: float
 
 
-def regimes(courses: Sequence[Course], left: Sequence[np.ndarray]) -> tuple[Regime, ...]:
-    """Return how an error is shared out between transients, rest and motion."""
+def regimes(balance: str, courses: Sequence[Course], left: Sequence[np.ndarray]
+            ) -> tuple[Regime, ...]:
+    """Return how an error of a balance is shared out between transients, rest and motion."""
     sums = dict.fromkeys(("after a switch", "at rest", "while moving"), (0.0, 0.0))
     for course, r in zip(courses, left, strict=True):
         new, moving = (course.compared(one) for one in (since_switch(course) < SWITCH,
                                                         course.moving))
         for name, here in (("after a switch", new), ("at rest", ~new & ~moving),
                            ("while moving", ~new & moving)):
-            here = here & course.compared(course.good)
+            here = here & course.compared(course.counted(balance))
             energy, time = sums[name]
             sums[name] = energy + float(np.sum(r[here] ** 2)), time + float(here.sum())
     total = [max(sum(one[i] for one in sums.values()), 1e-300) for i in (0, 1)]

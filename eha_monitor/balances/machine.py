@@ -245,7 +245,7 @@ def healthy_machine(recordings: Sequence[Recording], settings: Settings,
 
 def _parts(course: Course, count: int) -> list[Course]:
     """Return a recording as so many, each with a part of its compared samples."""
-    part = np.minimum(np.cumsum(course.good) * count // max(course.good.sum(), 1), count - 1)
+    part = np.minimum(np.cumsum(course.moving) * count // max(course.moving.sum(), 1), count - 1)
     return [replace(course, source=f"{course.source}, part {i + 1}",
                     good=course.good & (part == i), moving=course.moving & (part == i))
             for i in range(count)]
@@ -318,7 +318,7 @@ def _balance(kind: str, courses: Sequence[Course], scale: Scale, rig: Rig,
     repeats = 0.0
     if kind != "drive":
         signals, good = [signals_of(c, kind, scale) for c in courses], [
-            c.compared(c.good) for c in courses]
+            c.compared(c.counted(kind)) for c in courses]
         named = learned(signals, left, good, sizes)
         whole = [table.rows[:, 0] - table.rows[table.good, 0].mean() for table in tables]
         if kind == "force":
@@ -340,7 +340,7 @@ def _balance(kind: str, courses: Sequence[Course], scale: Scale, rig: Rig,
     return MachineBalance(
         kind, parameters, settings, _rows(fit.each), _rows(fit.each_stddev),
         tuple(nominal_errors(kind, tables, rig).tolist()), tuple(chosen.errors.tolist()),
-        tuple(after.tolist()), tuple(reference.tolist()), repeats, regimes(courses, left),
+        tuple(after.tolist()), tuple(reference.tolist()), repeats, regimes(kind, courses, left),
         float(np.median(sizes)), float(np.median([table.floor for table in tables])),
         float(sum(table.effective for table in tables)), chosen.steps,
         chosen.named, scatter_of(tables, weights, fit.settings, allowed, policy, pieces), refused,

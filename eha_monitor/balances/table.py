@@ -25,7 +25,7 @@ class Table:
     source : of the recording.
     candidates : (k,) of the columns.
     rows : (m, 1 + k) y and columns at the compared points.
-    good : (m,) samples that are compared; ``moving`` (m,) those at a steady direction.
+    good : (m,) samples that are compared (:meth:`Course.counted`).
     block : (m,) number of each sample's block.
     dt : s.
     size : rms of the whole left side, of which y is what the config leaves open; of a recording
@@ -40,7 +40,6 @@ class Table:
     candidates: tuple[Candidate, ...]
     rows: np.ndarray
     good: np.ndarray
-    moving: np.ndarray
     block: np.ndarray
     dt: float
     size: float
@@ -179,7 +178,7 @@ def tables_of(courses: Sequence[Course], rig: Rig, balance: str,
         known = course.wanted if balance == "drive" else course.known[balance]
         doubts = doubts_of(course, rig, balance, whole)
         rows = course.in_band(np.column_stack([whole, known, *doubts, *(row[i] for i in kept)]))
-        good = course.compared(course.good)
+        good = course.compared(course.counted(balance))
         signal = rows[good, 0] - (rows[good, 0].mean() if own_load else 0.0)
         size = max(float(np.sqrt(np.mean(signal**2))), 1e-300)
         first = 2 + len(doubts)
@@ -188,8 +187,8 @@ def tables_of(courses: Sequence[Course], rig: Rig, balance: str,
         length = min(policy.block, float(good.sum()) * course.step / PARTS)
         block = (np.arange(len(rows)) * course.step / length).astype(int)
         found.append(Table(course.source, tuple(candidates[i] for i in kept), rows, good,
-                           course.compared(course.moving), block, course.step, size,
-                           course.floor(balance, rig), known, doubts))
+                           block, course.step, size, course.floor(balance, rig), known,
+                           doubts))
     return found
 
 
@@ -259,8 +258,7 @@ def pooled_table(tables: Sequence[Table]) -> Table:
     sizes = [table.size for table in tables]
     return Table(", ".join(table.source for table in tables), tuple(candidates),
                  np.column_stack(columns), good,
-                 np.concatenate([table.moving for table in tables]), np.concatenate(block),
-                 tables[0].dt, float(np.sqrt(np.mean(np.square(sizes)))),
+                 np.concatenate(block), tables[0].dt, float(np.sqrt(np.mean(np.square(sizes)))),
                  float(np.sqrt(np.mean([table.floor**2 for table in tables]))),
                  np.concatenate([table.known for table in tables]),
                  np.concatenate([table.doubts for table in tables]))

@@ -158,9 +158,8 @@ def _of_balances(recordings: Sequence[Recording], before: Settings, after: Setti
             always = [c.name for c in full.candidates if c.always]
             left = full.rows @ full.mixture(full.gram, always)
             explained = full.known - bare.known
-            there = full.good & (full.moving | (balance != "force"))
             at = np.arange(len(left)) * full.dt
-            gone = np.interp(time, at, (~there).astype(float)) > 0.01
+            gone = np.interp(time, at, (~full.good).astype(float)) > 0.01
             rows = [np.where(gone, np.nan, np.interp(time, at, one)) for one in (
                 left + explained, explained, left)]
             lacks[balance] = Lack(*rows)
