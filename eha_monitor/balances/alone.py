@@ -9,7 +9,7 @@ it leaves no more on unseen parts than the config's own does, and than ten lines
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -127,7 +127,9 @@ class _Choice:
         values, chance = covariance_by_chance(table, kept)
         covariance = chance + form_and_doubts(table, kept, error, policy)
         families = {self.of[name].kind for name in kept}
-        stddev = np.hypot(np.sqrt(np.diag(covariance)), self.between_forms(kept, values))
+        stddev = np.hypot(np.sqrt(np.diag(covariance)), between_forms(
+            self.of, self.allowed, kept, self.unseen, lambda names: self.parameters(names)[0],
+            policy))
         for name, value, total in zip(kept, values, stddev.tolist(), strict=True):
             one = self.of[name]
             frequency = often.get(one.kind, 0.0) if not one.always else 1.0
@@ -197,25 +199,6 @@ class _Choice:
                  if found[name] <= least * np.exp(self.policy.alone)]
         return best[equal[0]], tuple(equal[1:])
 
-    def between_forms(self, kept: list[str], values: list[float]) -> np.ndarray:
-        """Return how far each parameter goes with the shapes of a family that fit as well, (k,).
-
-        Which of them is the machine's the recording does not say: its friction may fall with
-        speed, or turn round more slowly, and damping takes up what they do not hold.
-        """
-        of, most = self.of, self.unseen(kept) * np.exp(self.policy.alone)
-        moved = [np.zeros(len(kept))]
-        for i, name in enumerate(kept):
-            others = [other for other in self.allowed if of[name].variant
-                      and other not in kept and of[other].kind == of[name].kind]
-            for other in others:
-                more = bool(of[other].upon) and not of[name].upon
-                form = [*kept, other] if more else [*kept[:i], other, *kept[i + 1 :]]
-                if founded(form, of) == form and self.unseen(form) <= most:
-                    found, _ = self.parameters(form)
-                    moved.append(np.subtract(found[: len(kept)], values))
-        return np.sqrt(np.mean(np.square(moved), axis=0))
-
     def gated(self, kept: list[str], refused: list[Refused]) -> list[str]:
         """Return the terms that are there for sure and within their limits."""
         while True:
@@ -283,6 +266,35 @@ class _Choice:
     def parameters(self, names: Sequence[str]) -> tuple[list[float], list[float]]:
         """Return values, and deviations of as many independent samples as there are."""
         return parameters_of(self.table, names)
+
+
+def between_forms(of: Mapping[str, Candidate], allowed: Sequence[str], kept: Sequence[str],
+                  unseen: Callable[[Sequence[str]], float],
+                  parameters: Callable[[Sequence[str]], Sequence[float]], policy: Policy
+                  ) -> np.ndarray:
+    """Return how far each parameter goes with the shapes of a family that fit as well, (k,) SI.
+
+    Which of them is the machine's the recordings do not say: its friction may fall with speed, or
+    turn round more slowly, and damping takes up what they do not hold.
+
+    Parameters
+    ----------
+    of, allowed : candidates by name; those that may be terms.
+    kept : (k,) terms of the model.
+    unseen, parameters : of names of terms: what they leave on unseen parts; their values.
+    """
+    kept = list(kept)
+    values, most = np.asarray(parameters(kept)), unseen(kept) * np.exp(policy.alone)
+    moved = [np.zeros(len(kept))]
+    for i, name in enumerate(kept):
+        others = [other for other in allowed if of[name].variant
+                  and other not in kept and of[other].kind == of[name].kind]
+        for other in others:
+            more = bool(of[other].upon) and not of[name].upon
+            form = [*kept, other] if more else [*kept[:i], other, *kept[i + 1 :]]
+            if founded(form, of) == form and unseen(form) <= most:
+                moved.append(np.asarray(parameters(form))[: len(kept)] - values)
+    return np.max(np.abs(moved), axis=0)
 
 
 def parameters_of(table: Table, names: Sequence[str], held: dict[str, float] | None = None

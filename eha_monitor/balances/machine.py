@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from eha_monitor.balances.alone import FIRST_VIEW, Refused
+from eha_monitor.balances.alone import FIRST_VIEW, Refused, between_forms
 from eha_monitor.balances.candidates import (
     Scale,
     balances_in,
@@ -88,6 +88,8 @@ class MachineBalance:
     named : families of terms that are named; the rest corrects their form.
     scatter : by how much each term would move in one recording or another.
     refused : gates that something did not pass.
+    forms : of each term, by how much it goes with the shapes of its family that fit as well.
+    levers : of each parameter, rms of its column over that of the signal, 1/SI.
     """
 
     balance: str
@@ -109,6 +111,8 @@ class MachineBalance:
     scatter: Scatter
     refused: tuple[Refused, ...] = ()
     held: tuple[float, ...] = ()
+    forms: tuple[float, ...] = ()
+    levers: tuple[float, ...] = ()
 
     @property
     def terms(self) -> tuple[str, ...]:
@@ -344,7 +348,31 @@ def _balance(kind: str, courses: Sequence[Course], scale: Scale, rig: Rig,
         float(np.median(sizes)), float(np.median([table.floor for table in tables])),
         float(sum(table.effective for table in tables)), chosen.steps,
         chosen.named, scatter_of(tables, weights, fit.settings, allowed, policy, pieces), refused,
-        tuple(recordings.errors(chosen.names).tolist()))
+        tuple(recordings.errors(chosen.names).tolist()),
+        _forms(recordings, beside, chosen.names, allowed, policy), levers_of(tables, fit.names))
+
+
+def _forms(recordings: Recordings, beside: Recordings, names: Sequence[str],
+           allowed: Sequence[str], policy: Policy) -> tuple[float, ...]:
+    """Return how far each term goes with other shapes of its family; 0 of a setting's own."""
+    def parameters(terms):
+        shared, _, _ = recordings.split(terms)
+        of = dict(zip(shared, recordings.shared_fit(terms)[0].tolist(), strict=True))
+        return [of.get(recordings.tables[0].places[name], 0.0) for name in terms]
+
+    moved = between_forms(recordings.candidates, allowed, names,
+                          lambda terms: beside.rms(beside.errors(terms)), parameters, policy)
+    by_name = dict(zip(names, moved.tolist(), strict=True))
+    shared, settings, _ = recordings.split(names)
+    of = recordings.tables[0].candidates
+    return tuple(by_name[of[i - 1].name] for i in (*shared, *settings))
+
+
+def levers_of(tables: Sequence[Table], names: Sequence[str]) -> tuple[float, ...]:
+    """Return what one unit of each parameter makes of the signal, usual rms over its size."""
+    return tuple(float(np.median([
+        np.sqrt(np.mean(table.rows[table.good, table.places[name]] ** 2)) / table.size
+        for table in tables])) for name in names)
 
 
 def gated(recordings: Recordings, chosen: Chosen, kind: str, policy: Policy
@@ -406,7 +434,8 @@ def _odd(sources: Sequence[str], balances: Sequence[MachineBalance], policy: Pol
                 between = max(between, LEAST * policy.between * abs(value))
                 far = abs(each[i, j] - value) / max(
                     np.sqrt(between**2 + stddev**2 + stddevs[i, j] ** 2), 1e-300)
-                if np.isfinite(far) and far > policy.odd:
+                small = one.levers and abs(each[i, j] - value) * one.levers[j] < policy.worse
+                if np.isfinite(far) and far > policy.odd and not small:
                     found.setdefault(source, Odd(source, f"its {p.words} is {far:.1f} deviations "
                                                          "from that of the others"))
     return tuple(found.values())
@@ -459,6 +488,6 @@ def _read_balance(data: dict) -> MachineBalance:
     for name in ("each", "each_stddev"):
         made[name] = tuple(map(_numbers, data[name]))
     made.setdefault("held", data["error"])  # of a file before oils were told apart
-    for name in ("nominal", "error", "learned", "reference", "held"):
-        made[name] = _numbers(made[name])
+    for name in ("nominal", "error", "learned", "reference", "held", "forms", "levers"):
+        made[name] = _numbers(made.get(name, ()))
     return MachineBalance(**made)

@@ -210,6 +210,7 @@ def of_machine(one: MachineBalance, courses: Sequence[Course], rig: Rig, scale: 
     lasting = form_and_doubts(whole, list(own.values()), _whole_share(tables, after), policy)
     biases = dict(zip(own, np.sqrt(np.diag(lasting)).tolist(), strict=True))
     found = {p.name: p for p in (*one.parameters, *one.settings)}
+    forms = dict(zip(one.terms, one.forms, strict=False))
     sizes = [rms(np.atleast_1d(found[name].value)) for name in own]
     covariance = lasting + np.diag([rms(np.atleast_1d(found[name].stddev)) ** 2 for name in own])
     load = "F_0" if "F_0" in one.terms else ""
@@ -228,7 +229,8 @@ def of_machine(one: MachineBalance, courses: Sequence[Course], rig: Rig, scale: 
         if family is not None:
             sure = float(stdtr(count, family.t))
         shared = not c.setting
-        stddev = float(np.hypot(np.max(p.stddev) if shared else values.std(), biases[p.name]))
+        stddev = float(np.hypot(np.max(p.stddev) if shared else values.std(), np.hypot(
+            biases[p.name], forms.get(p.name, 0.0))))
         shows = policy.varied < from_absent(sizes, covariance, [
             of[name].kind == c.kind and of[name].always == c.always for name in own])
         terms.append(Term(

@@ -63,7 +63,7 @@ def _dry_as_one(groups: dict[str, list[Term]], policy: Policy) -> dict[str, list
     terms = [term for one in dry.values() for term in one]
     falls = [t for t in terms if t.candidate.symbol == "F_d"]
     stays = [t for t in terms if t.candidate.symbol == "F_c"]
-    if len(dry) < 2 or not stays:
+    if not stays:
         return groups
     sure = [t for t in falls if abs(t.value) > policy.varied * t.stddev]
     name = (sure or [ties.best(stays, lambda t: abs(t.value))])[0].candidate.effect

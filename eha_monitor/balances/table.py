@@ -25,7 +25,8 @@ class Table:
     source : of the recording.
     candidates : (k,) of the columns.
     rows : (m, 1 + k) y and columns at the compared points.
-    good : (m,) samples that are compared (:meth:`Course.counted`).
+    good : (m,) samples that are compared (:meth:`Course.counted`); ``moving`` how many of the
+        recording's are at a steady direction.
     block : (m,) number of each sample's block.
     dt : s.
     size : rms of the whole left side, of which y is what the config leaves open; of a recording
@@ -40,6 +41,7 @@ class Table:
     candidates: tuple[Candidate, ...]
     rows: np.ndarray
     good: np.ndarray
+    moving: int
     block: np.ndarray
     dt: float
     size: float
@@ -187,8 +189,8 @@ def tables_of(courses: Sequence[Course], rig: Rig, balance: str,
         length = min(policy.block, float(good.sum()) * course.step / PARTS)
         block = (np.arange(len(rows)) * course.step / length).astype(int)
         found.append(Table(course.source, tuple(candidates[i] for i in kept), rows, good,
-                           block, course.step, size, course.floor(balance, rig), known,
-                           doubts))
+                           int(course.compared(course.moving).sum()), block, course.step, size,
+                           course.floor(balance, rig), known, doubts))
     return found
 
 
@@ -258,7 +260,8 @@ def pooled_table(tables: Sequence[Table]) -> Table:
     sizes = [table.size for table in tables]
     return Table(", ".join(table.source for table in tables), tuple(candidates),
                  np.column_stack(columns), good,
-                 np.concatenate(block), tables[0].dt, float(np.sqrt(np.mean(np.square(sizes)))),
+                 sum(table.moving for table in tables), np.concatenate(block), tables[0].dt,
+                 float(np.sqrt(np.mean(np.square(sizes)))),
                  float(np.sqrt(np.mean([table.floor**2 for table in tables]))),
                  np.concatenate([table.known for table in tables]),
                  np.concatenate([table.doubts for table in tables]))

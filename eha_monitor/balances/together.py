@@ -99,7 +99,7 @@ class Recordings:
         self.candidates = {one.name: one for one in tables[0].candidates}
         self.grams = [table.gram * table.weight for table in tables]
         # One that hardly moves is mostly rest, where a seal holds whatever load there is.
-        motion = np.array([float(table.n) for table in tables])
+        motion = np.array([float(table.moving) for table in tables])
         self.motion = (np.minimum(motion / np.median(motion[motion > 0.0]), 1.0)
                        if motion.any() else np.ones(len(tables)))
         self._reduced: dict[tuple[int, ...], list[np.ndarray]] = {}
