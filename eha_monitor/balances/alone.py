@@ -293,7 +293,10 @@ def between_forms(of: Mapping[str, Candidate], allowed: Sequence[str], kept: Seq
             more = bool(of[other].upon) and not of[name].upon
             form = [*kept, other] if more else [*kept[:i], other, *kept[i + 1 :]]
             if founded(form, of) == form and unseen(form) <= most:
-                moved.append(np.asarray(parameters(form))[: len(kept)] - values)
+                found = np.asarray(parameters(form))[: len(kept)]
+                if form[i] != name and of[other].unit != of[name].unit:
+                    found[i] = values[i]  # another quantity
+                moved.append(found - values)
     return np.max(np.abs(moved), axis=0)
 
 
