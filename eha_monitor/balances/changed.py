@@ -12,6 +12,7 @@ from eha_monitor.balances.judge import Judged, JudgedBalance, Moved, judge
 from eha_monitor.balances.machine import Machine
 from eha_monitor.balances.model import Model, Term, of_judged
 from eha_monitor.balances.named import size_of
+from eha_monitor.balances.policy import POLICY
 from eha_monitor.mismatch.diagnosis import (
     Change,
     Diagnosis,
@@ -159,10 +160,12 @@ def _message(verdict: str, changes: Sequence[Change], judged: Judged,
     if verdict == "consistent":
         largest = max((one.largest for one in judged.balances if one.largest is not None),
                       key=lambda one: abs(one.deviations) / one.limit, default=None)
+        beyond = largest is not None and abs(largest.deviations) > largest.limit
         most = "" if largest is None else (
             f": the largest difference is {effect_words(largest.effect)}, by "
-            f"{number(abs(largest.deviations), 2)} of their standard deviations; the limit is "
-            f"{number(largest.limit, 2)}")
+            f"{number(abs(largest.deviations), 2)} of their standard deviations; " + (
+                f"it makes less than {share(POLICY.worse)} of the {largest.balance}"
+                if beyond else f"the limit is {number(largest.limit, 2)}"))
         return f"nothing has changed from {len(references)} healthy recordings{most}"
     said = [f"{one.balance}: {share(one.error, 2)} of it unexplained, at most "
             f"{share(one.usual, 2)} in the healthy recordings" for one in judged.loud]

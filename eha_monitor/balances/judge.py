@@ -9,8 +9,10 @@ from eha_monitor import ties
 from eha_monitor.balances.alone import parameters_of
 from eha_monitor.balances.candidates import balances_in, candidates_of
 from eha_monitor.balances.course import course_of
-from eha_monitor.balances.machine import Machine, MachineBalance
-from eha_monitor.balances.scatter import Amplitudes, Scatter, amplitudes_of
+from eha_monitor.balances.machine import Machine, MachineBalance, Setting
+from eha_monitor.balances.named import FORCE_OF_SENSORS
+from eha_monitor.balances.policy import POLICY
+from eha_monitor.balances.scatter import Amplitudes, Scatter, amplitudes_of, limit_of
 from eha_monitor.balances.table import Table, pooled_table, tables_of
 from eha_monitor.balances.together import setting_of, unseen
 from eha_monitor.recordings.recording import Recording
@@ -18,6 +20,7 @@ from eha_monitor.settings.monitor import Settings
 
 MOST_CHANGES = 3  # that are looked for in one balance
 WEARS = "F_c"
+OF_PLACE = ("spring_load", "position_load")  # they hold a load of their own
 ERROR = 1.5  # times the largest of the machine's own recordings: the balance does not belong
 
 
@@ -57,6 +60,7 @@ class JudgedBalance:
     Attributes
     ----------
     table : its columns, all recordings as one; ``each`` those of each.
+    size : usual one of the machine's own signals, SI.
     held : the machine's parameters; ``now`` those with the changes.
     error : share of the signal that is left with the machine's parameters; ``after`` with the
         changes, ``usual`` the largest of the machine's own recordings.
@@ -75,6 +79,7 @@ class JudgedBalance:
     changed: tuple[Moved, ...]
     complete: bool
     largest: Moved | None
+    size: float
     free: tuple[str, ...] = ()
     each: tuple[Table, ...] = ()
 
@@ -103,8 +108,8 @@ class Judged:
     @property
     def loud(self) -> tuple[JudgedBalance, ...]:
         """Balances that leave more than any of the machine's own recordings."""
-        return tuple(one for one in self.balances if one.error > ERROR * max(
-            one.usual, one.table.floor / one.table.size))
+        return tuple(one for one in self.balances if is_loud(
+            one.error, one.usual, one.size, one.table) and one.error - one.usual > POLICY.worse)
 
     @property
     def belongs(self) -> bool:
@@ -132,7 +137,9 @@ def judge(machine: Machine, recordings: Sequence[Recording], settings: Settings)
     for one in machine.balances:
         if one.balance not in there:
             continue
-        candidates = tuple(c for c in candidates_of(one.balance, machine.scale, rig)
+        common = {s.name: s for s in one.settings if not s.varies}
+        candidates = tuple(replace(c, setting=c.setting and c.name not in common)
+                           for c in candidates_of(one.balance, machine.scale, rig)
                            if c.name in {*one.terms, *one.scatter.names})
         tables = tables_of(courses, rig, one.balance, candidates, machine.policy)
         table = pooled_table(tables)
@@ -144,7 +151,8 @@ def judge(machine: Machine, recordings: Sequence[Recording], settings: Settings)
                                    np.array(list(held.values())))
         own |= {name: (float(v), float(d)) for name, v, d in zip(free, value, stddev,
                                                                  strict=True)}
-        found.append(replace(_judged(machine, one, table, held, free), each=tuple(tables)))
+        found.append(replace(_judged(machine, one, table, held, free, common.get("F_0")),
+                             each=tuple(tables)))
         fitted = [*found[-1].now, *free]  # else damping takes up the friction that came
         values |= {name: row for name, *row in zip(fitted, *parameters_of(table, fitted),
                                                    strict=True) if name in held}
@@ -152,8 +160,13 @@ def judge(machine: Machine, recordings: Sequence[Recording], settings: Settings)
 
 
 def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str, float],
-            free: list[str]) -> JudgedBalance:
-    """Return what has changed in one balance: one more term at a time, until none is far."""
+            free: list[str], load: Setting | None) -> JudgedBalance:
+    """Return what has changed in one balance: one more term at a time, until none is far.
+
+    Parameters
+    ----------
+    load : in which all of the machine's recordings agree; compared last, beside all else.
+    """
     policy = machine.policy
 
     def error(weights: dict[str, float]) -> float:
@@ -183,7 +196,7 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
         lower = (np.sqrt(left.left) - np.sqrt(np.maximum(left.left - removed, 0.0))) / (
             table.size * np.sqrt(max(table.n, 1)))
         most = float(removed.max())
-        loud = error(now) > ERROR * max(max(one.held), table.floor / table.size)
+        loud = is_loud(error(now), max(one.held), one.size, table)
         if not (loud or lower.max() > policy.worse):  # too little to repair a machine for
             complete = True
             break
@@ -209,9 +222,51 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
         now[left.names[i]] = now.get(left.names[i], 0.0) + float(amount[i])
         left = left.moved(i, float(amount[i]))
 
+    moved = _load(machine, table, now, free, load)
+    if moved is not None and not any(m.effect in OF_PLACE for _, m in changes):
+        free = [name for name in free if name != moved.name]
+        held, now = held | {moved.name: moved.machine}, now | {moved.name: moved.here}
+        changes.append((moved.name, replace(moved, removed=error(held) - error(now))))
     return JudgedBalance(one.balance, table, held, now,
                          error(held), error(now), max(one.held),
-                         tuple(moved for _, moved in changes), complete, largest, tuple(free))
+                         tuple(moved for _, moved in changes), complete, largest, one.size,
+                         tuple(free))
+
+
+def is_loud(error: float, usual: float, size: float, table: Table) -> bool:
+    """Tell whether a balance leaves more than any of the machine's own recordings.
+
+    Parameters
+    ----------
+    error, usual : shares of this signal, and of the machine's own, whose usual size is ``size``:
+        in a quiet motion the same newtons are a larger share.
+    """
+    return error > ERROR * max(usual * max(size / table.size, 1.0), table.floor / table.size)
+
+
+def _load(machine: Machine, table: Table, now: dict[str, float], free: list[str],
+          load: Setting | None) -> Moved | None:
+    """Return the constant load where it differs from the one of all of the machine's recordings.
+
+    Or the zero of a pressure sensor does.
+    """
+    if load is None or load.name not in free:
+        return None
+    policy, runs = machine.policy, len(load.value)
+    found, own = setting_of(table, [table.places[name] for name in now],
+                            [table.places[name] for name in free], np.array(list(now.values())))
+    here, stddev = (float(row[free.index(load.name)]) for row in (found, own))
+    mean = float(np.mean(load.value))
+    spread = float(np.hypot(np.std(load.value, ddof=1), machine.pieces * policy.between * mean))
+    spread = max(spread, float(np.median(load.stddev)))
+    t = (here - mean) / np.hypot(spread * np.sqrt(1.0 + 1.0 / runs), stddev)
+    limit = limit_of(runs, 1.0, policy.false)
+    if not abs(t) > limit or not abs(here - mean) > policy.worse * table.size:
+        return None
+    c = table.candidates[table.places[load.name] - 1]
+    return Moved(load.name, c.effect, c.balance, c.words, c.unit, here,
+                 float(np.hypot(stddev, spread)), mean, spread, float(t), limit, 0.0,
+                 FORCE_OF_SENSORS, c.symbol)
 
 
 def _moved(scatter: Scatter, table: Table, held: dict[str, float], found: Amplitudes, i: int,

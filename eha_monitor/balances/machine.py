@@ -337,7 +337,7 @@ def _balance(kind: str, courses: Sequence[Course], scale: Scale, rig: Rig,
         for name, *row in zip(fit.names, fit.value, between, fit.stddev, strict=True))
     settings = tuple(
         Setting(name, of[name].effect, of[name].words, of[name].unit, tuple(value.tolist()),
-                tuple(stddev.tolist()), varies(value, stddev, policy))
+                tuple(stddev.tolist()), varies(value, stddev, float(np.median(sizes)), policy))
         for name, value, stddev in zip(fit.settings, fit.setting.T, fit.setting_stddev.T,
                                        strict=True))
     weights = dict(zip(fit.names, fit.value.tolist(), strict=True))
@@ -401,12 +401,16 @@ def _rows(values: np.ndarray) -> tuple[tuple[float, ...], ...]:
     return tuple(map(tuple, values.tolist()))
 
 
-def varies(value: np.ndarray, stddev: np.ndarray, policy: Policy) -> bool:
-    """Tell whether a setting's number differs between recordings beyond its deviations."""
+def varies(value: np.ndarray, stddev: np.ndarray, size: float, policy: Policy) -> bool:
+    """Tell whether a setting's number differs between recordings beyond its deviations.
+
+    And by a fifth of itself, and of the signal's ``size`` by what a machine is repaired for.
+    """
     weight = 1.0 / np.maximum(stddev, 1e-300) ** 2
     mean = float(weight @ value / weight.sum())
     far = np.abs(value - mean) > policy.varied * stddev
-    return bool(far.sum() >= 2 and np.ptp(value) > 0.2 * np.abs(value).max())
+    return bool(far.sum() >= 2 and np.ptp(value) > max(
+        0.2 * np.abs(value).max(), policy.worse * size))
 
 
 def _odd(sources: Sequence[str], balances: Sequence[MachineBalance], policy: Policy
