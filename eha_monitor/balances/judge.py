@@ -9,10 +9,11 @@ from eha_monitor import ties
 from eha_monitor.balances.alone import parameters_of
 from eha_monitor.balances.candidates import balances_in, candidates_of
 from eha_monitor.balances.course import course_of
-from eha_monitor.balances.machine import Machine, MachineBalance, Setting
+from eha_monitor.balances.least_squares import minimum_norm
+from eha_monitor.balances.machine import Machine, MachineBalance, Setting, oil_of
 from eha_monitor.balances.named import FORCE_OF_SENSORS
-from eha_monitor.balances.policy import POLICY
-from eha_monitor.balances.scatter import Amplitudes, Scatter, amplitudes_of, limit_of
+from eha_monitor.balances.policy import POLICY, Policy
+from eha_monitor.balances.scatter import Amplitudes, Scatter, amplitudes_of, limit_of, ridge_of
 from eha_monitor.balances.table import Table, pooled_table, tables_of
 from eha_monitor.balances.together import setting_of, unseen
 from eha_monitor.recordings.recording import Recording
@@ -62,8 +63,9 @@ class JudgedBalance:
     table : its columns, all recordings as one; ``each`` those of each.
     size : usual one of the machine's own signals, SI.
     held : the machine's parameters; ``now`` those with the changes.
-    error : share of the signal that is left with the machine's parameters; ``after`` with the
-        changes, ``usual`` the largest of the machine's own recordings.
+    error : share of the signal that is left with the machine's parameters, those of the oil
+        within their spread; ``after`` with the changes, ``usual`` the largest of the machine's
+        own recordings.
     changed : what has changed, the most important first; ``complete`` nothing else has.
     largest : the term that differs most, changed or not.
     free : terms of the recording's own setting.
@@ -138,8 +140,7 @@ def judge(machine: Machine, recordings: Sequence[Recording], settings: Settings)
         if one.balance not in there:
             continue
         common = {s.name: s for s in one.settings if not s.varies}
-        candidates = tuple(replace(c, setting=c.setting and c.name not in common)
-                           for c in candidates_of(one.balance, machine.scale, rig)
+        candidates = tuple(c for c in candidates_of(one.balance, machine.scale, rig)
                            if c.name in {*one.terms, *one.scatter.names})
         tables = tables_of(courses, rig, one.balance, candidates, machine.policy)
         table = pooled_table(tables)
@@ -151,56 +152,61 @@ def judge(machine: Machine, recordings: Sequence[Recording], settings: Settings)
                                    np.array(list(held.values())))
         own |= {name: (float(v), float(d)) for name, v, d in zip(free, value, stddev,
                                                                  strict=True)}
-        found.append(replace(_judged(machine, one, table, held, free, common.get("F_0")),
+        signed = {c.name for c in candidates if c.sign and c.effect not in settings.effects}
+        found.append(replace(_judged(machine, one, table, held, free, common.get("F_0"), signed),
                              each=tuple(tables)))
-        fitted = [*found[-1].now, *free]  # else damping takes up the friction that came
+        fitted = [*(name for name in found[-1].now if name in table.places), *free]
+        # All together: else damping takes up the friction that came.
         values |= {name: row for name, *row in zip(fitted, *parameters_of(table, fitted),
                                                    strict=True) if name in held}
     return Judged(", ".join(one.source for one in recordings), tuple(found), own, values)
 
 
 def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str, float],
-            free: list[str], load: Setting | None) -> JudgedBalance:
+            free: list[str], load: Setting | None, signed: set[str]) -> JudgedBalance:
     """Return what has changed in one balance: one more term at a time, until none is far.
 
     Parameters
     ----------
     load : in which all of the machine's recordings agree; compared last, beside all else.
+    signed : terms of which the config holds nothing, so that their sign is that of physics.
     """
     policy = machine.policy
 
     def error(weights: dict[str, float]) -> float:
-        return unseen(table, [table.places[name] for name in weights],
-                      [table.places[name] for name in free], np.array(list(weights.values())))
+        known = {own: value for name, value in weights.items() for own in columns_of(name, table)}
+        return unseen(table, [table.places[name] for name in known],
+                      [table.places[name] for name in free if name not in known],
+                      np.array(list(known.values())))
 
-    names = [name for name in one.scatter.names if name in table.places]
-    scatter = one.scatter.only(names)
-    left = amplitudes_of(table, held, free, names)
+    of = {c.name: c for c in table.candidates}
+    order = {c.name: i for i, c in enumerate(table.candidates)}
+    oil = oil_of([p for p in one.parameters if p.name in of], of, policy)
+    names = [name for name in one.scatter.names
+             if name in table.places and name in one.beside.names]
+    scatter, beside = one.scatter.only(names), one.beside.only(names)
+    left, loose = (amplitudes_of(table, held, free, names, spreads) for spreads in ({}, oil))
     first, changes, now = left, [], dict(held)
     largest, complete = None, not names
     while names:
-        t = scatter.t_of(left)
-        # Beyond what its own recordings do, and beyond what this one knows of it.
-        known = np.abs(left.value - np.array(scatter.mean)) > policy.varied * np.array(left.stddev)
-        far = np.where(np.isfinite(t) & known, np.abs(t) / np.array(scatter.limit), 0.0)
+        # Beyond what its own recordings do, the oil held or free within its spread.
+        t, far = _farther(scatter, left, beside, loose, policy)
         place = ties.largest(far)
         if largest is None:
             largest = _moved(scatter, table, held, first, place, t[place], scatter.limit[place])
         complete = bool(far[place] <= 1.0)
         if complete or len(changes) == MOST_CHANGES:
             break
-        amount = left.value - np.array(scatter.mean)
-        removed = np.where(far > 1.0, (2.0 * left.value - amount) * amount * left.power, -np.inf)
+        amount, gone = left.with_others(oil, scatter.mean, policy.varied)
+        removed = np.where(far > 1.0, gone, -np.inf)
         taken = [name for name, _ in changes]
-        removed[[name in taken for name in left.names]] = -np.inf
-        lower = (np.sqrt(left.left) - np.sqrt(np.maximum(left.left - removed, 0.0))) / (
-            table.size * np.sqrt(max(table.n, 1)))
+        removed[[name in taken or (name in signed and of[name].sign * (
+            now.get(name, 0.0) + step) < 0.0) for name, step in zip(
+                left.names, amount, strict=True)]] = -np.inf
         most = float(removed.max())
-        loud = is_loud(error(now), max(one.held), one.size, table)
-        if not (loud or lower.max() > policy.worse):  # too little to repair a machine for
-            complete = True
+        if not np.isfinite(most):
+            complete = True  # what is far is no physics: the balance's error says whether it is
             break
-        of = {c.name: i for i, c in enumerate(table.candidates)}
         # What removes nearly as much is a rival.  Of what leaves the same, a number that the
         # machine has comes first, then what stands first among the candidates.  But a seal wears
         # before a load or a spring comes to a machine; its oil is another matter.
@@ -209,28 +215,53 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
         i = min((i for i in equal if left.left - removed[i] <= max(
             left.left - most, table.n * table.floor**2) * np.exp(2.0 * policy.alone)),
                 key=lambda i: (left.names[i] != WEARS, left.names[i] not in held,
-                               of[left.names[i]]))
-        if not table.candidates[of[left.names[i]]].of_oil:
+                               order[left.names[i]]))
+        if not of[left.names[i]].of_oil:
             i = next((j for j in equal if left.names[j] == WEARS), i)
+        name = left.names[i]
+        more = now | {name: now.get(name, 0.0) + float(amount[i])}
+        before = error(with_oil(table, now, free, oil, policy))
+        lower = before - error(with_oil(table, more, free, {
+            key: value for key, value in oil.items() if key != name}, policy))
+        if not (lower > policy.worse or is_loud(before, max(one.held), one.size, table)):
+            complete = True  # too little to repair a machine for
+            break
         equal.remove(i)
-        effect = table.candidates[of[left.names[i]]].effect
-        rivals = tuple(dict.fromkeys(
-            other for j in equal
-            if (other := table.candidates[of[left.names[j]]].effect) != effect))
-        changes.append((left.names[i], _moved(scatter, table, held, left, i, t[i],
-                                              scatter.limit[i], float(lower[i]), rivals)))
-        now[left.names[i]] = now.get(left.names[i], 0.0) + float(amount[i])
-        left = left.moved(i, float(amount[i]))
+        rivals = tuple(dict.fromkeys(other for j in equal if (
+            other := of[left.names[j]].effect) != of[name].effect))
+        changes.append((name, _moved(scatter, table, held, replace(
+            left, value=scatter.mean + amount), i, t[i], scatter.limit[i], lower, rivals)))
+        now, left, loose = more, *(one.moved(i, float(amount[i])) for one in (left, loose))
 
+    now = with_oil(table, now, free, {
+        key: value for key, value in oil.items() if key not in dict(changes)}, policy)
     moved = _load(machine, table, now, free, load)
     if moved is not None and not any(m.effect in OF_PLACE for _, m in changes):
-        free = [name for name in free if name != moved.name]
+        free = [name for name in free if name not in columns_of(moved.name, table)]
         held, now = held | {moved.name: moved.machine}, now | {moved.name: moved.here}
         changes.append((moved.name, replace(moved, removed=error(held) - error(now))))
     return JudgedBalance(one.balance, table, held, now,
-                         error(held), error(now), max(one.held),
+                         error(with_oil(table, held, free, oil, policy)), error(now),
+                         max(one.held),
                          tuple(moved for _, moved in changes), complete, largest, one.size,
                          tuple(free))
+
+
+def _farther(scatter: Scatter, left: Amplitudes, beside: Scatter, loose: Amplitudes,
+             policy: Policy) -> tuple[np.ndarray, np.ndarray]:
+    """Return Student's t of each term, (k,), and how far it is in limits, by what says more.
+
+    Beyond 1 it is farther than a healthy recording goes, and than this one's own deviations.
+    """
+    rows = []
+    for own, found in ((scatter, left), (beside, loose)):
+        t, mean = own.t_of(found), np.array(own.mean)
+        known = np.abs(found.value - mean) > policy.varied * np.array(found.stddev)
+        limits = np.abs(t) / np.array(own.limit)
+        rows.append((t * np.array(scatter.limit) / np.array(own.limit),
+                     np.where(np.isfinite(t) & known, limits, 0.0)))
+    (t, far), (other, farther) = rows
+    return np.where(farther > far, other, t), np.maximum(far, farther)
 
 
 def is_loud(error: float, usual: float, size: float, table: Table) -> bool:
@@ -244,18 +275,44 @@ def is_loud(error: float, usual: float, size: float, table: Table) -> bool:
     return error > ERROR * max(usual * max(size / table.size, 1.0), table.floor / table.size)
 
 
+def with_oil(table: Table, weights: dict[str, float], free: Sequence[str],
+             oil: dict[str, float], policy: Policy) -> dict[str, float]:
+    """Return parameters with those of the oil moved to what fits best, within their spread."""
+    if not oil:
+        return weights
+    places = [table.places[name] for name in (*free, *oil)]
+    mixture = np.zeros(table.rows.shape[1])
+    mixture[0] = 1.0
+    for name, value in weights.items():
+        mixture[table.places[name]] = -value
+    ridge = np.diag([*np.zeros(len(free)), *ridge_of(table, oil)])
+    moved = minimum_norm(table.gram[np.ix_(places, places)] + ridge,
+                         table.gram[places] @ mixture)[len(free) :]
+    most = policy.varied * np.fromiter(oil.values(), float, len(oil))
+    return weights | {name: weights.get(name, 0.0) + float(step)
+                      for name, step in zip(oil, np.clip(moved, -most, most), strict=True)}
+
+
+def columns_of(name: str, table: Table) -> list[str]:
+    """Return the columns of a term: of a setting's number one for each of several recordings."""
+    return [own for own in table.places if own == name or own.rpartition(" ")[0] == name]
+
+
 def _load(machine: Machine, table: Table, now: dict[str, float], free: list[str],
           load: Setting | None) -> Moved | None:
     """Return the constant load where it differs from the one of all of the machine's recordings.
 
     Or the zero of a pressure sensor does.
     """
-    if load is None or load.name not in free:
+    own = [] if load is None else [name for name in columns_of(load.name, table) if name in free]
+    if not own:
         return None
     policy, runs = machine.policy, len(load.value)
-    found, own = setting_of(table, [table.places[name] for name in now],
-                            [table.places[name] for name in free], np.array(list(now.values())))
-    here, stddev = (float(row[free.index(load.name)]) for row in (found, own))
+    found, stddevs = setting_of(
+        table, [table.places[name] for name in now], [table.places[name] for name in free],
+        np.array(list(now.values())))
+    rows = [free.index(name) for name in own]
+    here, stddev = float(found[rows].mean()), float(np.sqrt(np.mean(stddevs[rows] ** 2)))
     mean = float(np.mean(load.value))
     spread = float(np.hypot(np.std(load.value, ddof=1), machine.pieces * policy.between * mean))
     spread = max(spread, float(np.median(load.stddev)))
@@ -263,7 +320,7 @@ def _load(machine: Machine, table: Table, now: dict[str, float], free: list[str]
     limit = limit_of(runs, 1.0, policy.false)
     if not abs(t) > limit or not abs(here - mean) > policy.worse * table.size:
         return None
-    c = table.candidates[table.places[load.name] - 1]
+    c = table.candidates[table.places[own[0]] - 1]
     return Moved(load.name, c.effect, c.balance, c.words, c.unit, here,
                  float(np.hypot(stddev, spread)), mean, spread, float(t), limit, 0.0,
                  FORCE_OF_SENSORS, c.symbol)

@@ -1,7 +1,7 @@
 """One machine from many recordings: structure, parameters, their spread, and what stays open."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from eha_monitor.balances.alone import FIRST_VIEW, Refused, between_forms
 from eha_monitor.balances.candidates import (
+    Candidate,
     Scale,
     balances_in,
     candidates_of,
@@ -86,7 +87,8 @@ class MachineBalance:
         ``effective`` independent samples in all recordings.
     steps : (name, mean gain, t) as the terms entered.
     named : families of terms that are named; the rest corrects their form.
-    scatter : by how much each term would move in one recording or another.
+    scatter : by how much each term would move in one recording or another; ``beside`` the same
+        where what goes with the oil is free within its spread.
     refused : gates that something did not pass.
     forms : of each term, by how much it goes with the shapes of its family that fit as well.
     levers : of each parameter, rms of its column over that of the signal, 1/SI.
@@ -109,6 +111,7 @@ class MachineBalance:
     steps: tuple[tuple[str, float, float], ...]
     named: tuple[Named, ...]
     scatter: Scatter
+    beside: Scatter
     refused: tuple[Refused, ...] = ()
     held: tuple[float, ...] = ()
     forms: tuple[float, ...] = ()
@@ -347,9 +350,19 @@ def _balance(kind: str, courses: Sequence[Course], scale: Scale, rig: Rig,
         tuple(after.tolist()), tuple(reference.tolist()), repeats, regimes(kind, courses, left),
         float(np.median(sizes)), float(np.median([table.floor for table in tables])),
         float(sum(table.effective for table in tables)), chosen.steps,
-        chosen.named, scatter_of(tables, weights, fit.settings, allowed, policy, pieces), refused,
+        chosen.named, *(scatter_of(
+            tables, weights, fit.settings, allowed, policy, oil, pieces)
+            for oil in ({}, oil_of(parameters, of, policy))), refused,
         tuple(recordings.errors(chosen.names).tolist()),
         _forms(recordings, beside, chosen.names, allowed, policy), levers_of(tables, fit.names))
+
+
+def oil_of(parameters: Sequence[Parameter], of: Mapping[str, Candidate], policy: Policy
+           ) -> dict[str, float]:
+    """Return by how much what goes with the oil differs from one recording to the next, SI."""
+    spreads = {p.name: max(p.between, LEAST * policy.between * abs(p.value))
+               for p in parameters if of[p.name].of_oil}
+    return {name: spread for name, spread in spreads.items() if spread > 0.0}
 
 
 def _forms(recordings: Recordings, beside: Recordings, names: Sequence[str],
@@ -486,8 +499,9 @@ def _read_balance(data: dict) -> MachineBalance:
     made["named"] = tuple(Named(**one | {"terms": tuple(one["terms"]), "rivals": tuple(
         one["rivals"])}) for one in data["named"])
     made["refused"] = tuple(Refused(**one) for one in data["refused"])
-    made["scatter"] = Scatter(**{key: tuple(value) if isinstance(value, list) else value
-                                 for key, value in data["scatter"].items()})
+    for name in ("scatter", "beside"):
+        made[name] = Scatter(**{key: tuple(value) if isinstance(value, list) else value
+                                for key, value in data.get(name, data["scatter"]).items()})
     made["steps"] = tuple(map(tuple, data["steps"]))
     for name in ("each", "each_stddev"):
         made[name] = tuple(map(_numbers, data[name]))

@@ -8,7 +8,7 @@ noise, is what a change is measured against: Student's t with n - 1 degrees of f
 healthy recording in a hundred is called changed in any of the terms.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +16,9 @@ from scipy.special import stdtrit
 
 from eha_monitor.balances.policy import Policy
 from eha_monitor.balances.table import Table
-from eha_monitor.balances.together import without
+from eha_monitor.balances.together import minimum_norms, without
 
+NOTHING: Mapping[str, float] = {}
 ANSWERS = 0.01  # of the usual power: a recording that answers less says nothing of a term
 
 
@@ -45,6 +46,31 @@ class Amplitudes:
         """Squares of the residual that each term alone would remove, (k,)."""
         return self.value**2 * self.power
 
+    def with_others(self, oil: Mapping[str, float], mean: Sequence[float], most: float
+                    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return by how much each term has moved and the squares that are gone with it, (k,) each.
+
+        Parameters
+        ----------
+        oil : parameters that move beside it, by ``most`` of their spreads.
+        mean : (k,) amplitudes of healthy recordings.
+        """
+        products, side = self.response * self.power[:, None], self.value * self.power
+        amount, gone = self.value - np.array(mean), np.full(len(side), -np.inf)
+        for i in range(len(side)):
+            more = [self.names.index(name) for name in oil
+                    if name in self.names and name != self.names[i]]
+            own = [i, *more]
+            inner = products[np.ix_(own, own)]
+            if not np.isfinite(inner).all() or not inner[0, 0] > 0.0:
+                continue
+            w = minimum_norms(inner, side[own][:, None])[:, 0]
+            limit = most * np.array([oil[self.names[j]] for j in more])
+            w[1:] = np.clip(w[1:], -limit, limit)
+            w[0] = (side[i] - inner[0, 1:] @ w[1:]) / inner[0, 0] - mean[i]
+            amount[i], gone[i] = w[0], 2.0 * w @ side[own] - w @ inner @ w
+        return amount, gone
+
     def moved(self, place: int, amount: float) -> "Amplitudes":
         """Return what is left once a term has moved."""
         left = self.left - (2.0 * self.value[place] - amount) * amount * self.power[place]
@@ -53,9 +79,15 @@ class Amplitudes:
 
 
 def amplitudes_of(table: Table, weights: dict[str, float], settings: Sequence[str],
-                  terms: Sequence[str]) -> Amplitudes:
-    """Return the amplitudes of ``terms`` beside a machine's parameters (name -> value)."""
-    out = [table.places[name] for name in settings]
+                  terms: Sequence[str], oil: Mapping[str, float] = NOTHING) -> Amplitudes:
+    """Return the amplitudes of ``terms`` beside a machine's parameters (name -> value).
+
+    Parameters
+    ----------
+    oil : parameter -> its spread from one recording to the next, SI, within which it is free:
+        else a term that resembles damping moves whenever the oil is warmer.
+    """
+    out = [table.places[name] for name in (*settings, *oil)]
     kept = [table.places[name] for name in terms]
     rows = np.zeros((1 + len(kept), len(table.gram)))
     rows[0, 0] = 1.0
@@ -65,14 +97,22 @@ def amplitudes_of(table: Table, weights: dict[str, float], settings: Sequence[st
     for_settings = np.zeros((len(out), len(table.gram)))
     for_settings[np.arange(len(out)), out] = 1.0
     rows = np.vstack([rows, for_settings])
+    ridge = np.zeros(len(rows))
+    ridge[len(rows) - len(oil) :] = ridge_of(table, oil)
     products = without(rows @ table.gram @ rows.T, list(range(1 + len(kept))),
-                       list(range(1 + len(kept), len(rows))))
+                       list(range(1 + len(kept), len(rows))), ridge)
     own = np.maximum(np.diag(products)[1:], 1e-300)
     dead = own < 1e-12 * np.maximum(np.diag(table.gram)[kept], 1e-300)
     power = np.where(dead, np.nan, own)
     rms, correlated = table.full  # what no term explains
     return Amplitudes(tuple(terms), products[1:, 0] / power, rms * np.sqrt(correlated / power),
                       power, products[1:, 1:] / power[:, None], max(float(products[0, 0]), 0.0))
+
+
+def ridge_of(table: Table, oil: Mapping[str, float]) -> np.ndarray:
+    """Return what holds each parameter to its spread, in squares of the residual per SI^2."""
+    rms, correlated = table.full
+    return rms**2 * correlated / np.square(np.fromiter(oil.values(), float, len(oil)))
 
 
 @dataclass(frozen=True)
@@ -113,17 +153,19 @@ class Scatter:
 
 
 def scatter_of(tables: Sequence[Table], weights: dict[str, float], settings: Sequence[str],
-               allowed: Sequence[str], policy: Policy, typical: bool = False) -> Scatter:
+               allowed: Sequence[str], policy: Policy, oil: Mapping[str, float] = NOTHING,
+               typical: bool = False) -> Scatter:
     """Return how the amplitudes of terms vary over recordings.
 
     Parameters
     ----------
+    oil : as :func:`amplitudes_of` takes it.
     typical : the recordings are parts of too few: a typical spread between recordings is added.
     """
     of = {one.name: one for one in tables[0].candidates}
     terms = [name for name in allowed if name not in settings
              and not (of[name].always and of[name].setting)]
-    each = [amplitudes_of(table, weights, settings, terms) for table in tables]
+    each = [amplitudes_of(table, weights, settings, terms, oil) for table in tables]
     values, powers, noise = (np.array([getattr(one, name) for one in each])
                              for name in ("value", "power", "stddev"))
     usual = np.median(powers, axis=0)

@@ -331,13 +331,21 @@ def pooled(each: np.ndarray, stddev: np.ndarray, joint: float) -> tuple[float, f
     return float(w @ x / w.sum()), float(np.sqrt(tau)), float(np.sqrt(1.0 / w.sum()))
 
 
-def without(gram: np.ndarray, kept: list[int], out: list[int]) -> np.ndarray:
-    """Return products of columns with what others explain taken out (a Schur complement)."""
+def without(gram: np.ndarray, kept: list[int], out: list[int],
+            ridge: np.ndarray | None = None) -> np.ndarray:
+    """Return products of columns with what others explain taken out (a Schur complement).
+
+    Parameters
+    ----------
+    ridge : (k,) what holds each parameter that is taken out to its value, squares per SI^2.
+    """
     inner = gram[np.ix_(kept, kept)]
     if not out:
         return inner
     across = gram[np.ix_(out, kept)]
-    return inner - across.T @ minimum_norms(gram[np.ix_(out, out)], across)
+    own = gram[np.ix_(out, out)]
+    return inner - across.T @ minimum_norms(
+        own if ridge is None else own + np.diag(ridge[out]), across)
 
 
 def minimum_norms(gram: np.ndarray, sides: np.ndarray) -> np.ndarray:
