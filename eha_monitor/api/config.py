@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, Union, get_args, get_origin
 
 from pydantic import BaseModel
 
-from eha_monitor.api.calls import calling
-from eha_monitor.api.record import Record, frame_of
+from eha_monitor.api.common import Record, calling, frame_of
 from eha_monitor.errors import InputError
 from eha_monitor.output import write_text
 from eha_monitor.settings.document import annotated

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from eha_monitor.api.calls import calling
+from eha_monitor.api.common import calling
 from eha_monitor.api.config import Config, config_of, path_of
 from eha_monitor.api.recording import Recording
 from eha_monitor.archive.find import find_bags, is_archive
