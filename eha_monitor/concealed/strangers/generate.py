@@ -8,8 +8,7 @@ import numpy as np
 
 from eha_monitor.concealed.generate import START_NS, write_both
 from eha_monitor.concealed.strangers.draw import ERRORS, Setting, StrangerRig
-from eha_monitor.concealed.strangers.plant import DAHL, NO_FRICTION
-from eha_monitor.concealed.strangers.shown import ATMOSPHERE, PREROLL, recording
+from eha_monitor.concealed.strangers.plant import ATMOSPHERE, DAHL, NO_FRICTION, PREROLL, recording
 from eha_monitor.draft.rig import Answers, rig_entries, seen_in
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.load import settings_from_tree, text_tree
