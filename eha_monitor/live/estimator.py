@@ -10,8 +10,8 @@ import math
 import numpy as np
 
 from eha_monitor.breakdown import begins_anew
-from eha_monitor.estimation.covered import beyond, ranges_of, within
 from eha_monitor.estimation.inputs import Known, StageInputs, position_variance, quantum_of
+from eha_monitor.estimation.model_watch import beyond, ranges_of, within
 from eha_monitor.estimation.results import (
     ONE,
     STAGES,
