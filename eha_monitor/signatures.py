@@ -80,7 +80,7 @@ Course = named(
     'eha_monitor.estimation.drive', 'Course', int64, float64[::1], float64[::1], float64[::1],
     float64, bool)
 Printed = named(
-    'eha_monitor.estimation.euler', 'Printed', float64, float64, float64, float64, float64)
+    'eha_monitor.estimation.reference_stages', 'Printed', float64, float64, float64, float64, float64)
 SIGNATURES = (
     ("estimation.stage_two", "log_likelihood_two", (RowsTwo, ConstantsTwo, Effects, float64)),
     ("estimation.hold_evidence", "log_likelihood", (
@@ -159,7 +159,7 @@ SIGNATURES = (
     ("physics.own_term", "expressed", (float64[::1], float64[::1])),
     ("estimation.drive", "follow", (
         Course, float64, float64[::1], int64[::1], float64[::1], float64[:, ::1])),
-    ("estimation.euler", "_run", (
+    ("estimation.reference_stages", "_run", (
         UniTuple(float64[::1], 3), Printed, float64, float64, float64[::1], float64[:, ::1],
         float64[:, ::1])),
 )

@@ -158,7 +158,7 @@ def run_stage_two(inputs: Inputs, recording: Recording, settings: Settings,
     if inputs.no_drive:
         return empty_stage(TWO, settings, inputs.no_drive)
     if settings.discretisation == "euler":
-        from eha_monitor.estimation.euler import run_printed
+        from eha_monitor.estimation.reference_stages import run_printed
 
         out = list(run_printed(inputs.part(0, inputs.rows), settings, damping[0]))
         seen, sensitivity = Changes(), np.nan
