@@ -16,7 +16,7 @@ def named(module: str, name: str, *fields) -> BaseTuple:
 # What a simulator, a monitor and a replay call: `make demo` begins once these are compiled.
 LIVE = (
     ("estimation.drive", "follow"),
-    ("estimation.hold_evidence", "log_likelihood"),
+    ("estimation.hold_choice", "log_likelihood"),
     ("estimation.modelled", "contributions"),
     ("estimation.stage_one", "run_one"),
     ("estimation.stage_two", "log_likelihood_two"),
@@ -35,7 +35,7 @@ ConstantsTwo = named(
 Effects = named(
     'eha_monitor.estimation.modelled', 'Effects', float64[::1], int64[::1], int64[::1], int64[::1])
 Stretch = named(
-    'eha_monitor.estimation.hold_evidence', 'Stretch', float64[:, ::1], float64[::1], float64[::1],
+    'eha_monitor.estimation.hold_choice', 'Stretch', float64[:, ::1], float64[::1], float64[::1],
     bool[::1], float64[::1], float64, float64, float64, UniTuple(float64, 2), float64, float64)
 RowsOne = named(
     'eha_monitor.estimation.stage_one', 'RowsOne', float64[::1], float64[::1], float64[::1],
@@ -83,7 +83,7 @@ Printed = named(
     'eha_monitor.estimation.reference_stages', 'Printed', float64, float64, float64, float64, float64)
 SIGNATURES = (
     ("estimation.stage_two", "log_likelihood_two", (RowsTwo, ConstantsTwo, Effects, float64)),
-    ("estimation.hold_evidence", "log_likelihood", (
+    ("estimation.hold_choice", "log_likelihood", (
         Stretch, float64[::1], float64[::1], float64, float64, float64, float64)),
     ("estimation.stage_one", "run_one", (
         RowsOne, ConstantsOne, Effects, StateOne, int64, float64[:, ::1], float64[:, ::1])),
