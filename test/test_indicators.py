@@ -21,9 +21,10 @@ from eha_monitor.indicators.laws import (
     free_air,
     leakage_flow,
     moved,
+    viscosity_ratio,
     volumetric_efficiency,
+    walther,
 )
-from eha_monitor.indicators.oil import viscosity_ratio, walther
 from eha_monitor.mismatch.diagnosis import Diagnosis, Fitted, Location, NamedEffect, Value
 from eha_monitor.physics.balances import rates
 from eha_monitor.physics.effects.oil import compliance

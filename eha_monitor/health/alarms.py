@@ -27,7 +27,7 @@ from eha_monitor.health.judge import (
     Watched,
     doubt_of,
 )
-from eha_monitor.indicators.oil import viscosity_ratio
+from eha_monitor.indicators.laws import viscosity_ratio
 from eha_monitor.quantity import quantity, share, with_uncertainty
 from eha_monitor.settings.monitor import Settings, Viscosity
 

@@ -10,7 +10,7 @@ from eha_monitor.estimation.results import Estimate
 from eha_monitor.indicators import evidence, indicator, laws
 from eha_monitor.indicators.evidence import Evidence
 from eha_monitor.indicators.indicator import Indicator
-from eha_monitor.indicators.oil import viscosity_ratio
+from eha_monitor.indicators.laws import viscosity_ratio
 from eha_monitor.mismatch.diagnosis import Diagnosis
 from eha_monitor.quantity import number, quantity
 from eha_monitor.recordings.recording import Recording
