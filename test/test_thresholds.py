@@ -12,8 +12,8 @@ from eha_monitor.api.answer import series_of
 from eha_monitor.cli import main
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.estimation.results import ParameterEstimate
+from eha_monitor.health.alarms import ParameterSeries, judge_series
 from eha_monitor.health.proposal import Healthy, healthy_of, implied, proposed, thresholds_tree
-from eha_monitor.health.series import ParameterSeries, judge_series
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.settings import Settings, load_settings, settings_from_tree
 

@@ -12,8 +12,7 @@ from eha_monitor.estimation.results import (
     StageResult,
     converged_where,
 )
-from eha_monitor.health.alarms import Alarm
-from eha_monitor.health.series import ParameterSeries, judge_series
+from eha_monitor.health.alarms import Alarm, ParameterSeries, judge_series
 from eha_monitor.output import finite
 from eha_monitor.recordings.columns import blocks
 from eha_monitor.recordings.recording import Recording
