@@ -48,8 +48,8 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
     actuator. A motion is aborted at a limit, by the service identify/stop, and where data stop.
     """
     from eha_monitor.api.config import config_of
-    from eha_monitor.identify.bounds import bounds_of
     from eha_monitor.identify.plan import Planner
+    from eha_monitor.identify.rig import bounds_of
     from eha_monitor.quantity import rig_motion
 
     if simulated is not None and (ros_args or wait):

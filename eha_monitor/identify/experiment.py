@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from eha_monitor.errors import InputError
-from eha_monitor.identify.bounds import NEEDED
 from eha_monitor.identify.plan import (
     WORTH,
     Contest,
@@ -18,7 +17,7 @@ from eha_monitor.identify.plan import (
     running,
     standing,
 )
-from eha_monitor.identify.rig import Ran, Rig
+from eha_monitor.identify.rig import NEEDED, Ran, Rig
 from eha_monitor.mismatch.advise.motions import demanded, excitation_tree, without_noise
 from eha_monitor.mismatch.advise.words import motion_sentence
 from eha_monitor.mismatch.data.experiment import OUTPUTS, Experiment
