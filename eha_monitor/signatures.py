@@ -80,7 +80,8 @@ Course = named(
     'eha_monitor.estimation.drive', 'Course', int64, float64[::1], float64[::1], float64[::1],
     float64, bool)
 Printed = named(
-    'eha_monitor.estimation.reference_stages', 'Printed', float64, float64, float64, float64, float64)
+    'eha_monitor.estimation.reference_stages', 'Printed', float64, float64, float64, float64,
+    float64)
 SIGNATURES = (
     ("estimation.stage_two", "log_likelihood_two", (RowsTwo, ConstantsTwo, Effects, float64)),
     ("estimation.hold_choice", "log_likelihood", (

@@ -6,7 +6,7 @@ F = A1 p1 - A2 p2 instead of the acceleration (M a = F - B v, so it is the same 
 small term B C_T beta_e/(M V) kept), and the parameter is the relative compliance
 c = beta_0/beta_e: the equations are nearly linear in c, so that the filter converges from a
 guess that is ten times off, where it overshoots in beta_e.  ``discretisation: euler`` runs
-Eq. 5 as printed, in its own states (:mod:`euler`).
+Eq. 5 as printed, in its own states (:mod:`reference_stages`).
 
 A line between pump and cylinder (:mod:`physics.effects.oil`) has two states of its own,
 the speed n whose flow reaches the chambers and the pressure dp_l at the pump.  The chambers load

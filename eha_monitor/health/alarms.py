@@ -1,4 +1,13 @@
-"""Thresholds to alarms, live and over a whole recording: what is judged, raised, cleared."""
+"""Thresholds to alarms, live or over a whole recording: what is judged, raised, cleared.
+
+A limit is passed when the value lies beyond it by ``thresholds.confidence`` standard
+deviations.  An alarm is raised when its limit was passed for the whole of ``hold_time``, and
+clears when the value itself is back inside by the relative ``hysteresis``.  A parameter that
+the motion does not excite is not judged: an alarm that was raised before is held.  A model
+mismatch that taints a parameter holds back what it can have brought about, and nothing else: an
+alarm whose limit lies farther away than the mismatch reaches (:mod:`estimation.reach`) is raised,
+one that it may have moved across is not judged (``monitor.on_mismatch``).
+"""
 
 import math
 from collections.abc import Callable, Mapping

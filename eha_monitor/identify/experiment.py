@@ -1,4 +1,4 @@
-"""The experiment: move, diagnose, and move again until it is decided what the rig has; in words."""
+"""The experiment: move, diagnose, and move again until it is decided what the rig has."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence

@@ -1,4 +1,4 @@
-"""The laws by which what was found becomes indicators, oil's viscosity among them; SI in, SI out."""
+"""The laws by which what was found becomes indicators, and the viscosity of oil; SI."""
 
 import math
 from collections.abc import Mapping
