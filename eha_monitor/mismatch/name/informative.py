@@ -11,8 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import SHORTEST, Experiment, Stretch
-from eha_monitor.mismatch.data.stretch import cut
-from eha_monitor.mismatch.data.windows import most_informative
+from eha_monitor.mismatch.data.stretch import cut, most_informative
 from eha_monitor.mismatch.likelihood.fit import spread
 from eha_monitor.mismatch.name.columns import columns_at
 from eha_monitor.mismatch.name.gram import grams_of
