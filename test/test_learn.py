@@ -20,13 +20,13 @@ from eha_monitor.mismatch.learn.forms import (
 )
 from eha_monitor.mismatch.learn.formula import (
     FACTORS,
+    SHAPES,
     curve_of,
     in_signal,
     on_curve,
     shown_as,
     unit_of,
 )
-from eha_monitor.mismatch.learn.shapes import SHAPES
 from eha_monitor.mismatch.learn.validated import removed
 from eha_monitor.physics import own_term as o
 from eha_monitor.physics import signals as s

@@ -12,8 +12,7 @@ from eha_monitor.estimation.along import contributions_along
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.learn.forms import Form
-from eha_monitor.mismatch.learn.formula import shown_as
-from eha_monitor.mismatch.learn.shapes import RIPPLES
+from eha_monitor.mismatch.learn.formula import RIPPLES, shown_as
 from eha_monitor.mismatch.name.angle import at_its_angle
 from eha_monitor.physics import own_term as o
 from eha_monitor.physics import signals as s

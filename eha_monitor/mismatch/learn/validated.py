@@ -8,6 +8,8 @@ from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import LearnedTerm, NamedEffect, SignalFit
 from eha_monitor.mismatch.learn.forms import signal_along
 from eha_monitor.mismatch.learn.formula import (
+    RIPPLES,
+    SHAPES,
     SHOWN,
     Formula,
     curve_of,
@@ -16,7 +18,6 @@ from eha_monitor.mismatch.learn.formula import (
     unit_of,
 )
 from eha_monitor.mismatch.learn.learned import Learned, learned_of
-from eha_monitor.mismatch.learn.shapes import RIPPLES, SHAPES
 from eha_monitor.mismatch.likelihood.along import contributed
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.likelihood.smooth import smoothed
