@@ -23,8 +23,8 @@ from eha_monitor.estimation.hold import hold_of
 from eha_monitor.estimation.hold_choice import resolved
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.live.estimator import LiveEstimator
+from eha_monitor.mismatch.advise.separate import simulated
 from eha_monitor.mismatch.data.experiment import experiment_of
-from eha_monitor.mismatch.likelihood.simulated import simulated
 from eha_monitor.mismatch.name.select import nominal
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import settings_from_tree

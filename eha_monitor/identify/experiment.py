@@ -19,12 +19,12 @@ from eha_monitor.identify.plan import (
 )
 from eha_monitor.identify.rig import NEEDED, Ran, Rig
 from eha_monitor.mismatch.advise.motions import demanded, excitation_tree, without_noise
+from eha_monitor.mismatch.advise.separate import simulated
 from eha_monitor.mismatch.advise.words import motion_sentence
 from eha_monitor.mismatch.data.experiment import OUTPUTS, Experiment
 from eha_monitor.mismatch.diagnose import diagnose_and_name
 from eha_monitor.mismatch.diagnosis import Diagnosis
 from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
-from eha_monitor.mismatch.likelihood.simulated import simulated
 from eha_monitor.mismatch.name.naming import Names, Naming
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import CATALOGUE, NAMES
