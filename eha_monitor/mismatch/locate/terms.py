@@ -8,7 +8,7 @@ from eha_monitor.mismatch.data.experiment import Experiment, Stretch, smooth
 from eha_monitor.mismatch.likelihood.along import signals_along
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns, smallest_unknowns
-from eha_monitor.mismatch.likelihood.smooth import smoothed
+from eha_monitor.mismatch.likelihood.innovations import smoothed
 from eha_monitor.mismatch.locate.missing import (
     balance_flow,
     erring_outputs,
