@@ -21,8 +21,14 @@ from eha_monitor.mismatch.learn.learned import Learned, learned_of
 from eha_monitor.mismatch.likelihood.along import contributed
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.likelihood.innovations import smoothed
-from eha_monitor.mismatch.locate.missing import modelled_flow, modelled_force
-from eha_monitor.mismatch.locate.terms import STATES, UNITS, Missing, following
+from eha_monitor.mismatch.locate.terms import (
+    STATES,
+    UNITS,
+    Missing,
+    following,
+    modelled_flow,
+    modelled_force,
+)
 from eha_monitor.mismatch.locate.terms import tracks_of as smoothed_tracks
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.show.held_out import shown, worse
