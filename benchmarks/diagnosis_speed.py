@@ -243,8 +243,7 @@ def simulation_fit(experiment, name: str, most: int) -> float:
 
     from eha_monitor.mismatch.likelihood.fit import filtered
     from eha_monitor.mismatch.likelihood.gains import Unknowns, gains_of
-    from eha_monitor.mismatch.name.base import base_free, limits_of
-    from eha_monitor.mismatch.name.starts import entered, free_of, starts_of
+    from eha_monitor.mismatch.name.starts import base_free, entered, free_of, limits_of, starts_of
 
     start = starts_of(name, experiment)[0]
     theta, active = entered(experiment.theta, experiment.active, start)

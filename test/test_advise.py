@@ -22,10 +22,9 @@ from eha_monitor.mismatch.advise.words import amount, motion_sentence, rounded
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.likelihood.fit import with_unknowns
 from eha_monitor.mismatch.likelihood.information import Traces, free_slopes
-from eha_monitor.mismatch.name.base import with_effect
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.refit import settled
-from eha_monitor.mismatch.name.starts import starts_of
+from eha_monitor.mismatch.name.starts import starts_of, with_effect
 from eha_monitor.physics.excitation import demanded_position
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.recording import Recording

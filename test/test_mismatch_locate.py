@@ -21,7 +21,7 @@ from eha_monitor.mismatch.locate.location import (
     regime_of,
 )
 from eha_monitor.mismatch.locate.terms import Missing, missing_terms
-from eha_monitor.mismatch.name.base import limits_of
+from eha_monitor.mismatch.name.starts import limits_of
 from eha_monitor.physics import signals as s
 
 

@@ -13,9 +13,15 @@ from eha_monitor.mismatch.data.inputs import FORCED, OPEN
 from eha_monitor.mismatch.likelihood.fit import Fit, covariance_of, filtered, whitener
 from eha_monitor.mismatch.likelihood.gains import Unknowns, gains_of, smallest_unknowns
 from eha_monitor.mismatch.likelihood.tangents import Lane, along, can, lane_of, tangents
-from eha_monitor.mismatch.name.base import base_free, timing_free
 from eha_monitor.mismatch.name.columns import rig_free
-from eha_monitor.mismatch.name.starts import entered, free_of, own_sizes, starts_of
+from eha_monitor.mismatch.name.starts import (
+    base_free,
+    entered,
+    free_of,
+    own_sizes,
+    starts_of,
+    timing_free,
+)
 from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.parameters import place_of
 from eha_monitor.recordings.recording import Recording

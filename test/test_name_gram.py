@@ -10,7 +10,6 @@ from rig_tools import MULTISINE, settings, simulated, with_channels
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.likelihood.fit import with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns, expected_covariance
-from eha_monitor.mismatch.name.base import limits_of
 from eha_monitor.mismatch.name.columns import columns_at, runs_of
 from eha_monitor.mismatch.name.gram import (
     evidences_at,
@@ -20,6 +19,7 @@ from eha_monitor.mismatch.name.gram import (
     powers_at,
     under,
 )
+from eha_monitor.mismatch.name.starts import limits_of
 
 AGREES = 1e-3  # what was measured, of the size of a column: the plant is not quite linear
 # They push the plant, or shift what is measured, alike wherever it is.

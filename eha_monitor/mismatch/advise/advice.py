@@ -38,10 +38,10 @@ from eha_monitor.mismatch.data.inputs import FORCED
 from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns
 from eha_monitor.mismatch.likelihood.information import Slope, Traces, free_slopes
-from eha_monitor.mismatch.name.base import limits_of, with_effect
 from eha_monitor.mismatch.name.naming import Naming, name_effects
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.mismatch.name.select import nominal
+from eha_monitor.mismatch.name.starts import limits_of, with_effect
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
 from eha_monitor.quantity import quantity

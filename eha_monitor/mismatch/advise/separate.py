@@ -20,9 +20,8 @@ from eha_monitor.mismatch.data.experiment import Experiment, Stretch
 from eha_monitor.mismatch.data.inputs import CLOSED, cubics
 from eha_monitor.mismatch.likelihood.fit import Fit, free_run, with_unknowns
 from eha_monitor.mismatch.likelihood.information import Gram, Slope, Traces, free_slopes, gain_of
-from eha_monitor.mismatch.name.base import with_effect, without_effect
 from eha_monitor.mismatch.name.refit import settled
-from eha_monitor.mismatch.name.starts import directions_of, starts_of
+from eha_monitor.mismatch.name.starts import directions_of, starts_of, with_effect, without_effect
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import effect_values, place_of
 

@@ -24,7 +24,7 @@ from eha_monitor.mismatch.likelihood.fit import (
 )
 from eha_monitor.mismatch.likelihood.gains import Linear, linear_of
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED, riccati
-from eha_monitor.mismatch.name.base import limits_of
+from eha_monitor.mismatch.name.starts import limits_of
 from eha_monitor.physics.plant import Y_FLOW, Y_FORCE, Y_P1, Y_P2, Y_SPEED
 
 STANDING = 400  # samples after which a rival's gains are taken to stand

@@ -22,8 +22,8 @@ from eha_monitor.mismatch.locate.terms import (
     sensor_errors,
     tracks_of,
 )
-from eha_monitor.mismatch.name.base import limits_of
 from eha_monitor.mismatch.name.candidates import candidate
+from eha_monitor.mismatch.name.starts import limits_of
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import CATALOGUE

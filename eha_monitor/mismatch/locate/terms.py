@@ -9,8 +9,8 @@ from eha_monitor.mismatch.likelihood.along import contributed, drive_along, play
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns, smallest_unknowns
 from eha_monitor.mismatch.likelihood.innovations import smoothed
-from eha_monitor.mismatch.name.base import limits_of
 from eha_monitor.mismatch.name.refit import at_level
+from eha_monitor.mismatch.name.starts import limits_of
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import circuit_of
 from eha_monitor.physics.effects import CATALOGUE, NAMES

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.name.base import expected_likelihood
 from eha_monitor.mismatch.name.first_view import with_effects
 from eha_monitor.mismatch.name.informative import informative
 from eha_monitor.mismatch.name.refit import settled
@@ -16,6 +15,7 @@ from eha_monitor.mismatch.name.select import (
     resolved_nominal,
     with_rig,
 )
+from eha_monitor.mismatch.name.starts import expected_likelihood
 
 
 def credible(experiment: Experiment, effects: Mapping[str, Mapping[str, float]]) -> bool:

@@ -5,9 +5,8 @@ from dataclasses import dataclass, replace
 
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
-from eha_monitor.mismatch.name.base import with_effect
 from eha_monitor.mismatch.name.refit import unfitted
-from eha_monitor.mismatch.name.starts import Start, possible
+from eha_monitor.mismatch.name.starts import Start, possible, with_effect
 from eha_monitor.physics.signals import B
 
 

@@ -8,7 +8,6 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment, resolving
 from eha_monitor.mismatch.likelihood.fit import Fit, remade, spread, with_unknowns
-from eha_monitor.mismatch.name.base import limits_of, needs, with_effect, without_effect
 from eha_monitor.mismatch.name.candidates import candidate
 from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, rig_free
 from eha_monitor.mismatch.name.first_view import FirstView
@@ -39,7 +38,15 @@ from eha_monitor.mismatch.name.refit import (
     unfitted,
     wide,
 )
-from eha_monitor.mismatch.name.starts import possible, sharing, starts_of
+from eha_monitor.mismatch.name.starts import (
+    limits_of,
+    needs,
+    possible,
+    sharing,
+    starts_of,
+    with_effect,
+    without_effect,
+)
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import effect_values
 from eha_monitor.physics.signals import BETA_E, B
