@@ -28,7 +28,7 @@ from eha_monitor.identify.rig import Ran, Watch, bounds_of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import Settings, settings_from_tree
-from eha_monitor.settings.experiment import Experiment
+from eha_monitor.settings.monitor import Experiment
 
 LIMITS = {"lower": -0.03, "upper": 0.03, "speed": 0.15, "acceleration": 5.0, "pressure": 6e6,
           "motion_time": 10.0, "total_time": 25.0}

@@ -31,7 +31,7 @@ from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
 from eha_monitor.quantity import number, quantity
 from eha_monitor.recordings.recording import Recording
-from eha_monitor.settings.experiment import Experiment as Bounds
+from eha_monitor.settings.monitor import Experiment as Bounds
 from eha_monitor.words import effect_words, listed
 
 LOAD = 0.3  # of the force that the pressure limit allows

@@ -32,7 +32,7 @@ from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.recording import Recording
-from eha_monitor.settings.experiment import Experiment as Bounds
+from eha_monitor.settings.monitor import Experiment as Bounds
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Segment
 

@@ -12,9 +12,8 @@ from eha_monitor.errors import InputError
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.quantity import quantity
 from eha_monitor.recordings.recording import Recording
-from eha_monitor.settings.experiment import Experiment
-from eha_monitor.settings.experiment import Experiment as Bounds
-from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.monitor import Experiment, Settings
+from eha_monitor.settings.monitor import Experiment as Bounds
 
 NEEDED = ("lower", "upper", "speed", "acceleration", "pressure")
 LOOP = ("area_1", "area_2", "volume_1", "volume_2", "pump_displacement", "position_gain")
@@ -37,7 +36,7 @@ def bounds_of(settings: Settings, source: str) -> Experiment:
     InputError
         One line: the key and what was expected.
     """
-    given, rig = settings.experiment, settings.rig
+    given, rig = settings.monitor, settings.rig
     for key in NEEDED:
         if getattr(given, key) is None:
             raise InputError(f"{source}: experiment.{key}: expected a number, as nothing is moved "

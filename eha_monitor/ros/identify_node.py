@@ -23,7 +23,7 @@ from eha_monitor.ros.messages import stamp
 from eha_monitor.ros.parameters import with_namespace
 from eha_monitor.ros.qos import OUTPUT_QOS
 from eha_monitor.ros.subscriptions import TopicInput
-from eha_monitor.settings.experiment import Experiment as Bounds
+from eha_monitor.settings.monitor import Experiment as Bounds
 from eha_monitor.settings.monitor import Settings
 
 TURN = 0.01  # s between two turns: what comes is looked at, what is due is sent
