@@ -1,7 +1,8 @@
 """A formula for a learned term: shapes fitted to its curve, the best refitted in the likelihood.
 
-A shape of the field is an expression of the config's grammar (:mod:`eha_monitor.physics.expression`)
-in ``u``, so that what is fitted, shown and written is one text.
+A shape of the field is an expression of the config's grammar
+(:mod:`eha_monitor.physics.expression`) in ``u``, so that what is fitted, shown and written is one
+text.
 
 The curve is no more than a way to find where to begin; which formula is given, and whether one is,
 decides the evidence of the recording's own innovations, beside that of the table, which may be

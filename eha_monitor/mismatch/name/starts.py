@@ -18,6 +18,26 @@ LEAST_SHARE, LEAST_OF_MANY = 0.05, 0.3  # of its start: where a size enters at l
 LEAST_B = 1e-3  # of its prior: below, there is no viscous damping
 
 
+@dataclass(frozen=True)
+class Start:
+    """One way in which an effect might enter a model.
+
+    Attributes
+    ----------
+    effect : its name.
+    values : all parameters, a small but visible instance.
+    replaces : named effect that it contains and takes the place of, or "".
+    among : how many starts the effect has.
+    policy : how wide its numbers' priors are.
+    """
+
+    effect: str
+    values: tuple[tuple[str, float], ...]
+    replaces: str = ""
+    among: int = 1
+    policy: SearchPolicy = POLICY
+
+
 def base_free(experiment: Experiment) -> tuple[Free, ...]:
     """Return the base parameters that this experiment's input mode can tell."""
     one, two = experiment.settings.stage_one, experiment.settings.stage_two
@@ -103,26 +123,6 @@ def expected_likelihood(experiment: Experiment, fit: Fit) -> float:
 
 
 LOOP_ONLY = ("feedback_delay",)  # shows only where the position loop is part of the model
-
-
-@dataclass(frozen=True)
-class Start:
-    """One way in which an effect might enter a model.
-
-    Attributes
-    ----------
-    effect : its name.
-    values : all parameters, a small but visible instance.
-    replaces : named effect that it contains and takes the place of, or "".
-    among : how many starts the effect has.
-    policy : how wide its numbers' priors are.
-    """
-
-    effect: str
-    values: tuple[tuple[str, float], ...]
-    replaces: str = ""
-    among: int = 1
-    policy: SearchPolicy = POLICY
 
 
 def possible(name: str, experiment: Experiment) -> bool:
