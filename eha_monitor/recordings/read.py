@@ -2,8 +2,8 @@
 
 Where stamps are what a sampled system writes (on an even grid, to within what counts as exact),
 channels are put onto their grid while the bag is read, so that the messages need not be kept.
-Anything else (jitter, a clock that drifts or jumps, late messages) asks for the stamps of the whole
-recording at once, and :mod:`align` has them.  What both take they read alike.
+Anything else (jitter, a clock that drifts or jumps, late messages) asks for the stamps of the
+whole recording at once, and :mod:`align` has them.  What both take they read alike.
 """
 
 from collections.abc import Callable
