@@ -120,7 +120,7 @@ SIGNATURES = (
     ("mismatch.name.gram", "mapped", (
         float64[:, :, ::1], bool[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1],
         float64[:, :, ::1], float64[:, ::1], int64, float64[:, ::1], float64[:, :, ::1])),
-    ("mismatch.likelihood.innovations", "smooth_back", (
+    ("mismatch.likelihood.smooth", "smooth_back", (
         float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1],
         float64[:, ::1])),
     ("mismatch.likelihood.tangent_motion", "turns_over", (

@@ -8,7 +8,7 @@ from scipy.linalg import solve_discrete_are
 from eha_monitor.balances.places import after_reversal
 from eha_monitor.mismatch.likelihood.fit import filtered, log_likelihood_of, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import CORRELATION, Unknowns, linear_of
-from eha_monitor.mismatch.likelihood.innovations import (
+from eha_monitor.mismatch.likelihood.smooth import (
     DOUBLINGS,
     covariance_before,
     gain_of,

@@ -27,6 +27,7 @@ from eha_monitor.physics import signals as s
 C_PLACE = 3  # of the compliance among the states (x, v, F, c), after which come a line's n, dp_l
 FASTEST_LINE = 1e-9  # s: a shorter one is none
 
+
 @njit(inline="always")
 def damped_mass_integrals(g):
     """Return E0..E4 with E_k(g) = integral_0^1 exp(-g s) (1-s)^(k-1)/(k-1)! ds, E0 = exp(-g).

@@ -81,8 +81,6 @@ def course_of(u: np.ndarray, sigma: float, sampled: bool = False) -> tuple[np.nd
     return c, off
 
 
-
-
 def present(u: np.ndarray, x: np.ndarray, longest: int) -> list[tuple[int, int]]:
     """Return (start, stop) of stretches in which input and position are there, gaps bridged."""
     good = np.flatnonzero(np.isfinite(u) & np.isfinite(x))

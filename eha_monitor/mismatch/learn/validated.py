@@ -20,7 +20,7 @@ from eha_monitor.mismatch.learn.formula import (
 from eha_monitor.mismatch.learn.learned import Learned, learned_of
 from eha_monitor.mismatch.likelihood.along import contributed
 from eha_monitor.mismatch.likelihood.fit import Fit
-from eha_monitor.mismatch.likelihood.innovations import smoothed
+from eha_monitor.mismatch.likelihood.smooth import smoothed
 from eha_monitor.mismatch.locate.terms import (
     STATES,
     UNITS,
