@@ -212,20 +212,31 @@ def wanted_speed(x_d, rate, x, c):
     return min(max(w, -c.speed_limit), c.speed_limit)
 
 
+class Computer(NamedTuple):
+    """When a digital drive computes, and what it reads.
+
+    period, phase : steps between two computations (0: at every instant) and the step of the first.
+    encoder, noise : step of what it reads (m; 0 none), and (m,) noise in m for each computation.
+    """
+
+    period: int
+    phase: int
+    encoder: float
+    noise: np.ndarray
+
+
 @njit
-def run(y, c, demand, demand_rate, h, steps, period, phase, encoder, noise, out):
+def run(y, c, demand, demand_rate, h, computer, out):
     """Integrate by the classical Runge-Kutta rule; ``y`` is carried along in place.
 
     Parameters
     ----------
     demand, demand_rate : (2*steps + 1,) x_d (m) and x_d' (m/s) at every half step.
     h : step, s.
-    period, phase : steps between two computations of a digital drive (0: at every instant) and
-        the step of the first.
-    encoder, noise : what the digital drive reads: its step (m; 0 none), and (m,) noise in m for
-        each computation.
+    computer : of the drive.
     out : (steps + 1, N_STATE) the trajectory; its column W is the speed of the shaft.
     """
+    (period, phase, encoder, noise), steps = computer, len(out) - 1
     k1, k2, k3, k4 = np.empty(N_STATE), np.empty(N_STATE), np.empty(N_STATE), np.empty(N_STATE)
     held, tick = wanted_speed(demand[0], demand_rate[0], shown_place(y, c), c), 0
     for i in range(steps + 1):
@@ -376,8 +387,8 @@ def fine_run(rig, seed: int = 0, substeps: int | None = None
     out = np.empty((steps + 1, N_STATE))
     c = Constants(*map(float, rig.plant))
     y = rest(c, float(demand[0]))
-    run(y, c, demand, slope, h, steps, drive.hold * substeps,
-        round(drive.phase * substeps), rig.sensors.encoder, read, out)
+    run(y, c, demand, slope, h, Computer(drive.hold * substeps, round(drive.phase * substeps),
+                                         float(rig.sensors.encoder), read), out)
     at = (ahead + np.arange(samples)) * substeps
     return out, halves[::2], at, noise[ahead:]
 

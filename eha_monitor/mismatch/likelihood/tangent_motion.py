@@ -1,8 +1,8 @@
 """A model's motion between its samples, its rates there and their Jacobian, compiled.
 
 The filter keeps the states after each correction; with the gains they give those before it, and
-with the rates at both ends of a sample the cubic between them.  What is inlined takes plain
-arrays: numba counts references to the members of a tuple at each call.
+with the rates at both ends of a sample the cubic between them.  What is inlined says that it
+allocates nothing: numba would count references to the members of its tuples at each call.
 """
 
 import math
@@ -23,7 +23,6 @@ from eha_monitor.physics.plant import (
     Y_OMEGA,
     Y_P1,
     Y_P2,
-    Y_SPEED,
     Y_V,
     drive_rate,
     input_at,
@@ -95,6 +94,25 @@ class Motion(NamedTuple):
     slopes_end: np.ndarray
 
 
+class Here(NamedTuple):
+    """Where the rates are looked at.
+
+    t : s; value : input as it reaches the drive; behind : :func:`ahead_of`.
+    """
+
+    t: float
+    value: float
+    behind: float
+
+
+class Scratch(NamedTuple):
+    """The effects' memory (N_EFFECTS, 2); s (N_SIGNALS,) signals, c (N_CONTRIBUTIONS,)."""
+
+    memory: np.ndarray
+    s: np.ndarray
+    c: np.ndarray
+
+
 @njit
 def contribute(s, theta, terms, memory, c):
     """:func:`add_contributions`, compiled once."""
@@ -114,37 +132,43 @@ def between(a, b, da, db, dt, f):
                                    + f * (2.0 * (a - b) + (da + db) * dt)))
 
 
-@njit(forceinline=True)
-def state_at(states, ends, slopes, slopes_end, dt, k, f, y):
+@njit(forceinline=True, allocates=False)
+def moved_by(motion, i, j, k, dt, f):
+    """Return state ``i`` at ``f`` of the sample from row ``j`` to row ``k``."""
+    return between(motion.states[j, i], motion.ends[k, i], motion.slopes[j, i],
+                   motion.slopes_end[k, i], dt, f)
+
+
+@njit(forceinline=True, allocates=False)
+def state_at(motion, dt, k, f, y):
     """Write the moved states at ``f`` of sample k."""
     for i in range(N_MOVED):
-        y[i] = between(states[k, i], ends[k + 1, i], slopes[k, i], slopes_end[k + 1, i], dt, f)
+        y[i] = moved_by(motion, i, k, k + 1, dt, f)
 
 
-@njit(forceinline=True)
-def was(states, ends, slopes, slopes_end, i, dt, place):
+@njit(forceinline=True, allocates=False)
+def was(motion, i, dt, place):
     """Return state ``i`` at ``place`` samples after the first; before it all rests."""
-    j = min(max(math.floor(place), 0), states.shape[0] - 2)
-    f = min(max(place - j, 0.0), 1.0)
-    return between(states[j, i], ends[j + 1, i], slopes[j, i], slopes_end[j + 1, i], dt, f)
+    j = min(max(math.floor(place), 0), motion.states.shape[0] - 2)
+    return moved_by(motion, i, j, j + 1, dt, min(max(place - j, 0.0), 1.0))
 
 
-@njit
-def late_by(states, ends, slopes, slopes_end, i, k, delay, dt, steps):
+@njit(allocates=False)
+def late_by(model, motion, i, k, delay):
     """Return state ``i`` as it was ``delay`` s before sample k, before its correction."""
+    ends, dt, steps = motion.ends, model.dt, model.steps
     if delay == 0.0:
         return ends[k, i]
     if delay < 0.0 or k == 0:
-        return ends[k, i] - delay * slopes_end[k, i]
+        return ends[k, i] - delay * motion.slopes_end[k, i]
     if i == 0:
-        return was(states, ends, slopes, slopes_end, i, dt, k - delay / dt)
+        return was(motion, i, dt, k - delay / dt)
     # Of the pressures the filter knows the ends of its steps, and goes straight between them.
     step = dt / steps
     j = math.floor(delay / step)
     f = delay / step - j
-    new = ends[k, i] if j == 0 else was(states, ends, slopes, slopes_end, i, dt, k - j / steps)
-    return (1.0 - f) * new + f * was(states, ends, slopes, slopes_end, i, dt,
-                                     k - (j + 1) / steps)
+    new = ends[k, i] if j == 0 else was(motion, i, dt, k - j / steps)
+    return (1.0 - f) * new + f * was(motion, i, dt, k - (j + 1) / steps)
 
 
 @njit(forceinline=True)
@@ -167,92 +191,88 @@ def wanted_speed(value, late, theta, w):
     return shaft_speed(drive_speed(value, seen_by_drive(late, late, w), theta, w), w)
 
 
-@njit(forceinline=True)
-def ahead_of(states, ends, slopes, slopes_end, delay, dt, k, f, x, v):
+@njit(forceinline=True, allocates=False)
+def ahead_of(motion, delay, dt, k, f, y):
     """Return by how much the position ``delay`` s ago exceeds x - T v, m; nil within a sample."""
     if delay <= 0.0 or k + f - delay / dt > k:
         return 0.0
-    return was(states, ends, slopes, slopes_end, 0, dt, k + f - delay / dt) - x + delay * v
+    return was(motion, 0, dt, k + f - delay / dt) - y[0] + delay * y[1]
 
 
-@njit(forceinline=True)
-def balanced(mode, value, y, turning, force, flow, theta, c, out):
+@njit(forceinline=True, allocates=False)
+def here_at(model, motion, k, f, y):
+    """Return where the rates of a state at ``f`` of sample k are looked at."""
+    w, dt = model.w, model.dt
+    return Here((k + f) * dt, commanded(motion.u, k, f, w[COMMAND_DELAY], dt),
+                ahead_of(motion, w[FEEDBACK_DELAY], dt, k, f, y))
+
+
+@njit(forceinline=True, allocates=False)
+def balanced(mode, value, y, turning, unknown, theta, c, out):
     """Write v', p1', p2' at given contributions and unknown force and flow."""
-    c[FORCE] += force
+    c[FORCE] += unknown[0]
     if mode == FORCED:
         out[0], out[1], out[2] = acceleration(value, y[1], theta, c), 0.0, 0.0
     else:
-        out[0], out[1], out[2] = rates(y[1], y[2], y[3], turning, flow, theta, c)
-    c[FORCE] -= force
+        out[0], out[1], out[2] = rates(y[1], y[2], y[3], turning, unknown[1], theta, c)
+    c[FORCE] -= unknown[0]
 
 
-@njit(forceinline=True)
-def course(mode, slow, lag, theta, w, terms, y, unknown, t, value, behind, memory, s, c, out):
+@njit(forceinline=True, allocates=False)
+def course(model, y, unknown, here, scratch, out):
     """Write the rates at a state and leave the signals there in ``s``; return the shaft's speed.
 
     Parameters
     ----------
     y : (N_MOVED,) state; unknown : (3,) force, flow, speed.
-    value, behind : input as it reaches the drive; of :func:`ahead_of`.
-    memory, s, c : the effects' memory and scratch.
     out : (N_RATES,) written.
     """
-    turning = value
+    mode, w, theta = model.mode, model.w, model.theta
+    s, c = scratch.s, scratch.c
+    turning = here.value
     out[3] = 0.0
     if mode == CLOSED:
-        turning = wanted_speed(value, y[0] - w[FEEDBACK_DELAY] * y[1] + behind, theta, w)
-        if slow:
-            out[3] = drive_rate(turning, y[4], lag, w[SLEW_LIMIT])
+        turning = wanted_speed(here.value, y[0] - w[FEEDBACK_DELAY] * y[1] + here.behind, theta, w)
+        if model.slow:
+            out[3] = drive_rate(turning, y[4], model.lag, w[SLEW_LIMIT])
             turning = y[4]
     turning += unknown[2]
     if mode == FORCED:
         turning = 0.0
-    if len(terms):
-        s[T], s[X], s[V], s[P1], s[P2] = t, y[0], y[1], y[2], y[3]
-        s[OMEGA], s[X_D] = turning, (0.0 if mode == FORCED else value)
-        contribute(s, theta, terms, memory, c)
-    balanced(mode, value, y, turning, unknown[0], unknown[1], theta, c, out)
+    if len(model.terms):
+        s[T], s[X], s[V], s[P1], s[P2] = here.t, y[0], y[1], y[2], y[3]
+        s[OMEGA], s[X_D] = turning, (0.0 if mode == FORCED else here.value)
+        contribute(s, theta, model.terms, scratch.memory, c)
+    balanced(mode, here.value, y, turning, unknown, theta, c, out)
     return turning
 
 
 @njit
-def jacobian(mode, slow, lag, theta, w, terms, y, unknown, span, t, value, behind, memory, s, c,
-             rates, jac):
+def jacobian(model, y, unknown, span, here, scratch, rates, jac):
     """Write the rates at a state and their derivatives by all filtered states; return the speed.
 
     span : (N_FILTERED,) the differences, with their sign.
     rates : (N_RATES,), jac : (N_RATES, N_FILTERED) written.
     """
     out = np.empty(N_RATES)
-    turning = course(mode, slow, lag, theta, w, terms, y, unknown, t, value, behind, memory, s, c,
-                     rates)
-    kept = c.copy()
+    turning = course(model, y, unknown, here, scratch, rates)
+    kept = scratch.c.copy()
     for i in range(N_FILTERED):
-        if i in (Y_FORCE, Y_FLOW):  # no effect looks at them
-            force, flow = unknown[0], unknown[1]
-            if i == Y_FORCE:
-                force += span[i]
-            else:
-                flow += span[i]
-            balanced(mode, value, y, turning, force, flow, theta, kept, out)
-            out[3] = rates[3]
-        elif i == Y_SPEED:
-            was_here = unknown[2]
-            unknown[2] += span[i]
-            course(mode, slow, lag, theta, w, terms, y, unknown, t, value, behind, memory, s, c,
-                   out)
-            unknown[2] = was_here
-        elif i == Y_OMEGA and not slow:
+        if i == Y_OMEGA and not model.slow:
             copied(out, rates)
         else:
-            was_here = y[i]
-            y[i] += span[i]
-            course(mode, slow, lag, theta, w, terms, y, unknown, t, value, behind, memory, s, c,
-                   out)
-            y[i] = was_here
+            moved, place = (y, i) if i < N_MOVED else (unknown, i - N_MOVED)
+            was_here = moved[place]
+            moved[place] += span[i]
+            if i in (Y_FORCE, Y_FLOW):  # no effect looks at them
+                balanced(model.mode, here.value, y, turning, unknown, model.theta, kept, out)
+                out[3] = rates[3]
+            else:
+                course(model, y, unknown, here, scratch, out)
+            moved[place] = was_here
         for r in range(N_RATES):
             jac[r, i] = (out[r] - rates[r]) / span[i]
-    copied(c, kept)
+    copied(scratch.c, kept)
     return turning
 
 
@@ -294,11 +314,10 @@ def recall(states, updates, k, memory):
 @njit(nogil=True)
 def slopes_along(model, motion, memory):
     """Write the rates (x', v', p1', p2', omega') after and before each correction."""
-    mode, dt, _, theta, w, slow, lag, _, terms, updates, places = model
-    u, p1, p2, states, ends, slopes, slopes_end = motion
+    states, ends, slopes, slopes_end = motion.states, motion.ends, motion.slopes, motion.slopes_end
     n = states.shape[0]
-    s, c, out = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS), np.zeros(N_RATES)
-    y, unknown = np.zeros(N_MOVED), np.zeros(3)
+    scratch = Scratch(memory, np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS))
+    out, y, unknown = np.zeros(N_RATES), np.zeros(N_MOVED), np.zeros(3)
     for k in range(n):
         for side in range(2):
             here = k + side
@@ -308,17 +327,13 @@ def slopes_along(model, motion, memory):
                 y[i] = states[k, i] if side == 0 else ends[here, i]
             for i in range(3):
                 unknown[i] = states[k, N_MOVED + i]
-            if mode == FORCED:
-                y[2], y[3] = p1[here], p2[here]
-            recall(states, updates, here, memory)
+            if model.mode == FORCED:
+                y[2], y[3] = motion.p1[here], motion.p2[here]
+            recall(states, model.updates, here, memory)
             if side == 1:  # its place was corrected with the position
-                for which in places:
+                for which in model.places:
                     memory[which, 1] -= states[here, 0] - ends[here, 0]
-            value = commanded(u, k, float(side), w[COMMAND_DELAY], dt)
-            behind = ahead_of(states, ends, slopes, slopes_end, w[FEEDBACK_DELAY], dt, k,
-                              float(side), y[0], y[1])
-            course(mode, slow, lag, theta, w, terms, y, unknown, here * dt, value, behind, memory,
-                   s, c, out)
+            course(model, y, unknown, here_at(model, motion, k, float(side), y), scratch, out)
             written = slopes if side == 0 else slopes_end
             written[here, 0] = y[1]
             for i in range(N_RATES):
@@ -332,12 +347,11 @@ def jacobians(model, motion, size, memory, jacs):
 
     Differences span what the state moves in the sample: what turns over counts by its mean.
     """
-    mode, dt, _, theta, w, slow, lag, _, terms, updates, _ = model
-    u, p1, p2, states, ends, slopes, slopes_end = motion
-    s, c, out = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS), np.zeros(N_RATES)
-    y, unknown, span = np.zeros(N_MOVED), np.zeros(3), np.zeros(N_FILTERED)
+    states, ends, p1, p2 = motion.states, motion.ends, motion.p1, motion.p2
+    scratch = Scratch(memory, np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS))
+    out, y, unknown, span = np.zeros(N_RATES), np.zeros(N_MOVED), np.zeros(3), np.zeros(N_FILTERED)
     for k in range(min(jacs.shape[0], states.shape[0] - 1)):
-        state_at(states, ends, slopes, slopes_end, dt, k, 0.5, y)
+        state_at(motion, model.dt, k, 0.5, y)
         for i in range(N_MOVED):
             span[i] = 0.5 * (ends[k + 1, i] - states[k, i])
             if abs(span[i]) < TINY * size[i]:
@@ -345,14 +359,10 @@ def jacobians(model, motion, size, memory, jacs):
         for i in range(3):
             unknown[i] = states[k, N_MOVED + i]
             span[N_MOVED + i] = 1e-3 * size[N_MOVED + i]
-        if mode == FORCED:
+        if model.mode == FORCED:
             y[2], y[3] = 0.5 * (p1[k] + p1[k + 1]), 0.5 * (p2[k] + p2[k + 1])
-        recall(states, updates, k, memory)
-        value = commanded(u, k, 0.5, w[COMMAND_DELAY], dt)
-        behind = ahead_of(states, ends, slopes, slopes_end, w[FEEDBACK_DELAY], dt, k, 0.5, y[0],
-                          y[1])
-        jacobian(mode, slow, lag, theta, w, terms, y, unknown, span, (k + 0.5) * dt, value, behind,
-                 memory, s, c, out, jacs[k])
+        recall(states, model.updates, k, memory)
+        jacobian(model, y, unknown, span, here_at(model, motion, k, 0.5, y), scratch, out, jacs[k])
 
 
 @njit(nogil=True)

@@ -19,11 +19,11 @@ from eha_monitor.mismatch.likelihood.tangent_motion import (
     N_RATES,
     Model,
     Motion,
-    ahead_of,
+    Scratch,
     balanced,
-    commanded,
     contribute,
     course,
+    here_at,
     jacobian,
     recall,
     remembered,
@@ -31,8 +31,6 @@ from eha_monitor.mismatch.likelihood.tangent_motion import (
 )
 from eha_monitor.physics.plant import Y_SPEED
 from eha_monitor.physics.signals import (
-    COMMAND_DELAY,
-    FEEDBACK_DELAY,
     N_CONTRIBUTIONS,
     N_SIGNALS,
     OMEGA,
@@ -102,37 +100,29 @@ def points_of(model: Model, motion: Motion, hard: np.ndarray, size: np.ndarray,
 @njit(nogil=True)
 def look(model, motion, points, size, memory):
     """Fill the points."""
-    mode, dt, _, theta, w, slow, lag, _, terms, updates, _ = model
-    u, p1, p2, states, ends, slopes, slopes_end = motion
-    first, place, signals, inner, values, all_rates, faster, added, hard = points[:9]
-    s, c, rates = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS), np.zeros(N_RATES)
-    work, moved = np.zeros(N_CONTRIBUTIONS), np.zeros(N_RATES)
+    mode, theta, terms, updates = model.mode, model.theta, model.terms, model.updates
+    states, p1, p2 = motion.states, motion.p1, motion.p2
+    first, hard, all_rates, faster, added = (points.first, points.hard, points.rates,
+                                             points.faster, points.added)
+    s, c = np.zeros(N_SIGNALS), np.zeros(N_CONTRIBUTIONS)
+    scratch = Scratch(memory, s, c)
+    rates, work, moved = np.zeros(N_RATES), np.zeros(N_CONTRIBUTIONS), np.zeros(N_RATES)
     y, unknown, span = np.zeros(N_MOVED), np.zeros(3), FINE * size
-    at, slope, total = np.zeros(N_MOVED), np.zeros(N_MOVED), np.zeros(N_MOVED)
     for k in range(states.shape[0] - 1):
         if hard[k] >= 0:
-            by_stages(model, motion, points, size, k, memory, s, c, rates, moved, y, at, unknown,
-                      slope, total, span)
+            by_stages(model, motion, points, size, k, scratch, span)
             continue
         for i in range(3):
             unknown[i] = states[k, N_MOVED + i]
         recall(states, updates, k, memory)
         for node in range(SOFT):
             f, p = EARLY if node == 0 else LATE, first[k] + node
-            state_at(states, ends, slopes, slopes_end, dt, k, f, y)
+            state_at(motion, model.dt, k, f, y)
             if mode == FORCED:
                 y[2], y[3] = (1.0 - f) * p1[k] + f * p1[k + 1], (1.0 - f) * p2[k] + f * p2[k + 1]
-            value = commanded(u, k, f, w[COMMAND_DELAY], dt)
-            behind = ahead_of(states, ends, slopes, slopes_end, w[FEEDBACK_DELAY], dt, k, f, y[0],
-                              y[1])
-            turning = course(mode, slow, lag, theta, w, terms, y, unknown, (k + f) * dt, value,
-                             behind, memory, s, c, rates)
-            place[p], values[p] = f, value
-            signals[p, T], signals[p, X], signals[p, V] = (k + f) * dt, y[0], y[1]
-            signals[p, P1], signals[p, P2], signals[p, OMEGA] = y[2], y[3], turning
-            if mode != FORCED:
-                signals[p, X_D] = value
-            inner[p, 0], inner[p, 1] = unknown[0], unknown[1]
+            here = here_at(model, motion, k, f, y)
+            turning = course(model, y, unknown, here, scratch, rates)
+            note(points, p, f, mode, y, turning, here, unknown)
             for r in range(N_RATES):
                 all_rates[p, r] = rates[r]
             if mode == FORCED:
@@ -144,17 +134,31 @@ def look(model, motion, points, size, memory):
                 copied(added[p], c)
                 s[OMEGA] = turning + d
                 contribute(s, theta, terms, memory, work)
-            balanced(mode, value, y, turning + d, unknown[0], unknown[1], theta, work, moved)
+            balanced(mode, here.value, y, turning + d, unknown, theta, work, moved)
             for r in range(3):
                 faster[p, r] = (moved[r] - rates[r]) / d
 
 
+@njit(allocates=False)
+def note(points, p, f, mode, y, turning, here, unknown):
+    """Write point ``p``, at ``f`` of its sample: signals, input, unknown force and flow."""
+    points.place[p], points.value[p] = f, here.value
+    row = points.signals[p]
+    row[T], row[X], row[V], row[P1], row[P2] = here.t, y[0], y[1], y[2], y[3]
+    row[OMEGA] = turning
+    if mode != FORCED:
+        row[X_D] = here.value
+    points.inner[p, 0], points.inner[p, 1] = unknown[0], unknown[1]
+
+
 @njit
-def by_stages(model, motion, points, size, k, memory, s, c, rates, up, y, at, unknown, slope,
-              total, span):
-    """Fill the points of sample k: the stages of its Runge-Kutta steps; the rest is scratch."""
-    mode, dt, steps, theta, w, slow, lag, _, terms, updates, _ = model
-    u, p1, p2, states, ends, slopes, slopes_end = motion
+def by_stages(model, motion, points, size, k, scratch, span):
+    """Fill the points of sample k: the stages of its Runge-Kutta steps; ``span`` is written."""
+    mode, dt, steps, updates = model.mode, model.dt, model.steps, model.updates
+    states, p1, p2, memory = motion.states, motion.p1, motion.p2, scratch.memory
+    rates, up, unknown = np.zeros(N_RATES), np.zeros(N_RATES), np.zeros(3)
+    y, at = np.zeros(N_MOVED), np.zeros(N_MOVED)
+    slope, total = np.zeros(N_MOVED), np.zeros(N_MOVED)
     h, number = dt / steps, points.hard[k]
     for i in range(N_MOVED):
         y[i] = states[k, i]
@@ -171,34 +175,23 @@ def by_stages(model, motion, points, size, k, memory, s, c, rates, up, y, at, un
             if mode == FORCED:
                 at[2] = (1.0 - f) * p1[k] + f * p1[k + 1]
                 at[3] = (1.0 - f) * p2[k] + f * p2[k + 1]
-            value = commanded(u, k, f, w[COMMAND_DELAY], dt)
-            behind = ahead_of(states, ends, slopes, slopes_end, w[FEEDBACK_DELAY], dt, k, f, at[0],
-                              at[1])
-            t = (k + f) * dt
+            here = here_at(model, motion, k, f, at)
             jac = points.jacs[number, STAGES * step + stage]
             # A seal knows how far it has slid, not which way: its slopes hold along the motion.
             span[0] = FINER * size[0] if at[1] >= 0.0 else -FINER * size[0]
-            turning = jacobian(mode, slow, lag, theta, w, terms, at, unknown, span, t, value,
-                               behind, memory, s, c, rates, jac)
-            points.place[p], points.value[p] = f, value
-            row = points.signals[p]
-            row[T], row[X], row[V], row[P1], row[P2] = t, at[0], at[1], at[2], at[3]
-            row[OMEGA] = turning
-            if mode != FORCED:
-                row[X_D] = value
-            points.inner[p, 0], points.inner[p, 1] = unknown[0], unknown[1]
+            turning = jacobian(model, at, unknown, span, here, scratch, rates, jac)
+            note(points, p, f, mode, at, turning, here, unknown)
             copied(points.rates[p], rates)
             for r in range(3):
                 points.faster[p, r] = jac[r, Y_SPEED]
-            if len(terms):
-                copied(points.added[p], c)
+            if len(model.terms):
+                copied(points.added[p], scratch.c)
             for e in range(len(updates)):
                 for m in range(2):
                     kept = memory[updates[e], m]
                     d = FINE * (abs(kept) + 1e-6) if m == 0 else -span[0]
                     memory[updates[e], m] += d
-                    course(mode, slow, lag, theta, w, terms, at, unknown, t, value, behind,
-                           memory, s, c, up)
+                    course(model, at, unknown, here, scratch, up)
                     memory[updates[e], m] = kept
                     for r in range(N_RATES):
                         points.by_memory[number, STAGES * step + stage, e, m, r] = (
@@ -216,17 +209,17 @@ def by_stages(model, motion, points, size, k, memory, s, c, rates, up, y, at, un
         copied(points.reached[number, step], y)
         span[0] = FINER * size[0] if y[1] >= 0.0 else -FINER * size[0]
         for e in range(len(updates)):
-            renew(theta, updates[e : e + 1], (k * dt) + (step + 1) * h, y, h, span, memory, s,
+            renew(model.theta, updates[e : e + 1], (k * dt) + (step + 1) * h, y, h, span, scratch,
                   points.renewed[number, step, e])
 
 
 @njit
-def renew(theta, one, t, y, h, span, memory, s, derivative):
+def renew(theta, one, t, y, h, span, scratch, derivative):
     """Carry an effect's memory over ``h`` s that have ended at ``y``; write its derivatives.
 
     derivative : (2, 6) of both numbers by x, v, p1, p2 and themselves.
     """
-    which = one[0]
+    which, memory, s = one[0], scratch.memory, scratch.s
     first, second = memory[which, 0], memory[which, 1]
     s[T], s[X], s[V], s[P1], s[P2] = t, y[0], y[1], y[2], y[3]
     remembered(s, theta, one, h, memory)
