@@ -29,9 +29,8 @@ from eha_monitor.estimation.stages import (
     engine_of,
     run_stage_two_kernel,
 )
-from eha_monitor.live.checks import LiveHold, LivePlausibility
+from eha_monitor.live.checks import JUDGE_EVERY_S, JUDGED_S, KEPT, Fit, LiveHold, LivePlausibility
 from eha_monitor.live.ingest import BATCH, BUFFER_S, WARM_UP, Columns, Gathered, Grid
-from eha_monitor.live.model import JUDGE_EVERY_S, JUDGED_S, KEPT, Fit
 from eha_monitor.live.state import (
     Change,
     Checkpoints,
