@@ -10,14 +10,6 @@ from ruamel.yaml import YAML
 
 from eha_monitor.api.diagnosis_answer import answer, written_config
 from eha_monitor.mismatch.diagnosis import LearnedTerm, SignalFit
-from eha_monitor.mismatch.learn.forms import (
-    BALANCE,
-    UNKNOWN,
-    Form,
-    Table,
-    factor_along,
-    signal_along,
-)
 from eha_monitor.mismatch.learn.formula import (
     FACTORS,
     SHAPES,
@@ -26,6 +18,14 @@ from eha_monitor.mismatch.learn.formula import (
     on_curve,
     shown_as,
     unit_of,
+)
+from eha_monitor.mismatch.learn.learned import (
+    BALANCE,
+    UNKNOWN,
+    Form,
+    Table,
+    factor_along,
+    signal_along,
 )
 from eha_monitor.mismatch.learn.validated import removed
 from eha_monitor.physics import own_term as o

@@ -18,9 +18,9 @@ from scipy.linalg import cholesky, solve_triangular
 
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.learn.forms import Form
 from eha_monitor.mismatch.learn.learned import (
     SHARPEST,
+    Form,
     Learned,
     score_of,
 )

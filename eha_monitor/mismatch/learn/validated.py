@@ -6,7 +6,6 @@ import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import LearnedTerm, NamedEffect, SignalFit
-from eha_monitor.mismatch.learn.forms import signal_along
 from eha_monitor.mismatch.learn.formula import (
     RIPPLES,
     SHAPES,
@@ -17,7 +16,7 @@ from eha_monitor.mismatch.learn.formula import (
     in_signal,
     unit_of,
 )
-from eha_monitor.mismatch.learn.learned import Learned, learned_of
+from eha_monitor.mismatch.learn.learned import Learned, learned_of, signal_along
 from eha_monitor.mismatch.likelihood.along import contributed
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.likelihood.smooth import smoothed
