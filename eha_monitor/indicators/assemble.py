@@ -39,13 +39,13 @@ Values = Mapping[str, float]
 
 def of_estimate(found: Estimate) -> tuple[Indicator, ...]:
     """Return the indicators of an estimate."""
-    return indicators(evidence.of_estimate(found), found.settings)
+    return indicators(evidence.evidence_of_estimate(found), found.settings)
 
 
 def of_diagnosis(found: Diagnosis, recordings: Sequence[Recording], settings: Settings
                  ) -> tuple[Indicator, ...]:
     """Return the indicators of a diagnosis of these recordings."""
-    return indicators(evidence.of_diagnosis(found, list(recordings), settings), settings)
+    return indicators(evidence.evidence_of_diagnosis(found, list(recordings), settings), settings)
 
 
 def indicators(found: Evidence, settings: Settings) -> tuple[Indicator, ...]:

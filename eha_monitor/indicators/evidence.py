@@ -62,7 +62,7 @@ class Evidence:
         return [effect for effect in effects if effect in there]
 
 
-def of_estimate(found: Estimate) -> Evidence:
+def evidence_of_estimate(found: Estimate) -> Evidence:
     """Return the evidence of an estimate: what converged, after the last change of a stage."""
     values, variances, why = {}, [], {}
     parameters, doubts = dict(found.parameters), found.model.tainted
@@ -127,7 +127,7 @@ def moments(recording: Recording, name: str, since: int) -> np.ndarray:
     return chosen[np.isfinite(chosen)]
 
 
-def of_diagnosis(found: Diagnosis, recordings: list[Recording], settings: Settings) -> Evidence:
+def evidence_of_diagnosis(found: Diagnosis, recordings: list[Recording], settings: Settings) -> Evidence:
     """Return the evidence of a diagnosis.
 
     Parameters
