@@ -13,8 +13,7 @@ from test_reports import Page
 from eha_monitor.cli import main
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.pipeline import estimate
-from eha_monitor.indicators.assemble import indicators
-from eha_monitor.indicators.evidence import Evidence, evidence, evidence_of_estimate
+from eha_monitor.indicators.assemble import Evidence, evidence, evidence_of_estimate, indicators
 from eha_monitor.indicators.indicator import NAMES, limits_of_indicator, passed, propagated
 from eha_monitor.indicators.laws import (
     dry_friction,
@@ -211,7 +210,7 @@ def test_friction_is_told_by_a_diagnosis_only_and_none_is_no_zero():
 
 def test_a_diagnosis_gives_its_joint_covariance():
     """C_T/2 and L make one conductance: what is known of the sum is what counts."""
-    from eha_monitor.indicators.evidence import evidence_of_diagnosis
+    from eha_monitor.indicators.assemble import evidence_of_diagnosis
 
     leak, more = 5e-13, 2e-12
     covariance = np.array([[4e-25, -2e-25], [-2e-25, 1.01e-25]])
