@@ -132,7 +132,8 @@ def moments(recording: Recording, name: str, since: int) -> np.ndarray:
     return chosen[np.isfinite(chosen)]
 
 
-def evidence_of_diagnosis(found: Diagnosis, recordings: list[Recording], settings: Settings) -> Evidence:
+def evidence_of_diagnosis(found: Diagnosis, recordings: list[Recording], settings: Settings
+                          ) -> Evidence:
     """Return the evidence of a diagnosis.
 
     Parameters
