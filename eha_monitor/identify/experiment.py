@@ -119,7 +119,6 @@ def seen(experiment: Experiment, fit: Fit) -> Fit:
 
 
 DECIDED, INSEPARABLE, TIME, ABORTED = "decided", "inseparable", "time", "aborted"
-ENDS = (DECIDED, INSEPARABLE, TIME, ABORTED)
 FEW = 0.05  # probability of all rivals together, below which what has no model yet is looked for
 Report = Callable[[str, float], None]
 
@@ -135,7 +134,7 @@ class Round:
     diagnosis : of all recordings so far; None where the motion was aborted.
     names, probability : the set that stands, and its probability; ``rivals`` the others from
         1 % on, the most probable first.
-    following : the motion that is planned next, or None; ``end`` then says why, one of ``ENDS``.
+    following : the motion that is planned next, or None; ``end`` then says why.
     would : what would tell the rest apart, in words, where no motion does.
     """
 

@@ -178,8 +178,3 @@ class Effect:
         text = self.statement.format(**{p.name: _Said(values[p.name], p.unit)
                                         for p in self.parameters if p.name in values})
         return re.sub(r" and ∞|∞ and ", "", text)
-
-    @property
-    def resonant(self) -> bool:
-        """Whether its size sets a resonance, which shows only where it is nearly in place."""
-        return any(p.log for p in self.parameters)

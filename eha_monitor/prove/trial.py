@@ -39,7 +39,6 @@ PACKAGE = Path(__file__).parents[1]
 ROOMS = ("physics", "estimation", "balances", "mismatch", "recordings", "settings", "plausibility",
          "api", "commands/diagnose.py", "prove/blind.py", "prove/warm.py", "words.py")
 FEW = 4  # cases that are made without processes of their own
-KEEP = ("same", "all", "none")
 
 Report = Callable[[str, float], None]
 

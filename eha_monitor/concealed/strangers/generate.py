@@ -25,7 +25,6 @@ CLASSES = {
     "drive_lag": ("drive_lag", "command_delay"),
 }
 SURE = 3.0  # deviations from a data sheet's number: nearer to it nobody can tell that it is wrong
-FACTORS = ("leakage", "makeup_conductance")  # of which only the order of magnitude is known
 
 
 def record(rig: StrangerRig, setting: Setting, seed: int, length: float | None = None

@@ -92,12 +92,6 @@ def differing(fit: Fit, lane: Lane) -> list[int]:
     return sorted(i for i in found if i < 0 or lane.active[i] or fit.active[i])
 
 
-def tangents(experiment: Experiment, fit: Fit, wanted: Sequence[str]) -> dict[str, list]:
-    """Return name -> (n, c) tangents for each stretch, in the fitted coordinate, all samples."""
-    carried = along(experiment, fit, [lane_of(fit, name) for name in wanted])
-    return {name: [part[:, :, i] for part in carried] for i, name in enumerate(wanted)}
-
-
 def along(experiment: Experiment, fit: Fit, lanes: Sequence[Lane]) -> list[np.ndarray]:
     """Return the tangents of all lanes, (n, c, len(lanes)) of the used channels per stretch.
 

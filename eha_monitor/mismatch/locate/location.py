@@ -122,11 +122,6 @@ def balance_of(name: str) -> str:
     return "force" if name == INTERMITTENT else candidate(name).balance
 
 
-def regime_of(experiment: Experiment, term: Missing) -> tuple[str, list[np.ndarray]]:
-    """Return the regime that a missing term is at home in, and its weight, (n,) per stretch."""
-    return places.regime_of(term.balance, parts_of(experiment, term))
-
-
 def whole_of(experiment: Experiment) -> tuple[tuple[float, float], ...]:
     """Return the stretches themselves, s of the recording."""
     return tuple((round(float(stretch.start), 4),
