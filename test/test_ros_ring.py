@@ -22,8 +22,8 @@ from eha_monitor.cli import main
 from eha_monitor.live.exchange import Adopted, model_of
 from eha_monitor.ros.messages import findings_of
 from eha_monitor.ros.monitor_node import Monitor
-from eha_monitor.ros.qos import LATCHED
 from eha_monitor.ros.simulator_node import SimulatorNode
+from eha_monitor.ros.topics import LATCHED
 from eha_monitor.settings import settings_from_tree
 from eha_monitor.settings.document import annotated
 

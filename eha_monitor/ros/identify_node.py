@@ -18,11 +18,10 @@ from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.write import BagWriter
 from eha_monitor.ros import running
-from eha_monitor.ros.inputs import topics_of
 from eha_monitor.ros.messages import stamp
 from eha_monitor.ros.parameters import with_namespace
-from eha_monitor.ros.qos import OUTPUT_QOS
 from eha_monitor.ros.subscriptions import TopicInput
+from eha_monitor.ros.topics import OUTPUT_QOS, topics_of
 from eha_monitor.settings.monitor import Experiment as Bounds
 from eha_monitor.settings.monitor import Settings
 

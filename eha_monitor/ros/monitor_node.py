@@ -29,10 +29,10 @@ from eha_monitor.ros.findings import (
     unfed,
     with_bags,
 )
-from eha_monitor.ros.inputs import topics_of
 from eha_monitor.ros.keeper import Keeper
 from eha_monitor.ros.messages import Outputs
 from eha_monitor.ros.subscriptions import Drain, Load, TopicInput
+from eha_monitor.ros.topics import topics_of
 from eha_monitor.settings import Settings
 
 # Health is judged at this spacing of the data's own time, so that a replay at ten times the
