@@ -19,7 +19,7 @@ from hold_parts.draws import drawn
 from hold_parts.plant import PHYSICS, Motion, Noise, Rig, recorded
 
 from eha_monitor.errors import InputError
-from eha_monitor.estimation.hold import hold_of
+from eha_monitor.estimation.drive import hold_of
 from eha_monitor.estimation.hold_choice import resolved
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.live.estimator import LiveEstimator

@@ -23,8 +23,7 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.compiled import njit
 from eha_monitor.estimation.discretisation import LINE_TIME, LOOP, discretise_at
-from eha_monitor.estimation.drive import drive_input
-from eha_monitor.estimation.hold import Hold
+from eha_monitor.estimation.drive import Hold, drive_input
 from eha_monitor.estimation.results import NoiseEstimate
 from eha_monitor.estimation.rig_model import LINE, RigModel, force_of, force_variance, missing
 from eha_monitor.estimation.sensors import noise_levels, undo_sensors, without_spikes

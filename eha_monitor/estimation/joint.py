@@ -12,7 +12,7 @@ import numpy as np
 
 from eha_monitor.compiled import njit
 from eha_monitor.estimation.discretisation import BETA_0, LOOP, MASS, discretise
-from eha_monitor.estimation.hold import Hold, hold_of
+from eha_monitor.estimation.drive import Hold, hold_of
 from eha_monitor.estimation.inputs import Inputs, PiecedInputs
 from eha_monitor.estimation.results import (
     JointResult,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from eha_monitor.estimation.discretisation import LOOP
-from eha_monitor.estimation.hold import hold_of
+from eha_monitor.estimation.drive import hold_of
 from eha_monitor.estimation.inputs import Inputs, Piece, PiecedInputs, inputs_of
 from eha_monitor.estimation.joint import (
     ConstantsJoint,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from eha_monitor.estimation.hold import JUMP, VISIBLE, largest_neighbour
+from eha_monitor.estimation.drive import JUMP, VISIBLE, largest_neighbour
 from eha_monitor.recordings.grid import filled
 from eha_monitor.settings.rig import Rig
 
