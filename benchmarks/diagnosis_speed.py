@@ -66,7 +66,8 @@ FIRST = ("coulomb_friction", "quadratic_friction", "added_mass", "cross_port_lea
 def bag_of(seconds: int, folder: Path, concealed: str = ONE) -> tuple[Path, Path]:
     """Make a recording of some 6 s stretches; returns bag and nominal config."""
     from eha_monitor.concealed.cases import LENGTHS as MOTIONS
-    from eha_monitor.concealed.cases import SAMPLE_TIME, Case, demanded_position, write_case
+    from eha_monitor.concealed.cases import SAMPLE_TIME, Case, demanded_position
+    from eha_monitor.concealed.generate import write_case
 
     each = MOTIONS["short"]
     t = np.arange(round(each / SAMPLE_TIME)) * SAMPLE_TIME
@@ -126,8 +127,9 @@ def draw(kind: str, i: int, seed: int, folder: Path) -> tuple[list[Path], Path, 
     """Make the i-th draw of a kind; returns bags, nominal config and what is concealed."""
     from dataclasses import replace
 
-    from eha_monitor.concealed.cases import Case, effect_names, outside_names, write_case
+    from eha_monitor.concealed.cases import Case, effect_names, outside_names
     from eha_monitor.concealed.draws import FAMILIES, draw_rig, misconfigured
+    from eha_monitor.concealed.generate import write_case
 
     rng = np.random.default_rng([seed, list(KINDS).index(kind), i])
     dry = FAMILIES[0]

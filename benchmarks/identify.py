@@ -17,15 +17,9 @@ from dataclasses import replace
 import numpy as np
 import record
 
-from eha_monitor.concealed.cases import (
-    Case,
-    fine_run,
-    hidden_of,
-    nominal_config,
-    outside_names,
-    recording_of,
-)
+from eha_monitor.concealed.cases import Case, fine_run, hidden_of, outside_names
 from eha_monitor.concealed.draws import draw_names, draw_rig, misconfigured
+from eha_monitor.concealed.generate import nominal_config, recording_of
 from eha_monitor.concealed.hidden import THRESHOLDED
 from eha_monitor.concealed.plant import P1, P2, V, X
 from eha_monitor.identify.experiment import DECIDED, identify

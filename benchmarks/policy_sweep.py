@@ -54,8 +54,9 @@ def answers_of(job: tuple[str, int, Path]) -> Answers:
 
 def answered(name: str, anew: int) -> Answers:
     """Return the answers of a draw that is ``anew`` 0 weighed, 1 searched, 2 with numerics."""
-    from eha_monitor.concealed.cases import truth_of, write_case
+    from eha_monitor.concealed.cases import truth_of
     from eha_monitor.concealed.draws import draw_cases
+    from eha_monitor.concealed.generate import write_case
     from eha_monitor.mismatch.data.experiment import experiment_of
     from eha_monitor.mismatch.policy import POLICY
     from eha_monitor.recordings.read import read_recording

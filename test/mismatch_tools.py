@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from functools import lru_cache
 
-from eha_monitor.concealed.cases import Case, nominal_config, recording_of
+from eha_monitor.concealed.cases import Case
+from eha_monitor.concealed.generate import nominal_config, recording_of
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.mismatch.diagnosis import Diagnosis

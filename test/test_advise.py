@@ -13,7 +13,8 @@ from mismatch_tools import nominal_fit
 
 from eha_monitor.api.advise import written_excitation
 from eha_monitor.cli import main
-from eha_monitor.concealed.cases import Case, nominal_config, recording_of, triangle
+from eha_monitor.concealed.cases import Case, triangle
+from eha_monitor.concealed.generate import nominal_config, recording_of
 from eha_monitor.mismatch.advise import advice as advise
 from eha_monitor.mismatch.advise.identifiability import Reading, directions_for, largest_cosine
 from eha_monitor.mismatch.advise.motions import candidates, excitation_tree, limits_for, planned

@@ -17,14 +17,11 @@ from eha_monitor.concealed.cases import (
     effect_names,
     fine_run,
     hidden_of,
-    nominal_config,
     outside_names,
-    recording_of,
     rig_of,
     rig_off,
     triangle,
     truth_of,
-    write_case,
 )
 from eha_monitor.concealed.draws import (
     FAMILIES,
@@ -35,6 +32,7 @@ from eha_monitor.concealed.draws import (
     mcmaster_case,
     misconfigured,
 )
+from eha_monitor.concealed.generate import nominal_config, recording_of, write_case
 from eha_monitor.concealed.plant import OMEGA, P1, P2, V, X
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.settings import settings_from_tree

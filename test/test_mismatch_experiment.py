@@ -10,7 +10,8 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from rig_tools import MULTISINE, TRIANGLE, A, settings, simulated, with_channels, without
 
-from eha_monitor.concealed.cases import Case, nominal_config, recording_of
+from eha_monitor.concealed.cases import Case
+from eha_monitor.concealed.generate import nominal_config, recording_of
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.data.experiment import BURN_IN, experiment_of, present
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED, OPEN, course_of, cubics

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from eha_monitor.concealed.cases import Case, nominal_config, recording_of
+from eha_monitor.concealed.cases import Case
+from eha_monitor.concealed.generate import nominal_config, recording_of
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.data.inputs import FORCED, OPEN
 from eha_monitor.mismatch.likelihood.fit import Fit, covariance_of, filtered, whitener

@@ -15,8 +15,9 @@ import pytest
 
 from eha_monitor.cli import main
 from eha_monitor.commands.prove import prove as command
-from eha_monitor.concealed.cases import Case, effect_names, nominal_config, truth_of
+from eha_monitor.concealed.cases import Case, effect_names, truth_of
 from eha_monitor.concealed.draws import KINDS
+from eha_monitor.concealed.generate import nominal_config
 from eha_monitor.errors import InputError
 from eha_monitor.prove.children import Place
 from eha_monitor.prove.trial import DRAWS, Trial, cases_of, on_rig, prove

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from eha_monitor.cli import main
-from eha_monitor.concealed.cases import nominal_config, recording_of, truth_of
+from eha_monitor.concealed.cases import truth_of
 from eha_monitor.concealed.draws import MCMASTER, MCMASTER_RIG, mcmaster_case
+from eha_monitor.concealed.generate import nominal_config, recording_of
 from eha_monitor.errors import InputError
 from eha_monitor.prove.files import write_json
 from eha_monitor.prove.grounds import (

@@ -121,7 +121,8 @@ def _simulated(k, folder, data, seed, run):
 
 
 def _case(name, kind, case, folder):
-    from eha_monitor.concealed.cases import truth_of, write_case
+    from eha_monitor.concealed.cases import truth_of
+    from eha_monitor.concealed.generate import write_case
 
     bag, config = write_case(replace(case, name=name), folder)
     hidden = "_".join(effect for effect, _ in case.effects) or "clean"

@@ -1,19 +1,10 @@
-"""A case of the trial: its motion, what is true in it, and what the diagnosis is given of it.
-
-Channels, nominal config and bag are made of the fine trajectory by what sensors make of it: lag,
-clock, resolution, noise, faults.  The nuisances are always there and small: a filter of some 20 us
-before each converter, a clock that is late by a few us, an encoder step below its noise.
-"""
+"""A case of the trial: its motion, what is true in it, and the plant's run of it."""
 
 import math
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from io import StringIO
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.signal import lfilter
 
 from eha_monitor.concealed.hidden import (
     CATALOGUE_BALANCES,
@@ -24,21 +15,7 @@ from eha_monitor.concealed.hidden import (
     Hidden,
     Reach,
 )
-from eha_monitor.concealed.plant import (
-    N_CONSTANTS,
-    NAMES,
-    OMEGA,
-    P1,
-    P2,
-    X_SENSED,
-    X,
-    bristle_stiffness,
-    run,
-)
-
-if TYPE_CHECKING:
-    from eha_monitor.recordings.recording import Recording
-
+from eha_monitor.concealed.plant import N_CONSTANTS, NAMES, OMEGA, P1, P2, bristle_stiffness, run
 
 RAMP = 6e-3  # s, a step is a ramp of this length: the sampled demand then hides nothing
 # rich: two triangles, multisine, steps; short: the same parts; triangle and sine: the paper's own;
@@ -340,150 +317,3 @@ def _reach(key: _Key) -> Reach:
     return Reach(speed=float(np.abs(fine[:, OMEGA]).max()),
                  pressure_difference=float(np.abs(fine[:, P1] - fine[:, P2]).max()),
                  lowest_pressure=float(min(fine[:, P1].min(), fine[:, P2].min())))
-
-
-START_NS = 1_700_000_000_000_000_000
-
-
-@dataclass(frozen=True)
-class Sensors:
-    """Noise and small imperfections of healthy sensors, SI."""
-
-    position_noise: float = 2e-6
-    pressure_noise: float = 2e3
-    speed_noise: float = 0.1
-    encoder_step: float = 0.5e-6
-    clock_jitter: float = 2e-6
-    position_lag: float = 15e-6
-    pressure_lag: float = 25e-6
-    speed_lag: float = 20e-6
-
-
-def lagged(values: np.ndarray, h: float, lag: float) -> np.ndarray:
-    """Return (n,) behind a first-order lag, exact for straight lines between the steps."""
-    if lag <= 0.0:
-        return values
-    decay = np.exp(-h / lag)
-    after = 1.0 - lag / h * (1.0 - decay)  # weight of the new value; the old one has the rest
-    start = values[0] * np.array([decay + (1.0 - decay - after)])
-    return lfilter([after, 1.0 - decay - after], [1.0, -decay], values, zi=start)[0]
-
-
-def measure(fine: np.ndarray, fine_time: np.ndarray, time: np.ndarray, sensors: Sensors,
-            faults: dict[str, float], noise: float, seed: int) -> dict[str, np.ndarray]:
-    """Return what is measured, channel -> (n,) SI.
-
-    Parameters
-    ----------
-    fine : (m, N_COLUMNS) trajectory of the plant.
-    fine_time : (m,) s, evenly spaced.
-    time : (n,) nominal sample times, s.
-    sensors : the healthy sensors.
-    faults : constants of the concealed sensor effects.
-    noise : factor on the white noise.
-    seed : of noise and clock.
-    """
-    h = fine_time[1] - fine_time[0]
-    rng = np.random.default_rng([seed, 11])
-    jitter = sensors.clock_jitter * np.clip(rng.standard_normal(len(time)), -3.0, 3.0)
-    drawn = {name: rng.standard_normal(len(time)) for name in ("x", "p1", "p2", "omega")}
-
-    def sampled(column: int, lag: float, delay: float = 0.0) -> np.ndarray:
-        return np.interp(time + jitter - delay, fine_time, lagged(fine[:, column], h, lag))
-
-    behind = X_SENSED if faults.get("behind_play") else X
-    x = sampled(behind, sensors.position_lag, faults.get("position_delay", 0.0))
-    x = x * (1.0 + faults.get("position_scale", 0.0))
-    x = x + noise * sensors.position_noise * drawn["x"]
-    step = max(faults.get("resolution", 0.0), sensors.encoder_step)
-    shown = {"x": step * np.round(x / step) if step > 0.0 else x,
-             "omega": (sampled(OMEGA, sensors.speed_lag)
-                       + noise * sensors.speed_noise * drawn["omega"])}
-    for name, column in (("p1", P1), ("p2", P2)):
-        p = sampled(column, sensors.pressure_lag, faults.get("pressure_delay", 0.0))
-        p = p * (1.0 + faults.get(f"scale_{name}", 0.0)) + faults.get(f"offset_{name}", 0.0)
-        p = p + faults.get(f"drift_{name}", 0.0) * time
-        shown[name] = p + noise * sensors.pressure_noise * drawn[name]
-    return shown
-
-
-def sensors_of(case: Case) -> Sensors:
-    """Return the healthy sensors of a case."""
-    plain, factor = Sensors(), case.nuisance
-    return Sensors(encoder_step=plain.encoder_step * factor,
-                   clock_jitter=plain.clock_jitter * factor,
-                   position_lag=plain.position_lag * factor,
-                   pressure_lag=plain.pressure_lag * factor,
-                   speed_lag=plain.speed_lag * factor)
-
-
-def recording_of(case: Case) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Return the measured channels, name -> (n,) SI, and their nominal times (n,) in s."""
-    fine, fine_time, faults = fine_run(case, hidden_of(case))
-    time = np.arange(samples_of(case)) * SAMPLE_TIME
-    shown = measure(fine, fine_time, time, sensors_of(case), faults, case.noise, case.seed)
-    shown["x_d"] = demand_of(case, time)
-    return {name: shown[name] for name in case.channels}, time
-
-
-def nominal_config(case: Case) -> dict:
-    """Return the config of the nominal rig as plain YAML data; it says nothing of the effects.
-
-    Design constants are the true ones unless ``case.nominal`` has others.  B and beta_e, which
-    the monitor is there to find, are the paper's, whatever the rig has.
-    """
-    true = rig_of(case)
-    nominal = {key: true[place] for key, (place, _) in RIG.items()}
-    nominal |= {"B": RIG["B"][1], "beta_e": RIG["beta_e"][1], **case.nominal}
-    levels = Sensors()
-    noise = {
-        "position": levels.position_noise * case.noise,
-        "pressure": levels.pressure_noise * case.noise,
-        "pump_speed": levels.speed_noise * case.noise,
-    }
-    rig = {
-        "name": case.name, "sample_time": SAMPLE_TIME,
-        **{key: nominal[symbol] for symbol, keys in CONFIG_KEYS.items() for key in keys},
-    }
-    if case.tolerances:  # a leakage's is a factor, the others' are relative
-        rig["tolerance"] = {
-            key: math.exp(spread) if symbol in ("C_T", "G") else spread
-            for symbol, spread in case.tolerances.items() for key in CONFIG_KEYS[symbol]}
-    # Whoever states B and the bulk modulus of a rig also expects them there.
-    expected = {stage: {"prior": case.nominal[key], "prior_stddev": 2.0 * case.nominal[key]}
-                for stage, key in (("stage_one", "B"), ("stage_two", "beta_e"))
-                if key in case.nominal}
-    return {"/**": {"ros__parameters": {
-        "rig": rig, **expected, "simulation": {"noise": dict(noise)}, "noise": dict(noise)}}}
-
-
-def write_case(case: Case, folder: str | Path) -> tuple[Path, Path]:
-    """Write ``NAME`` (a bag) and ``NAME.yaml`` (the nominal config) into ``folder``.
-
-    Returns
-    -------
-    bag, config : paths of the two.
-    """
-    from eha_monitor.recordings.recording import Recording
-
-    channels, _ = recording_of(case)
-    return write_both(Path(folder), case.name, nominal_config(case),
-                      Recording(SAMPLE_TIME, channels, start_ns=START_NS))
-
-
-def write_both(folder: Path, name: str, config: dict, recording: "Recording"
-               ) -> tuple[Path, Path]:
-    """Write a recording as the bag ``name`` and its config as ``name.yaml``; returns the paths."""
-    from ruamel.yaml import YAML
-
-    from eha_monitor.output import write_text
-    from eha_monitor.recordings.write import write_recording
-    from eha_monitor.settings.load import load_settings
-
-    folder.mkdir(parents=True, exist_ok=True)
-    text, yaml = StringIO(), YAML(typ="safe")
-    yaml.default_flow_style = False
-    yaml.dump(config, text)
-    path = folder / f"{name}.yaml"
-    write_text(path, text.getvalue())
-    return write_recording(folder / name, recording, load_settings(path), overwrite=True), path

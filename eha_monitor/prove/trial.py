@@ -247,7 +247,7 @@ def make(case: Case, work: Path, conceal: Callable[[Case, Path], dict] | None = 
 
 def concealed(case: Case, folder: Path) -> dict:
     """Write a recording of the independent plant; returns its entry in the key."""
-    from eha_monitor.concealed.cases import write_case
+    from eha_monitor.concealed.generate import write_case
 
     write_case(case, folder)
     return {**truth_of(case), "motion": case.motion, "noise": case.noise,

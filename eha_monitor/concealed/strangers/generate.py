@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from eha_monitor.concealed.cases import START_NS, write_both
+from eha_monitor.concealed.generate import START_NS, write_both
 from eha_monitor.concealed.strangers.draw import ERRORS, Setting, StrangerRig
 from eha_monitor.concealed.strangers.plant import ATMOSPHERE, DAHL, NO_FRICTION, PREROLL, recording
 from eha_monitor.draft.rig import Answers, rig_entries, seen_in

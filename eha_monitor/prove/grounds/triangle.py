@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from eha_monitor.concealed.cases import SAMPLE_TIME, Case, write_case
+from eha_monitor.concealed.cases import SAMPLE_TIME, Case
+from eha_monitor.concealed.generate import write_case
 from eha_monitor.physics.excitation import demanded_position, total_duration
 from eha_monitor.prove.grounds import (
     Ground,
