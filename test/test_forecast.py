@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import invgauss, multivariate_normal
 from test_archive_trend import DAY, START, row
 
-from eha_monitor.archive import history
+from eha_monitor.archive import history as forecast
 from eha_monitor.archive.history import (
     BEYOND,
     NO_LIMIT,
@@ -43,7 +43,7 @@ def growing(onset=0.0, tau=100.0, shape=1.0, diffusion=0.1, var_g=0.04, way=1.0,
 @pytest.mark.parametrize("shape", [0.5, 1.0, 3.0, -3.5])
 def test_evidence_is_that_of_the_joint_normal_distribution(shape, monkeypatch):
     """One hypothesis over ten values: the filter against the whole covariance at once."""
-    monkeypatch.setattr(history, "OUTLIER", 1e-200)
+    monkeypatch.setattr(forecast, "OUTLIER", 1e-200)
     rng = np.random.default_rng(4)
     tracker = Tracker(unit=1.0, scale=0.02, bank=growing(shape=shape))
     times = np.sort(rng.uniform(1.0, 90.0, 10))
@@ -53,7 +53,7 @@ def test_evidence_is_that_of_the_joint_normal_distribution(shape, monkeypatch):
         tracker._correct(value, 0.01)
     z = times / 100.0
     clock = z**shape if shape > 0 else np.expm1(-shape * z) / math.expm1(-shape)
-    noise = (0.02 * history.NOISES[2]) ** 2 + 0.01**2
+    noise = (0.02 * forecast.NOISES[2]) ** 2 + 0.01**2
     covariance = (0.49 + 0.04 * np.outer(clock, clock) + 0.01 * np.minimum.outer(clock, clock)
                   + noise * np.eye(10))
     whole = multivariate_normal(clock, covariance).logpdf(values) + 5.0 * math.log(2 * math.pi)
@@ -67,7 +67,7 @@ def test_an_outlier_moves_a_level_less_than_any_value_near_it():
     assert abs(tracker.bank.level[0] - 0.31) < 0.01
 
 
-@pytest.mark.parametrize("shape", history.SHAPES)
+@pytest.mark.parametrize("shape", forecast.SHAPES)
 def test_transformed_time_goes_back(shape):
     z = np.array([0.0, 0.2, 1.0, 1.7])
     assert z_of(clock_of(z, np.full(4, shape)), np.full(4, shape)) == pytest.approx(z)
