@@ -33,7 +33,7 @@ Motion = named(
     'eha_monitor.mismatch.likelihood.tangent_motion', 'Motion', float64[:, ::1], float64[::1],
     float64[::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1])
 Points = named(
-    'eha_monitor.mismatch.likelihood.tangent_points', 'Points', int64[::1], float64[::1],
+    'eha_monitor.mismatch.likelihood.tangent_motion', 'Points', int64[::1], float64[::1],
     float64[:, ::1], float64[:, ::1], float64[::1], float64[:, ::1], float64[:, ::1],
     float64[:, ::1], int64[::1], float64[:, :, :, ::1], float64[:, :, :, :, ::1],
     float64[:, :, ::1], float64[:, :, :, :, ::1])
@@ -110,7 +110,7 @@ SIGNATURES = (
         float64[:, ::1])),
     ("estimation.stage_one", "run_one", (
         RowsOne, ConstantsOne, Effects, StateOne, int64, float64[:, ::1], float64[:, ::1])),
-    ("mismatch.likelihood.tangent_points", "look", (
+    ("mismatch.likelihood.tangent_motion", "look", (
         Model, Motion, Points, float64[::1], float64[:, ::1])),
     ("mismatch.likelihood.innovations", "transition", (
         int64, Step, float64[::1], bool[::1], float64, float64[::1], float64[:, ::1],

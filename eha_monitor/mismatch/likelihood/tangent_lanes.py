@@ -9,6 +9,7 @@ from eha_monitor.compiled import njit
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.mismatch.likelihood.tangent_motion import (
     N_RATES,
+    STAGES,
     balanced,
     commanded,
     contribute,
@@ -18,7 +19,6 @@ from eha_monitor.mismatch.likelihood.tangent_motion import (
     wanted_speed,
     was,
 )
-from eha_monitor.mismatch.likelihood.tangent_points import STAGES
 from eha_monitor.physics.balances import acceleration
 from eha_monitor.physics.balances import rates as balance_rates
 from eha_monitor.physics.plant import N_OUTPUTS, Y_OMEGA, Y_P1, Y_P2, Y_V, Y_X, drive_rate

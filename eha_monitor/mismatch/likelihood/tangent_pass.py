@@ -23,12 +23,13 @@ from eha_monitor.mismatch.likelihood.tangent_lanes import Block, compare
 from eha_monitor.mismatch.likelihood.tangent_motion import (
     N_MOVED,
     N_RATES,
+    SOFT,
+    STAGES,
     between,
     commanded,
     late_by,
     wanted_speed,
 )
-from eha_monitor.mismatch.likelihood.tangent_points import SOFT, STAGES
 from eha_monitor.physics.plant import (
     N_OUTPUTS,
     Y_FORCE,

@@ -31,11 +31,11 @@ from eha_monitor.mismatch.likelihood.tangent_motion import (
     before_corrections,
     jacobians,
     lags,
+    points_of,
     slopes_along,
     turns_over,
 )
 from eha_monitor.mismatch.likelihood.tangent_pass import Linear, carried_on, shafts
-from eha_monitor.mismatch.likelihood.tangent_points import points_of
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import (
     ALL_NAMES,
