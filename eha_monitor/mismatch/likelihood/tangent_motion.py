@@ -1,4 +1,4 @@
-"""A model's motion between its samples, its rates there, and points to compare models at, compiled.
+"""A model's motion between its samples, its rates there, and where models are compared: compiled.
 
 The filter keeps the states after each correction; with the gains they give those before it, and
 with the rates at both ends of a sample the cubic between them.  What is inlined says that it
