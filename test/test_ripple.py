@@ -13,7 +13,7 @@ from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.learn.formula import RIPPLES, shown_as
 from eha_monitor.mismatch.learn.learned import Form
-from eha_monitor.mismatch.name.angle import at_its_angle
+from eha_monitor.mismatch.name.before import at_its_angle
 from eha_monitor.physics import own_term as o
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import N_EFFECTS, new_memory, slot_of

@@ -33,10 +33,8 @@ from eha_monitor.mismatch.likelihood.along import filtered_tracks
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
-from eha_monitor.mismatch.name.angle import at_its_angle
+from eha_monitor.mismatch.name.before import FirstView, at_its_angle, informative
 from eha_monitor.mismatch.name.credible import credible
-from eha_monitor.mismatch.name.first_view import FirstView
-from eha_monitor.mismatch.name.informative import informative
 from eha_monitor.mismatch.name.naming import Naming, beyond_form, name_effects, on_all_of
 from eha_monitor.mismatch.name.select import nominal
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT

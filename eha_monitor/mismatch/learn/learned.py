@@ -15,9 +15,9 @@ from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.mismatch.likelihood.along import filtered_tracks
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import smallest_unknowns
+from eha_monitor.mismatch.name.before import informative
 from eha_monitor.mismatch.name.candidates import log_prior
 from eha_monitor.mismatch.name.columns import Column, Columns, columns_at
-from eha_monitor.mismatch.name.informative import informative
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.proposals import weighed
 from eha_monitor.mismatch.name.rank import Ranked

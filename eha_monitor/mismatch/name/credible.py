@@ -5,8 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.name.first_view import with_effects
-from eha_monitor.mismatch.name.informative import informative
+from eha_monitor.mismatch.name.before import informative, with_effects
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.mismatch.name.select import (
     SKETCH,

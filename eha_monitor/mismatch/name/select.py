@@ -8,11 +8,10 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment, resolving
 from eha_monitor.mismatch.likelihood.fit import Fit, remade, spread, with_unknowns
+from eha_monitor.mismatch.name.before import FirstView, informative
 from eha_monitor.mismatch.name.candidates import candidate
 from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, rig_free
-from eha_monitor.mismatch.name.first_view import FirstView
 from eha_monitor.mismatch.name.gates import ends_of_tolerance, failures
-from eha_monitor.mismatch.name.informative import informative
 from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.posterior import (
     Names,
