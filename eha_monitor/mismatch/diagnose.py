@@ -34,9 +34,8 @@ from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
 from eha_monitor.mismatch.name.before import FirstView, at_its_angle, informative
-from eha_monitor.mismatch.name.credible import credible
 from eha_monitor.mismatch.name.naming import Naming, beyond_form, name_effects, on_all_of
-from eha_monitor.mismatch.name.select import nominal
+from eha_monitor.mismatch.name.select import credible, nominal
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT
 from eha_monitor.mismatch.show import held_out as show
 from eha_monitor.mismatch.show.changed import change_words, changed_between

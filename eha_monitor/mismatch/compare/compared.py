@@ -30,8 +30,8 @@ from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, Missing, missing_terms
 from eha_monitor.mismatch.name.columns import ALWAYS
-from eha_monitor.mismatch.name.credible import credible
 from eha_monitor.mismatch.name.naming import Naming
+from eha_monitor.mismatch.name.select import credible
 from eha_monitor.mismatch.show import held_out as show
 from eha_monitor.mismatch.show.model import config_effects, values_of
 from eha_monitor.mismatch.show.sizes import size_of
