@@ -45,12 +45,13 @@ from eha_monitor.mismatch.show.model import (
     fitted_of,
     in_doubt,
     quantised,
+    rig_findings,
+    rig_within,
     robust,
+    size_of,
     stated_stddev,
     values_of,
 )
-from eha_monitor.mismatch.show.rig_numbers import rig_findings, rig_within
-from eha_monitor.mismatch.show.sizes import size_of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
 from eha_monitor.quantity import number, quantity, share
