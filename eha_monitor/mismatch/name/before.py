@@ -1,4 +1,4 @@
-"""Before effects are named: on which windows, from which angle of the shaft, from what balances say.
+"""Before effects are named: on which windows, from which angle of the shaft, where a fit begins.
 
 Names need a minute of rich motion, not an hour of it.  What each window says of what every model
 fits is a Gram matrix of whitened slopes, the innovations themselves among them, so that a window
