@@ -30,7 +30,7 @@ from eha_monitor.mismatch.learn.learned import (
 from eha_monitor.mismatch.learn.validated import removed
 from eha_monitor.physics import own_term as o
 from eha_monitor.physics import signals as s
-from eha_monitor.physics.expression import parsed
+from eha_monitor.physics.own_term import parsed
 from eha_monitor.reports.diagnosis_report import diagnosis_page
 from eha_monitor.reports.diagnosis_words import head_words
 from eha_monitor.settings import Settings, settings_from_tree

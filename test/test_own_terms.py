@@ -31,7 +31,7 @@ from eha_monitor.physics.contributions import (
     slot_of,
 )
 from eha_monitor.physics.effects import NAMES
-from eha_monitor.physics.expression import FUNCTIONS, parsed
+from eha_monitor.physics.own_term import FUNCTIONS, parsed
 from eha_monitor.reports.page import config_tables
 from eha_monitor.settings import settings_from_tree
 from eha_monitor.settings.document import annotated

@@ -1,7 +1,7 @@
 """A formula for a learned term: shapes fitted to its curve, the best refitted in the likelihood.
 
 A shape of the field is an expression of the config's grammar
-(:mod:`eha_monitor.physics.expression`) in ``u``, so that what is fitted, shown and written is one
+(:mod:`eha_monitor.physics.own_term`) in ``u``, so that what is fitted, shown and written is one
 text.
 
 The curve is no more than a way to find where to begin; which formula is given, and whether one is,
@@ -28,8 +28,7 @@ from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.mismatch.name.select import CLOSE
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
-from eha_monitor.physics.expression import parsed
-from eha_monitor.physics.own_term import ADDED_UNITS, CONSTANTS, OF_UNITS, expressed_along
+from eha_monitor.physics.own_term import ADDED_UNITS, CONSTANTS, OF_UNITS, expressed_along, parsed
 from eha_monitor.physics.signals import ANGLE, N_SIGNALS, OMEGA, P1, P2, V, X
 from eha_monitor.quantity import quantity
 

@@ -15,8 +15,7 @@ from eha_monitor.mismatch.name.refit import looked, settled
 from eha_monitor.mismatch.show.held_out import shown, worse
 from eha_monitor.mismatch.show.model import robust
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
-from eha_monitor.physics.expression import parsed
-from eha_monitor.physics.own_term import CONSTANTS
+from eha_monitor.physics.own_term import CONSTANTS, parsed
 from eha_monitor.quantity import quantity
 from eha_monitor.settings.hypothesis import Hypothesis
 
