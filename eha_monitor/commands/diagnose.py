@@ -69,7 +69,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
     from eha_monitor.api.plausible import finding_tree
     from eha_monitor.api.read import distinct
     from eha_monitor.balances.machine import save
-    from eha_monitor.settings.hypothesis import load_hypothesis
+    from eha_monitor.settings.own_terms import load_hypothesis
 
     references = tuple(bag for one in references for bag in bags_of(one))
     distinct(bags, held_out, references, "--held-out")
