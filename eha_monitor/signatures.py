@@ -142,7 +142,7 @@ SIGNATURES = (
     ("mismatch.locate.latent", "rival_innovations", (
         float64[:, ::1], int64[::1], float64[:, :, ::1], float64[:, ::1], float64[:, ::1],
         float64[:, :, ::1], float64[:, ::1])),
-    ("estimation.along", "contributions_along", (
+    ("estimation.modelled", "contributions_along", (
         float64[:, ::1], float64, int64, float64[::1], bool[::1], float64[:, ::1],
         float64[:, ::1])),
     ("recordings.walk", "walk_records", (

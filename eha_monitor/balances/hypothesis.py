@@ -4,7 +4,7 @@ import numpy as np
 
 from eha_monitor.balances.candidates import Candidate
 from eha_monitor.balances.course import Course, has_flow, pumped_side
-from eha_monitor.estimation.along import contributions_along
+from eha_monitor.estimation.modelled import contributions_along
 from eha_monitor.mismatch.diagnosis import Considered
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import N_EFFECTS, N_THETA, new_memory, slot_of

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from eha_monitor.compiled import njit
-from eha_monitor.estimation.along import contributions_along
+from eha_monitor.estimation.modelled import contributions_along
 from eha_monitor.mismatch.data.experiment import Experiment, Stretch
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.mismatch.likelihood.fit import Fit, filtered
