@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 from eha_monitor.api.common import READING, Progress, Record, calling, chosen, frame_of, reporter
 from eha_monitor.api.config import Config, path_of
 from eha_monitor.api.diagnosis_answer import answer, completed
-from eha_monitor.api.plausible import checked, finding_tree
 from eha_monitor.api.read import (
     Given,
     Several,
+    checked,
     config_for,
     distinct,
+    finding_tree,
     recordings_of,
     several,
 )

@@ -92,7 +92,7 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
 def run(rig: "Rig", planner: "Planner", wanted: float,
         each: Callable[["Round", int], None]) -> list["Round"]:
     """Run the experiment; ``each`` is told every round as it comes."""
-    from eha_monitor.api.plausible import checked
+    from eha_monitor.api.read import checked
     from eha_monitor.identify.experiment import identify as rounds_of
 
     rounds = []

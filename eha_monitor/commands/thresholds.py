@@ -84,7 +84,7 @@ def _healthy(bags, settings, config):
 
     from eha_monitor.api.answer import series_of
     from eha_monitor.api.estimate import refuse_short
-    from eha_monitor.api.plausible import checked
+    from eha_monitor.api.read import checked
     from eha_monitor.compiled import load_runtime
     from eha_monitor.estimation.inputs import time_of
     from eha_monitor.estimation.pipeline import estimate
