@@ -15,7 +15,7 @@ from eha_monitor.balances.policy import POLICY
 from eha_monitor.balances.scatter import amplitudes_of
 from eha_monitor.balances.table import pooled_table, tables_of
 from eha_monitor.settings import settings_from_tree
-from eha_monitor.settings.own_terms import hypothesis_of
+from eha_monitor.settings.hypothesis import hypothesis_of
 
 CALM = {"rise": 0.0, "damping": (1500.0, 1500.0)}
 

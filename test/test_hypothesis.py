@@ -13,7 +13,7 @@ from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnose import diagnose
 from eha_monitor.mismatch.learn.tested import starts_of
 from eha_monitor.settings import settings_from_tree
-from eha_monitor.settings.own_terms import load_hypothesis
+from eha_monitor.settings.hypothesis import load_hypothesis
 
 PAGE = (Path(__file__).parents[1] / "docs/effects.md").read_text()
 SPOT = re.search(r"```yaml\n(# spot.yaml.*?)```", PAGE, re.DOTALL)[1]

@@ -22,7 +22,7 @@ from eha_monitor.reports.diagnosis_report import diagnosis_page
 from eha_monitor.reports.estimate_report import estimate_page
 from eha_monitor.reports.proof_report import proof_page
 from eha_monitor.settings import load_settings, settings_from_tree
-from eha_monitor.settings.own_terms import hypothesis_of
+from eha_monitor.settings.hypothesis import hypothesis_of
 
 ROOT = Path(__file__).parents[2]
 START, DAY = 1_790_000_000_000_000_000, 86_400 * 10**9  # ns

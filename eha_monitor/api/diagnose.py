@@ -35,7 +35,7 @@ from eha_monitor.output import finite, write_text
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import SYMBOLS, in_units, rig_motion
 from eha_monitor.reports.diagnosis_words import probability, value_words
-from eha_monitor.settings.own_terms import Hypothesis, hypothesis_of, load_hypothesis
+from eha_monitor.settings.hypothesis import Hypothesis, hypothesis_of, load_hypothesis
 from eha_monitor.words import effect_words, listed
 
 if TYPE_CHECKING:

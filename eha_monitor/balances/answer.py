@@ -42,8 +42,8 @@ from eha_monitor.mismatch.diagnosis import (
 )
 from eha_monitor.quantity import quantity, share
 from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.hypothesis import Hypothesis
 from eha_monitor.settings.monitor import Settings
-from eha_monitor.settings.own_terms import Hypothesis
 from eha_monitor.settings.rig import Rig
 from eha_monitor.words import listed
 

@@ -10,7 +10,7 @@ from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import N_EFFECTS, N_THETA, new_memory, slot_of
 from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.own_term import parsed
-from eha_monitor.settings.own_terms import Hypothesis
+from eha_monitor.settings.hypothesis import Hypothesis
 from eha_monitor.settings.rig import Rig
 
 BY_HALF = 1.5  # a parameter times this makes a term times this, if the term is linear in it

@@ -68,7 +68,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
     from eha_monitor.api.diagnosis_answer import completed, refusal, written_config
     from eha_monitor.api.read import distinct, finding_tree
     from eha_monitor.balances.machine import save
-    from eha_monitor.settings.own_terms import load_hypothesis
+    from eha_monitor.settings.hypothesis import load_hypothesis
 
     references = tuple(bag for one in references for bag in bags_of(one))
     distinct(bags, held_out, references, "--held-out")

@@ -56,8 +56,8 @@ from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
 from eha_monitor.quantity import number, quantity, share
 from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.hypothesis import Hypothesis
 from eha_monitor.settings.monitor import Settings
-from eha_monitor.settings.own_terms import Hypothesis
 from eha_monitor.words import listed
 
 FINER = ("With these effects in the config (diagnose --write-config FILE, then --config FILE) "

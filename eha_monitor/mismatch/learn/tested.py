@@ -17,7 +17,7 @@ from eha_monitor.mismatch.show.model import robust
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
 from eha_monitor.physics.own_term import CONSTANTS, parsed
 from eha_monitor.quantity import quantity
-from eha_monitor.settings.own_terms import Hypothesis
+from eha_monitor.settings.hypothesis import Hypothesis
 
 GOING = 2  # starts that are fitted to the end
 SHARES = (0.15, 0.5, 0.85)  # of the way from bound to bound: where a parameter is tried besides
