@@ -152,7 +152,8 @@ def write_out_bag(place: Path | None, found, bags: Sequence[Path], settings) -> 
         click.echo(f"{place}: not written, there is no model: {found.message}")
         return
     from eha_monitor.api.diagnosis_answer import written_config
-    from eha_monitor.exports.diagnosis_bag import series_of, write_diagnosis_bag
+    from eha_monitor.exports.diagnosis_bag import write_diagnosis_bag
+    from eha_monitor.mismatch.show.series import series_of
     from eha_monitor.recordings.read import read_recording
     from eha_monitor.settings.load import settings_of
 

@@ -1,0 +1,174 @@
+"""A diagnosis as signals over time: measured, modelled, and what each balance lacks.
+
+The model is that of a written config: its effects count as known, B and beta_e are fitted anew.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eha_monitor.balances.candidates import Scale, balances_in, candidates_of
+from eha_monitor.balances.course import course_of
+from eha_monitor.balances.policy import POLICY
+from eha_monitor.balances.table import tables_of
+from eha_monitor.breakdown import computing
+from eha_monitor.estimation.hold_choice import resolved
+from eha_monitor.mismatch.data.experiment import (
+    OUTPUTS,
+    Experiment,
+    Stretch,
+    by_balances,
+    experiment_of,
+)
+from eha_monitor.mismatch.data.inputs import CLOSED, OPEN
+from eha_monitor.mismatch.likelihood.fit import Fit, filtered, spread
+from eha_monitor.mismatch.locate.terms import (
+    modelled_flow,
+    modelled_force,
+    modelled_speed,
+    unexplained_terms,
+)
+from eha_monitor.mismatch.name.select import nominal
+from eha_monitor.physics.contributions import ALL_NAMES
+from eha_monitor.physics.parameters import theta_of
+from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.monitor import Settings
+
+WINDOW = 0.5  # s that the model runs free before it starts again from the filter's state
+
+
+@dataclass(frozen=True)
+class Lack:
+    """What a balance lacks without the named physics, SI (n,) each; NaN where unknown.
+
+    ``needed`` by the recording, ``explained`` by the named effects, ``remaining`` without a name.
+    """
+
+    needed: np.ndarray
+    explained: np.ndarray
+    remaining: np.ndarray
+
+
+@dataclass(frozen=True)
+class Series:
+    """Signals of a stretch of a recording.
+
+    Attributes
+    ----------
+    source : name of the recording;  start, dt : s.
+    measured, modelled : channel -> (n,) SI;  of the model what it shows running free.
+    lacks : balance (``force`` N, ``flow`` m³/s, ``drive`` rad/s) -> what it lacks.
+    """
+
+    source: str
+    start: float
+    dt: float
+    measured: dict[str, np.ndarray]
+    modelled: dict[str, np.ndarray]
+    lacks: dict[str, Lack]
+
+
+def series_of(recordings: Sequence[Recording], before: Settings, after: Settings) -> list[Series]:
+    """Return the signals of each stretch that the models see.
+
+    Parameters
+    ----------
+    before, after : the config that was diagnosed, and with the named physics in it.
+
+    Raises
+    ------
+    InputError
+        If the recordings hold nothing that a model predicts.
+    """
+    with computing(*(recording.source for recording in recordings)):
+        if by_balances(recordings, before):
+            return _of_balances(recordings, before, after)
+        held, _ = resolved(list(recordings), after)
+        experiment, fit = nominal(experiment_of(list(recordings), held, False))
+        known = theta_of(before.rig, before.effects)[1]
+        named = theta_of(after.rig, after.effects)[1] & ~known
+        names = tuple(ALL_NAMES[i] for i in np.flatnonzero(named))
+        fit = replace(fit, named=tuple(ALL_NAMES[i] for i in np.flatnonzero(known)))
+        bare = replace(fit, active=fit.active & ~named)
+        lacks = _unknowns(experiment, bare, fit, names)
+        modelled = spread(lambda stretch: free_everywhere(experiment, fit, stretch),
+                          experiment.stretches)
+        return [Series(stretch.source, stretch.start, experiment.dt,
+                       _measured(experiment, stretch), modelled[i],
+                       {balance: rows[i] for balance, rows in lacks.items()})
+                for i, stretch in enumerate(experiment.stretches)]
+
+
+def _measured(experiment: Experiment, stretch: Stretch) -> dict[str, np.ndarray]:
+    found = {name: stretch.z[:, j] for j, name in enumerate(OUTPUTS)
+             if np.isfinite(stretch.z[:, j]).any()}
+    if experiment.mode == CLOSED:
+        found["omega_d" if experiment.wanted_speed else "x_d"] = stretch.u[:, 0]
+    elif experiment.mode == OPEN:
+        found["omega"] = stretch.u[:, 0]
+    else:
+        found["force"] = stretch.u[:, 0]
+    return found
+
+
+def free_everywhere(experiment: Experiment, fit: Fit, stretch: Stretch) -> dict[str, np.ndarray]:
+    """Return what the model shows running free for ``WINDOW`` s at a time, channel -> (n,).
+
+    In two passes, of which each runs free where the other follows the recording.
+    """
+    turn = (np.arange(len(stretch)) // max(2, round(WINDOW / experiment.dt))) % 2 == 0
+    shown = np.full_like(stretch.z, np.nan)
+    for free in (turn, ~turn):
+        e, _ = filtered(experiment, stretch, fit.theta, fit.active, fit.gains, free=free)
+        shown[free] = (stretch.z - e)[free]
+    return {OUTPUTS[j]: shown[:, j] for j in experiment.columns
+            if np.isfinite(shown[:, j]).any()}
+
+
+def _unknowns(experiment: Experiment, bare: Fit, fit: Fit, names: tuple[str, ...]
+              ) -> dict[str, list[Lack]]:
+    """Return what the filter's unknown force, flow and speed and the named effects make."""
+    found: dict[str, list[Lack]] = {}
+    for term in unexplained_terms(experiment, fit):
+        made = []
+        for stretch, track in zip(experiment.stretches, term.tracks, strict=True):
+            if term.balance == "force":
+                made.append(modelled_force(experiment, fit, track, names))
+            elif term.balance == "flow":
+                made.append(modelled_flow(experiment, fit, track, names))
+            else:
+                made.append(modelled_speed(experiment, bare, fit, stretch, track))
+        found[term.balance] = [Lack(left + one, one, left)
+                               for left, one in zip(term.measured, made, strict=True)]
+    return found
+
+
+def _of_balances(recordings: Sequence[Recording], before: Settings, after: Settings
+                 ) -> list[Series]:
+    """Return what the balances of recordings lack, without and with the named effects.
+
+    The rest is what B, a constant load, displacement and compliance leave, fitted beside them.
+    """
+    found = []
+    for recording in recordings:
+        plain, whole = course_of(recording, before), course_of(recording, after)
+        time, scale, lacks = np.arange(len(recording)) * recording.sample_time, Scale.of(
+            [whole]), {}
+        for balance in balances_in([whole], after.rig):
+            candidates = candidates_of(balance, scale, after.rig)
+            bare, full = (tables_of([one], after.rig, balance, candidates, POLICY)[0]
+                          for one in (plain, whole))
+            always = [c.name for c in full.candidates if c.always]
+            left = full.rows @ full.mixture(full.gram, always)
+            explained = full.known - bare.known
+            there = full.good & (full.moving | (balance != "force"))
+            at = np.arange(len(left)) * full.dt
+            gone = np.interp(time, at, (~there).astype(float)) > 0.01
+            rows = [np.where(gone, np.nan, np.interp(time, at, one)) for one in (
+                left + explained, explained, left)]
+            lacks[balance] = Lack(*rows)
+        measured = {name: recording.channels[name] for name in (
+            *OUTPUTS, "x_d", "omega_d", "force") if recording.has(name)}
+        found.append(Series(recording.source, 0.0, recording.sample_time, measured, {}, lacks))
+    return found
