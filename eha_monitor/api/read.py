@@ -17,7 +17,7 @@ from eha_monitor.output import finite
 from eha_monitor.plausibility.judge import corrected, plausibility_of
 from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.read import read_recording
-from eha_monitor.recordings.recording import SHORTEST_S, ChannelFinding, Recording
+from eha_monitor.recordings.recording import SHORTEST_S, ChannelFinding
 from eha_monitor.recordings.recording import Recording as Inner
 from eha_monitor.settings.document import annotated
 from eha_monitor.settings.monitor import Settings
@@ -43,7 +43,7 @@ class ImplausibleError(InputError):
 
     def __init__(self, reason: str, channels: tuple[ChannelFinding, ...],
                  corrected: Config | None = None, way: str = OFFER,
-                 recordings: Sequence[Recording] = ()):
+                 recordings: Sequence[Inner] = ()):
         super().__init__(f"{reason} ({way})")
         self.reason, self.channels, self.corrected, self.way = reason, channels, corrected, way
         self.recordings = tuple(recordings)  # all that were checked; not kept in a pickle
@@ -56,7 +56,7 @@ class ImplausibleError(InputError):
         return type(self)(self.reason, self.channels, self.corrected, way, self.recordings)
 
 
-def checked(recordings: Sequence[Recording], settings: Settings) -> tuple[ChannelFinding, ...]:
+def checked(recordings: Sequence[Inner], settings: Settings) -> tuple[ChannelFinding, ...]:
     """Return what the recordings' channels say about the config, where an answer is possible.
 
     Parameters

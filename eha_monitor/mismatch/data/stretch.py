@@ -3,7 +3,7 @@
 A model run over an hour costs minutes and gigabytes, and says no more than the informative parts
 of it.  Before any model is run one pass over the recording finds how each window's motion excites
 what the balances are made of, and by how much they are off there.  Of the windows chosen by that
-the models themselves choose again (:mod:`name.informative`).
+the models themselves choose again (:mod:`name.before`).
 """
 
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""The model with the named physics: its parameters, sizes of effects, numbers of the rig, config."""
+"""The model with the named physics: parameters, sizes of effects, numbers of the rig, config."""
 
 from collections.abc import Sequence
 from dataclasses import replace
