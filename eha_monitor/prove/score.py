@@ -256,15 +256,15 @@ def parameter_errors(truth: dict, answer: dict, pairs: dict[str, str]) -> list[d
         name = one["name"]
         if pairs.get(name) != name or name not in said:
             continue
-        numbers = {symbol: value for symbol, value in one["parameters"].items()
-                   if isinstance(value, int | float)}
+        true = {symbol: value for symbol, value in one["parameters"].items()
+                if isinstance(value, int | float)}
         for symbol, value in said[name]["parameters"].items():
-            if symbol not in numbers or value["value"] is None:
+            if symbol not in true or value["value"] is None:
                 continue
             stem = symbol.split("_")[0]  # b_1, b_2: a sound sensor is judged by the other's error
-            scale = max(abs(number) for other, number in numbers.items()
+            scale = max(abs(number) for other, number in true.items()
                         if other.split("_")[0] == stem)
-            found.append(compared(f"{name}.{symbol}", numbers[symbol], value, scale))
+            found.append(compared(f"{name}.{symbol}", true[symbol], value, scale))
     for name in ("B", "beta_e"):
         value = answer["parameters"]["after"].get(name)
         if value and value.get("value") is not None:
