@@ -38,7 +38,7 @@ from eha_monitor.output import write_text
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import effect_values
-from eha_monitor.prove.numbers import NEAR, errors_of, keys_off, number_of
+from eha_monitor.prove.score import NEAR, errors_of, keys_off, number_of
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 

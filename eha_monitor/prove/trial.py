@@ -33,8 +33,8 @@ from eha_monitor.concealed.hidden import SIGNED
 from eha_monitor.errors import InputError
 from eha_monitor.prove import score
 from eha_monitor.prove.children import Questions, children, kept
-from eha_monitor.prove.curves import binned, curves_of
 from eha_monitor.prove.files import digest_of, read_json, write_json
+from eha_monitor.prove.score import binned, curves_of
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.source import source_digest as digest_of_source
 
