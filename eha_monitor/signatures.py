@@ -157,7 +157,7 @@ SIGNATURES = (
         float64[:, ::1], bool[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1],
         float64[:, ::1], float64[:, :, :])),
     ("concealed.plant", "bristle_stiffness", (float64[::1],)),
-    ("mismatch.likelihood.smooth", "smooth_back", (
+    ("mismatch.likelihood.along", "smooth_back", (
         float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1],
         float64[:, ::1])),
     ("mismatch.likelihood.tangent_motion", "turns_over", (

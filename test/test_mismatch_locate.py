@@ -7,14 +7,14 @@ from scipy.linalg import solve_discrete_are
 
 from eha_monitor.balances import places
 from eha_monitor.balances.places import after_reversal
-from eha_monitor.mismatch.likelihood.fit import filtered, log_likelihood_of, with_unknowns
-from eha_monitor.mismatch.likelihood.gains import CORRELATION, Unknowns, linear_of
-from eha_monitor.mismatch.likelihood.smooth import (
+from eha_monitor.mismatch.likelihood.along import (
     DOUBLINGS,
     covariance_before,
     gain_of,
     smooth_back,
 )
+from eha_monitor.mismatch.likelihood.fit import filtered, log_likelihood_of, with_unknowns
+from eha_monitor.mismatch.likelihood.gains import CORRELATION, Unknowns, linear_of
 from eha_monitor.mismatch.locate.latent import larger_model, rival_innovations, rivals_of
 from eha_monitor.mismatch.locate.location import latent_curves, location_of, parts_of
 from eha_monitor.mismatch.locate.terms import Missing, missing_terms

@@ -17,9 +17,8 @@ from eha_monitor.mismatch.learn.formula import (
     unit_of,
 )
 from eha_monitor.mismatch.learn.learned import Learned, learned_of, signal_along
-from eha_monitor.mismatch.likelihood.along import contributed
+from eha_monitor.mismatch.likelihood.along import contributed, smoothed
 from eha_monitor.mismatch.likelihood.fit import Fit
-from eha_monitor.mismatch.likelihood.smooth import smoothed
 from eha_monitor.mismatch.locate.terms import (
     STATES,
     UNITS,

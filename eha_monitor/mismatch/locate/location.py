@@ -9,8 +9,8 @@ from eha_monitor.balances import places
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import FORCED
 from eha_monitor.mismatch.diagnosis import Curve, Location
+from eha_monitor.mismatch.likelihood.along import smoothed
 from eha_monitor.mismatch.likelihood.fit import Fit
-from eha_monitor.mismatch.likelihood.smooth import smoothed
 from eha_monitor.mismatch.locate.latent import latent_gains, shares_of
 from eha_monitor.mismatch.locate.terms import (
     BALANCES,

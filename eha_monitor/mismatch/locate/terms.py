@@ -5,10 +5,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment, Stretch, smooth
-from eha_monitor.mismatch.likelihood.along import contributed, drive_along, played, signals_along
+from eha_monitor.mismatch.likelihood.along import (
+    contributed,
+    drive_along,
+    played,
+    signals_along,
+    smoothed,
+)
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns, smallest_unknowns
-from eha_monitor.mismatch.likelihood.smooth import smoothed
 from eha_monitor.mismatch.name.refit import at_level
 from eha_monitor.mismatch.name.starts import limits_of
 from eha_monitor.physics import signals as s
