@@ -139,7 +139,7 @@ SIGNATURES = (
         float64[:, ::1])),
     ("mismatch.name.gram", "mapped", (
         float64[:, :, ::1], bool[:, ::1], Regained, int64, float64[:, ::1], float64[:, :, ::1])),
-    ("mismatch.locate.latent", "rival_innovations", (
+    ("mismatch.locate.location", "rival_innovations", (
         float64[:, ::1], int64[::1], float64[:, :, ::1], float64[:, ::1], float64[:, ::1],
         float64[:, :, ::1], float64[:, ::1])),
     ("estimation.modelled", "contributions_along", (

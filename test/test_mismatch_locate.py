@@ -15,8 +15,14 @@ from eha_monitor.mismatch.likelihood.along import (
 )
 from eha_monitor.mismatch.likelihood.fit import filtered, log_likelihood_of, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import CORRELATION, Unknowns, linear_of
-from eha_monitor.mismatch.locate.latent import larger_model, rival_innovations, rivals_of
-from eha_monitor.mismatch.locate.location import latent_curves, location_of, parts_of
+from eha_monitor.mismatch.locate.location import (
+    larger_model,
+    latent_curves,
+    location_of,
+    parts_of,
+    rival_innovations,
+    rivals_of,
+)
 from eha_monitor.mismatch.locate.terms import Missing, missing_terms
 from eha_monitor.mismatch.name.starts import limits_of
 from eha_monitor.physics import signals as s
