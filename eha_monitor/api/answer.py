@@ -5,7 +5,7 @@ from dataclasses import asdict
 import numpy as np
 
 from eha_monitor.estimation.inputs import time_of
-from eha_monitor.estimation.observability import ObservabilityTable
+from eha_monitor.estimation.joint import ObservabilityTable
 from eha_monitor.estimation.results import (
     Estimate,
     ParameterEstimate,

@@ -14,7 +14,7 @@ from eha_monitor.api.read import Given, checked, config_for, finding_tree, recor
 from eha_monitor.api.recording import Recording
 from eha_monitor.compiled import load_runtime
 from eha_monitor.errors import InputError
-from eha_monitor.estimation.observability import ObservabilityTable, observability
+from eha_monitor.estimation.joint import ObservabilityTable, observability
 from eha_monitor.estimation.pipeline import estimate as run
 from eha_monitor.estimation.results import Estimate as Found
 from eha_monitor.estimation.results import ParameterEstimate

@@ -32,7 +32,7 @@ from eha_monitor.settings.channels import CHANNEL_UNITS
 from eha_monitor.words import listed
 
 if TYPE_CHECKING:
-    from eha_monitor.estimation.observability import ObservabilityTable
+    from eha_monitor.estimation.joint import ObservabilityTable
 
 STATUS_WORDS = {"converged": "converged", "not_excited": "not excited by this motion",
                 "diverged": "diverged", "no_data": "no data"}
