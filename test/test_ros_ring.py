@@ -19,7 +19,7 @@ from test_ros_processes import PATIENCE, REPOSITORY, command, end
 
 from eha_monitor.balances.machine import machine_of, save
 from eha_monitor.cli import main
-from eha_monitor.live.exchange import Adopted, model_of
+from eha_monitor.live.diagnosing import Adopted, model_of
 from eha_monitor.ros.messages import findings_of
 from eha_monitor.ros.monitor_node import Monitor
 from eha_monitor.ros.simulator_node import SimulatorNode

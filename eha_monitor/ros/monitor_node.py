@@ -15,7 +15,7 @@ from eha_monitor.errors import InputError
 from eha_monitor.estimation.results import Event, ModelStatus, ParameterEstimate
 from eha_monitor.health.alarms import Alarm, AlarmBoard
 from eha_monitor.health.overload import BEHIND_S, LatencyMeter, ProcessorMeter
-from eha_monitor.live.exchange import Candidate
+from eha_monitor.live.diagnosing import Candidate
 from eha_monitor.live.faults import CONSEQUENCES, FaultWatch
 from eha_monitor.live.rows import RowAligner, Rows
 from eha_monitor.ros.diagnosis import SelfDiagnosis
