@@ -242,7 +242,7 @@ def test_the_answer_says_it_once_in_words_json_and_config(tmp_path, capsys):
     from eha_monitor.cli import main
     from eha_monitor.recordings.write import write_recording
     from eha_monitor.settings import load_settings
-    from eha_monitor.settings.document import annotated
+    from eha_monitor.settings.load import annotated
 
     settings = config(Rig(), 1000.0)
     rig, bag = tmp_path / "rig.yaml", tmp_path / "bag"

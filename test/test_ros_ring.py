@@ -25,7 +25,7 @@ from eha_monitor.ros.monitor_node import Monitor
 from eha_monitor.ros.simulator_node import SimulatorNode
 from eha_monitor.ros.topics import LATCHED
 from eha_monitor.settings import settings_from_tree
-from eha_monitor.settings.document import annotated
+from eha_monitor.settings.load import annotated
 
 FRICTION = 40.0  # N
 DRY = {"parameter": "coulomb_friction.F_c", "start": 1e6, "value": FRICTION}

@@ -126,7 +126,7 @@ def test_bad_usage_is_one_line(bags, capsys, words, said):
 
 
 def test_a_null_limit_stays_null_in_a_written_config(tmp_path):
-    from eha_monitor.settings.document import annotated
+    from eha_monitor.settings.load import annotated
 
     nothing = {"low_error": None, "low_warn": None}
     given = settings_from_tree({"thresholds": {"bulk_modulus": nothing}}, "a")

@@ -27,8 +27,7 @@ from eha_monitor.mismatch.advise.words import motion_sentence, sentences
 from eha_monitor.output import finite
 from eha_monitor.quantity import SYMBOLS, in_units, number, rig_motion, with_uncertainty
 from eha_monitor.recordings.recording import ChannelFinding
-from eha_monitor.settings.document import annotated
-from eha_monitor.settings.load import settings_from_tree
+from eha_monitor.settings.load import annotated, settings_from_tree
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import effect_words, listed
 

@@ -19,7 +19,7 @@ from eha_monitor.recordings.importing import read_table
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import SHORTEST_S, ChannelFinding
 from eha_monitor.recordings.recording import Recording as Inner
-from eha_monitor.settings.document import annotated
+from eha_monitor.settings.load import annotated
 from eha_monitor.settings.monitor import Settings
 
 TIME = ("time",)

@@ -66,7 +66,7 @@ def import_table(file: Path, map_file: Path, out: Path, overwrite: bool) -> None
 def config(file: Path | None) -> None:
     """Print a config with every key: value, unit, range and description."""
     from eha_monitor.settings import load_settings
-    from eha_monitor.settings.document import annotated
+    from eha_monitor.settings.load import annotated
 
     title = "The paper's electrohydraulic actuator." if file is None else f"From {file.name}."
     click.echo(annotated(load_settings(file), title), nl=False)

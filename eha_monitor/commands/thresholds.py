@@ -210,8 +210,7 @@ def _tree(proposals, told, seconds) -> dict:
 def _config(proposals, settings, config, seconds: float) -> str:
     from eha_monitor import __version__
     from eha_monitor.health.proposal import thresholds_tree
-    from eha_monitor.settings.document import annotated
-    from eha_monitor.settings.load import settings_from_tree
+    from eha_monitor.settings.load import annotated, settings_from_tree
 
     tree = settings.model_dump(exclude_unset=True)
     given = settings.thresholds.model_dump()

@@ -27,8 +27,7 @@ from eha_monitor.live.estimator import LiveEstimator
 from eha_monitor.live.ingest import Columns
 from eha_monitor.output import write_json
 from eha_monitor.quantity import with_uncertainty
-from eha_monitor.settings.document import annotated
-from eha_monitor.settings.load import load_settings, settings_from_tree
+from eha_monitor.settings.load import annotated, load_settings, settings_from_tree
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import listed
 
