@@ -35,13 +35,12 @@ from eha_monitor.exports.model import (
     plain,
     rendered,
 )
-from eha_monitor.output import write_text
+from eha_monitor.output import source_digest, write_text
 from eha_monitor.physics import contributions, plant, signals
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import BASE_KEYS, place_of, theta_of
 from eha_monitor.physics.signals import K_POS
 from eha_monitor.settings.rig import Rig
-from eha_monitor.source import source_digest
 
 SOURCES = Path(__file__).parent / "fmu"
 MISSING = ("--fmu: needs a C compiler to link with, and there is neither ziglang nor cc; "

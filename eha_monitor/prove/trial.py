@@ -31,12 +31,12 @@ from eha_monitor.concealed.cases import CONFIG_KEYS, TOLERANCES, Case, effect_na
 from eha_monitor.concealed.draws import SETS, draw_cases, misconfigured
 from eha_monitor.concealed.hidden import SIGNED
 from eha_monitor.errors import InputError
+from eha_monitor.output import source_digest as digest_of_source
 from eha_monitor.prove import score
 from eha_monitor.prove.children import Questions, children, kept
 from eha_monitor.prove.files import digest_of, read_json, write_json
 from eha_monitor.prove.score import binned, curves_of
 from eha_monitor.settings.monitor import Settings
-from eha_monitor.source import source_digest as digest_of_source
 
 DRAWS = ("mixed", "ladder", "outside")
 WEAKEST, STRONGEST = 0.01, 1.2
