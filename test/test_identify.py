@@ -58,7 +58,7 @@ def test_limits_that_contradict_are_one_line(tmp_path, capsys, change, said):
 def test_a_piston_outside_the_limits_is_not_moved():
     settings = load_settings(CONFIG)
     with pytest.raises(InputError, match=r"the piston stands at x = 0\.05 m"):
-        Planner(settings, settings.monitor, CONFIG).first(0.05)
+        Planner(settings, settings.experiment, CONFIG).first(0.05)
 
 
 def bounds(**change):
@@ -97,7 +97,7 @@ def test_a_spike_aborts_nothing_and_missing_samples_are_no_jump():
 
 def test_simulated_rig_aborts_and_holds_what_was_demanded_last():
     settings = load_settings(CONFIG)
-    rig = SimulatedRig(settings, settings.monitor, 1)
+    rig = SimulatedRig(settings, settings.experiment, 1)
     time = np.arange(1000) * 1e-3
     ran = rig.run(0.05 * np.sin(2 * np.pi * time), "too_far")
     assert "speed" in ran.aborted
@@ -129,7 +129,7 @@ def test_dry_run_moves_nothing(tmp_path, capsys):
     assert (tmp_path / "planned.png").read_bytes()[:4] == b"\x89PNG"
     settings = load_settings(CONFIG)
     x_d = read_recording(tmp_path / "planned", settings).channels["x_d"]
-    assert 0.005 < np.abs(x_d).max() < settings.monitor.upper and x_d[0] == 0.0
+    assert 0.005 < np.abs(x_d).max() < settings.experiment.upper and x_d[0] == 0.0
 
 
 def test_an_experiment_decides_within_its_limits(tmp_path, capsys):

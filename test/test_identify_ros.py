@@ -49,7 +49,7 @@ def test_motion_abort_at_a_limit_by_the_service_and_without_data(graph, tmp_path
     config = tmp_path / "rig.yaml"
     config.write_text("simulation: {demand: topic}", encoding="utf-8")
     settings = load_settings("config/identify.yaml")
-    bounds = settings.monitor.model_copy(update={"command_lead": 0.3})
+    bounds = settings.experiment.model_copy(update={"command_lead": 0.3})
     rig = RosRig(graph.node("identify", "/eha"), settings, bounds, tmp_path / "bags")
     asked, caller = Asked(graph, rig), Caller(graph)
     with command("simulator", "--config", config, "--seed", "1") as simulator:
@@ -115,7 +115,7 @@ def test_nobody_to_move_is_one_line(graph, tmp_path, monkeypatch):
     monkeypatch.setattr("eha_monitor.ros.identify_node.PATIENCE", 0.3)
     settings = load_settings("config/identify.yaml")
     # A namespace of its own: a simulator that was killed just now is still discovered.
-    rig = RosRig(graph.node("identify", "/nobody"), settings, settings.monitor, tmp_path)
+    rig = RosRig(graph.node("identify", "/nobody"), settings, settings.experiment, tmp_path)
     asked = Asked(graph, rig)
     assert "no position came" in str(asked(rig.position))
     assert "nobody subscribes" in str(asked(rig.ready))

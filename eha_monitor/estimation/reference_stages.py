@@ -10,10 +10,9 @@ show what that costs, not to be used.
 """
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
 
 from eha_monitor.compiled import njit
 from eha_monitor.estimation.discretisation import BETA_0, C_PLACE, MASS, column, place
@@ -74,28 +73,33 @@ from eha_monitor.physics import signals as s
 from eha_monitor.physics.signals import P1, P2
 from eha_monitor.settings.monitor import Settings
 
+if TYPE_CHECKING:
+    from filterpy.kalman import ExtendedKalmanFilter
+
 B_PLACE = 2  # of the damping among stage one's states (x, v, B)
 
 
-def _filter(state: np.ndarray, covariance: np.ndarray, r: float) -> ExtendedKalmanFilter:
+def _filter(state: np.ndarray, covariance: np.ndarray, r: float) -> "ExtendedKalmanFilter":
     """Return a filter that goes on from a state."""
+    from filterpy.kalman import ExtendedKalmanFilter  # what is printed runs without it
+
     ekf = ExtendedKalmanFilter(dim_x=len(state), dim_z=1)
     ekf.x, ekf.P, ekf.R = state.copy(), covariance.copy(), np.array([[r]])
     return ekf
 
 
-def _predict(ekf: ExtendedKalmanFilter, f: np.ndarray, state: np.ndarray, q: np.ndarray) -> None:
+def _predict(ekf: "ExtendedKalmanFilter", f: np.ndarray, state: np.ndarray, q: np.ndarray) -> None:
     ekf.F, ekf.Q = f, q
     ekf.predict_x = lambda u=0: setattr(ekf, "x", state)  # the model's own step, not F x
     ekf.predict()
 
 
-def _innovation(ekf: ExtendedKalmanFilter, z: float) -> tuple[float, float]:
+def _innovation(ekf: "ExtendedKalmanFilter", z: float) -> tuple[float, float]:
     """Return the innovation and its standard deviation, m."""
     return z - ekf.x[0], math.sqrt(ekf.P[0, 0] + ekf.R[0, 0])
 
 
-def _correct(ekf: ExtendedKalmanFilter, z: float, at: int, w: np.ndarray) -> bool:
+def _correct(ekf: "ExtendedKalmanFilter", z: float, at: int, w: np.ndarray) -> bool:
     """Update unless the measurement is a lone spike; tell whether it was taken.
 
     ``at`` is the parameter's place; its score goes into ``w``.

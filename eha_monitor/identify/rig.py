@@ -36,7 +36,7 @@ def bounds_of(settings: Settings, source: str) -> Experiment:
     InputError
         One line: the key and what was expected.
     """
-    given, rig = settings.monitor, settings.rig
+    given, rig = settings.experiment, settings.rig
     for key in NEEDED:
         if getattr(given, key) is None:
             raise InputError(f"{source}: experiment.{key}: expected a number, as nothing is moved "
