@@ -24,6 +24,16 @@ def no_circuit(p, w):
     """Leave drive and sensors as they are."""
 
 
+def adds_to(*places: int) -> Callable:
+    """Return a circuit that adds an effect's parameters to constants, the first to the first."""
+    @njit(cache=False)  # kept with what calls it
+    def circuit(p, w):
+        for i, place in enumerate(places):
+            w[place] += p[i]
+
+    return circuit
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One parameter of an effect.
