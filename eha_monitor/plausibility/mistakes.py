@@ -30,7 +30,7 @@ VELOCITIES = {"mm/s": 1e-3, "cm/s": 1e-2, "m/min": 1.0 / 60.0}
 TIMES = {"milliseconds": 1e-3, "microseconds": 1e-6}
 TENS = (10.0, 100.0, 1000.0, 1e4, 1e5, 1e6)
 # Numbers of the rig: keys that go together, name, and what people mix up besides powers of ten.
-MISTAKEN = (
+NUMBERS = (
     (("mass",), "mass", {}),
     (("area_1", "area_2"), "the areas", {"the diameter's square for the area": pi / 4.0}),
     (("area_1",), "area_1", {}), (("area_2",), "area_2", {}),
@@ -166,7 +166,7 @@ def mistakes_for(reading: Reading, given: tuple[Check, ...]) -> list[Mistake]:
 def number_mistakes(reading: Reading) -> list[Mistake]:
     """Return what can be wrong by a power of ten, or in its unit, among the rig's numbers."""
     found = []
-    for keys, name, others in MISTAKEN:
+    for keys, name, others in NUMBERS:
         if any(not reading.rig[key] for key in keys):
             continue
         looks = "look" if len(keys) > 1 else "looks"
