@@ -28,7 +28,7 @@ setup(
     license="Apache-2.0",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={NAME: ["py.typed", "reports/templates/*", "dashboard/*.css", "dashboard/*.js",
-                         "exports/fmu/*.c"]},
+                         "exports/fmu/*.c", "exports/templates/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

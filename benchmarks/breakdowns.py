@@ -15,7 +15,7 @@ import time
 import traceback
 from collections import Counter
 
-from eha_monitor.api.plausible import checked
+from eha_monitor.api.read import checked
 from eha_monitor.concealed.strangers.draw import KINDS, StrangerRig, draw_rig
 from eha_monitor.concealed.strangers.generate import recorded, settings_of
 from eha_monitor.errors import InputError

@@ -65,10 +65,9 @@ FIRST = ("coulomb_friction", "quadratic_friction", "added_mass", "cross_port_lea
 
 def bag_of(seconds: int, folder: Path, concealed: str = ONE) -> tuple[Path, Path]:
     """Make a recording of some 6 s stretches; returns bag and nominal config."""
-    from eha_monitor.concealed.cases import SAMPLE_TIME, Case
+    from eha_monitor.concealed.cases import LENGTHS as MOTIONS
+    from eha_monitor.concealed.cases import SAMPLE_TIME, Case, demanded_position
     from eha_monitor.concealed.generate import write_case
-    from eha_monitor.concealed.motions import LENGTHS as MOTIONS
-    from eha_monitor.concealed.motions import demanded_position
 
     each = MOTIONS["short"]
     t = np.arange(round(each / SAMPLE_TIME)) * SAMPLE_TIME
@@ -244,8 +243,7 @@ def simulation_fit(experiment, name: str, most: int) -> float:
 
     from eha_monitor.mismatch.likelihood.fit import filtered
     from eha_monitor.mismatch.likelihood.gains import Unknowns, gains_of
-    from eha_monitor.mismatch.name.base import base_free, limits_of
-    from eha_monitor.mismatch.name.starts import entered, free_of, starts_of
+    from eha_monitor.mismatch.name.starts import base_free, entered, free_of, limits_of, starts_of
 
     start = starts_of(name, experiment)[0]
     theta, active = entered(experiment.theta, experiment.active, start)

@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
-from eha_monitor.estimation.euler import Printed, printed_step
 from eha_monitor.estimation.pipeline import Estimate, estimate
+from eha_monitor.estimation.reference_stages import Printed, printed_step
 from eha_monitor.physics.parameters import theta_of
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.recording import Recording

@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.table import Table
 from rosbags.rosbag2 import Reader
 
-from eha_monitor.estimation import filterpy_stages, stage_one, stage_two
+from eha_monitor.estimation import reference_stages, stage_one, stage_two
 from eha_monitor.estimation.inputs import StageInputs
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.estimation.stage_one import new_state_one
@@ -77,8 +77,8 @@ class Stages:
 
     def filterpy(self) -> None:
         """Run both stages on filterpy over the first samples."""
-        self._one(filterpy_stages.run_one, FILTERPY_SAMPLES)
-        self._two(filterpy_stages.run_two, FILTERPY_SAMPLES)
+        self._one(reference_stages.run_one, FILTERPY_SAMPLES)
+        self._two(reference_stages.run_two, FILTERPY_SAMPLES)
 
     def _one(self, run, n: int) -> None:
         constants = constants_one(self.inputs, self.settings)

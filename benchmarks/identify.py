@@ -22,14 +22,13 @@ from eha_monitor.concealed.draws import draw_names, draw_rig, misconfigured
 from eha_monitor.concealed.generate import nominal_config, recording_of
 from eha_monitor.concealed.hidden import THRESHOLDED
 from eha_monitor.concealed.plant import P1, P2, V, X
-from eha_monitor.identify.bounds import Watch, bounds_of
 from eha_monitor.identify.experiment import DECIDED, identify
 from eha_monitor.identify.plan import Planned, Planner, most_decisive
-from eha_monitor.identify.rig import Ran
+from eha_monitor.identify.rig import Ran, Watch, bounds_of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import Settings, settings_from_tree
-from eha_monitor.settings.experiment import Experiment
+from eha_monitor.settings.monitor import Experiment
 
 LIMITS = {"lower": -0.03, "upper": 0.03, "speed": 0.15, "acceleration": 5.0, "pressure": 6e6,
           "motion_time": 10.0, "total_time": 25.0}

@@ -6,7 +6,7 @@
 Each life is a health number over irregular recordings with noise that is partly known, outliers,
 missing recordings and a long pause: linear, accelerating, running in and growing later, a random
 walk with drift, with repairs that set it back, or healthy without any growth.  They are followed
-recording by recording (:mod:`eha_monitor.archive.forecast`).  Measured:
+recording by recording (:mod:`eha_monitor.archive.history`).  Measured:
 
 - coverage: share of the 90 % intervals told at 50, 60, 70, 80 and 90 % of the life (since the
   last repair) that hold the true time of the passage;
@@ -27,7 +27,7 @@ from pathlib import Path
 import record
 
 import eha_monitor  # noqa: F401  before numpy, as everywhere
-from eha_monitor.archive.forecast import BEYOND, TOLD, Series
+from eha_monitor.archive.history import BEYOND, TOLD, Series
 
 import numpy as np  # isort: skip
 
@@ -244,8 +244,8 @@ def main() -> None:
                         f"{kind}_intervals": record.spread(count),
                         f"{kind}_warned": record.spread(100 * warn, "%"),
                         f"{kind}_lives": record.spread(lives_)}
-        record.write("life_histories", figures, ("eha_monitor/archive/forecast.py",
-                                                 "eha_monitor/archive/forecast.py"), "commit")
+        record.write("life_histories", figures, ("eha_monitor/archive/history.py",
+                                                 "eha_monitor/archive/history.py"), "commit")
 
 
 if __name__ == "__main__":

@@ -156,7 +156,7 @@ def reference_node(takes: bool) -> None:
     from rclpy.experimental import EventsExecutor
     from sensor_msgs.msg import FluidPressure, JointState
 
-    from eha_monitor.ros.qos import INPUT_QOS
+    from eha_monitor.ros.topics import INPUT_QOS
 
     rclpy.init()
     node = rclpy.create_node("reference", namespace=f"/{many.names_of(1)[0]}")

@@ -143,7 +143,7 @@ def publish(count: int, duration: float) -> None:
 
     from eha_monitor.physics.simulator import Simulator
     from eha_monitor.recordings.write import messages_of
-    from eha_monitor.ros.inputs import message_class
+    from eha_monitor.ros.topics import message_class
     from eha_monitor.settings import Settings
 
     samples = round(duration * 1000)

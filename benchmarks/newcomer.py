@@ -27,8 +27,7 @@ from strangers.check import check
 from strangers.record import config_of, write_config, write_csv
 from strangers.rigs import RIGS, Rig
 
-from eha_monitor.concealed.strangers.plant import DAHL, STRIBECK
-from eha_monitor.concealed.strangers.shown import recording
+from eha_monitor.concealed.strangers.plant import DAHL, STRIBECK, recording
 
 DIAGNOSE_S = 600.0  # wall
 RIGHT, HONEST, WRONG, BROKEN = "right number", "honest word", "CONFIDENTLY WRONG", "broken"

@@ -28,9 +28,7 @@ from strangers.rigs import Dialect, Rig
 
 sys.path.insert(0, str(ROOT))
 
-from eha_monitor.concealed.strangers.motions import Motion
-from eha_monitor.concealed.strangers.plant import Constants
-from eha_monitor.concealed.strangers.shown import Drive, Sensors, recording
+from eha_monitor.concealed.strangers.plant import Constants, Drive, Motion, Sensors, recording
 from eha_monitor.settings import load_settings
 
 MEASURES = ("eha_monitor/draft", "eha_monitor/plausibility", "eha_monitor/recordings",

@@ -126,7 +126,7 @@ def soak(duration: float, seed: int, kinds: list[str]
     from std_msgs.msg import Float64
 
     from eha_monitor.ros.messages import findings_of
-    from eha_monitor.ros.qos import LATCHED
+    from eha_monitor.ros.topics import LATCHED
 
     seen, faults = Seen(), []
     monitor = subprocess.Popen([sys.executable, "-X", "faulthandler", "-m", "eha_monitor",

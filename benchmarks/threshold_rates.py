@@ -25,7 +25,7 @@ from rich.table import Table
 from eha_monitor.api.answer import series_of
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.health.proposal import Healthy, healthy_of, proposed, thresholds_tree
-from eha_monitor.health.series import judge_series
+from eha_monitor.health.alarms import judge_series
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import settings_from_tree

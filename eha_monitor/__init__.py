@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from eha_monitor.api.config import Config
     from eha_monitor.api.diagnose import Diagnosis, diagnose
     from eha_monitor.api.estimate import Estimate, estimate
-    from eha_monitor.api.plausible import ImplausibleError
-    from eha_monitor.api.read import read
+    from eha_monitor.api.read import ImplausibleError, read
     from eha_monitor.api.recording import Recording
     from eha_monitor.api.simulate import simulate
     from eha_monitor.errors import InputError
@@ -41,7 +40,7 @@ _PLACES = {
     "Config": "api.config",
     "Diagnosis": "api.diagnose",
     "Estimate": "api.estimate",
-    "ImplausibleError": "api.plausible",
+    "ImplausibleError": "api.read",
     "InputError": "errors",
     "Recording": "api.recording",
     "advise": "api.advise",

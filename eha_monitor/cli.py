@@ -16,8 +16,7 @@ from eha_monitor import __version__
 from eha_monitor.commands.advise import advise
 from eha_monitor.commands.diagnose import diagnose
 from eha_monitor.commands.estimate import estimate
-from eha_monitor.commands.export import export
-from eha_monitor.commands.files import config, import_table, simulate
+from eha_monitor.commands.files import config, export, import_table, simulate
 from eha_monitor.commands.identify import identify
 from eha_monitor.commands.init import init
 from eha_monitor.commands.live import dashboard, monitor, record, replay, simulator

@@ -1,11 +1,16 @@
-"""Files: which kind they are, the order of their names, and writing one whole or not at all."""
+"""Files: which kind they are, the order of their names, writing one whole or not at all.
 
+And what the source of the program is: an answer that another source gave may be another one.
+"""
+
+import hashlib
 import json
 import math
 import os
 import re
 import stat
 import tempfile
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -106,3 +111,23 @@ def _write(path: Path, content: str | bytes, mode: str, **how: str) -> None:
     finally:
         if name is not None:
             Path(name).unlink(missing_ok=True)  # gone already after the rename
+
+
+PACKAGE = Path(__file__).parent
+
+
+def source_digest(rooms: Iterable[str], counts: Callable[[Path], bool] = lambda path: True) -> str:
+    """Return a digest of the source files of some rooms, those that count.
+
+    Parameters
+    ----------
+    rooms : folders, or single files, of the package.
+    counts : whether a file has a part in the answer.
+    """
+    digest = hashlib.sha256()
+    for room in rooms:
+        place = PACKAGE / room
+        for path in [place] if place.is_file() else sorted(place.rglob("*.py")):
+            if counts(path):
+                digest.update(str(path.relative_to(PACKAGE)).encode() + path.read_bytes())
+    return digest.hexdigest()[:16]

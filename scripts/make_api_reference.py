@@ -17,7 +17,7 @@ HEAD = "<!-- Made by scripts/make_api_reference.py of the docstrings: edit those
 PARTS = {
     "estimation.results": ("ParameterEstimate", "StageResult", "Consistency", "JointResult",
                         "ModelStatus", "Mismatch", "Taint", "Event"),
-    "estimation.observability": ("ObservabilityTable", "ObservabilityRow"),
+    "estimation.joint": ("ObservabilityTable", "ObservabilityRow"),
     "health.alarms": ("Alarm",),
     "recordings.recording": ("ChannelFinding",),
     "mismatch.diagnosis": ("NamedEffect", "Value", "RigFinding", "LearnedTerm", "Change",

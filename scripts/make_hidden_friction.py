@@ -12,9 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from eha_monitor.concealed.cases import SAMPLE_TIME, Case
+from eha_monitor.concealed.cases import SAMPLE_TIME, Case, multisine, steps, triangle
 from eha_monitor.concealed.generate import nominal_config, recording_of
-from eha_monitor.concealed.motions import multisine, steps, triangle
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.write import write_recording
 from eha_monitor.settings.load import settings_from_tree

@@ -13,9 +13,8 @@ from mismatch_tools import nominal_fit
 
 from eha_monitor.api.advise import written_excitation
 from eha_monitor.cli import main
-from eha_monitor.concealed.cases import Case
+from eha_monitor.concealed.cases import Case, triangle
 from eha_monitor.concealed.generate import nominal_config, recording_of
-from eha_monitor.concealed.motions import triangle
 from eha_monitor.mismatch.advise import advice as advise
 from eha_monitor.mismatch.advise.identifiability import Reading, directions_for, largest_cosine
 from eha_monitor.mismatch.advise.motions import candidates, excitation_tree, limits_for, planned
@@ -23,10 +22,9 @@ from eha_monitor.mismatch.advise.words import amount, motion_sentence, rounded
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.likelihood.fit import with_unknowns
 from eha_monitor.mismatch.likelihood.information import Traces, free_slopes
-from eha_monitor.mismatch.name.base import with_effect
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.refit import settled
-from eha_monitor.mismatch.name.starts import starts_of
+from eha_monitor.mismatch.name.starts import starts_of, with_effect
 from eha_monitor.physics.excitation import demanded_position
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.recording import Recording

@@ -14,7 +14,7 @@ from eha_monitor.estimation.results import (
     converged_where,
     judge_parameter,
 )
-from eha_monitor.health.series import ParameterSeries, judge_series
+from eha_monitor.health.alarms import ParameterSeries, judge_series
 from eha_monitor.settings import Settings
 
 N = 60_000

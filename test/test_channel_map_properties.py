@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 pytest.importorskip("rclpy")
 
 from eha_monitor.errors import InputError
-from eha_monitor.ros.inputs import UNUSED, topics_of
+from eha_monitor.ros.topics import UNUSED, topics_of
 from eha_monitor.settings import settings_from_tree
 from eha_monitor.settings.monitor import CHANNELS
 

@@ -12,7 +12,7 @@ from ruamel.yaml import YAML
 
 from eha_monitor.cli import main
 from eha_monitor.settings import Settings, load_settings
-from eha_monitor.settings.document import _number, annotated
+from eha_monitor.settings.load import _number, annotated
 
 ROOT = Path(__file__).parents[1]
 FILE = ROOT / "config" / "eha.yaml"

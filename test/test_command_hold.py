@@ -19,12 +19,12 @@ from hold_parts.draws import drawn
 from hold_parts.plant import PHYSICS, Motion, Noise, Rig, recorded
 
 from eha_monitor.errors import InputError
-from eha_monitor.estimation.hold import hold_of
+from eha_monitor.estimation.drive import hold_of
 from eha_monitor.estimation.hold_choice import resolved
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.live.estimator import LiveEstimator
+from eha_monitor.mismatch.advise.separate import simulated
 from eha_monitor.mismatch.data.experiment import experiment_of
-from eha_monitor.mismatch.likelihood.simulated import simulated
 from eha_monitor.mismatch.name.select import nominal
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import settings_from_tree
@@ -242,7 +242,7 @@ def test_the_answer_says_it_once_in_words_json_and_config(tmp_path, capsys):
     from eha_monitor.cli import main
     from eha_monitor.recordings.write import write_recording
     from eha_monitor.settings import load_settings
-    from eha_monitor.settings.document import annotated
+    from eha_monitor.settings.load import annotated
 
     settings = config(Rig(), 1000.0)
     rig, bag = tmp_path / "rig.yaml", tmp_path / "bag"

@@ -20,6 +20,7 @@ from eha_monitor.concealed.cases import (
     outside_names,
     rig_of,
     rig_off,
+    triangle,
     truth_of,
 )
 from eha_monitor.concealed.draws import (
@@ -32,7 +33,6 @@ from eha_monitor.concealed.draws import (
     misconfigured,
 )
 from eha_monitor.concealed.generate import nominal_config, recording_of, write_case
-from eha_monitor.concealed.motions import triangle
 from eha_monitor.concealed.plant import OMEGA, P1, P2, V, X
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.settings import settings_from_tree

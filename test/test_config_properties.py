@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from eha_monitor.errors import InputError
 from eha_monitor.reports.diagnosis_words import tolerance_words
 from eha_monitor.settings import Settings, load_settings, settings_from_tree
-from eha_monitor.settings.document import annotated
+from eha_monitor.settings.load import annotated
 from eha_monitor.settings.monitor import CHANNELS
 from eha_monitor.settings.rig import Tolerance
 

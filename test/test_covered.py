@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rig_tools import settings, simulated
 
-from eha_monitor.estimation.covered import beyond, ranges_of, within
+from eha_monitor.estimation.model_watch import beyond, ranges_of, within
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.estimation.results import ModelStatus
 from eha_monitor.live.estimator import LiveEstimator

@@ -18,7 +18,7 @@ from test_ros_processes import PATIENCE, command, end
 from eha_monitor.cli import main
 from eha_monitor.quantity import FLOOR, number
 from eha_monitor.ros.messages import findings_of
-from eha_monitor.ros.qos import LATCHED
+from eha_monitor.ros.topics import LATCHED
 
 DESK, PHONE = {"width": 1280, "height": 900}, {"width": 400, "height": 800}
 STAGES = ("stage_one", "stage_two")

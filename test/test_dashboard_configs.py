@@ -11,7 +11,7 @@ from ruamel.yaml import YAML
 from test_ros_monitor import Recorder, listen, start
 
 from eha_monitor.estimation.results import Consistency, LiveSnapshot
-from eha_monitor.ros.qos import LATCHED
+from eha_monitor.ros.topics import LATCHED
 
 CONFIG = Path(__file__).parents[1] / "config"
 FILTER = re.compile(r'\{name=="([^"]+)"\}')

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eha_monitor.dashboard import charts, words
-from eha_monitor.dashboard.elements import who_is
+from eha_monitor.dashboard.detail import who_is
 from eha_monitor.dashboard.events import ACKNOWLEDGED, QUALITY, Change, EventLog
 from eha_monitor.dashboard.exports import estimates_csv
 from eha_monitor.dashboard.history import LongHistory, Span, thinned

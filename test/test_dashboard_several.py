@@ -17,7 +17,7 @@ from test_ros_processes import command, end
 from eha_monitor.health.alarms import ALARM_NAMES, WATCHED
 from eha_monitor.health.judge import Finding
 from eha_monitor.ros import messages
-from eha_monitor.ros.qos import LATCHED
+from eha_monitor.ros.topics import LATCHED
 
 pytest.importorskip("nicegui", reason="nicegui is not installed (pip install '.[dashboard]')")
 

@@ -9,7 +9,7 @@ from ros_tools import Recorder, levels, listen, start
 from std_msgs.msg import Float64
 
 from eha_monitor.estimation.results import ParameterEstimate
-from eha_monitor.ros.qos import INPUT_QOS, LATCHED, clashes
+from eha_monitor.ros.topics import INPUT_QOS, LATCHED, clashes
 
 LATCHING = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
                       durability=DurabilityPolicy.TRANSIENT_LOCAL)

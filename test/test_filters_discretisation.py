@@ -18,7 +18,7 @@ from eha_monitor.estimation.discretisation import (
     hydraulics,
     matrix_phi,
 )
-from eha_monitor.estimation.euler import Printed, printed_step
+from eha_monitor.estimation.reference_stages import Printed, printed_step
 from eha_monitor.estimation.stage_one import predict_one, predict_one_euler
 from eha_monitor.physics.parameters import theta_of
 

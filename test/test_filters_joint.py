@@ -20,7 +20,7 @@ from rig_tools import (
 )
 from scipy.linalg import expm
 
-from eha_monitor.estimation.observability import observability
+from eha_monitor.estimation.joint import observability
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.physics import signals as s
 

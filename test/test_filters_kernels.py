@@ -23,7 +23,7 @@ from rig_tools import (
 )
 from scipy.linalg import expm
 
-from eha_monitor.estimation import filterpy_stages, stage_one, stage_two
+from eha_monitor.estimation import reference_stages, stage_one, stage_two
 from eha_monitor.estimation.inputs import StageInputs
 from eha_monitor.estimation.stage_one import ConstantsOne, new_state_one
 from eha_monitor.estimation.stage_two import ConstantsTwo, new_state_two
@@ -133,7 +133,7 @@ def of_case(name, stage):
 
 BOTH = [("one", name) for name in CASES] + [("two", name) for name in CASES if name != "euler"]
 COMPILED = {"one": stage_one.run_one, "two": stage_two.run_two}
-FILTERPY = {"one": filterpy_stages.run_one, "two": filterpy_stages.run_two}
+FILTERPY = {"one": reference_stages.run_one, "two": reference_stages.run_two}
 
 
 def check_same(stage, reference, compiled, rows, tolerance):

@@ -9,8 +9,8 @@ import pytest
 from scipy.stats import invgauss, multivariate_normal
 from test_archive_trend import DAY, START, row
 
-from eha_monitor.archive import forecast
-from eha_monitor.archive.forecast import (
+from eha_monitor.archive import history as forecast
+from eha_monitor.archive.history import (
     BEYOND,
     NO_LIMIT,
     NOT_YET,
@@ -21,10 +21,10 @@ from eha_monitor.archive.forecast import (
     Tracker,
     clock_of,
     first_passage,
+    history,
     outlook,
     z_of,
 )
-from eha_monitor.archive.history import history
 from eha_monitor.reports.archive_report import history_block, horizon, outlook_words
 from eha_monitor.settings import settings_from_tree
 

@@ -8,12 +8,11 @@ from mismatch_tools import fitted
 
 from eha_monitor.mismatch.diagnosis import SignalFit
 from eha_monitor.mismatch.likelihood.fit import Free
-from eha_monitor.mismatch.name.base import with_effect
 from eha_monitor.mismatch.name.columns import rig_free
 from eha_monitor.mismatch.name.gates import at_bound, ends_of_tolerance, failures
 from eha_monitor.mismatch.name.refit import wide
 from eha_monitor.mismatch.name.select import with_rig, without_along
-from eha_monitor.mismatch.name.starts import starts_of
+from eha_monitor.mismatch.name.starts import starts_of, with_effect
 from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.mismatch.show.held_out import unseen_gates, without_answer
 from eha_monitor.physics.parameters import place_of

@@ -13,17 +13,17 @@ from test_reports import Page
 from eha_monitor.cli import main
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.pipeline import estimate
-from eha_monitor.indicators.assemble import indicators
-from eha_monitor.indicators.evidence import Evidence, evidence, of_estimate
+from eha_monitor.indicators.assemble import Evidence, evidence, evidence_of_estimate, indicators
 from eha_monitor.indicators.indicator import NAMES, limits_of_indicator, passed, propagated
 from eha_monitor.indicators.laws import (
     dry_friction,
     free_air,
     leakage_flow,
     moved,
+    viscosity_ratio,
     volumetric_efficiency,
+    walther,
 )
-from eha_monitor.indicators.oil import viscosity_ratio, walther
 from eha_monitor.mismatch.diagnosis import Diagnosis, Fitted, Location, NamedEffect, Value
 from eha_monitor.physics.balances import rates
 from eha_monitor.physics.effects.oil import compliance
@@ -210,7 +210,7 @@ def test_friction_is_told_by_a_diagnosis_only_and_none_is_no_zero():
 
 def test_a_diagnosis_gives_its_joint_covariance():
     """C_T/2 and L make one conductance: what is known of the sum is what counts."""
-    from eha_monitor.indicators.evidence import of_diagnosis
+    from eha_monitor.indicators.assemble import evidence_of_diagnosis
 
     leak, more = 5e-13, 2e-12
     covariance = np.array([[4e-25, -2e-25], [-2e-25, 1.01e-25]])
@@ -223,7 +223,7 @@ def test_a_diagnosis_gives_its_joint_covariance():
                        "coulomb_friction.F_c"), np.array([leak, more, 5e-3, 9.0]),
                       np.block([[covariance, np.zeros((2, 2))],
                                 [np.zeros((2, 2)), np.diag([1e-10, 1.0])]])))
-    evidence = of_diagnosis(found, [], settings_with())
+    evidence = evidence_of_diagnosis(found, [], settings_with())
     flow = of(evidence, settings_with(), "leakage")
     assert flow.value == pytest.approx(6e7 * (leak / 2 + more) * 14e6)
     assert flow.stddev == pytest.approx(6e7 * 14e6 * math.sqrt(1e-25 - 2e-25 + 1.01e-25))
@@ -326,7 +326,7 @@ def test_air_is_that_of_the_joint_estimator_where_the_leakage_leads_stage_two_as
                               "polytropic_exponent": 1.0})
     found = estimate(recording, settings)
     assert "beta_e" in found.model.tainted or found.stage_two.estimate.status != "converged"
-    told = {one.name: one for one in indicators(of_estimate(found), settings)}
+    told = {one.name: one for one in indicators(evidence_of_estimate(found), settings)}
     truth = 100 * (1 / 4e8 - 1 / 6e8) * np.mean((recording.channels["p1"]) ** 2) / 101325.0
     assert not told["free_air"].doubtful
     assert told["free_air"].value == pytest.approx(truth, rel=0.1)

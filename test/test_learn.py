@@ -10,7 +10,16 @@ from ruamel.yaml import YAML
 
 from eha_monitor.api.diagnosis_answer import answer, written_config
 from eha_monitor.mismatch.diagnosis import LearnedTerm, SignalFit
-from eha_monitor.mismatch.learn.forms import (
+from eha_monitor.mismatch.learn.formula import (
+    FACTORS,
+    SHAPES,
+    curve_of,
+    in_signal,
+    on_curve,
+    shown_as,
+    unit_of,
+)
+from eha_monitor.mismatch.learn.learned import (
     BALANCE,
     UNKNOWN,
     Form,
@@ -18,19 +27,10 @@ from eha_monitor.mismatch.learn.forms import (
     factor_along,
     signal_along,
 )
-from eha_monitor.mismatch.learn.formula import (
-    FACTORS,
-    curve_of,
-    in_signal,
-    on_curve,
-    shown_as,
-    unit_of,
-)
-from eha_monitor.mismatch.learn.shapes import SHAPES
 from eha_monitor.mismatch.learn.validated import removed
 from eha_monitor.physics import own_term as o
 from eha_monitor.physics import signals as s
-from eha_monitor.physics.expression import parsed
+from eha_monitor.physics.own_term import parsed
 from eha_monitor.reports.diagnosis_report import diagnosis_page
 from eha_monitor.reports.diagnosis_words import head_words
 from eha_monitor.settings import Settings, settings_from_tree

@@ -17,8 +17,8 @@ from rig_tools import (
 )
 
 from eha_monitor.estimation.pipeline import estimate
+from eha_monitor.live.diagnosing import Candidate
 from eha_monitor.live.estimator import LiveEstimator
-from eha_monitor.live.exchange import Candidate
 
 FIXED = {"noise": {"fixed": True}}
 

@@ -18,7 +18,7 @@ from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.select import nominal
 from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.mismatch.show.held_out import worse
-from eha_monitor.mismatch.show.rig_numbers import rig_findings
+from eha_monitor.mismatch.show.model import rig_findings
 
 DRY = {"coulomb_friction", "presliding_friction", "stribeck_friction", "pressure_friction",
        "asymmetric_friction"}

@@ -46,7 +46,7 @@ from eha_monitor.mismatch.likelihood.gains import (
     smallest_unknowns,
 )
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED, riccati
-from eha_monitor.mismatch.name.base import expected_likelihood
+from eha_monitor.mismatch.name.starts import expected_likelihood
 from eha_monitor.mismatch.show.model import robust
 from eha_monitor.physics.plant import N_OUTPUTS, Y_OMEGA
 

@@ -5,23 +5,26 @@ import pytest
 from mismatch_tools import fitted
 from scipy.linalg import solve_discrete_are
 
+from eha_monitor.balances import places
 from eha_monitor.balances.places import after_reversal
-from eha_monitor.mismatch.likelihood.fit import filtered, log_likelihood_of, with_unknowns
-from eha_monitor.mismatch.likelihood.gains import CORRELATION, Unknowns, linear_of
-from eha_monitor.mismatch.likelihood.smooth import (
+from eha_monitor.mismatch.likelihood.along import (
     DOUBLINGS,
     covariance_before,
     gain_of,
     smooth_back,
 )
-from eha_monitor.mismatch.locate.latent import larger_model, rival_innovations, rivals_of
+from eha_monitor.mismatch.likelihood.fit import filtered, log_likelihood_of, with_unknowns
+from eha_monitor.mismatch.likelihood.gains import CORRELATION, Unknowns, linear_of
 from eha_monitor.mismatch.locate.location import (
+    larger_model,
     latent_curves,
     location_of,
-    regime_of,
+    parts_of,
+    rival_innovations,
+    rivals_of,
 )
 from eha_monitor.mismatch.locate.terms import Missing, missing_terms
-from eha_monitor.mismatch.name.base import limits_of
+from eha_monitor.mismatch.name.starts import limits_of
 from eha_monitor.physics import signals as s
 
 
@@ -204,7 +207,8 @@ def test_regime_of_terms_made_by_hand():
     track[:, s.P1] = np.random.default_rng(0).normal(0.0, 1e5, n)
 
     def regime(values):
-        return regime_of(experiment, Missing("force", "N", (track,), (values,)))[0]
+        return places.regime_of("force", parts_of(experiment, Missing(
+            "force", "N", (track,), (values,))))[0]
 
     assert regime(np.full(n, 40.0)) == "always"
     assert regime(40.0 * np.sign(track[:, s.V])) == "velocity_reversal"

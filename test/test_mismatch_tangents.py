@@ -12,10 +12,16 @@ from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.data.inputs import FORCED, OPEN
 from eha_monitor.mismatch.likelihood.fit import Fit, covariance_of, filtered, whitener
 from eha_monitor.mismatch.likelihood.gains import Unknowns, gains_of, smallest_unknowns
-from eha_monitor.mismatch.likelihood.tangents import Lane, along, can, lane_of, tangents
-from eha_monitor.mismatch.name.base import base_free, timing_free
+from eha_monitor.mismatch.likelihood.tangents import Lane, along, can, lane_of
 from eha_monitor.mismatch.name.columns import rig_free
-from eha_monitor.mismatch.name.starts import entered, free_of, own_sizes, starts_of
+from eha_monitor.mismatch.name.starts import (
+    base_free,
+    entered,
+    free_of,
+    own_sizes,
+    starts_of,
+    timing_free,
+)
 from eha_monitor.physics.effects import NAMES
 from eha_monitor.physics.parameters import place_of
 from eha_monitor.recordings.recording import Recording
@@ -25,6 +31,12 @@ LATE = 2e-5  # s of the small timing errors
 ALL = ("x", "x_d", "omega", "p1", "p2")
 RUBBED = {"coulomb_friction.F_c": 30.0}
 LEAKING = {"turbulent_leakage.c": 2e-9, "drive_lag.tau": 2e-3}
+
+
+def tangents(experiment, fit, names):
+    """Return name -> (n, c) tangents for each stretch."""
+    carried = along(experiment, fit, [lane_of(fit, name) for name in names])
+    return {name: [part[:, :, i] for part in carried] for i, name in enumerate(names)}
 
 
 def model_of(folder, effects=(), values=None, channels=ALL, **changes):

@@ -7,20 +7,22 @@ from rig_tools import settings
 
 from eha_monitor.mismatch.likelihood.fit import with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns, smallest_unknowns
-from eha_monitor.mismatch.name.base import (
-    LEAST_SHARE,
-    base_free,
-    limits_of,
-    timing_free,
-    with_effect,
-    without_effect,
-)
 from eha_monitor.mismatch.name.columns import columns_at, placed, rig_free, runs_of
 from eha_monitor.mismatch.name.gram import grams_of
 from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.rank import best_over, ranked_at
 from eha_monitor.mismatch.name.refit import evidence_of, joined
-from eha_monitor.mismatch.name.starts import own_sizes, possible, starts_of
+from eha_monitor.mismatch.name.starts import (
+    LEAST_SHARE,
+    base_free,
+    limits_of,
+    own_sizes,
+    possible,
+    starts_of,
+    timing_free,
+    with_effect,
+    without_effect,
+)
 from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of

@@ -10,9 +10,9 @@ from rig_tools import MULTISINE, settings, simulated, with_channels
 from eha_monitor.mismatch.data.experiment import experiment_of
 from eha_monitor.mismatch.likelihood.fit import with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns, expected_covariance
-from eha_monitor.mismatch.name.base import limits_of
 from eha_monitor.mismatch.name.columns import columns_at, runs_of
 from eha_monitor.mismatch.name.gram import (
+    Regained,
     evidences_at,
     grams_of,
     injected,
@@ -20,6 +20,7 @@ from eha_monitor.mismatch.name.gram import (
     powers_at,
     under,
 )
+from eha_monitor.mismatch.name.starts import limits_of
 
 AGREES = 1e-3  # what was measured, of the size of a column: the plant is not quite linear
 # They push the plant, or shift what is measured, alike wherever it is.
@@ -59,7 +60,7 @@ def test_of_a_linear_plant_the_map_is_exact(seed):
     old, new = plant.filtered(plant.old), plant.filtered(plant.new)
     given = np.where(plant.missing[:, :, None], 0.0, old)
     out = np.empty_like(given)
-    mapped(given, plant.missing, plant.a, plant.h, plant.old, plant.new, np.eye(2), 0,
+    mapped(given, plant.missing, Regained(plant.a, plant.h, plant.old, plant.new, np.eye(2)), 0,
            np.zeros((4, 3)), out)
     assert out == pytest.approx(new, abs=1e-9)
 
@@ -67,8 +68,8 @@ def test_of_a_linear_plant_the_map_is_exact(seed):
     delta, first = np.zeros((4, 3)), 0
     for length in (7, len(given) - 7):  # in pieces that carry the filters' difference on
         piece = np.empty((length, 2, 3))
-        mapped(given, plant.missing, plant.a, plant.h, plant.old, plant.new, plant.w, first,
-               delta, piece)
+        mapped(given, plant.missing, Regained(plant.a, plant.h, plant.old, plant.new, plant.w),
+               first, delta, piece)
         wanted = np.einsum("ij,kjl->kil", plant.w, new[first : first + length])
         assert piece == pytest.approx(wanted, abs=1e-9)
         first += length

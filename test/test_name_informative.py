@@ -6,7 +6,7 @@ import pytest
 from rig_tools import MULTISINE, REST, settings, simulated
 
 from eha_monitor.mismatch.data.experiment import BURN_IN, experiment_of
-from eha_monitor.mismatch.name.informative import informative, windows_of
+from eha_monitor.mismatch.name.before import informative, windows_of
 from eha_monitor.mismatch.name.naming import Naming, on_all_of
 from eha_monitor.mismatch.name.select import nominal_model
 

@@ -12,7 +12,6 @@ from mismatch_tools import fitted, recorded
 
 from eha_monitor.concealed.cases import Case
 from eha_monitor.mismatch.data.experiment import experiment_of
-from eha_monitor.mismatch.name.base import with_effect
 from eha_monitor.mismatch.name.candidates import log_prior
 from eha_monitor.mismatch.name.columns import rig_free
 from eha_monitor.mismatch.name.naming import in_place_of
@@ -45,7 +44,7 @@ from eha_monitor.mismatch.name.select import (
     with_rig,
     without_each,
 )
-from eha_monitor.mismatch.name.starts import starts_of
+from eha_monitor.mismatch.name.starts import starts_of, with_effect
 from eha_monitor.mismatch.policy import POLICY
 
 

@@ -7,7 +7,7 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from rig_tools import CHIRP, MULTISINE, REST, SINE, STEPS, TRIANGLE, settings, simulated
 
-from eha_monitor.estimation.hold import hold_of, instrument_of
+from eha_monitor.estimation.drive import hold_of, instrument_of
 from eha_monitor.estimation.sensors import noise_levels, quantum, white_noise
 from eha_monitor.physics import signals as s
 from eha_monitor.recordings.recording import Recording

@@ -14,7 +14,7 @@ from ros_tools import Feeder, Recorder, listen
 from eha_monitor.health.overload import LoadWatch
 from eha_monitor.ros.messages import findings_of
 from eha_monitor.ros.monitor_node import Monitor
-from eha_monitor.ros.qos import LATCHED
+from eha_monitor.ros.topics import LATCHED
 from eha_monitor.settings import Settings
 
 

@@ -31,10 +31,10 @@ from eha_monitor.physics.contributions import (
     slot_of,
 )
 from eha_monitor.physics.effects import NAMES
-from eha_monitor.physics.expression import FUNCTIONS, parsed
-from eha_monitor.reports.shared_tables import config_tables
+from eha_monitor.physics.own_term import FUNCTIONS, parsed
+from eha_monitor.reports.page import config_tables
 from eha_monitor.settings import settings_from_tree
-from eha_monitor.settings.document import annotated
+from eha_monitor.settings.load import annotated
 from eha_monitor.settings.own_terms import checked, slot_for
 
 ROOT = Path(__file__).parents[1]

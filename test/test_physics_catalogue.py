@@ -151,7 +151,7 @@ def test_what_changes_the_pump_and_remembers_is_a_resonance():
     """Stage two follows the pump without memory; a line's is a state of its own."""
     remembering = with_update(np.ones(N_EFFECTS, dtype=np.bool_), np.zeros(N_THETA))
     assert {NAMES[i] for i in remembering if s.SPEED in added_by(i, np.zeros(N_THETA))} == {
-        name for name, effect in CATALOGUE.items() if effect.resonant}
+        name for name, effect in CATALOGUE.items() if any(p.log for p in effect.parameters)}
 
 
 def test_parameter_vector_has_one_place_for_each_value():

@@ -9,7 +9,7 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from rig_tools import BETA, SINE, settings, simulated, with_channels, without
 
-from eha_monitor.estimation.observability import observability
+from eha_monitor.estimation.joint import observability
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.recordings.recording import CHANNELS, Recording
 

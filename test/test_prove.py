@@ -20,8 +20,7 @@ from eha_monitor.concealed.draws import KINDS
 from eha_monitor.concealed.generate import nominal_config
 from eha_monitor.errors import InputError
 from eha_monitor.prove.children import Place
-from eha_monitor.prove.draws import DRAWS, cases_of, on_rig
-from eha_monitor.prove.trial import Trial, prove
+from eha_monitor.prove.trial import DRAWS, Trial, cases_of, on_rig, prove
 from eha_monitor.prove.warm import answered
 from eha_monitor.reports.proof_report import proof_page, write_result
 from eha_monitor.settings import settings_from_tree

@@ -3,7 +3,7 @@
 import pytest
 
 from eha_monitor.prove import score
-from eha_monitor.prove.curves import binned, calibration_error, curve_of, curves_of, reliability_of
+from eha_monitor.prove.score import binned, calibration_error, curve_of, curves_of, reliability_of
 from eha_monitor.reports.proof_report import proof_page, result_text
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from eha_monitor.mismatch.data.windows import LOOKED, windows_of, windows_of_each
+from eha_monitor.mismatch.data.stretch import LOOKED, windows_of, windows_of_each
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings import Settings
 

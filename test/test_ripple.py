@@ -8,13 +8,12 @@ from mismatch_tools import diagnosed
 from rig_tools import SINE, settings, simulated
 
 from eha_monitor.api.diagnosis_answer import answer
-from eha_monitor.estimation.along import contributions_along
+from eha_monitor.estimation.modelled import contributions_along
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.mismatch.data.experiment import experiment_of
-from eha_monitor.mismatch.learn.forms import Form
-from eha_monitor.mismatch.learn.formula import shown_as
-from eha_monitor.mismatch.learn.shapes import RIPPLES
-from eha_monitor.mismatch.name.angle import at_its_angle
+from eha_monitor.mismatch.learn.formula import RIPPLES, shown_as
+from eha_monitor.mismatch.learn.learned import Form
+from eha_monitor.mismatch.name.before import at_its_angle
 from eha_monitor.physics import own_term as o
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import N_EFFECTS, new_memory, slot_of

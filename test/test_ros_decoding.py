@@ -13,8 +13,8 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float32
 
 from eha_monitor.ros.decoding import Decoder, TopicReader
-from eha_monitor.ros.inputs import topics_of
 from eha_monitor.ros.messages import stamp
+from eha_monitor.ros.topics import topics_of
 from eha_monitor.settings import settings_from_tree
 
 START = 1_700_000_000_123_456_789

@@ -17,7 +17,7 @@ from eha_monitor.recordings.bag import iter_raw, topics
 from eha_monitor.ros import running
 from eha_monitor.ros.managed_node import ManagedMonitor
 from eha_monitor.ros.monitor_node import Monitor
-from eha_monitor.ros.qos import LATCHED
+from eha_monitor.ros.topics import LATCHED
 from eha_monitor.settings import settings_from_tree
 
 SLOW_S = 30.0  # between two looks at the clock: what comes sooner was not a timer's doing

@@ -12,8 +12,8 @@ from std_srvs.srv import Trigger
 from test_ros_processes import PATIENCE, command, end
 
 from eha_monitor.recordings.bag import iter_raw, topics
-from eha_monitor.ros.qos import LATCHED
 from eha_monitor.ros.simulator_node import SimulatorNode
+from eha_monitor.ros.topics import LATCHED
 from eha_monitor.settings import settings_from_tree
 
 LIMITS = {"viscous_damping": {"high_warn": 1000.0, "high_error": 1500.0, "hold_time": 0.1}}

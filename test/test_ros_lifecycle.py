@@ -11,8 +11,8 @@ from test_ros_processes import PATIENCE, command, end
 
 from eha_monitor.errors import InputError
 from eha_monitor.ros.managed_node import ManagedMonitor
-from eha_monitor.ros.qos import LATCHED
 from eha_monitor.ros.running import actuators_of
+from eha_monitor.ros.topics import LATCHED
 from eha_monitor.settings import Settings, settings_from_tree
 
 NODE = "/eha/monitor"

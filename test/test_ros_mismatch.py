@@ -10,7 +10,7 @@ from eha_monitor.ros import messages
 from eha_monitor.ros.managed_node import warm_up
 from eha_monitor.ros.messages import findings_of
 from eha_monitor.ros.monitor_node import Monitor
-from eha_monitor.ros.qos import LATCHED
+from eha_monitor.ros.topics import LATCHED
 from eha_monitor.settings import settings_from_tree
 
 START_NS = 1_700_000_000 * 1_000_000_000

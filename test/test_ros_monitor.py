@@ -15,7 +15,6 @@ from std_msgs.msg import Float32, Float64
 from eha_monitor.errors import InputError
 from eha_monitor.live.rows import Rows
 from eha_monitor.ros import messages
-from eha_monitor.ros.inputs import topics_of
 from eha_monitor.ros.monitor_node import Monitor
 from eha_monitor.ros.parameters import (
     MONITOR_KEYS,
@@ -24,7 +23,7 @@ from eha_monitor.ros.parameters import (
     parameter_table,
     settings_of_node,
 )
-from eha_monitor.ros.qos import LATCHED
+from eha_monitor.ros.topics import LATCHED, topics_of
 from eha_monitor.settings import Settings, settings_from_tree
 
 STATUSES = ["viscous_damping_high", "viscous_damping_low", "bulk_modulus_high",

@@ -19,13 +19,13 @@ from test_ros_processes import PATIENCE, REPOSITORY, command, end
 
 from eha_monitor.balances.machine import machine_of, save
 from eha_monitor.cli import main
-from eha_monitor.live.exchange import Adopted, model_of
+from eha_monitor.live.diagnosing import Adopted, model_of
 from eha_monitor.ros.messages import findings_of
 from eha_monitor.ros.monitor_node import Monitor
-from eha_monitor.ros.qos import LATCHED
 from eha_monitor.ros.simulator_node import SimulatorNode
+from eha_monitor.ros.topics import LATCHED
 from eha_monitor.settings import settings_from_tree
-from eha_monitor.settings.document import annotated
+from eha_monitor.settings.load import annotated
 
 FRICTION = 40.0  # N
 DRY = {"parameter": "coulomb_friction.F_c", "start": 1e6, "value": FRICTION}

@@ -12,8 +12,8 @@ from eha_monitor.api.answer import series_of
 from eha_monitor.cli import main
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.estimation.results import ParameterEstimate
+from eha_monitor.health.alarms import ParameterSeries, judge_series
 from eha_monitor.health.proposal import Healthy, healthy_of, implied, proposed, thresholds_tree
-from eha_monitor.health.series import ParameterSeries, judge_series
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.settings import Settings, load_settings, settings_from_tree
 
@@ -126,7 +126,7 @@ def test_bad_usage_is_one_line(bags, capsys, words, said):
 
 
 def test_a_null_limit_stays_null_in_a_written_config(tmp_path):
-    from eha_monitor.settings.document import annotated
+    from eha_monitor.settings.load import annotated
 
     nothing = {"low_error": None, "low_warn": None}
     given = settings_from_tree({"thresholds": {"bulk_modulus": nothing}}, "a")

@@ -130,7 +130,7 @@ def test_pumps_are_sold_in_cubic_centimetres_a_revolution():
 def test_a_bag_in_units_reads_as_in_si(tmp_path):
     from eha_monitor.cli import main
     from eha_monitor.recordings.read import read_recording
-    from eha_monitor.ros.inputs import topics_of
+    from eha_monitor.ros.topics import topics_of
 
     bag = tmp_path / "bag"
     assert main(["simulate", "--out", str(bag), "--duration", "1"]) == 0

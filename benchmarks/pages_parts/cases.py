@@ -6,7 +6,7 @@ from pathlib import Path
 
 from eha_monitor.api.answer import judged
 from eha_monitor.commands.prove import drawn_cases
-from eha_monitor.estimation.observability import observability
+from eha_monitor.estimation.joint import observability
 from eha_monitor.estimation.pipeline import estimate
 from eha_monitor.mismatch.compare.compared import compared
 from eha_monitor.mismatch.diagnose import diagnose

@@ -21,7 +21,7 @@ from std_msgs.msg import Float64
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.cdr import Want, locate
 from eha_monitor.recordings.write import messages_of
-from eha_monitor.ros.inputs import message_class
+from eha_monitor.ros.topics import message_class
 from eha_monitor.settings import settings_from_tree
 
 RELIABLE = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)

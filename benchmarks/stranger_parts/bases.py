@@ -7,7 +7,7 @@ from pathlib import Path
 from strangers.record import config_of, write_csv
 from strangers.rigs import MICRO, SINGLE_ROD
 
-from eha_monitor.concealed.strangers.shown import recording
+from eha_monitor.concealed.strangers.plant import recording
 from stranger_parts.commands import ROOT
 
 # base -> config of the project, file below the data folder

@@ -15,7 +15,7 @@ import numpy as np
 from strangers.record import config_of, varied, write_config, write_csv
 from strangers.rigs import RIGS
 
-from eha_monitor.concealed.strangers.shown import recording
+from eha_monitor.concealed.strangers.plant import recording
 from stranger_parts.bases import config_tree
 from stranger_parts.commands import Ran
 

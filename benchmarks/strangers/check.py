@@ -15,12 +15,12 @@ from eha_monitor.concealed.strangers.plant import (
     V,
     W,
     X,
+    fine_run,
     friction_force,
     moving,
     rates,
     rest,
 )
-from eha_monitor.concealed.strangers.shown import fine_run
 from strangers.rigs import Rig
 
 

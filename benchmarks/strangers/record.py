@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from eha_monitor.concealed.strangers.motions import Motion
-from eha_monitor.concealed.strangers.shown import ATMOSPHERE
+from eha_monitor.concealed.strangers.plant import ATMOSPHERE, Motion
 from strangers.rigs import Rig
 
 # SI per unit.

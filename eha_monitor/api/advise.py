@@ -6,11 +6,17 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eha_monitor.api.calls import READING, Progress, calling, reporter
+from eha_monitor.api.common import READING, Progress, Record, calling, chosen, frame_of, reporter
 from eha_monitor.api.config import Config
-from eha_monitor.api.plausible import checked, finding_tree
-from eha_monitor.api.read import Several, config_for, distinct, recordings_of, several
-from eha_monitor.api.record import Record, chosen, frame_of
+from eha_monitor.api.read import (
+    Several,
+    checked,
+    config_for,
+    distinct,
+    finding_tree,
+    recordings_of,
+    several,
+)
 from eha_monitor.compiled import load_runtime
 from eha_monitor.mismatch.advise.advice import advise as run
 from eha_monitor.mismatch.advise.identifiability import Confusion, DetectionLimit, Known
@@ -21,8 +27,7 @@ from eha_monitor.mismatch.advise.words import motion_sentence, sentences
 from eha_monitor.output import finite
 from eha_monitor.quantity import SYMBOLS, in_units, number, rig_motion, with_uncertainty
 from eha_monitor.recordings.recording import ChannelFinding
-from eha_monitor.settings.document import annotated
-from eha_monitor.settings.load import settings_from_tree
+from eha_monitor.settings.load import annotated, settings_from_tree
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.words import effect_words, listed
 

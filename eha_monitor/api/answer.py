@@ -5,15 +5,14 @@ from dataclasses import asdict
 import numpy as np
 
 from eha_monitor.estimation.inputs import time_of
-from eha_monitor.estimation.observability import ObservabilityTable
+from eha_monitor.estimation.joint import ObservabilityTable
 from eha_monitor.estimation.results import (
     Estimate,
     ParameterEstimate,
     StageResult,
     converged_where,
 )
-from eha_monitor.health.alarms import Alarm
-from eha_monitor.health.series import ParameterSeries, judge_series
+from eha_monitor.health.alarms import Alarm, ParameterSeries, judge_series
 from eha_monitor.output import finite
 from eha_monitor.recordings.columns import blocks
 from eha_monitor.recordings.recording import Recording

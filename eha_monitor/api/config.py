@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING, Any, Union, get_args, get_origin
 
 from pydantic import BaseModel
 
-from eha_monitor.api.calls import calling
-from eha_monitor.api.record import Record, frame_of
+from eha_monitor.api.common import Record, calling, frame_of
 from eha_monitor.errors import InputError
 from eha_monitor.output import write_text
-from eha_monitor.settings.document import annotated
-from eha_monitor.settings.load import load_settings, settings_from_tree
+from eha_monitor.settings.load import annotated, load_settings, settings_from_tree
 from eha_monitor.settings.monitor import Monitor, Settings, Thresholds
 from eha_monitor.settings.rig import Rig, Simulation
 

@@ -6,19 +6,19 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eha_monitor.api.calls import READING, Progress, calling, reporter
+from eha_monitor.api.common import READING, Progress, Record, calling, chosen, frame_of, reporter
 from eha_monitor.api.config import Config, path_of
 from eha_monitor.api.diagnosis_answer import answer, completed
-from eha_monitor.api.plausible import checked, finding_tree
 from eha_monitor.api.read import (
     Given,
     Several,
+    checked,
     config_for,
     distinct,
+    finding_tree,
     recordings_of,
     several,
 )
-from eha_monitor.api.record import Record, chosen, frame_of
 from eha_monitor.api.recording import Recording
 from eha_monitor.archive.find import find_bags, is_archive
 from eha_monitor.balances.changed import against

@@ -11,8 +11,7 @@ from eha_monitor.output import finite
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import NOTE, with_uncertainty
 from eha_monitor.reports import diagnosis_words as words
-from eha_monitor.settings.document import annotated
-from eha_monitor.settings.load import settings_from_tree
+from eha_monitor.settings.load import annotated, settings_from_tree
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.own_terms import is_own
 from eha_monitor.settings.rig import corrected, rounded

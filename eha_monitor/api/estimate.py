@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eha_monitor.api.answer import answer, judged, unhealthy
-from eha_monitor.api.calls import Progress, calling, reporter
+from eha_monitor.api.common import Progress, Record, calling, chosen, frame_of, read_only, reporter
 from eha_monitor.api.config import Config, path_of
-from eha_monitor.api.plausible import checked, finding_tree
-from eha_monitor.api.read import Given, config_for, recordings_of
-from eha_monitor.api.record import Record, chosen, frame_of, read_only
+from eha_monitor.api.read import Given, checked, config_for, finding_tree, recordings_of
 from eha_monitor.api.recording import Recording
 from eha_monitor.compiled import load_runtime
 from eha_monitor.errors import InputError
-from eha_monitor.estimation.observability import ObservabilityTable, observability
+from eha_monitor.estimation.joint import ObservabilityTable, observability
 from eha_monitor.estimation.pipeline import estimate as run
 from eha_monitor.estimation.results import Estimate as Found
 from eha_monitor.estimation.results import ParameterEstimate

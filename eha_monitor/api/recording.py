@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eha_monitor.api.calls import calling
+from eha_monitor.api.common import ReadOnly, Record, calling, chosen, read_only
 from eha_monitor.api.config import Config, path_of
-from eha_monitor.api.record import ReadOnly, Record, chosen, read_only
 from eha_monitor.errors import InputError
 from eha_monitor.quantity import number, quantity
 from eha_monitor.recordings.columns import blocks

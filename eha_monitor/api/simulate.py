@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic_core import PydanticCustomError
 
-from eha_monitor.api.calls import Progress, calling, reporter
+from eha_monitor.api.common import Progress, calling, reporter
 from eha_monitor.api.config import Config, config_of
 from eha_monitor.api.recording import Recording
 from eha_monitor.errors import InputError

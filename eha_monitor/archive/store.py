@@ -26,7 +26,6 @@ from eha_monitor.output import write_bytes
 
 SCHEMA = "eha_monitor/archive/1"
 PARAMETERS = ("B", "beta_e")
-COMMANDS = ("estimate", "diagnose")
 # Column -> indicator of the health (:mod:`eha_monitor.indicators`), whose unit it ends with.
 INDICATORS = {"leakage_mL_min": "leakage", "free_air_percent": "free_air",
               "friction_N": "friction", "pump_efficiency_percent": "pump_efficiency",

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.signal import butter, lfilter, sosfiltfilt
 
 from eha_monitor.errors import InputError
-from eha_monitor.estimation.along import contributions_along
+from eha_monitor.estimation.modelled import contributions_along
 from eha_monitor.estimation.rig_model import force_missing, force_of
 from eha_monitor.estimation.sensors import noise_levels, quantum, without_spikes
 from eha_monitor.physics import signals as s

@@ -4,12 +4,12 @@ import numpy as np
 
 from eha_monitor.balances.candidates import Candidate
 from eha_monitor.balances.course import Course, has_flow, pumped_side
-from eha_monitor.estimation.along import contributions_along
+from eha_monitor.estimation.modelled import contributions_along
 from eha_monitor.mismatch.diagnosis import Considered
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import N_EFFECTS, N_THETA, new_memory, slot_of
 from eha_monitor.physics.effects import NAMES
-from eha_monitor.physics.expression import parsed
+from eha_monitor.physics.own_term import parsed
 from eha_monitor.settings.hypothesis import Hypothesis
 from eha_monitor.settings.rig import Rig
 

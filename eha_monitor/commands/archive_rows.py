@@ -22,9 +22,8 @@ from eha_monitor.commands.common import Archive, end_as_on_interrupt, progress_b
 from eha_monitor.errors import InputError
 from eha_monitor.health.alarms import NOT_JUDGED, SEVERITY, Alarm
 from eha_monitor.indicators.indicator import Indicator
-from eha_monitor.output import finite, write_text
+from eha_monitor.output import PACKAGE, finite, source_digest, write_text
 from eha_monitor.settings import Settings, load_settings
-from eha_monitor.source import PACKAGE, source_digest
 
 if TYPE_CHECKING:
     from eha_monitor.estimation.results import Estimate

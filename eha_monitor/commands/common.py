@@ -166,7 +166,7 @@ def refusing(config: "Config", source: Path | None, json_file: Path | None,
     json_file, config_file : to write, or None.
     tree : returns the JSON of a refusal.
     """
-    from eha_monitor.api.plausible import ImplausibleError, corrected_config
+    from eha_monitor.api.read import ImplausibleError, corrected_config
     from eha_monitor.output import write_json, write_text
 
     try:

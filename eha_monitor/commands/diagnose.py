@@ -66,8 +66,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
     from eha_monitor.api.diagnose import bags_of, known_effects
     from eha_monitor.api.diagnose import diagnose as run
     from eha_monitor.api.diagnosis_answer import completed, refusal, written_config
-    from eha_monitor.api.plausible import finding_tree
-    from eha_monitor.api.read import distinct
+    from eha_monitor.api.read import distinct, finding_tree
     from eha_monitor.balances.machine import save
     from eha_monitor.settings.hypothesis import load_hypothesis
 

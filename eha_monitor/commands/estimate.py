@@ -36,7 +36,7 @@ def estimate(bag: Path, config: Path | None, json_file: Path | None, report_file
     from eha_monitor.api.answer import refusal
     from eha_monitor.api.config import config_of
     from eha_monitor.api.estimate import estimate as run
-    from eha_monitor.api.plausible import corrected_config, finding_tree
+    from eha_monitor.api.read import corrected_config, finding_tree
 
     given = config_of(config)
     with common.refusing(given, config, json_file, config_file, lambda problem: refusal(

@@ -48,8 +48,8 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
     actuator. A motion is aborted at a limit, by the service identify/stop, and where data stop.
     """
     from eha_monitor.api.config import config_of
-    from eha_monitor.identify.bounds import bounds_of
     from eha_monitor.identify.plan import Planner
+    from eha_monitor.identify.rig import bounds_of
     from eha_monitor.quantity import rig_motion
 
     if simulated is not None and (ros_args or wait):
@@ -92,7 +92,7 @@ def identify(ros_args: list[str], config: Path | None, simulated: Path | None, o
 def run(rig: "Rig", planner: "Planner", wanted: float,
         each: Callable[["Round", int], None]) -> list["Round"]:
     """Run the experiment; ``each`` is told every round as it comes."""
-    from eha_monitor.api.plausible import checked
+    from eha_monitor.api.read import checked
     from eha_monitor.identify.experiment import identify as rounds_of
 
     rounds = []
@@ -106,7 +106,7 @@ def run(rig: "Rig", planner: "Planner", wanted: float,
 
 def written(one: "Round", count: int, out: Path, settings: "Settings", overwrite: bool) -> None:
     """Write the bag of a round, and say what is known after it."""
-    from eha_monitor.identify.words import round_words
+    from eha_monitor.identify.experiment import round_words
     from eha_monitor.recordings.write import write_recording
 
     click.echo(round_words(one, count, settings.rig.sample_time))
@@ -120,7 +120,7 @@ def finish(rounds: list["Round"], planner: "Planner", wanted: float, out: Path, 
            targets: tuple[Path | None, Path | None, Path | None], config: Path | None) -> str:
     """Write JSON, report and config; return why the experiment was aborted, or ""."""
     from eha_monitor.api.diagnosis_answer import answer, written_config
-    from eha_monitor.identify.words import tree
+    from eha_monitor.identify.experiment import tree
     from eha_monitor.quantity import in_units
     from eha_monitor.reports.diagnosis_report import diagnosis_page
 
@@ -148,7 +148,7 @@ def finish(rounds: list["Round"], planner: "Planner", wanted: float, out: Path, 
 
 def show_first(planner: "Planner", bag: Path, overwrite: bool) -> None:
     """Write the first motion as a picture and as a bag of its command."""
-    from eha_monitor.identify.words import plan_words
+    from eha_monitor.identify.experiment import plan_words
     from eha_monitor.recordings.recording import Recording
     from eha_monitor.recordings.write import write_recording
     from eha_monitor.reports.api_figures import motion_figure

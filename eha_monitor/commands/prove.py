@@ -124,7 +124,7 @@ def check_ground(ground: str, config: Path | None, data: Path | None, oracle: bo
 
 def drawn_cases(config: Path | None, draw: str, count: int, seed: int, rig: str) -> tuple:
     """Return the draws of the independent plant, on the rig of a config if there is one."""
-    from eha_monitor.prove.draws import cases_of
+    from eha_monitor.prove.trial import cases_of
     from eha_monitor.settings import load_settings
 
     settings = load_settings(config) if config else None

@@ -84,7 +84,7 @@ def _healthy(bags, settings, config):
 
     from eha_monitor.api.answer import series_of
     from eha_monitor.api.estimate import refuse_short
-    from eha_monitor.api.plausible import checked
+    from eha_monitor.api.read import checked
     from eha_monitor.compiled import load_runtime
     from eha_monitor.estimation.inputs import time_of
     from eha_monitor.estimation.pipeline import estimate
@@ -210,8 +210,7 @@ def _tree(proposals, told, seconds) -> dict:
 def _config(proposals, settings, config, seconds: float) -> str:
     from eha_monitor import __version__
     from eha_monitor.health.proposal import thresholds_tree
-    from eha_monitor.settings.document import annotated
-    from eha_monitor.settings.load import settings_from_tree
+    from eha_monitor.settings.load import annotated, settings_from_tree
 
     tree = settings.model_dump(exclude_unset=True)
     given = settings.thresholds.model_dump()

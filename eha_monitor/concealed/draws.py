@@ -10,14 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from eha_monitor.concealed.cases import (
-    RIG,
-    TOLERANCES,
-    Case,
-    effect_names,
-    outside_names,
-    rig_of,
-)
+from eha_monitor.concealed.cases import RIG, TOLERANCES, Case, effect_names, outside_names, rig_of
 from eha_monitor.concealed.hidden import SIGNED
 
 # At most one of each: with two, one contains or undoes the other.

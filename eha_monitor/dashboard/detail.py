@@ -1,4 +1,4 @@
-"""The part of the page that shows one actuator in full."""
+"""The part of the page that shows one actuator in full, and the small parts of every page."""
 
 import json
 import math
@@ -7,13 +7,101 @@ from collections.abc import Callable
 
 from nicegui import ui
 
-from eha_monitor.dashboard import charts, elements, words
+from eha_monitor.dashboard import charts, words
 from eha_monitor.dashboard.events import MISMATCH
 from eha_monitor.dashboard.history import Span, thinned
-from eha_monitor.dashboard.state import STAGES, Actuator, View, alarms
+from eha_monitor.dashboard.state import STAGES, Actuator, State, View, alarms
 from eha_monitor.health.alarms import ALARM_NAMES, WATCHED
 from eha_monitor.health.judge import DIAGNOSIS
 from eha_monitor.quantity import NOTE, SYMBOLS, readable
+
+
+def tagged(element: ui.element, key: str) -> ui.element:
+    """Give an element a name that stays, for tests and for whoever reads the page by program."""
+    return element.props(f'data-testid="{key}"')
+
+
+def text(content: str = "", classes: str = "", key: str = "") -> ui.label:
+    """Make a text."""
+    made = ui.label(content).classes(classes)
+    return tagged(made, key) if key else made
+
+
+def heading(rank: str, content: str) -> ui.label:
+    """Make a heading, ``h1`` or ``h2``."""
+    with ui.element(rank):
+        return ui.label(content)
+
+
+def button(label: str, key: str, on_click=None) -> ui.button:
+    """Make a plain button, large enough for a finger."""
+    made = ui.button(label, on_click=on_click, color=None).props("no-caps unelevated dense")
+    return tagged(made.classes("plain"), key)
+
+
+class Level:
+    """A sign, a word and a colour; quiet, without the colour, where it is acknowledged."""
+
+    def __init__(self, key: str):
+        self._label = text("", "level", key)
+        self._shown = ("", "", False)
+
+    def show(self, level: str, content: str = "", quiet: bool = False) -> None:
+        """Show a level, with other words than its own where they are given."""
+        content = content or words.level_text(level)
+        if (level, content, quiet) != self._shown:
+            self._shown = level, content, quiet
+            self._label.set_text(content)
+            self._label.classes(replace=f"level level-{level.lower().replace(' ', '-')}"
+                                        + (" quiet" if quiet else ""))
+
+
+# ---- acknowledging an alarm: the name is kept in that browser for the next time ---------------
+
+_LONGEST = 40  # characters of a name
+_KEY = "eha_monitor_name"
+_LOCAL = ("127.0.0.1", "::1", "")
+
+
+def who_is(name: str, address: str) -> str:
+    """Return how a person is written down: the name, and the machine if it is another one.
+
+    >>> who_is(" Ada ", "127.0.0.1"), who_is("Ada", "10.0.0.7")
+    ('Ada', 'Ada (10.0.0.7)')
+    """
+    name = " ".join(name.split())[:_LONGEST]
+    return name if address in _LOCAL else f"{name} ({address})"
+
+
+async def ask_for_acknowledgement(state: State, alarm: str) -> None:
+    """Ask for the name, then acknowledge one alarm of an actuator."""
+    client = ui.context.client
+    try:
+        known = await ui.run_javascript(f"localStorage.getItem('{_KEY}') || ''", timeout=2.0)
+    except TimeoutError:
+        known = ""
+    with ui.dialog(value=True) as dialog, ui.element("div").classes("card dialog"):
+        heading("h2", f"Acknowledge: {words.plain_name(alarm)}, {state.name}")
+        name = tagged(ui.input("Your name", value=str(known)[:_LONGEST]).props(
+            f"maxlength={_LONGEST} autofocus"), "who")
+
+        def acknowledge() -> None:
+            if not (name.value or "").strip():
+                name.error = "expected a name, for those who look here later"
+                return
+            ui.run_javascript(f"localStorage.setItem('{_KEY}', "
+                              "document.querySelector('[data-testid=who]').value)")
+            state.acknowledge([alarm], who_is(name.value, client.ip or ""))
+            dialog.close()
+
+        name.on("keydown.enter", acknowledge)
+        ui.label("The alarm stays on the page and no longer asks for attention, until it clears "
+                 "or gets worse.").classes("note")
+        with ui.element("div").classes("buttons"):
+            button("Cancel", "cancel", dialog.close)
+            button("Acknowledge", "confirm", acknowledge)
+    dialog.on("hide", dialog.delete)
+
 
 # Where the scale of the drawing shrinks: not at each pause of the motion.
 _SHRINK = 4.0
@@ -47,10 +135,10 @@ class Detail:
         name = f"{title.capitalize()} {SYMBOLS[symbol]}"
         with ui.element("section").classes("card") as card:
             with ui.element("div").classes("title"):
-                elements.heading("h2", name)
-                picture = elements.button("PNG", f"{symbol}-png")
+                heading("h2", name)
+                picture = button("PNG", f"{symbol}-png")
             with ui.element("div").classes("figure"):
-                parts = {part: elements.text("", part, f"{symbol}-{part}")
+                parts = {part: text("", part, f"{symbol}-{part}")
                          for part in ("value", "stddev", "unit", "status")}
             chart = self._chart(charts.estimate_frame(self._scales[symbol]), name, picture)
         return {"card": card, "chart": chart, **parts}
@@ -89,33 +177,33 @@ class Detail:
 
     def _build_alarms(self) -> None:
         with ui.element("section").classes("card"):
-            elements.heading("h2", "Alarms")
+            heading("h2", "Alarms")
             for name in ALARM_NAMES:
                 self._build_alarm(name, words.plain_name(name))
 
     def _build_alarm(self, name: str, title: str, key: str = "") -> ui.label:
         key = key or name
         with ui.element("div").classes("alarm"):
-            level = elements.Level(f"{key}-level")
-            label = elements.text(title, "name")
-            message = elements.text("", "message", f"{key}-message")
-            given = elements.text("", "message by", f"{key}-acknowledged")
+            level = Level(f"{key}-level")
+            label = text(title, "name")
+            message = text("", "message", f"{key}-message")
+            given = text("", "message by", f"{key}-acknowledged")
             with ui.element("div").classes("answer") as answer:
-                elements.button("Acknowledge", f"{key}-acknowledge",
-                                lambda: elements.ask_for_acknowledgement(self.state, name))
+                button("Acknowledge", f"{key}-acknowledge",
+                                lambda: ask_for_acknowledgement(self.state, name))
         self._alarms[name] = level, message, given, answer
         return label
 
     def _build_actuator(self) -> None:
         with ui.element("section").classes("card"):
             with ui.element("div").classes("title"):
-                elements.heading("h2", "Position, the last 15 s")
-                picture = elements.button("PNG", "position-png")
+                heading("h2", "Position, the last 15 s")
+                picture = button("PNG", "position-png")
             with ui.element("div").classes("actuator") as self._drawing_box:
-                elements.tagged(self._drawing_box, "actuator")
+                tagged(self._drawing_box, "actuator")
                 self._drawing = ui.html("", sanitize=False)
             with ui.element("div").classes("positions"):
-                self._positions = [elements.text("", "", key) for key in
+                self._positions = [text("", "", key) for key in
                                    ("measured", "estimated", "difference")]
             self._position_scale = readable(0.02, self._unit)
             self._position_chart = ui.echart(
@@ -125,10 +213,10 @@ class Detail:
     def _build_model(self) -> None:
         with ui.element("section").classes("card wide"):
             with ui.element("div").classes("title"):
-                elements.heading("h2", "Model and residual")
-                picture = elements.button("PNG", "residual-png")
+                heading("h2", "Model and residual")
+                picture = button("PNG", "residual-png")
             self._model_status = self._build_alarm(MISMATCH, "", "model")
-            elements.tagged(self._model_status, "model-status")
+            tagged(self._model_status, "model-status")
             with ui.element("div").classes("line names"):
                 for title in ("innovations of", "size (NIS)", "drift (variance ratio)", "samples"):
                     ui.label(title)
@@ -136,21 +224,21 @@ class Detail:
             for stage in STAGES:
                 with ui.element("div").classes("line"):
                     ui.label(words.plain_name(stage))
-                    self._innovations[stage] = [elements.text("", "", f"{stage}-{key}")
+                    self._innovations[stage] = [text("", "", f"{stage}-{key}")
                                                 for key in ("nis", "variance", "samples")]
-            elements.text("Both are 1 where the model explains the data; what is judged is "
+            text("Both are 1 where the model explains the data; what is judged is "
                           "whether they stay near it.", "note")
             self._residual_chart = self._chart(charts.residual_frame(), "Innovations", picture)
-            self._data = elements.text("", "note", "data")
-            elements.text(NOTE, "note", "plus-minus")
+            self._data = text("", "note", "data")
+            text(NOTE, "note", "plus-minus")
 
     def _build_diagnosis(self) -> None:
         with ui.element("section").classes("card wide") as self._diagnosis:
-            elements.heading("h2", "Diagnosis")
+            heading("h2", "Diagnosis")
             with ui.element("div").classes("alarm"):
-                self._verdict = elements.Level("diagnosis-level")
-                self._diagnosed = elements.text("", "name", "diagnosis")
-            self._diagnosis_lines = elements.text("", "note lines", "diagnosis-lines")
+                self._verdict = Level("diagnosis-level")
+                self._diagnosed = text("", "name", "diagnosis")
+            self._diagnosis_lines = text("", "note lines", "diagnosis-lines")
 
     def _refresh_diagnosis(self, view: View) -> None:
         """Show the card once a monitor tells of a diagnosis."""

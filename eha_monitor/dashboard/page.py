@@ -7,8 +7,7 @@ from urllib.parse import urlencode
 from nicegui import ui
 
 from eha_monitor.dashboard import words
-from eha_monitor.dashboard.detail import Detail
-from eha_monitor.dashboard.elements import Level, button, heading, tagged, text
+from eha_monitor.dashboard.detail import Detail, Level, button, heading, tagged, text
 from eha_monitor.dashboard.events import QUALITY, EventLog
 from eha_monitor.dashboard.history import CHOICES, Span
 from eha_monitor.dashboard.state import Actuator, View

@@ -6,7 +6,7 @@ F = A1 p1 - A2 p2 instead of the acceleration (M a = F - B v, so it is the same 
 small term B C_T beta_e/(M V) kept), and the parameter is the relative compliance
 c = beta_0/beta_e: the equations are nearly linear in c, so that the filter converges from a
 guess that is ten times off, where it overshoots in beta_e.  ``discretisation: euler`` runs
-Eq. 5 as printed, in its own states (:mod:`euler`).
+Eq. 5 as printed, in its own states (:mod:`reference_stages`).
 
 A line between pump and cylinder (:mod:`physics.effects.oil`) has two states of its own,
 the speed n whose flow reaches the chambers and the pressure dp_l at the pump.  The chambers load
@@ -26,6 +26,7 @@ from eha_monitor.physics import signals as s
  LINE_LOAD) = range(11)
 C_PLACE = 3  # of the compliance among the states (x, v, F, c), after which come a line's n, dp_l
 FASTEST_LINE = 1e-9  # s: a shorter one is none
+
 
 @njit(inline="always")
 def damped_mass_integrals(g):

@@ -6,8 +6,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from eha_monitor.estimation.drive import drive_input
-from eha_monitor.estimation.hold import Hold, hold_of
+from eha_monitor.estimation.drive import Hold, drive_input, hold_of
 from eha_monitor.estimation.results import NoiseEstimate
 from eha_monitor.estimation.rig_model import (
     RigModel,

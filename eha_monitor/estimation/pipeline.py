@@ -7,12 +7,11 @@ import numpy as np
 
 from eha_monitor.breakdown import computing
 from eha_monitor.estimation.consistency import Window, stage_verdict
-from eha_monitor.estimation.covered import beyond, ranges_of, within
 from eha_monitor.estimation.discretisation import C_PLACE
 from eha_monitor.estimation.hold_choice import SAMPLED, HoldDecision, resolved, with_hold
 from eha_monitor.estimation.inputs import Inputs, StageInputs, inputs_of, time_of
 from eha_monitor.estimation.joint import fits, run_joint
-from eha_monitor.estimation.model_watch import model_status, tainted_by
+from eha_monitor.estimation.model_watch import beyond, model_status, ranges_of, tainted_by, within
 from eha_monitor.estimation.reach import WINDOW_S, Reaches, finished, reaches_of
 from eha_monitor.estimation.results import (
     BALANCE,
@@ -159,7 +158,7 @@ def run_stage_two(inputs: Inputs, recording: Recording, settings: Settings,
     if inputs.no_drive:
         return empty_stage(TWO, settings, inputs.no_drive)
     if settings.discretisation == "euler":
-        from eha_monitor.estimation.euler import run_printed
+        from eha_monitor.estimation.reference_stages import run_printed
 
         out = list(run_printed(inputs.part(0, inputs.rows), settings, damping[0]))
         seen, sensitivity = Changes(), np.nan

@@ -17,7 +17,7 @@ does not tell a term from the parameter, C is that of the prior and the reach is
 at one speed does not tell dry friction from viscous friction.
 
 A force that the model lacks adds to B, so its reach is in N·s/m; a flow scales beta_e, so that
-reach is of ln beta_e, as in :mod:`health.rebase`.  The reach covers dry, quadratic, direction
+reach is of ln beta_e, as in :class:`judge.Rebase`.  The reach covers dry, quadratic, direction
 dependent and pre-sliding friction, spring, load, leakage, pump gain, slip and lag (tests).  It is
 too short for a line between pump and cylinder and for a wrong mass in beta_e; and in beta_e for a
 late drive at a single sine, and for a lag or a large leakage at a triangle, whose corners alone

@@ -115,7 +115,6 @@ def depends_on_pressure(which: int, theta: np.ndarray) -> bool:
     return own_term.reads_pressure(theta[slot_of(which)])
 
 
-
 def rest_contributions(theta: np.ndarray, active: np.ndarray, pressure: float) -> np.ndarray:
     """Return what the effects add at rest at this pressure, (N_CONTRIBUTIONS,)."""
     signals, found = np.zeros(s.N_SIGNALS), np.zeros(s.N_CONTRIBUTIONS)

@@ -41,7 +41,6 @@ SPIKES = 3  # so many in a row are no spike
 BROAD = 1e3  # fresh velocity: uncertain by this many position sigmas a sample
 
 
-
 @njit(inline="always")
 def predict_one(x, v, b, u0, u1, dt, mass):
     """Carry (x, v) over one sample, exactly for a force that runs linearly from u0 to u1.

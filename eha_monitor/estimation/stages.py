@@ -39,9 +39,9 @@ def engine_of(settings: Settings) -> tuple[Callable[..., int], Callable[..., int
     """
     if settings.engine == "compiled":
         return stage_one.run_one, stage_two.run_two
-    from eha_monitor.estimation import filterpy_stages  # takes 0.3 s to load
+    from eha_monitor.estimation import reference_stages  # takes 0.3 s to load
 
-    return filterpy_stages.run_one, filterpy_stages.run_two
+    return reference_stages.run_one, reference_stages.run_two
 
 
 def constants_one(inputs: Inputs, settings: Settings) -> ConstantsOne:

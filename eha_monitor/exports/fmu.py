@@ -17,7 +17,6 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -34,14 +33,14 @@ from eha_monitor.exports.model import (
     exponents,
     lost_of_simulation,
     plain,
+    rendered,
 )
-from eha_monitor.output import write_text
+from eha_monitor.output import source_digest, write_text
 from eha_monitor.physics import contributions, plant, signals
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import BASE_KEYS, place_of, theta_of
 from eha_monitor.physics.signals import K_POS
 from eha_monitor.settings.rig import Rig
-from eha_monitor.source import source_digest
 
 SOURCES = Path(__file__).parent / "fmu"
 MISSING = ("--fmu: needs a C compiler to link with, and there is neither ziglang nor cc; "
@@ -241,73 +240,43 @@ def description(model: Model, guid: str, identifier: str, start: float, paramete
     start : position at the start, m.
     units : unit of a linear rig -> that of this one.
     """
-    rig = model.settings.rig
-    root = ElementTree.Element("fmiModelDescription", {
-        "fmiVersion": "2.0", "modelName": rig.name, "guid": guid,
-        "description": f"Electrohydraulic actuator, from {model.source}; {model.provenance}",
-        "generationTool": f"eha_monitor {__version__}",
-        "variableNamingConvention": "structured", "numberOfEventIndicators": "0"})
-    for line in lost:
-        root.append(ElementTree.Comment(f" not in this FMU: {line.replace('--', '- -')} "))
-    ElementTree.SubElement(root, "CoSimulation", {
-        "modelIdentifier": identifier, "canHandleVariableCommunicationStepSize": "true",
-        "canInterpolateInputs": "true", "maxOutputDerivativeOrder": "0",
-        "canGetAndSetFMUstate": "true", "canSerializeFMUstate": "true",
-        "canNotUseMemoryManagementFunctions": "true"})
-
     def unit_of(unit: str) -> str:
         return plain(units.get(unit, unit))
 
-    used = {unit_of(unit) for _, unit, _ in (*INPUTS, *OUTPUTS)} | {
-        unit_of(one.unit) for one in parameters}
-    definitions = ElementTree.SubElement(root, "UnitDefinitions")
-    for unit in sorted(used - {""}):
-        whole = exponents(unit)
-        one = ElementTree.SubElement(definitions, "Unit", {"name": unit})
-        if whole is not None:
-            ElementTree.SubElement(one, "BaseUnit", {k: str(n) for k, n in whole.items()})
-    ElementTree.SubElement(root, "DefaultExperiment", {
-        "startTime": "0", "stepSize": repr(rig.sample_time)})
-    variables = ElementTree.SubElement(root, "ModelVariables")
-
     def real(name: str, vr: int, text: str, unit: str, start: float | None = None,
-             bounds: tuple[float | None, float | None] = (None, None), **attributes: str) -> None:
-        one = ElementTree.SubElement(variables, "ScalarVariable", {
-            "name": name, "valueReference": str(vr), "description": text, **attributes})
+             bounds: tuple[float | None, float | None] = (None, None), **attributes: str) -> tuple:
         value = {"unit": unit_of(unit)} if unit_of(unit) else {}
         value |= {key: repr(float(bound)) for key, bound in zip(("min", "max"), bounds,
                                                                 strict=True)
                   if bound is not None and np.isfinite(bound)}
         if start is not None:
             value["start"] = repr(float(start))
-        ElementTree.SubElement(one, "Real", value)
+        return ({"name": name, "valueReference": vr, "description": text} | attributes, "Real",
+                value)
 
-    for vr, (name, unit, text) in enumerate(INPUTS):
-        real(name, vr, text, unit, start if name == "x_d" else 0.0, causality="input",
-             variability="continuous")
-    real("x_start", VR_X_START, "position at the start, at rest", "m", start,
-         causality="parameter", variability="fixed", initial="exact")
-    loop = ElementTree.SubElement(variables, "ScalarVariable", {
-        "name": "closed_loop", "valueReference": str(VR_CLOSED), "causality": "parameter",
-        "variability": "fixed", "initial": "exact",
-        "description": "true: the drive follows x_d; false: pump_speed turns the pump"})
-    closed = rig.position_gain is not None
-    ElementTree.SubElement(loop, "Boolean", {"start": str(closed).lower()})
-    for i, one in enumerate(parameters):
-        real(one.name, VR_PARAMETER + i, one.description, one.unit, one.start,
-             (one.lower, one.upper), causality="parameter", initial="exact",
-             variability="tunable" if one.tunable else "fixed")
+    before = {"causality": "parameter", "variability": "fixed", "initial": "exact"}
+    variables = [real(name, vr, text, unit, start if name == "x_d" else 0.0, causality="input",
+                      variability="continuous") for vr, (name, unit, text) in enumerate(INPUTS)]
+    variables += [
+        real("x_start", VR_X_START, "position at the start, at rest", "m", start, **before),
+        ({"name": "closed_loop", "valueReference": VR_CLOSED} | before | {
+            "description": "true: the drive follows x_d; false: pump_speed turns the pump"},
+         "Boolean", {"start": str(model.settings.rig.position_gain is not None).lower()})]
+    variables += [real(one.name, VR_PARAMETER + i, one.description, one.unit, one.start,
+                       (one.lower, one.upper), **before | (
+                           {"variability": "tunable"} if one.tunable else {}))
+                  for i, one in enumerate(parameters)]
     first = len(variables) + 1
-    for i, (name, unit, text) in enumerate(OUTPUTS):
-        real(name, VR_OUTPUT + i, text, unit, causality="output", variability="continuous",
-             initial="calculated")
-    structure = ElementTree.SubElement(root, "ModelStructure")
-    for part in ("Outputs", "InitialUnknowns"):
-        unknowns = ElementTree.SubElement(structure, part)
-        for i in range(len(OUTPUTS)):
-            ElementTree.SubElement(unknowns, "Unknown", {"index": str(first + i)})
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
+    variables += [real(name, VR_OUTPUT + i, text, unit, causality="output",
+                       variability="continuous", initial="calculated")
+                  for i, (name, unit, text) in enumerate(OUTPUTS)]
+    used = {unit_of(one[1]) for one in (*INPUTS, *OUTPUTS)} | {
+        unit_of(one.unit) for one in parameters}
+    return rendered(
+        "fmu.xml.j2", model=model, rig=model.settings.rig, guid=guid, identifier=identifier,
+        version=__version__, lost=lost, variables=variables,
+        definitions=[(unit, exponents(unit)) for unit in sorted(used - {""})],
+        outputs=range(first, first + len(OUTPUTS))).encode()
 
 
 def fmu_of(model: Model, units: Mapping[str, str], wanted: tuple[str, ...] = ()) -> Exported:
@@ -379,27 +348,20 @@ def _lost(model: Model) -> tuple[str, ...]:
 def header(closed: bool, guid: str, h: float, start: float, theta: np.ndarray, active: np.ndarray,
            parameters: list[Variable]) -> str:
     """Return ``model.h``: what fmi2.c needs to know of the physics and of this config."""
-    sizes = {
+    terms, updates = contributions.with_term(active), contributions.with_update(active, theta)
+    defines = {
+        "GUID": f'"{guid}"', "STEP": h, "X_START": start,
         "N_STATE": plant.N_STATE, "N_THETA": contributions.N_THETA, "N_CIRCUIT": signals.N_CIRCUIT,
         "N_MEMORY": contributions.N_EFFECTS * signals.MAX_MEMORY,
         "RING": plant.RING, "ROWS": fmu_kernel.ROWS,
         "N_SCRATCH": signals.N_CONTRIBUTIONS + signals.N_SIGNALS, "N_OUT": fmu_kernel.N_OUT,
         "P_CHARGE": signals.P_CHARGE, "AREA_1": signals.AREA_1, "AREA_2": signals.AREA_2,
         "VR_X_START": VR_X_START, "VR_CLOSED": VR_CLOSED, "VR_OUTPUT": VR_OUTPUT,
-        "VR_PARAMETER": VR_PARAMETER, "CLOSED": int(closed), "N_PARAMETERS": len(parameters)}
-    lines = ["#include <stdint.h>", f'#define GUID "{guid}"', f"#define STEP {h!r}",
-             f"#define X_START {start!r}",
-             *(f"#define {name} {value}" for name, value in sizes.items())]
-    terms, updates = contributions.with_term(active), contributions.with_update(active, theta)
-    for name, places in (("TERMS", terms), ("UPDATES", updates)):
-        lines += [f"#define N_{name} {len(places)}",
-                  _table("int64_t", name, [int(place) for place in places] or [0])]
-    lines += [_table("uint8_t", "ACTIVE", [int(one) for one in active]),
-              _table("double", "THETA", [float(one) for one in theta]),
-              _table("int", "PLACES", [one.place for one in parameters]),
-              _table("uint8_t", "TUNABLE", [int(one.tunable) for one in parameters])]
-    return "\n".join(lines) + "\n"
-
-
-def _table(kind: str, name: str, values: list) -> str:
-    return f"static const {kind} {name}[] = {{{', '.join(map(repr, values))}}};"
+        "VR_PARAMETER": VR_PARAMETER, "CLOSED": int(closed), "N_PARAMETERS": len(parameters),
+        "N_TERMS": len(terms), "N_UPDATES": len(updates)}
+    return rendered("model.h.j2", defines=defines, tables=(
+        ("int64_t", "TERMS", terms.tolist() or [0]),
+        ("int64_t", "UPDATES", updates.tolist() or [0]),
+        ("uint8_t", "ACTIVE", [int(one) for one in active]), ("double", "THETA", theta.tolist()),
+        ("int", "PLACES", [one.place for one in parameters]),
+        ("uint8_t", "TUNABLE", [int(one.tunable) for one in parameters])))

@@ -50,7 +50,7 @@ def kernel(what, y_, theta_, w_, memory_, past_, u_, scratch_, out_, terms_, n_t
     load, load_slope : force against positive motion, N, and its rate.
     n, closed : steps to take; whether the drive closes the loop.
     """
-    y, theta = carray(y_, (plant.N_STATE,)), carray(theta_, (N_THETA,))
+    theta = carray(theta_, (N_THETA,))
     w, active = carray(w_, (signals.N_CIRCUIT,)), carray(active_, (N_EFFECTS,))
     if what == CIRCUIT:
         # As contributions.circuit_of, which makes an array: here nothing is allocated.
@@ -65,18 +65,21 @@ def kernel(what, y_, theta_, w_, memory_, past_, u_, scratch_, out_, terms_, n_t
                 first = signals.N_BASE + which * signals.MAX_PARAMETERS
                 circuit(theta[first : first + signals.MAX_PARAMETERS], w)
         return
-    memory, past = carray(memory_, (N_EFFECTS, signals.MAX_MEMORY)), carray(past_, (plant.RING, 4))
     u, places = carray(u_, (ROWS, 4)), carray(places_, (2,))
+    actuator = plant.Actuator(
+        carray(y_, (plant.N_STATE,)), carray(memory_, (N_EFFECTS, signals.MAX_MEMORY)),
+        carray(past_, (plant.RING, 4)), places[:1])
+    scratch = carray(scratch_, (signals.N_CONTRIBUTIONS + signals.N_SIGNALS,))
+    c, s = scratch[:signals.N_CONTRIBUTIONS], scratch[signals.N_CONTRIBUTIONS:]
+    equations = plant.Equations(theta, carray(terms_, (n_terms,)), carray(updates_, (n_updates,)),
+                                w, c, s)
+    given, step = plant.Given(u, 1, 0, closed), plant.Step(h, 1)
     if what == OUTPUTS:
         out, here = carray(out_, (N_OUT,)), places[1]
         u[here, 0], u[here, 1], u[here, 2], u[here, 3] = value, slope * h, 0.0, 0.0
-        plant.sense(y, t, h, past, places[0], w, out)
-        given, speed = plant.speed_now(y, u, 1, here, h, 1, closed, theta, w, past, places[0])
-        out[4], out[5] = speed, given
+        plant.sense(actuator, t, step, w, out)
+        out[5], out[4] = plant.speed_now(actuator, here, given, step, equations)
         return
-    terms, updates = carray(terms_, (n_terms,)), carray(updates_, (n_updates,))
-    scratch = carray(scratch_, (signals.N_CONTRIBUTIONS + signals.N_SIGNALS,))
-    c, s = scratch[:signals.N_CONTRIBUTIONS], scratch[signals.N_CONTRIBUTIONS:]
     c[:] = 0.0
     for i in range(n):
         here = places[1]
@@ -86,9 +89,8 @@ def kernel(what, y_, theta_, w_, memory_, past_, u_, scratch_, out_, terms_, n_t
                     u[row, column] = u[here - KEPT + row, column]
             here = KEPT
         u[here, 0], u[here, 1], u[here, 2], u[here, 3] = value + slope * i * h, slope * h, 0.0, 0.0
-        y[plant.Y_FORCE] = load + load_slope * (i + 0.5) * h
-        places[0] = plant.advance(y, t + i * h, h, 1, u, 1, here, closed, theta, terms, updates,
-                                  w, memory, past, places[0], c, s)
+        actuator.y[plant.Y_FORCE] = load + load_slope * (i + 0.5) * h
+        plant.advance(actuator, t + i * h, here, given, step, equations)
         places[1] = here + 1
 
 

@@ -7,14 +7,13 @@ MuJoCo take damping and friction of it, ros2_control a feed-forward table.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from io import StringIO
-from xml.etree import ElementTree
 
 import numpy as np
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
 
 from eha_monitor import __version__
-from eha_monitor.exports.model import Exported, Model
+from eha_monitor.exports.model import Exported, Model, rendered
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import (
     ALL_NAMES,
@@ -190,23 +189,9 @@ def urdf_of(model: Model, joint: str) -> Exported:
     law, two, motion = _numbers(model)
     lost = (*_lost_of_joint(model, law, two, ()),
             "limits: those of the config's own motion, not identified; set the joint's own")
-    root = ElementTree.Element("robot", {"name": _word(model.settings.rig.name)})
-    _comments(root, model, lost)
-    body, end = f"{joint}_base", f"{joint}_link"
-    mass, inertia = law.inertia(model.rotary)
-    _element(root, "link", name=body)
-    inertial = _element(_element(root, "link", name=end), "inertial")
-    _element(inertial, "mass", value=mass)
-    _element(inertial, "inertia", **dict.fromkeys(("ixx", "iyy", "izz"), inertia),
-             **dict.fromkeys(("ixy", "ixz", "iyz"), "0"))
-    one = _element(root, "joint", name=joint, type="revolute" if model.rotary else "prismatic")
-    _element(one, "parent", link=body)
-    _element(one, "child", link=end)
-    _element(one, "axis", xyz="1 0 0")
-    _element(one, "limit", lower=motion.lowest, upper=motion.highest, velocity=motion.speed,
-             effort=two.damping * motion.speed + two.friction + abs(law.load))
-    _element(one, "dynamics", damping=two.damping, friction=two.friction)
-    return Exported(_text(root), lost)
+    effort = two.damping * motion.speed + two.friction + abs(law.load)
+    return _joint("joint.urdf.xml.j2", model, joint, law, lost, two=two, motion=motion,
+                  effort=effort)
 
 
 def mujoco_of(model: Model, joint: str) -> Exported:
@@ -216,25 +201,21 @@ def mujoco_of(model: Model, joint: str) -> Exported:
     """
     law, two, _ = _numbers(model)
     lost = _lost_of_joint(model, law, two, (SPRING,))
-    step = model.settings.rig.sample_time
-    root = ElementTree.Element("mujoco", {"model": _word(model.settings.rig.name)})
-    _comments(root, model, lost)
-    # Implicit in the damping: a seal stiffer than the step allows must not ring.
-    _element(root, "option", timestep=step, gravity="0 0 0", integrator="implicitfast")
-    if model.rotary:
-        _element(root, "compiler", angle="radian")
-    body = _element(_element(root, "worldbody"), "body", name=f"{joint}_link")
-    spring = model.effects.get(SPRING)
-    # MuJoCo's friction is a soft constraint: as hard as the step allows.
-    _element(body, "joint", name=joint, type="hinge" if model.rotary else "slide", axis="1 0 0",
-             damping=two.damping, frictionloss=two.friction, solreffriction=f"{2.0 * step:.6g} 1",
-             **({"stiffness": spring["k"], "springref": spring["x_0"]} if spring else {}))
+    return _joint("joint.mjcf.xml.j2", model, joint, law, lost, two=two,
+                  step=model.settings.rig.sample_time, spring=model.effects.get(SPRING))
+
+
+def _joint(template: str, model: Model, joint: str, law: Law, lost: tuple[str, ...], **facts
+           ) -> Exported:
+    """Return a template filled with what all joints have, and with further facts."""
+    unit = "N·m·s/rad and N·m" if model.rotary else "N·s/m and N"
     mass, inertia = law.inertia(model.rotary)
-    _element(body, "inertial", pos="0 0 0", mass=mass,
-             diaginertia=" ".join([f"{inertia:.6g}"] * 3))
-    _element(_element(root, "actuator"), "motor", name=f"{joint}_pressure_force", joint=joint,
-             gear="1")
-    return Exported(_text(root), lost)
+    return Exported(rendered(
+        template, name=_word(model.settings.rig.name), joint=joint, rotary=model.rotary, mass=mass,
+        inertia=inertia, comments=(
+            f"eha_monitor {__version__}, from {model.source}",
+            f"damping and friction in {unit}; {model.provenance}",
+            *(f"not in this file: {one}" for one in lost)), **facts), lost)
 
 
 def _numbers(model: Model) -> tuple[Law, TwoNumbers, Motion]:
@@ -276,27 +257,6 @@ def _taken_at(model: Model, law: Law, held: tuple[str, ...] = ()) -> list[str]:
               for name in law.by_position if name not in held),
             *(f"{name}: taken at the charge pressure, {charge}"
               for name in law.names if "pressure" in name)]
-
-
-def _comments(root: ElementTree.Element, model: Model, lost: tuple[str, ...]) -> None:
-    unit = "N·m·s/rad and N·m" if model.rotary else "N·s/m and N"
-    for line in (f"eha_monitor {__version__}, from {model.source}",
-                 f"damping and friction in {unit}; {model.provenance}",
-                 *(f"not in this file: {one}" for one in lost)):
-        root.append(ElementTree.Comment(f" {line.replace('--', '- -')} "))
-
-
-def _text(root: ElementTree.Element) -> str:
-    ElementTree.indent(root)
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, "unicode")}\n'
-
-
-def _element(parent: ElementTree.Element, tag: str, **attributes: str | float
-             ) -> ElementTree.Element:
-    """Return a new element below another; numbers are written with six digits."""
-    return ElementTree.SubElement(parent, tag, {
-        key: value if isinstance(value, str) else f"{value:.6g}"
-        for key, value in attributes.items()})
 
 
 def _word(name: str) -> str:

@@ -2,8 +2,12 @@
 
 import re
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
+import jinja2
 import numpy as np
+from markupsafe import Markup
 
 from eha_monitor.errors import InputError
 from eha_monitor.physics.effects import CATALOGUE
@@ -132,3 +136,19 @@ def exponents(unit: str) -> dict[str, int] | None:
             for base, exponent in _SI[name].items():
                 found[base] = found.get(base, 0) + sign * exponent * int(power or 1)
     return {base: exponent for base, exponent in found.items() if exponent}
+
+
+@lru_cache(maxsize=1)
+def _templates() -> jinja2.Environment:
+    made = jinja2.Environment(
+        loader=jinja2.PackageLoader("eha_monitor.exports"), undefined=jinja2.StrictUndefined,
+        autoescape=lambda name: name.endswith(".xml.j2"), trim_blocks=True, lstrip_blocks=True,
+        keep_trailing_newline=True)
+    made.filters |= {"six": "{:.6g}".format,
+                     "comment": lambda text: Markup(text.replace("--", "- -"))}
+    return made
+
+
+def rendered(template: str, **facts: Any) -> str:
+    """Return a file of ``templates/``; in XML every value is escaped."""
+    return _templates().get_template(template).render(facts)

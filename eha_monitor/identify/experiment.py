@@ -1,29 +1,124 @@
 """The experiment: move, diagnose, and move again until it is decided what the rig has."""
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from eha_monitor.errors import InputError
-from eha_monitor.identify.otherwise import otherwise
 from eha_monitor.identify.plan import (
     WORTH,
     Contest,
     Planned,
     Planner,
+    Structure,
     beside,
     running,
     standing,
 )
-from eha_monitor.identify.rig import Ran, Rig
+from eha_monitor.identify.rig import NEEDED, Ran, Rig
+from eha_monitor.mismatch.advise.motions import demanded, excitation_tree, without_noise
+from eha_monitor.mismatch.advise.separate import simulated
+from eha_monitor.mismatch.advise.words import motion_sentence
+from eha_monitor.mismatch.data.experiment import OUTPUTS, Experiment
 from eha_monitor.mismatch.diagnose import diagnose_and_name
 from eha_monitor.mismatch.diagnosis import Diagnosis
+from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.name.naming import Names, Naming
+from eha_monitor.physics import signals as s
+from eha_monitor.physics.effects import CATALOGUE, NAMES
+from eha_monitor.physics.parameters import place_of
+from eha_monitor.quantity import number, quantity
 from eha_monitor.recordings.recording import Recording
+from eha_monitor.settings.monitor import Experiment as Bounds
+from eha_monitor.words import effect_words, listed
+
+LOAD = 0.3  # of the force that the pressure limit allows
+CHARGED = 1.5  # times the charge pressure
+WARMER = 0.7  # of B: mineral oil some 12 K warmer (Reynolds' law, 0.03 1/K)
+SENSORS = {"p1": ("a sensor of the pressure of chamber 1", "pressure"),
+           "p2": ("a sensor of the pressure of chamber 2", "pressure"),
+           "omega": ("a sensor of the pump speed", "pump_speed"),
+           "v": ("a sensor of the velocity", "velocity")}
+
+
+def otherwise(contest: Contest, x_d: np.ndarray, bounds: Bounds) -> tuple[str, ...]:
+    """Return in words what else would tell structures apart, each tried with the same motion.
+
+    Where none of it would, what the catalogue says to look at on the rig.
+
+    Parameters
+    ----------
+    x_d : (n,) m, the motion.
+    """
+    now = float(np.sum([one.probability**2 for one in contest.structures]))
+    found = []
+    for words, experiment, structures in changes(contest, bounds):
+        other = Contest(experiment, structures, recorded=False)
+        gram = other.told_by(without_noise(demanded(experiment, words, x_d), other.fit))
+        if gram is None:
+            continue
+        expected = other.expected(gram)[0]
+        if expected > now + WORTH:
+            found.append(f"{words} (expected probability {expected:.2f}, without it {now:.2f})")
+    if found:
+        return tuple(found)
+    names = dict.fromkeys(name for one in contest.structures[:3] for name in sorted(one.names)
+                          if name in CATALOGUE)
+    return tuple(f"at the rig: {CATALOGUE[name].rig_check.rstrip('.')}" for name in names)
+
+
+def changes(contest: Contest, bounds: Bounds
+            ) -> Iterator[tuple[str, Experiment, Sequence[Structure]]]:
+    """Yield what may be changed, in words, with the experiment and the structures under it."""
+    experiment, structures = contest.experiment, contest.structures
+    rig, noise = experiment.settings.rig, experiment.settings.simulation.noise
+    force = float(f"{LOAD * rig.area_1 * (bounds.pressure - rig.charge_pressure):.1g}")
+    load, place = NAMES.index("constant_load"), place_of("constant_load.F_0")
+
+    def moved(change) -> list[Structure]:
+        found = []
+        for one in structures:
+            theta, active = one.fit.theta.copy(), one.fit.active.copy()
+            change(theta, active)
+            found.append(replace(one, fit=replace(one.fit, theta=theta, active=active)))
+        return found
+
+    def loaded(theta, active):
+        theta[place] += force
+        active[load] = True
+
+    def warmer(theta, active):
+        theta[s.B] *= WARMER
+
+    def charged(theta, active):
+        theta[s.P_CHARGE] *= CHARGED
+
+    higher = rig.model_copy(update={"charge_pressure": CHARGED * rig.charge_pressure})
+    yield (f"a charge pressure of {quantity(higher.charge_pressure, 'Pa', 2)}",
+           replace(experiment, settings=experiment.settings.model_copy(update={"rig": higher})),
+           moved(charged))
+    yield f"a constant load of {quantity(force, 'N', 1)} on the rod", experiment, moved(loaded)
+    yield "oil that is some 12 °C warmer", experiment, moved(warmer)
+    for name, (words, level) in SENSORS.items():
+        column = OUTPUTS.index(name)
+        if experiment.used[column]:
+            continue
+        used, levels = experiment.used.copy(), experiment.noise.copy()
+        used[column], levels[column] = True, getattr(noise, level)
+        there = replace(experiment, used=used, noise=levels)
+        yield words, there, [replace(one, fit=seen(there, one.fit)) for one in structures]
+
+
+def seen(experiment: Experiment, fit: Fit) -> Fit:
+    """Return a fit with the gains and innovations of other sensors, the rig at rest."""
+    x = float(np.nanmean(experiment.stretches[0].z[:, 0]))
+    rest = demanded(experiment, "rest", np.full(len(experiment.stretches[0]), x))
+    return with_unknowns(simulated(rest, fit, 0), fit, fit.unknowns)
+
 
 DECIDED, INSEPARABLE, TIME, ABORTED = "decided", "inseparable", "time", "aborted"
-ENDS = (DECIDED, INSEPARABLE, TIME, ABORTED)
 FEW = 0.05  # probability of all rivals together, below which what has no model yet is looked for
 Report = Callable[[str, float], None]
 
@@ -39,7 +134,7 @@ class Round:
     diagnosis : of all recordings so far; None where the motion was aborted.
     names, probability : the set that stands, and its probability; ``rivals`` the others from
         1 % on, the most probable first.
-    following : the motion that is planned next, or None; ``end`` then says why, one of ``ENDS``.
+    following : the motion that is planned next, or None; ``end`` then says why.
     would : what would tell the rest apart, in words, where no motion does.
     """
 
@@ -133,3 +228,82 @@ def following(planner: Planner, naming: Naming, now: Round, wanted: float, posit
     if planned.at_last > planned.now + WORTH:
         return replace(now, following=planned)
     return replace(now, end=INSEPARABLE, would=otherwise(contest, planned.x_d, planner.bounds))
+
+
+SCHEMA = "eha_monitor/identify/1"
+
+
+def set_words(names: Names) -> str:
+    """Return a set of effects and numbers of the rig: ``Coulomb friction and another mass``."""
+    return listed([f"another {effect_words(name.removeprefix('rig.'))}"
+                   if name.startswith("rig.") else effect_words(name)
+                   for name in sorted(names)]) or "nothing beyond the config"
+
+
+def percent(probability: float) -> str:
+    """Return a probability in per cent, never quite 0 or 100."""
+    if not math.isfinite(probability):
+        return "—"
+    return f"{min(max(100.0 * probability, 0.1), 99.9):.1f} %"
+
+
+def plan_words(planned: Planned, dt: float) -> str:
+    """Return what is to be moved, and why."""
+    text = (f"{motion_sentence(planned.motion)} ({number(len(planned.x_d) * dt, 3)} s with the "
+            "way to it)")
+    if planned.pair is not None:
+        one, other = map(set_words, planned.pair)
+        text += f", to distinguish {one} from {other} ({number(planned.log_units, 2)} log units)"
+    return (f"{text}; the right set is expected to have {percent(planned.expected)} after it, "
+            f"now {percent(planned.now)}")
+
+
+def round_words(one: Round, count: int, dt: float) -> str:
+    """Return what stands after a motion, with which probability, and what is next and why."""
+    what = one.planned.motion.words.replace("the speed of this recording", "full speed")
+    head = f"motion {count}, {what}, {number(one.seconds, 3)} s so far: "
+    if one.end == ABORTED:
+        return f"{head}aborted: {one.ran.aborted}; the position demanded last is held"
+    if one.diagnosis is not None and one.diagnosis.verdict == "unexplained":
+        head += "something that is not in the catalogue"
+    else:
+        head += f"{set_words(one.names)}, {percent(one.probability)}"
+    if one.rivals:
+        head += "; else " + ", ".join(f"{set_words(names)} {percent(value)}"
+                                      for names, value in list(one.rivals.items())[:3])
+    if one.end == DECIDED:
+        return f"{head}. Decided"
+    if one.end == TIME:
+        return f"{head}. The time is up: no motion fits into what is left of it"
+    if one.end == INSEPARABLE:
+        more = f"; what would: {'; '.join(one.would)}" if one.would else ""
+        return f"{head}. No motion within the limits distinguishes what is left{more}"
+    return f"{head}. Next: {plan_words(one.following, dt)}"
+
+
+def planned_tree(planned: Planned, dt: float) -> dict:
+    """Return a planned motion as plain data."""
+    return {"name": planned.motion.name, "words": motion_sentence(planned.motion),
+            "duration_s": len(planned.x_d) * dt, "excitation": excitation_tree(planned.motion),
+            "expected_probability": planned.expected, "probability_now": planned.now,
+            "between": None if planned.pair is None else [sorted(one) for one in planned.pair],
+            "log_units": planned.log_units,
+            "predicted": {key: -value if key == "lower" else value
+                          for key, value in planned.peaks.items()}}
+
+
+def tree(rounds: list[Round], bags: list[str], bounds: Bounds, wanted: float, dt: float
+         ) -> dict:
+    """Return an experiment as plain data, without its diagnosis."""
+    last = rounds[-1]
+    return {
+        "schema": SCHEMA, "end": last.end, "aborted": last.ran.aborted, "bags": bags,
+        "names": sorted(last.names), "probability": last.probability, "wanted": wanted,
+        "motion_s": last.seconds, "would": last.would,
+        "limits": {key: getattr(bounds, key) for key in (*NEEDED, "motion_time", "total_time")},
+        "rounds": [{"motion": planned_tree(one.planned, dt), "seconds": one.seconds,
+                    "aborted": one.ran.aborted,
+                    "verdict": one.diagnosis and one.diagnosis.verdict,
+                    "names": sorted(one.names), "probability": one.probability,
+                    "rivals": [{"names": sorted(names), "probability": value}
+                               for names, value in one.rivals.items()]} for one in rounds]}

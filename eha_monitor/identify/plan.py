@@ -22,18 +22,17 @@ from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.data.inputs import CLOSED
 from eha_monitor.mismatch.likelihood.fit import Fit, free_run
 from eha_monitor.mismatch.likelihood.information import Gram, Slope, Traces, free_slopes, gain_of
-from eha_monitor.mismatch.name.base import with_effect
 from eha_monitor.mismatch.name.candidates import all_named, candidate, log_prior
 from eha_monitor.mismatch.name.naming import Names, Naming
 from eha_monitor.mismatch.name.posterior import counted
 from eha_monitor.mismatch.name.select import nominal
-from eha_monitor.mismatch.name.starts import own_sizes, starts_of
+from eha_monitor.mismatch.name.starts import own_sizes, starts_of, with_effect
 from eha_monitor.mismatch.policy import POLICY
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.recordings.recording import Recording
-from eha_monitor.settings.experiment import Experiment as Bounds
+from eha_monitor.settings.monitor import Experiment as Bounds
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Segment
 

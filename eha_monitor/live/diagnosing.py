@@ -1,4 +1,8 @@
-"""A diagnosis in another process, and what comes of it."""
+"""A diagnosis in another process, what is said of it, and the model that a running monitor adopts.
+
+Adopted without losing a row: the running estimator goes on until the other one, which has first
+taken the rows of its buffer in small slices, has caught up.
+"""
 
 import json
 import math
@@ -9,14 +13,136 @@ import sys
 import threading
 import time
 import weakref
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections import deque
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from eha_monitor.errors import InputError
-from eha_monitor.settings.document import annotated
-from eha_monitor.settings.load import load_settings
+from eha_monitor.health.alarms import WATCHED
+from eha_monitor.health.judge import DIAGNOSIS, MACHINE, MODEL_IN_FORCE, Finding
+from eha_monitor.live.estimator import LiveEstimator
+from eha_monitor.live.ingest import Columns
+from eha_monitor.output import write_json
+from eha_monitor.quantity import with_uncertainty
+from eha_monitor.settings.load import annotated, load_settings, settings_from_tree
 from eha_monitor.settings.monitor import Settings
+from eha_monitor.words import listed
+
+SCHEMA = "eha_monitor/adopted/1"
+MODEL = ("rig", "effects", "command_hold")  # sections and keys of the config that are the model
+
+
+class Candidate:
+    """An estimator that is to take the place of the running one.
+
+    Parameters
+    ----------
+    estimator : with the other settings; knows no row yet.
+    past : rows to begin with, (times in s, columns), in order.
+    """
+
+    def __init__(self, estimator: LiveEstimator, past: Iterable[tuple[np.ndarray, Columns]]):
+        self.estimator = estimator
+        self._waiting = deque(past)
+        self.first_s = self._waiting[0][0][0] if self._waiting else math.nan
+
+    def push(self, times: np.ndarray, columns: Columns) -> None:
+        """Take rows as :meth:`LiveEstimator.push_rows` does; they wait for their slice."""
+        if not self._waiting and math.isnan(self.first_s) and len(times):
+            self.first_s = float(times[0])
+        self._waiting.append((times, columns))
+
+    def advance(self, seconds: float) -> bool:
+        """Work for at most about ``seconds``; True once all rows have been taken."""
+        until = time.monotonic() + seconds
+        while self._waiting and time.monotonic() < until:
+            self.estimator.push_rows(*self._waiting.popleft())
+        return not self._waiting
+
+    def withdraw(self, channel: str, since_s: float) -> None:
+        """Take back what a channel gave from ``since_s`` on, also in rows that wait."""
+        for place, (times, columns) in enumerate(self._waiting):
+            if channel in columns and len(times) and times[-1] >= since_s:
+                kept = np.where(times < since_s, columns[channel], math.nan)
+                self._waiting[place] = times, {**columns, channel: kept}
+        if not math.isnan(self.first_s):
+            self.estimator.withdraw(channel, since_s)
+
+    def reset(self, reason: str) -> None:
+        """Begin anew with the rows that come."""
+        self._waiting.clear()
+        self.first_s = math.nan
+        self.estimator.reset(reason)
+
+
+def model_of(settings: Settings) -> dict:
+    """Return what of a config is the model, as JSON's plain types."""
+    return settings.model_dump(mode="json", include=set(MODEL))
+
+
+@dataclass(frozen=True)
+class Adopted:
+    """A model that was put in place of that of the config.
+
+    Attributes
+    ----------
+    who : ``service`` or ``automatic``.
+    time_utc : when, ISO 8601.
+    words : the effects, for people.
+    report : where its diagnosis is described.
+    base : the model of the config then; for another one it is not valid.
+    model : as :func:`model_of`.
+    """
+
+    who: str
+    time_utc: str
+    words: str
+    report: str
+    base: dict
+    model: dict
+
+    def applied(self, settings: Settings) -> Settings:
+        """Return settings with this model in place of theirs."""
+        made = settings_from_tree(self.model, "the adopted model")
+        return settings.model_copy(update={key: getattr(made, key) for key in MODEL})
+
+    def save(self, path: Path) -> None:
+        """Write it, for the next start.
+
+        Raises
+        ------
+        InputError
+            If the place cannot be written.
+        """
+        write_json(path, {"schema": SCHEMA} | asdict(self))
+
+
+def adopted_before(path: Path, settings: Settings) -> Adopted | None:
+    """Return the model that an earlier run adopted for this config, None where none did.
+
+    Raises
+    ------
+    InputError
+        One line, if the file is none, or its model was adopted for another config.
+    """
+    try:
+        tree = json.loads(path.read_text(encoding="utf-8"))
+        if tree.pop("schema", None) != SCHEMA:
+            raise ValueError(f"expected schema {SCHEMA}")
+        found = Adopted(**tree)
+        found.applied(settings)
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, TypeError, AttributeError, InputError) as problem:
+        raise InputError(f"{path}: expected an adopted model: {problem}") from problem
+    if found.base != model_of(settings):
+        raise InputError(f"{path}: adopted on {found.time_utc} for another rig or other effects "
+                         "than the config now has: left out")
+    return found
+
 
 PACKAGE = Path(__file__).parents[1]
 WALL = 10.0  # times its processor time: then it hangs
@@ -183,3 +309,127 @@ class Diagnosing:
                     "(diagnosis.memory_gigabytes)")
         last = said.splitlines()[-1] if said else f"exit status {status}"
         return f"failed: {last.removeprefix('eha_monitor: ')}"
+
+
+EFFECT = "effect "
+_LEVELS = {"consistent": "OK", "mismatch": "WARN", "unexplained": "WARN"}
+
+
+def effects_in_words(answer: Answer) -> str:
+    """Return what an answer puts into the model: names with their sizes.
+
+    Names are those of the catalogue, so that programs read them too.
+    """
+    tree = answer.tree
+    return listed([
+        *(f"{one['name']} ({one['size']})" if one.get("size") else one["name"]
+          for one in tree.get("effects", [])),
+        *(f"rig.{one['key']}" for one in tree.get("rig_data", [])),
+        *(f"a learned term of the {one['balance']} balance" for one in tree.get("learned", []))
+    ]) or "B and beta_e as found"
+
+
+def model_finding(adopted: Adopted | None) -> Finding:
+    """Return which model is in force, who put it there and when."""
+    if adopted is None:
+        return Finding(MODEL_IN_FORCE, "OK", "the model of the config is in force",
+                       {"adopted": 0})
+    return Finding(MODEL_IN_FORCE, "OK", f"the config's model with {adopted.words} is in force: "
+                   f"adopted by {adopted.who} at {adopted.time_utc}", {
+                       "adopted": 1, "who": adopted.who, "time_utc": adopted.time_utc,
+                       "effects": ", ".join(adopted.model["effects"]), "report": adopted.report})
+
+
+def answer_findings(answer: Answer | None) -> list[Finding]:
+    """Return the verdict, each effect and each number of the rig, then B and beta_e."""
+    if answer is None:
+        return [Finding(DIAGNOSIS, "STALE", "nothing has been diagnosed yet")]
+    tree = answer.tree
+    where = tree["location"]
+    found = [Finding(DIAGNOSIS, _LEVELS.get(answer.verdict, "STALE"), tree.get("message", ""), {
+        "verdict": answer.verdict,
+        **{f"share_{name}": share for name, share in where["balance"].items()},
+        "regime": where["regime"],
+        **{f"probability_{name}": p for name, p in (tree.get("probability") or {}).items()
+           if p is not None},
+        "bag": ", ".join(map(str, answer.bags)), "report": str(answer.folder / "report.html"),
+        "json": str(answer.folder / "diagnosis.json"),
+        "config": str(answer.folder / "completed.yaml"), "wall_s": answer.wall_s})]
+    for one in (*tree.get("effects", []), *tree.get("rig_data", [])):
+        values: dict[str, float | int | str] = {}
+        if one.get("probability") is not None:
+            values["probability"] = float(one["probability"])
+        if one.get("size"):
+            values["size"] = one["size"]
+        for name, value in one.get("parameters", {}).items():
+            values |= _number(name, value)
+        if one.get("indistinguishable_from"):
+            values["indistinguishable_from"] = ", ".join(one["indistinguishable_from"])
+        name = f"{EFFECT}{one['name']}" if "name" in one else f"rig.{one['key']}"
+        found.append(Finding(name, "WARN", one["statement"], values))
+    for one in tree.get("learned", []):
+        found.append(Finding(f"learned {one['balance']}", "WARN", one["statement"]))
+    found += _parameters(tree)
+    return found
+
+
+def comparison_findings(answer: Answer | None, since: str, healthy: int, why: str = "",
+                        kept: bool = False) -> list[Finding]:
+    """Return what has changed from the healthy recordings, and the indicators of health.
+
+    Parameters
+    ----------
+    answer : of a comparison, None before the first.
+    since : from when on the compared rows are, ISO 8601.
+    healthy : number of healthy recordings.
+    why : what moved then.
+    kept : whether its recording and its report are.
+    """
+    if answer is None:
+        return [Finding(MACHINE, "STALE", f"not yet compared with {healthy} healthy recordings")]
+    tree, values = answer.tree, {"since_utc": since, "why": why, "verdict": answer.verdict}
+    if kept:
+        values |= {"bag": str(answer.bags[0]), "report": str(answer.folder / "report.html")}
+    if answer.verdict == "consistent":
+        found = [Finding(MACHINE, "OK", tree["message"], values)]
+    else:
+        found = [Finding(MACHINE, "WARN", f"changed since {since} ({why}): {tree['message']}",
+                         values)]
+    for one in tree["changes"]:
+        before, now = one["reference"]["value"], one["now"]["value"]
+        found.append(Finding(
+            f"changed {one['what']} {one['parameter']}".strip(), "WARN",
+            f"{one['statement']}, since {since}",
+            _number("healthy", one["reference"]) | _number("now", one["now"])
+            | {"unit": one["unit"], "since_utc": since}
+            | ({"change_percent": 100.0 * (now / before - 1.0)} if before and now and abs(
+                before) > 3.0 * (one["reference"]["stddev"] or 0.0) else {})))
+    found += [Finding(f"indicator {one['name']}", "OK",
+                      f"{one['words']} {with_uncertainty(one['value'], one['stddev'], '')} "
+                      f"{one['unit']}",
+                      _number("value", one) | {"unit": one["unit"]})
+              for one in tree["indicators"]
+              if one.get("value") is not None and one.get("stddev") is not None]
+    return found
+
+
+def _parameters(tree: dict) -> list[Finding]:
+    """Return what the effects did to B and beta_e: before and after, each with deviation."""
+    found = []
+    for watched in WATCHED:
+        before, after = (tree["parameters"][when].get(watched.symbol)
+                         for when in ("before", "after"))
+        values = _number("before", before) | _number("after", after)
+        shown = [with_uncertainty(one["value"], one["stddev"], one["unit"])
+                 for one in (before, after) if one and None not in one.values()]
+        if len(shown) == 2:
+            words = f"{watched.words} reads {shown[0]} without, {shown[1]} with what was found"
+            found.append(Finding(watched.section, "OK", words, values))
+    return found
+
+
+def _number(name: str, value: dict | None) -> dict[str, float]:
+    """Return a number and its deviation under a name, as far as they are known."""
+    return {} if not value else {
+        key: float(value[part]) for key, part in ((name, "value"), (f"{name}_stddev", "stddev"))
+        if value.get(part) is not None}

@@ -10,8 +10,8 @@ import math
 import numpy as np
 
 from eha_monitor.breakdown import begins_anew
-from eha_monitor.estimation.covered import beyond, ranges_of, within
 from eha_monitor.estimation.inputs import Known, StageInputs, position_variance, quantum_of
+from eha_monitor.estimation.model_watch import beyond, ranges_of, within
 from eha_monitor.estimation.results import (
     ONE,
     STAGES,
@@ -29,9 +29,8 @@ from eha_monitor.estimation.stages import (
     engine_of,
     run_stage_two_kernel,
 )
-from eha_monitor.live.checks import LiveHold, LivePlausibility
+from eha_monitor.live.checks import JUDGE_EVERY_S, JUDGED_S, KEPT, Fit, LiveHold, LivePlausibility
 from eha_monitor.live.ingest import BATCH, BUFFER_S, WARM_UP, Columns, Gathered, Grid
-from eha_monitor.live.model import JUDGE_EVERY_S, JUDGED_S, KEPT, Fit
 from eha_monitor.live.state import (
     Change,
     Checkpoints,

@@ -35,8 +35,7 @@ from eha_monitor.estimation.supervision import (
     honest_factor,
     new_supervision,
 )
-from eha_monitor.live.checks import Handover
-from eha_monitor.live.model import LiveModel
+from eha_monitor.live.checks import Handover, LiveModel
 from eha_monitor.settings.monitor import Settings
 
 EVERY_S, KEPT = 1.0, 6  # a copy each so many seconds, so many of them

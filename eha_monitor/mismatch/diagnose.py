@@ -33,12 +33,9 @@ from eha_monitor.mismatch.likelihood.along import filtered_tracks
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
-from eha_monitor.mismatch.name.angle import at_its_angle
-from eha_monitor.mismatch.name.credible import credible
-from eha_monitor.mismatch.name.first_view import FirstView
-from eha_monitor.mismatch.name.informative import informative
+from eha_monitor.mismatch.name.before import FirstView, at_its_angle, informative
 from eha_monitor.mismatch.name.naming import Naming, beyond_form, name_effects, on_all_of
-from eha_monitor.mismatch.name.select import nominal
+from eha_monitor.mismatch.name.select import credible, nominal
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT
 from eha_monitor.mismatch.show import held_out as show
 from eha_monitor.mismatch.show.changed import change_words, changed_between
@@ -48,12 +45,13 @@ from eha_monitor.mismatch.show.model import (
     fitted_of,
     in_doubt,
     quantised,
+    rig_findings,
+    rig_within,
     robust,
+    size_of,
     stated_stddev,
     values_of,
 )
-from eha_monitor.mismatch.show.rig_numbers import rig_findings, rig_within
-from eha_monitor.mismatch.show.sizes import size_of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import place_of
 from eha_monitor.quantity import number, quantity, share

@@ -12,7 +12,6 @@ from eha_monitor.recordings.recording import ChannelFinding
 from eha_monitor.words import effect_words
 
 VERDICTS = ("consistent", "mismatch", "unexplained", "insufficient_data")
-GATES = ("unseen_error", "bound", "member", "sign")
 
 
 @dataclass(frozen=True)
@@ -264,7 +263,7 @@ class Gate:
 
     Attributes
     ----------
-    gate : one of ``GATES``.
+    gate : ``unseen_error``, ``bound``, ``member`` or ``sign``.
     what : effect, ``rig.<key>`` or signal that failed.
     statement : one sentence: which check, with its numbers.
     """

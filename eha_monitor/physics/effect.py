@@ -24,6 +24,16 @@ def no_circuit(p, w):
     """Leave drive and sensors as they are."""
 
 
+def adds_to(*places: int) -> Callable:
+    """Return a circuit that adds an effect's parameters to constants, the first to the first."""
+    @njit(cache=False)  # kept with what calls it
+    def circuit(p, w):
+        for i, place in enumerate(places):
+            w[place] += p[i]
+
+    return circuit
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One parameter of an effect.
@@ -178,8 +188,3 @@ class Effect:
         text = self.statement.format(**{p.name: _Said(values[p.name], p.unit)
                                         for p in self.parameters if p.name in values})
         return re.sub(r" and ∞|∞ and ", "", text)
-
-    @property
-    def resonant(self) -> bool:
-        """Whether its size sets a resonance, which shows only where it is nearly in place."""
-        return any(p.log for p in self.parameters)

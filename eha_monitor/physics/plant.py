@@ -10,6 +10,7 @@ The past is a ring of (x, v, p1, p2) at the end of each integration step.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -56,6 +57,64 @@ N_STATE = 10
 RING = 1024  # steps of the past that are kept
 N_OUTPUTS = 5  # what sensors show: x, v, p1, p2, omega
 SHORTEST_LAG = 0.4  # integration steps: a lag below is not resolved
+
+
+class Actuator(NamedTuple):
+    """What an actuator carries on from step to step, written in place.
+
+    y : (N_STATE,) state.
+    memory : (N_EFFECTS, MAX_MEMORY) of the effects.
+    past, newest : (RING, 4) ring of the past, and (1,) its newest entry.
+    """
+
+    y: np.ndarray
+    memory: np.ndarray
+    past: np.ndarray
+    newest: np.ndarray
+
+
+class Given(NamedTuple):
+    """What drives an actuator.
+
+    u, pieces : the input (:func:`input_at`).
+    lead : place of the first sample in it.
+    closed : True where u is x_d in m and the drive closes the loop; False where u is the shaft
+        speed in rad/s.
+    """
+
+    u: np.ndarray
+    pieces: int
+    lead: int
+    closed: bool
+
+
+class Step(NamedTuple):
+    """Length of a sample in s, and the Runge-Kutta steps in it.
+
+    10 at 1 kHz keep a 75 Hz resonance to 1e-7.
+    """
+
+    dt: float
+    steps: int
+
+
+class Equations(NamedTuple):
+    """Parameters, active effects that add and that remember, the circuit; and scratch.
+
+    c, s : (N_CONTRIBUTIONS,), zero where no effect is active, and (N_SIGNALS,).
+    """
+
+    theta: np.ndarray
+    terms: np.ndarray
+    updates: np.ndarray
+    w: np.ndarray
+    c: np.ndarray
+    s: np.ndarray
+
+
+def actuator_of(y: np.ndarray, memory: np.ndarray) -> Actuator:
+    """Return an actuator that has rested at ``y``, (N_STATE,), with its effects' memory."""
+    return Actuator(y, memory, new_past(y), np.zeros(1, dtype=np.int64))
 
 
 def new_state(x: float, p1: float, p2: float) -> np.ndarray:
@@ -152,24 +211,14 @@ def drive_rate(wanted, omega, lag, slew):
     return min(max((wanted - omega) / lag, -slew), slew)
 
 
-@njit(forceinline=True)
-def advance(y, t, dt, steps, u, pieces, first, closed, theta, terms, updates, w, memory, past,
-            last, c, s):
-    """Carry the actuator over one sample in place; returns the past's newest entry.
-
-    Parameters
-    ----------
-    y : (N_STATE,) state.
-    t, dt : start of the sample and its length, s.
-    steps : Runge-Kutta steps in the sample; 10 at 1 kHz keeps a 75 Hz resonance to 1e-7.
-    u, pieces, first : input (:func:`input_at`) and the sample's place in it.
-    closed : True where u is x_d in m and the drive closes the loop; False where u is the shaft
-        speed in rad/s.
-    theta, terms, updates, w, memory : parameters, active effects that add and that remember,
-        circuit, the effects' memory.
-    past, last : ring of the past and its newest entry.
-    c, s : (N_CONTRIBUTIONS,) and (N_SIGNALS,) scratch; c is zero where no effect is active.
-    """
+@njit(forceinline=True, allocates=False)
+def advance(actuator, t, k, given, step, equations):
+    """Carry an actuator over sample ``k``, which begins at ``t`` s, in place."""
+    y, memory, past, newest = actuator
+    u, pieces, lead, closed = given
+    dt, steps = step
+    theta, terms, updates, w, c, s = equations
+    last, first = newest[0], lead + k
     h = dt / steps
     slow = closed and (w[DRIVE_LAG] > 0.0 or w[SLEW_LIMIT] < np.inf)
     lag = max(w[DRIVE_LAG], SHORTEST_LAG * h)
@@ -244,12 +293,17 @@ def advance(y, t, dt, steps, u, pieces, first, closed, theta, terms, updates, w,
         past[last, 0], past[last, 1], past[last, 2], past[last, 3] = x, v, p1, p2
     y[Y_X], y[Y_V], y[Y_P1], y[Y_P2], y[Y_OMEGA] = x, v, p1, p2, omega
     y[Y_PLAYED], y[Y_ACCELERATION] = played, before
-    return last
+    newest[0] = last
 
 
-@njit(forceinline=True)
-def speed_now(y, u, pieces, first, dt, steps, closed, theta, w, past, last):
-    """Return the input and the shaft speed (rad/s) at the start of sample ``first``."""
+@njit(forceinline=True, allocates=False)
+def speed_now(actuator, k, given, step, equations):
+    """Return the input and the shaft speed (rad/s) at the start of sample ``k``."""
+    y, _, past, newest = actuator
+    u, pieces, lead, closed = given
+    dt, steps = step
+    theta, _, _, w, _, _ = equations
+    first = lead + k
     if w[COMMAND_DELAY] == 0.0:
         value = piece_at(u, first * pieces, 0.0)
     else:
@@ -258,85 +312,80 @@ def speed_now(y, u, pieces, first, dt, steps, closed, theta, w, past, last):
         return value, value + y[Y_SPEED]
     if w[DRIVE_LAG] > 0.0 or w[SLEW_LIMIT] < np.inf:
         return value, y[Y_OMEGA] + y[Y_SPEED]
-    late = delayed_position(past, last, dt / steps, w[FEEDBACK_DELAY], 0.0, y[Y_X], y[Y_V],
+    late = delayed_position(past, newest[0], dt / steps, w[FEEDBACK_DELAY], 0.0, y[Y_X], y[Y_V],
                             y[Y_ACCELERATION])
     wanted = drive_speed(value, seen_by_drive(late, y[Y_PLAYED], w), theta, w)
     return value, shaft_speed(wanted, w) + y[Y_SPEED]
 
 
-@njit(forceinline=True)
-def sense(y, t, step, past, last, w, out):
+@njit(forceinline=True, allocates=False)
+def sense(actuator, t, step, w, out):
     """Write what the sensors show at time ``t`` s: x, v, p1, p2 (SI) into ``out``.
 
-    step : length of an integration step, s.
+    w : the circuit.
     """
-    late = delayed_position(past, last, step, w[POSITION_DELAY], 0.0, y[Y_X], y[Y_V],
+    y, _, past, newest = actuator
+    last, h = newest[0], step.dt / step.steps
+    late = delayed_position(past, last, h, w[POSITION_DELAY], 0.0, y[Y_X], y[Y_V],
                             y[Y_ACCELERATION])
     if w[PLAY] > 0.0:
         late = behind_play(late, y[Y_PLAYED], w[PLAY])
     out[0] = (1.0 + w[POSITION_SCALE]) * late
     out[1] = y[Y_V]
     delay = w[PRESSURE_DELAY]
-    out[2] = ((1.0 + w[PRESSURE_SCALE_1]) * delayed_pressure(past, last, step, delay, 2, y)
+    out[2] = ((1.0 + w[PRESSURE_SCALE_1]) * delayed_pressure(past, last, h, delay, 2, y)
               + w[PRESSURE_OFFSET_1] + w[PRESSURE_DRIFT_1] * t)
-    out[3] = ((1.0 + w[PRESSURE_SCALE_2]) * delayed_pressure(past, last, step, delay, 3, y)
+    out[3] = ((1.0 + w[PRESSURE_SCALE_2]) * delayed_pressure(past, last, h, delay, 3, y)
               + w[PRESSURE_OFFSET_2] + w[PRESSURE_DRIFT_2] * t)
 
 
 @njit
-def run(y, t0, dt, steps, u, pieces, lead, theta, active, memory, past, last, out, shown):
+def run(actuator, t0, given, step, theta, active, out, shown):
     """Simulate samples t0 + k dt, writing signals at each *before* stepping to the next.
 
     Parameters
     ----------
-    y : (N_STATE,) state at ``t0``; left at the state after the last sample's step.
-    u, pieces, lead : demanded position (:func:`input_at`), the first sample at place ``lead``.
+    actuator : at ``t0``; left as it is after the last sample's step.
+    given : demanded position.
     theta : (n, N_THETA) or (1, N_THETA) parameters for each sample, or one row for all.
-    memory, past, last : of the effects and of the motion, carried on.
     out : (n, N_SIGNALS) written: the true signals, but for the shaft's angle.
     shown : (n, N_OUTPUTS) written: x, v, p1, p2, omega as the sensors show them, without noise.
-
-    Returns
-    -------
-    int
-        The past's newest entry.
     """
     c, s = np.zeros(N_CONTRIBUTIONS), np.zeros(N_SIGNALS)
-    w = circuit_of(theta[0], active)
     terms, updates = with_term(active), with_update(active, theta[0])
+    equations = Equations(theta[0], terms, updates, circuit_of(theta[0], active), c, s)
+    y = actuator.y
     for k in range(out.shape[0]):
-        row = theta[0]
         if theta.shape[0] > 1:
-            row = theta[k]
-            w = circuit_of(row, active)
-        t = t0 + k * dt
-        _, omega = speed_now(y, u, pieces, lead + k, dt, steps, True, row, w, past, last)
+            equations = Equations(theta[k], terms, updates, circuit_of(theta[k], active), c, s)
+        t = t0 + k * step.dt
+        _, omega = speed_now(actuator, k, given, step, equations)
         out[k, T] = t
         out[k, X], out[k, V], out[k, P1], out[k, P2] = y[Y_X], y[Y_V], y[Y_P1], y[Y_P2]
         out[k, OMEGA] = omega
-        out[k, X_D] = piece_at(u, (lead + k) * pieces, 0.0)
-        sense(y, t, dt / steps, past, last, w, shown[k])
+        out[k, X_D] = piece_at(given.u, (given.lead + k) * given.pieces, 0.0)
+        sense(actuator, t, step, equations.w, shown[k])
         shown[k, 4] = omega
-        last = advance(y, t, dt, steps, u, pieces, lead + k, True, row, terms, updates, w, memory,
-                       past, last, c, s)
-    return last
+        advance(actuator, t, k, given, step, equations)
 
 
-@njit
-def advance_forced(y, t, dt, steps, u, first, p1, p2, theta, terms, updates, memory, c, s):
-    """Carry position and velocity over one sample under a given force, in place.
+@njit(forceinline=True, allocates=False)
+def advance_forced(actuator, t, k, u, pressures, step, equations):
+    """Carry position and velocity over sample ``k`` under a given force, in place.
 
     Parameters
     ----------
-    y : (N_STATE,) state; pressures and drive are left alone.
-    u : (n, 4) driving force in N, a cubic on each sample; ``first`` the sample.
-    p1, p2 : (n,) pressures for effects that depend on them, Pa, linear between samples.
-    The rest is that of :func:`advance`.
+    actuator : pressures and drive are left alone.
+    u : (n, 4) driving force in N, a cubic on each sample.
+    pressures : (n,) p1 and (n,) p2 for effects that depend on them, Pa, linear between samples.
     """
+    y, memory, _, _ = actuator
+    (p1, p2), (dt, steps) = pressures, step
+    theta, terms, updates, _, c, s = equations
     h = dt / steps
     any_active, any_memory = len(terms) > 0, len(updates) > 0
     x, v = y[Y_X], y[Y_V]
-    after = min(first + 1, p1.shape[0] - 1)
+    after = min(k + 1, p1.shape[0] - 1)
     for i in range(steps):
         sum_v = sum_a = a = 0.0
         xs, vs = x, v
@@ -348,11 +397,11 @@ def advance_forced(y, t, dt, steps, u, first, p1, p2, theta, terms, updates, mem
             f = (i + offset) / steps
             if any_active:
                 s[T], s[X], s[V] = t + f * dt, xs, vs
-                s[P1] = (1.0 - f) * p1[first] + f * p1[after]
-                s[P2] = (1.0 - f) * p2[first] + f * p2[after]
+                s[P1] = (1.0 - f) * p1[k] + f * p1[after]
+                s[P2] = (1.0 - f) * p2[k] + f * p2[after]
                 add_contributions(s, theta, terms, memory, c)
             c[FORCE] += y[Y_FORCE]
-            a = acceleration(piece_at(u, first, f), vs, theta, c)
+            a = acceleration(piece_at(u, k, f), vs, theta, c)
             c[FORCE] -= y[Y_FORCE]
             weight = 1.0 if stage == 0 or stage == 3 else 2.0
             sum_v += weight * vs

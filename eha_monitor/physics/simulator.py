@@ -43,8 +43,7 @@ class Simulator:
         charge = settings.rig.charge_pressure
         self.y = plant.new_state(  # at rest: the forces balance
             start, charge, charge * settings.rig.area_1 / settings.rig.area_2)
-        self._past, self._last = plant.new_past(self.y), 0
-        self._memory = new_memory()
+        self._actuator = plant.actuator_of(self.y, new_memory())
         self._shaft = np.nan, 0.0  # speed rad/s and angle rad at the last sample
 
     @property
@@ -80,8 +79,8 @@ class Simulator:
                                    for row in (theta[0], theta[-1])) / self.dt))
         u = self._command(self.samples - lead, n + lead, substeps)
         out, shown = np.empty((n, signals.N_SIGNALS)), np.empty((n, plant.N_OUTPUTS))
-        self._last = plant.run(self.y, self.time, self.dt, substeps, u, substeps, lead, theta,
-                               self.active, self._memory, self._past, self._last, out, shown)
+        plant.run(self._actuator, self.time, plant.Given(u, substeps, lead, True),
+                  plant.Step(self.dt, substeps), theta, self.active, out, shown)
         self.samples += n
         out[:, signals.ANGLE] = self._turned(out[:, signals.OMEGA])
         return out, shown

@@ -21,18 +21,24 @@ import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread, with_unknowns
-from eha_monitor.mismatch.name.base import needs, with_effect, without_effect
 from eha_monitor.mismatch.name.columns import columns_at, effects_of, rig_free
 from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished
 from eha_monitor.mismatch.name.refit import ROUGH_STEPS, at_level, settled, wide
 from eha_monitor.mismatch.name.select import nominal
-from eha_monitor.mismatch.name.starts import Start, possible, starts_of
+from eha_monitor.mismatch.name.starts import (
+    Start,
+    needs,
+    possible,
+    starts_of,
+    with_effect,
+    without_effect,
+)
 from eha_monitor.mismatch.show import held_out
 from eha_monitor.output import write_text
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import effect_values
-from eha_monitor.prove.numbers import NEAR, errors_of, keys_off, number_of
+from eha_monitor.prove.score import NEAR, errors_of, keys_off, number_of
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 

@@ -1,12 +1,215 @@
-"""Marks of a trial: what was concealed against what was said.  docs/proof.md defines each mark."""
+"""Marks of a trial: what was concealed against what was said.  docs/proof.md defines each mark.
+
+Of the rig's numbers a pair such as ``area_1``, ``area_2`` is one here (``area``): the plant is
+symmetric.  Curves of detection: the probability of the right name against what can be detected at
+all.  Of calibration: what was stated with 90 % has to be so in 90 %.
+"""
 
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from itertools import pairwise
 from statistics import median
 
-from eha_monitor.prove import numbers
-from eha_monitor.prove.curves import calibration_error, reliability_of, statements_of
+import numpy as np
+from scipy.optimize import minimize
+
+OFF = 2.99  # tolerances from which a number has to be named: 3, less the rounding of the config
+NEAR = 2.0  # tolerances below which it must not be named; between the two it may be
+# Where a wrong number shows first.
+BALANCES = {
+    "mass": {"force"}, "area": {"force", "flow"}, "volume": {"flow"}, "leakage": {"flow"},
+    "makeup_conductance": {"flow"}, "charge_pressure": {"flow"}, "pump_displacement": {"flow"},
+    "position_gain": {"drive"},
+}
+
+
+def number_of(key: str) -> str:
+    """Return the number that a key of the config states: ``area`` for ``area_1``."""
+    return key.removesuffix("_1").removesuffix("_2")
+
+
+def errors_of(truth: dict) -> dict[str, float]:
+    """Return number -> tolerances by which the config is off, without sign."""
+    found: dict[str, float] = {}
+    for one in truth.get("rig_off", ()):
+        name = number_of(one["key"])
+        found[name] = max(found.get(name, 0.0), abs(one["tolerances"]))
+    return found
+
+
+def kind_of(errors: dict[str, float]) -> str:
+    """Return ``exact``, ``within`` or ``beyond``: what the config says of the rig."""
+    if not errors:
+        return "exact"
+    return "beyond" if max(errors.values()) >= OFF else "within"
+
+
+def keys_off(truth: dict) -> list[str]:
+    """Return the config's keys that have to be named."""
+    return [one["key"] for one in truth.get("rig_off", ()) if abs(one["tolerances"]) >= OFF]
+
+
+def findings_of(answer: dict) -> list[dict]:
+    """Return what an answer says of rig numbers, one entry a number, the surest of a pair."""
+    found: dict[str, dict] = {}
+    for one in answer.get("rig_data", ()):
+        name = number_of(one["key"])
+        if name not in found or sureness(one) > sureness(found[name]):
+            found[name] = {**one, "number": name}
+    return list(found.values())
+
+
+def sureness(finding: dict) -> float:
+    """Return the probability of a finding, 0 where it states none."""
+    return finding.get("probability") or 0.0
+
+
+def rivals_of(finding: dict, own: str) -> tuple[str, ...]:
+    """Return the rivals that a finding declares, numbers and effects, each once."""
+    names = map(number_of, finding.get("indistinguishable_from", ()))
+    return tuple(name for name in dict.fromkeys(names) if name != own)
+
+
+def false_names(named: Sequence[str], paired: Sequence[str], errors: dict[str, float]
+                ) -> list[str]:
+    """Return the numbers that are named although they are within their tolerance.
+
+    One that stands for something that is there, by its declared class, is not false.
+    """
+    return [name for name in named if name not in paired and errors.get(name, 0.0) < NEAR]
+
+
+RIGHT = ("exact", "class")
+POINT = 0.95
+FEWEST = 4  # cases of an effect that get a curve of their own
+STEEP, STEEP_SPREAD = 1.1, 0.6  # of the logarithm of the slope: prior, from which few cases borrow
+PLACE_SPREAD = 2.0  # of the logarithm of the middle
+BINS = 10  # of stated probabilities, of equal width, from 0 to 1
+EDGES = (0.0, 0.5, 1.0, 1.4, 2.0, 3.0, 5.0, 10.0, 30.0, 100.0, np.inf)
+
+
+def curve_of(units: np.ndarray, right: np.ndarray) -> dict:
+    """Fit P = 1/(1 + (m/u)^b) and return it.
+
+    Parameters
+    ----------
+    units : (n,) strength in units of what an oracle just detects.
+    right : (n,) bool, the right name or its declared class was said.
+
+    Returns
+    -------
+    dict
+        ``middle`` m, ``slope`` b, ``point_95`` units at which P is 95 %, ``n``.
+    """
+    u = np.log(np.maximum(np.asarray(units, dtype=float), 0.03))
+    right = np.asarray(right, dtype=bool)
+
+    def cost(p: np.ndarray) -> float:
+        at = np.exp(p[1]) * (u - p[0])
+        signed = np.where(right, at, -at)
+        return float(np.logaddexp(0.0, -signed).sum() + 0.5 * (p[0] / PLACE_SPREAD) ** 2
+                     + 0.5 * ((p[1] - STEEP) / STEEP_SPREAD) ** 2)
+
+    start = min(((place, STEEP) for place in np.linspace(-2.0, 6.0, 17)),
+                key=lambda p: cost(np.array(p)))
+    found = minimize(cost, np.array(start), method="Nelder-Mead")
+    middle, slope = float(np.exp(found.x[0])), float(np.exp(found.x[1]))
+    return {"middle": middle, "slope": slope, "n": len(right),
+            "point_95": middle * (POINT / (1.0 - POINT)) ** (1.0 / slope)}
+
+
+def curves_of(detection: list[dict]) -> dict[str, dict]:
+    """Return the curve of all single effects together (``all``), and of each with cases enough.
+
+    Empty without an oracle: then nobody knows what can be detected.
+    """
+    known = [one for one in detection if one["units"] is not None]
+    found = {}
+    for name in ("all", *sorted({one["effect"] for one in known})):
+        mine = [one for one in known if name in ("all", one["effect"])]
+        if len(mine) >= FEWEST:
+            found[name] = curve_of(np.array([one["units"] for one in mine]),
+                                   np.array([one["said"] in RIGHT for one in mine]))
+    return found
+
+
+def binned(detection: list[dict]) -> list[dict]:
+    """Return shares of right names by units, with Wilson's 68 % interval."""
+    found = []
+    known = [one for one in detection if one["units"] is not None]
+    for low, high in pairwise(EDGES):
+        mine = [one for one in known if low <= one["units"] < high]
+        if not mine:
+            continue
+        n, hits = len(mine), sum(one["said"] in RIGHT for one in mine)
+        p = hits / n
+        low_share, high_share = wilson(p, n)
+        place = np.exp(np.mean(np.log([max(one["units"], 0.1) for one in mine])))
+        found.append({"units": float(place), "share": p, "n": n,
+                      "low": float(low_share), "high": float(high_share)})
+    return found
+
+
+def wilson(share: np.ndarray | float, n: np.ndarray | int) -> tuple:
+    """Return the ends of Wilson's 68 % interval of shares of n cases, the share inside."""
+    middle = (share + 0.5 / n) / (1.0 + 1.0 / n)
+    half = np.sqrt(share * (1.0 - share) / n + 0.25 / n**2) / (1.0 + 1.0 / n)
+    return np.minimum(middle - half, share), np.maximum(middle + half, share)
+
+
+def statement(of: str, said: object, right: bool | None) -> list[dict]:
+    """Return a statement with its probability; none where either is missing.
+
+    Parameters
+    ----------
+    of : what is stated: an effect, a number of the rig, ``consistent`` or ``unexplained``.
+    said : its probability.
+    right : whether it is so; None where nobody knows.
+    """
+    if right is None or not isinstance(said, int | float) or not 0.0 <= said <= 1.0:
+        return []
+    return [{"of": of, "said": float(said), "right": bool(right)}]
+
+
+def statements_of(answer: dict, findings: Iterable[dict], paired: Sequence[str],
+                  consistent: bool | None, unexplained: bool | None) -> list[dict]:
+    """Return all statements of an answer.
+
+    Parameters
+    ----------
+    findings : what it says of rig numbers.
+    paired : names that stand for something that is there.
+    consistent, unexplained : whether these are so; None where nobody knows.
+    """
+    stated = answer.get("probability") or {}
+    found = statement("consistent", stated.get("consistent"), consistent)
+    found += statement("unexplained", stated.get("unexplained"), unexplained)
+    for one in answer["effects"]:
+        found += statement(one["name"], one.get("probability"), one["name"] in paired)
+    for one in findings:
+        found += statement(one["number"], one.get("probability"), one["number"] in paired)
+    return found
+
+
+def reliability_of(statements: Sequence[dict]) -> list[dict]:
+    """Return the bins that hold statements: their edges, ``n``, mean said and share right."""
+    bins: dict[int, list[dict]] = {}
+    for one in statements:
+        bins.setdefault(min(int(one["said"] * BINS), BINS - 1), []).append(one)
+    return [{"low": place / BINS, "high": (place + 1) / BINS, "n": len(mine),
+             "said": math.fsum(one["said"] for one in mine) / len(mine),
+             "right": sum(one["right"] for one in mine) / len(mine)}
+            for place, mine in sorted(bins.items())]
+
+
+def calibration_error(bins: Sequence[dict]) -> float | None:
+    """Return the expected calibration error: |said - right|, each bin by its statements."""
+    count = sum(one["n"] for one in bins)
+    if not count:
+        return None
+    return math.fsum(one["n"] * abs(one["said"] - one["right"]) for one in bins) / count
+
 
 LARGEST_CLASS = 3  # members of a declared class: the name and at most two rivals
 DETECTABLE = 20.0  # log units that an oracle gains within the tolerances: less need not be found
@@ -103,15 +306,15 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
     shown = outside and any(shows(truth.get("channels"), one["balance"])
                             for one in truth["effects"] if not one["in_catalogue"])
     known = [name for name in catalogued if not oracle or (evidence.get(name) or 0) >= DETECTABLE]
-    errors_off, findings = numbers.errors_of(truth), numbers.findings_of(answer)
-    off = [name for name, error in errors_off.items() if error >= numbers.OFF]
-    loose = [name for name, error in errors_off.items() if numbers.NEAR <= error < numbers.OFF]
+    errors_off, findings = errors_of(truth), findings_of(answer)
+    off = [name for name, error in errors_off.items() if error >= OFF]
+    loose = [name for name, error in errors_off.items() if NEAR <= error < OFF]
     rig_evidence = (oracle or {}).get("rig_evidence", {})
     rig_known = [name for name in off
                  if not oracle or (rig_evidence.get(name) or 0) >= DETECTABLE]
-    classes = {one["name"]: tuple(map(numbers.number_of, one["indistinguishable_from"]))
+    classes = {one["name"]: tuple(map(number_of, one["indistinguishable_from"]))
                for one in answer["effects"]}
-    said = {**classes, **{one["number"]: numbers.rivals_of(one, one["number"])
+    said = {**classes, **{one["number"]: rivals_of(one, one["number"])
                           for one in findings}}
     accepted = {**{one["name"]: accepted_for(one, names, oracle)
                    for one in [*truth["effects"], *beside] if one["in_catalogue"]},
@@ -120,7 +323,7 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
     share = {name: value or 0.0 for name, value in answer["location"]["balance"].items()}
     located = max(share, key=share.get) if any(share.values()) else ""
     balances = {one["balance"] for one in truth["effects"]}.union(
-        *(numbers.BALANCES[name] for name in off))
+        *(BALANCES[name] for name in off))
     verdict, null = answer["verdict"], not names and not off
     place_right, wanted = located in balances, {*names, *off}
     all_paired = verdict == "mismatch" and set(said) == set(pairs.values())
@@ -162,12 +365,12 @@ def row_of(truth: dict, answer: dict | None, oracle: dict | None = None,
             verdict == "mismatch" and bool(set(said) - set(pairs.values())),
         "removed": removed(before, after, reached),
         "parameters": parameter_errors(truth, answer, pairs) if exact and not null else [],
-        "rig": numbers.kind_of(errors_off), "rig_truth": numbers.keys_off(truth),
+        "rig": kind_of(errors_off), "rig_truth": keys_off(truth),
         "rig_named": [one["key"] for one in answer.get("rig_data", ())],
         "learned": learned_row(truth, answer),
         "rig_off": off, "rig_expected": rig_known, "rig_evidence": rig_evidence,
         "rig_classes": {one["number"]: list(said[one["number"]]) for one in findings},
-        "rig_false": numbers.false_names([one["number"] for one in findings],
+        "rig_false": false_names([one["number"] for one in findings],
                                          list(pairs.values()), errors_off),
         "rig_errors": truth.get("rig_off", []),
         "probabilities": statements_of(answer, findings, list(pairs.values()), consistent,
@@ -256,15 +459,15 @@ def parameter_errors(truth: dict, answer: dict, pairs: dict[str, str]) -> list[d
         name = one["name"]
         if pairs.get(name) != name or name not in said:
             continue
-        numbers = {symbol: value for symbol, value in one["parameters"].items()
-                   if isinstance(value, int | float)}
+        true = {symbol: value for symbol, value in one["parameters"].items()
+                if isinstance(value, int | float)}
         for symbol, value in said[name]["parameters"].items():
-            if symbol not in numbers or value["value"] is None:
+            if symbol not in true or value["value"] is None:
                 continue
             stem = symbol.split("_")[0]  # b_1, b_2: a sound sensor is judged by the other's error
-            scale = max(abs(number) for other, number in numbers.items()
+            scale = max(abs(number) for other, number in true.items()
                         if other.split("_")[0] == stem)
-            found.append(compared(f"{name}.{symbol}", numbers[symbol], value, scale))
+            found.append(compared(f"{name}.{symbol}", true[symbol], value, scale))
     for name in ("B", "beta_e"):
         value = answer["parameters"]["after"].get(name)
         if value and value.get("value") is not None:

@@ -23,7 +23,15 @@ from mcap.stream_reader import get_chunk_data_stream
 from eha_monitor.errors import InputError
 from eha_monitor.output import check_regular, natural
 from eha_monitor.recordings.columns import let_go
-from eha_monitor.recordings.walk import AT_END, FOOTER, FULL, PREFIX, walk_records
+from eha_monitor.recordings.walk import (
+    AT_END,
+    FOOTER,
+    FULL,
+    PREFIX,
+    Messages,
+    Others,
+    walk_records,
+)
 
 MAGIC = b"\x89MCAP0\r\n"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -162,13 +170,11 @@ def _stream(data: np.ndarray) -> ReadDataStream:
 def _walk(data: np.ndarray, start: int):
     """Walk at most BATCH messages; returns the block, the other records, position, ending."""
     room = min(BATCH, max((len(data) - start) // 31, 0) + 1)
-    ids, times, begins, lengths = np.empty((4, room), dtype=np.int64)
-    opcodes, other_begins, other_lengths = np.empty((3, OTHERS), dtype=np.int64)
-    position, messages, others, ending = walk_records(
-        data, start, ids, times, begins, lengths, opcodes, other_begins, other_lengths)
-    block = Block(data, ids[:messages], times[:messages], begins[:messages], lengths[:messages])
-    records = zip(opcodes[:others].tolist(), other_begins[:others].tolist(),
-                  other_lengths[:others].tolist(), strict=True)
+    found, rest = Messages(*np.empty((4, room), dtype=np.int64)), Others(
+        *np.empty((3, OTHERS), dtype=np.int64))
+    position, messages, others, ending = walk_records(data, start, found, rest)
+    block = Block(data, *(column[:messages] for column in found))
+    records = zip(*(column[:others].tolist() for column in rest), strict=True)
     return block, list(records), position, ending
 
 

@@ -3,6 +3,8 @@
 The library's reader makes a Python object of each message (figures in docs/dependencies.md).
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from eha_monitor.compiled import njit
@@ -24,22 +26,39 @@ def _little(data, position, size):
     return np.int64(value)
 
 
+class Messages(NamedTuple):
+    """Of messages, (m,) int64: channel id, log time in ns, position and length of the payload."""
+
+    ids: np.ndarray
+    times: np.ndarray
+    begins: np.ndarray
+    lengths: np.ndarray
+
+
+class Others(NamedTuple):
+    """Of every other record, (k,) int64: opcode, position and length of its content."""
+
+    opcodes: np.ndarray
+    begins: np.ndarray
+    lengths: np.ndarray
+
+
 @njit
-def walk_records(data, start, ids, times, begins, lengths, opcodes, other_begins, other_lengths):
+def walk_records(data, start, found, others_found):
     """Walk mcap records from ``start`` on, until an output array is full or the data end.
 
     Parameters
     ----------
     data : (n,) uint8.
     start : position of an opcode.
-    ids, times, begins, lengths : (m,) int64, written: channel id, log time in ns, position and
-        length of each message's payload.
-    opcodes, other_begins, other_lengths : (k,) int64, written for every other record.
+    found, others_found : :class:`Messages` and :class:`Others`, written.
 
     Returns
     -------
     position, messages, others, ending : where the walk stopped, how many of each, and why.
     """
+    ids, times, begins, lengths = found
+    opcodes, other_begins, other_lengths = others_found
     position = start
     messages = 0
     others = 0

@@ -17,7 +17,7 @@ from eha_monitor.reports import figure as fig
 from eha_monitor.reports.estimate_figures import NAMES
 from eha_monitor.reports.still_image import Drawing, drawn, words_drawn
 from eha_monitor.reports.traces import robust_range
-from eha_monitor.settings.experiment import Experiment
+from eha_monitor.settings.monitor import Experiment
 from eha_monitor.settings.rig import Rig, Segment
 
 # Channels that are drawn on the same axes, and what these are called.

@@ -10,8 +10,17 @@ from pathlib import Path
 
 import numpy as np
 
-from eha_monitor.archive.forecast import BEYOND, NO_LIMIT, NOT_YET, TOLD, Forecast
-from eha_monitor.archive.history import LEAST, MONTH, History, history
+from eha_monitor.archive.history import (
+    BEYOND,
+    LEAST,
+    MONTH,
+    NO_LIMIT,
+    NOT_YET,
+    TOLD,
+    Forecast,
+    History,
+    history,
+)
 from eha_monitor.archive.store import INDICATORS, PARAMETERS
 from eha_monitor.health.alarms import NOT_JUDGED
 from eha_monitor.indicators.indicator import WORDS, limits_of_indicator

@@ -18,8 +18,15 @@ from eha_monitor.reports import diagnosis_figures as figures
 from eha_monitor.reports import diagnosis_words as words
 from eha_monitor.reports.estimate_figures import NAMES
 from eha_monitor.reports.figure import Block
-from eha_monitor.reports.page import FirstScreen, Table, render, table
-from eha_monitor.reports.shared_tables import config_tables, indicator_table, law_table
+from eha_monitor.reports.page import (
+    FirstScreen,
+    Table,
+    config_tables,
+    indicator_table,
+    law_table,
+    render,
+    table,
+)
 from eha_monitor.reports.timeline import interval_timeline
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.own_terms import is_own

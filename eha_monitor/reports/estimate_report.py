@@ -17,14 +17,22 @@ from eha_monitor.recordings.recording import Recording
 from eha_monitor.reports import estimate_figures as figures
 from eha_monitor.reports.diagnosis_words import own_config, sentence
 from eha_monitor.reports.estimate_figures import NAMES
-from eha_monitor.reports.page import Cell, FirstScreen, Table, render, table
-from eha_monitor.reports.shared_tables import config_tables, indicator_table, law_table
+from eha_monitor.reports.page import (
+    Cell,
+    FirstScreen,
+    Table,
+    config_tables,
+    indicator_table,
+    law_table,
+    render,
+    table,
+)
 from eha_monitor.reports.timeline import alarm_timeline, alarm_words
 from eha_monitor.settings.channels import CHANNEL_UNITS
 from eha_monitor.words import listed
 
 if TYPE_CHECKING:
-    from eha_monitor.estimation.observability import ObservabilityTable
+    from eha_monitor.estimation.joint import ObservabilityTable
 
 STATUS_WORDS = {"converged": "converged", "not_excited": "not excited by this motion",
                 "diverged": "diverged", "no_data": "no data"}

@@ -8,10 +8,8 @@ from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import Curve as MissingTerm
 from eha_monitor.mismatch.diagnosis import Diagnosis, Location, NamedEffect
 from eha_monitor.output import write_text
-from eha_monitor.prove.curves import wilson
 from eha_monitor.prove.files import read_json
-from eha_monitor.prove.numbers import number_of
-from eha_monitor.prove.score import MARKS, UNEXPLAINED
+from eha_monitor.prove.score import MARKS, UNEXPLAINED, number_of, wilson
 from eha_monitor.prove.trial import misses
 from eha_monitor.quantity import number, quantity, with_uncertainty
 from eha_monitor.reports import figure as fig

@@ -9,8 +9,7 @@ from eha_monitor.errors import InputError
 from eha_monitor.estimation.model_watch import MOVED
 from eha_monitor.estimation.results import ModelStatus, ParameterEstimate
 from eha_monitor.health.judge import Finding
-from eha_monitor.live.diagnosing import TURN, Answer, Diagnosing
-from eha_monitor.live.diagnosis_findings import comparison_findings
+from eha_monitor.live.diagnosing import TURN, Answer, Diagnosing, comparison_findings
 from eha_monitor.recordings.ring import Saved
 from eha_monitor.ros.keeper import Keeper
 from eha_monitor.settings import Settings

@@ -20,11 +20,10 @@ from eha_monitor.health.alarms import WATCHED
 from eha_monitor.live.rows import Source
 from eha_monitor.recordings.ring import plain_name
 from eha_monitor.ros import running
-from eha_monitor.ros.inputs import Topic, topics_of
 from eha_monitor.ros.messages import DIAGNOSIS, findings_of, subscribe_to_monitor
 from eha_monitor.ros.parameters import settings_of_node
-from eha_monitor.ros.qos import LATCHED, SHOWN_QOS
 from eha_monitor.ros.subscriptions import TopicInput
+from eha_monitor.ros.topics import LATCHED, SHOWN_QOS, Topic, topics_of
 from eha_monitor.settings import Settings
 
 FOLLOW_PERIOD, TAKE_PERIOD = 1.0, 0.05  # s

@@ -19,7 +19,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from eha_monitor.live.rows import Batch
 from eha_monitor.recordings.cdr import LITTLE_ENDIAN, STAMP, Want, locate
-from eha_monitor.ros.inputs import STEP, Entry, Topic, message_class
+from eha_monitor.ros.topics import STEP, Entry, Topic, message_class
 
 # Known once for all: to read the definitions takes 15 ms, and messages wait meanwhile.
 TYPES = get_typestore(Stores.ROS2_JAZZY).fielddefs

@@ -18,9 +18,18 @@ from rclpy.node import Node
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.results import ModelStatus, ParameterEstimate
 from eha_monitor.health.judge import Finding
-from eha_monitor.live.diagnosing import TURN, Answer, Diagnosing
-from eha_monitor.live.diagnosis_findings import answer_findings, effects_in_words, model_finding
-from eha_monitor.live.exchange import Adopted, Candidate, adopted_before, model_of
+from eha_monitor.live.diagnosing import (
+    TURN,
+    Adopted,
+    Answer,
+    Candidate,
+    Diagnosing,
+    adopted_before,
+    answer_findings,
+    effects_in_words,
+    model_finding,
+    model_of,
+)
 from eha_monitor.live.ingest import Columns
 from eha_monitor.recordings.ring import Saved, plain_name
 from eha_monitor.ros.comparison import Comparison

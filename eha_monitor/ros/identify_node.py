@@ -13,18 +13,16 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from eha_monitor.errors import InputError
-from eha_monitor.identify.bounds import CHANNELS, Watch, held
-from eha_monitor.identify.rig import HELD, Ran, Rig
+from eha_monitor.identify.rig import CHANNELS, HELD, Ran, Rig, Watch, held
 from eha_monitor.recordings.read import read_recording
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.recordings.write import BagWriter
 from eha_monitor.ros import running
-from eha_monitor.ros.inputs import topics_of
 from eha_monitor.ros.messages import stamp
 from eha_monitor.ros.parameters import with_namespace
-from eha_monitor.ros.qos import OUTPUT_QOS
 from eha_monitor.ros.subscriptions import TopicInput
-from eha_monitor.settings.experiment import Experiment as Bounds
+from eha_monitor.ros.topics import OUTPUT_QOS, topics_of
+from eha_monitor.settings.monitor import Experiment as Bounds
 from eha_monitor.settings.monitor import Settings
 
 TURN = 0.01  # s between two turns: what comes is looked at, what is due is sent

@@ -22,7 +22,7 @@ from eha_monitor.estimation.results import ParameterEstimate
 from eha_monitor.health.alarms import WATCHED, Alarm
 from eha_monitor.health.judge import Finding
 from eha_monitor.ros.keeper import Keeper
-from eha_monitor.ros.qos import LATCHED, QUEUED, clashes
+from eha_monitor.ros.topics import LATCHED, QUEUED, clashes
 from eha_monitor.settings import Settings
 
 ESTIMATES = "monitor/estimates"  # each with its deviation, unit and status, in one stamped message

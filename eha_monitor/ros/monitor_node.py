@@ -15,7 +15,7 @@ from eha_monitor.errors import InputError
 from eha_monitor.estimation.results import Event, ModelStatus, ParameterEstimate
 from eha_monitor.health.alarms import Alarm, AlarmBoard
 from eha_monitor.health.overload import BEHIND_S, LatencyMeter, ProcessorMeter
-from eha_monitor.live.exchange import Candidate
+from eha_monitor.live.diagnosing import Candidate
 from eha_monitor.live.faults import CONSEQUENCES, FaultWatch
 from eha_monitor.live.rows import RowAligner, Rows
 from eha_monitor.ros.diagnosis import SelfDiagnosis
@@ -29,10 +29,10 @@ from eha_monitor.ros.findings import (
     unfed,
     with_bags,
 )
-from eha_monitor.ros.inputs import topics_of
 from eha_monitor.ros.keeper import Keeper
 from eha_monitor.ros.messages import Outputs
 from eha_monitor.ros.subscriptions import Drain, Load, TopicInput
+from eha_monitor.ros.topics import topics_of
 from eha_monitor.settings import Settings
 
 # Health is judged at this spacing of the data's own time, so that a replay at ten times the

@@ -13,9 +13,8 @@ from eha_monitor.errors import InputError
 from eha_monitor.health.alarms import WATCHED
 from eha_monitor.recordings.write import BagWriter, TopicType
 from eha_monitor.ros import running
-from eha_monitor.ros.inputs import check_topic, message_class
 from eha_monitor.ros.messages import ESTIMATES
-from eha_monitor.ros.qos import profile
+from eha_monitor.ros.topics import check_topic, message_class, profile
 from eha_monitor.settings import Settings
 
 # Nothing but messages: rmw_fastrtps 8.4 waits for itself forever where an EventsExecutor takes the

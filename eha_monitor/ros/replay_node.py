@@ -20,8 +20,7 @@ from std_srvs.srv import SetBool
 from eha_monitor.errors import InputError, one_line
 from eha_monitor.recordings.bag import Bag, Topic, iter_raw, topics
 from eha_monitor.ros import messages, running
-from eha_monitor.ros.inputs import check_topic, message_class
-from eha_monitor.ros.qos import OUTPUT_QOS, profile
+from eha_monitor.ros.topics import OUTPUT_QOS, check_topic, message_class, profile
 
 # A message due within this time goes out now: waiting is not finer than that.
 SLACK = 0.0005

@@ -16,10 +16,9 @@ from eha_monitor.errors import InputError
 from eha_monitor.physics.excitation import demanded_position
 from eha_monitor.physics.simulator import Simulator
 from eha_monitor.ros import running
-from eha_monitor.ros.inputs import HELD, Entry, message_class, topics_of
 from eha_monitor.ros.parameters import SIMULATOR_KEYS, declare, settings_of_node
-from eha_monitor.ros.qos import OUTPUT_QOS
 from eha_monitor.ros.subscriptions import TopicInput
+from eha_monitor.ros.topics import HELD, OUTPUT_QOS, Entry, message_class, topics_of
 from eha_monitor.settings import Settings
 
 # Samples go out in bursts of this spacing: fewer wake-ups, and little against 20 ms of latency.

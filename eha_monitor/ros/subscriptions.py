@@ -17,9 +17,8 @@ from eha_monitor.errors import InputError
 from eha_monitor.health.overload import LoadWatch, Overload
 from eha_monitor.live.rows import Batch, RowAligner
 from eha_monitor.ros.decoding import Decoder, TopicReader
-from eha_monitor.ros.inputs import Topic
 from eha_monitor.ros.keeper import Keeper
-from eha_monitor.ros.qos import INPUT_QOS, clashes
+from eha_monitor.ros.topics import INPUT_QOS, Topic, clashes
 
 AT_ONCE = 500  # messages of a topic that are taken before those of the next
 

@@ -17,7 +17,7 @@ from pydantic_core import PydanticCustomError
 
 from eha_monitor.physics import own_term as o
 from eha_monitor.physics.effects import CATALOGUE
-from eha_monitor.physics.expression import parsed
+from eha_monitor.physics.own_term import parsed
 from eha_monitor.physics.signals import N_SIGNALS, P1, P2
 from eha_monitor.units import to_si
 

@@ -5,7 +5,6 @@ from math import exp, pi
 
 import numpy as np
 
-from eha_monitor.concealed.strangers.motions import Motion
 from eha_monitor.concealed.strangers.plant import (
     DAHL,
     GAUSSIAN,
@@ -19,9 +18,13 @@ from eha_monitor.concealed.strangers.plant import (
     STRIBECK,
     TANH,
     Constants,
+    Drive,
+    Motion,
+    Run,
+    Sensors,
     W,
+    fine_run,
 )
-from eha_monitor.concealed.strangers.shown import Drive, Run, Sensors, fine_run
 
 LAWS = {"none": NO_FRICTION, "rational": RATIONAL, "tanh": TANH, "gaussian": GAUSSIAN,
         "karnopp": KARNOPP, "lugre": LUGRE, "dahl": DAHL, "stribeck": STRIBECK}

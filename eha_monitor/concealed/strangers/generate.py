@@ -8,8 +8,7 @@ import numpy as np
 
 from eha_monitor.concealed.generate import START_NS, write_both
 from eha_monitor.concealed.strangers.draw import ERRORS, Setting, StrangerRig
-from eha_monitor.concealed.strangers.plant import DAHL, NO_FRICTION
-from eha_monitor.concealed.strangers.shown import ATMOSPHERE, PREROLL, recording
+from eha_monitor.concealed.strangers.plant import ATMOSPHERE, DAHL, NO_FRICTION, PREROLL, recording
 from eha_monitor.draft.rig import Answers, rig_entries, seen_in
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.load import settings_from_tree, text_tree
@@ -26,7 +25,6 @@ CLASSES = {
     "drive_lag": ("drive_lag", "command_delay"),
 }
 SURE = 3.0  # deviations from a data sheet's number: nearer to it nobody can tell that it is wrong
-FACTORS = ("leakage", "makeup_conductance")  # of which only the order of magnitude is known
 
 
 def record(rig: StrangerRig, setting: Setting, seed: int, length: float | None = None

@@ -1,43 +1,86 @@
-"""A two-chamber cylinder with pump, make-up and friction, written from textbooks.
+"""A stranger's rig: its motion, its two-chamber cylinder from textbooks, what its sensors show."""
 
-None of the equations of eha_monitor is used here, so that nothing is proved by inverting itself.
-
-State: x (m), v (m/s), p1, p2 (absolute Pa), f (Dahl's friction force, N, or the deflection of
-LuGre's bristles, m), w (shaft speed, rad/s), p_a (pressure of the reservoir, Pa), theta (how far
-the oil has warmed up, 0 to 1), x_e (where the encoder stands, m).
-
-    M v' = A1 p1 - A2 p2 - B (1 - d theta) v - F_f(v, f) - F_0
-    p1' (V1 + A1 x)/beta = -A1 v + D1 w - L (p1 - p2) - E1 (p1 - p_t) + q_1
-    p2' (V2 - A2 x)/beta = +A2 v - D2 w + L (p1 - p2) - E2 (p2 - p_t) + q_2
-    q_i = G (p_a - p_i) + K_c max(0, p_a - p_crack - p_i)          make-up, line and check valve
-    p_a' = -n p_a/V_g * drawn,  V_g = V_0 (p_0/p_a)^(1/n)          gas; V_0 = 0 holds p_a
-    w' = (w_wanted - w)/tau                                        tau = 0: w is what is wanted
-    theta' = (1 - theta)/tau_h                                     d = 0: B stays
-    |x - x_e| <= b/2                                               x_e is carried along at its ends
-
-The drive is P about x_d with a feedforward of x_d'; it runs either at every instant on the
-encoder's position or, digital, every ``period`` on what the encoder shows, and holds the speed.
-
-Dry friction F_f with F_c at speed, F_s at breakaway, Stribeck speed v_s, smoothing speed v_e:
-
-    STRIBECK    (F_c + (F_s - F_c) exp(-(v/v_s)^2)) tanh(v/v_e)
-    RATIONAL    (F_c + (F_s - F_c)/(1 + (v/v_s)^2)) v/sqrt(v^2 + v_e^2)     Hess, Soom 1990
-    TANH        (F_s - F_c)(tanh(v/v_e) - tanh(v/v_s)) + F_c tanh(v/v_e)    Makkar et al. 2005
-    GAUSSIAN    (F_c + (F_s - F_c) exp(-(v/v_s)^2)) (2/pi) atan(v/v_e)
-    KARNOPP     |v| < v_e: stands, F_f is what is needed, at most F_s;      Karnopp 1985
-                else (F_c + (F_s - F_c) exp(-|v|/v_s)) sign v
-    DAHL        f' = sigma (1 - f sign(v)/F_c) v                            Dahl 1968
-    LUGRE       f' = v - sigma |v| f/g,  F_f = sigma f + sigma_1 f',        Canudas de Wit 1995
-                g = F_c + (F_s - F_c) exp(-(v/v_s)^2), with a stiffness
-                sigma = F_c/z (1 + k/(1 + |v|/v_s)) that falls with speed
-"""
-
+from dataclasses import dataclass
 from math import atan, exp, floor, pi, sqrt, tanh
 from typing import NamedTuple
 
 import numpy as np
+from scipy.signal import butter, lfilter, lfilter_zi
 
 from eha_monitor.compiled import njit
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A demanded position x_d(t) in m.
+
+    Attributes
+    ----------
+    kind : ``triangle``, ``sines``, ``ramps`` or ``chirp``.
+    amplitudes : m; half of peak to peak of each tone, or of each stretch of triangle.
+    frequencies : Hz; tones, triangles of equal length in turn, or first and last of a chirp.
+    seed : phases of the tones, places of the ramps.
+    speed : m/s, of the ramps.
+    dwell : s, how long a ramp's end is held.
+    before : s of rest at the start of the recording; negative: it begins on a moving rig.
+    """
+
+    kind: str
+    amplitudes: tuple[float, ...]
+    frequencies: tuple[float, ...] = ()
+    seed: int = 0
+    speed: float = 0.05
+    dwell: float = 0.4
+    before: float = 0.3
+
+    def __call__(self, t: np.ndarray, length: float) -> np.ndarray:
+        """Return x_d (n,) in m at times ``t`` (n,) in s of a recording of ``length`` s."""
+        u = np.asarray(t) - self.before
+        moving = np.maximum(u, 0.0)
+        return {"triangle": self._triangle, "sines": self._sines, "ramps": self._ramps,
+                "chirp": self._chirp}[self.kind](moving, length - self.before)
+
+    def _triangle(self, u, length):
+        parts = len(self.frequencies)
+        out = np.zeros_like(u)
+        each = length / parts
+        start = 0.0
+        for k, (a, f) in enumerate(zip(self.amplitudes, self.frequencies, strict=True)):
+            # Whole periods, so that each stretch ends at 0.
+            end = length + 1.0 if k == parts - 1 else start + max(round(each * f), 1) / f
+            here = (u >= start) & (u < end)
+            phase = np.mod((u[here] - start) * f + 0.25, 1.0)
+            out[here] = a * (1.0 - 4.0 * np.abs(phase - 0.5))
+            start = end
+        return out
+
+    def _sines(self, u, length):
+        phases = np.random.default_rng([self.seed, 3]).uniform(0, 2 * np.pi, 64)
+        out = np.zeros_like(u)
+        for a, f, phi in zip(self.amplitudes, self.frequencies, phases, strict=False):
+            out += a * np.sin(2 * np.pi * f * u + phi)
+        # Faded in over half a second: nobody jumps into a motion.
+        s = np.clip(u / 0.5, 0.0, 1.0)
+        return out * s * s * (3.0 - 2.0 * s)
+
+    def _ramps(self, u, length):
+        rng = np.random.default_rng([self.seed, 5])
+        times, places, side = [0.0], [0.0], 1.0
+        while times[-1] < length + 2.0:
+            place = side * self.amplitudes[0] * rng.uniform(0.3, 1.0)
+            speed = self.speed * rng.uniform(0.5, 1.0)
+            times += [times[-1] + abs(place - places[-1]) / speed]
+            times += [times[-1] + self.dwell * rng.uniform(0.5, 1.5)]
+            places += [place, place]
+            side = -side
+        return np.interp(u, times, places)
+
+    def _chirp(self, u, length):
+        first, last = self.frequencies
+        rate = np.log(last / first) / length
+        phase = 2 * np.pi * first * (np.exp(rate * u) - 1.0) / rate
+        return self.amplitudes[0] * np.sin(phase)
+
 
 X, V, P1, P2, F, W, PA, WARM, XE = range(9)
 N_STATE = 9
@@ -169,20 +212,31 @@ def wanted_speed(x_d, rate, x, c):
     return min(max(w, -c.speed_limit), c.speed_limit)
 
 
+class Computer(NamedTuple):
+    """When a digital drive computes, and what it reads.
+
+    period, phase : steps between two computations (0: at every instant) and the step of the first.
+    encoder, noise : step of what it reads (m; 0 none), and (m,) noise in m for each computation.
+    """
+
+    period: int
+    phase: int
+    encoder: float
+    noise: np.ndarray
+
+
 @njit
-def run(y, c, demand, demand_rate, h, steps, period, phase, encoder, noise, out):
+def run(y, c, demand, demand_rate, h, computer, out):
     """Integrate by the classical Runge-Kutta rule; ``y`` is carried along in place.
 
     Parameters
     ----------
     demand, demand_rate : (2*steps + 1,) x_d (m) and x_d' (m/s) at every half step.
     h : step, s.
-    period, phase : steps between two computations of a digital drive (0: at every instant) and
-        the step of the first.
-    encoder, noise : what the digital drive reads: its step (m; 0 none), and (m,) noise in m for
-        each computation.
+    computer : of the drive.
     out : (steps + 1, N_STATE) the trajectory; its column W is the speed of the shaft.
     """
+    (period, phase, encoder, noise), steps = computer, len(out) - 1
     k1, k2, k3, k4 = np.empty(N_STATE), np.empty(N_STATE), np.empty(N_STATE), np.empty(N_STATE)
     held, tick = wanted_speed(demand[0], demand_rate[0], shown_place(y, c), c), 0
     for i in range(steps + 1):
@@ -242,3 +296,125 @@ def rest(c: Constants, x_d: float) -> np.ndarray:
     y[P1], y[P2], y[W] = found.x * scale
     y[X] = y[XE] = x_d - y[W] / c.gain
     return y
+
+
+ATMOSPHERE = 101325.0  # Pa
+PREROLL = 1.0  # s: the rig runs before the logger does
+LONGEST_STEP = 5e-5  # s
+SUBSTEPS = 20  # in a sample, at least
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """What the transducers and the logger make of the truth; SI."""
+
+    encoder: float = 1e-6  # m, step
+    position_noise: float = 0.5e-6  # m
+    pressure_noise: float = 1.5e3  # Pa
+    pressure_step: float = 300.0  # Pa, of the converter
+    speed_noise: float = 0.1  # rad/s
+    filter_hz: float = 0.0  # Hz, second-order anti-alias filter on pressures and speed; 0 none
+    gauge: bool = False  # the transducers show pressure above the atmosphere
+
+
+@dataclass(frozen=True)
+class Drive:
+    """How the controller runs.
+
+    Attributes
+    ----------
+    hold : 0 continuous; else it computes every ``hold`` samples and holds.
+    phase : when it computes after the logger's sample, as a share of a sample; at 0 the logger
+        is the controller, and writes the very position it has used.
+    """
+
+    hold: int = 0
+    phase: float = 0.0
+
+
+@dataclass(frozen=True)
+class Run:
+    """One recording as it is made: a plant, its motion, and who looks at it.
+
+    Attributes
+    ----------
+    plant : its constants.
+    rate, length : Hz of the logger, s.
+    celsius, warms : °C of the oil at the start, and how much warmer it gets in the end.
+    """
+
+    plant: Constants
+    rate: float
+    length: float
+    motion: Motion
+    sensors: Sensors = Sensors()
+    drive: Drive = Drive()
+    celsius: float = 41.0
+    warms: float = 1.5
+
+
+def fine_run(rig, seed: int = 0, substeps: int | None = None
+             ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the trajectory (m, N_STATE), its times (m,) s, the sample of each log, its noise.
+
+    Parameters
+    ----------
+    rig : a :class:`Run`, or what has its attributes.
+
+    Returns
+    -------
+    out, time, at, noise : trajectory; its times, 0 at the first logged sample; (n,) rows of
+        ``out`` at the logged samples; (n,) noise of the position in m at them.
+    """
+    period = 1.0 / rig.rate
+    if substeps is None:
+        substeps = max(SUBSTEPS, int(np.ceil(period / LONGEST_STEP)))
+    h = period / substeps
+    ahead = round((PREROLL - min(rig.motion.before, 0.0)) * rig.rate)
+    ahead += ahead % 2  # whole periods of any drive
+    samples = round(rig.length * rig.rate)
+    steps = (ahead + samples) * substeps
+    halves = np.arange(2 * steps + 1) * 0.5 * h - ahead * period
+    demand = rig.motion(halves, rig.length)
+    slope = np.gradient(demand, 0.5 * h)
+    rng = np.random.default_rng([seed, 1])
+    noise = rig.sensors.position_noise * rng.standard_normal(ahead + samples)
+    drive = rig.drive
+    if drive.hold and drive.phase == 0.0:
+        read = noise[::drive.hold]
+    else:
+        read = rig.sensors.position_noise * rng.standard_normal(ahead + samples)
+    out = np.empty((steps + 1, N_STATE))
+    c = Constants(*map(float, rig.plant))
+    y = rest(c, float(demand[0]))
+    run(y, c, demand, slope, h, Computer(drive.hold * substeps, round(drive.phase * substeps),
+                                         float(rig.sensors.encoder), read), out)
+    at = (ahead + np.arange(samples)) * substeps
+    return out, halves[::2], at, noise[ahead:]
+
+
+def recording(rig, seed: int = 0) -> dict[str, np.ndarray]:
+    """Return time and channels as the sensors of a :class:`Run` show them, name -> (n,) SI."""
+    out, time, at, noise = fine_run(rig, seed)
+    sensors, rng = rig.sensors, np.random.default_rng([seed, 2])
+    h = time[1] - time[0]
+
+    def filtered(values):
+        if not sensors.filter_hz:
+            return values
+        b, a = butter(2, sensors.filter_hz, fs=1.0 / h)
+        return lfilter(b, a, values, zi=lfilter_zi(b, a) * values[0])[0]
+
+    def stepped(values, step):
+        return step * np.round(values / step) if step else values
+
+    found = {"time": np.arange(len(at)) / rig.rate,
+             "x": stepped(out[at, XE] + noise, sensors.encoder),
+             "x_d": rig.motion(time[at], rig.length),
+             "omega": filtered(out[:, W])[at] + sensors.speed_noise * rng.standard_normal(len(at)),
+             "temperature": (getattr(rig, "celsius", 41.0)
+                             + getattr(rig, "warms", 1.5) * out[at, WARM])}
+    for name, column in (("p1", P1), ("p2", P2)):
+        p = filtered(out[:, column])[at] + sensors.pressure_noise * rng.standard_normal(len(at))
+        found[name] = stepped(p - ATMOSPHERE * sensors.gauge, sensors.pressure_step)
+    return found

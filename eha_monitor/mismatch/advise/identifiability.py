@@ -9,8 +9,14 @@ from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.likelihood.information import LEAST_STEADY, Gram, Slope, gain_of
-from eha_monitor.mismatch.name.base import without_effect
-from eha_monitor.mismatch.name.starts import Start, directions_of, own_sizes, possible, starts_of
+from eha_monitor.mismatch.name.starts import (
+    Start,
+    directions_of,
+    own_sizes,
+    possible,
+    starts_of,
+    without_effect,
+)
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import place_of
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import solve_banded
 
 from eha_monitor import ties
-from eha_monitor.estimation.along import contributions_along
+from eha_monitor.estimation.modelled import contributions_along
 from eha_monitor.mismatch.data.experiment import BURN_IN, Experiment, Stretch
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED, cubics
 from eha_monitor.mismatch.likelihood.fit import Fit, free_run

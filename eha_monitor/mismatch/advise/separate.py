@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
+import numpy as np
+
 from eha_monitor import ties
 from eha_monitor.mismatch.advise.identifiability import Confusion, DetectionLimit, Known
 from eha_monitor.mismatch.advise.motions import (
@@ -14,15 +16,48 @@ from eha_monitor.mismatch.advise.motions import (
     share_within,
     strained,
 )
-from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
+from eha_monitor.mismatch.data.experiment import Experiment, Stretch
+from eha_monitor.mismatch.data.inputs import CLOSED, cubics
+from eha_monitor.mismatch.likelihood.fit import Fit, free_run, with_unknowns
 from eha_monitor.mismatch.likelihood.information import Gram, Slope, Traces, free_slopes, gain_of
-from eha_monitor.mismatch.likelihood.simulated import simulated
-from eha_monitor.mismatch.name.base import with_effect, without_effect
 from eha_monitor.mismatch.name.refit import settled
-from eha_monitor.mismatch.name.starts import directions_of, starts_of
+from eha_monitor.mismatch.name.starts import directions_of, starts_of, with_effect, without_effect
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import effect_values, place_of
+
+
+def simulated(experiment: Experiment, fit: Fit, seed: int) -> Experiment:
+    """Return the experiment with the fitted model's own outputs in place of the measured ones."""
+    rng = np.random.default_rng(seed)
+    parts = []
+    for stretch in experiment.stretches:
+        clean = free_run(experiment, stretch, fit)
+        z = clean + np.nan_to_num(experiment.noise) * rng.standard_normal(clean.shape)
+        step = experiment.position_step
+        if step > 0:
+            z[:, 0] = step * np.round(
+                (clean[:, 0] + white_part(experiment) * rng.standard_normal(len(stretch))) / step)
+        z[~np.isfinite(stretch.z)] = np.nan
+        parts.append(replace(stretch, z=z, u=noisy_input(experiment, stretch, rng)))
+    return experiment.only(tuple(parts))
+
+
+def white_part(experiment: Experiment) -> float:
+    """Return the position noise that is not rounding, m."""
+    rounding = experiment.position_step / np.sqrt(12.0)
+    return float(np.sqrt(max(experiment.noise[0] ** 2 - rounding**2, 0.0)))
+
+
+def noisy_input(experiment: Experiment, stretch: Stretch, rng: np.random.Generator) -> np.ndarray:
+    """Return the input as it would be measured: x_d is known, a sensor's is not."""
+    if experiment.mode == CLOSED:
+        return stretch.u
+    noise = experiment.input_noise
+    if noise <= 0:
+        return stretch.u
+    return cubics(stretch.u[:, 0] + noise * rng.standard_normal(len(stretch)), noise,
+                  experiment.held)
+
 
 DECISIVE = 20.0  # log units that settle a question
 WANTED = 40.0  # log units that a prediction must reach, so that they do

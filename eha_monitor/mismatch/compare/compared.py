@@ -30,11 +30,10 @@ from eha_monitor.mismatch.likelihood.fit import Fit, with_unknowns
 from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, Missing, missing_terms
 from eha_monitor.mismatch.name.columns import ALWAYS
-from eha_monitor.mismatch.name.credible import credible
 from eha_monitor.mismatch.name.naming import Naming
+from eha_monitor.mismatch.name.select import credible
 from eha_monitor.mismatch.show import held_out as show
-from eha_monitor.mismatch.show.model import config_effects, values_of
-from eha_monitor.mismatch.show.sizes import size_of
+from eha_monitor.mismatch.show.model import config_effects, size_of, values_of
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import number, share, with_uncertainty
 from eha_monitor.recordings.recording import Recording

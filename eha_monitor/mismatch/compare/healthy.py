@@ -14,7 +14,7 @@ from eha_monitor.mismatch.compare.runs import Own, Reading, Run, posterior_of, r
 from eha_monitor.mismatch.data.experiment import Experiment, experiment_of
 from eha_monitor.mismatch.data.stretch import cut
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, with_unknowns
-from eha_monitor.mismatch.name.informative import informative
+from eha_monitor.mismatch.name.before import informative
 from eha_monitor.mismatch.name.naming import Naming, name_effects
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings

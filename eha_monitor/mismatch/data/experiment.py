@@ -17,8 +17,7 @@ from eha_monitor.mismatch.data.inputs import (
     noise_governs,
     present,
 )
-from eha_monitor.mismatch.data.stretch import BURN_IN, Stretch
-from eha_monitor.mismatch.data.windows import Rows, windows_of, windows_of_each
+from eha_monitor.mismatch.data.stretch import BURN_IN, Rows, Stretch, windows_of, windows_of_each
 from eha_monitor.mismatch.policy import POLICY, SearchPolicy
 from eha_monitor.physics.effect import Ranges
 from eha_monitor.physics.parameters import theta_of

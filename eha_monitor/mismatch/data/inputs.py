@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from eha_monitor.estimation.hold import JUMP, VISIBLE, largest_neighbour
+from eha_monitor.estimation.drive import JUMP, VISIBLE, largest_neighbour
 from eha_monitor.recordings.grid import filled
 from eha_monitor.settings.rig import Rig
 
@@ -79,8 +79,6 @@ def course_of(u: np.ndarray, sigma: float, sampled: bool = False) -> tuple[np.nd
     off[np.convolve(corner | jump, np.ones(7), "same") > 0.5] = 0.0  # as far as five samples reach
     off[jump] = JUMPED * step[jump]
     return c, off
-
-
 
 
 def present(u: np.ndarray, x: np.ndarray, longest: int) -> list[tuple[int, int]]:

@@ -1,9 +1,21 @@
-"""A gapless stretch of a recording, and pieces of one."""
+"""Gapless stretches of a recording, and the most informative windows of a long one.
+
+A model run over an hour costs minutes and gigabytes, and says no more than the informative parts
+of it.  Before any model is run one pass over the recording finds how each window's motion excites
+what the balances are made of, and by how much they are off there.  Of the windows chosen by that
+the models themselves choose again (:mod:`name.before`).
+"""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+
+from eha_monitor import ties
+from eha_monitor.estimation.inputs import force_of
+from eha_monitor.recordings.recording import Recording, rows_of
+from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.rig import Rig
 
 BURN_IN = 0.15  # s at the start of each stretch in which the filter finds the state
 
@@ -62,3 +74,133 @@ def cut(stretch: Stretch, first: int, last: int, dt: float) -> Stretch:
                    held_out=stretch.held_out[here],
                    loose=None if stretch.loose is None else stretch.loose[here],
                    angle=None if stretch.angle is None else stretch.angle[here])
+
+
+WINDOW = 8_000  # samples
+LOOKED = 64_000  # samples that are looked at; a recording that is no longer is looked at whole
+REACH_S = 0.01  # over which means, and from mean to mean slopes, are taken
+TURNING = 0.05  # of the rms speed: below, a direction is half known
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Samples ``first`` to ``last`` of a recording, by its number."""
+
+    recording: int
+    first: int
+    last: int
+
+
+def windows_of(recordings: list[Recording], settings: Settings, most: int = LOOKED,
+               size: int = WINDOW) -> list[Rows] | None:
+    """Return the most informative windows, in order; None where all of the samples are few.
+
+    Parameters
+    ----------
+    recordings : of one rig.
+    most : samples that are looked at; ``size`` : samples of a window.
+    """
+    if sum(map(len, recordings)) <= most:
+        return None
+    windows, columns = [], []
+    for number, recording in enumerate(recordings):
+        for first in range(0, len(recording), size):
+            last = min(first + size, len(recording))
+            if last - first >= min(size // 2, len(recording)):
+                windows.append(Rows(number, first, last))
+                columns.append(columns_of(rows_of(recording, first, last), settings))
+    names = sorted(set().union(*columns))
+    tables = [np.column_stack([one.get(name, np.zeros(len(one["x"]))) for name in names])
+              if one else np.zeros((0, len(names))) for one in columns]
+    # In units of what a column comes to over the whole.
+    scale = np.sqrt(sum((part**2).sum(axis=0) for part in tables) / max(sum(map(len, tables)), 1))
+    grams = [(part / np.where(scale > 0, scale, 1.0)).T @ (part / np.where(scale > 0, scale, 1.0))
+             for part in tables]
+    return [windows[i] for i in most_informative(
+        grams, [one.last - one.first for one in windows], most, size)]
+
+
+def most_informative(grams: list[np.ndarray], lengths: list[int], most: int, size: int
+                     ) -> list[int]:
+    """Return the windows whose log det together is the largest, in order: D-optimal, greedy.
+
+    Parameters
+    ----------
+    grams : (k, k) products of a window's columns, of length 0 where it says nothing.
+    lengths : samples of each, about ``size``; ``most`` of all that are chosen.
+    """
+    whole, chosen, samples = np.eye(max(map(len, grams))), [], 0
+    left = [i for i, gram in enumerate(grams) if len(gram)]
+    while left and samples + size // 2 <= most:
+        known = [np.linalg.slogdet(whole + grams[i])[1] for i in left]
+        best = left.pop(ties.largest(known, ties.GUESS))
+        chosen.append(best)
+        whole = whole + grams[best]
+        samples += lengths[best]
+    return sorted(chosen)
+
+
+def windows_of_each(recordings: list[Recording], settings: Settings) -> list[Rows] | None:
+    """Return the windows of recordings that are compared with one another: each has its share."""
+    most = max(WINDOW, LOOKED // len(recordings))
+    found, cut = [], False
+    for number, recording in enumerate(recordings):
+        windows = windows_of([recording], settings, most)
+        cut |= windows is not None
+        found += [Rows(number, 0, len(recording))] if windows is None else [
+            replace(one, recording=number) for one in windows]
+    return found if cut else None
+
+
+def columns_of(window: Recording, settings: Settings) -> dict[str, np.ndarray]:
+    """Return what the balances are made of in a window, and what they leave; name -> (n,).
+
+    Means over ``REACH_S``, in which a sensor's noise is small; nil where one is not there.
+    """
+    rig, channels = settings.rig, window.channels
+    reach = max(1, round(REACH_S / window.sample_time))
+    count = len(window) // reach
+    step = reach * window.sample_time
+
+    def coarse(values: np.ndarray) -> np.ndarray:
+        return values[: count * reach].reshape(count, reach).mean(axis=1)
+
+    if count < 4 or "x" not in channels:
+        return {}
+    x = coarse(channels["x"])
+    v = np.gradient(x, step)
+    a = np.gradient(v, step)
+    found = {"x": x, "v": v, "a": a, "v|v|": v * np.abs(v),
+             "turning": np.tanh(v / max(TURNING * _rms(v), 1e-12))}
+    force = force_of(rig, channels)
+    if force is not None:
+        force = coarse(force)
+        found |= {"force": force, "force_left": force - rig.mass * a - rig.viscous_damping * v}
+    for name in ("p1", "p2"):
+        if name in channels:
+            found |= {name: coarse(channels[name]),
+                      f"{name}'": np.gradient(coarse(channels[name]), step)}
+    speed = speed_of(channels, rig)
+    if speed is not None:
+        speed = coarse(speed)
+        found |= {"omega": speed, "omega'": np.gradient(speed, step)}
+        if rig.pump_displacement and rig.area_1:
+            found["flow_left"] = rig.pump_displacement * speed - rig.area_1 * v
+        if "omega" in channels and rig.position_gain is not None and "x_d" in channels:
+            wanted = rig.position_gain * (channels["x_d"] - channels["x"])
+            found["drive_left"] = coarse(channels["omega"] - wanted)
+    return {name: np.nan_to_num(values) for name, values in found.items()}
+
+
+def speed_of(channels: dict[str, np.ndarray], rig: Rig) -> np.ndarray | None:
+    """Return the pump's speed as it was measured, or as it was commanded, rad/s."""
+    if "omega" in channels:
+        return channels["omega"]
+    if rig.position_gain is not None and "x_d" in channels:
+        return rig.position_gain * (channels["x_d"] - channels["x"])
+    return None
+
+
+def _rms(values: np.ndarray) -> float:
+    good = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(good**2))) if len(good) else 0.0

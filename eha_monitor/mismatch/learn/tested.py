@@ -7,8 +7,7 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import NamedEffect, Value
-from eha_monitor.mismatch.learn.forms import free_slot
-from eha_monitor.mismatch.learn.learned import alone, bases_of, score_of
+from eha_monitor.mismatch.learn.learned import alone, bases_of, free_slot, score_of
 from eha_monitor.mismatch.learn.validated import ValidatedTerm, missing_of, removed, size_of
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, remade, spread
 from eha_monitor.mismatch.name.naming import Naming, beyond_form
@@ -16,8 +15,7 @@ from eha_monitor.mismatch.name.refit import looked, settled
 from eha_monitor.mismatch.show.held_out import shown, worse
 from eha_monitor.mismatch.show.model import robust
 from eha_monitor.physics.contributions import ALL_NAMES, slot_of
-from eha_monitor.physics.expression import parsed
-from eha_monitor.physics.own_term import CONSTANTS
+from eha_monitor.physics.own_term import CONSTANTS, parsed
 from eha_monitor.quantity import quantity
 from eha_monitor.settings.hypothesis import Hypothesis
 

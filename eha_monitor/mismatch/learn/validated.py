@@ -6,8 +6,9 @@ import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.diagnosis import LearnedTerm, NamedEffect, SignalFit
-from eha_monitor.mismatch.learn.forms import signal_along
 from eha_monitor.mismatch.learn.formula import (
+    RIPPLES,
+    SHAPES,
     SHOWN,
     Formula,
     curve_of,
@@ -15,13 +16,17 @@ from eha_monitor.mismatch.learn.formula import (
     in_signal,
     unit_of,
 )
-from eha_monitor.mismatch.learn.learned import Learned, learned_of
-from eha_monitor.mismatch.learn.shapes import RIPPLES, SHAPES
-from eha_monitor.mismatch.likelihood.along import contributed
+from eha_monitor.mismatch.learn.learned import Learned, learned_of, signal_along
+from eha_monitor.mismatch.likelihood.along import contributed, smoothed
 from eha_monitor.mismatch.likelihood.fit import Fit
-from eha_monitor.mismatch.likelihood.smooth import smoothed
-from eha_monitor.mismatch.locate.missing import modelled_flow, modelled_force
-from eha_monitor.mismatch.locate.terms import STATES, UNITS, Missing, following
+from eha_monitor.mismatch.locate.terms import (
+    STATES,
+    UNITS,
+    Missing,
+    following,
+    modelled_flow,
+    modelled_force,
+)
 from eha_monitor.mismatch.locate.terms import tracks_of as smoothed_tracks
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.show.held_out import shown, worse

@@ -20,9 +20,15 @@ import numpy as np
 
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.gains import Unknowns, decay_of, gains_of
-from eha_monitor.mismatch.likelihood.innovations import FREE, N_FILTERED, innovate
+from eha_monitor.mismatch.likelihood.innovations import (
+    FREE,
+    N_FILTERED,
+    Correction,
+    Record,
+    innovate,
+)
 from eha_monitor.physics.contributions import turned_memory
-from eha_monitor.physics.plant import N_OUTPUTS, new_past, new_state
+from eha_monitor.physics.plant import N_OUTPUTS, Step, actuator_of, new_state
 
 SINGULAR = 1e-12  # of a correlation: what rounding may make of it
 
@@ -158,10 +164,11 @@ def filtered(experiment: Experiment, stretch, theta, active, gains, states: bool
     if free is not None:
         role[free] = FREE
     kept = np.empty((n if states else 0, N_FILTERED))
-    y = start_of(experiment, stretch if begin is None else begin)
-    innovate(stretch.z, stretch.u, stretch.p1, stretch.p2, experiment.mode, experiment.dt,
-             experiment.steps, theta, active, gains, decay_of(experiment), y,
-             turned_memory(stretch.begins_at), new_past(y), role, e, kept)
+    innovate(Record(experiment.mode, stretch.z, stretch.u, (stretch.p1, stretch.p2), role),
+             Step(experiment.dt, experiment.steps), theta, active,
+             Correction(gains, decay_of(experiment)),
+             actuator_of(start_of(experiment, stretch if begin is None else begin),
+                         turned_memory(stretch.begins_at)), e, kept)
     return e, kept
 
 

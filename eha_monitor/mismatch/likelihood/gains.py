@@ -8,7 +8,7 @@ from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED, OPEN
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED, riccati, transition
 from eha_monitor.physics import signals as s
-from eha_monitor.physics.contributions import circuit_of, new_memory
+from eha_monitor.physics.contributions import circuit_of
 from eha_monitor.physics.plant import (
     N_STATE,
     Y_FLOW,
@@ -20,6 +20,7 @@ from eha_monitor.physics.plant import (
     Y_SPEED,
     Y_V,
     Y_X,
+    Step,
 )
 
 CORRELATION = 0.02  # s, for which an unknown force, flow or speed lasts
@@ -109,9 +110,8 @@ def linear_of(experiment: Experiment, theta: np.ndarray, active: np.ndarray,
     pump = r.pump_speed[2]
     size = np.array([r.position, r.speed, r.pressure_difference[2], r.pressure_difference[2],
                      pump, r.force, max(r.flow, 1e-12), pump])
-    a, h = np.zeros((N_FILTERED, N_FILTERED)), np.zeros((len(noise), N_FILTERED))
-    transition(experiment.mode, dt, experiment.steps, theta, active, new_memory(), decay, y, u,
-               1e-3 * size, a, h)
+    a, h = transition(experiment.mode, Step(dt, experiment.steps), theta, active, decay, y, u,
+                      1e-3 * size)
     away = np.zeros(N_FILTERED, dtype=bool)
     if experiment.mode == FORCED:
         away[[Y_P1, Y_P2, Y_OMEGA, Y_FLOW, Y_SPEED]] = True

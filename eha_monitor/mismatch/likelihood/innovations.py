@@ -8,6 +8,7 @@ speed that nothing accounts for, each an Ornstein-Uhlenbeck process.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from eha_monitor.estimation.small_matrices import (
 )
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.physics.contributions import (
+    N_EFFECTS,
     circuit_of,
     shift_memory,
     with_place,
@@ -38,59 +40,87 @@ from eha_monitor.physics.plant import (
     Y_SPEED,
     Y_V,
     Y_X,
+    Actuator,
+    Equations,
+    Given,
     advance,
     advance_forced,
     sense,
     speed_now,
 )
-from eha_monitor.physics.signals import AREA_1, AREA_2, N_CONTRIBUTIONS, N_SIGNALS, M
+from eha_monitor.physics.signals import AREA_1, AREA_2, MAX_MEMORY, N_CONTRIBUTIONS, N_SIGNALS, M
 
 FREE = -1.0  # role of a sample that corrects nothing
 N_FILTERED = 8  # x, v, p1, p2, omega, force, flow, speed: the head of the plant's state
 
 
+class Record(NamedTuple):
+    """A stretch of a record, as a filter takes it.
+
+    mode : what ``u`` is.
+    z : (n, N_OUTPUTS) measured x, v, p1, p2, omega; NaN where missing.
+    u : (n, 4) input as a cubic on each sample: x_d, pump speed or force after ``mode``.
+    pressures : (n,) p1 and (n,) p2 for ``FORCED``, Pa.
+    role : (n,) what is done with each sample: ``FREE`` (nothing), or the share, 0 to 1, of the
+        pressure difference that is taken from the sensors because the volume that entered since
+        the last sample is not known.
+    """
+
+    mode: int
+    z: np.ndarray
+    u: np.ndarray
+    pressures: tuple[np.ndarray, np.ndarray]
+    role: np.ndarray
+
+
+class Correction(NamedTuple):
+    """Gains, and what is forgotten.
+
+    gains : (m, N_FILTERED, N_OUTPUTS), of the first m samples; the last serves from there on.
+    decay : share of the unknowns that is left after a sample.
+    """
+
+    gains: np.ndarray
+    decay: float
+
+
 @njit(nogil=True)
-def innovate(z, u, p1, p2, mode, dt, steps, theta, active, gains, decay, y, memory, past,
-             role, e, states):
+def innovate(record, step, theta, active, correction, actuator, e, states):
     """Filter one stretch of a record.
 
     Parameters
     ----------
-    z : (n, N_OUTPUTS) measured x, v, p1, p2, omega; NaN where missing.
-    u : (n, 4) input as a cubic on each sample: x_d, pump speed or force after ``mode``.
-    p1, p2 : (n,) pressures for ``FORCED``, Pa.
-    dt, steps : sample time in s, Runge-Kutta steps in it.
+    record, step : :class:`Record`; :class:`eha_monitor.physics.plant.Step`.
     theta, active : parameters and active effects.
-    gains : (m, N_FILTERED, N_OUTPUTS), of the first m samples; the last serves from there on.
-    decay : share of the unknowns that is left after a sample.
-    y, memory, past : state at the start, carried on.
-    role : (n,) what is done with each sample: ``FREE`` (nothing), or the share, 0 to 1, of the
-        pressure difference that is taken from the sensors because the volume that entered since
-        the last sample is not known.
+    correction : :class:`Correction`.
+    actuator : at the start, carried on.
     e : (n, N_OUTPUTS) written: innovations, NaN where nothing was measured.
     states : (n, N_FILTERED) written after the correction, or (0, N_FILTERED) where not wanted;
         with two more columns for each active effect that remembers, its memory.
     """
+    mode, z, u, pressures, role = record
+    gains, decay = correction
+    y, memory, past, newest = actuator
+    dt, given = step.dt, Given(u, 1, 0, mode == CLOSED)
     n = z.shape[0]
     w = circuit_of(theta, active)
     terms, updates, places = with_term(active), with_update(active, theta), with_place(active)
-    c, s = np.zeros(N_CONTRIBUTIONS), np.zeros(N_SIGNALS)
+    equations = Equations(theta, terms, updates, w, np.zeros(N_CONTRIBUTIONS),
+                          np.zeros(N_SIGNALS))
     shown = np.zeros(N_OUTPUTS)
     by_output = np.empty((gains.shape[0], N_OUTPUTS, gains.shape[1]))
     for at in range(gains.shape[0]):  # a sensor's gains side by side
         for j in range(N_OUTPUTS):
             for i in range(gains.shape[1]):
                 by_output[at, j, i] = gains[at, i, j]
-    last = 0
-    h = dt / steps
     for k in range(n):
         t = k * dt
         if mode == FORCED:
             shown[0], shown[1] = y[Y_X], y[Y_V]
             shown[2] = shown[3] = shown[4] = math.nan
         else:
-            sense(y, t, h, past, last, w, shown)
-            shown[4] = speed_now(y, u, 1, k, dt, steps, mode == CLOSED, theta, w, past, last)[1]
+            sense(actuator, t, step, w, shown)
+            shown[4] = speed_now(actuator, k, given, step, equations)[1]
         at = min(k, gains.shape[0] - 1)
         predicted, before_1, before_2 = y[Y_X], y[Y_P1], y[Y_P2]
         for j in range(N_OUTPUTS):
@@ -111,7 +141,7 @@ def innovate(z, u, p1, p2, mode, dt, steps, theta, active, gains, decay, y, memo
             return
         shift_memory(places, y[Y_X] - predicted, memory)
         for j in range(4):
-            past[last, j] = y[j]
+            past[newest[0], j] = y[j]
         if states.shape[0]:
             for i in range(N_FILTERED):
                 states[k, i] = y[i]
@@ -119,51 +149,54 @@ def innovate(z, u, p1, p2, mode, dt, steps, theta, active, gains, decay, y, memo
                 states[k, N_FILTERED + 2 * i] = memory[updates[i], 0]
                 states[k, N_FILTERED + 2 * i + 1] = memory[updates[i], 1]
         if mode == FORCED:
-            advance_forced(y, t, dt, steps, u, k, p1, p2, theta, terms, updates, memory, c, s)
+            advance_forced(actuator, t, k, u, pressures, step, equations)
         else:
-            last = advance(y, t, dt, steps, u, 1, k, mode == CLOSED, theta, terms, updates, w,
-                           memory, past, last, c, s)
+            advance(actuator, t, k, given, step, equations)
         y[Y_FORCE] *= decay
         y[Y_FLOW] *= decay
         y[Y_SPEED] *= decay
 
 
 @njit(nogil=True)
-def transition(mode, dt, steps, theta, active, memory, decay, y, u, shifts, a, hh):
-    """Write the linearised one-sample map and output map at ``y`` by central differences.
+def transition(mode, step, theta, active, decay, y, u, shifts):
+    """Linearise the map over one sample, and the outputs, at ``y`` by central differences.
 
     Parameters
     ----------
     y : (N_STATE,) operating point; u : (1, 4) input there.
     shifts : (N_FILTERED,) size of the differences, in each state's unit.
-    a : (N_FILTERED, N_FILTERED), hh : (N_OUTPUTS, N_FILTERED), written.
+
+    Returns
+    -------
+    a, h : (N_FILTERED, N_FILTERED) and (N_OUTPUTS, N_FILTERED).
     """
+    a, h = np.zeros((N_FILTERED, N_FILTERED)), np.zeros((N_OUTPUTS, N_FILTERED))
     w = circuit_of(theta, active)
-    terms, updates = with_term(active), with_update(active, theta)
-    c, s = np.zeros(N_CONTRIBUTIONS), np.zeros(N_SIGNALS)
-    past = np.zeros((RING, 4))
+    equations = Equations(theta, with_term(active), with_update(active, theta), w,
+                          np.zeros(N_CONTRIBUTIONS), np.zeros(N_SIGNALS))
+    given, pressures = Given(u, 1, 0, mode == CLOSED), (y[2:3], y[3:4])
     shown = np.zeros((2, N_OUTPUTS))
     ends = np.zeros((2, y.shape[0]))
-    given = y[2:4]
+    actuator = Actuator(y.copy(), np.zeros((N_EFFECTS, MAX_MEMORY)), np.zeros((RING, 4)),
+                        np.zeros(1, dtype=np.int64))
+    moved, memory, past, newest = actuator
     for i in range(N_FILTERED):
         for side in range(2):
-            moved = y.copy()
+            moved[:] = y
             moved[i] += shifts[i] * (1.0 if side == 0 else -1.0)
             moved[8] = moved[0]
-            inner = memory.copy()
+            memory[:] = 0.0
+            newest[0] = 0
             for r in range(RING):  # the past of a steady motion to this point
-                past[r, 0] = moved[0] - ((RING - r) % RING) * dt / steps * moved[1]
+                past[r, 0] = moved[0] - ((RING - r) % RING) * step.dt / step.steps * moved[1]
                 past[r, 1], past[r, 2], past[r, 3] = moved[1], moved[2], moved[3]
             if mode == FORCED:
                 shown[side, 0], shown[side, 1] = moved[0], moved[1]
-                advance_forced(moved, 0.0, dt, steps, u, 0, given[:1], given[1:], theta, terms,
-                               updates, inner, c, s)
+                advance_forced(actuator, 0.0, 0, u, pressures, step, equations)
             else:
-                sense(moved, 0.0, dt / steps, past, 0, w, shown[side])
-                shown[side, 4] = speed_now(moved, u, 1, 0, dt, steps, mode == CLOSED, theta, w,
-                                           past, 0)[1]
-                advance(moved, 0.0, dt, steps, u, 1, 0, mode == CLOSED, theta, terms, updates, w,
-                        inner, past, 0, c, s)
+                sense(actuator, 0.0, step, w, shown[side])
+                shown[side, 4] = speed_now(actuator, 0, given, step, equations)[1]
+                advance(actuator, 0.0, 0, given, step, equations)
             moved[Y_FORCE] *= decay
             moved[Y_FLOW] *= decay
             moved[Y_SPEED] *= decay
@@ -171,7 +204,8 @@ def transition(mode, dt, steps, theta, active, memory, decay, y, u, shifts, a, h
         for j in range(N_FILTERED):
             a[j, i] = (ends[0, j] - ends[1, j]) / (2.0 * shifts[i])
         for j in range(N_OUTPUTS):
-            hh[j, i] = (shown[0, j] - shown[1, j]) / (2.0 * shifts[i])
+            h[j, i] = (shown[0, j] - shown[1, j]) / (2.0 * shifts[i])
+    return a, h
 
 
 @njit(nogil=True)

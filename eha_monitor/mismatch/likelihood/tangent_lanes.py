@@ -9,6 +9,7 @@ from eha_monitor.compiled import njit
 from eha_monitor.mismatch.data.inputs import CLOSED, FORCED
 from eha_monitor.mismatch.likelihood.tangent_motion import (
     N_RATES,
+    STAGES,
     balanced,
     commanded,
     contribute,
@@ -18,7 +19,6 @@ from eha_monitor.mismatch.likelihood.tangent_motion import (
     wanted_speed,
     was,
 )
-from eha_monitor.mismatch.likelihood.tangent_points import STAGES
 from eha_monitor.physics.balances import acceleration
 from eha_monitor.physics.balances import rates as balance_rates
 from eha_monitor.physics.plant import N_OUTPUTS, Y_OMEGA, Y_P1, Y_P2, Y_V, Y_X, drive_rate
@@ -59,7 +59,7 @@ class Lanes(NamedTuple):
     kinds, which : (L,) what they have different; the effect's place for ``TERM``.
     thetas, circuits : (L, N_THETA), (L, N_CIRCUIT) of each.
     updates, places : (L,) bool, its effect remembers; it remembers a place.
-    inverse : (L,) one over each lane's step.
+    inverse : (L,) one over each lane's step; areas : (L,) what its parameter does to (A1 + A2)/M.
     own, same : (L, N_EFFECTS, 2) memory with the lane's effect, and with the same effect as the
         model at hand has it, both along the model's motion.
     spinning : (L, 2) speed of a drive that lags where the model's does not, rad/s, and the speed
@@ -73,41 +73,59 @@ class Lanes(NamedTuple):
     updates: np.ndarray
     places: np.ndarray
     inverse: np.ndarray
+    areas: np.ndarray
     own: np.ndarray
     same: np.ndarray
     spinning: np.ndarray
 
 
-@njit(nogil=True)
-def compare(model, motion, points, lanes, gains, e, begin, end, g, shown):
-    """Write the lanes' rates and sensors beyond the model's for samples ``begin`` to ``end``.
+class Corrections(NamedTuple):
+    """What the filter corrected: gains, innovations (n, N_OUTPUTS), role (n,), decay.
 
-    Parameters
-    ----------
-    g : (points there, N_RATES, L), shown : (samples, N_OUTPUTS, L) written, over the steps.
+    As :class:`~eha_monitor.mismatch.likelihood.innovations.Record` and ``Correction`` have them.
     """
+
+    gains: np.ndarray
+    e: np.ndarray
+    role: np.ndarray
+    decay: float
+
+
+class Block(NamedTuple):
+    """Samples ``begin`` to ``end``, of which lanes are compared.
+
+    g, shown : (points there, N_RATES, L), (samples, N_OUTPUTS, L) written: the lanes' rates and
+        sensors beyond the model's, over their steps.
+    """
+
+    begin: int
+    end: int
+    g: np.ndarray
+    shown: np.ndarray
+
+
+@njit(nogil=True)
+def compare(model, motion, points, lanes, corrections, block):
+    """Write the lanes' rates and sensors beyond the model's for the samples of a block."""
     for lane in range(len(lanes.kinds)):
         if lanes.kinds[lane] == BALANCE:
-            other_balance(model.mode, points, lanes.thetas[lane], lanes.inverse[lane], begin,
-                          end, lane, g)
+            other_balance(model.mode, points, lanes, lane, block)
         elif lanes.kinds[lane] == TERM:
-            other_term(model, motion, points, lanes.thetas[lane], lanes.which[lane : lane + 1],
-                       lanes.updates[lane], lanes.places[lane], lanes.own[lane],
-                       lanes.same[lane], lanes.inverse[lane], begin, end, lane, g)
+            other_term(model, motion, points, lanes, lane, block)
         elif model.mode != FORCED:
-            other_drive(model, motion, points, lanes.thetas[lane], lanes.circuits[lane],
-                        lanes.spinning[lane], lanes.inverse[lane], gains, e, begin, end, lane, g,
-                        shown)
+            other_drive(model, motion, points, lanes, lane, corrections, block)
 
 
 @njit
-def other_balance(mode, points, theta, inverse, begin, end, lane, g):
+def other_balance(mode, points, lanes, lane, block):
     """Compare balances with another base parameter."""
+    theta, inverse, (begin, end, g, _) = lanes.thetas[lane], lanes.inverse[lane], block
     first, signals, inner, values, rates = (points.first, points.signals, points.inner,
                                             points.value, points.rates)
     added = points.added
     several = added.shape[0] > 1
     c, y, out = np.zeros(N_CONTRIBUTIONS), np.zeros(4), np.zeros(N_RATES)
+    unknown = np.zeros(2)
     base = (theta[0], theta[1], theta[2], theta[3], theta[4], theta[5], theta[6], theta[7],
             theta[8], theta[9], theta[10], theta[11])
     start = first[begin]
@@ -117,8 +135,8 @@ def other_balance(mode, points, theta, inverse, begin, end, lane, g):
             for i in range(N_CONTRIBUTIONS):
                 c[i] = added[p, i]
             y[1], y[2], y[3] = signals[p, V], signals[p, P1], signals[p, P2]
-            balanced(mode, values[p], y, signals[p, OMEGA], inner[p, 0], inner[p, 1], theta, c,
-                     out)
+            unknown[0], unknown[1] = inner[p, 0], inner[p, 1]
+            balanced(mode, values[p], y, signals[p, OMEGA], unknown, theta, c, out)
             for r in range(3):
                 g[p - start, r, lane] = (out[r] - rates[p, r]) * inverse
             g[p - start, 3, lane] = 0.0
@@ -137,16 +155,19 @@ def other_balance(mode, points, theta, inverse, begin, end, lane, g):
 
 
 @njit
-def other_term(model, motion, points, theta, one, remembers, by_place, own, same, inverse, begin,
-               end, lane, g):
+def other_term(model, motion, points, lanes, lane, block):
     """Compare with another value of an effect's parameter, or with an effect that enters."""
-    mode, dt, steps, here, _, _, _, _, terms, _, _ = model
+    mode, dt, steps, here, terms = model.mode, model.dt, model.steps, model.theta, model.terms
+    begin, end, g, _ = block
+    theta, one, inverse = lanes.thetas[lane], lanes.which[lane : lane + 1], lanes.inverse[lane]
+    remembers, by_place = lanes.updates[lane], lanes.places[lane]
+    own, same = lanes.own[lane], lanes.same[lane]
     states, ends = motion.states, motion.ends
     first, signals, inner, values, rates, added = (
         points.first, points.signals, points.inner, points.value, points.rates, points.added)
     hard, reached = points.hard, points.reached
     c, there, s = np.zeros(N_CONTRIBUTIONS), np.zeros(N_CONTRIBUTIONS), np.zeros(N_SIGNALS)
-    y, out = np.zeros(4), np.zeros(N_RATES)
+    y, out, unknown = np.zeros(4), np.zeros(N_RATES), np.zeros(2)
     which = one[0]
     inside = False
     for place in terms:
@@ -170,7 +191,8 @@ def other_term(model, motion, points, theta, one, remembers, by_place, own, same
             elif len(terms):
                 for i in range(N_CONTRIBUTIONS):
                     c[i] += added[p, i]
-            balanced(mode, values[p], y, s[OMEGA], inner[p, 0], inner[p, 1], here, c, out)
+            unknown[0], unknown[1] = inner[p, 0], inner[p, 1]
+            balanced(mode, values[p], y, s[OMEGA], unknown, here, c, out)
             for r in range(3):
                 g[p - start, r, lane] = (out[r] - rates[p, r]) * inverse
             g[p - start, 3, lane] = 0.0
@@ -222,11 +244,14 @@ def differ(other, w, places):
 
 
 @njit
-def other_drive(model, motion, points, theta, other, spinning, inverse, gains, e, begin, end,
-                lane, g, shown):
+def other_drive(model, motion, points, lanes, lane, corrections, block):
     """Compare another drive and other sensors, along the motion."""
     mode, dt, steps, here, w, slow, lag, shortest, _, _, _ = model
-    u, _, _, states, ends, slopes, slopes_end = motion
+    u, states, ends = motion.u, motion.states, motion.ends
+    begin, end, g, shown = block
+    gains, e, _, _ = corrections
+    theta, other, inverse = lanes.thetas[lane], lanes.circuits[lane], lanes.inverse[lane]
+    spinning = lanes.spinning[lane]
     first, places, rates, faster, hard = (points.first, points.place, points.signals,
                                           points.faster, points.hard)
     own_lag, lagging = max(other[DRIVE_LAG], shortest), lags(other) and not slow
@@ -247,21 +272,19 @@ def other_drive(model, motion, points, theta, other, spinning, inverse, gains, e
             if not showing[j]:
                 continue
             place = POSITION_DELAY if j == 0 else PRESSURE_DELAY
-            now = late_by(states, ends, slopes, slopes_end, j, k, w[place], dt, steps)
+            now = late_by(model, motion, j, k, w[place])
             then = now
             if other[place] != w[place]:
-                then = late_by(states, ends, slopes, slopes_end, j, k, other[place], dt, steps)
+                then = late_by(model, motion, j, k, other[place])
             shown[k - begin, j, lane] = (shown_by(j, t, then, other)
                                          - shown_by(j, t, now, w)) * inverse
         if not slow and not sensors_only:
             value = commanded(u, k, 0.0, w[COMMAND_DELAY], dt)
             then = commanded(u, k, 0.0, other[COMMAND_DELAY], dt)
             if mode == CLOSED:
-                late = late_by(states, ends, slopes, slopes_end, 0, k, w[FEEDBACK_DELAY], dt,
-                               steps)
+                late = late_by(model, motion, 0, k, w[FEEDBACK_DELAY])
                 value = wanted_speed(value, late, here, w)
-                late = late_by(states, ends, slopes, slopes_end, 0, k, other[FEEDBACK_DELAY], dt,
-                               steps)
+                late = late_by(model, motion, 0, k, other[FEEDBACK_DELAY])
                 then = wanted_speed(then, late, theta, other)
                 if lagging:
                     if k == 0:
@@ -289,11 +312,9 @@ def other_drive(model, motion, points, theta, other, spinning, inverse, gains, e
             if mode == CLOSED:
                 now = late = x
                 if w[FEEDBACK_DELAY] > 0.0:
-                    now = was(states, ends, slopes, slopes_end, 0, dt,
-                              k + f - w[FEEDBACK_DELAY] / dt)
+                    now = was(motion, 0, dt, k + f - w[FEEDBACK_DELAY] / dt)
                 if other[FEEDBACK_DELAY] > 0.0:
-                    late = was(states, ends, slopes, slopes_end, 0, dt,
-                               k + f - other[FEEDBACK_DELAY] / dt)
+                    late = was(motion, 0, dt, k + f - other[FEEDBACK_DELAY] / dt)
                 value = wanted_speed(value, now, here, w)
                 then = wanted_speed(then, late, theta, other)
                 if slow:

@@ -19,16 +19,17 @@ from eha_monitor.compiled import njit
 from eha_monitor.estimation.small_matrices import copied
 from eha_monitor.mismatch.data.inputs import CLOSED
 from eha_monitor.mismatch.likelihood.innovations import FREE, N_FILTERED
-from eha_monitor.mismatch.likelihood.tangent_lanes import compare
+from eha_monitor.mismatch.likelihood.tangent_lanes import Block, compare
 from eha_monitor.mismatch.likelihood.tangent_motion import (
     N_MOVED,
     N_RATES,
+    SOFT,
+    STAGES,
     between,
     commanded,
     late_by,
     wanted_speed,
 )
-from eha_monitor.mismatch.likelihood.tangent_points import SOFT, STAGES
 from eha_monitor.physics.plant import (
     N_OUTPUTS,
     Y_FORCE,
@@ -78,15 +79,14 @@ class Linear(NamedTuple):
 @njit(nogil=True)
 def shafts(model, motion, shaft):
     """Write the shown speed's derivative by the state before each correction."""
-    mode, dt, steps, theta, w, slow, _, _, _, _, _ = model
-    u, _, _, states, ends, slopes, slopes_end = motion
-    for k in range(states.shape[0]):
+    theta, w = model.theta, model.w
+    for k in range(motion.states.shape[0]):
         shaft[k, Y_SPEED] = 1.0
-        if mode == CLOSED and slow:
+        if model.mode == CLOSED and model.slow:
             shaft[k, Y_OMEGA] = 1.0
-        elif mode == CLOSED:
-            value = commanded(u, k, 0.0, w[COMMAND_DELAY], dt)
-            late = late_by(states, ends, slopes, slopes_end, 0, k, w[FEEDBACK_DELAY], dt, steps)
+        elif model.mode == CLOSED:
+            value = commanded(motion.u, k, 0.0, w[COMMAND_DELAY], model.dt)
+            late = late_by(model, motion, 0, k, w[FEEDBACK_DELAY])
             d = 1e-7
             slope = (wanted_speed(value, late + d, theta, w)
                      - wanted_speed(value, late - d, theta, w)) / (2.0 * d)
@@ -170,16 +170,18 @@ def kick_lanes(kick, half, middle, row, delta):
 
 
 @njit
-def stepped(jacs, by_memory, renewed, g, h, delta, kept, inside, rate, whole):
+def stepped(points, number, g, h, delta, kept, scratch):
     """Carry delta (N_FILTERED, L) over a sample by the tangent of each Runge-Kutta step.
 
     Parameters
     ----------
-    jacs, by_memory, renewed : of the sample's stages and steps, as in :class:`Points`.
+    points, number : :class:`Points`, and which of the samples gone through by stages.
     g : (stages, N_RATES, L).
     kept : (E, 2, L) tangents of the effects' memories, carried on.
-    inside, rate, whole : (N_FILTERED, L), (N_MOVED, L), (N_MOVED, L) scratch.
+    scratch : (N_FILTERED, L), (N_MOVED, L), (N_MOVED, L).
     """
+    jacs, by_memory = points.jacs[number], points.by_memory[number]
+    renewed, (inside, rate, whole) = points.renewed[number], scratch
     for step in range(renewed.shape[0]):
         whole[:] = 0.0
         for stage in range(STAGES):
@@ -214,14 +216,15 @@ def stepped(jacs, by_memory, renewed, g, h, delta, kept, inside, rate, whole):
 
 
 @njit(nogil=True)
-def carried_on(model, motion, points, linear, lanes, areas, e, gains, role, decay, used, out):
+def carried_on(model, motion, points, linear, lanes, corrections, used, out):
     """Carry all lanes along; write the innovations' tangents.
 
     Parameters
     ----------
-    areas : (L,) what each lane's parameter does to (A1 + A2)/M.
+    used : places of the channels that are measured.
     out : (n, len(used), L) written, NaN where nothing was measured.
     """
+    gains, e, role, decay = corrections
     n, count, w, dt = e.shape[0], len(lanes.kinds), model.w, model.dt
     theta, updates, places = model.theta, model.updates, model.places
     phi, gamma, half, half_gamma, constant, jacs, shaft, shifts = linear
@@ -242,7 +245,8 @@ def carried_on(model, motion, points, linear, lanes, areas, e, gains, role, deca
     for k in range(n):
         if k % BLOCK == 0:
             begin = k
-            compare(model, motion, points, lanes, gains, e, k, min(k + BLOCK, n), g, shown)
+            compare(model, motion, points, lanes, corrections,
+                    Block(k, min(k + BLOCK, n), g, shown))
         at = min(k, gains.shape[0] - 1)
         if late:
             for i in range(4):
@@ -297,7 +301,7 @@ def carried_on(model, motion, points, linear, lanes, areas, e, gains, role, deca
                                          + other[Y_P2, lane] - delta[Y_P2, lane])
                 other[Y_P1, lane] += value
                 other[Y_P2, lane] -= value
-                other[Y_V, lane] += 0.5 * dt * (value * push + shifts[k] * areas[lane])
+                other[Y_V, lane] += 0.5 * dt * (value * push + shifts[k] * lanes.areas[lane])
         for i in range(len(updates)):  # remembered places move with the position
             for which in places:
                 if which == updates[i]:
@@ -313,8 +317,8 @@ def carried_on(model, motion, points, linear, lanes, areas, e, gains, role, deca
         if number >= 0:
             for i in range(N_FILTERED):
                 copied(delta[i], other[i])
-            stepped(points.jacs[number], points.by_memory[number], points.renewed[number],
-                    g[p : p + stages], dt / model.steps, delta, kept, middle, rate, whole)
+            stepped(points, number, g[p : p + stages], dt / model.steps, delta, kept,
+                    (middle, rate, whole))
         else:
             pushed(other, phi, gamma, g[p : p + SOFT], delta)
             if len(jacs):

@@ -14,8 +14,13 @@ from eha_monitor.mismatch.data.experiment import Experiment, Stretch
 from eha_monitor.mismatch.data.inputs import CLOSED
 from eha_monitor.mismatch.likelihood.fit import Fit, spread, start_of, step_of
 from eha_monitor.mismatch.likelihood.gains import decay_of
-from eha_monitor.mismatch.likelihood.innovations import N_FILTERED, innovate
-from eha_monitor.mismatch.likelihood.tangent_lanes import BALANCE, DRIVE, TERM, Lanes
+from eha_monitor.mismatch.likelihood.innovations import (
+    N_FILTERED,
+    Correction,
+    Record,
+    innovate,
+)
+from eha_monitor.mismatch.likelihood.tangent_lanes import BALANCE, DRIVE, TERM, Corrections, Lanes
 from eha_monitor.mismatch.likelihood.tangent_motion import (
     EARLY,
     LATE,
@@ -26,11 +31,11 @@ from eha_monitor.mismatch.likelihood.tangent_motion import (
     before_corrections,
     jacobians,
     lags,
+    points_of,
     slopes_along,
     turns_over,
 )
 from eha_monitor.mismatch.likelihood.tangent_pass import Linear, carried_on, shafts
-from eha_monitor.mismatch.likelihood.tangent_points import points_of
 from eha_monitor.physics import signals as s
 from eha_monitor.physics.contributions import (
     ALL_NAMES,
@@ -42,7 +47,7 @@ from eha_monitor.physics.contributions import (
     with_term,
     with_update,
 )
-from eha_monitor.physics.plant import N_OUTPUTS, SHORTEST_LAG, new_past
+from eha_monitor.physics.plant import N_OUTPUTS, SHORTEST_LAG, Step, actuator_of
 
 # From where a sample is gone through by its Runge-Kutta stages: what an effect adds to a rate in
 # it by its own slope, of the rate's size; decay in the sample, and angle squared, that are the
@@ -87,12 +92,6 @@ def differing(fit: Fit, lane: Lane) -> list[int]:
     return sorted(i for i in found if i < 0 or lane.active[i] or fit.active[i])
 
 
-def tangents(experiment: Experiment, fit: Fit, wanted: Sequence[str]) -> dict[str, list]:
-    """Return name -> (n, c) tangents for each stretch, in the fitted coordinate, all samples."""
-    carried = along(experiment, fit, [lane_of(fit, name) for name in wanted])
-    return {name: [part[:, :, i] for part in carried] for i, name in enumerate(wanted)}
-
-
 def along(experiment: Experiment, fit: Fit, lanes: Sequence[Lane]) -> list[np.ndarray]:
     """Return the tangents of all lanes, (n, c, len(lanes)) of the used channels per stretch.
 
@@ -133,10 +132,12 @@ class Track:
                            max(w[s.DRIVE_LAG], shortest), shortest, with_term(active), updates,
                            with_place(active))
         self.e, states = np.empty((n, N_OUTPUTS)), np.zeros((n, N_FILTERED + 2 * len(updates)))
-        y = start_of(experiment, stretch)
-        innovate(stretch.z, stretch.u, stretch.p1, stretch.p2, mode, dt, experiment.steps, theta,
-                 active, fit.gains, decay_of(experiment), y, turned_memory(stretch.begins_at),
-                 new_past(y), self.role, self.e, states)
+        decay = decay_of(experiment)
+        innovate(Record(mode, stretch.z, stretch.u, (stretch.p1, stretch.p2), self.role),
+                 Step(dt, experiment.steps), theta, active, Correction(fit.gains, decay),
+                 actuator_of(start_of(experiment, stretch), turned_memory(stretch.begins_at)),
+                 self.e, states)
+        self.corrections = Corrections(fit.gains, self.e, self.role, decay)
         self.astray = not np.nanmax(np.abs(self.e), initial=0.0) < 1e29
         if self.astray:
             return
@@ -178,17 +179,13 @@ class Track:
 
     def carry(self, lanes: Sequence[Lane]) -> np.ndarray:
         """Return the tangents of some lanes, (n, c, len(lanes))."""
-        n, used, theta = len(self.stretch), self.experiment.columns, self.fit.theta
+        n, used = len(self.stretch), self.experiment.columns
         out = np.empty((n, len(used), len(lanes)))
         if self.astray:
             out[:] = np.inf
             return out
-        made = lanes_of(self.fit, lanes)
-        areas = made.inverse * (
-            (made.thetas[:, s.AREA_1] + made.thetas[:, s.AREA_2]) / made.thetas[:, s.M]
-            - (theta[s.AREA_1] + theta[s.AREA_2]) / theta[s.M])
-        carried_on(self.model, self.motion, self.points, self.linear, made, areas, self.e,
-                   self.fit.gains, self.role, decay_of(self.experiment), used, out)
+        carried_on(self.model, self.motion, self.points, self.linear, lanes_of(self.fit, lanes),
+                   self.corrections, used, out)
         return out
 
 
@@ -208,10 +205,13 @@ def lanes_of(fit: Fit, lanes: Sequence[Lane]) -> Lanes:
     flags = [terms & np.array([len(with_update(one, lane.theta)) > 0
                                for one, lane in zip(alone, lanes, strict=True)], dtype=bool),
              terms & np.array([len(with_place(one)) > 0 for one in alone], dtype=bool)]
-    count = len(lanes)
-    return Lanes(kinds, which, np.array([lane.theta for lane in lanes]),
+    count, thetas = len(lanes), np.array([lane.theta for lane in lanes])
+    inverse = 1.0 / np.array([lane.step for lane in lanes])
+    push = (thetas[:, s.AREA_1] + thetas[:, s.AREA_2]) / thetas[:, s.M]
+    here = (fit.theta[s.AREA_1] + fit.theta[s.AREA_2]) / fit.theta[s.M]
+    return Lanes(kinds, which, thetas,
                  np.array([circuit_of(lane.theta, lane.active) for lane in lanes]), *flags,
-                 1.0 / np.array([lane.step for lane in lanes]),
+                 inverse, inverse * (push - here),
                  np.zeros((count, N_EFFECTS, s.MAX_MEMORY)),
                  np.zeros((count, N_EFFECTS, s.MAX_MEMORY)), np.zeros((count, 2)))
 

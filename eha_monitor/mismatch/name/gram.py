@@ -11,6 +11,7 @@ the columns, no run of the plant, and only products are kept.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,19 +48,31 @@ class Gram:
     logdet: float
 
 
+class Regained(NamedTuple):
+    """The linearised plant under old and new gains.
+
+    a : (N, N), h : (c, N) of the plant; old, new : (., N, c) gains; w : (c, c) weights.
+    """
+
+    a: np.ndarray
+    h: np.ndarray
+    old: np.ndarray
+    new: np.ndarray
+    w: np.ndarray
+
+
 @njit(nogil=True)
-def mapped(columns, missing, a, h, old, new, w, first, delta, out):
+def mapped(columns, missing, regained, first, delta, out):
     """Write columns under new gains, weighed by ``w``, from sample ``first`` on.
 
     Parameters
     ----------
     columns : (n, c, m) under the old gains; NaN nowhere.
     missing : (n, c) bool, what was not measured.
-    a : (N, N), h : (c, N) of the linearised plant; old, new : (., N, c) gains.
-    w : (c, c).
     delta : (N, m) by how much the filters' states differ at ``first``; left as at the end.
     out : (samples, c, m) written; 0 where nothing was measured, before it is weighed.
     """
+    a, h, old, new, w = regained
     _, channels, m = columns.shape
     states = a.shape[0]
     other, fresh = np.zeros((states, m)), np.zeros((channels, m))
@@ -199,10 +212,10 @@ def under(experiment: Experiment, fit: Fit, columns: list[np.ndarray], gains: np
     found = []
     for part in columns:
         out = np.empty_like(part)
-        mapped(np.nan_to_num(part), ~np.isfinite(part[:, :, 0]), linear.a,
-               np.ascontiguousarray(linear.h[used]), np.ascontiguousarray(fit.gains[:, :, used]),
-               np.ascontiguousarray(gains[:, :, used]), np.eye(len(used)), 0,
-               np.zeros((len(linear.a), part.shape[2])), out)
+        mapped(np.nan_to_num(part), ~np.isfinite(part[:, :, 0]), Regained(
+            linear.a, np.ascontiguousarray(linear.h[used]),
+            np.ascontiguousarray(fit.gains[:, :, used]), np.ascontiguousarray(gains[:, :, used]),
+            np.eye(len(used))), 0, np.zeros((len(linear.a), part.shape[2])), out)
         found.append(out)
     return found
 
@@ -236,9 +249,10 @@ def grams_of(experiment: Experiment, fit: Fit, columns: list[np.ndarray],
         for stretch, part, gone in zip(experiment.stretches, columns, missing, strict=True):
             counts += (~gone[stretch.counted]).sum(axis=0)
             delta = np.zeros((len(linear.a), m))
+            regained = Regained(linear.a, h, old, new, w)
             for first in range(0, len(part), BLOCK):
                 out = block[: min(BLOCK, len(part) - first)]
-                mapped(part, gone, linear.a, h, old, new, w, first, delta, out)
+                mapped(part, gone, regained, first, delta, out)
                 counted = stretch.counted[first : first + len(out)]
                 rows = (out if counted.all() else out[counted]).reshape(-1, m)
                 products += rows.T @ rows

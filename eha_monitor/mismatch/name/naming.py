@@ -11,15 +11,15 @@ from eha_monitor.mismatch.data.inputs import FORCED, OPEN
 from eha_monitor.mismatch.diagnosis import Gate, Piece
 from eha_monitor.mismatch.likelihood.fit import Fit, remade, with_unknowns
 from eha_monitor.mismatch.likelihood.gains import Unknowns
-from eha_monitor.mismatch.name.base import limits_of
+from eha_monitor.mismatch.name.before import FirstView
 from eha_monitor.mismatch.name.candidates import RIG, all_named, candidate
 from eha_monitor.mismatch.name.columns import runs_of
-from eha_monitor.mismatch.name.first_view import FirstView
 from eha_monitor.mismatch.name.gram import evidences_at
 from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.posterior import plainness, posterior
 from eha_monitor.mismatch.name.refit import settled
 from eha_monitor.mismatch.name.select import Selection, selected
+from eha_monitor.mismatch.name.starts import limits_of
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT, loads_of
 from eha_monitor.physics.effects import CATALOGUE
 

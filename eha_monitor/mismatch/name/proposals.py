@@ -8,7 +8,6 @@ from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
 from eha_monitor.mismatch.likelihood.fit import Fit
 from eha_monitor.mismatch.likelihood.gains import Unknowns
-from eha_monitor.mismatch.name.base import limits_of
 from eha_monitor.mismatch.name.candidates import all_named, candidate
 from eha_monitor.mismatch.name.columns import Column, Columns, columns_at
 from eha_monitor.mismatch.name.gram import grams_of
@@ -23,6 +22,7 @@ from eha_monitor.mismatch.name.posterior import (
     posterior,
 )
 from eha_monitor.mismatch.name.rank import LARGEST_SET, Ranked, best_first, best_over, ranked_at
+from eha_monitor.mismatch.name.starts import limits_of
 from eha_monitor.physics.effects import CATALOGUE
 
 HANDFUL = 4  # sets that are refitted at a linearisation

@@ -13,7 +13,6 @@ from eha_monitor.mismatch.likelihood.fit import (
     with_unknowns,
 )
 from eha_monitor.mismatch.likelihood.gains import Unknowns, expected_covariance, gains_of
-from eha_monitor.mismatch.name.base import LEAST_SHARE, base_free, limits_of, timing_free
 from eha_monitor.mismatch.name.candidates import candidate
 from eha_monitor.mismatch.name.columns import (
     ALWAYS,
@@ -25,7 +24,16 @@ from eha_monitor.mismatch.name.columns import (
 from eha_monitor.mismatch.name.gram import evidences_at
 from eha_monitor.mismatch.name.polish import ROUGHLY, Slopes, polished, polished_on
 from eha_monitor.mismatch.name.rank import Ranked
-from eha_monitor.mismatch.name.starts import entered, free_of, own_sizes, sharing
+from eha_monitor.mismatch.name.starts import (
+    LEAST_SHARE,
+    base_free,
+    entered,
+    free_of,
+    limits_of,
+    own_sizes,
+    sharing,
+    timing_free,
+)
 from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import BASE_KEYS, effect_values, place_of

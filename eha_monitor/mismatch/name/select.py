@@ -1,6 +1,6 @@
 """Joint selection: linearise, rank every set, refit the best, linearise there again."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -8,12 +8,10 @@ import numpy as np
 from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment, resolving
 from eha_monitor.mismatch.likelihood.fit import Fit, remade, spread, with_unknowns
-from eha_monitor.mismatch.name.base import limits_of, needs, with_effect, without_effect
+from eha_monitor.mismatch.name.before import FirstView, informative, with_effects
 from eha_monitor.mismatch.name.candidates import candidate
 from eha_monitor.mismatch.name.columns import FAR_OFF, LOOSE, rig_free
-from eha_monitor.mismatch.name.first_view import FirstView
 from eha_monitor.mismatch.name.gates import ends_of_tolerance, failures
-from eha_monitor.mismatch.name.informative import informative
 from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.name.posterior import (
     Names,
@@ -39,7 +37,16 @@ from eha_monitor.mismatch.name.refit import (
     unfitted,
     wide,
 )
-from eha_monitor.mismatch.name.starts import possible, sharing, starts_of
+from eha_monitor.mismatch.name.starts import (
+    expected_likelihood,
+    limits_of,
+    needs,
+    possible,
+    sharing,
+    starts_of,
+    with_effect,
+    without_effect,
+)
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.physics.parameters import effect_values
 from eha_monitor.physics.signals import BETA_E, B
@@ -558,3 +565,25 @@ def finish(experiment: Experiment, refits: Refits) -> None:
 
     for names, fit in zip(near, spread(ended, near), strict=True):
         refits.add(experiment, names, fit)
+
+
+def credible(experiment: Experiment, effects: Mapping[str, Mapping[str, float]]) -> bool:
+    """Tell whether the filter follows a recording once the effects of its balances are in it.
+
+    The laws of the catalogue are then near the machine's, and what is smaller can be sought.  If
+    not, each sample's innovation is the form of a law that nobody wrote down: the filter lacks
+    more than ``lacking`` log units a sample on the expected likelihood of a right model.
+
+    Parameters
+    ----------
+    effects : name -> parameters, as in the config's section; all of them are fitted.
+    """
+    sketch = informative(experiment, SKETCH, SKETCH_WINDOW)
+    try:
+        sketch, _ = resolved_nominal(sketch)
+        fit = nominal_model(sketch, within=True)
+        fit = settled(sketch, with_rig(sketch, with_effects(sketch, fit, effects)))
+    except np.linalg.LinAlgError:
+        return False
+    lacks = expected_likelihood(sketch, fit) - fit.log_likelihood
+    return bool(lacks < experiment.policy.lacking * sketch.n)

@@ -21,9 +21,9 @@ from eha_monitor.mismatch.likelihood.fit import (
     spread,
     with_unknowns,
 )
-from eha_monitor.mismatch.name.base import expected_likelihood, needs
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.refit import settled, unfitted
+from eha_monitor.mismatch.name.starts import expected_likelihood, needs
 from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.mismatch.show.model import robust, values_of
 from eha_monitor.quantity import with_uncertainty

@@ -15,7 +15,7 @@ from eha_monitor.mismatch.diagnosis import Agreement, Gate, Overlay, SignalFit, 
 from eha_monitor.mismatch.likelihood.along import filtered_tracks, signals_along
 from eha_monitor.mismatch.likelihood.fit import Fit, filtered, spread
 from eha_monitor.mismatch.likelihood.innovations import N_FILTERED
-from eha_monitor.mismatch.locate.missing import modelled_force
+from eha_monitor.mismatch.locate.terms import modelled_force
 from eha_monitor.mismatch.name.polish import Slopes, polished
 from eha_monitor.mismatch.policy import SearchPolicy
 from eha_monitor.physics import signals as s

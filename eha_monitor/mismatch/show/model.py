@@ -1,18 +1,24 @@
-"""The model with the named physics: its parameters, its config, what it says about health."""
+"""The model with the named physics: parameters, sizes of effects, numbers of the rig, config."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from eha_monitor import ties
 from eha_monitor.mismatch.data.experiment import Experiment
-from eha_monitor.mismatch.diagnosis import Agreement, Fitted, NamedEffect, Value
+from eha_monitor.mismatch.diagnosis import Agreement, Fitted, NamedEffect, RigFinding, Value
+from eha_monitor.mismatch.likelihood.along import contributed
 from eha_monitor.mismatch.likelihood.fit import Fit, Free, sensitivities, step_of, whitener
+from eha_monitor.mismatch.name.columns import rig_free
+from eha_monitor.mismatch.name.gates import at_bound
 from eha_monitor.mismatch.name.naming import Naming
 from eha_monitor.mismatch.name.select import with_rig
-from eha_monitor.physics.effects import CATALOGUE
+from eha_monitor.physics import signals as s
+from eha_monitor.physics.contributions import N_EFFECTS, circuit_of
+from eha_monitor.physics.effects import CATALOGUE, NAMES
 from eha_monitor.physics.parameters import effect_values
-from eha_monitor.quantity import quantity
+from eha_monitor.quantity import quantity, share, side_by_side
 
 # Parameters in seconds that the sensors' own lags cannot be separated from.
 TIMED = ("command_delay.T", "position_delay.T", "pressure_delay.T", "feedback_delay.T",
@@ -196,3 +202,97 @@ def quantised(experiment: Experiment) -> NamedEffect | None:
     return NamedEffect("position_quantisation", entry.balance, entry.said({"q": step}),
                        {"q": Value(step, 0.0, "m")}, float(against), (), entry.equation,
                        entry.rig_check, quantity(step, "m", 3))
+
+
+SHARE = 0.98  # quantile of the size over the record that counts as its largest
+
+# Circuit place -> SI unit, 1 for a share, and words.
+_CIRCUIT_WORDS = {
+    s.DRIVE_GAIN: ("1", " of the pump speed"), s.DRIVE_LAG: ("s", ""),
+    s.SPEED_LIMIT: ("rad/s", ""), s.SLEW_LIMIT: ("rad/s²", ""),
+    s.COMMAND_DELAY: ("s", ""), s.FEEDBACK_DELAY: ("s", ""), s.POSITION_DELAY: ("s", ""),
+    s.PRESSURE_DELAY: ("s", ""), s.POSITION_SCALE: ("1", " of the position"),
+    s.PLAY: ("m", ""), s.PRESSURE_SCALE_1: ("1", " of p1"),
+    s.PRESSURE_SCALE_2: ("1", " of p2"), s.PRESSURE_OFFSET_1: ("Pa", " on p1"),
+    s.PRESSURE_OFFSET_2: ("Pa", " on p2"), s.PRESSURE_DRIFT_1: ("Pa/s", " on p1"),
+    s.PRESSURE_DRIFT_2: ("Pa/s", " on p2"),
+}
+
+
+def size_of(experiment: Experiment, fit: Fit, name: str, tracks: list[np.ndarray]) -> str:
+    """Return how much a named effect does at its largest in this record, in words.
+
+    tracks : :func:`along.filtered_tracks` of the fit.
+    """
+    alone = np.zeros(N_EFFECTS, dtype=bool)
+    alone[NAMES.index(name)] = True
+    found = []
+    w = circuit_of(fit.theta, alone)
+    for place, (unit, words) in _CIRCUIT_WORDS.items():
+        value = abs(float(w[place]))
+        if value != 0 and np.isfinite(value):
+            found.append((share(value) if unit == "1" else quantity(value, unit, 3)) + words)
+    rows = [contributed(experiment, fit.theta, track, (name,)) for track in tracks]
+    most = np.quantile(np.abs(np.concatenate(rows)), SHARE, axis=0)
+    flow = max(most[s.FLOW_1], most[s.FLOW_2], fit.theta[s.D_P] * most[s.SPEED]
+               if np.isfinite(fit.theta[s.D_P]) else 0.0)
+    unit = "N" if experiment.settings.rig.motion == "linear" else "N·m"
+    if most[s.FORCE] > 0:
+        found.append(quantity(most[s.FORCE], unit, 3))
+    if flow > 0:
+        found.append(quantity(flow, "m³/s", 3))
+    if most[s.MASS] > 0:
+        found.append(quantity(most[s.MASS], "kg" if unit == "N" else "kg·m²", 3))
+    compliance = max(most[s.COMPLIANCE_1], most[s.COMPLIANCE_2]) * fit.theta[s.BETA_E]
+    if compliance > 0:
+        found.append(f"{share(compliance)} more compliance")
+    volume = max(most[s.VOLUME_1], most[s.VOLUME_2])
+    if volume > 0:
+        found.append(f"{quantity(volume, 'm³', 3)} of chamber volume")
+    return ", ".join(found)
+
+
+SHOWN = 1e-3  # of a probability: what is closer reads the same, and stands as in the config
+
+
+def rig_findings(experiment: Experiment, naming: Naming) -> tuple[RigFinding, ...]:
+    """Return the numbers of the rig that a recording contradicts, the most certain first."""
+    found = []
+    for key in naming.wrong:
+        configured, value, words = _told(experiment, naming.after, key)
+        found.append(RigFinding(
+            key, configured, value, naming.probability.get(f"rig.{key}", np.nan), words,
+            naming.rivals.get(f"rig.{key}", ())))
+    return tuple(ties.ordered(found, lambda finding: finding.probability, within=SHOWN))
+
+
+def rig_within(experiment: Experiment, naming: Naming) -> tuple[RigFinding, ...]:
+    """Return the numbers that a recording knows better than the config, within their tolerance.
+
+    A pump that delivers 3 % less is no mismatch where its displacement is known to 3 %, but it is
+    what the recording says.
+    """
+    fitted, found, policy = {f.name for f in naming.after.free}, [], experiment.policy
+    for own in rig_free(experiment):
+        key = own.symbol
+        if own.name not in fitted or key in naming.wrong or at_bound(
+                own, naming.after.value(own.name)):
+            continue  # at the end of its tolerance it is no optimum, so no finding
+        configured, value, words = _told(experiment, naming.after, key)
+        spread = experiment.settings.rig.tolerance.log_spread(key)
+        moved, sigma = np.log(value.value / configured), value.stddev / value.value
+        if sigma < policy.informed * spread and abs(moved) > max(
+                policy.sure * sigma, policy.informed * spread):
+            found.append(RigFinding(key, configured, value, np.nan,
+                                    f"{words}, within its tolerance"))
+    return tuple(found)
+
+
+def _told(experiment: Experiment, fit: Fit, key: str) -> tuple[float, Value, str]:
+    """Return what the config says of a number, what the recording, and both in words."""
+    name, rig = f"rig.{key}", experiment.settings.rig
+    unit = type(rig).model_fields[key].json_schema_extra["unit"]
+    value = Value(fit.value(name), fit.stddev(name), unit)
+    configured = float(getattr(rig, key))
+    one, other = side_by_side(configured, value.value, value.stddev, unit)
+    return configured, value, f"{key}: the config says {one}, the recording {other}"

@@ -23,8 +23,12 @@ from eha_monitor.mismatch.data.experiment import (
 )
 from eha_monitor.mismatch.data.inputs import CLOSED, OPEN
 from eha_monitor.mismatch.likelihood.fit import Fit, filtered, spread
-from eha_monitor.mismatch.locate.missing import modelled_flow, modelled_force, modelled_speed
-from eha_monitor.mismatch.locate.terms import unexplained_terms
+from eha_monitor.mismatch.locate.terms import (
+    modelled_flow,
+    modelled_force,
+    modelled_speed,
+    unexplained_terms,
+)
 from eha_monitor.mismatch.name.select import nominal
 from eha_monitor.physics.contributions import ALL_NAMES
 from eha_monitor.physics.parameters import theta_of

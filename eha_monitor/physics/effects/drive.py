@@ -4,16 +4,9 @@ import math
 
 from eha_monitor.compiled import njit
 from eha_monitor.physics import signals as s
-from eha_monitor.physics.effect import Effect, Parameter
-
+from eha_monitor.physics.effect import Effect, Parameter, adds_to
 
 # A drive that turns the position error into another speed than the config says.
-@njit
-def drive_gain_circuit(p, w):
-    """Add k to the relative gain."""
-    w[s.DRIVE_GAIN] += p[0]
-
-
 DRIVE_GAIN = Effect(
     name="drive_gain",
     balance="drive",
@@ -22,7 +15,7 @@ DRIVE_GAIN = Effect(
     parameters=(
         Parameter("k", "1", "relative error of the gain", -0.9, 10.0, 0.05),
     ),
-    circuit=drive_gain_circuit,
+    circuit=adds_to(s.DRIVE_GAIN),
     statement="the drive's gain is {k:+%} off the configured position gain",
     rig_check="Read the gain in the drive's parameters; measured speed over position error is "
     "K_pos.",
@@ -32,12 +25,6 @@ DRIVE_GAIN = Effect(
 
 
 # A drive that follows its command late: inverter, motor and shaft.
-@njit
-def drive_lag_circuit(p, w):
-    """Add tau to the drive's lag."""
-    w[s.DRIVE_LAG] += p[0]
-
-
 DRIVE_LAG = Effect(
     name="drive_lag",
     balance="drive",
@@ -46,7 +33,7 @@ DRIVE_LAG = Effect(
     parameters=(
         Parameter("tau", "s", "time constant of the drive", 0.0, 1.0, 2e-3),
     ),
-    circuit=drive_lag_circuit,
+    circuit=adds_to(s.DRIVE_LAG),
     statement="the drive follows its command with a time constant of {tau}",
     rig_check="Step the speed command with the rod free: 63 % of the speed must be there after "
     "tau.",
@@ -99,12 +86,6 @@ DRIVE_SATURATION = Effect(
 
 
 # A demanded position that reaches the drive late.
-@njit
-def command_delay_circuit(p, w):
-    """Add T to the delay."""
-    w[s.COMMAND_DELAY] += p[0]
-
-
 COMMAND_DELAY = Effect(
     name="command_delay",
     balance="drive",
@@ -113,7 +94,7 @@ COMMAND_DELAY = Effect(
     parameters=(
         Parameter("T", "s", "time from the command to the drive", 0.0, 0.1, 1e-3),
     ),
-    circuit=command_delay_circuit,
+    circuit=adds_to(s.COMMAND_DELAY),
     statement="the command reaches the drive {T} late",
     rig_check="Log the command where it is made and where the drive takes it: compare the "
     "stamps of a step.",
@@ -122,12 +103,6 @@ COMMAND_DELAY = Effect(
 
 
 # A measured position that reaches the drive late.
-@njit
-def feedback_delay_circuit(p, w):
-    """Add T to the delay."""
-    w[s.FEEDBACK_DELAY] += p[0]
-
-
 FEEDBACK_DELAY = Effect(
     name="feedback_delay",
     balance="drive",
@@ -136,7 +111,7 @@ FEEDBACK_DELAY = Effect(
     parameters=(
         Parameter("T", "s", "time from the position to the drive", 0.0, 0.1, 1e-3),
     ),
-    circuit=feedback_delay_circuit,
+    circuit=adds_to(s.FEEDBACK_DELAY),
     statement="the position reaches the drive {T} late",
     rig_check="Compare the position that the drive logs with the sensor's own output on one "
     "clock.",

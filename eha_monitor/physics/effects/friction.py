@@ -192,19 +192,8 @@ STRIBECK_FRICTION = Effect(
 )
 
 
-# Dry friction whose presliding shows: the seal bends before it slides.
-@njit
-def presliding_friction_term(s, p, m, c):
-    """Add F_c; the same law as Coulomb friction, z_0 is a visible length."""
-    c[FORCE] += dry_force(s, p[0] * sliding(s, p[1], p[5]), p[2], p[3], p[4], m)
-
-
-@njit
-def presliding_friction_update(s, p, h, m):
-    """Remember the seal."""
-    remember(s, p[0] * sliding(s, p[1], p[5]), p[2], m)
-
-
+# Dry friction whose presliding shows: the seal bends before it slides.  The law is that of Coulomb
+# friction, with a z_0 that is a visible length.
 PRESLIDING_FRICTION = Effect(
     name="presliding_friction",
     balance="force",
@@ -220,10 +209,10 @@ PRESLIDING_FRICTION = Effect(
         V_D,
         W,
     ),
-    term=presliding_friction_term,
+    term=coulomb_friction_term,
     adds=(FORCE,),
     reads=(X, V),
-    update=presliding_friction_update,
+    update=coulomb_friction_update,
     statement="dry friction of {F_c} builds up over {z_0} of travel after each "
     "reversal",
     rig_check="Move the rod back and forth by a tenth of a millimetre: force against position is "

@@ -1,18 +1,9 @@
 """Errors of the sensors and of their way into the recording."""
 
-from eha_monitor.compiled import njit
 from eha_monitor.physics import signals as s
-from eha_monitor.physics.effect import Effect, Parameter
-
+from eha_monitor.physics.effect import Effect, Parameter, adds_to
 
 # A position sensor whose scale is wrong.
-@njit
-def position_scale_circuit(p, w):
-    """Add k to the sensor's scale error; the drive shares it where in_loop is 1."""
-    w[s.POSITION_SCALE] += p[0]
-    w[s.IN_LOOP] += p[1]
-
-
 POSITION_SCALE = Effect(
     name="position_scale",
     balance="sensor",
@@ -23,7 +14,7 @@ POSITION_SCALE = Effect(
         Parameter("in_loop", "1", "1: the drive reads the same sensor; 0: only the recording "
                   "does", 0.0, 1.0, 1.0, 0.0, fitted=False),
     ),
-    circuit=position_scale_circuit,
+    circuit=adds_to(s.POSITION_SCALE, s.IN_LOOP),
     statement="the position sensor reads {k:+%} off its scale",
     rig_check="Move the rod between two stops and compare with a gauge.",
     starts=lambda r: ({"k": 0.003, "in_loop": 0.0}, {"k": 0.003, "in_loop": 1.0}),
@@ -49,12 +40,6 @@ POSITION_QUANTISATION = Effect(
 
 
 # A position that reaches the recording late; the drive has it in time.
-@njit
-def position_delay_circuit(p, w):
-    """Add T to the delay."""
-    w[s.POSITION_DELAY] += p[0]
-
-
 POSITION_DELAY = Effect(
     name="position_delay",
     balance="sensor",
@@ -64,7 +49,7 @@ POSITION_DELAY = Effect(
         Parameter("T", "s", "time from the position to its stamp in the recording", 0.0,
                   0.1, 1e-3),
     ),
-    circuit=position_delay_circuit,
+    circuit=adds_to(s.POSITION_DELAY),
     statement="the recorded position is {T} late",
     rig_check="Tap the rod while a second sensor is on the same clock: the position must respond "
               "T later.",
@@ -73,13 +58,6 @@ POSITION_DELAY = Effect(
 
 
 # Play between the piston and its position sensor.
-@njit
-def backlash_circuit(p, w):
-    """Widen the play by b; the drive sees it where in_loop is 1."""
-    w[s.PLAY] += p[0]
-    w[s.IN_LOOP] += p[1]
-
-
 def backlash_starts(r):
     """Two widths, with and without the drive behind the play."""
     return tuple({"b": share * max(r.position, 1e-6), "in_loop": in_loop}
@@ -97,7 +75,7 @@ BACKLASH = Effect(
         Parameter("in_loop", "1", "1: the drive reads the sensor behind the play; 0: only the "
                   "recording does", 0.0, 1.0, 1.0, 1.0, fitted=False),
     ),
-    circuit=backlash_circuit,
+    circuit=adds_to(s.PLAY, s.IN_LOOP),
     statement="there is a backlash of {b} between the piston and its position sensor",
     rig_check="Put a dial gauge on the piston rod and reverse slowly: the sensor must stand still "
     "for b.",
@@ -107,13 +85,6 @@ BACKLASH = Effect(
 
 
 # Pressure sensors with a zero error.
-@njit
-def pressure_offset_circuit(p, w):
-    """Add b_1 and b_2 to the sensors' errors."""
-    w[s.PRESSURE_OFFSET_1] += p[0]
-    w[s.PRESSURE_OFFSET_2] += p[1]
-
-
 def pressure_offset_starts(r):
     """Both sensors at once."""
     small = 0.003 * max(r.pressure_difference[3], 1.0)
@@ -129,7 +100,7 @@ PRESSURE_OFFSET = Effect(
         Parameter("b_1", "Pa", "zero error of sensor 1", -1e8, 1e8, 2e4),
         Parameter("b_2", "Pa", "zero error of sensor 2", -1e8, 1e8, 2e4),
     ),
-    circuit=pressure_offset_circuit,
+    circuit=adds_to(s.PRESSURE_OFFSET_1, s.PRESSURE_OFFSET_2),
     statement="the pressure sensors have zero errors of {b_1:+} (chamber 1) and {b_2:+} (chamber "
               "2)",
     rig_check="Open both chambers to the tank: the sensors must show the same pressure, and a "
@@ -140,19 +111,6 @@ PRESSURE_OFFSET = Effect(
 
 
 # Pressure sensors whose scale is wrong.
-@njit
-def pressure_scale_circuit(p, w):
-    """Add k_1 and k_2 to the sensors' errors."""
-    w[s.PRESSURE_SCALE_1] += p[0]
-    w[s.PRESSURE_SCALE_2] += p[1]
-
-
-def pressure_scale_starts(r):
-    """Both sensors at once."""
-    small = 0.003
-    return ({"k_1": small, "k_2": small},)
-
-
 PRESSURE_SCALE = Effect(
     name="pressure_scale",
     balance="sensor",
@@ -162,23 +120,16 @@ PRESSURE_SCALE = Effect(
         Parameter("k_1", "1", "relative error of the scale of sensor 1", -0.9, 2.0, 0.03),
         Parameter("k_2", "1", "relative error of the scale of sensor 2", -0.9, 2.0, 0.03),
     ),
-    circuit=pressure_scale_circuit,
+    circuit=adds_to(s.PRESSURE_SCALE_1, s.PRESSURE_SCALE_2),
     statement="the pressure sensors read {k_1:+%} (chamber 1) and {k_2:+%} (chamber 2) off their "
     "scale",
     rig_check="Put both sensors on a dead-weight tester, or on one another's port, at two "
     "pressures.",
-    starts=pressure_scale_starts,
+    starts=lambda r: ({"k_1": 0.003, "k_2": 0.003},),
 )
 
 
 # Pressure sensors whose zero wanders during the record.
-@njit
-def pressure_drift_circuit(p, w):
-    """Add d_1 and d_2 to the sensors' errors."""
-    w[s.PRESSURE_DRIFT_1] += p[0]
-    w[s.PRESSURE_DRIFT_2] += p[1]
-
-
 def pressure_drift_starts(r):
     """Both sensors at once."""
     small = 0.003 * max(r.pressure_difference[3], 1.0) / max(r.duration, r.sample_time)
@@ -194,7 +145,7 @@ PRESSURE_DRIFT = Effect(
         Parameter("d_1", "Pa/s", "drift of the zero of sensor 1", -1e7, 1e7, 1e3),
         Parameter("d_2", "Pa/s", "drift of the zero of sensor 2", -1e7, 1e7, 1e3),
     ),
-    circuit=pressure_drift_circuit,
+    circuit=adds_to(s.PRESSURE_DRIFT_1, s.PRESSURE_DRIFT_2),
     statement="the pressure sensors drift by {d_1:+} (chamber 1) and {d_2:+} (chamber 2)",
     rig_check="Log the sensors for as long as the record took with the rig at rest and both "
     "chambers open to the tank.",
@@ -204,12 +155,6 @@ PRESSURE_DRIFT = Effect(
 
 
 # Pressures that reach the recording late.
-@njit
-def pressure_delay_circuit(p, w):
-    """Add T to the delay."""
-    w[s.PRESSURE_DELAY] += p[0]
-
-
 PRESSURE_DELAY = Effect(
     name="pressure_delay",
     balance="sensor",
@@ -219,7 +164,7 @@ PRESSURE_DELAY = Effect(
         Parameter("T", "s", "time from the pressures to their stamps in the recording", 0.0,
                   0.1, 1e-3),
     ),
-    circuit=pressure_delay_circuit,
+    circuit=adds_to(s.PRESSURE_DELAY),
     statement="the recorded pressures are {T} late",
     rig_check="Tap the blocked rod while a second sensor is on the same clock: the pressures "
               "must respond T later.",

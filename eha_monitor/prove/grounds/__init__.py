@@ -32,7 +32,6 @@ class Ground:
                      questions=questions, **more)
 
 
-
 def answer_of(work: Path, name: str) -> dict:
     """Return the answer to a question of the trial in ``work``, empty where there is none."""
     return read_json(work / "answers" / f"{name}.json") or {}

@@ -11,10 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from eha_monitor.concealed.cases import SAMPLE_TIME, Case
+from eha_monitor.concealed.cases import SAMPLE_TIME, Case, triangle
 from eha_monitor.concealed.draws import MCMASTER, MCMASTER_RIG, mcmaster_case
 from eha_monitor.concealed.generate import nominal_config, recording_of
-from eha_monitor.concealed.motions import triangle
 from eha_monitor.prove.grounds import (
     Ground,
     after_of,
