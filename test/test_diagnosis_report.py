@@ -27,10 +27,12 @@ from eha_monitor.quantity import DIAGNOSED, in_units, quantity, rig_motion, with
 from eha_monitor.reports.diagnosis_figures import informative
 from eha_monitor.reports.diagnosis_report import diagnosis_page
 from eha_monitor.reports.diagnosis_words import (
+    error_words,
     head_words,
     message_words,
     probability,
     removed,
+    removed_words,
     windows_words,
 )
 from eha_monitor.settings import Settings, load_settings, settings_from_tree
@@ -164,6 +166,24 @@ def test_share_of_the_error_that_is_removed():
     assert removed(SignalFit("m", 11.0, 12.0, 1.0)) == pytest.approx(-0.1)
     assert np.isnan(removed(SignalFit("m", 1.01, 1.0, 1.0)))  # there was nothing to remove
     assert np.isnan(removed(SignalFit("m", NAN, NAN, NAN)))
+    assert removed_words(SignalFit("m", 11.0, 2.0, 1.0)) == "90 %"
+    assert removed_words(SignalFit("m", 1.1, 12.0, 1.0)) == "grew"  # not −10 900 %
+    assert removed_words(SignalFit("m", 1.01, 1.0, 1.0)) == "—"
+
+
+@pytest.mark.parametrize(
+    ("unit", "errors", "shown"),
+    [
+        ("m³/s", (6.25e-8, 1.95e-7, 5.7e-8), ["3.75 ml/min", "11.7 ml/min", "3.42 ml/min"]),
+        ("m³/s", (1.57e-6, 6.1e-8, 5.7e-8), ["94.2 ml/min", "3.66 ml/min", "3.42 ml/min"]),
+        ("Pa", (15400.0, 1090.0, 995.0), ["15.4 kPa", "1.09 kPa", "0.995 kPa"]),
+        ("N", (2208.0, 24.6, NAN), ["2210 N", "24.6 N", "—"]),
+        ("N", (0.0, 0.0, 0.0), ["0 N", "0 N", "0 N"]),
+    ],
+)
+def test_the_errors_of_a_signal_stand_in_one_unit(unit, errors, shown):
+    fit = SignalFit(unit, *errors)
+    assert [error_words(value, fit) for value in errors] == shown
 
 
 @pytest.mark.parametrize("name", list(ALL))

@@ -257,6 +257,23 @@ def test_the_ratio_is_that_of_least_squares():
     assert ratio(reading, left, right, beside).slope == pytest.approx(slope, rel=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("pair", "unit", "scale", "said"),
+    [
+        (("p1", "p2"), "bar gauge", 1e2, "p1 and p2 look like kPa, not bar"),
+        (("x", "x_d"), "mm", 0.1, "x and x_d look like centimetres, not millimetres"),
+        (("omega",), "rpm", RPM, "omega looks like rad/s, not rpm"),
+    ],
+)
+def test_a_written_unit_is_the_one_that_was_taken(pair, unit, scale, said):
+    """Where the header says bar and kPa were read, no other unit was taken for the right one."""
+    recording, config = PAPER
+    tree = config.model_dump()
+    tree["table"]["columns"] = {name: {"column": name, "unit": unit} for name in pair}
+    found = plausibility_of(changed(recording, **dict.fromkeys(pair, scale)), settings(**tree))
+    assert found.blocking and found.message.startswith(said)
+
+
 # By use: the commands.
 
 

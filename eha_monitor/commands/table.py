@@ -268,9 +268,7 @@ def _fit(found: Diagnosis) -> Table:
     for name, fit in found.signals.items():
         cells = [words.error_words(value, fit)
                  for value in (fit.before_rms, fit.after_rms, fit.noise_rms)]
-        share = words.removed(fit)
-        shown.add_row(escape(name.replace("_", " ")), *cells,
-                      words.percent(share) if math.isfinite(share) else "—")
+        shown.add_row(escape(name.replace("_", " ")), *cells, words.removed_words(fit))
     how = "free run" if "position" in found.signals else "residual of each balance below 5 Hz"
     shown.caption = f"root mean square, {how}; on {words.DATA.get(found.data, found.data)}"
     shown.caption_justify = "left"

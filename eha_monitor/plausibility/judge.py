@@ -97,7 +97,18 @@ def reading_of(moments: Moments, settings: Settings) -> Reading:
     rig = settings.rig
     return Reading(moments, {role: Source(role) for role in ROLES if role in moments.levels},
                    {key: getattr(rig, key) for key in NUMBERS}, frozenset(rig.model_fields_set),
-                   rotary=rig.motion == "rotary")
+                   rotary=rig.motion == "rotary", units=units_in(settings))
+
+
+def units_in(settings: Settings) -> dict[str, float]:
+    """Return role -> unit that the config gives a channel, SI.
+
+    One with a scale is left out: what it was multiplied by may be of another unit.
+    """
+    sources = {**settings.table.columns, **{
+        role: one for role, one in settings.channels.items() if one.unit}}
+    return {role: unit_of(one.unit).factor for role, one in sources.items()
+            if one.unit and one.scale == 1.0}
 
 
 def explained(reading: Reading, mistakes: tuple[Mistake, ...],

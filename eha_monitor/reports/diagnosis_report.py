@@ -273,10 +273,9 @@ def _fit(found: Diagnosis) -> Table:
     first, second = _names(found)
     rows = []
     for name, fit in found.signals.items():
-        share = words.removed(fit)
         before, after, noise = (words.error_words(value, fit) for value in (
             fit.before_rms, fit.after_rms, fit.noise_rms))
-        compared = (after, noise, words.percent(share) if math.isfinite(share) else "—")
+        compared = (after, noise, words.removed_words(fit))
         rows.append((name.replace("_", " "), before,
                      *(compared if _compared(found) else (noise,))))
     head = ((f"error on unseen data | {first} | {second} | noise | removed",

@@ -234,20 +234,31 @@ def value_words(value: Value | None) -> str:
 
 
 def error_scale(fit: SignalFit) -> Scale:
-    """Return one scale for all errors of a signal, so that they can be compared."""
-    known = [value for value in (fit.before_rms, fit.after_rms) if math.isfinite(value)]
-    largest = max(known, default=0.0)
-    return readable(largest, fit.unit)
+    """Return one scale for all errors of a signal, so that they can be compared.
+
+    It is that of the smallest one in which the largest has four digits before the point at most.
+    """
+    known = sorted(value for value in (fit.before_rms, fit.after_rms, fit.noise_rms)
+                   if math.isfinite(value) and value > 0)
+    scales = [readable(value, fit.unit) for value in known] or [readable(0.0, fit.unit)]
+    return next((scale for scale in scales if known and known[-1] * scale.factor < 1e4),
+                scales[-1])
 
 
 def error_words(value: float, fit: SignalFit) -> str:
-    """Return an error of a signal, in the common unit unless it is far too small for that."""
+    """Return an error of a signal, in the common unit of the signal."""
     if not math.isfinite(value):
         return "—"
     scale = error_scale(fit)
-    if 0 < abs(value * scale.factor) < 0.01:
-        return quantity(value, fit.unit, 3)
     return f"{number(value * scale.factor, 3)} {scale.unit}".rstrip()
+
+
+def removed_words(fit: SignalFit) -> str:
+    """Return the share of the error that was removed; what is worse than before is no share."""
+    share = removed(fit)
+    if not math.isfinite(share):
+        return "—"
+    return percent(max(share, 0.0)) if share > -0.02 else "grew"
 
 
 def removed(fit: SignalFit) -> float:
