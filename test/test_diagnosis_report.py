@@ -24,7 +24,7 @@ from eha_monitor.mismatch.diagnosis import (
 )
 from eha_monitor.output import write_text
 from eha_monitor.quantity import DIAGNOSED, in_units, quantity, rig_motion, with_uncertainty
-from eha_monitor.reports.diagnosis_figures import informative
+from eha_monitor.reports.diagnosis_figures import curve_figure, informative
 from eha_monitor.reports.diagnosis_report import diagnosis_page
 from eha_monitor.reports.diagnosis_words import (
     error_words,
@@ -33,6 +33,7 @@ from eha_monitor.reports.diagnosis_words import (
     probability,
     removed,
     removed_words,
+    sentence,
     windows_words,
 )
 from eha_monitor.settings import Settings, load_settings, settings_from_tree
@@ -177,7 +178,7 @@ def test_share_of_the_error_that_is_removed():
         ("m³/s", (6.25e-8, 1.95e-7, 5.7e-8), ["3.75 ml/min", "11.7 ml/min", "3.42 ml/min"]),
         ("m³/s", (1.57e-6, 6.1e-8, 5.7e-8), ["94.2 ml/min", "3.66 ml/min", "3.42 ml/min"]),
         ("Pa", (15400.0, 1090.0, 995.0), ["15.4 kPa", "1.09 kPa", "0.995 kPa"]),
-        ("N", (2208.0, 24.6, NAN), ["2210 N", "24.6 N", "—"]),
+        ("N", (2208.0, 24.6, NAN), ["2208 N", "24.6 N", "—"]),
         ("N", (0.0, 0.0, 0.0), ["0 N", "0 N", "0 N"]),
     ],
 )
@@ -368,3 +369,28 @@ def test_a_long_recording_says_on_which_windows_its_effects_were_named():
     assert answer(found)["named_on"] == [
         {"bag": "bag", "start_s": 8.0, "stop_s": 16.0},
         {"bag": "bag", "start_s": 32.0, "stop_s": 40.0}]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("healthy_3 does not belong", "healthy_3 does not belong."),
+        ("p1 is 8 bar", "p1 is 8 bar."),
+        ("x: 1000 of 2000 values are NaN", "x: 1000 of 2000 values are NaN."),
+        ("βe is low", "βe is low."),
+        ("a constant load", "A constant load."),
+        ("monday/7: no force", "monday/7: no force."),
+    ],
+)
+def test_names_and_symbols_keep_their_letters(text, said):
+    assert sentence(text) == said
+
+
+def test_no_line_is_drawn_where_nothing_was_compared():
+    """Dry friction with samples at rest left out: two branches, no ramp between them."""
+    found = everything()
+    curve = next(one for one in found.curves if one.against != "time")
+    v = np.r_[np.linspace(-0.2, -0.05, 12), np.linspace(0.05, 0.2, 12)]
+    curve = replace(curve, x=v, measured=np.sign(v), spread=np.full(24, 0.1), modelled=np.sign(v))
+    line = curve_figure(found, curve).panels[0].shown[-1]
+    assert len(line.x) == 25 and np.isnan(line.x[12]) and np.isnan(line.y[12])

@@ -1,6 +1,7 @@
 """A diagnosis in words: names, places and sizes as a person says them."""
 
 import math
+import re
 
 from eha_monitor.mismatch.diagnosis import Diagnosis, RigFinding, SignalFit, Value
 from eha_monitor.quantity import (
@@ -12,6 +13,7 @@ from eha_monitor.quantity import (
     side_by_side,
     with_uncertainty,
 )
+from eha_monitor.settings.channels import CHANNELS
 from eha_monitor.settings.rig import Rig, Tolerance
 from eha_monitor.units import LARGEST
 from eha_monitor.words import listed
@@ -174,11 +176,16 @@ def rig_values(finding: RigFinding) -> tuple[str, str]:
 
 
 def sentence(text: str) -> str:
-    """Return a text with a capital at its start and a full stop at its end."""
+    """Return a text with a capital at its start and a full stop at its end.
+
+    A symbol (βe), a channel (p1) or the name of a recording (healthy_3) keeps its own letters.
+    """
     text = text.strip()
     if not text:
         return ""
-    first = text[0].upper() if text[0].isascii() else text[0]  # βe is a symbol, no word
+    word = re.split(r"[\s:,]", text, maxsplit=1)[0]
+    name = not text[0].isascii() or word in CHANNELS or re.search(r"[\d_/]", word)
+    first = text[0] if name else text[0].upper()
     return first + text[1:] + ("" if text[-1] in ".!?" else ".")
 
 
