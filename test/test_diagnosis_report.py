@@ -62,8 +62,8 @@ def test_every_verdict_has_a_page_that_is_complete_in_itself(name):
     assert "http:" not in html and "https:" not in html and "url(" not in html
     assert message_words(found, probable=True) in page.text
     assert head_words(found) in page.text
-    for sentence in (*found.health, *found.advice):
-        assert sentence in page.text
+    for said in (*found.health, *found.advice):
+        assert said in page.text
     assert len(html.encode()) < 5e6
     assert " nan" not in page.text and "None" not in page.text
 
