@@ -15,6 +15,7 @@ from eha_monitor.estimation.results import Estimate
 from eha_monitor.health.alarms import NO_LIMIT, NOT_JUDGED, Alarm
 from eha_monitor.indicators.indicator import AVAILABLE, NEEDS, NONE, NOT_LOOKED_FOR, Indicator
 from eha_monitor.mismatch.diagnosis import Diagnosis
+from eha_monitor.plausibility.sheet import against_sheet
 from eha_monitor.quantity import DIAGNOSED, NOTE, SYMBOLS, number
 from eha_monitor.reports import diagnosis_words as words
 from eha_monitor.settings import Settings
@@ -84,7 +85,10 @@ def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path],
     to.print(_alarms(alarms))
     to.print(f"model: {_coloured(found.model.status)}: {escape(found.model.message)}")
     if found.model.status == "mismatch":
-        show_baselines(to, (baseline(recording, found.settings),))
+        first = baseline(recording, found.settings)
+        show_baselines(to, (first,))
+        for sentence in against_sheet(first, found.settings.rig):
+            to.print(f"[yellow]config[/]: {escape(sentence)}")
         given = f" --config {config}" if config else ""
         to.print(f"[bold]what to do[/]: eha-monitor diagnose {escape(recording.source + given)}",
                  soft_wrap=True)
