@@ -30,6 +30,7 @@ from eha_monitor.reports.diagnosis_words import (
     error_words,
     head_words,
     message_words,
+    pair_words,
     probability,
     removed,
     removed_words,
@@ -394,3 +395,17 @@ def test_no_line_is_drawn_where_nothing_was_compared():
     curve = replace(curve, x=v, measured=np.sign(v), spread=np.full(24, 0.1), modelled=np.sign(v))
     line = curve_figure(found, curve).panels[0].shown[-1]
     assert len(line.x) == 25 and np.isnan(line.x[12]) and np.isnan(line.y[12])
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "shown"),
+    [
+        ((0.0, 70.0), (-12510.0, 70.0), ("0.00 ± 0.07 kN/m", "−12.51 ± 0.07 kN/m")),
+        ((1.1e4, 7e3), (6100.0, 1400.0), ("11 ± 7 kN/m", "6.1 ± 1.4 kN/m")),
+        ((5.0, 0.0), (12e3, 100.0), ("5 N/m", "12.00 ± 0.10 kN/m")),  # one was given
+        (None, (5.0, 1.0), ("—", "5.0 ± 1.0 N/m")),
+    ],
+)
+def test_two_values_that_are_compared_stand_in_one_unit(one, other, shown):
+    pair = [value and Value(*value, "N/m") for value in (one, other)]
+    assert pair_words(*pair) == shown

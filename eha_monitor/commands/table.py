@@ -97,9 +97,13 @@ def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path],
             to.print(f"[yellow]{title}[/]: {escape(sentence)}")
     converged = {stage.stage for stage in (found.stage_one, found.stage_two)
                  if stage.estimate.status == "converged"}
+    doubtful = {stage for stage, name in (("one", "B"), ("two", "beta_e"))
+                if name in found.model.tainted}
     for event in found.events:
         if " converged at " in event.message and event.stage not in converged:
             continue  # it has not stayed so
+        if " changed from " in event.message and doubtful & {event.stage}:
+            continue  # it follows the model's error, not the machine
         to.print(f"{event.time_s:8.2f} s  stage {event.stage}: {escape(event.message)}")
     known = any(math.isfinite(p.value) for p in found.parameters.values())
     print_end(to, NOTE if known else "", written)
@@ -127,7 +131,10 @@ def _estimated(found: Estimate) -> Table:
     for estimator, p in rows:
         # What must not be used does not speak like what may.
         value = p.shown if p.status == "converged" or p.shown == "—" else f"[dim]({p.shown})[/]"
-        shown.add_row(estimator, SYMBOLS.get(p.name, p.name), value, _coloured(p.status))
+        status = _coloured(p.status)
+        if p.status == "converged" and estimator != "joint" and p.name in found.model.tainted:
+            value, status = f"[dim]{value}[/]", "converged, [yellow]in doubt[/]"
+        shown.add_row(estimator, SYMBOLS.get(p.name, p.name), value, status)
     return shown
 
 
@@ -238,7 +245,7 @@ def _changes(found: Diagnosis) -> Table:
     for change in found.changes:
         name = f"{effect_words(change.what)} {change.symbol}" if change.symbol else SYMBOLS.get(
             change.what, change.what)
-        shown.add_row(name, words.value_words(change.reference), words.value_words(change.now),
+        shown.add_row(name, *words.pair_words(change.reference, change.now),
                       escape(_rivals(change.indistinguishable_from)) or "–")
     return shown
 
@@ -262,8 +269,8 @@ def _rivals(names: tuple[str, ...]) -> str:
 def _parameters(found: Diagnosis) -> Table:
     shown = table("parameter", *("healthy", "now") if found.references else ("before", "after"))
     for name in dict.fromkeys((*found.before, *found.after)):
-        shown.add_row(SYMBOLS.get(name, name), *(words.value_words(values.get(name))
-                              for values in (found.before, found.after)))
+        shown.add_row(SYMBOLS.get(name, name), *words.pair_words(found.before.get(name),
+                                                                 found.after.get(name)))
     return shown
 
 

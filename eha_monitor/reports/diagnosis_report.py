@@ -93,7 +93,8 @@ def _first_screen(found: Diagnosis, curves: list[diagnosis.Curve], settings: Set
     shown = (found.before, found.after) if _compared(found) else (found.before,)
     heads = ("parameter", *(_names(found) if _compared(found) else ("model of the config",)))
     parameters = table(" | ".join(heads), [
-        (_symbol(name), *(words.value_words(values.get(name)) for values in shown))
+        (_symbol(name), *words.pair_words(found.before.get(name), found.after.get(name))[
+            :len(shown)])
         for name in dict.fromkeys((*found.before, *found.after))],
         " | ".join(("", *["value"] * len(shown))), "summary")
     return FirstScreen(
@@ -153,7 +154,7 @@ def _changes(found: Diagnosis) -> Table:
     for one in found.changes:
         name = (f"{effect_words(one.what)} {one.symbol}" if one.symbol
                 else f"{NAMES.get(one.what, one.what)} {SYMBOLS.get(one.what, '')}").strip()
-        rows.append((name, words.value_words(one.reference), words.value_words(one.now),
+        rows.append((name, *words.pair_words(one.reference, one.now),
                      _rivals(one.indistinguishable_from) or "–"))
     return table("number | healthy | now | indistinguishable from", rows, " | value | value | ",
                  note=f"Healthy: mean of {len(found.references)} recordings, ± their standard "

@@ -240,6 +240,17 @@ def value_words(value: Value | None) -> str:
     return with_uncertainty(value.value, value.stddev, value.unit)
 
 
+def pair_words(one: Value | None, other: Value | None) -> tuple[str, str]:
+    """Return two values of one quantity in one unit, so that they can be compared."""
+    known = [value for value in (one, other) if value is not None
+             and math.isfinite(value.value) and math.isfinite(value.stddev) and value.stddev > 0]
+    if len(known) < 2 or known[0].unit != known[1].unit:
+        return value_words(one), value_words(other)
+    scale = readable(max(max(abs(value.value), value.stddev) for value in known), known[0].unit)
+    return tuple(with_uncertainty(value.value, value.stddev, value.unit, scale)
+                 for value in known)
+
+
 def error_scale(fit: SignalFit) -> Scale:
     """Return one scale for all errors of a signal, so that they can be compared.
 
