@@ -30,6 +30,7 @@ from eha_monitor.reports.diagnosis_words import (
     error_words,
     head_words,
     message_words,
+    next_steps,
     pair_words,
     probability,
     removed,
@@ -409,3 +410,15 @@ def test_no_line_is_drawn_where_nothing_was_compared():
 def test_two_values_that_are_compared_stand_in_one_unit(one, other, shown):
     pair = [value and Value(*value, "N/m") for value in (one, other)]
     assert pair_words(*pair) == shown
+
+
+def test_what_to_do_names_the_numbers_that_there_are():
+    found = coulomb()
+    assert "Use B and βe of the completed config" in " ".join(next_steps(found, "BAG"))
+    without = replace(found, after={"B": found.after["B"]})
+    assert "Use B of the completed config" in " ".join(next_steps(without, "BAG"))
+    changed = replace(found, references=("monday",))
+    assert "completed config" not in " ".join(next_steps(changed, "BAG"))
+    both = replace(found, bags=("monday", "tuesday"))
+    text = Page(page_of(both)).text
+    assert "In these recordings Coulomb friction is" in text and "In this recording" not in text

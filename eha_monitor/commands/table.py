@@ -184,7 +184,8 @@ def show_diagnosis(found: Diagnosis, written: list[Path], notes: list[str] = (),
     for finding in found.rig_data:  # first of all: what follows rests on them
         to.print(f"[bold yellow]wrong rig data[/]: {escape(words.rig_words(finding))}")
         if finding.indistinguishable_from:
-            to.print(escape(f"  in this recording {finding.key} is indistinguishable from "
+            to.print(escape(f"  {words.recordings_words(found).lower()} {finding.key} is "
+                                 "indistinguishable from "
                                  f"{_rivals(finding.indistinguishable_from)}"))
     to.print(f"[bold {_COLOURS[kind]}]{escape(words.head_words(found))}[/]: "
                   f"{escape(words.message_words(found))}".rstrip(": "))

@@ -99,11 +99,11 @@ def _first_screen(found: Diagnosis, curves: list[diagnosis.Curve], settings: Set
         " | ".join(("", *["value"] * len(shown))), "summary")
     return FirstScreen(
         words.head_of(found)[0], words.head_words(found), words.message_words(found, True),
-        tuple(f"In this recording {effect_words(effect.name)} is indistinguishable from "
-              f"{_rivals(effect.indistinguishable_from)}." for effect in found.effects
+        tuple(f"{words.recordings_words(found)} {effect_words(effect.name)} is indistinguishable "
+              f"from {_rivals(effect.indistinguishable_from)}." for effect in found.effects
               if effect.indistinguishable_from),
         tuple((words.rig_words(one), (one.indistinguishable_from
-               and f"In this recording {one.key} is indistinguishable from "
+               and f"{words.recordings_words(found)} {one.key} is indistinguishable from "
                    f"{_rivals(one.indistinguishable_from)}.") or "") for one in found.rig_data),
         picture, caption, parameters or None, tuple(map(words.sentence, found.health)),
         words.next_steps(found, shlex.join(found.bags) + words.own_config(settings.rig)),

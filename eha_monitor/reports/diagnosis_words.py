@@ -5,6 +5,7 @@ import re
 
 from eha_monitor.mismatch.diagnosis import Diagnosis, RigFinding, SignalFit, Value
 from eha_monitor.quantity import (
+    SYMBOLS,
     Scale,
     number,
     quantity,
@@ -79,13 +80,21 @@ def next_steps(found: Diagnosis, bags: str) -> tuple[str, ...]:
     steps = [f"correct {finding.key} in the config, or find out why it is "
              f"{value_words(finding.found)}" for finding in found.rig_data]
     steps += [effect.rig_check for effect in found.effects[:1] if effect.rig_check]
-    if found.verdict == "mismatch" or found.learned:
-        steps.append(f"use B and βe of the completed config: `eha-monitor diagnose {bags} "
-                     "--write-config FILE`")
-    elif found.verdict == "unexplained":
+    completed = found.verdict == "mismatch" or found.learned
+    if completed and not found.references:  # what has changed is the machine's, not the config's
+        known = [SYMBOLS.get(name, name) for name, value in found.after.items()
+                 if math.isfinite(value.value)]
+        steps.append(f"use {listed(known) or 'the numbers'} of the completed config: "
+                     f"`eha-monitor diagnose {bags} --write-config FILE`")
+    elif found.verdict == "unexplained" and not completed:
         steps.append("do not act on B and βe: they carry what is missing")
     steps += advice_in_parts(found)[0]
     return tuple(map(sentence, dict.fromkeys(steps))) or ("Nothing.",)
+
+
+def recordings_words(found: Diagnosis) -> str:
+    """Return what was looked at, as a sentence begins."""
+    return "In these recordings" if len(found.bags) > 1 else "In this recording"
 
 
 def windows_words(found: Diagnosis) -> str:
