@@ -24,6 +24,7 @@ from eha_monitor.mismatch.diagnosis import (
 )
 from eha_monitor.output import write_text
 from eha_monitor.quantity import DIAGNOSED, in_units, quantity, rig_motion, with_uncertainty
+from eha_monitor.recordings.recording import ChannelFinding
 from eha_monitor.reports.diagnosis_figures import curve_figure, informative
 from eha_monitor.reports.diagnosis_report import diagnosis_page
 from eha_monitor.reports.diagnosis_words import (
@@ -422,3 +423,16 @@ def test_what_to_do_names_the_numbers_that_there_are():
     both = replace(found, bags=("monday", "tuesday"))
     text = Page(page_of(both)).text
     assert "In these recordings Coulomb friction is" in text and "In this recording" not in text
+
+
+def test_what_stands_against_a_channel_is_said_before_the_verdict(capsys):
+    dead = ChannelFinding("p1 is 8 bar in the whole recording", "hold", ("p1",))
+    held = ChannelFinding("the drive holds its command", "hold", ("x_d",),
+                          {"command_hold": "sampled"})
+    found = replace(coulomb(), channels=(held, dead))
+    show_diagnosis(found, [])
+    out = capsys.readouterr().out
+    assert "channel: p1 is 8 bar in the whole recording." in out[: out.index("Mismatch")]
+    assert "holds its command" not in out  # the command adds it as a note
+    text = Page(page_of(found)).text
+    assert "p1 is 8 bar in the whole recording." in text[: text.index("Mismatch identified")]

@@ -168,6 +168,10 @@ def test_a_dead_pressure_and_a_speed_without_its_sign_are_told():
         omega=np.abs(recording.channels["omega"]))))
     assert "p2 is 13 bar in the whole recording" in stuck(odd)[0].finding
     assert "its sign may be missing" in unsigned(odd)[0].finding
+    still, steady = (stuck(moments_of(replace(recording, channels=dict(
+        recording.channels, omega=np.full(len(recording), speed))))) for speed in (0.0, 150.0))
+    assert "omega is 0 rad/s in the whole recording" in still[0].finding
+    assert not steady  # a pump of constant speed, behind a valve
 
 
 def test_a_measured_force_tells_its_unit_and_sign():

@@ -181,6 +181,8 @@ def show_diagnosis(found: Diagnosis, written: list[Path], notes: list[str] = (),
     kind = words.head_of(found)[0]
     to.print(f"{escape(', '.join(found.bags))}: {number(found.duration_s)} s "
                   f"(computed in {found.wall_s:.1f} s)")
+    for text in words.channels_in_parts(found)[0]:  # no answer is better than its channels
+        to.print(f"[bold yellow]channel[/]: {escape(words.sentence(text))}")
     for finding in found.rig_data:  # first of all: what follows rests on them
         to.print(f"[bold yellow]wrong rig data[/]: {escape(words.rig_words(finding))}")
         if finding.indistinguishable_from:

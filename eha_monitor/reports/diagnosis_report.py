@@ -107,7 +107,7 @@ def _first_screen(found: Diagnosis, curves: list[diagnosis.Curve], settings: Set
                    f"{_rivals(one.indistinguishable_from)}.") or "") for one in found.rig_data),
         picture, caption, parameters or None, tuple(map(words.sentence, found.health)),
         words.next_steps(found, shlex.join(found.bags) + words.own_config(settings.rig)),
-        found.verdict)
+        found.verdict, tuple(map(words.sentence, words.channels_in_parts(found)[0])))
 
 
 def _symbol(name: str) -> str:

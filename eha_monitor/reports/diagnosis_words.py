@@ -92,6 +92,13 @@ def next_steps(found: Diagnosis, bags: str) -> tuple[str, ...]:
     return tuple(map(sentence, dict.fromkeys(steps))) or ("Nothing.",)
 
 
+def channels_in_parts(found: Diagnosis) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return what stands against the channels, and what is merely known of the drive's hold."""
+    held = [finding for finding in found.channels if finding.kind == "hold" and finding.correction]
+    return (tuple(one.finding for one in found.channels if one not in held),
+            tuple(one.finding for one in held))
+
+
 def recordings_words(found: Diagnosis) -> str:
     """Return what was looked at, as a sentence begins."""
     return "In these recordings" if len(found.bags) > 1 else "In this recording"
