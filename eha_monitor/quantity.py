@@ -43,12 +43,13 @@ _OTHER = {
     "m³/rad": (("cm³/rad", 1e6, 0.0),),
     "m³/s": (("l/min", 6e4, 1e-7), ("ml/min", 6e7, 0.0)),
     "m³/(s·Pa)": (("l/(min·MPa)", 6e10, 1e-9), ("ml/(min·MPa)", 6e13, 0.0)),
-    "m³/(s·Pa^½)": (("l/(min·√MPa)", 6e7, 0.0),),
+    "m³/(s·Pa^½)": (("l/(min·√MPa)", 6e7, 1e-9), ("ml/(min·√MPa)", 6e10, 0.0)),
     "Pa/s": (("kPa/min", 0.06, 0.0),),
     "1/Pa": (("%/MPa", 1e8, 0.0),),
     "1/K": (("%/K", 100.0, 0.0),),
 }
-_SPELT = (("^0.5", "^½"), ("^2", "²"), ("^3", "³"), ("*", "·"))  # the catalogue has plain text
+# The catalogue has plain text.
+_SPELT = (("^0.5", "^½"), ("√Pa", "Pa^½"), ("^2", "²"), ("^3", "³"), ("*", "·"))
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _LEAST, _MOST = 1e-4, 1e7  # numbers beyond are written with a power of ten
 # Of a rig that turns, in place of those of a linear one: its equations are the same.

@@ -3,13 +3,17 @@
 import re
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
 from pydantic_core import PydanticCustomError
 
 # Spelling for pint of the units that the configs name.
 _PINT = {"1": "dimensionless", "N·s/m": "N*s/m", "m³": "m**3", "m²": "m**2",
          "m³/rad": "m**3/rad", "m³/(s·Pa)": "m**3/s/Pa", "rad/(s·m)": "rad/s/m",
-         "°C": "degC", "1/K": "1/kelvin", "m/s²": "m/s**2", "m³/s": "m**3/s", "mm²/s": "mm**2/s"}
+         "°C": "degC", "1/K": "1/kelvin", "m/s²": "m/s**2", "m³/s": "m**3/s", "mm²/s": "mm**2/s",
+         "kg·m²": "kg*m**2", "N·m·s/rad": "N*m*s/rad", "N·m/rad": "N*m/rad"}
+# Units of the numbers of a rig that turns, by those of one that moves along a line.
+TURNING = {"m": "rad", "m²": "m³/rad", "kg": "kg·m²", "N·s/m": "N·m·s/rad",
+           "rad/(s·m)": "1/s", "N/m": "N·m/rad"}
 
 _REV = re.compile(r"(?<=/)\s*rev\b")  # as pumps are sold: 1.6 cm^3/rev
 
@@ -48,7 +52,8 @@ def Si(unit: str, description: str, *, optional: bool = False, **bounds: float) 
     """Declare a config value: ``name: Si("kg", "moving mass", gt=0) = 20.0``.
 
     Returns an annotated type whose field carries unit, description and range, from which the
-    documentation and the ROS parameter descriptors are made.
+    documentation and the ROS parameter descriptors are made.  A rig that turns has those of
+    ``TURNING``.
     """
     base = float | None if optional else float
     return Annotated[
@@ -56,8 +61,13 @@ def Si(unit: str, description: str, *, optional: bool = False, **bounds: float) 
         # The bounds come before the validator: so pydantic asks them of a number, not of None.
         Field(description=description, allow_inf_nan=False,
               json_schema_extra={"unit": unit}, **bounds),
-        BeforeValidator(lambda value: to_si(value, unit)),
+        BeforeValidator(lambda value, info: to_si(value, _of_motion(unit, info))),
     ]
+
+
+def _of_motion(unit: str, info: ValidationInfo) -> str:
+    """Return the unit, of a section that says ``motion: rotary`` (before) the one that turns."""
+    return TURNING.get(unit, unit) if info.data.get("motion") == "rotary" else unit
 
 
 class Section(BaseModel):

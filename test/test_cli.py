@@ -3,6 +3,7 @@
 import fcntl
 import json
 import math
+import re
 import signal
 import subprocess
 import sys
@@ -191,6 +192,16 @@ def test_ctrl_c_ends_quietly():
     child.send_signal(signal.SIGINT)
     _, error = child.communicate(timeout=60)
     assert (child.returncode, error) == (130, "")
+
+
+def test_a_value_of_a_model_that_does_not_fit_is_in_doubt(capsys):
+    assert main(["estimate", str(BAG.parent / "hidden_friction")]) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"^stage one +B +.* converged, in doubt", out, re.M)
+    assert "stage one: B changed from" not in out  # it follows the model's error
+    assert main(["estimate", str(BAG)]) == 0
+    out = capsys.readouterr().out
+    assert "in doubt" not in out and "βe changed from" in out  # air came in
 
 
 def test_a_defect_shows_its_traceback_and_a_status_of_its_own(capsys, monkeypatch):

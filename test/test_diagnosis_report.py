@@ -24,13 +24,19 @@ from eha_monitor.mismatch.diagnosis import (
 )
 from eha_monitor.output import write_text
 from eha_monitor.quantity import DIAGNOSED, in_units, quantity, rig_motion, with_uncertainty
-from eha_monitor.reports.diagnosis_figures import informative
+from eha_monitor.recordings.recording import ChannelFinding
+from eha_monitor.reports.diagnosis_figures import curve_figure, informative
 from eha_monitor.reports.diagnosis_report import diagnosis_page
 from eha_monitor.reports.diagnosis_words import (
+    error_words,
     head_words,
     message_words,
+    next_steps,
+    pair_words,
     probability,
     removed,
+    removed_words,
+    sentence,
     windows_words,
 )
 from eha_monitor.settings import Settings, load_settings, settings_from_tree
@@ -59,8 +65,8 @@ def test_every_verdict_has_a_page_that_is_complete_in_itself(name):
     assert "http:" not in html and "https:" not in html and "url(" not in html
     assert message_words(found, probable=True) in page.text
     assert head_words(found) in page.text
-    for sentence in (*found.health, *found.advice):
-        assert sentence in page.text
+    for said in (*found.health, *found.advice):
+        assert said in page.text
     assert len(html.encode()) < 5e6
     assert " nan" not in page.text and "None" not in page.text
 
@@ -164,6 +170,24 @@ def test_share_of_the_error_that_is_removed():
     assert removed(SignalFit("m", 11.0, 12.0, 1.0)) == pytest.approx(-0.1)
     assert np.isnan(removed(SignalFit("m", 1.01, 1.0, 1.0)))  # there was nothing to remove
     assert np.isnan(removed(SignalFit("m", NAN, NAN, NAN)))
+    assert removed_words(SignalFit("m", 11.0, 2.0, 1.0)) == "90 %"
+    assert removed_words(SignalFit("m", 1.1, 12.0, 1.0)) == "grew"  # not −10 900 %
+    assert removed_words(SignalFit("m", 1.01, 1.0, 1.0)) == "—"
+
+
+@pytest.mark.parametrize(
+    ("unit", "errors", "shown"),
+    [
+        ("m³/s", (6.25e-8, 1.95e-7, 5.7e-8), ["3.75 ml/min", "11.7 ml/min", "3.42 ml/min"]),
+        ("m³/s", (1.57e-6, 6.1e-8, 5.7e-8), ["94.2 ml/min", "3.66 ml/min", "3.42 ml/min"]),
+        ("Pa", (15400.0, 1090.0, 995.0), ["15.4 kPa", "1.09 kPa", "0.995 kPa"]),
+        ("N", (2208.0, 24.6, NAN), ["2208 N", "24.6 N", "—"]),
+        ("N", (0.0, 0.0, 0.0), ["0 N", "0 N", "0 N"]),
+    ],
+)
+def test_the_errors_of_a_signal_stand_in_one_unit(unit, errors, shown):
+    fit = SignalFit(unit, *errors)
+    assert [error_words(value, fit) for value in errors] == shown
 
 
 @pytest.mark.parametrize("name", list(ALL))
@@ -348,3 +372,67 @@ def test_a_long_recording_says_on_which_windows_its_effects_were_named():
     assert answer(found)["named_on"] == [
         {"bag": "bag", "start_s": 8.0, "stop_s": 16.0},
         {"bag": "bag", "start_s": 32.0, "stop_s": 40.0}]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("healthy_3 does not belong", "healthy_3 does not belong."),
+        ("p1 is 8 bar", "p1 is 8 bar."),
+        ("x: 1000 of 2000 values are NaN", "x: 1000 of 2000 values are NaN."),
+        ("βe is low", "βe is low."),
+        ("a constant load", "A constant load."),
+        ("monday/7: no force", "monday/7: no force."),
+    ],
+)
+def test_names_and_symbols_keep_their_letters(text, said):
+    assert sentence(text) == said
+
+
+def test_no_line_is_drawn_where_nothing_was_compared():
+    """Dry friction with samples at rest left out: two branches, no ramp between them."""
+    found = everything()
+    curve = next(one for one in found.curves if one.against != "time")
+    v = np.r_[np.linspace(-0.2, -0.05, 12), np.linspace(0.05, 0.2, 12)]
+    curve = replace(curve, x=v, measured=np.sign(v), spread=np.full(24, 0.1), modelled=np.sign(v))
+    line = curve_figure(found, curve).panels[0].shown[-1]
+    assert len(line.x) == 25 and np.isnan(line.x[12]) and np.isnan(line.y[12])
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "shown"),
+    [
+        ((0.0, 70.0), (-12510.0, 70.0), ("0.00 ± 0.07 kN/m", "−12.51 ± 0.07 kN/m")),
+        ((1.1e4, 7e3), (6100.0, 1400.0), ("11 ± 7 kN/m", "6.1 ± 1.4 kN/m")),
+        ((5.0, 0.0), (12e3, 100.0), ("5 N/m", "12.00 ± 0.10 kN/m")),  # one was given
+        (None, (5.0, 1.0), ("—", "5.0 ± 1.0 N/m")),
+    ],
+)
+def test_two_values_that_are_compared_stand_in_one_unit(one, other, shown):
+    pair = [value and Value(*value, "N/m") for value in (one, other)]
+    assert pair_words(*pair) == shown
+
+
+def test_what_to_do_names_the_numbers_that_there_are():
+    found = coulomb()
+    assert "Use B and βe of the completed config" in " ".join(next_steps(found, "BAG"))
+    without = replace(found, after={"B": found.after["B"]})
+    assert "Use B of the completed config" in " ".join(next_steps(without, "BAG"))
+    changed = replace(found, references=("monday",))
+    assert "completed config" not in " ".join(next_steps(changed, "BAG"))
+    both = replace(found, bags=("monday", "tuesday"))
+    text = Page(page_of(both)).text
+    assert "In these recordings Coulomb friction is" in text and "In this recording" not in text
+
+
+def test_what_stands_against_a_channel_is_said_before_the_verdict(capsys):
+    dead = ChannelFinding("p1 is 8 bar in the whole recording", "hold", ("p1",))
+    held = ChannelFinding("the drive holds its command", "hold", ("x_d",),
+                          {"command_hold": "sampled"})
+    found = replace(coulomb(), channels=(held, dead))
+    show_diagnosis(found, [])
+    out = capsys.readouterr().out
+    assert "channel: p1 is 8 bar in the whole recording." in out[: out.index("Mismatch")]
+    assert "holds its command" not in out  # the command adds it as a note
+    text = Page(page_of(found)).text
+    assert "p1 is 8 bar in the whole recording." in text[: text.index("Mismatch identified")]

@@ -567,3 +567,52 @@ def test_a_person_at_a_terminal_is_asked(tmp_path):
     assert (rig.mass, rig.tolerance.mass) == (30.0, 0.05)
     assert "x = 0 of the position lies" in err
     assert "ASK" in (tmp_path / "r.yaml").read_text()
+
+
+def turned(path):
+    """The same recording as that of an actuator that turns: its angle in degrees."""
+    rows = [TIME, *(np.rad2deg(SEEN[key]) for key in ("x", "x_d")), SEEN["omega"] * 30 / np.pi,
+            SEEN["p1"] * 1e-5, SEEN["p2"] * 1e-5]
+    names = "time_s,angle_deg,angle_set_deg,pump_rpm,p1_bar,p2_bar"
+    np.savetxt(path, np.array(rows).T, "%.8g", ",", header=names, comments="")
+    return path
+
+
+def test_a_rotary_actuator_is_asked_and_answered_in_its_own_units(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    status, out, _ = init(capsys, turned(tmp_path / "a.csv"), "--yes", *sets("load=none"))
+    assert status == 0
+    assert "cm^3/rad" in out and "kg m^2" in out and "bore" not in out
+    told = ("area_1=505 cm^3/rad", "stroke=40 deg", "line_volume=50 cm^3", "mass=20 kg m^2",
+            "pump_displacement=1.6925e-7", "charge_pressure=20 bar", "zero=middle")
+    status, out, _ = init(capsys, turned(tmp_path / "a.csv"), "--yes", "--overwrite", *sets(*told))
+    assert status == 0
+    rig = load_settings("my_rig.yaml").rig
+    assert (rig.motion, rig.mass) == ("rotary", 20.0)
+    assert (rig.area_1, rig.area_2) == (pytest.approx(505e-6), pytest.approx(505e-6))
+    assert rig.volume_1 == pytest.approx(505e-6 * np.deg2rad(20) + 50e-6, rel=1e-5)
+    assert re.search(r"stage one +B +(59|60)\d", out)
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        ("mass=20 bar", "in kg (of a rotary actuator kg·m²)"),
+        ("load=gravity", "of a rotary actuator"),
+        ("area_1=5 cm^2", "rig.area_1: expected a number in m³/rad"),
+    ],
+)
+def test_a_line_is_no_angle(tmp_path, capsys, monkeypatch, answer, said):
+    monkeypatch.chdir(tmp_path)
+    more = ("inclination=20 deg",) if "gravity" in answer else ()
+    status, _, err = init(capsys, turned(tmp_path / "a.csv"), "--yes", *sets(answer, *more))
+    assert status == 2
+    assert said in err and len(err.splitlines()) == 1
+
+
+def test_an_area_in_turning_units_is_refused_of_a_cylinder(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    status, _, err = init(capsys, german(tmp_path / "a.csv"), "--yes",
+                          *sets("area_1=120 cm^3/rad"))
+    assert status == 2
+    assert "rig.area_1: expected a number in m²" in err

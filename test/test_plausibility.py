@@ -168,6 +168,10 @@ def test_a_dead_pressure_and_a_speed_without_its_sign_are_told():
         omega=np.abs(recording.channels["omega"]))))
     assert "p2 is 13 bar in the whole recording" in stuck(odd)[0].finding
     assert "its sign may be missing" in unsigned(odd)[0].finding
+    still, steady = (stuck(moments_of(replace(recording, channels=dict(
+        recording.channels, omega=np.full(len(recording), speed))))) for speed in (0.0, 150.0))
+    assert "omega is 0 rad/s in the whole recording" in still[0].finding
+    assert not steady  # a pump of constant speed, behind a valve
 
 
 def test_a_measured_force_tells_its_unit_and_sign():
@@ -255,6 +259,23 @@ def test_the_ratio_is_that_of_least_squares():
     sides = np.array([side @ table for side in (left, right, beside)])
     slope = np.linalg.lstsq(sides[1:].T, sides[0], rcond=None)[0][0]
     assert ratio(reading, left, right, beside).slope == pytest.approx(slope, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("pair", "unit", "scale", "said"),
+    [
+        (("p1", "p2"), "bar gauge", 1e2, "p1 and p2 look like kPa, not bar"),
+        (("x", "x_d"), "mm", 0.1, "x and x_d look like centimetres, not millimetres"),
+        (("omega",), "rpm", RPM, "omega looks like rad/s, not rpm"),
+    ],
+)
+def test_a_written_unit_is_the_one_that_was_taken(pair, unit, scale, said):
+    """Where the header says bar and kPa were read, no other unit was taken for the right one."""
+    recording, config = PAPER
+    tree = config.model_dump()
+    tree["table"]["columns"] = {name: {"column": name, "unit": unit} for name in pair}
+    found = plausibility_of(changed(recording, **dict.fromkeys(pair, scale)), settings(**tree))
+    assert found.blocking and found.message.startswith(said)
 
 
 # By use: the commands.

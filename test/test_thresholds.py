@@ -78,9 +78,18 @@ def test_one_recording_says_what_it_cannot_know(bags, tmp_path, capsys):
     assert limits.high_warn == pytest.approx(1000, rel=0.01)
 
 
-def test_two_recordings_are_wide_and_say_so(bags, capsys):
-    assert main(["thresholds", "--from", *bags[:2], "--rate", "0.01"]) == 0
-    assert "2 recordings give wide limits" in capsys.readouterr().out
+def test_two_recordings_are_wide_and_say_so(bags, tmp_path, capsys):
+    written = tmp_path / "judged.yaml"
+    assert main(["thresholds", "--from", *bags[:2], "--rate", "0.01", "--write-config",
+                 str(written)]) == 0
+    out = capsys.readouterr().out
+    assert "2 recordings give limits that watch nothing" in out
+    limits = load_settings(written).thresholds.viscous_damping
+    for key, value, factor in re.findall(r"^B (\w+) +(none|[\d.]+) .*?([\d.]+) +[\d.]+ ?%", out,
+                                         re.M):
+        assert (getattr(limits, key) is None) == (value == "none")
+        assert (value == "none") != (1 / 3 < float(factor) < 3)
+    assert limits.high_error is None  # t is 318 at 0.1 % with one degree of freedom
 
 
 def test_dry_friction_needs_the_diagnosed_model(bags, tmp_path, capsys):
@@ -156,10 +165,11 @@ def test_the_stated_rate_holds(count, log):
 def test_limits_are_in_order_and_their_rates_as_asked(values, noise, rate, least):
     found = proposed("B", drawn(values, noise), rate, least)
     section = thresholds_tree([found])["viscous_damping"]
-    order = [section[key] for key in ("low_error", "low_warn", "high_warn", "high_error")]
+    order = [one.value for one in found.limits]
     assert order == sorted(order)
     assert 0 < order[1] <= found.mean * (1 - least) * 1.001 if len(values) > 1 else order[1] > 0
     for one in found.limits:
+        assert (section[one.key] is None) == one.wide
         if len(values) > 1:
             wanted = rate * (0.1 if "error" in one.key else 1)
             # Unless it would lie a thousand times off: the rate is then what it is.

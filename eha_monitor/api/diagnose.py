@@ -34,7 +34,7 @@ from eha_monitor.mismatch.diagnosis import Diagnosis as Found
 from eha_monitor.output import finite, write_text
 from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import SYMBOLS, in_units, rig_motion
-from eha_monitor.reports.diagnosis_words import probability, value_words
+from eha_monitor.reports.diagnosis_words import channels_in_parts, probability, value_words
 from eha_monitor.settings.hypothesis import Hypothesis, hypothesis_of, load_hypothesis
 from eha_monitor.words import effect_words, listed
 
@@ -340,7 +340,7 @@ class Diagnosis(Record, Found):
         with calling():
             place = path_of(path, "a file to write")
             write_text(place, diagnosis_page(self, self.config.settings, [
-                *self.losses, *(finding.finding for finding in self.channels)], command,
+                *self.losses, *channels_in_parts(self)[1]], command,
                 self.indicators))
             return place
 

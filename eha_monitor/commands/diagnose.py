@@ -68,6 +68,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
     from eha_monitor.api.diagnosis_answer import completed, refusal, written_config
     from eha_monitor.api.read import distinct, finding_tree
     from eha_monitor.balances.machine import save
+    from eha_monitor.reports.diagnosis_words import channels_in_parts
     from eha_monitor.settings.hypothesis import load_hypothesis
 
     references = tuple(bag for one in references for bag in bags_of(one))
@@ -91,7 +92,7 @@ def diagnose(bags: tuple[Path, ...], config: Path | None, json_file: Path | None
         found = run(bags, given, held_out=held_out, references=references, hypothesis=hypothesis,
                     without=without, vary=vary,
                     machine=None if several else machine_file, progress=told)
-    notes = [finding.finding for finding in found.channels]
+    notes = list(channels_in_parts(found)[1])
     if json_file:
         write_json(json_file, found.to_dict())
     if machine_file and several:

@@ -25,6 +25,10 @@ SHEET = (
 # Key of the config -> questions that answer it.
 _ANSWERS = {"area_1": ("bore",), "area_2": ("rod", "rods"), "volume_1": ("stroke", "line_volume"),
             "volume_2": ("stroke", "line_volume")}
+# What a rotary actuator is asked in place of bore, rod, stroke and mass of a cylinder.
+_ROTARY = {"bore": ("area_1", "displacement of the actuator, such as 120 cm^3/rad"),
+           "stroke": ("stroke", "whole angle, such as 270 deg"),
+           "mass": ("mass", "moment of inertia, such as 3 kg m^2")}
 # Question -> those that its answer makes sensible, and with which answer ("": any).
 _THEN = {"load": (("gravity", "inclination"), ("spring", "spring"), ("spring", "spring_rest")),
          "stroke": (("", "zero"),)}
@@ -58,7 +62,7 @@ def init(file: Path, out: Path, given: tuple[str, ...], yes: bool, overwrite: bo
         source = source_of(file)
         draft = drafted(source, answers)
     if sys.stdin.isatty() and not yes and draft.asked:
-        answers = _asked(draft.asked, answers, given)
+        answers = _asked(draft.asked, answers, given, answers.turns(draft.map.rotary))
         draft = drafted(source, answers)
     write_text(out, draft.text)
     _tell(draft)
@@ -66,7 +70,7 @@ def init(file: Path, out: Path, given: tuple[str, ...], yes: bool, overwrite: bo
     _next(file, out, draft, source.bag)
 
 
-def _asked(asked, answers, given):
+def _asked(asked, answers, given, rotary):
     """Ask at the terminal for what is open; an empty answer leaves it open."""
     from eha_monitor.draft.answers import CHOICES, answers_of
     from eha_monitor.draft.beyond import QUESTIONS
@@ -79,6 +83,9 @@ def _asked(asked, answers, given):
             continue
         wanted += [(part, words) for part in _ANSWERS.get(name, (name,))
                    for of, words in SHEET if of == part]
+    if rotary:
+        wanted = [_ROTARY.get(key, (key, words)) for key, words in wanted
+                  if key not in ("rod", "rods")]
     said = list(given)
     click.echo("Press Enter to skip a question.", err=True)
     wanted = list(dict.fromkeys(wanted))

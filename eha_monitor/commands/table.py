@@ -15,6 +15,7 @@ from eha_monitor.estimation.results import Estimate
 from eha_monitor.health.alarms import NO_LIMIT, NOT_JUDGED, Alarm
 from eha_monitor.indicators.indicator import AVAILABLE, NEEDS, NONE, NOT_LOOKED_FOR, Indicator
 from eha_monitor.mismatch.diagnosis import Diagnosis
+from eha_monitor.plausibility.sheet import against_sheet
 from eha_monitor.quantity import DIAGNOSED, NOTE, SYMBOLS, number
 from eha_monitor.reports import diagnosis_words as words
 from eha_monitor.settings import Settings
@@ -84,7 +85,10 @@ def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path],
     to.print(_alarms(alarms))
     to.print(f"model: {_coloured(found.model.status)}: {escape(found.model.message)}")
     if found.model.status == "mismatch":
-        show_baselines(to, (baseline(recording, found.settings),))
+        first = baseline(recording, found.settings)
+        show_baselines(to, (first,))
+        for sentence in against_sheet(first, found.settings.rig):
+            to.print(f"[yellow]config[/]: {escape(sentence)}")
         given = f" --config {config}" if config else ""
         to.print(f"[bold]what to do[/]: eha-monitor diagnose {escape(recording.source + given)}",
                  soft_wrap=True)
@@ -93,9 +97,13 @@ def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path],
             to.print(f"[yellow]{title}[/]: {escape(sentence)}")
     converged = {stage.stage for stage in (found.stage_one, found.stage_two)
                  if stage.estimate.status == "converged"}
+    doubtful = {stage for stage, name in (("one", "B"), ("two", "beta_e"))
+                if name in found.model.tainted}
     for event in found.events:
         if " converged at " in event.message and event.stage not in converged:
             continue  # it has not stayed so
+        if " changed from " in event.message and doubtful & {event.stage}:
+            continue  # it follows the model's error, not the machine
         to.print(f"{event.time_s:8.2f} s  stage {event.stage}: {escape(event.message)}")
     known = any(math.isfinite(p.value) for p in found.parameters.values())
     print_end(to, NOTE if known else "", written)
@@ -123,7 +131,10 @@ def _estimated(found: Estimate) -> Table:
     for estimator, p in rows:
         # What must not be used does not speak like what may.
         value = p.shown if p.status == "converged" or p.shown == "—" else f"[dim]({p.shown})[/]"
-        shown.add_row(estimator, SYMBOLS.get(p.name, p.name), value, _coloured(p.status))
+        status = _coloured(p.status)
+        if p.status == "converged" and estimator != "joint" and p.name in found.model.tainted:
+            value, status = f"[dim]{value}[/]", "converged, [yellow]in doubt[/]"
+        shown.add_row(estimator, SYMBOLS.get(p.name, p.name), value, status)
     return shown
 
 
@@ -170,10 +181,13 @@ def show_diagnosis(found: Diagnosis, written: list[Path], notes: list[str] = (),
     kind = words.head_of(found)[0]
     to.print(f"{escape(', '.join(found.bags))}: {number(found.duration_s)} s "
                   f"(computed in {found.wall_s:.1f} s)")
+    for text in words.channels_in_parts(found)[0]:  # no answer is better than its channels
+        to.print(f"[bold yellow]channel[/]: {escape(words.sentence(text))}")
     for finding in found.rig_data:  # first of all: what follows rests on them
         to.print(f"[bold yellow]wrong rig data[/]: {escape(words.rig_words(finding))}")
         if finding.indistinguishable_from:
-            to.print(escape(f"  in this recording {finding.key} is indistinguishable from "
+            to.print(escape(f"  {words.recordings_words(found).lower()} {finding.key} is "
+                                 "indistinguishable from "
                                  f"{_rivals(finding.indistinguishable_from)}"))
     to.print(f"[bold {_COLOURS[kind]}]{escape(words.head_words(found))}[/]: "
                   f"{escape(words.message_words(found))}".rstrip(": "))
@@ -234,7 +248,7 @@ def _changes(found: Diagnosis) -> Table:
     for change in found.changes:
         name = f"{effect_words(change.what)} {change.symbol}" if change.symbol else SYMBOLS.get(
             change.what, change.what)
-        shown.add_row(name, words.value_words(change.reference), words.value_words(change.now),
+        shown.add_row(name, *words.pair_words(change.reference, change.now),
                       escape(_rivals(change.indistinguishable_from)) or "–")
     return shown
 
@@ -258,8 +272,8 @@ def _rivals(names: tuple[str, ...]) -> str:
 def _parameters(found: Diagnosis) -> Table:
     shown = table("parameter", *("healthy", "now") if found.references else ("before", "after"))
     for name in dict.fromkeys((*found.before, *found.after)):
-        shown.add_row(SYMBOLS.get(name, name), *(words.value_words(values.get(name))
-                              for values in (found.before, found.after)))
+        shown.add_row(SYMBOLS.get(name, name), *words.pair_words(found.before.get(name),
+                                                                 found.after.get(name)))
     return shown
 
 
@@ -268,9 +282,7 @@ def _fit(found: Diagnosis) -> Table:
     for name, fit in found.signals.items():
         cells = [words.error_words(value, fit)
                  for value in (fit.before_rms, fit.after_rms, fit.noise_rms)]
-        share = words.removed(fit)
-        shown.add_row(escape(name.replace("_", " ")), *cells,
-                      words.percent(share) if math.isfinite(share) else "—")
+        shown.add_row(escape(name.replace("_", " ")), *cells, words.removed_words(fit))
     how = "free run" if "position" in found.signals else "residual of each balance below 5 Hz"
     shown.caption = f"root mean square, {how}; on {words.DATA.get(found.data, found.data)}"
     shown.caption_justify = "left"

@@ -151,9 +151,10 @@ def _show(proposals, told, seconds, settings) -> None:
     rows = table("limit", "value", "of the mean", "false alarms")
     for one in proposals:
         for limit in one.limits:
+            value = quantity(limit.value, units[one.symbol], 4)
             rows.add_row(f"{SYMBOLS.get(one.symbol, one.symbol)} {limit.key}",
-                          quantity(limit.value, units[one.symbol], 4), f"{limit.factor:.3g}",
-                          _rate(limit.rate))
+                         f"none (would be {value})" if limit.wide else value,
+                         f"{limit.factor:.3g}", _rate(limit.rate))
     for one in proposals:
         between = ("not known from one recording" if math.isnan(one.between)
                    else f"{one.between:.2%}")
@@ -189,8 +190,9 @@ def _sentences(proposals, told, seconds) -> list[str]:
                         "limits are the paper's, scaled to this value. Record four more, on "
                         "other days")
         elif one.more:
-            said.append(f"{name}: {n} recordings give wide limits; about {one.more} with this "
-                        "spread would bring them within a factor of 3")
+            said.append(f"{name}: {n} recordings give limits that watch nothing; about {one.more} "
+                        "with this spread would bring them within a factor of 3. Those beyond it "
+                        "are not written (null)")
         elif n < 5:
             said.append(f"{name}: {n} recordings are few for reliable limits; record five or "
                         "more, on other days and at other oil temperatures")
@@ -220,7 +222,8 @@ def _config(proposals, settings, config, seconds: float) -> str:
     lines = [f"Written by eha_monitor {__version__}: thresholds from healthy recordings for "
              f"{config.name if config else 'the paper EHA'}."]
     for one in proposals:
-        rates = ", ".join(f"{limit.key} {_rate(limit.rate)}" for limit in one.limits)
+        rates = ", ".join(f"{limit.key} {_rate(limit.rate)}" for limit in one.limits
+                          if not limit.wide) or "no limit, all are too wide"
         lines.append(f"  {one.symbol}: {len(one.healthy)} recordings of about {seconds:.0f} s; "
                      f"false alarms: {rates}")
     return annotated(changed, "\n".join(lines))

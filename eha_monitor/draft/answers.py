@@ -10,7 +10,7 @@ from pydantic_core import PydanticCustomError
 from eha_monitor.errors import InputError
 from eha_monitor.settings.channels import CHANNELS, unit_of
 from eha_monitor.settings.rig import Rig
-from eha_monitor.units import to_si
+from eha_monitor.units import TURNING, to_si
 
 # What a data sheet of a cylinder has, and the config's numbers follow from; unit, and words.
 SHEET = {"bore": ("m", "bore of the cylinder"), "rod": ("m", "diameter of the rod"),
@@ -69,6 +69,10 @@ class Answers:
     def rods(self) -> str:
         """Return how many sides have a rod, as answered or as the machine has it."""
         return self.rig.get("rods", "2" if self.rig.get("machine") == "double_rod" else "1")
+
+    def turns(self, angles: bool) -> bool:
+        """Tell whether the actuator is a rotary one, as answered or as the columns are."""
+        return self.rig.get("motion", "rotary" if angles else "linear") == "rotary"
 
     def lacks(self, key: str) -> bool:
         """Tell whether the machine that was answered has no such number."""
@@ -160,6 +164,9 @@ def checked(key: str, text: str, unit: str = "") -> float | None:
 def to_si_of(key: str, text: str, unit: str, words: str) -> float:
     """Return an answer in SI, of a number or of a number with a unit.
 
+    What an angle is of was not read yet: the unit of a rig that turns is as good, and the config
+    refuses the wrong one.
+
     Raises
     ------
     InputError
@@ -168,11 +175,15 @@ def to_si_of(key: str, text: str, unit: str, words: str) -> float:
     try:
         return float(text)
     except ValueError:
-        try:
-            return to_si(text, unit)
-        except PydanticCustomError:
-            raise InputError(f"--set {key}: expected {words} in {unit}, or with a unit, got "
-                             f"'{text}'") from None
+        turning = TURNING.get(unit, unit)
+        for one in (unit, turning):
+            try:
+                return to_si(text, one)
+            except PydanticCustomError:
+                continue
+        either = f" (of a rotary actuator {turning})" if turning != unit else ""
+        raise InputError(f"--set {key}: expected {words} in {unit}{either}, or with a unit, got "
+                         f"'{text}'") from None
 
 
 def full_scale(channel: str, text: str, kind: str) -> tuple[str, float]:

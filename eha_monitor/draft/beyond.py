@@ -4,6 +4,7 @@ from math import sin
 
 from eha_monitor.draft.answers import Answers
 from eha_monitor.draft.rig import Entry, Seen, no_such_zero, number, value_of, zero_of
+from eha_monitor.errors import InputError
 
 GRAVITY = 9.81  # m/s²
 # Key -> tolerance where it was answered, where it follows from other numbers or the recording,
@@ -29,7 +30,18 @@ QUESTIONS = {
 
 
 def effects_of(answers: Answers, entries: list[Entry], seen: Seen) -> list[Entry]:
-    """Return the lines of ``effects``: the load that was answered, volumes that change with x."""
+    """Return the lines of ``effects``: the load that was answered, volumes that change with x.
+
+    Raises
+    ------
+    InputError
+        If the load is one that a rotary actuator has not.
+    """
+    turns = any(entry.key == "motion" and entry.value == "rotary" for entry in entries)
+    if turns and answers.rig.get("load") == "gravity":
+        raise InputError("--set load=gravity: expected none, spring or unknown of a rotary "
+                         "actuator, since the torque of a weight changes with the angle; unknown "
+                         "lets diagnose identify it")
     found, of = [], {entry.key: value_of(entry, answers) for entry in entries
                      if entry.key in ("area_1", "area_2", "volume_1", "volume_2", "mass")}
     load, slope, spring = (answers.rig.get("load"), answers.number("inclination"),
@@ -80,5 +92,6 @@ def open_choices(answers: Answers, entries: list[Entry], seen: Seen, gauge_known
     if "pressures" not in told and not gauge_known:
         asked.append("pressures")
     found = [(key, QUESTIONS[key]) for key in asked if not answers.lacks(key)]
-    outside = "" if answers.lacks("zero") else no_such_zero(answers, seen)
+    turns = any(entry.key == "motion" and entry.value == "rotary" for entry in entries)
+    outside = "" if answers.lacks("zero") else no_such_zero(answers, seen, turns)
     return [*(one for one in found if one[0] != "zero"), ("zero", outside)] if outside else found

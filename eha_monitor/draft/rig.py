@@ -1,7 +1,7 @@
 """The rig of a draft: what was answered (``--set``), what follows, what the recording shows."""
 
-from dataclasses import dataclass
-from math import pi
+from dataclasses import dataclass, replace
+from math import degrees, pi
 
 import numpy as np
 
@@ -53,12 +53,14 @@ def number(value: float) -> str:
 def rig_entries(answers: Answers, seen: Seen, rotary: bool, name: str) -> list[Entry]:
     """Return the lines of ``rig``."""
     given = dict(answers.rig)
-    area_1, area_2 = _areas(answers)
+    rotary = answers.turns(rotary)
+    area_1, area_2 = _areas(answers, rotary)
     entries = [
         Entry("name", _text(given.pop("name", name)), "from the file's name"),
         Entry("motion", given.get("motion", "rotary" if rotary else "linear"),
               "answered" if "motion" in given else "header: units of the position"),
-        area_1, area_2, *_volumes(answers, seen, area_1, area_2),
+        area_1, area_2, *_volumes(answers, seen, rotary, area_1, area_2),
+        _told(answers, "mass", "moment of inertia", "3 kg m^2") if rotary else
         _told(answers, "mass", "moving mass", "20 kg"),
         _told(answers, "pump_displacement", "of the pump", "1.6 cm^3/rev", seen_pump(
             answers, area_1, seen)),
@@ -103,7 +105,15 @@ def _quoted(text: str) -> str:
     return text if all(c.isalnum() or c in " .^/_-+" for c in text) else f'"{text}"'
 
 
-def _areas(answers: Answers) -> tuple[Entry, Entry]:
+def _areas(answers: Answers, rotary: bool) -> tuple[Entry, Entry]:
+    if rotary:  # a bore says nothing of a vane or a rack
+        first, second = (
+            _answered(answers, key) if key in answers.rig else
+            Entry(key, "null", "displacement of the actuator, such as 120 cm^3/rad; needed to use "
+                  "the pressures", True) for key in ("area_1", "area_2"))
+        if "area_2" not in answers.rig and "area_1" in answers.rig:
+            second = replace(first, key="area_2", why="as area_1: a vane has equal sides")
+        return first, second
     bore, rod = answers.number("bore"), answers.number("rod")
     rods = answers.rods()
     sheet = answers.rig
@@ -125,6 +135,8 @@ def value_of(entry: Entry, answers: Answers) -> float | None:
     """Return the number of a line, SI, or None."""
     if entry.key in answers.rig:
         return answers.number(entry.key)
+    if entry.key == "area_2" and entry.why.startswith("as area_1"):
+        return answers.number("area_1")
     return None if entry.value == "null" else float(entry.value)
 
 
@@ -158,17 +170,20 @@ def _beyond(zero: str, stroke: float, span: tuple[float, float]) -> bool:
     return span[0] < (low - 0.03) * stroke or span[1] > (high + 0.03) * stroke
 
 
-def no_such_zero(answers: Answers, seen: Seen) -> str:
-    """Return in words how far x runs where that is beyond the cylinder's ends, or ""."""
+def no_such_zero(answers: Answers, seen: Seen, rotary: bool = False) -> str:
+    """Return in words how far x runs where that is beyond the actuator's ends, or ""."""
     stroke, zero = answers.number("stroke"), zero_of(answers, seen)[0]
     if not stroke or not seen.span or not _beyond(zero, stroke, seen.span):
         return ""
-    return (f"x runs from {1e3 * seen.span[0]:.4g} to {1e3 * seen.span[1]:.4g} mm, beyond the "
+    low, high = (degrees(one) if rotary else 1e3 * one for one in seen.span)
+    unit = "deg" if rotary else "mm"
+    return (f"x runs from {low:.4g} to {high:.4g} {unit}, beyond the "
             f"ends of a stroke of {answers.rig['stroke']} with x = 0 at {_WORDS[zero]}; is the "
-            "stroke right?  What does x read in the middle of the stroke?  --set zero='100 mm'")
+            f"stroke right?  What does x read in the middle of the stroke?  --set zero='100 "
+            f"{unit}'")
 
 
-def _volumes(answers: Answers, seen: Seen, *areas: Entry) -> list[Entry]:
+def _volumes(answers: Answers, seen: Seen, rotary: bool, *areas: Entry) -> list[Entry]:
     stroke, line = answers.number("stroke"), answers.number("line_volume") or 0.0
     zero, who = zero_of(answers, seen)
     at = f"{who or 'answered'}: x = 0 at {_WORDS[zero]}"
@@ -184,8 +199,9 @@ def _volumes(answers: Answers, seen: Seen, *areas: Entry) -> list[Entry]:
                 "" if who else "; if it is elsewhere, --set zero=retracted")
             found.append(Entry(key, number(own * stroke * share + line), words, not line))
         else:
+            of = "the whole angle as stroke, such as 270 deg," if rotary else "stroke"
             found.append(Entry(key, "null", "oil of chamber " + key[-1] + " and its line at x = "
-                               "0, such as 68.5 cm^3, or stroke and line_volume; without it no "
+                               f"0, such as 68.5 cm^3, or {of} and line_volume; without it no "
                                "beta_e", True))
     return found
 

@@ -23,7 +23,7 @@ SIDES = {"B": ("low", "high"), "beta_e": ("low",)}
 SECTIONS = {"B": "viscous_damping", "beta_e": "bulk_modulus"}
 NOMINAL = {"B": 600.0, "beta_e": 6e8}  # of the paper, which its limits are set around
 FARTHEST = math.log(1e3)  # a limit that lies farther off is none
-WIDE = 3.0  # times the mean: a limit farther off needs more recordings
+WIDE = 3.0  # times the mean: a limit farther off watches nothing and needs more recordings
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,11 @@ class Limit:
     value: float
     rate: float
     factor: float
+
+    @property
+    def wide(self) -> bool:
+        """Tell whether it lies so far off that it watches nothing; then none is written."""
+        return math.isfinite(self.rate) and not 1 / WIDE < self.factor < WIDE
 
 
 @dataclass(frozen=True)
@@ -203,10 +208,10 @@ def _unlike(healthy: list[Healthy]) -> tuple[tuple[str, float], ...]:
 def _more(limits: tuple[Limit, ...], healthy: list[Healthy], rate: float) -> int:
     """Return how many recordings of the same spread would bring the limits within ``WIDE``."""
     n = len(healthy)
-    if n > 1 and all(1 / WIDE < one.factor < WIDE for one in limits):
-        return 0
     if n == 1:
         return 5
+    if not any(one.wide for one in limits):
+        return 0
     spread = max(_extremes(side, healthy)[1] for side in ("low", "high")) / math.sqrt(1 + 1 / n)
     for count in range(n + 1, 31):
         if _t(rate * ERROR_SHARE, count) * spread * math.sqrt(1 + 1 / count) < math.log(WIDE):
@@ -215,6 +220,7 @@ def _more(limits: tuple[Limit, ...], healthy: list[Healthy], rate: float) -> int
 
 
 def thresholds_tree(proposals: list[Proposal]) -> dict[str, dict[str, float | None]]:
-    """Return the ``thresholds`` section; a side that is not proposed has none."""
+    """Return the ``thresholds`` section; a side that is not proposed, or is wide, has none."""
     return {SECTIONS[one.symbol]: dict.fromkeys(LIMITS) | {
-        limit.key: float(f"{limit.value:.4g}") for limit in one.limits} for one in proposals}
+        limit.key: float(f"{limit.value:.4g}") for limit in one.limits if not limit.wide}
+        for one in proposals}

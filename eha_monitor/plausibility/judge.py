@@ -97,7 +97,18 @@ def reading_of(moments: Moments, settings: Settings) -> Reading:
     rig = settings.rig
     return Reading(moments, {role: Source(role) for role in ROLES if role in moments.levels},
                    {key: getattr(rig, key) for key in NUMBERS}, frozenset(rig.model_fields_set),
-                   rotary=rig.motion == "rotary")
+                   rotary=rig.motion == "rotary", units=units_in(settings))
+
+
+def units_in(settings: Settings) -> dict[str, float]:
+    """Return role -> unit that the config gives a channel, SI.
+
+    One with a scale is left out: what it was multiplied by may be of another unit.
+    """
+    sources = {**settings.table.columns, **{
+        role: one for role, one in settings.channels.items() if one.unit}}
+    return {role: unit_of(one.unit).factor for role, one in sources.items()
+            if one.unit and one.scale == 1.0}
 
 
 def explained(reading: Reading, mistakes: tuple[Mistake, ...],
@@ -239,13 +250,19 @@ def gauge(moments: Moments, settings: Settings) -> tuple[ChannelFinding, ...]:
 
 
 def stuck(moments: Moments) -> tuple[ChannelFinding, ...]:
-    """Return the pressures that never change although the piston moves."""
+    """Return the pressures that never change, and a pump that stands, although the piston moves.
+
+    A pump of constant speed is one behind a valve.
+    """
     if ("x", 0) not in moments.place:
         return ()
+    still = {name: level.middle for name, level in moments.levels.items() if not level.span}
+    shown = {name: f"{still[name] / 1e5:.4g} bar" for name in ("p1", "p2") if name in still}
+    if still.get("omega") == 0.0:
+        shown["omega"] = "0 rad/s"
     return tuple(ChannelFinding(
-        f"{name} is {moments.levels[name].middle / 1e5:.4g} bar in the whole recording although "
-        "the piston moves: its sensor or its cable may be dead", "hold", (name,))
-        for name in ("p1", "p2") if name in moments.levels and not moments.levels[name].span)
+        f"{name} is {value} in the whole recording although the piston moves: its sensor or its "
+        "cable may be dead", "hold", (name,)) for name, value in shown.items())
 
 
 FOLLOWS = 0.5  # correlation of pump speed and motion above which the speed has its sign

@@ -92,11 +92,13 @@ class Mistake:
         return frozenset((*self.names, *(self.swap or ()), *(("time",) * (self.clock != 1.0))))
 
 
-def unit_mistakes(roles: tuple[str, ...], units: dict[str, float], si: str) -> list[Mistake]:
+def unit_mistakes(roles: tuple[str, ...], units: dict[str, float], si: str,
+                  written: float = 0.0) -> list[Mistake]:
     """Return what there is to mix up in the unit of channels that share one.
 
     Any unit may have been taken for any other, most often the first for the SI unit; a power of
-    ten without a name is rarest.
+    ten without a name is rarest.  ``written`` is the unit that the config gives, in SI: no other
+    was taken for the right one.
     """
     names = " and ".join(roles)
     looks = "look" if len(roles) > 1 else "looks"
@@ -108,11 +110,17 @@ def unit_mistakes(roles: tuple[str, ...], units: dict[str, float], si: str) -> l
             found[key] = Mistake("unit", roles, f"{names} {looks} {claim}", prior,
                                  factors=dict.fromkeys(roles, factor))
 
-    for place, (unit, factor) in enumerate(units.items()):
+    said = [unit for unit, factor in units.items() if abs(log(written / factor)) < 1e-3
+            ] if written > 0 else []
+    for taken in said:
+        for place, (unit, factor) in enumerate({si: 1.0, **units}.items()):
+            add(factor / units[taken], f"like {unit}, not {taken}",
+                RARE if place > 2 else EVERYDAY)
+    for place, (unit, factor) in enumerate(units.items() if not said else ()):
         add(factor, f"like {unit}, not {si}", RARE if place else EVERYDAY)
-    for unit, factor in units.items():
+    for unit, factor in units.items() if not said else ():
         add(1.0 / factor, f"like {si}, scaled as {unit}", RARE)
-    for unit, factor in units.items():
+    for unit, factor in units.items() if not said else ():
         for taken, other in units.items():
             add(factor / other, f"like {unit}, scaled as {taken}", RAREST)
     for ten in TENS:
@@ -150,7 +158,7 @@ def mistakes_for(reading: Reading, given: tuple[Check, ...]) -> list[Mistake]:
         units, si = units_of(group[0], reading.rotary)
         if group == ("x", "v"):
             units = {}
-        found += unit_mistakes(group, units, si)
+        found += unit_mistakes(group, units, si, reading.units.get(group[0], 0.0))
     found += [Mistake("swapped", (role,), f"{role} does not match this motion; it may be the "
                                           "wrong column or topic", OTHER_COLUMN, without=role)
               for role in has]

@@ -8,7 +8,7 @@ with 3 degrees of freedom), so that one odd relation never decides by itself how
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import copysign, inf, log, log10, sqrt
 
 import numpy as np
@@ -43,6 +43,7 @@ class Reading:
     said : keys of the rig that somebody wrote; the others are defaults and bind nobody.
     clock : true seconds for one recorded second.
     rotary : x is an angle.
+    units : role -> unit that the config gives its column or topic, SI; absent where it gives none.
     """
 
     moments: Moments
@@ -51,6 +52,7 @@ class Reading:
     said: frozenset[str] = frozenset()
     clock: float = 1.0
     rotary: bool = False
+    units: dict[str, float] = field(default_factory=dict)
 
     def has(self, *roles: str) -> bool:
         """Tell whether each role is recorded and varies."""

@@ -34,6 +34,7 @@ _FACTORS = {"dp": "Δp", "v": "v", "omega": "ω"}
 # In steady motion pump and piston go together; a force hangs on the piston.
 _INDIRECT, _STAND_IN = ("force", "pump_speed"), 0.5
 _MOST_BARS = 70  # points with a bar each; more get a band
+_APART = 4.0  # times the usual distance of the dots: so far apart no line joins them
 
 
 def presentable(found: Diagnosis) -> Diagnosis:
@@ -115,7 +116,10 @@ def curve_figure(found: Diagnosis, curve: MissingTerm, large: bool = False) -> f
         panel.add(fig.Curve(x, measured, label, SEEN, 0.0, marker="circle", y_error=spread,
                               size=5.6 if large else 4.2, error_colour=_FAINT))
     if with_line:
-        panel.add(fig.Curve(x, modelled, f"modelled: {named}", AFTER, width))
+        apart = np.diff(x) > _APART * np.median(np.diff(x)) if curve.against != "time" else ()
+        breaks = np.flatnonzero(apart) + 1  # nothing was compared there, and no line is known
+        panel.add(fig.Curve(np.insert(x, breaks, np.nan), np.insert(modelled, breaks, np.nan),
+                            f"modelled: {named}", AFTER, width))
     return fig.Figure((panel,), f"{what} against {curve.against.replace('_', ' ')}: measured"
                             f"{' and modelled' if with_line else ''}",
                       size=LARGE if large else SMALL,

@@ -100,20 +100,21 @@ def _first_screen(found: Diagnosis, curves: list[diagnosis.Curve], settings: Set
     shown = (found.before, found.after) if _compared(found) else (found.before,)
     heads = ("parameter", *(_names(found) if _compared(found) else ("model of the config",)))
     parameters = table(" | ".join(heads), [
-        (_symbol(name), *(words.value_words(values.get(name)) for values in shown))
+        (_symbol(name), *words.pair_words(found.before.get(name), found.after.get(name))[
+            :len(shown)])
         for name in dict.fromkeys((*found.before, *found.after))],
         " | ".join(("", *["value"] * len(shown))), "summary")
     return FirstScreen(
         words.head_of(found)[0], words.head_words(found), words.message_words(found, True),
-        tuple(f"In this recording {effect_words(effect.name)} is indistinguishable from "
-              f"{_rivals(effect.indistinguishable_from)}." for effect in found.effects
+        tuple(f"{words.recordings_words(found)} {effect_words(effect.name)} is indistinguishable "
+              f"from {_rivals(effect.indistinguishable_from)}." for effect in found.effects
               if effect.indistinguishable_from),
         tuple((words.rig_words(one), (one.indistinguishable_from
-               and f"In this recording {one.key} is indistinguishable from "
+               and f"{words.recordings_words(found)} {one.key} is indistinguishable from "
                    f"{_rivals(one.indistinguishable_from)}.") or "") for one in found.rig_data),
         picture, caption, parameters or None, tuple(map(words.sentence, found.health)),
         words.next_steps(found, shlex.join(found.bags) + words.own_config(settings.rig)),
-        found.verdict)
+        found.verdict, tuple(map(words.sentence, words.channels_in_parts(found)[0])))
 
 
 def _symbol(name: str) -> str:
@@ -160,7 +161,7 @@ def _changes(found: Diagnosis) -> Table:
     for one in found.changes:
         name = (f"{effect_words(one.what)} {one.symbol}" if one.symbol
                 else f"{NAMES.get(one.what, one.what)} {SYMBOLS.get(one.what, '')}").strip()
-        rows.append((name, words.value_words(one.reference), words.value_words(one.now),
+        rows.append((name, *words.pair_words(one.reference, one.now),
                      _rivals(one.indistinguishable_from) or "–"))
     return table("number | healthy | now | indistinguishable from", rows, " | value | value | ",
                  note=f"Healthy: mean of {len(found.references)} recordings, ± their standard "
@@ -280,10 +281,9 @@ def _fit(found: Diagnosis) -> Table:
     first, second = _names(found)
     rows = []
     for name, fit in found.signals.items():
-        share = words.removed(fit)
         before, after, noise = (words.error_words(value, fit) for value in (
             fit.before_rms, fit.after_rms, fit.noise_rms))
-        compared = (after, noise, words.percent(share) if math.isfinite(share) else "—")
+        compared = (after, noise, words.removed_words(fit))
         rows.append((name.replace("_", " "), before,
                      *(compared if _compared(found) else (noise,))))
     head = ((f"error on unseen data | {first} | {second} | noise | removed",

@@ -1,9 +1,11 @@
 """A diagnosis in words: names, places and sizes as a person says them."""
 
 import math
+import re
 
 from eha_monitor.mismatch.diagnosis import Diagnosis, RigFinding, SignalFit, Value
 from eha_monitor.quantity import (
+    SYMBOLS,
     Scale,
     number,
     quantity,
@@ -12,6 +14,7 @@ from eha_monitor.quantity import (
     side_by_side,
     with_uncertainty,
 )
+from eha_monitor.settings.channels import CHANNELS
 from eha_monitor.settings.rig import Rig, Tolerance
 from eha_monitor.units import LARGEST
 from eha_monitor.words import listed
@@ -77,13 +80,28 @@ def next_steps(found: Diagnosis, bags: str) -> tuple[str, ...]:
     steps = [f"correct {finding.key} in the config, or find out why it is "
              f"{value_words(finding.found)}" for finding in found.rig_data]
     steps += [effect.rig_check for effect in found.effects[:1] if effect.rig_check]
-    if found.verdict == "mismatch" or found.learned:
-        steps.append(f"use B and βe of the completed config: `eha-monitor diagnose {bags} "
-                     "--write-config FILE`")
-    elif found.verdict == "unexplained":
+    completed = found.verdict == "mismatch" or found.learned
+    if completed and not found.references:  # what has changed is the machine's, not the config's
+        known = [SYMBOLS.get(name, name) for name, value in found.after.items()
+                 if math.isfinite(value.value)]
+        steps.append(f"use {listed(known) or 'the numbers'} of the completed config: "
+                     f"`eha-monitor diagnose {bags} --write-config FILE`")
+    elif found.verdict == "unexplained" and not completed:
         steps.append("do not act on B and βe: they carry what is missing")
     steps += advice_in_parts(found)[0]
     return tuple(map(sentence, dict.fromkeys(steps))) or ("Nothing.",)
+
+
+def channels_in_parts(found: Diagnosis) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return what stands against the channels, and what is merely known of the drive's hold."""
+    held = [finding for finding in found.channels if finding.kind == "hold" and finding.correction]
+    return (tuple(one.finding for one in found.channels if one not in held),
+            tuple(one.finding for one in held))
+
+
+def recordings_words(found: Diagnosis) -> str:
+    """Return what was looked at, as a sentence begins."""
+    return "In these recordings" if len(found.bags) > 1 else "In this recording"
 
 
 def windows_words(found: Diagnosis) -> str:
@@ -174,11 +192,16 @@ def rig_values(finding: RigFinding) -> tuple[str, str]:
 
 
 def sentence(text: str) -> str:
-    """Return a text with a capital at its start and a full stop at its end."""
+    """Return a text with a capital at its start and a full stop at its end.
+
+    A symbol (βe), a channel (p1) or the name of a recording (healthy_3) keeps its own letters.
+    """
     text = text.strip()
     if not text:
         return ""
-    first = text[0].upper() if text[0].isascii() else text[0]  # βe is a symbol, no word
+    word = re.split(r"[\s:,]", text, maxsplit=1)[0]
+    name = not text[0].isascii() or word in CHANNELS or re.search(r"[\d_/]", word)
+    first = text[0] if name else text[0].upper()
     return first + text[1:] + ("" if text[-1] in ".!?" else ".")
 
 
@@ -233,21 +256,43 @@ def value_words(value: Value | None) -> str:
     return with_uncertainty(value.value, value.stddev, value.unit)
 
 
+def pair_words(one: Value | None, other: Value | None) -> tuple[str, str]:
+    """Return two values of one quantity in one unit, so that they can be compared."""
+    known = [value for value in (one, other) if value is not None
+             and math.isfinite(value.value) and math.isfinite(value.stddev) and value.stddev > 0]
+    if len(known) < 2 or known[0].unit != known[1].unit:
+        return value_words(one), value_words(other)
+    scale = readable(max(max(abs(value.value), value.stddev) for value in known), known[0].unit)
+    return tuple(with_uncertainty(value.value, value.stddev, value.unit, scale)
+                 for value in known)
+
+
 def error_scale(fit: SignalFit) -> Scale:
-    """Return one scale for all errors of a signal, so that they can be compared."""
-    known = [value for value in (fit.before_rms, fit.after_rms) if math.isfinite(value)]
-    largest = max(known, default=0.0)
-    return readable(largest, fit.unit)
+    """Return one scale for all errors of a signal, so that they can be compared.
+
+    It is that of the smallest one in which the largest has four digits before the point at most.
+    """
+    known = sorted(value for value in (fit.before_rms, fit.after_rms, fit.noise_rms)
+                   if math.isfinite(value) and value > 0)
+    scales = [readable(value, fit.unit) for value in known] or [readable(0.0, fit.unit)]
+    return next((scale for scale in scales if known and known[-1] * scale.factor < 1e4),
+                scales[-1])
 
 
 def error_words(value: float, fit: SignalFit) -> str:
-    """Return an error of a signal, in the common unit unless it is far too small for that."""
+    """Return an error of a signal, in the common unit of the signal."""
     if not math.isfinite(value):
         return "—"
     scale = error_scale(fit)
-    if 0 < abs(value * scale.factor) < 0.01:
-        return quantity(value, fit.unit, 3)
     return f"{number(value * scale.factor, 3)} {scale.unit}".rstrip()
+
+
+def removed_words(fit: SignalFit) -> str:
+    """Return the share of the error that was removed; what is worse than before is no share."""
+    share = removed(fit)
+    if not math.isfinite(share):
+        return "—"
+    return percent(max(share, 0.0)) if share > -0.02 else "grew"
 
 
 def removed(fit: SignalFit) -> float:

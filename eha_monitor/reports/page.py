@@ -80,6 +80,7 @@ class FirstScreen:
     kind : ``ok``, ``warn``, ``error`` or ``unknown``: the colour of the verdict.
     head, message : its first words and its sentence; ``doubts`` limit it.
     wrong : what is wrong with the config, said before the verdict, each with its doubt or "".
+    channels : what stands against the channels, said before all.
     picture, caption : the figure that shows it.
     parameters : B and beta_e, and what is to be read of them.
     sentences : what the verdict means for them.
@@ -98,6 +99,7 @@ class FirstScreen:
     sentences: tuple[str, ...] = ()
     actions: tuple[str, ...] = ()
     verdict: str = ""
+    channels: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

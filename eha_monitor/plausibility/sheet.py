@@ -1,0 +1,71 @@
+"""Numbers of the config that least squares on the balances contradict, and what reads so.
+
+F = M x'' + B x' + ... and A x' = D_p ω - ... give the moving mass and the pump's displacement of a
+recording.  A number of the data sheet is rarely wrong by more than its tolerance; a filter on the
+pressures, τ late, takes B·τ from the mass, and areas that are off by a factor take it from both.
+"""
+
+from math import hypot, log
+
+from eha_monitor.balances.baseline import BalanceFit, Baseline, Term
+from eha_monitor.quantity import number, quantity, with_uncertainty
+from eha_monitor.settings.rig import Rig
+
+APART = 2.0  # deviations of both numbers from which on they contradict each other
+OPEN = 0.05  # of a balance: with more unexplained, its mass may be something else
+LATEST = 0.03  # s: later than that no filter makes a pressure
+
+
+def against_sheet(first: Baseline, rig: Rig) -> list[str]:
+    """Return what a recording's least squares say against the mass and the pump of the config."""
+    mass, area = rig.tolerance.mass, rig.tolerance.area_1
+    heavy = _off(first.force, "M", rig.mass, hypot(mass, area))
+    pumped = _off(first.flow, "D_p", rig.pump_displacement,
+                  hypot(rig.tolerance.pump_displacement, area))
+    if heavy and pumped:
+        one, other = (log(term.value / given) for term, given in (heavy, pumped))
+        if abs(one - other) < APART * hypot(_share(heavy[0]), _share(pumped[0]), mass):
+            factor = pumped[0].value / pumped[1]
+            size = f"{factor if factor > 1 else 1 / factor:.3g} times too " + (
+                "large" if factor > 1 else "small")
+            return [f"{_both(*heavy)}, {_both(*pumped)}: piston areas that are {size} read so"]
+    found = []
+    if heavy:
+        found.append(_both(*heavy) + _late(first.force, *heavy))
+    if pumped:
+        found.append(f"{_both(*pumped)}: is it right, and a revolution not taken for a radian?  "
+                     "Areas that are off by the same factor, or a pump that slips, read so too")
+    return found
+
+
+def _off(fit: BalanceFit | None, name: str, given: float | None, tolerance: float
+         ) -> tuple[Term, float] | None:
+    """Return a term and the config's number where they contradict each other."""
+    if fit is None or not given or not fit.error_share < OPEN:
+        return None
+    term = fit[name]
+    if not term.determined or not term.value > 0:
+        return None
+    return (term, given) if abs(log(term.value / given)) > APART * hypot(
+        _share(term), tolerance) else None
+
+
+def _share(term: Term) -> float:
+    return term.stddev / term.value
+
+
+def _both(term: Term, given: float) -> str:
+    return (f"{term.words} {with_uncertainty(term.value, term.stddev, term.unit)}, where the "
+            f"config has {quantity(given, term.unit)}")
+
+
+def _late(fit: BalanceFit, term: Term, given: float) -> str:
+    """Return which channel's delay reads as that much less or more mass, where one can."""
+    damping = fit["B"]
+    delay = (given - term.value) / damping.value if damping.determined and damping.value else 0.0
+    if not 0.0 < abs(delay) < LATEST:
+        return ": is it right?"
+    size = f"{number(abs(delay) * 1e3, 2)} ms late (a filter, another logger)"
+    return ": is it right?  If so, " + (
+        f"pressures that are {size} read so: set p1.delay and p2.delay" if delay > 0 else
+        f"a position that is {size} reads so: set x.delay")

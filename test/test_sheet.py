@@ -1,0 +1,65 @@
+"""Numbers of the config against least squares: what is said, and what is not."""
+
+import numpy as np
+import pytest
+from rig_tools import settings
+from test_plausibility import MULTISINE, OTHER, changed, made, with_rig
+
+from eha_monitor.balances.baseline import baseline
+from eha_monitor.plausibility.sheet import against_sheet
+
+RECORDING, CONFIG = made(MULTISINE, 12.0, **(OTHER | {"sample_time": 1e-3}))
+
+
+def said(recording=RECORDING, config=CONFIG):
+    return against_sheet(baseline(recording, config), config.rig)
+
+
+def late(seconds, *channels):
+    """Return the recording with channels that pass a filter with that time constant."""
+    step = RECORDING.sample_time
+    keep = np.exp(-step / seconds)
+    out = {}
+    for name in channels:
+        values = RECORDING.get(name).copy()
+        for i in range(1, len(values)):
+            values[i] = keep * values[i - 1] + (1 - keep) * values[i]
+        out[name] = values
+    return out
+
+
+def replaced(**values):
+    recording = changed(RECORDING)
+    recording.channels.update(values)
+    return recording
+
+
+def test_a_right_config_is_not_spoken_against():
+    assert said() == []
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.5, 2.0])
+def test_areas_that_are_off_move_mass_and_pump_alike(factor):
+    (sentence,) = said(config=with_rig(CONFIG, area_1=factor, area_2=factor))
+    size = f"{max(factor, 1 / factor):.3g} times too {'large' if factor > 1 else 'small'}"
+    assert f"piston areas that are {size}" in sentence
+
+
+@pytest.mark.parametrize(("key", "words"), [("pump_displacement", "pump displacement"),
+                                            ("mass", "moving mass")])
+def test_one_wrong_number_is_the_one_that_is_named(key, words):
+    (sentence,) = said(config=with_rig(CONFIG, **{key: 1.4}))
+    assert sentence.startswith(words)
+
+
+def test_a_filter_of_the_pressures_takes_damping_times_its_delay_from_the_mass():
+    (sentence,) = said(replaced(**late(10e-3, "p1", "p2")))
+    delay = float(sentence.split("that are ")[1].split(" ms late")[0])
+    assert sentence.startswith("moving mass") and "p1.delay and p2.delay" in sentence
+    assert delay == pytest.approx(10.0, rel=0.2)
+
+
+def test_without_a_number_in_the_config_nothing_is_said():
+    tree = CONFIG.model_dump()
+    tree["rig"]["pump_displacement"] = None
+    assert said(config=settings(**tree)) == []
