@@ -190,7 +190,8 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
     """
     rig = settings.rig
     wrong = tuple(finding for one in models for finding in wrong_numbers(one, rig, policy))
-    effects = [effect for one in models for effect in effects_of(one, rig, policy)]
+    effects = [effect for one in models for effect in effects_of(one, rig, policy,
+                                                                settings.effects)]
     if isinstance(charge, RigFinding):
         wrong += (charge,)
     elif charge is not None and charge.name not in {effect.name for effect in effects}:

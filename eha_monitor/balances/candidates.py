@@ -186,7 +186,7 @@ def balances_in(courses: Sequence[Course], rig: Rig) -> tuple[str, ...]:
     found = ["force"]
     if all(has_flow(c, rig) for c in courses):
         found.append("flow")
-    if all(c.wanted is not None for c in courses):
+    if all(c.wanted is not None and np.any(c.omega[c.good]) for c in courses):
         found.append("drive")
     return tuple(found)
 

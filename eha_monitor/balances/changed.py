@@ -55,7 +55,7 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     verdict = ("consistent" if judged.belongs else "mismatch" if judged.explained
                else "unexplained")
     models = [_model(one) for one in judged.balances]
-    changes = tuple(_change(one, machine, rig, references) for one in moved
+    changes = tuple(_change(one, machine, settings, references) for one in moved
                     ) if verdict == "mismatch" else ()
     effects = tuple(_effect(one, change, models) for one, change in zip(
         moved, changes, strict=False) if change.symbol)
@@ -93,9 +93,13 @@ def _model(one: JudgedBalance) -> Model:
                  tuple(after), one.each, float(sum(table.effective for table in one.each)))
 
 
-def _in_words(moved: Moved, rig: Rig) -> tuple[Value, Value, str]:
-    """Return the machine's value, that of the recording, and the unit: beta_e of a compliance."""
-    pair = (moved.machine, moved.spread), (moved.here, moved.stddev)
+def _in_words(moved: Moved, settings: Settings) -> tuple[Value, Value, str]:
+    """Return the machine's value, that of the recording, and the unit: beta_e of a compliance.
+
+    What the config holds of the effect is in both.
+    """
+    rig, held = settings.rig, settings.effects.get(moved.effect, {}).get(moved.symbol, 0.0)
+    pair = (moved.machine + held, moved.spread), (moved.here + held, moved.stddev)
     if moved.name == "C_h" and rig.volume_1 and min(moved.machine, moved.here) > 0.0:
         pair = tuple((rig.volume_1 / value, rig.volume_1 / value**2 * stddev)
                      for value, stddev in pair)
@@ -103,11 +107,14 @@ def _in_words(moved: Moved, rig: Rig) -> tuple[Value, Value, str]:
     return Value(*pair[0], moved.unit), Value(*pair[1], moved.unit), moved.unit
 
 
-def _change(moved: Moved, machine: Machine, rig: Rig, references: tuple[str, ...]) -> Change:
+def _change(moved: Moved, machine: Machine, settings: Settings, references: tuple[str, ...]
+            ) -> Change:
     """Return the record of a number that has changed."""
-    healthy, now, unit = _in_words(moved, rig)
+    healthy, now, unit = _in_words(moved, settings)
     what = WHAT.get(moved.name, moved.effect)
-    words = WORDS.get(moved.name) or f"{effect_words(moved.effect)} ({moved.words})"
+    name = effect_words(moved.effect)
+    words = WORDS.get(moved.name) or (
+        name if moved.words in name else f"{name} ({moved.words})")
     symbol = "" if moved.name in WHAT else moved.symbol or moved.name
     runs = (f"{len(machine.sources)} parts of the healthy recordings" if machine.pieces
             else f"{len(references)} healthy recordings")

@@ -26,6 +26,7 @@ from eha_monitor.settings.rig import Rig
 MOTION, BAND = 20.0, 5.0  # Hz: pass bands of the motion, and of every balance
 GRID, COARSE = 32, 4  # points in a period of ``BAND``; each so-many-th of them is compared
 APART = 0.1  # s: how far the balance's low-pass mixes a sample with its neighbours
+SPARSE = 0.4  # samples in a period of ``BAND``, inverted: fewer do not hold the band
 STANDING = 0.02  # of the top speed: below it dry friction takes any value
 DEAD = 0.02  # s: a value that does not change for longer while others do ...
 JUMPED = 5.0  # ... times the usual largest step away from what comes before or after
@@ -168,6 +169,9 @@ def course_of(recording: Recording, settings: Settings) -> Course:
     if why:
         raise InputError(f"{recording.source}: {why}")
     dt = recording.sample_time
+    if dt * BAND > SPARSE:
+        raise InputError(f"{recording.source}: expected at least {BAND / SPARSE:.3g} samples a "
+                         f"second for balances below {BAND:g} Hz, found {1.0 / dt:.3g}")
     names = [name for name in CHANNELS if recording.has(name)]
     noise = noise_levels(recording, settings.noise)
     cleaned, _ = without_spikes({name: recording.channels[name] for name in names}, noise)
@@ -255,7 +259,8 @@ def known_of(course: Course, rig: Rig, theta: np.ndarray, active: np.ndarray
 
 def has_flow(course: Course, rig: Rig) -> bool:
     """Tell whether a recording and its config hold a flow balance."""
-    return bool(rig.area_1 and rig.area_2) and course.omega is not None and course.p1 is not None
+    return bool(rig.area_1 and rig.area_2) and course.p1 is not None and (
+        course.omega is not None and bool(np.any(course.omega[course.good])))
 
 
 def direction_of(course: Course) -> np.ndarray:

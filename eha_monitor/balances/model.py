@@ -280,6 +280,8 @@ def _nominal(whole: Table, balance: str, rig: Rig) -> tuple[tuple[str, float, fl
 
 def _unseen_gate(model: Model, policy: Policy) -> Model:
     """Return the model, or the config's own where it leaves less on unseen parts."""
+    if not model.named and model.error > model.nominal_error:
+        return model.plain()  # nothing is said, and nothing is won
     if not model.error > model.nominal_error + policy.worse:
         return model
     refused = Refused("unseen_error", model.balance, (

@@ -1,6 +1,7 @@
 """The named terms of a balance as effects of the catalogue, and as wrong numbers of the config."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,8 +23,16 @@ DRY_SYMBOLS = {"F_c", "F_d"}
 LARGEST = 0.998  # quantile of a term that is its size
 
 
-def effects_of(model: Model, rig: Rig, policy: Policy) -> list[NamedEffect]:
-    """Return the named terms of a balance as effects; one that contains another holds both."""
+Effects = Mapping[str, Mapping[str, float]]
+
+
+def effects_of(model: Model, rig: Rig, policy: Policy, held: Effects) -> list[NamedEffect]:
+    """Return the named terms of a balance as effects; one that contains another holds both.
+
+    Parameters
+    ----------
+    held : effects of the config, which the terms add to.
+    """
     named = [t for t in model.terms if (t.named or _leaks_more(t, policy))
              and t.candidate.name not in LINEAR and not _within_tolerance(t, rig, policy)]
     groups: dict[str, list[Term]] = {}
@@ -32,7 +41,7 @@ def effects_of(model: Model, rig: Rig, policy: Policy) -> list[NamedEffect]:
     for effect in list(groups):
         for simpler in CATALOGUE[effect].contains if effect in CATALOGUE else ():
             groups[effect] += groups.pop(simpler, [])
-    return [_effect(name, terms, model, rig)
+    return [_effect(name, terms, model, rig, held.get(name, {}))
             for name, terms in _surest(_dry_as_one(groups, policy), policy).items()]
 
 
@@ -71,7 +80,8 @@ def _dry_as_one(groups: dict[str, list[Term]], policy: Policy) -> dict[str, list
                                    if effect not in dry}}
 
 
-def _effect(name: str, terms: Sequence[Term], model: Model, rig: Rig) -> NamedEffect:
+def _effect(name: str, terms: Sequence[Term], model: Model, rig: Rig, held: Mapping[str, float]
+            ) -> NamedEffect:
     entry, first = CATALOGUE.get(name), terms[0]
     values: dict[str, Value] = {}
     for term in terms:
@@ -80,20 +90,25 @@ def _effect(name: str, terms: Sequence[Term], model: Model, rig: Rig) -> NamedEf
             value = Value(values[symbol].value + value.value,
                           float(np.hypot(values[symbol].stddev, value.stddev)), value.unit)
         values[symbol] = value
+    had = []
+    for symbol in values.keys() & held.keys():
+        value = values[symbol]
+        had.append(f"the config has {quantity(held[symbol], value.unit, 4)}")
+        values[symbol] = replace(value, value=value.value + held[symbol])
     numbers = numbers_of(name, terms, values)
     whole = entry is not None and not any(term.each for term in terms) and all(
         p.name in values for p in entry.sizes if np.isfinite(p.neutral))
     said = entry.said(numbers) if whole else ""
     if not said:
         said = "; ".join(_said(term) for term in terms)
-    spread = [f"± {share(t.between / abs(t.value), 2)} between recordings" for t in terms
-              if t.between and t.value]
+    spread = [f"{t.candidate.symbol or t.candidate.name} ± {share(t.between / abs(t.value), 2)} "
+              "from recording to recording" for t in terms if t.between and t.value]
     rivals = tuple(dict.fromkeys(r for term in terms for r in (
         *term.rivals, *term.candidate.twins)))
     if name == "constant_load" and rig.area_1 and rig.area_2:
         rivals += tuple(r for r in FORCE_OF_SENSORS if r not in rivals)
     return NamedEffect(
-        name, model.balance, "; ".join([said, *spread]), values,
+        name, model.balance, "; ".join([said, *had, *spread]), values,
         max(sum(term.gained for term in terms), 0.0), rivals,
         entry.equation if entry else "", entry.rig_check if entry else "",
         size_of(terms, model), probability=max(
@@ -137,7 +152,11 @@ def config_effects(models: Sequence[Model], effects: Sequence[NamedEffect], sett
     for effect in effects:
         entry, model = CATALOGUE.get(effect.name), next(
             one for one in models if one.balance == effect.balance)
-        if entry is None or effect.name in found:
+        if entry is None:
+            continue
+        if effect.name in found:
+            found[effect.name] |= {symbol: value.value for symbol, value in
+                                   effect.parameters.items() if symbol in found[effect.name]}
             continue
         terms = [t for t in model.named if t.candidate.effect in (effect.name, *entry.contains)]
         numbers = numbers_of(effect.name, terms, effect.parameters)
