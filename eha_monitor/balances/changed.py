@@ -55,7 +55,7 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     verdict = ("consistent" if judged.belongs else "mismatch" if judged.explained
                else "unexplained")
     models = [_model(one) for one in judged.balances]
-    changes = tuple(_change(one, machine, settings, references) for one in moved
+    changes = tuple(_change(one, machine, settings) for one in moved
                     ) if verdict == "mismatch" else ()
     effects = tuple(_effect(one, change, models) for one, change in zip(
         moved, changes, strict=False) if change.symbol)
@@ -67,7 +67,7 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
         where = Location(weights, where.regime, where.intervals_s)
     return Diagnosis(
         tuple(one.source for one in recordings), verdict,
-        _message(verdict, changes, judged, references), where, effects,
+        _message(verdict, changes, judged, _runs(machine)), where, effects,
         _health(machine, judged, rig, before=True), _health(machine, judged, rig, before=False),
         "held_out", {one.balance: SignalFit(
             SIDES[one.balance], one.nominal_error * one.size, one.error * one.size, one.floor,
@@ -107,8 +107,13 @@ def _in_words(moved: Moved, settings: Settings) -> tuple[Value, Value, str]:
     return Value(*pair[0], moved.unit), Value(*pair[1], moved.unit), moved.unit
 
 
-def _change(moved: Moved, machine: Machine, settings: Settings, references: tuple[str, ...]
-            ) -> Change:
+def _runs(machine: Machine) -> str:
+    """Return what the recordings are compared with."""
+    count = len(machine.sources)
+    return f"{count} {'parts of the ' if machine.pieces else ''}healthy recordings"
+
+
+def _change(moved: Moved, machine: Machine, settings: Settings) -> Change:
     """Return the record of a number that has changed."""
     healthy, now, unit = _in_words(moved, settings)
     what = WHAT.get(moved.name, moved.effect)
@@ -116,8 +121,7 @@ def _change(moved: Moved, machine: Machine, settings: Settings, references: tupl
     words = WORDS.get(moved.name) or (
         name if moved.words in name else f"{name} ({moved.words})")
     symbol = "" if moved.name in WHAT else moved.symbol or moved.name
-    runs = (f"{len(machine.sources)} parts of the healthy recordings" if machine.pieces
-            else f"{len(references)} healthy recordings")
+    runs = _runs(machine)
     return Change(what, symbol, moved.balance, healthy, now, unit, (
         f"{words} is {with_uncertainty(now.value, now.stddev, unit)}, where {runs} have "
         f"{with_uncertainty(healthy.value, healthy.stddev, unit)}"),
@@ -159,8 +163,7 @@ def _health(machine: Machine, judged: Judged, rig: Rig, before: bool
     return found
 
 
-def _message(verdict: str, changes: Sequence[Change], judged: Judged,
-             references: tuple[str, ...]) -> str:
+def _message(verdict: str, changes: Sequence[Change], judged: Judged, runs: str) -> str:
     """Return the answer in a sentence."""
     if changes:
         return "; ".join(one.statement for one in changes)
@@ -173,7 +176,7 @@ def _message(verdict: str, changes: Sequence[Change], judged: Judged,
             f"{number(abs(largest.deviations), 2)} of their standard deviations; " + (
                 f"it makes less than {share(POLICY.worse)} of the {largest.balance}"
                 if beyond else f"the limit is {number(largest.limit, 2)}"))
-        return f"nothing has changed from {len(references)} healthy recordings{most}"
+        return f"nothing has changed from {runs}{most}"
     said = [f"{one.balance}: {share(one.error, 2)} of it unexplained, at most "
             f"{share(one.usual, 2)} in the healthy recordings" for one in judged.loud]
     return "an effect that is not in the catalogue has changed" + (

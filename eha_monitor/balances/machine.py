@@ -135,10 +135,11 @@ class MachineBalance:
 
 @dataclass(frozen=True)
 class Odd:
-    """A recording that does not belong, and why."""
+    """A recording that does not belong, and why; ``place`` among the machine's recordings."""
 
     source: str
     why: str
+    place: int = -1
 
 
 @dataclass(frozen=True)
@@ -228,7 +229,7 @@ def machine_of(recordings: Sequence[Recording], settings: Settings, vary: Sequen
 
 def healthy_machine(recordings: Sequence[Recording], settings: Settings,
                     policy: Policy = POLICY) -> Machine:
-    """Return the machine of healthy recordings, of however few.
+    """Return the machine of healthy recordings, of however few, without those that differ.
 
     Fewer than it needs are cut in parts; these do not hold what differs from one recording to
     the next, so a typical spread is added.
@@ -240,7 +241,15 @@ def healthy_machine(recordings: Sequence[Recording], settings: Settings,
     """
     courses = [course_of(recording, settings) for recording in recordings]
     if len(courses) >= policy.fewest:
-        return machine_from(courses, settings.rig, (), (), policy)
+        machine = machine_from(courses, settings.rig, (), (), policy)
+        strange = {one.place for one in machine.odd}
+        if not strange or len(courses) - len(strange) < policy.fewest:
+            return machine
+        # One of another machine would widen what healthy means until nothing has changed.
+        kept = machine_from([course for i, course in enumerate(courses) if i not in strange],
+                            settings.rig, (), (), policy)
+        return replace(kept, odd=tuple(replace(one, why=f"left out: {one.why}")
+                                       for one in machine.odd))
     seconds = sum(float(course.good.sum()) * course.dt for course in courses)
     if seconds < PIECES * SHORTEST_S:
         raise InputError(
@@ -429,17 +438,17 @@ def varies(value: np.ndarray, stddev: np.ndarray, size: float, policy: Policy) -
 def _odd(sources: Sequence[str], balances: Sequence[MachineBalance], policy: Policy
          ) -> tuple[Odd, ...]:
     """Return recordings whose error or parameter is far from those of all others."""
-    found: dict[str, Odd] = {}
+    found: dict[int, Odd] = {}
     for one in balances:
         log = np.log(np.maximum(one.error, 1e-12))
         middle = np.median(log)
         spread = max(1.4826 * float(np.median(np.abs(log - middle))), 0.1)
-        for source, value, error in zip(sources, log, one.error, strict=True):
+        for i, (source, value, error) in enumerate(zip(sources, log, one.error, strict=True)):
             if (value - middle) / spread > policy.odd and (
                     error - np.exp(middle) > policy.worse):
-                found.setdefault(source, Odd(source, (
+                found.setdefault(i, Odd(source, (
                     f"its {one.balance} is {100 * error:.0f} % unexplained, the others "
-                    f"{100 * np.exp(middle):.0f} %")))
+                    f"{100 * np.exp(middle):.0f} %"), i))
         each, stddevs = np.array(one.each), np.array(one.each_stddev)
         sure = {*BASE, *(name for family in one.named for name in family.terms)}
         for j, p in enumerate(one.parameters):
@@ -453,8 +462,8 @@ def _odd(sources: Sequence[str], balances: Sequence[MachineBalance], policy: Pol
                     np.sqrt(between**2 + stddev**2 + stddevs[i, j] ** 2), 1e-300)
                 small = one.levers and abs(each[i, j] - value) * one.levers[j] < policy.worse
                 if np.isfinite(far) and far > policy.odd and not small:
-                    found.setdefault(source, Odd(source, f"its {p.words} is {far:.1f} deviations "
-                                                         "from that of the others"))
+                    found.setdefault(i, Odd(source, f"its {p.words} is {far:.1f} deviations "
+                                            "from that of the others", i))
     return tuple(found.values())
 
 
