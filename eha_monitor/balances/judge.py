@@ -21,7 +21,6 @@ from eha_monitor.settings.monitor import Settings
 
 MOST_CHANGES = 3  # that are looked for in one balance
 WEARS = "F_c"
-HEALTH = ("B", "C_h")  # what alarms are set on matters in itself, not by its share of a signal
 OF_PLACE = ("spring_load", "position_load")  # they hold a load of their own
 ERROR = 1.5  # times the largest of the machine's own recordings: the balance does not belong
 
@@ -224,8 +223,7 @@ def _judged(machine: Machine, one: MachineBalance, table: Table, held: dict[str,
         before = error(with_oil(table, now, free, oil, policy))
         lower = before - error(with_oil(table, more, free, {
             key: value for key, value in oil.items() if key != name}, policy))
-        worn = name in HEALTH and abs(amount[i]) > policy.between * abs(held.get(name, 0.0))
-        if not (lower > policy.worse or worn or is_loud(before, max(one.held), one.size, table)):
+        if not (lower > policy.worse or is_loud(before, max(one.held), one.size, table)):
             complete = True  # too little to repair a machine for
             break
         equal.remove(i)
