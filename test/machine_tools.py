@@ -9,12 +9,15 @@ A_1, A_2 = np.pi / 4 * 0.040**2, np.pi / 4 * (0.040**2 - 0.025**2)  # m^2, rod o
 
 
 def stranger(seed=0, dry=180.0, rise=80.0, damping=(1500.0, 1275.0), load=338.0, mass=60.0,
-             seconds=24.0, dt=2e-3, late=0.0, dead=False, stop=False, presses=4000.0):
+             seconds=24.0, dt=2e-3, late=0.0, dead=False, stop=False, presses=4000.0, dwells=0,
+           spring=0.0):
     """Return a recording of an inclined single-rod cylinder with 12-bit sensors.
 
     B runs from the first to the second value of ``damping``; friction has a Stribeck ``rise``.
     ``late`` : delay of the pressures, s.  ``dead`` : samples that fall to nil or stand.
     ``stop`` : the end of the record presses against a stop with the force ``presses``.
+    ``dwells`` : so many stretches of 1.2 s at rest, in which friction holds any force.
+    ``spring`` : N/m, against which it moves.
     """
     rng = np.random.default_rng(seed)
     h = dt / 4
@@ -28,13 +31,21 @@ def stranger(seed=0, dry=180.0, rise=80.0, damping=(1500.0, 1275.0), load=338.0,
         last = t > seconds - 3.0
         x[last] = x[last][0] + (x.max() + 0.02 - x[last][0]) * np.minimum(
             1.0, (t[last] - t[last][0]) / 1.0)
+    rests = np.zeros(len(t), dtype=bool)
+    for start in np.linspace(3.0, seconds - 4.0, dwells):
+        hold = (t >= start) & (t < start + 1.2)
+        x = x.copy()
+        x[t >= start + 1.2] += x[hold][0] - x[hold][-1]
+        x[hold] = x[hold][0]
+        rests |= (t >= start + 0.02) & (t < start + 1.18)
     kernel = np.hanning(41) / np.hanning(41).sum()
     x = np.convolve(np.pad(x, 20, mode="edge"), kernel, mode="valid")
     v = np.gradient(x, h)
     a = np.gradient(v, h)
     b = np.linspace(*damping, len(t))
     friction = (dry + rise * np.exp(-((v / 0.01) ** 2))) * np.tanh(v / 2e-4)
-    force = mass * a + b * v + friction + load
+    reaction = 0.9 * (dry + rise) * np.sign(np.sin(1.7 * t)) * np.exp(-(t % 1.2))
+    force = mass * a + b * v + np.where(rests, reaction, friction) + load + spring * (x - 0.2)
     if stop:
         force[(t > seconds - 2.0)] = presses
     p2 = 8e5 + 2e5 * np.sin(0.7 * t)

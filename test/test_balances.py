@@ -7,6 +7,7 @@ import pytest
 from machine_tools import stranger, stranger_settings
 
 from eha_monitor.balances.answer import Asked, answered
+from eha_monitor.balances.baseline import baseline
 from eha_monitor.balances.candidates import Scale, candidates_of
 from eha_monitor.balances.changed import against
 from eha_monitor.balances.course import course_of
@@ -136,3 +137,51 @@ def test_nothing_is_said_of_a_recording_at_rest(settings):
     still = replace(still, channels={**still.channels, "x": np.full(len(still), 0.2) + 1e-6
                                      * np.random.default_rng(0).standard_normal(len(still))})
     assert answered([still], settings).verdict == "insufficient_data"
+
+
+def test_what_friction_holds_at_rest_is_no_law_of_motion(settings):
+    course = course_of(stranger(3, dwells=6, rise=0.0), settings)
+    found = answered([stranger(3, dwells=6, rise=0.0)], settings)
+    (dry,) = [effect for effect in found.effects if "F_c" in effect.parameters]
+    assert dry.parameters["F_c"].value == pytest.approx(180.0, rel=0.05)
+    assert found.after["B"].value == pytest.approx(1390.0, rel=0.08)  # 1500 falling to 1275
+    assert found.signals["force"].after_rms < 0.05 * found.signals["force"].signal_rms
+    assert 0.3 < course.counted("force").sum() / course.good.sum() < 0.7
+    assert (course.counted("flow") == course.good).all()
+
+
+def test_the_first_view_knows_the_spring_of_the_config(settings):
+    recording = stranger(4, spring=4000.0)
+    known = with_effects(settings, spring_load={"k": 4000.0, "x_0": 0.2})
+    blind, seeing = baseline(recording, settings).force, baseline(recording, known).force
+    assert seeing["F_c"].value == pytest.approx(185.0, abs=12.0)
+    assert seeing.unseen_share < 0.06 < blind.unseen_share
+
+
+def test_a_load_in_which_the_healthy_agree_may_change(settings):
+    healthy = healthy_machine([stranger(seed) for seed in range(4)], settings)
+    found = against(healthy, [stranger(7, load=438.0)], settings, ("healthy",) * 4)
+    (change,) = found.changes
+    assert change.what == "constant_load"
+    assert change.now.value == pytest.approx(438.0, abs=6.0)
+    assert change.reference.value == pytest.approx(338.0, abs=4.0)
+    assert "pressure_offset" in change.indistinguishable_from
+    assert against(healthy, [stranger(8)], settings, ("healthy",) * 4).verdict == "consistent"
+
+
+def test_more_friction_at_another_damping_is_more_friction(settings):
+    healthy = healthy_machine([stranger(seed, damping=(1500.0 + 60.0 * k,) * 2)
+                               for seed, k in enumerate((-1, 0, 1, 0.5))], settings)
+    found = against(healthy, [stranger(7, dry=270.0, damping=(1380.0, 1380.0))], settings,
+                    ("healthy",) * 4)
+    assert found.changes[0].what == "coulomb_friction"
+    assert found.changes[0].now.value - found.changes[0].reference.value == pytest.approx(
+        90.0, abs=9.0)
+
+
+def test_a_reference_of_another_machine_is_left_out(settings):
+    healthy = [stranger(seed) for seed in range(4)]
+    mixed = healthy_machine([*healthy, stranger(9, damping=(4500.0, 4500.0), dry=500.0)], settings)
+    assert len(mixed.sources) == 4 and [one.place for one in mixed.odd] == [4]
+    worn = against(mixed, [stranger(7, dry=270.0)], settings, ("healthy",) * 5)
+    assert worn.changes[0].what == "coulomb_friction"
