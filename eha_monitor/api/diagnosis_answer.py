@@ -48,6 +48,7 @@ def answer(found: Diagnosis) -> dict:
         "message": found.message,
         "bags": found.bags,
         "health": found.health,
+        "remarks": found.remarks,
         "agreement": [{"part": one.part, "before": _values(one.before),
                        "after": _values(one.after)} for one in found.agreement],
         "considered": [asdict(one) for one in found.considered],

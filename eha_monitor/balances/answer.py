@@ -105,7 +105,9 @@ def answered(recordings: Sequence[Recording], settings: Settings, asked: Asked =
         found, bags=tuple(one.source for one in recordings),
         data="held_out" if asked.held_out is None else "held_out_bag", baselines=baselines,
         advice=advice_of(models, rig, policy, machine) + found.advice,
-        health=found.health + (lines_of(machine) if machine is not None else ()) + left_out,
+        health=found.health + (() if machine is None else tuple(
+            f"{one.source} does not belong: {one.why}" for one in machine.odd)) + left_out,
+        remarks=() if machine is None else lines_of(machine),
         considered=untestable, machine=machine,
         agreement=_agreement(models, courses), policy=policy.to_dict(),
         duration_s=sum(one.duration for one in recordings),
@@ -399,5 +401,4 @@ def lines_of(machine: Machine) -> tuple[str, ...]:
                 f"{one.balance}: the catalogue is incomplete: {share(one.repeats, 2)} of the "
                 f"squared error repeats from recording to recording; {share(where.energy, 2)} of "
                 f"it lies {where.name}, {share(where.time, 2)} of the time")
-    found += [f"{one.source} does not belong: {one.why}" for one in machine.odd]
     return tuple(found)

@@ -155,7 +155,8 @@ def judge(machine: Machine, recordings: Sequence[Recording], settings: Settings)
         signed = {c.name for c in candidates if c.sign and c.effect not in settings.effects}
         found.append(replace(_judged(machine, one, table, held, free, common.get("F_0"), signed),
                              each=tuple(tables)))
-        fitted = [*(name for name in found[-1].now if name in table.places), *free]
+        fitted = list(dict.fromkeys([
+            *(name for name in found[-1].now if name in table.places), *free]))
         # All together: else damping takes up the friction that came.
         values |= {name: row for name, *row in zip(fitted, *parameters_of(table, fitted),
                                                    strict=True) if name in held}

@@ -293,6 +293,7 @@ class Diagnosis:
     before, after : ``B`` and ``beta_e`` without and with the named effects.
     data : ``held_out`` or ``held_out_bag``: on what the fit was shown.
     health : sentences on what the mismatch did to the health estimate.
+    remarks : what else several recordings of a machine say together, for the researcher.
     config_effects : the ``effects:`` section that holds the named physics.
     pieces : where a parameter changed and nothing else is missing, the data in pieces; ``after``
         and ``signals`` are then of the last one.
@@ -349,6 +350,7 @@ class Diagnosis:
     baselines: tuple[Baseline, ...] = ()
     machine: Machine | None = None
     policy: dict[str, float] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
 
 
 NOTABLE = 0.02  # relative change of a health parameter that is worth a sentence
