@@ -144,7 +144,8 @@ def of_recordings(courses: Sequence[Course], rig: Rig, scale: Scale, balance: st
         balance, tuple(tables), tuple({k: v for k, v in row.items() if v is not None}
                                       for row in weights),
         _terms_alone(whole, found, len(tables), policy), found.refused,
-        _nominal(whole, balance, rig), tuple(np.split(whole.crosswise(bare, held), lengths)),
+        _nominal(whole, balance, rig, policy),
+        tuple(np.split(whole.crosswise(bare, held), lengths)),
         tuple(np.split(whole.crosswise(names), lengths)), tuple(tables), found.effective_samples)
     return _unseen_gate(model, policy)
 
@@ -244,7 +245,8 @@ def of_machine(one: MachineBalance, courses: Sequence[Course], rig: Rig, scale: 
     weights = tuple(shared | {s.name: s.value[i] for s in one.settings}
                     for i in range(len(tables)))
     model = Model(one.balance, tuple(tables), weights, tuple(terms), one.refused,
-                  _nominal(whole, one.balance, rig), tuple(Recordings(plain).left_out(bare)),
+                  _nominal(whole, one.balance, rig, policy),
+                  tuple(Recordings(plain).left_out(bare)),
                   tuple(after), tuple(tables), one.effective)
     return _unseen_gate(model, policy)
 
@@ -270,10 +272,13 @@ def _whole_share(tables: Sequence[Table], left: Sequence[np.ndarray]) -> float:
         sizes)
 
 
-def _nominal(whole: Table, balance: str, rig: Rig) -> tuple[tuple[str, float, float], ...]:
+def _nominal(whole: Table, balance: str, rig: Rig, policy: Policy
+             ) -> tuple[tuple[str, float, float], ...]:
     """Return the parameters of the config's linear model on a pooled table."""
     names, held = nominal_of(balance, rig)
-    values, stddev = parameters_of(whole, names, held)
+    values, chance = parameters_of(whole, names, held)
+    lasting = form_and_doubts(whole, names, whole.rms(whole.crosswise(names, held)), policy)
+    stddev = np.hypot(chance, np.sqrt(np.diag(lasting))).tolist()
     return (*zip(names, values, stddev, strict=True),
             *((name, value, 0.0) for name, value in held.items()))
 
