@@ -243,8 +243,8 @@ def is_open(model: Model, policy: Policy) -> bool:
 
 
 def agrees(model: Model, policy: Policy) -> bool:
-    """Tell whether the config's own model explains a balance: it leaves less than a tenth."""
-    return not model.nominal_error > max(policy.small, policy.clean * model.floor / model.size)
+    """Tell whether the config's own model explains a balance: it leaves less than ``near``."""
+    return not model.nominal_error > max(policy.near, policy.clean * model.floor / model.size)
 
 
 def known_of(models: Sequence[Model], rig: Rig, policy: Policy, nominal: bool = False
