@@ -129,7 +129,7 @@ def baseline(recording: Recording, settings: Settings) -> Baseline:
     if columns is None:
         missing["flow"] = "needs the channels omega, p1 and p2, and rig.area_1 and area_2"
     else:
-        flow = fitted(course, course.good, *columns)
+        flow = fitted(course, course.counted("flow"), *columns)
         if flow is None:
             missing["flow"] = "too little motion"
     return Baseline(recording.source, force, flow, missing)
@@ -156,7 +156,7 @@ def force_fit(course: Course, rig: Rig, known: np.ndarray | float = 0.0) -> Bala
     one, speed = np.ones(len(course)), np.abs(course.v) / max(course.speed, 1e-300)
     inertia, damping, force = UNITS[rig.motion]
     bent = [course.v * speed, *(course.direction * np.exp(-speed / slow) for slow in SLOW)]
-    return fitted(course, course.moving, course.force - known, (
+    return fitted(course, course.counted("force"), course.force - known, (
         ("M", inertia, "moving mass", 1, course.a),
         ("B", damping, "viscous damping", 1, course.v),
         ("F_c", force, "dry friction", 1, course.direction),

@@ -9,13 +9,12 @@ from eha_monitor import ties
 from eha_monitor.balances.alone import parameters_of
 from eha_monitor.balances.candidates import balances_in, candidates_of
 from eha_monitor.balances.course import course_of
-from eha_monitor.balances.least_squares import minimum_norm
 from eha_monitor.balances.machine import Machine, MachineBalance, Setting, oil_of
 from eha_monitor.balances.named import FORCE_OF_SENSORS
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.balances.scatter import Amplitudes, Scatter, amplitudes_of, limit_of, ridge_of
 from eha_monitor.balances.table import Table, pooled_table, tables_of
-from eha_monitor.balances.together import setting_of, unseen
+from eha_monitor.balances.together import minimum_norms, setting_of, unseen
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
 
@@ -282,13 +281,10 @@ def with_oil(table: Table, weights: dict[str, float], free: Sequence[str],
     if not oil:
         return weights
     places = [table.places[name] for name in (*free, *oil)]
-    mixture = np.zeros(table.rows.shape[1])
-    mixture[0] = 1.0
-    for name, value in weights.items():
-        mixture[table.places[name]] = -value
     ridge = np.diag([*np.zeros(len(free)), *ridge_of(table, oil)])
-    moved = minimum_norm(table.gram[np.ix_(places, places)] + ridge,
-                         table.gram[places] @ mixture)[len(free) :]
+    side = table.gram[places] @ table.mixture(table.gram, (), weights)
+    moved = minimum_norms(table.gram[np.ix_(places, places)] + ridge,
+                          side[:, None])[len(free) :, 0]
     most = policy.varied * np.fromiter(oil.values(), float, len(oil))
     return weights | {name: weights.get(name, 0.0) + float(step)
                       for name, step in zip(oil, np.clip(moved, -most, most), strict=True)}

@@ -41,11 +41,6 @@ class Amplitudes:
     response: np.ndarray
     left: float
 
-    @property
-    def energy(self) -> np.ndarray:
-        """Squares of the residual that each term alone would remove, (k,)."""
-        return self.value**2 * self.power
-
     def with_others(self, oil: Mapping[str, float], mean: Sequence[float], most: float
                     ) -> tuple[np.ndarray, np.ndarray]:
         """Return by how much each term has moved and the squares that are gone with it, (k,) each.
