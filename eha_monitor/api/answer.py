@@ -1,6 +1,7 @@
 """What ``estimate`` answers: the alarms of a recording, and the JSON of the contract."""
 
-from dataclasses import asdict
+import math
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from eha_monitor.estimation.results import (
     StageResult,
     converged_where,
 )
-from eha_monitor.health.alarms import Alarm, ParameterSeries, judge_series
+from eha_monitor.health.alarms import NEAR_S, Alarm, ParameterSeries, judge_series
 from eha_monitor.output import finite
 from eha_monitor.recordings.columns import blocks
 from eha_monitor.recordings.recording import Recording
@@ -26,7 +27,7 @@ def judged(found: Estimate) -> tuple[tuple[Alarm, ...], tuple[Alarm, ...]]:
     temperature = recording.get("temperature") if recording.has("temperature") else None
     measured = recording.get("x") if recording.has("x") else None
     return judge_series(found.settings, time_of(recording), series_of(found), temperature,
-                        measured, found.model.tainted)
+                        measured, found.model.tainted, found.beside)
 
 
 def series_of(found: Estimate) -> dict[str, ParameterSeries]:
@@ -39,6 +40,30 @@ def series_of(found: Estimate) -> dict[str, ParameterSeries]:
         stage.estimate, stage.value, stage.stddev,
         lambda value, stddev, prior=priors[name]: converged_where(value, stddev, *prior))
         for name, stage in stages.items()}
+
+
+def judged_series(found: Estimate) -> dict[str, ParameterSeries]:
+    """Return each parameter as the alarms judge it: by least squares where its stage is in doubt.
+
+    What nothing determines has not converged.  The stage's value from before the mismatch showed
+    counts no more: a model that does not fit did not fit before either.
+    """
+    series, time = series_of(found), time_of(found.recording)
+    times = [one.time_s for one in found.beside]
+    for name, taint in found.model.tainted.items():
+        one = series[name]
+        if not len(one.value):
+            continue
+        looks = [known if known is not None and known.status == "converged" else None
+                 for known in (beside.parameters.get(name) for beside in found.beside)]
+        place = np.searchsorted(times, time - time[0] + NEAR_S, side="right")
+        value, stddev = (np.array([math.nan, *(
+            getattr(look, key) if look else math.nan for look in looks)])[place]
+            for key in ("value", "stddev"))
+        series[name] = ParameterSeries(
+            found.best[name] if taint.instead else replace(one.final, status="not_excited"),
+            value, stddev, np.isfinite(value))
+    return series
 
 
 def unhealthy(found: Estimate, alarms: tuple[Alarm, ...]) -> bool:
@@ -62,6 +87,8 @@ def answer(found: Estimate, alarms: tuple[Alarm, ...], history: tuple[Alarm, ...
         "model": asdict(found.model),
         "stages": {stage.stage: _stage(stage) for stage in (found.stage_one, found.stage_two)},
         "joint": _joint(found),
+        "least_squares": [{"time_s": one.time_s, "parameters": {
+            name: _parameter(p) for name, p in one.parameters.items()}} for one in found.beside],
         "observability": None if observable is None else [
             asdict(row) for row in observable.rows],
         "noise": {name: asdict(level) for name, level in found.noise.items()},

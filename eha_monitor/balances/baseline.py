@@ -146,21 +146,24 @@ def beside(course: Course, settings: Settings) -> np.ndarray:
     return known_of(course, rig, *theta_of(rig, kept))["force"] - rig.mass * course.a
 
 
-def force_fit(course: Course, rig: Rig, known: np.ndarray | float = 0.0) -> BalanceFit | None:
+def force_fit(course: Course, rig: Rig, known: np.ndarray | float = 0.0,
+              held: bool = False) -> BalanceFit | None:
     """Return the force balance on samples that move; None where too few do.
 
     Parameters
     ----------
     known : (m,) N, what else the config knows to act.
+    held : ``known`` holds all dry friction; that it may be another is in the deviations.
     """
     one, speed = np.ones(len(course)), np.abs(course.v) / max(course.speed, 1e-300)
     inertia, damping, force = UNITS[rig.motion]
     bent = [course.v * speed, *(course.direction * np.exp(-speed / slow) for slow in SLOW)]
-    return fitted(course, course.counted("force"), course.force - known, (
-        ("M", inertia, "moving mass", 1, course.a),
-        ("B", damping, "viscous damping", 1, course.v),
-        ("F_c", force, "dry friction", 1, course.direction),
-        ("F_0", force, "constant load", 0, one)), bent)
+    dry = ("F_c", force, "dry friction", 1, course.direction)
+    columns = (("M", inertia, "moving mass", 1, course.a),
+               ("B", damping, "viscous damping", 1, course.v), *(() if held else (dry,)),
+               ("F_0", force, "constant load", 0, one))
+    return fitted(course, course.counted("force"), course.force - known, columns,
+                  [course.direction, *bent] if held else bent)
 
 
 def flow_columns(course: Course, rig: Rig) -> tuple | None:

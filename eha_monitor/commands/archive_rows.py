@@ -242,6 +242,8 @@ def estimate_columns(tree: dict) -> dict:
     for name in PARAMETERS:
         one = tree["parameters"][name]
         taint = tree["model"]["tainted"].get(name)
+        if taint and taint["instead"]:
+            one, taint = taint["instead"], None
         row |= {name: one["value"], f"{name}_stddev": one["stddev"], f"{name}_unit": one["unit"],
                 f"{name}_status": one["status"], f"{name}_doubt": taint and taint["reason"]}
     words = [Alarm(**alarm).word for alarm in tree["alarms"]]
@@ -263,7 +265,7 @@ def _at_reference(found: "Estimate") -> dict:
     from eha_monitor.health.alarms import viscosity_factor
 
     warmth = found.recording.get("temperature")
-    warmth, damping = warmth[np.isfinite(warmth)], found.parameters["B"]
+    warmth, damping = warmth[np.isfinite(warmth)], found.best["B"]
     if not len(warmth):
         return {}
     row = {"temperature_C": float(warmth[-1])}

@@ -12,7 +12,7 @@ from rich.table import Table
 from eha_monitor.balances.baseline import Baseline, baseline
 from eha_monitor.balances.baseline import sentence as baseline_sentence
 from eha_monitor.estimation.results import Estimate
-from eha_monitor.health.alarms import NO_LIMIT, NOT_JUDGED, Alarm
+from eha_monitor.health.alarms import BALANCES, NO_LIMIT, NOT_JUDGED, Alarm
 from eha_monitor.indicators.indicator import AVAILABLE, NEEDS, NONE, NOT_LOOKED_FOR, Indicator
 from eha_monitor.mismatch.diagnosis import Diagnosis
 from eha_monitor.plausibility.sheet import against_sheet
@@ -75,6 +75,8 @@ def show(found: Estimate, alarms: tuple[Alarm, ...], written: list[Path],
                   f" (computed in {found.wall_s:.2f} s{speed})")
     to.print(_estimated(found))
     for parameter in found.parameters.values():
+        if parameter.name in found.model.tainted and parameter.name not in found.doubted:
+            continue
         if found.model.status == "mismatch" and parameter.status == "not_excited":
             to.print(f"{SYMBOLS.get(parameter.name, parameter.name)} is not determined while the "
                      "model does not fit (below)")
@@ -128,11 +130,15 @@ def _estimated(found: Estimate) -> Table:
             for stage in (found.stage_one, found.stage_two)]
     if found.joint is not None:
         rows += [("joint", parameter) for parameter in found.joint.parameters.values()]
+    rows += [(f"{BALANCES[name]} balance", taint.instead)
+             for name, taint in found.model.tainted.items() if taint.instead]
     for estimator, p in rows:
         # What must not be used does not speak like what may.
         value = p.shown if p.status == "converged" or p.shown == "—" else f"[dim]({p.shown})[/]"
         status = _coloured(p.status)
-        if p.status == "converged" and estimator != "joint" and p.name in found.model.tainted:
+        if estimator.endswith("balance"):
+            status = "[green]least squares[/], used by the alarms"
+        elif p.status == "converged" and estimator != "joint" and p.name in found.model.tainted:
             value, status = f"[dim]{value}[/]", "converged, [yellow]in doubt[/]"
         shown.add_row(estimator, SYMBOLS.get(p.name, p.name), value, status)
     return shown

@@ -53,21 +53,25 @@ def thresholds(bags: tuple[Path, ...], config: Path | None, rate: float, least: 
 
     settings = load_settings(config)
     healthy, told, unfit, seconds = _healthy(bags, settings, config)
-    remedy = _remedy(list(unfit), bags, config, bool(settings.rig.identified))
+    diagnosed = bool(settings.rig.identified)
+    remedy = [] if diagnosed else _remedy(list(unfit), bags, config)
     if not any(healthy.values()):
         raise InputError("; ".join([
             f"{bags[0]}: expected at least one recording in which B or βe converges", *told,
             *(["run `" + "`, then `".join(remedy) + "`"] if remedy else [])]))
     proposals = [proposed(symbol, found, rate, least)
                  for symbol, found in healthy.items() if found]
-    if remedy:
-        told += [f"the model does not fit {len(unfit)} of {len(bags)} recordings "
-                 f"({', '.join(map(str, unfit))}), so {_biased(unfit)} biased by what it lacks; "
-                 "limits with the diagnosed model:", *(f"  {command}" for command in remedy)]
-        if settings.rig.identified:  # it was diagnosed once, and may not fit after another time
+    if unfit:
+        told.append(f"the model does not fit {len(unfit)} of {len(bags)} recordings "
+                    f"({', '.join(map(str, unfit))}): there B and βe are by least squares on the "
+                    "balances, as the alarms judge them")
+        if remedy:
+            told += ["the diagnosed model brings narrower limits:",
+                     *(f"  {command}" for command in remedy)]
+        if diagnosed and any(len(found) < len(bags) for found in healthy.values()):
             words = ["diagnose", "NOW", "--reference", *map(str, bags), "--config", "DRAFT.yaml"]
-            told += ["where it does not fit after that either, use no limits, but compare the "
-                     "next recording (NOW) with these, by the config that init drafted:",
+            told += ["what is left out shows in a comparison of the next recording (NOW) with "
+                     "these, by the config that init drafted:",
                      f"  eha-monitor {shlex.join(words)}"]
     _show(proposals, told, seconds, settings)
     if json_file:
@@ -79,10 +83,10 @@ def thresholds(bags: tuple[Path, ...], config: Path | None, rate: float, least: 
 
 
 def _healthy(bags, settings, config):
-    """Return what each recording says of each symbol, sentences, misfits, the usual length, s."""
+    """Return what each recording says, sentences, where the model does not fit, usual length."""
     import numpy as np
 
-    from eha_monitor.api.answer import series_of
+    from eha_monitor.api.answer import judged_series
     from eha_monitor.api.estimate import refuse_short
     from eha_monitor.api.read import checked
     from eha_monitor.compiled import load_runtime
@@ -93,7 +97,7 @@ def _healthy(bags, settings, config):
     from eha_monitor.recordings.read import read_recording
 
     load_runtime()
-    found, told, unfit, seconds = {"B": [], "beta_e": []}, [], {}, []
+    found, told, unfit, seconds = {"B": [], "beta_e": []}, [], [], []
     for bag in bags:
         with working(f"estimating {bag}"):
             recording = read_recording(bag, settings)
@@ -102,42 +106,28 @@ def _healthy(bags, settings, config):
             answer = estimate(recording, settings)
         seconds.append(recording.duration)
         warmth = recording.get("temperature") if recording.has("temperature") else None
-        for symbol, series in series_of(answer).items():
+        for symbol, series in judged_series(answer).items():
             one = healthy_of(str(bag), symbol, time_of(recording), series, settings, warmth)
             if one is not None:
                 found[symbol].append(one)
                 continue
             why = series.final.message or series.final.status
-            if answer.model.status == "mismatch" and series.final.status != "no_data":
+            if symbol in answer.doubted:
                 why = "it is not determined while the model does not fit"
             told.append(f"{bag}: {SYMBOLS.get(symbol, symbol)} is left out: {why}")
         if answer.model.status == "mismatch":
-            unfit[bag] = set(answer.model.tainted)
+            unfit.append(bag)
     return found, told, unfit, float(np.median(seconds))
 
 
-def _biased(unfit) -> str:
-    """Return whose values a model error moves, with the verb."""
-    from eha_monitor.quantity import SYMBOLS
-
-    names = [SYMBOLS.get(name, name) for name in ("B", "beta_e") if any(
-        name in tainted for tainted in unfit.values())]
-    return f"{names[0]} is" if len(names) == 1 else "B and βe are"
-
-
-def _remedy(unfit, bags, config, diagnosed) -> list[str]:
-    """Return the commands that bring limits with a model that fits; none where it does.
-
-    What one recording has shown is in a config that was ``diagnosed``; all together show more.
-    """
+def _remedy(unfit, bags, config) -> list[str]:
+    """Return the commands that bring limits with a diagnosed model; none where it fits."""
     if not unfit:
         return []
     given = ["--config", str(config)] if config else []
-    better = "diagnosed.yaml" if not config or config.name != "diagnosed.yaml" else "again.yaml"
     return [f"eha-monitor {shlex.join(words)}" for words in (
-        ["diagnose", *map(str, unfit if diagnosed else unfit[:1]), *given, "--write-config",
-         better],
-        ["thresholds", "--from", *map(str, bags), "--config", better, "--write-config",
+        ["diagnose", *map(str, unfit), *given, "--write-config", "diagnosed.yaml"],
+        ["thresholds", "--from", *map(str, bags), "--config", "diagnosed.yaml", "--write-config",
          "judged.yaml"])]
 
 

@@ -13,7 +13,14 @@ from types import MappingProxyType
 
 import numpy as np
 
-from eha_monitor.estimation.results import Consistency, JointResult, Mismatch, ModelStatus, Taint
+from eha_monitor.estimation.results import (
+    Consistency,
+    JointResult,
+    Mismatch,
+    ModelStatus,
+    ParameterEstimate,
+    Taint,
+)
 from eha_monitor.physics.own_term import BY_ANGLE, OF, OF_UNITS
 from eha_monitor.quantity import quantity, share
 from eha_monitor.settings.monitor import Settings
@@ -26,7 +33,6 @@ LONGEST_FITTING_S = 60.0
 MOVED = 0.05
 TRIAL_S = 2.5
 LONGEST_TRIAL_S = 5.0  # dry friction that appears is told within so long (measured: 2 to 5 s)
-MATTERS = 0.02  # relative change of beta_e by a wrong B that matters
 
 _ORDER = ("one", "two", "joint")
 
@@ -165,15 +171,17 @@ class Trial:
         return self._low[0][1], self._high[0][1]
 
 
-def tainted_by(mismatches: Iterable[Mismatch], by_damping: float = math.inf,
-               reaches: Mapping[str, float] = MappingProxyType({})) -> dict[str, Taint]:
+def tainted_by(mismatches: Iterable[Mismatch],
+               beside: Mapping[str, ParameterEstimate] = MappingProxyType({})
+               ) -> dict[str, Taint]:
     """Return which of ``B`` and ``beta_e`` the mismatches that stand put in doubt, and why.
+
+    Stage two holds the force balance as well, so what that lacks moves beta_e too.
 
     Parameters
     ----------
     mismatches : those that stand.
-    by_damping : relative change of beta_e that a wrong B could have made; inf if unknown.
-    reaches : by symbol, how far they can have moved it, see :class:`Taint`.
+    beside : what least squares determine (:mod:`balances.parameters`).
     """
     found: dict[str, Taint] = {}
     for mismatch in sorted(mismatches, key=lambda m: _ORDER.index(m.stage)):
@@ -181,13 +189,9 @@ def tainted_by(mismatches: Iterable[Mismatch], by_damping: float = math.inf,
                       f"({mismatch.balance})", mismatch.since_s)
         if mismatch.stage in ("one", "joint"):
             found["B"] = taint
-        if mismatch.stage in ("two", "joint"):
-            found["beta_e"] = taint  # its own reason goes before that of B
-        elif not by_damping <= MATTERS:
-            found["beta_e"] = replace(taint, reason=f"{taint.reason}; the estimate of the bulk "
-                                                    "modulus uses that B")
-    return {name: replace(taint, reach=reaches.get(name, math.inf))
-            for name, taint in found.items()}
+        found["beta_e"] = taint  # its own reason goes before that of B
+    known = {name: one for name, one in beside.items() if one.status == "converged"}
+    return {name: replace(taint, instead=known.get(name)) for name, taint in found.items()}
 
 
 def model_status(verdicts: Iterable[Consistency | None],

@@ -5,23 +5,22 @@ from dataclasses import replace
 
 import numpy as np
 
+from eha_monitor.balances.parameters import along
 from eha_monitor.breakdown import computing
 from eha_monitor.estimation.consistency import Window, stage_verdict
-from eha_monitor.estimation.discretisation import C_PLACE
 from eha_monitor.estimation.hold_choice import SAMPLED, HoldDecision, resolved, with_hold
-from eha_monitor.estimation.inputs import Inputs, StageInputs, inputs_of, time_of
+from eha_monitor.estimation.inputs import Inputs, inputs_of, time_of
 from eha_monitor.estimation.joint import fits, run_joint
 from eha_monitor.estimation.model_watch import beyond, model_status, ranges_of, tainted_by, within
-from eha_monitor.estimation.reach import WINDOW_S, Reaches, finished, reaches_of
 from eha_monitor.estimation.results import (
     BALANCE,
     CONVERGED,
     ONE,
     STAGES,
     TWO,
+    Beside,
     Estimate,
     Event,
-    JointResult,
     Mismatch,
     ModelStatus,
     ParameterEstimate,
@@ -38,7 +37,6 @@ from eha_monitor.settings.monitor import Settings
 
 COARSE = 1.5  # rad of the resonance in a sample
 MATTERS = 0.3  # standard deviations by which two holds must differ to be worth a word
-LOOKS = 3  # stretches from which the reach of a misfit is read
 
 
 def estimate(recording: Recording, settings: Settings) -> Estimate:
@@ -87,13 +85,15 @@ def estimate_held(recording: Recording, settings: Settings, size: int | None = N
     seen = [row for stage in (one, two) if fits(stage) for row in stage.changes]
     since = max((int(row[0]) + 1 for row in seen), default=0)
     joint = run_joint(inputs, recording, settings, one, two, since)
+    status = model_status((one.consistency, two.consistency), joint)
+    beside = tuple(along(recording, settings)) if status.status == "mismatch" else ()
     return Estimate(
         recording, settings, one, two, joint,
-        within(tested_model((one, two), joint, settings, inputs, damping[0]),
+        within(tested_model(status, (one, two), beside),
                beyond(ranges_of(settings), sample_of(recording).channels, recording.sample_time,
                       settings.rig.position_gain), 0.0),
         tuple(sorted(events, key=lambda event: event.time_s)), inputs.noise,
-        warnings=tuple(warnings_of(inputs, settings)))
+        warnings=tuple(warnings_of(inputs, settings)), beside=beside)
 
 
 def either(one: Estimate, other: Estimate, decision: HoldDecision) -> Estimate:
@@ -161,13 +161,11 @@ def run_stage_two(inputs: Inputs, recording: Recording, settings: Settings,
         from eha_monitor.estimation.reference_stages import run_printed
 
         out = list(run_printed(inputs.part(0, inputs.rows), settings, damping[0]))
-        seen, sensitivity = Changes(), np.nan
+        seen = Changes()
     else:
         found = run_stage_two_kernel(inputs, settings, *damping)
-        out, seen, state = found.out, Changes(found.changes), found.state
-        sensitivity = -float(state.sens[C_PLACE] / max(state.x[C_PLACE], 1e-9))
-    found = stage_result(TWO, out, seen, inputs, recording, settings, events)
-    return replace(found, sensitivity=sensitivity) if len(found.value) else found
+        out, seen = found.out, Changes(found.changes)
+    return stage_result(TWO, out, seen, inputs, recording, settings, events)
 
 
 def empty_stage(stage: Stage, settings: Settings, reason: str) -> StageResult:
@@ -261,43 +259,23 @@ def hand_over(one: StageResult, settings: Settings, recording: Recording, events
     return steps_to(n, rows, dampings), steps_to(n, rows, variances)
 
 
-def tested_model(stages: tuple[StageResult, StageResult], joint: JointResult | None,
-                 settings: Settings, inputs: Inputs, damping: np.ndarray) -> ModelStatus:
+def tested_model(status: ModelStatus, stages: tuple[StageResult, StageResult],
+                 beside: tuple[Beside, ...]) -> ModelStatus:
     """Return the verdict on the model with the misfits behind it and what they taint.
 
-    ``damping`` is the (n,) B that stage two had.
+    Parameters
+    ----------
+    status : the verdict alone.
+    beside : least squares along the recording; the last one stands for its end.
     """
-    one, two = stages
-    status = model_status((one.consistency, two.consistency), joint)
     if status.status != "mismatch":
         return status
     found = [Mismatch.of(stage.stage, v) for stage in stages
              if (v := stage.consistency) is not None and not v.consistent]
     if not found:
         found = [Mismatch("joint", BALANCE["joint"], 0.0, np.nan, np.nan, np.nan, status.message)]
-    bias = one.estimate.value - settings.rig.viscous_damping
-    reaches = Reaches()
-    for part in _looks(found, stages, inputs):
-        reaches.note(0.0, finished(reaches_of(
-            [m.stage for m in found], part, settings,
-            {"B": one.estimate, "beta_e": two.estimate}, (damping[-1], two.sensitivity))))
-    return replace(status, mismatches=tuple(found),
-                   tainted=tainted_by(found, abs(two.sensitivity * bias), reaches.most()))
-
-
-def _looks(found: list[Mismatch], stages: tuple[StageResult, StageResult], inputs: Inputs
-           ) -> list[StageInputs]:
-    """Return stretches from which it is read how far a misfit can have moved the parameters.
-
-    They lie between its beginning, or the last change of a parameter, and the end.
-    """
-    n = inputs.rows
-    length = min(n, round(WINDOW_S / inputs.dt))
-    first = [m.since_s / inputs.dt for m in found if np.isfinite(m.since_s)]
-    changed = [row[0] for stage in stages for row in stage.changes[-1:]]
-    begin = min(max((min(first, default=0), *changed)), n - length)
-    starts = np.unique(np.linspace(begin, n - length, LOOKS).astype(int))
-    return [inputs.part(start, start + length) for start in starts.tolist()]
+    return replace(status, mismatches=tuple(found), tainted=tainted_by(
+        found, beside[-1].parameters if beside else {}))
 
 
 def warnings_of(inputs: Inputs, settings: Settings) -> list[str]:

@@ -87,7 +87,6 @@ class StageResult:
     position, velocity, acceleration : (n,) estimated states, SI; NaN where the stage has none.
     innovation, innovation_stddev : (n,) m; NaN where nothing was measured.
     consistency : verdict on the innovations, or None without data.
-    sensitivity : of stage two: relative change of its parameter with B, per N·s/m.
     changes : (k, 4) detected changes of the parameter: sample, before, after, samples that
         showed it.
     """
@@ -103,7 +102,6 @@ class StageResult:
     innovation: np.ndarray
     innovation_stddev: np.ndarray
     consistency: Consistency | None
-    sensitivity: float = math.nan
     changes: np.ndarray = field(default_factory=lambda: np.empty((0, 4)))
 
 
@@ -164,14 +162,14 @@ class Taint:
     """Why a parameter deserves doubt, and since when, s.
 
     ``testing``: it has just moved, and the model is being tested on what came since.
-    ``reach``: how far what the model lacks can have moved it (:mod:`estimation.reach`), B in its
-    unit, beta_e as a logarithm; inf where that is not known.
+    ``instead``: what least squares on the balances of the last seconds give
+    (:mod:`balances.parameters`), None where the motion does not determine it.
     """
 
     reason: str
     since_s: float
     testing: bool = False
-    reach: float = math.inf
+    instead: ParameterEstimate | None = None
 
 
 @dataclass(frozen=True)
@@ -218,10 +216,22 @@ class NoiseEstimate:
 
 
 @dataclass(frozen=True)
+class Beside:
+    """Least squares on the balances of the seconds before ``time_s``.
+
+    ``parameters`` : ``B`` and ``beta_e``, each with its status; one without a balance is missing.
+    """
+
+    time_s: float
+    parameters: dict[str, ParameterEstimate]
+
+
+@dataclass(frozen=True)
 class Estimate:
     """Everything that ``estimate`` finds in one recording.
 
-    ``settings`` have the hold decided; ``channels`` is what was found out about the channels.
+    ``settings`` have the hold decided; ``channels`` is what was found out about the channels;
+    ``beside`` are least squares along the recording where the model does not fit.
     """
 
     recording: Recording
@@ -235,11 +245,24 @@ class Estimate:
     wall_s: float = 0.0
     warnings: tuple[str, ...] = field(default=())
     channels: tuple[ChannelFinding, ...] = ()
+    beside: tuple[Beside, ...] = ()
 
     @property
     def parameters(self) -> dict[str, ParameterEstimate]:
         """``B`` of stage one and ``beta_e`` of stage two."""
         return {"B": self.stage_one.estimate, "beta_e": self.stage_two.estimate}
+
+    @property
+    def best(self) -> dict[str, ParameterEstimate]:
+        """The same, by least squares on the balances where the stages' values are in doubt."""
+        instead = {name: taint.instead for name, taint in self.model.tainted.items()}
+        return {name: instead.get(name) or one for name, one in self.parameters.items()}
+
+    @property
+    def doubted(self) -> dict[str, Taint]:
+        """What of :attr:`best` is in doubt all the same."""
+        return {name: taint for name, taint in self.model.tainted.items()
+                if taint.instead is None}
 
 
 def units_of(motion: str) -> dict[str, str]:

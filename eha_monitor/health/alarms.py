@@ -3,32 +3,33 @@
 A limit is passed when the value lies beyond it by ``thresholds.confidence`` standard
 deviations.  An alarm is raised when its limit was passed for the whole of ``hold_time``, and
 clears when the value itself is back inside by the relative ``hysteresis``.  A parameter that
-the motion does not excite is not judged: an alarm that was raised before is held.  A model
-mismatch that taints a parameter holds back what it can have brought about, and nothing else: an
-alarm whose limit lies farther away than the mismatch reaches (:mod:`estimation.reach`) is raised,
-one that it may have moved across is not judged (``monitor.on_mismatch``).
+the motion does not excite is not judged: an alarm that was raised before is held.  A parameter
+that a model mismatch taints is judged by least squares on its balance
+(:mod:`balances.parameters`), and is not judged where these do not determine it
+(``monitor.on_mismatch``).
 """
 
+import bisect
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from eha_monitor.estimation.model_watch import Trial
-from eha_monitor.estimation.results import ParameterEstimate, Taint, units_of
+from eha_monitor.estimation.results import Beside, ParameterEstimate, Taint, units_of
 from eha_monitor.health.judge import (
     NO_LIMIT,
     NOT_JUDGED,
     RAISED,
     SEVERITY,
+    UNKNOWN,
     Alarm,
     Doubt,
     Judge,
     Level,
     Rebase,
     Watched,
-    doubt_of,
 )
 from eha_monitor.indicators.laws import viscosity_ratio
 from eha_monitor.quantity import quantity, share, with_uncertainty
@@ -48,6 +49,8 @@ __all__ = [
     "viscosity_factor",
 ]
 ADVICE = "run `eha-monitor diagnose` on a recording to identify the cause"
+
+BALANCES = {"B": "force", "beta_e": "flow"}  # of the least squares that determine each
 
 WATCHED = (Watched("B", "viscous_damping", "viscous damping", "N·s/m"),
            Watched("beta_e", "bulk_modulus", "effective bulk modulus", "Pa"))
@@ -161,6 +164,10 @@ class AlarmBoard:
     def _see(self, symbol: str, time_s: float, estimate: ParameterEstimate | None,
              temperature: float | None, taint: Taint | None) -> _Read | None:
         """Return a value as the limits should see it, or None where there is none to judge."""
+        other = None
+        if taint is not None and not taint.testing and self._on_mismatch == "hold":
+            other = taint.instead
+            estimate = other or estimate
         if (estimate is None or estimate.status != "converged"
                 or not (math.isfinite(estimate.value) and math.isfinite(estimate.stddev))):
             return None
@@ -187,8 +194,10 @@ class AlarmBoard:
                 return _Read(*read, shown, note=f"judged by its change from {settled}, where it "
                                                 f"settled, relative to {before} before: "
                                                 f"{taint.reason}")
-        reach = taint.reach * (factor if symbol == "B" else 1.0)
-        return _Read(value, stddev, shown, taint, doubt_of(symbol, value, reach))
+        if other is None:
+            return _Read(value, stddev, shown, taint, UNKNOWN)
+        return _Read(value, stddev, shown, taint, note=f"by least squares on the "
+                     f"{BALANCES[symbol]} balance: {taint.reason}")
 
     def _judge_one(self, judge: Judge, time_s: float, estimate: ParameterEstimate | None,
                    now: _Read | None) -> bool:
@@ -207,7 +216,7 @@ class AlarmBoard:
                 return judge.take(RAISED[judge.raised], time_s, ("held", reason))
             return judge.take("STALE", time_s, ("unjudged", reason), not_judged=True)
         margin = self._confidence * now.stddev
-        if now.taint is not None and not now.taint.testing:
+        if now.doubt is UNKNOWN:
             judge.recall(now.taint.since_s, now.value, margin, now.doubt)
         judge.judge(time_s, now.value, margin, now.doubt)
         level, not_judged = judge.verdict(time_s, now.doubt)
@@ -247,23 +256,11 @@ class AlarmBoard:
         now = rest[0]
         value = f"{judge.watched.words} {now.shown()}"
         if kind == "held back":
-            advice = "" if now.taint.testing else f"{self._moved(judge, now)}; {ADVICE}"
+            advice = "" if now.taint.testing else f"; {ADVICE}"
             head = f"{RAISED[judge.raised]} held" if judge.raised else NOT_JUDGED
             return f"{head}: {value.rstrip(',')}, but {now.taint.reason}{advice}"
         text = f"{value} {self._against_limit(judge, now.value)}"
-        if now.taint is not None and not now.taint.testing:
-            text = f"{text}; {now.taint.reason}{self._moved(judge, now)}"
         return f"{text}; {now.note}" if now.note else text
-
-    @staticmethod
-    def _moved(judge: Judge, now: _Read) -> str:
-        """Return in words how far a value may be off by what the model lacks."""
-        off = max(now.doubt.highest - now.value, now.value - now.doubt.lowest)
-        if judge.watched.symbol != "B" and off < abs(now.value):
-            return f", which may have moved it by {share(off / abs(now.value), 2)}"
-        if judge.watched.symbol == "B" and math.isfinite(now.taint.reach):
-            return f", which may have moved it by {quantity(off, judge.watched.unit, 2)}"
-        return ", which may have moved it by any amount"
 
     @staticmethod
     def _against_limit(judge: Judge, value: float) -> str:
@@ -291,6 +288,7 @@ def viscosity_factor(viscosity: Viscosity, temperature: float) -> float:
 # Judgements per second, as live; health changes over seconds, and hold times are tenths of one.
 JUDGE_RATE = 10.0
 STEPS = 100_000  # from which the rate is taken
+NEAR_S = 1e-6  # s: two times are the same
 
 
 @dataclass(frozen=True)
@@ -313,7 +311,7 @@ class ParameterSeries:
 
 def judge_series(settings: Settings, time: np.ndarray, parameters: dict[str, ParameterSeries],
                  temperature: np.ndarray | None = None, measured: np.ndarray | None = None,
-                 tainted: Mapping[str, Taint] | None = None
+                 tainted: Mapping[str, Taint] | None = None, beside: Sequence[Beside] = ()
                  ) -> tuple[tuple[Alarm, ...], tuple[Alarm, ...]]:
     """Run the alarms over a recording, as they would have come live.
 
@@ -329,6 +327,7 @@ def judge_series(settings: Settings, time: np.ndarray, parameters: dict[str, Par
     measured : (n,) bool, or numbers that are NaN, False in gaps of the data; None means
         everywhere.
     tainted : see :meth:`AlarmBoard.update`; each counts from its ``since_s`` on.
+    beside : least squares along the recording, by which what is tainted is judged.
 
     Returns
     -------
@@ -366,9 +365,17 @@ def judge_series(settings: Settings, time: np.ndarray, parameters: dict[str, Par
             else:
                 row[symbol] = unjudged[symbol]
         doubts = {} if k == len(index) - 1 else _trials(trials, at, row)
-        doubts |= {name: taint for name, taint in (tainted or {}).items() if at >= taint.since_s}
+        doubts |= {name: replace(taint, instead=_latest(beside, at - times[0], name))
+                   for name, taint in (tainted or {}).items() if at >= taint.since_s}
         board.update(at, row, None if warmth is None else warmth[k], doubts)
     return board.alarms, tuple(board.history)
+
+
+def _latest(beside: Sequence[Beside], elapsed_s: float, symbol: str) -> ParameterEstimate | None:
+    """Return what the last look before a time determined of a parameter."""
+    place = bisect.bisect_right(beside, elapsed_s, key=lambda one: one.time_s - NEAR_S) - 1
+    found = beside[place].parameters.get(symbol) if place >= 0 else None
+    return found if found is not None and found.status == "converged" else None
 
 
 def _trials(trials: dict[str, Trial], time_s: float, row: dict[str, ParameterEstimate]

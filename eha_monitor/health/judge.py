@@ -254,15 +254,7 @@ def _ran(since: float | None, time_s: float, wait: float) -> bool:
     return since is not None and time_s - since >= wait - _TIME_TOLERANCE
 
 
-def doubt_of(symbol: str, value: float, reach: float) -> Doubt:
-    """Return how far a value may be off by what the model lacks.
-
-    A missing force adds to B, a missing flow scales beta_e (:mod:`estimation.reach`).
-    """
-    if symbol == "B":
-        return Doubt(value - reach, value + reach)
-    factor = math.exp(min(reach, 700.0))
-    return Doubt(value / factor, value * factor)
+UNKNOWN = Doubt(-math.inf, math.inf)  # of a value that the model's error may have moved anywhere
 
 
 class Rebase:

@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eha_monitor.balances.parameters import EVERY_S, parameters_of
 from eha_monitor.estimation.consistency import AROUND, Window, judge, stage_verdict
 from eha_monitor.estimation.discretisation import C_PLACE
 from eha_monitor.estimation.hold_choice import AUTO, CONTINUOUS, SAMPLED, resolved, with_hold
 from eha_monitor.estimation.inputs import StageInputs
 from eha_monitor.estimation.model_watch import StageWatch, Trial, model_status, tainted_by
-from eha_monitor.estimation.reach import WINDOW_S, Look, Reaches, reaches_of
 from eha_monitor.estimation.results import (
     CONVERGED,
     STAGES,
@@ -227,7 +227,7 @@ class LiveModel:
     verdicts : on the last window of each stage, None where it could not be judged.
     first : row from which on a stage is judged; what came before was explained otherwise.
     trying : when to ask whether the last window fits again.
-    measuring : when to look how far a mismatch can have moved the parameters.
+    beside : least squares on the balances of the last seconds while a mismatch stands.
     """
 
     def __init__(self, settings: Settings):
@@ -239,9 +239,8 @@ class LiveModel:
         self._trials = {name: Trial(units_of(settings.rig.motion)[name])
                         for name in (stage.parameter for stage in STAGES.values())}
         self.trying = Backoff(*TRY_EVERY_S)
-        self.measuring = Backoff(*TRY_EVERY_S)
-        self._reaches, self._look = Reaches(), Look()
-        self._settled = math.nan  # B while no mismatch stood
+        self.beside: dict[str, ParameterEstimate] = {}
+        self._beside_s = -math.inf
 
     def restart_rows(self) -> None:
         """Rows are counted anew after a gap; what is known stays."""
@@ -285,13 +284,9 @@ class LiveModel:
             trial = self._trials[about.parameter].moved
             if self.watches[stage].update(time_of(taken), verdict, trial):
                 started.append(self.watches[stage].standing)
-                self.trying, self.measuring = Backoff(*TRY_EVERY_S), Backoff(*TRY_EVERY_S)
+                self.trying, self._beside_s = Backoff(*TRY_EVERY_S), -math.inf
         if not any(watch.standing for watch in self.watches.values()):
-            self._reaches = Reaches()
-        damping = parameters["B"]
-        if (damping.status == "converged" and not self.standing("one")
-                and self._trials["B"].taint is None):
-            self._settled = damping.value
+            self.beside = {}
         return started
 
     @staticmethod
@@ -318,28 +313,10 @@ class LiveModel:
         fit = self._run(stage, inputs, damping)
         return fit, self.watches[stage].test(time_s, fit.fits)
 
-    def measure(self, last: Callable[[float], StageInputs],
-                parameters: dict[str, ParameterEstimate], damping: float,
-                two, time_s: float) -> None:
-        """Begin, if that is due, to find how far what does not fit can have moved what.
-
-        Parameters
-        ----------
-        last : gives the inputs of the last so many seconds.
-        damping : B that stage two takes, N·s/m.
-        """
-        if self._look.under_way or not self.measuring.due(time_s):
-            return
-        stages = [stage for stage in STAGES if self.standing(stage)]
-        self._look.begin(reaches_of(stages, last(WINDOW_S), self.settings, parameters,
-                                    (damping, _sensitivity(two))))
-        self.measuring.answered(time_s, yes=False)  # it changes as slowly as the mismatch ages
-
-    def go_on(self, time_s: float) -> None:
-        """Go on with a look that is under way."""
-        found = self._look.go_on() if self._look.under_way else None
-        if found is not None and any(watch.standing for watch in self.watches.values()):
-            self._reaches.note(time_s, found)
+    def look_beside(self, time_s: float, rows: Callable[[], Recording]) -> None:
+        """Take least squares on the balances of the last seconds (``rows``), if that is due."""
+        if time_s - self._beside_s >= EVERY_S:
+            self.beside, self._beside_s = parameters_of(rows(), self.settings), time_s
 
     def _run(self, stage: str, inputs: StageInputs, damping: tuple[float, float]) -> Fit:
         """Run a stage with one value of its parameter for the whole window."""
@@ -360,8 +337,7 @@ class LiveModel:
             fits = False
         return Fit(fits, parameter.value, parameter.stddev, innovation, stddev)
 
-    def status(self, time_s: float, parameters: dict[str, ParameterEstimate],
-               two) -> ModelStatus:
+    def status(self, time_s: float, parameters: dict[str, ParameterEstimate]) -> ModelStatus:
         """Return what is known about the model now, and which estimates are in doubt."""
         tainted = {}
         for name, trial in self._trials.items():
@@ -374,19 +350,5 @@ class LiveModel:
             fitting = [v for v in self.verdicts.values() if v is None or v.consistent]
             status = model_status(fitting)
             return ModelStatus(status.status, status.message, (), tainted)
-        tainted |= tainted_by(standing, abs(_sensitivity(two) * self._bias(parameters["B"])),
-                              self._reaches.most())
+        tainted |= tainted_by(standing, self.beside)
         return ModelStatus("mismatch", "; ".join(m.message for m in standing), standing, tainted)
-
-    def _bias(self, damping: ParameterEstimate) -> float:
-        """Return how far B may be off: from what it was, or else from the nominal value."""
-        if damping.status != "converged":
-            return math.inf
-        before = self._settled
-        return damping.value - (self.settings.rig.viscous_damping if math.isnan(before)
-                                else before)
-
-
-def _sensitivity(two) -> float:
-    """Return the relative change of beta_e with B, per N·s/m."""
-    return math.nan if two is None else two.sensitivity

@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from eha_monitor.balances.parameters import WINDOW_S, parameters_of
 from eha_monitor.breakdown import begins_anew
 from eha_monitor.estimation.inputs import Known, StageInputs, position_variance, quantum_of
 from eha_monitor.estimation.model_watch import beyond, ranges_of, within
@@ -41,7 +42,7 @@ from eha_monitor.live.state import (
 )
 from eha_monitor.physics import signals as s
 from eha_monitor.quantity import SYMBOLS, quantity, with_uncertainty
-from eha_monitor.recordings.recording import LARGEST
+from eha_monitor.recordings.recording import LARGEST, Recording
 from eha_monitor.settings.monitor import Settings
 
 PAST = 100  # rows of a batch of the past
@@ -277,6 +278,11 @@ class LiveEstimator:
         start = self._state.taken - round(seconds / self.dt)
         return self._inputs(max(self._grid.buffer.first, start))
 
+    def _rows(self, seconds: float) -> Recording:
+        """Return the rows of the last seconds, or as many as there are."""
+        buffer, taken = self._grid.buffer, self._state.taken
+        return buffer.recording(max(buffer.first, taken - round(seconds / self.dt)), taken)
+
     def _follow(self) -> tuple[float, float]:
         """Return the damping that stage two takes now, and its variance.
 
@@ -341,7 +347,6 @@ class LiveEstimator:
                 self._now, buffer.recording(buffer.first, buffer.end))
             if news:
                 self._report("monitor", news)
-        state.tester.go_on(self._grid.time_of(state.taken))
         if (state.taken - state.tester.judged_at) * self.dt >= JUDGE_EVERY_S:
             self._judge()
         estimates = self._parameters()
@@ -363,7 +368,7 @@ class LiveEstimator:
             stage.forget(*KEPT)
         standing = [stage for stage in STAGES if tester.standing(stage)]
         if standing:
-            tester.measure(self._last, self._parameters(), state.damping[0], state.two, now)
+            tester.look_beside(now, lambda: self._rows(WINDOW_S))
         start = state.taken - round(JUDGED_S / self.dt)
         self._look_beyond(start, now)
         if not standing or start < self._grid.buffer.first or not tester.trying.due(now):
@@ -386,6 +391,7 @@ class LiveEstimator:
 
     def rehearse(self) -> None:
         """Do once what a mismatch will ask for, so that its compiled code is loaded."""
+        parameters_of(self._rows(WINDOW_S), self.settings)
         for stage in STAGES:
             self._state.tester.try_again(stage, self._last(BUFFER_S), self._state.damping,
                                          self._now)
@@ -492,7 +498,7 @@ class LiveEstimator:
         state = self._state
         events, self._events = tuple(sorted(self._events, key=lambda e: e.time_s)), []
         estimates = self._parameters()
-        model = within(state.tester.status(self._now, estimates, state.two),
+        model = within(state.tester.status(self._now, estimates),
                        *self._beyond)
         runs = state.one or state.two
         position, velocity = map(float, runs.state.x[:2]) if runs else (math.nan, math.nan)

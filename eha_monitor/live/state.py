@@ -253,11 +253,6 @@ class LiveStageTwo(LiveStage):
             self.factor**2 * self.variance + to_b**2 * self.b_variance)
 
     @property
-    def sensitivity(self) -> float:
-        """Relative change of the effective bulk modulus with B, per N·s/m."""
-        return -float(self.state.sens[C_PLACE]) / self._compliance
-
-    @property
     def variance(self) -> float:
         """Variance of the compliance as the filter has it."""
         return float(self.state.P[C_PLACE, C_PLACE])

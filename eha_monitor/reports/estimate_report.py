@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eha_monitor.estimation.results import Estimate, JointResult, ParameterEstimate
-from eha_monitor.health.alarms import NO_LIMIT, WATCHED, Alarm
+from eha_monitor.health.alarms import BALANCES, NO_LIMIT, WATCHED, Alarm
 from eha_monitor.indicators.indicator import Indicator
 from eha_monitor.quantity import FLOOR, ROTARY, SYMBOLS, number, quantity, share
 from eha_monitor.recordings.recording import Recording
@@ -73,8 +73,8 @@ class Verdict:
 def verdict(estimate: Estimate, alarms: tuple[Alarm, ...]) -> Verdict:
     """Return what the recording says about the actuator, and what it does not say."""
     raised = _raised(alarms)
-    known = [p for p in estimate.parameters.values() if p.status == "converged"]
-    unknown = [p for p in estimate.parameters.values() if p.status != "converged"]
+    known = [p for p in estimate.best.values() if p.status == "converged"]
+    unknown = [p for p in estimate.best.values() if p.status != "converged"]
     mismatch = estimate.model.status == "mismatch"
     parts = []
     if raised:
@@ -82,8 +82,13 @@ def verdict(estimate: Estimate, alarms: tuple[Alarm, ...]) -> Verdict:
             f"{_ALARMS[a.name][0] if a.name in _ALARMS else a.name.replace('_', ' ')} ({a.level})"
             for a in raised))
     if mismatch:
+        biased = [SYMBOLS[p.name] for p in known if p.name in estimate.doubted]
+        beside = [SYMBOLS[p.name] for p in known if p.name in estimate.model.tainted
+                  and p.name not in estimate.doubted]
         parts.append("the model does not fit this recording" + (
-            ", so the values are biased by the model error" if known else ""))
+            f", so {listed(biased)} {'is' if len(biased) == 1 else 'are'} biased by the model "
+            "error" if biased else "") + (
+            f"; {listed(beside)} by least squares on the balances instead" if beside else ""))
     if known and not raised:
         parts.append(_values(known, alarms))
     if unknown:
@@ -145,22 +150,14 @@ def _values(known: list[ParameterEstimate], alarms: tuple[Alarm, ...]) -> str:
     return "; ".join(parts)
 
 
-_FAR = 5.0  # logarithm of a factor beyond which beta_e says nothing; exp overflows from 710 on
-
-
 def effect_of_mismatch(estimate: Estimate) -> tuple[str, ...]:
     """Return what a model that does not fit does to B and beta_e, a sentence each."""
     found = []
     for name, taint in estimate.model.tainted.items():
-        parameter, symbol = estimate.parameters[name], SYMBOLS[name]
-        if not math.isfinite(taint.reach) or (name != "B" and taint.reach > _FAR):
-            found.append(f"{symbol} cannot be used: how far the model error moves it is not known")
-        elif name == "B":
-            found.append(f"{symbol} may be off by {quantity(taint.reach, parameter.unit, 2)} "
-                         "because of the model error")
-        else:
-            found.append(f"{symbol} may be off by a factor of {number(math.exp(taint.reach), 2)} "
-                         "because of the model error")
+        symbol, other = SYMBOLS[name], taint.instead
+        found.append(f"{symbol} of the filter cannot be used" if other is None else
+                     f"{symbol} of the filter is not used: {other.shown} by least squares on the "
+                     f"{BALANCES[name]} balance, which the alarms judge")
     return tuple(map(sentence, found))
 
 
@@ -170,9 +167,9 @@ def next_steps(estimate: Estimate, alarms: tuple[Alarm, ...]) -> tuple[str, ...]
     steps = []
     if estimate.model.status == "mismatch":
         own = own_config(estimate.settings.rig)
-        wrong = listed([SYMBOLS[name] for name in estimate.model.tainted]) or "B and βe"
-        steps.append(f"do not act on {wrong} yet: `eha-monitor diagnose {bag}{own}` identifies "
-                     "what the model lacks")
+        wrong = listed([SYMBOLS[name] for name in estimate.doubted])
+        steps.append((f"do not act on {wrong} yet: " if wrong else "")
+                     + f"`eha-monitor diagnose {bag}{own}` identifies what the model lacks")
     steps += [_ALARMS[a.name][1] for a in _raised(alarms) if a.name in _ALARMS]
     for p in estimate.parameters.values():
         if p.status in _STEPS:
@@ -247,18 +244,19 @@ def _first_screen(estimate: Estimate, alarms: tuple[Alarm, ...]) -> FirstScreen:
         said.kind, said.headline, said.text,
         picture=next(filter(None, pictures), None),
         parameters=table("parameter | value | limits", [
-            (f"{NAMES[key]} {SYMBOLS[key]}", _value_cell(p, key in estimate.model.tainted), Cell(
+            (f"{NAMES[key]} {SYMBOLS[key]}", _value_cell(
+                p, key in estimate.doubted, key in estimate.model.tainted), Cell(
                 figures.limits_in_words(limits[key], p.unit), "message desk"))
-            for key, p in estimate.parameters.items()], key="parameters"),
+            for key, p in estimate.best.items()], key="parameters"),
         sentences=effect_of_mismatch(estimate), actions=next_steps(estimate, alarms))
 
 
-def _value_cell(p: ParameterEstimate, tainted: bool = False) -> Cell:
+def _value_cell(p: ParameterEstimate, tainted: bool = False, beside: bool = False) -> Cell:
     """Return value and status, exact in SI; what must not be used is not set in bold."""
     known = math.isfinite(p.value)
     sure = p.status == "converged"
     badge, level = ("in doubt", "WARN") if sure and tainted else (
-        STATUS_WORDS.get(p.status, p.status), p.status)
+        "least squares" if sure and beside else STATUS_WORDS.get(p.status, p.status), p.status)
     return Cell(p.shown if known else "—", "value" if sure and not tainted else "value doubt",
                 note="" if sure else p.message, badge=badge, level=level,
                 exact=(float(p.value), float(p.stddev)) if known else None,

@@ -66,7 +66,8 @@ def all_findings(settings: Settings, board: AlarmBoard,
         watched = next(w for w in WATCHED if alarm.name.startswith(w.section))
         side = alarm.name.removeprefix(f"{watched.section}_")
         limits = getattr(settings.thresholds, watched.section)
-        values = _numbers(parameters.get(watched.symbol)) | _doubts(model, watched.symbol)
+        values = _numbers(_judged(parameters, model, watched.symbol)) | _doubts(
+            model, watched.symbol)
         for degree in ("warn", "error"):
             limit = getattr(limits, f"{side}_{degree}")
             values[f"limit_{degree}"] = math.nan if limit is None else float(limit)
@@ -107,6 +108,13 @@ def _numbers(estimate: ParameterEstimate | None) -> dict[str, float | int | str]
     return {key: estimate.value, f"{key}_stddev": estimate.stddev}
 
 
+def _judged(parameters: Mapping[str, ParameterEstimate], model: ModelStatus, symbol: str
+            ) -> ParameterEstimate | None:
+    """Return the value that an alarm judges."""
+    taint = model.tainted.get(symbol)
+    return taint.instead if taint is not None and taint.instead else parameters.get(symbol)
+
+
 def _doubts(model: ModelStatus, symbol: str) -> dict[str, float | int | str]:
     taint = model.tainted.get(symbol)
     standing = taint is not None and not taint.testing
@@ -114,6 +122,7 @@ def _doubts(model: ModelStatus, symbol: str) -> dict[str, float | int | str]:
         "tainted": int(standing), "on_trial": int(taint is not None and taint.testing)}
     if standing:
         values["tainted_since_s"] = float(taint.since_s)
+        values["by_least_squares"] = int(taint.instead is not None)
     return values
 
 

@@ -1,0 +1,135 @@
+"""B and beta_e by least squares on the balances: right, or wide, or not said, whatever is left out.
+
+Truth is the plant's own; the motions are those at which a filter of the config's model is led far
+astray (dry friction reads as thousands of N·s/m).
+"""
+
+import json
+
+import numpy as np
+import pytest
+from rig_tools import BETA, CHIRP, MULTISINE, SINE, TRIANGLE, B, settings, simulated, without
+
+from eha_monitor.api.answer import answer, judged, judged_series
+from eha_monitor.balances.parameters import LEAST_S, along, parameters_of
+from eha_monitor.estimation.model_watch import tainted_by
+from eha_monitor.estimation.pipeline import estimate
+from eha_monitor.estimation.results import Mismatch
+from eha_monitor.live.estimator import LiveEstimator
+
+FAST = {**MULTISINE, "amplitude": 0.01, "frequency": 0.5, "frequency_end": 40.0, "components": 16}
+MOTIONS = {"multisine": MULTISINE, "triangle": TRIANGLE, "fast": FAST}
+FORCES = {"dry": {"coulomb_friction": {"F_c": 40.0}}, "some dry": {"coulomb_friction":
+          {"F_c": 5.0}}, "quadratic": {"quadratic_friction": {"a_1": 2000.0}},
+          "spring": {"spring_load": {"k": 200.0}}, "load": {"constant_load": {"F_0": 10.0}},
+          "by direction": {"asymmetric_friction": {"F_c": 20.0, "dF": 5.0, "dB": 50.0}},
+          "presliding": {"presliding_friction": {"F_c": 20.0, "z_0": 4e-5}},
+          "late pressures": {"pressure_delay": {"T": 0.002}}}
+FLOWS = {"leakage": {"cross_port_leakage": {"L": 1e-12}},
+         "turbulent leakage": {"turbulent_leakage": {"c": 2e-11}},
+         "pump gain": {"pump_flow_gain": {"k": 0.005}},
+         "pump slip": {"pump_volumetric_loss": {"k": 2e-8}},
+         "lag": {"drive_lag": {"tau": 0.0002}},
+         "leakage offset": {"leakage_offset": {"Q_0": 1e-8}}}
+
+
+@pytest.fixture(scope="module")
+def dry():
+    """Twelve seconds of a machine with 40 N of dry friction, of which the config knows nothing."""
+    return simulated(MULTISINE, 12.0, effects=FORCES["dry"]).recording(0)
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("effects", FORCES.values(), ids=FORCES)
+def test_a_missing_force_moves_b_by_no_more_than_it_says(motion, effects):
+    recording = simulated(MOTIONS[motion], 12.0, effects=effects).recording(0)
+    found = parameters_of(recording, settings())["B"]
+    assert abs(found.value - B) < 3.0 * found.stddev + 0.003 * B
+    assert found.status == "not_excited" or found.stddev < 0.1 * B
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("effects", FLOWS.values(), ids=FLOWS)
+def test_a_missing_flow_moves_the_modulus_by_no_more_than_it_says(motion, effects):
+    recording = simulated(MOTIONS[motion], 12.0, effects=effects).recording(0)
+    found = parameters_of(recording, settings())["beta_e"]
+    assert abs(found.value - BETA) < 3.0 * found.stddev
+
+
+@pytest.mark.parametrize(("motion", "absent"), [(SINE, {"B", "beta_e"}), (CHIRP, {"B", "beta_e"})])
+def test_nothing_is_said_of_a_motion_beyond_the_band_or_at_one_frequency(motion, absent):
+    """At one frequency pump, leakage and oil are two columns for three numbers."""
+    found = parameters_of(simulated(motion, 12.0).recording(0), settings())
+    assert not absent & {name for name, one in found.items() if one.status == "converged"}
+
+
+def test_neither_mass_nor_displacement_nor_leakage_of_the_config_move_them():
+    recording = simulated(MULTISINE, 12.0).recording(0)
+    right = parameters_of(recording, settings())
+    wrong = parameters_of(recording, settings(rig={
+        "mass": 30.0, "pump_displacement": 2e-7, "leakage": 2e-12}))
+    for name, one in right.items():
+        assert wrong[name].value == pytest.approx(one.value, rel=1e-3)
+
+
+@pytest.mark.parametrize("lacking", [("omega",), ("p1",), ("x",)])
+def test_a_balance_whose_channels_are_missing_is_not_there(lacking):
+    found = parameters_of(without(simulated(MULTISINE, 6.0).recording(0), *lacking), settings())
+    assert "beta_e" not in found
+    assert ("B" in found) == (lacking == ("omega",))
+
+
+def test_looks_come_with_the_first_seconds_and_at_the_end(dry):
+    looks = list(along(dry, settings()))
+    assert looks[0].time_s == pytest.approx(LEAST_S, abs=0.01)
+    assert looks[-1].time_s == pytest.approx(dry.duration, abs=0.01)
+    assert all(abs(one.parameters["B"].value - B) < 0.05 * B for one in looks)
+
+
+def test_an_estimate_that_does_not_fit_is_judged_by_least_squares(dry):
+    found = estimate(dry, settings())
+    assert found.model.status == "mismatch" and found.stage_one.estimate.value > 4.0 * B
+    assert found.best["B"].value == pytest.approx(B, rel=0.02) and "B" not in found.doubted
+    alarms, history = judged(found)
+    high = alarms[0]
+    assert (high.name, high.word) == ("viscous_damping_high", "OK")
+    assert "by least squares on the force balance: the model does not fit since" in high.message
+    tree = json.loads(json.dumps(answer(found, alarms, history)))
+    assert tree["model"]["tainted"]["B"]["instead"]["value"] == pytest.approx(B, rel=0.02)
+    assert tree["parameters"]["B"]["value"] == found.stage_one.estimate.value
+    assert tree["least_squares"][-1]["parameters"]["B"]["status"] == "converged"
+    series = judged_series(found)["B"]
+    known = series.value[series.converged]
+    assert len(known) > 0.5 * len(dry) and np.all(np.abs(known - B) < 0.05 * B)
+
+
+def test_wear_beside_a_mismatch_raises_its_alarm():
+    recording = simulated(MULTISINE, 12.0, rig={"viscous_damping": 1700.0},
+                          effects=FORCES["dry"]).recording(0)
+    alarms, _ = judged(estimate(recording, settings()))
+    assert alarms[0].word == "ERROR" and alarms[0].raised
+
+
+def test_where_the_model_fits_nothing_is_looked_at():
+    found = estimate(simulated(MULTISINE, 6.0).recording(0), settings())
+    assert found.model.status == "consistent"
+    assert found.beside == () and found.best == found.parameters and not found.doubted
+
+
+def test_stage_two_holds_the_force_balance_too():
+    one = Mismatch("one", "force balance or a sensor", 3.0, 9.0, 9.0, 3.0, "")
+    assert set(tainted_by([one])) == {"B", "beta_e"}
+    two = Mismatch("two", "flow balance", 2.0, 9.0, 9.0, 2.0, "")
+    assert set(tainted_by([two])) == {"beta_e"}
+    assert tainted_by([one, two])["beta_e"].since_s == 2.0
+
+
+def test_live_as_offline(dry):
+    live = LiveEstimator(settings())
+    time = np.arange(len(dry)) * dry.sample_time
+    for start in range(0, len(dry), 100):
+        live.push_rows(time[start:start + 100], {
+            name: values[start:start + 100] for name, values in dry.channels.items()})
+    taint = live.snapshot().model.tainted["B"]
+    assert taint.instead.status == "converged"
+    assert taint.instead.value == pytest.approx(estimate(dry, settings()).best["B"].value, rel=0.02)
