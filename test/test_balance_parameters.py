@@ -1,4 +1,4 @@
-"""B and beta_e by least squares on the balances: right, or wide, or not said, whatever is left out.
+"""B and beta_e by least squares on the balances: right, or wide, or not said.
 
 Truth is the plant's own; the motions are those at which a filter of the config's model is led far
 astray (dry friction reads as thousands of N·s/m).
@@ -18,7 +18,7 @@ from eha_monitor.estimation.results import Mismatch
 from eha_monitor.live.estimator import LiveEstimator
 
 FAST = {**MULTISINE, "amplitude": 0.01, "frequency": 0.5, "frequency_end": 40.0, "components": 16}
-MOTIONS = {"multisine": MULTISINE, "triangle": TRIANGLE, "fast": FAST}
+MOTIONS = {"multisine": MULTISINE, "triangle": TRIANGLE, "fast": FAST, "chirp": CHIRP}
 FORCES = {"dry": {"coulomb_friction": {"F_c": 40.0}}, "some dry": {"coulomb_friction":
           {"F_c": 5.0}}, "quadratic": {"quadratic_friction": {"a_1": 2000.0}},
           "spring": {"spring_load": {"k": 200.0}}, "load": {"constant_load": {"F_0": 10.0}},
@@ -45,7 +45,6 @@ def test_a_missing_force_moves_b_by_no_more_than_it_says(motion, effects):
     recording = simulated(MOTIONS[motion], 12.0, effects=effects).recording(0)
     found = parameters_of(recording, settings())["B"]
     assert abs(found.value - B) < 3.0 * found.stddev + 0.003 * B
-    assert found.status == "not_excited" or found.stddev < 0.1 * B
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
@@ -56,11 +55,15 @@ def test_a_missing_flow_moves_the_modulus_by_no_more_than_it_says(motion, effect
     assert abs(found.value - BETA) < 3.0 * found.stddev
 
 
-@pytest.mark.parametrize(("motion", "absent"), [(SINE, {"B", "beta_e"}), (CHIRP, {"B", "beta_e"})])
-def test_nothing_is_said_of_a_motion_beyond_the_band_or_at_one_frequency(motion, absent):
-    """At one frequency pump, leakage and oil are two columns for three numbers."""
-    found = parameters_of(simulated(motion, 12.0).recording(0), settings())
-    assert not absent & {name for name, one in found.items() if one.status == "converged"}
+def test_nothing_is_said_of_the_modulus_at_one_frequency():
+    """Pump, leakage and oil are two columns for three numbers there."""
+    found = parameters_of(simulated(SINE, 12.0).recording(0), settings())
+    assert "beta_e" not in found or found["beta_e"].status == "not_excited"
+
+
+def test_nothing_is_said_of_a_motion_beyond_the_bands():
+    quick = {**SINE, "frequency": 40.0, "amplitude": 0.0005}
+    assert parameters_of(simulated(quick, 6.0).recording(0), settings()) == {}
 
 
 def test_neither_mass_nor_displacement_nor_leakage_of_the_config_move_them():
@@ -132,4 +135,5 @@ def test_live_as_offline(dry):
             name: values[start:start + 100] for name, values in dry.channels.items()})
     taint = live.snapshot().model.tainted["B"]
     assert taint.instead.status == "converged"
-    assert taint.instead.value == pytest.approx(estimate(dry, settings()).best["B"].value, rel=0.02)
+    offline = estimate(dry, settings()).best["B"]
+    assert taint.instead.value == pytest.approx(offline.value, rel=0.02)

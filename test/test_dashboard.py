@@ -104,6 +104,9 @@ def test_numbers_equal_the_topics_and_a_reload_loses_nothing(graph, browser, add
         graph.until(lambda: style(eyes) != before[1])  # the piston moves
         # Enough of a history for the reload below: none comes once the simulator has ended.
         graph.until(lambda: len(eyes.charts()[0][2]) > 4 and len(eyes.charts()[2][0]) > 30)
+        # Another noise measured begins the innovations anew: not in the last moments.
+        graph.until(lambda: all(int(heard_values(health, stage).get("innovation_samples", 0))
+                                > 1000 for stage in STAGES))
 
         end(simulator)
         graph.until(lambda: eyes.shows("silence"))

@@ -172,7 +172,7 @@ def test_healthy_verdict(triangle, triangle_html):
 
 def test_verdict_leads_with_the_gravest(triangle):
     found, alarms = triangle.estimate, list(triangle.alarms)
-    wrong = replace(found, model=ModelStatus("mismatch", "m"))
+    wrong = replace(found, model=ModelStatus("mismatch", "m", tainted={"B": Taint("it", 1.0)}))
     assert verdict(wrong, triangle.alarms).headline == "Mismatch"
     assert "biased by the model error" in verdict(wrong, triangle.alarms).sentence
     alarms[0] = replace(alarms[0], level="ERROR")
@@ -198,10 +198,17 @@ def test_what_is_not_judged_is_not_within_the_limits(triangle):
     assert "not judged" in text
 
 
-def test_a_modulus_that_may_be_anything_has_no_factor(triangle):
-    model = replace(triangle.estimate.model, tainted={"beta_e": Taint("it", 1.0, reach=1e3)})
-    assert effect_of_mismatch(replace(triangle.estimate, model=model)) == (
-        "βe cannot be used: how far the model error moves it is not known.",)
+def test_the_page_says_what_stands_instead_of_a_value_in_doubt(triangle):
+    other = replace(triangle.estimate.parameters["B"], value=777.0, stddev=7.0)
+    model = replace(triangle.estimate.model, status="mismatch", tainted={
+        "B": Taint("it", 1.0, instead=other), "beta_e": Taint("it", 1.0)})
+    wrong = replace(triangle.estimate, model=model)
+    assert effect_of_mismatch(wrong) == (
+        "B of the filter is not used: 777 ± 7 N·s/m by least squares on the force balance, which "
+        "the alarms judge.", "βe of the filter cannot be used.")
+    said = verdict(wrong, triangle.alarms).sentence
+    assert "so βe is biased by the model error; B by least squares on the balances instead" in said
+    assert "777 ± 7" in Page(estimate_page(wrong, triangle.alarms, (), None)).text
 
 
 def test_a_rising_damping_shows_as_an_alarm():

@@ -114,9 +114,11 @@ def test_dry_friction_needs_the_diagnosed_model(bags, tmp_path, capsys):
     assert "no --config" not in out
     # Diagnosed already, and it still does not fit: not the same advice in a circle.
     config.write_text("rig: {identified: viscous_damping}\n")
-    assert main(["thresholds", "--from", str(bag), "--config", str(config)]) == 0
-    assert f"  eha-monitor diagnose NOW --reference {bag} --config DRAFT.yaml\n" in (
-        capsys.readouterr().out)
+    assert main(["thresholds", "--from", *bags[:3], str(bag), "--config", str(config)]) == 0
+    out = capsys.readouterr().out
+    assert f"{bag}: B is left out" in out
+    assert "--write-config diagnosed.yaml" not in out
+    assert f" {bag} --config DRAFT.yaml\n" in out
     limits = load_settings(tmp_path / "judged.yaml").thresholds.viscous_damping
     assert limits.high_warn == pytest.approx(1000, rel=0.02)  # the paper's, scaled to B = 600
 

@@ -24,6 +24,7 @@ from eha_monitor.balances.named import (
     made_by,
     wrong_numbers,
 )
+from eha_monitor.balances.parameters import Stiffness, stiffness_of
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.errors import InputError
 from eha_monitor.mismatch.diagnosis import (
@@ -205,8 +206,9 @@ def _composed(models: Sequence[Model], courses: Sequence[Course], settings: Sett
         for one in models if not agrees(one, policy)]
     verdict = ("unexplained" if open_ or unsure else
                "mismatch" if effects or wrong else "consistent")
-    before, after = known_of(models, rig, policy, nominal=True), known_of(
-        models, rig, policy)
+    stiffness = stiffness_of(courses, rig)
+    before, after = (known_of(models, rig, policy, stiffness, nominal)
+                     for nominal in (True, False))
     if verdict == "unexplained":
         models, effects, wrong, after = [one.plain() for one in models], [], (), {}
     where, curves = place_of(models, courses, effects, wrong, verdict)
@@ -247,9 +249,11 @@ def agrees(model: Model, policy: Policy) -> bool:
     return not model.nominal_error > max(policy.near, policy.clean * model.floor / model.size)
 
 
-def known_of(models: Sequence[Model], rig: Rig, policy: Policy, nominal: bool = False
-             ) -> dict[str, Value]:
+def known_of(models: Sequence[Model], rig: Rig, policy: Policy, stiffness: Stiffness,
+             nominal: bool = False) -> dict[str, Value]:
     """Return B and beta_e, of the config's linear model or of the whole one.
+
+    The oil's is by itself: of a model's terms several may share what the oil takes up.
 
     They contain the tolerances of the area and of the volume, which no recording knows.
     """
@@ -263,10 +267,10 @@ def known_of(models: Sequence[Model], rig: Rig, policy: Policy, nominal: bool = 
             if name == "B":
                 area = rig.tolerance.log_spread("area_1") if rig.area_1 else 0.0
                 found["B"] = Value(value, float(np.hypot(stddev, area * value)), "N·s/m")
-            elif name == "C_h" and rig.volume_1 and value > policy.varied * stddev:
-                beta, volume = rig.volume_1 / value, rig.tolerance.log_spread("volume_1")
-                found["beta_e"] = Value(beta, float(beta * np.hypot(stddev / value, volume)),
-                                        "Pa")
+    modulus, stddev = stiffness.modulus
+    if policy.varied * stddev < modulus:
+        volume = rig.tolerance.log_spread("volume_1")
+        found["beta_e"] = Value(modulus, float(np.hypot(stddev, volume * modulus)), "Pa")
     return found
 
 

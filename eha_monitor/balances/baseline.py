@@ -147,17 +147,19 @@ def beside(course: Course, settings: Settings) -> np.ndarray:
 
 
 def force_fit(course: Course, rig: Rig, known: np.ndarray | float = 0.0,
-              held: bool = False) -> BalanceFit | None:
+              held: bool = False, late: np.ndarray | None = None) -> BalanceFit | None:
     """Return the force balance on samples that move; None where too few do.
 
     Parameters
     ----------
     known : (m,) N, what else the config knows to act.
     held : ``known`` holds all dry friction; that it may be another is in the deviations.
+    late : (m,) N/s, rate of the force, if the deviations are to hold that it may be late.
     """
     one, speed = np.ones(len(course)), np.abs(course.v) / max(course.speed, 1e-300)
     inertia, damping, force = UNITS[rig.motion]
     bent = [course.v * speed, *(course.direction * np.exp(-speed / slow) for slow in SLOW)]
+    bent += [] if late is None else [late]
     dry = ("F_c", force, "dry friction", 1, course.direction)
     columns = (("M", inertia, "moving mass", 1, course.a),
                ("B", damping, "viscous damping", 1, course.v), *(() if held else (dry,)),

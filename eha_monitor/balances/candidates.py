@@ -21,6 +21,7 @@ from eha_monitor.balances.course import (
     direction_of,
     has_flow,
     pumped_side,
+    slope,
 )
 from eha_monitor.physics.effects.oil import compliance
 from eha_monitor.settings.rig import Rig
@@ -380,7 +381,7 @@ def flow_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
             lambda c, r: None if not pump else -pump * np.tanh(c.omega / DEAD_SPEED),
             symbol="omega_0"),
         one("T_q", "flow_lag", "m³", "flow that lags the speed", 1,
-            lambda c, r: -np.gradient(c.omega, c.dt), power=2.0),
+            lambda c, r: -slope(c.omega, c.dt), power=2.0),
     )
 
 
@@ -391,10 +392,10 @@ def drive_candidates(scale: Scale, rig: Rig) -> tuple[Candidate, ...]:
 
     found = [
         one("tau", "drive_lag", "s", "time constant of the drive", 1,
-            lambda c, r: -np.gradient(c.omega, c.dt), variant=True, symbol="tau", power=2.0,
+            lambda c, r: -slope(c.omega, c.dt), variant=True, symbol="tau", power=2.0,
             limit=1.0, twins=("command_delay",)),
         one("tau_d", "drive_lag", "s", "time constant of the drive", 1,
-            lambda c, r: -np.gradient(c.wanted, c.dt), variant=True, symbol="tau", power=2.0,
+            lambda c, r: -slope(c.wanted, c.dt), variant=True, symbol="tau", power=2.0,
             limit=1.0, twins=("command_delay",)),
         # Where the position loop's gain is the config's, its tolerance is free in every model.
         one("k_d", "drive_gain", "1", "gain of the drive beyond the config's", 0,

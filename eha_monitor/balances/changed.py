@@ -4,6 +4,7 @@ import time
 from collections.abc import Sequence
 
 import numpy as np
+from scipy import stats
 
 from eha_monitor.balances.answer import overlay_of, place_of
 from eha_monitor.balances.candidates import SIDES
@@ -12,6 +13,7 @@ from eha_monitor.balances.judge import Judged, JudgedBalance, Moved, judge
 from eha_monitor.balances.machine import Machine
 from eha_monitor.balances.model import Model, Term, of_judged
 from eha_monitor.balances.named import size_of
+from eha_monitor.balances.parameters import Stiffness, stiffness_of
 from eha_monitor.balances.policy import POLICY
 from eha_monitor.mismatch.diagnosis import (
     Change,
@@ -25,7 +27,6 @@ from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.quantity import number, share, with_uncertainty
 from eha_monitor.recordings.recording import Recording
 from eha_monitor.settings.monitor import Settings
-from eha_monitor.settings.rig import Rig
 from eha_monitor.words import effect_words, listed
 
 FASTER = 1.2  # times the references' speed: beyond it nothing is known of the machine
@@ -51,12 +52,15 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     started, rig = time.perf_counter(), settings.rig
     judged = judge(machine, recordings, settings)
     courses = [course_of(recording, settings) for recording in recordings]
-    moved = judged.changed
+    moved, stiffness = judged.changed, stiffness_of(courses, rig)
     verdict = ("consistent" if judged.belongs else "mismatch" if judged.explained
                else "unexplained")
     models = [_model(one) for one in judged.balances]
-    changes = tuple(_change(one, machine, settings) for one in moved
+    changes = tuple(_change(one, machine, settings, stiffness) for one in moved
                     ) if verdict == "mismatch" else ()
+    oil = None if any(one.what == "beta_e" for one in changes) else _oil(machine, stiffness)
+    if oil is not None and {one.balance for one in judged.loud} <= {"flow"}:
+        verdict, changes = "mismatch", (*changes, oil)
     effects = tuple(_effect(one, change, models) for one, change in zip(
         moved, changes, strict=False) if change.symbol)
     where, curves = place_of(models, courses, changes, (), verdict)
@@ -68,7 +72,8 @@ def against(machine: Machine, recordings: Sequence[Recording], settings: Setting
     return Diagnosis(
         tuple(one.source for one in recordings), verdict,
         _message(verdict, changes, judged, _runs(machine)), where, effects,
-        _health(machine, judged, rig, before=True), _health(machine, judged, rig, before=False),
+        _health(machine, judged, stiffness, before=True),
+        _health(machine, judged, stiffness, before=False),
         "held_out", {one.balance: SignalFit(
             SIDES[one.balance], one.nominal_error * one.size, one.error * one.size, one.floor,
             signal_rms=one.size) for one in models}, curves,
@@ -93,13 +98,21 @@ def _model(one: JudgedBalance) -> Model:
                  tuple(after), one.each, float(sum(table.effective for table in one.each)))
 
 
-def _in_words(moved: Moved, settings: Settings) -> tuple[Value, Value, str]:
+def _in_words(moved: Moved, settings: Settings, oils: tuple[Stiffness, Stiffness]
+              ) -> tuple[Value, Value, str]:
     """Return the machine's value, that of the recording, and the unit: beta_e of a compliance.
 
     What the config holds of the effect is in both.
+
+    Parameters
+    ----------
+    oils : what the oil of the machine and of the recordings is by itself.
     """
     rig, held = settings.rig, settings.effects.get(moved.effect, {}).get(moved.symbol, 0.0)
     pair = (moved.machine + held, moved.spread), (moved.here + held, moved.stddev)
+    known = [one.modulus for one in oils]
+    if moved.name == "C_h" and all(POLICY.varied * stddev < value for value, stddev in known):
+        return Value(*known[0], "Pa"), Value(*known[1], "Pa"), "Pa"
     if moved.name == "C_h" and rig.volume_1 and min(moved.machine, moved.here) > 0.0:
         pair = tuple((rig.volume_1 / value, rig.volume_1 / value**2 * stddev)
                      for value, stddev in pair)
@@ -113,9 +126,9 @@ def _runs(machine: Machine) -> str:
     return f"{count} {'parts of the ' if machine.pieces else ''}healthy recordings"
 
 
-def _change(moved: Moved, machine: Machine, settings: Settings) -> Change:
+def _change(moved: Moved, machine: Machine, settings: Settings, stiffness: Stiffness) -> Change:
     """Return the record of a number that has changed."""
-    healthy, now, unit = _in_words(moved, settings)
+    healthy, now, unit = _in_words(moved, settings, (machine.stiffness, stiffness))
     what = WHAT.get(moved.name, moved.effect)
     name = effect_words(moved.effect)
     words = WORDS.get(moved.name) or (
@@ -126,6 +139,25 @@ def _change(moved: Moved, machine: Machine, settings: Settings) -> Change:
         f"{words} is {with_uncertainty(now.value, now.stddev, unit)}, where {runs} have "
         f"{with_uncertainty(healthy.value, healthy.stddev, unit)}"),
         tuple(EFFECTS.get(one, one) for one in moved.rivals))
+
+
+def _oil(machine: Machine, stiffness: Stiffness) -> Change | None:
+    """Return how the oil has changed, if farther than another healthy recording of them would be.
+
+    By the prediction interval of Student's t for one further observation.
+    """
+    of, count = machine.stiffness, machine.stiffness.count
+    if count < machine.policy.fewest or not np.isfinite(stiffness.stddev):
+        return None
+    spread = np.hypot(of.between, of.stddev * np.sqrt(count)) * np.sqrt(1.0 + 1.0 / count)
+    limit = float(stats.t.ppf(1.0 - 0.5 * machine.policy.false, count - 1))
+    if not abs(stiffness.value - of.value) > np.hypot(
+            limit * spread, machine.policy.varied * stiffness.stddev):
+        return None
+    healthy, now = Value(*of.modulus, "Pa"), Value(*stiffness.modulus, "Pa")
+    return Change("beta_e", "", "flow", healthy, now, "Pa", (
+        f"{WORDS['C_h']} is {with_uncertainty(now.value, now.stddev, 'Pa')}, where "
+        f"{_runs(machine)} have {with_uncertainty(healthy.value, healthy.stddev, 'Pa')}"))
 
 
 def _effect(moved: Moved, change: Change, models: Sequence[Model]) -> NamedEffect:
@@ -142,24 +174,19 @@ def _effect(moved: Moved, change: Change, models: Sequence[Model]) -> NamedEffec
                        effective_samples=model.effective)
 
 
-def _health(machine: Machine, judged: Judged, rig: Rig, before: bool
+def _health(machine: Machine, judged: Judged, stiffness: Stiffness, before: bool
             ) -> dict[str, Value]:
     """Return B and beta_e of the machine with their spread, or those of the recordings."""
     found = {}
-    for one in machine.balances:
-        for p in one.parameters:
-            if p.name not in ("B", "C_h") or not p.value > 0.0:
-                continue
-            value, stddev = p.value, float(np.hypot(p.between, p.stddev))
-            if not before:
-                value, stddev = judged.values.get(p.name, (value, stddev))
-            if not stddev < value:  # these recordings do not determine it
-                continue
-            if p.name == "B":
-                found["B"] = Value(value, stddev, "N·s/m")
-            elif rig.volume_1:
-                found["beta_e"] = Value(rig.volume_1 / value, rig.volume_1 * stddev / value**2,
-                                        "Pa")
+    for p in (p for one in machine.balances for p in one.parameters if p.name == "B"):
+        value, stddev = p.value, float(np.hypot(p.between, p.stddev))
+        if not before:
+            value, stddev = judged.values.get(p.name, (value, stddev))
+        if value > 0.0 and stddev < value:  # else these recordings do not determine it
+            found["B"] = Value(value, stddev, "N·s/m")
+    modulus, stddev = (machine.stiffness if before else stiffness).modulus
+    if machine.policy.varied * stddev < modulus:
+        found["beta_e"] = Value(modulus, stddev, "Pa")
     return found
 
 

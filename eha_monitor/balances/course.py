@@ -23,10 +23,11 @@ from eha_monitor.recordings.stops import between_stops
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
 
-MOTION, BAND = 20.0, 5.0  # Hz: pass bands of the motion, and of every balance
-GRID, COARSE = 32, 4  # points in a period of ``BAND``; each so-many-th of them is compared
-APART = 0.1  # s: how far the balance's low-pass mixes a sample with its neighbours
-SPARSE = 0.4  # samples in a period of ``BAND``, inverted: fewer do not hold the band
+BAND = 5.0  # Hz: pass band of every balance; wider ones are for motions beyond it
+MOTION = 4.0  # bands: pass band of the motion
+GRID, COARSE = 32, 4  # points in a period of the band; each so-many-th of them is compared
+APART = 0.5  # periods of the band over which its low-pass mixes a sample with its neighbours
+SPARSE = 0.4  # samples in a period of the band, inverted: fewer do not hold it
 STANDING = 0.02  # of the top speed: below it dry friction takes any value
 DEAD = 0.02  # s: a value that does not change for longer while others do ...
 JUMPED = 5.0  # ... times the usual largest step away from what comes before or after
@@ -40,11 +41,12 @@ GAUGE = 0.5  # of the ambient pressure: a reading below is no absolute pressure
 
 @dataclass(frozen=True)
 class Course:
-    """A recording on a grid of ``GRID * BAND`` Hz; (m,) each, SI, not yet in the band.
+    """A recording on a grid of ``GRID`` points a period of the band; (m,) each, SI, not yet in it.
 
     Attributes
     ----------
     source : file it came from.
+    band : pass band of its balances, Hz.
     dt : spacing of the grid, s.
     x, v, a : position, velocity, acceleration.
     force : A1 p1 - A2 p2, or the measured force.
@@ -55,7 +57,8 @@ class Course:
     demand : what the drive or valve is commanded, any unit: only its sign is used; None if no
         channel says.
     quiet : share of its usual size below which the demand has no sign.
-    known : balance -> what the config's own effects add to it.
+    known : balance -> what the config's own effects add to it; ``stroke`` is the rate at which
+        volumes that change over the stroke take up oil at the pressure of 1 Pa, m³·Pa/s.
     sensors : (n_x, n_p, n_omega, n_force) noise of the channels in one sample, SI.
     skew : by how much one channel may be late against another, s: half a sample.
     passed : (band's response to white noise, and to its derivative in 1/s), rms.
@@ -65,6 +68,7 @@ class Course:
     """
 
     source: str
+    band: float
     dt: float
     x: np.ndarray
     v: np.ndarray
@@ -102,7 +106,7 @@ class Course:
     @property
     def every(self) -> int:
         """Of the grid's points each so-many-th is compared; the finer ones keep signs in place."""
-        return max(1, round(COARSE / (GRID * BAND * self.dt)))
+        return max(1, round(COARSE / (GRID * self.band * self.dt)))
 
     @property
     def step(self) -> float:
@@ -111,7 +115,7 @@ class Course:
 
     def in_band(self, columns: np.ndarray) -> np.ndarray:
         """Return columns (m, k) or (m,) after the low-pass of every balance, compared points."""
-        return _low_pass(columns, BAND, self.dt)[:: self.every]
+        return _low_pass(columns, self.band, self.dt)[:: self.every]
 
     def compared(self, values: np.ndarray) -> np.ndarray:
         """Return values (m,) at the compared points."""
@@ -156,8 +160,8 @@ class Course:
                              + ((rig.pump_displacement or 0.0) * n["omega"] * level) ** 2))
 
 
-def course_of(recording: Recording, settings: Settings) -> Course:
-    """Return the measured motion of a recording.
+def course_of(recording: Recording, settings: Settings, band: float = BAND) -> Course:
+    """Return the measured motion of a recording, for balances up to ``band`` Hz.
 
     Raises
     ------
@@ -169,9 +173,9 @@ def course_of(recording: Recording, settings: Settings) -> Course:
     if why:
         raise InputError(f"{recording.source}: {why}")
     dt = recording.sample_time
-    if dt * BAND > SPARSE:
-        raise InputError(f"{recording.source}: expected at least {BAND / SPARSE:.3g} samples a "
-                         f"second for balances below {BAND:g} Hz, found {1.0 / dt:.3g}")
+    if dt * band > SPARSE:
+        raise InputError(f"{recording.source}: expected at least {band / SPARSE:.3g} samples a "
+                         f"second for balances below {band:g} Hz, found {1.0 / dt:.3g}")
     names = [name for name in CHANNELS if recording.has(name)]
     noise = noise_levels(recording, settings.noise)
     cleaned, _ = without_spikes({name: recording.channels[name] for name in names}, noise)
@@ -187,9 +191,9 @@ def course_of(recording: Recording, settings: Settings) -> Course:
     for first, last in between_stops(whole["x"], force, dt):
         away[first:last] = True
 
-    every = max(1, round(1.0 / (GRID * BAND * dt)))
-    cutoff = min(MOTION, 0.2 / dt)
-    reach = max(1, round(APART / dt))
+    every = max(1, round(1.0 / (GRID * band * dt)))
+    cutoff = min(MOTION * band, 0.2 / dt)
+    reach = max(1, round(APART / band / dt))
     bad = np.convolve(missing | ~away, np.ones(2 * reach + 1), mode="same") > 0.5
     bad[:reach] = bad[-reach:] = True
 
@@ -197,29 +201,29 @@ def course_of(recording: Recording, settings: Settings) -> Course:
         return _low_pass(values, cutoff, dt)[::every]
 
     x = _low_pass(whole["x"], cutoff, dt)
-    v = np.gradient(x, dt)
-    a, step, good = np.gradient(v, dt)[::every], every * dt, ~bad[::every]
+    v = slope(x, dt)
+    a, step, good = slope(v, dt)[::every], every * dt, ~bad[::every]
     if good.sum() * step < SHORTEST:
         raise InputError(f"{recording.source}: expected at least {SHORTEST:g} s of motion away "
                          f"from stops with all channels, found {good.sum() * step:.1f} s")
     v, x = v[::every], x[::every]
     p1, p2, omega = (fine(whole[name]) if name in whole else None
                      for name in ("p1", "p2", "omega"))
-    rate_1, rate_2 = (None if p is None else np.gradient(p, step) for p in (p1, p2))
+    rate_1, rate_2 = (None if p is None else slope(p, step) for p in (p1, p2))
     top = np.quantile(np.abs(v[good]), 0.998)
     slow = np.abs(v) < STANDING * top
     slow[1:] |= v[1:] * v[:-1] <= 0.0  # a quick reversal may fall between two points
-    near = max(1, round(APART / step))
+    near = max(1, round(APART / band / step))
     moving = np.convolve(slow, np.ones(2 * near + 1), mode="same") < 0.5
     moving &= np.ptp(x[good]) > TRAVEL * noise["x"].value
     demand = whole.get("omega_d", whole.get("omega"))
     wanted = _wanted(whole, rig, circuit, dt)
     pressures = [p[good] for p in (p1, p2) if p is not None]
     found = Course(
-        recording.source, step, x, v, a, fine(force), p1, p2, rate_1, rate_2, omega,
+        recording.source, band, step, x, v, a, fine(force), p1, p2, rate_1, rate_2, omega,
         None if wanted is None else fine(wanted), None if demand is None else fine(demand),
         COMMANDED if "omega_d" in whole else MEASURED, {}, _sensors(noise, cleaned),
-        0.5 * dt, passed(dt), bool(pressures) and min(
+        0.5 * dt, passed(dt, band), bool(pressures) and min(
             float(np.quantile(p, 0.01)) for p in pressures) < GAUGE * rig.ambient_pressure,
         good, moving & good)
     found.known.update(known_of(found, rig, theta, active))
@@ -243,7 +247,7 @@ def known_of(course: Course, rig: Rig, theta: np.ndarray, active: np.ndarray
     ratio, side = rig.area_2 / rig.area_1, pumped_side(course, rig)
     pump = (rig.pump_displacement or 0.0) * c[:, s.SPEED]
     crossing = 0.5 * (rig.leakage - rig.makeup_conductance) * (course.p1 - course.p2)
-    left = []
+    left, stroke = [], []
     for sign, share, p, rate, volume, own, more, into in (
             (1.0, 1.0, course.p1, course.rate_1, s.VOLUME_1, rig.volume_1, s.COMPLIANCE_1,
              s.FLOW_1),
@@ -252,9 +256,14 @@ def known_of(course: Course, rig: Rig, theta: np.ndarray, active: np.ndarray
         soft = c[:, volume] / rig.bulk_modulus + ((own or 0.0) + c[:, volume]) * c[:, more]
         makeup = rig.makeup_conductance * (p - rig.charge_pressure)
         left.append(sign / share * (c[:, into] - sign * crossing - makeup - soft * rate))
-    mean = 0.5 * (left[0] + left[1])
-    return known | {"flow": pump + (mean if ratio == 1.0 else np.where(
-        side > 0.0, left[0], left[1]))}
+        stroke.append(sign / share * c[:, volume] * rate)
+    return known | {"flow": pump + of_filled(*left, side, ratio),
+                    "stroke": of_filled(*stroke, side, ratio)}
+
+
+def of_filled(one: np.ndarray, two: np.ndarray, side: np.ndarray, ratio: float) -> np.ndarray:
+    """Return what holds for the chamber that the pump fills; with equal areas the mean of both."""
+    return 0.5 * (one + two) if ratio == 1.0 else np.where(side > 0.0, one, two)
 
 
 def has_flow(course: Course, rig: Rig) -> bool:
@@ -289,14 +298,27 @@ def pumped_side(course: Course, rig: Rig) -> np.ndarray:
     return direction_of(course)
 
 
-def passed(dt: float) -> tuple[float, float]:
+def passed(dt: float, band: float) -> tuple[float, float]:
     """Return the rms of white noise of one, and of its derivative, behind a balance's low-pass."""
-    half = max(8, round(3.0 / BAND / dt))
+    half = max(8, round(3.0 / band / dt))
     impulse = np.zeros(2 * half + 1)
     impulse[half] = 1.0
-    response = _low_pass(impulse, min(BAND, 0.2 / dt), dt)
+    response = _low_pass(impulse, min(band, 0.2 / dt), dt)
     return (float(np.sqrt(np.sum(response**2))),
-            float(np.sqrt(np.sum(np.gradient(response, dt) ** 2))))
+            float(np.sqrt(np.sum(slope(response, dt) ** 2))))
+
+
+def slope(values: np.ndarray, dt: float) -> np.ndarray:
+    """Return the derivative of samples (n,), of fourth order but for two at either end.
+
+    A difference of two neighbours loses (omega dt)^2/6 of a velocity, which stands beside the
+    pump's flow like inertia on soft oil: at 2 ms a fifth of the compliance of a usual cylinder.
+    """
+    found = np.gradient(values, dt)
+    if len(values) > 4:
+        found[2:-2] = (8.0 * (values[3:-1] - values[1:-3]) - (values[4:] - values[:-4])) / (
+            12.0 * dt)
+    return found
 
 
 def _sensors(noise: dict, channels: dict[str, np.ndarray]) -> dict[str, float]:

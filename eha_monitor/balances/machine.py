@@ -17,6 +17,7 @@ from eha_monitor.balances.candidates import (
 )
 from eha_monitor.balances.course import Course, course_of
 from eha_monitor.balances.discrepancy import Regime, learned, regimes, signals_of
+from eha_monitor.balances.parameters import UNKNOWN, Stiffness, stiffness_of
 from eha_monitor.balances.policy import POLICY, Policy
 from eha_monitor.balances.scatter import Scatter, scatter_of
 from eha_monitor.balances.table import Table, nominal_of, tables_of
@@ -152,6 +153,7 @@ class Machine:
     scale : shapes of the candidates are shares of it.
     load_varied : whether the recordings differ in load, or in mean pressure.
     pieces : they are parts of fewer recordings.
+    stiffness : of the oil, by least squares.
     """
 
     rig: str
@@ -162,6 +164,7 @@ class Machine:
     balances: tuple[MachineBalance, ...]
     odd: tuple[Odd, ...]
     policy: Policy
+    stiffness: Stiffness = UNKNOWN
 
     def __getitem__(self, balance: str) -> MachineBalance:
         return next(one for one in self.balances if one.balance == balance)
@@ -184,6 +187,7 @@ class Machine:
             "repeating_share": {one.balance: one.repeats for one in self.balances},
             "load_varied": self.load_varied, "turns": self.scale.turns, "pieces": self.pieces,
             "odd": [asdict(one) for one in self.odd],
+            "stiffness": asdict(self.stiffness),
             "scale": asdict(self.scale), "policy": self.policy.to_dict(),
             "balances": [asdict(one) for one in self.balances]})
 
@@ -292,7 +296,7 @@ def machine_from(courses: Sequence[Course], rig: Rig, vary: Sequence[str], witho
     sources = tuple(Path(one.source).name or f"recording {i + 1}"
                     for i, one in enumerate(courses))
     return Machine(rig.name, sources, scale, bool(varied), pieces, tuple(found),
-                   _odd(sources, found, policy), policy)
+                   _odd(sources, found, policy), policy, stiffness_of(courses, rig))
 
 
 def pressure_varied(courses: Sequence[Course], policy: Policy) -> bool:
@@ -491,10 +495,19 @@ def load(path: Path) -> Machine:
             Scale(**data["scale"] | {"tops": tuple(data["scale"]["tops"])}),
             data["load_varied"], data["pieces"], balances,
             tuple(Odd(**one) for one in data["odd"]),
-            Policy(**{k: v for k, v in data["policy"].items() if k in known}))
+            Policy(**{k: v for k, v in data["policy"].items() if k in known}),
+            _read_stiffness(data.get("stiffness")))
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as problem:
         raise InputError(f"{path}: expected a machine, as `diagnose A B C --machine FILE` writes "
                          f"it: {problem}") from problem
+
+
+def _read_stiffness(data: dict | None) -> Stiffness:
+    """Return what the file says of the oil; files before it was kept say nothing."""
+    if data is None:
+        return UNKNOWN
+    return Stiffness(*_numbers([data[key] for key in ("value", "between", "stddev")]),
+                     data["count"])
 
 
 def _read_balance(data: dict) -> MachineBalance:

@@ -1,7 +1,7 @@
 """B and beta_e of some seconds by least squares, beside the model that the config has.
 
     F - known = (M) x'' + B x' + F_0 (+ F_c sgn x')             force balance
-    A x' - known = D_p omega - C_h p' - C_L (p1 - p2)           flow balance, beta_e = V_1 / C_h
+    A x' - known = D_p omega - V(x) p' / beta_e - C_L (p1 - p2)  flow balance
 
 ``known`` is what the config's effects add along the measured motion.  Mass, load, displacement and
 leakage stand beside as free numbers, so that a wrong one of the config moves neither parameter.  A
@@ -9,22 +9,33 @@ filter that follows a model sample by sample is more precise where that model is
 astray where it is not; these two equations ask for so little that a stranger's machine meets them.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from eha_monitor.balances.baseline import BalanceFit, Term, fitted, flow_columns, force_fit
-from eha_monitor.balances.course import Course, course_of
+from eha_monitor.balances.course import (
+    BAND,
+    Course,
+    course_of,
+    of_filled,
+    pumped_side,
+    slope,
+)
+from eha_monitor.balances.together import pooled
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.results import ONE, TWO, Beside, ParameterEstimate
 from eha_monitor.estimation.rig_model import force_of
 from eha_monitor.recordings.recording import Recording, rows_of, sample_of
 from eha_monitor.settings.monitor import Settings
+from eha_monitor.settings.rig import Rig
 
 CLEAR = 5.0  # times the noise of a regressor: its noise then draws the parameter by 4 % at most
 WINDOW_S, LEAST_S, EVERY_S = 20.0, 5.0, 2.0  # how much is looked at, and how often
 MOST = 200  # looks at one recording
-HELD = 0.7  # of the force's rms: less within the balances' band, and they say nothing of the motion
+BANDS = BAND, 4.0 * BAND  # Hz: the next one where a motion is too quick for the one before
+HELD = 0.7  # of the force's rms: less within a band, and its balances say nothing of the motion
 
 
 def parameters_of(recording: Recording, settings: Settings) -> dict[str, ParameterEstimate]:
@@ -35,21 +46,23 @@ def parameters_of(recording: Recording, settings: Settings) -> dict[str, Paramet
     recording : some seconds; of a longer one a sample is taken.
     settings : the config; its effects count as known.
     """
-    try:
-        course = course_of(recording, settings)
-    except InputError:
-        return {}
     found: dict[str, ParameterEstimate] = {}
-    if np.std(course.in_band(course.force)) < HELD * np.nanstd(force_of(
-            settings.rig, sample_of(recording).channels)):
-        return found
-    damping = _damping(course, settings)
-    if damping is not None:
-        found["B"] = ONE.judged(settings, damping.value, damping.stddev)
-    soft = _compliance(course, settings)
-    if soft is not None:
-        beta = settings.rig.volume_1 / soft.value
-        found["beta_e"] = TWO.judged(settings, beta, beta * soft.stddev / soft.value)
+    for band in BANDS:
+        try:
+            course = course_of(recording, settings, band)
+        except InputError:
+            break
+        if np.std(course.in_band(course.force)) < HELD * np.nanstd(force_of(
+                settings.rig, sample_of(recording).channels)):
+            continue
+        damping = _damping(course, settings) if "B" not in found else None
+        if damping is not None:
+            found["B"] = ONE.judged(settings, damping.value, damping.stddev)
+        soft = compressibility(course, settings.rig) if "beta_e" not in found else None
+        if soft is not None:
+            found["beta_e"] = TWO.judged(settings, 1.0 / soft.value, soft.stddev / soft.value**2)
+        if "B" in found:
+            break
     return found
 
 
@@ -66,36 +79,86 @@ def _damping(course: Course, settings: Settings) -> Term | None:
     """Return B: with the config's dry friction, or with one of its own, whichever is surer.
 
     The deviation of the first holds how far another dry friction moves it where that fits better,
-    that of the second how little the motion may tell friction from damping.
+    that of the second how little the motion may tell friction from damping.  A quick motion shows
+    milliseconds between the channels as damping, which the deviation holds as well.
     """
     rig = settings.rig
     known = course.known["force"] - rig.mass * course.a
+    late = slope(course.force, course.dt) if course.band > BAND else None
     ways = [fit["B"] for held in (True, False)
-            if (fit := force_fit(course, rig, known, held)) is not None]
+            if (fit := force_fit(course, rig, known, held, late)) is not None]
     ways = [term for term in ways if term.determined]
     return min(ways, key=lambda term: term.stddev, default=None)
 
 
-def _compliance(course: Course, settings: Settings) -> Term | None:
-    """Return C_h; its deviation holds how far channels that are late against one another move it.
+def compressibility(course: Course, rig: Rig) -> Term | None:
+    """Return 1/beta_e; its deviation holds how far channels that are late move it.
 
-    A position that is late by tau adds tau A x'' to the flow, which resembles C_h p'; so does, at
-    one speed, what a pump loses in either direction.
+    A position that is late by tau adds tau A x'' to the flow, which resembles the oil's part; so
+    does, at one speed, what a pump loses in either direction.  The volumes are the config's, or
+    change over the stroke as the areas say, whichever fits better.
     """
-    rig = settings.rig
     columns = flow_columns(course, rig)
-    if columns is None or not rig.volume_1 or "flow" not in course.known:
+    if columns is None or not (rig.volume_1 and rig.volume_2) or "flow" not in course.known:
         return None
-    side, (pump, leakage, soft) = columns
+    flow, (pump, leakage, _) = columns
     leakage = (*leakage[:3], 0, leakage[4])  # beside the config's it may be less
-    fit: BalanceFit | None = fitted(course, course.counted("flow"), side - course.known["flow"],
-                                    (pump, leakage, soft),
-                                    (course.a, course.direction, np.ones(len(course))))
-    if fit is None or not fit["C_h"].determined:
-        return None
-    noise = course.sensors["p"] * course.passed[1]
-    others = np.column_stack([pump[4], leakage[4]])
-    return fit["C_h"] if _own(course, soft[4], others) > CLEAR * noise else None
+    stroke, ratio, side = course.known["stroke"], rig.area_2 / rig.area_1, pumped_side(course, rig)
+    flow = flow - course.known["flow"] - stroke / rig.bulk_modulus
+    oil = stroke + of_filled(rig.volume_1 * course.rate_1, -rig.volume_2 * course.rate_2 / ratio,
+                             side, ratio)
+    ways = [oil]
+    if not np.any(stroke):
+        ways.append(oil + rig.area_1 * course.x * of_filled(course.rate_1, course.rate_2, side,
+                                                            ratio))
+    found: list[BalanceFit] = []
+    for taken in ways:
+        if _own(course, taken, np.column_stack([pump[4], leakage[4]])) < CLEAR * (
+                rig.volume_1 * course.sensors["p"] * course.passed[1]):
+            continue
+        fit = fitted(course, course.counted("flow"), flow, (
+            pump, leakage, ("1/beta_e", "1/Pa", "compressibility", 1, -taken)),
+            (course.a, course.direction, np.ones(len(course))))
+        if fit is not None and fit["1/beta_e"].determined:
+            found.append(fit)
+    best = min(found, key=lambda fit: fit.error_share, default=None)
+    return None if best is None else best["1/beta_e"]
+
+
+@dataclass(frozen=True)
+class Stiffness:
+    """1/beta_e of recordings: mean, spread between them and deviation of the mean, 1/Pa.
+
+    ``count`` : recordings that determine it.
+    """
+
+    value: float
+    between: float
+    stddev: float
+    count: int = 0
+
+    @property
+    def modulus(self) -> tuple[float, float]:
+        """The effective bulk modulus and how far it is off or differs from recording to recording.
+
+        Both infinite where nothing determines it.
+        """
+        if not self.value > 0.0:
+            return np.inf, np.inf
+        return 1.0 / self.value, float(np.hypot(self.between, self.stddev)) / self.value**2
+
+
+UNKNOWN = Stiffness(np.nan, 0.0, np.inf)
+
+
+def stiffness_of(courses: Sequence[Course], rig: Rig) -> Stiffness:
+    """Return what recordings say together of the oil; an infinite deviation where none does."""
+    each = [term for course in courses if (term := compressibility(course, rig)) is not None]
+    if not each:
+        return UNKNOWN
+    values, stddevs = (np.array([getattr(term, key) for term in each])
+                       for key in ("value", "stddev"))
+    return Stiffness(*pooled(values, stddevs, float(values[0])), len(each))
 
 
 def _own(course: Course, column: np.ndarray, others: np.ndarray) -> float:

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from eha_monitor.balances.candidates import Candidate
-from eha_monitor.balances.course import Course, pumped_side
+from eha_monitor.balances.course import Course, pumped_side, slope
 from eha_monitor.balances.least_squares import independent, minimum_norm, signed_solution
 from eha_monitor.balances.policy import Policy
 from eha_monitor.settings.rig import Rig
@@ -206,7 +206,7 @@ def doubts_of(course: Course, rig: Rig, balance: str, whole: np.ndarray) -> list
     A bore makes both areas wrong by the same share; the rod of a single-rod cylinder only one,
     and with it the flow of chamber 2 as of chamber 1.
     """
-    found = [course.skew * np.gradient(whole, course.dt)]
+    found = [course.skew * slope(whole, course.dt)]
     if balance == "flow" or (balance == "force" and course.p1 is not None and rig.area_1):
         found.append(rig.tolerance.log_spread("area_1") * whole)
     if balance == "force" and course.p2 is not None and rig.area_2 != rig.area_1:

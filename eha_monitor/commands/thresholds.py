@@ -112,8 +112,9 @@ def _healthy(bags, settings, config):
                 found[symbol].append(one)
                 continue
             why = series.final.message or series.final.status
-            if symbol in answer.doubted:
-                why = "it is not determined while the model does not fit"
+            if symbol in answer.model.tainted:
+                why = "it is not determined while the model does not fit" + (
+                    ", or not long enough" if symbol not in answer.doubted else "")
             told.append(f"{bag}: {SYMBOLS.get(symbol, symbol)} is left out: {why}")
         if answer.model.status == "mismatch":
             unfit.append(bag)

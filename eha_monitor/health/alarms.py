@@ -365,7 +365,7 @@ def judge_series(settings: Settings, time: np.ndarray, parameters: dict[str, Par
             else:
                 row[symbol] = unjudged[symbol]
         doubts = {} if k == len(index) - 1 else _trials(trials, at, row)
-        doubts |= {name: replace(taint, instead=_latest(beside, at - times[0], name))
+        doubts |= {name: replace(taint, instead=_latest(beside, at - float(time[0]), name))
                    for name, taint in (tainted or {}).items() if at >= taint.since_s}
         board.update(at, row, None if warmth is None else warmth[k], doubts)
     return board.alarms, tuple(board.history)

@@ -236,10 +236,10 @@ class Monitor(Section):
     stale_after: Si("s", "health becomes STALE after this time without data", gt=0) = 1.0
     latency: Si("s", "longest time a row waits for its last channel", gt=0) = 0.02
     on_mismatch: Literal["hold", "rebase", "ignore"] = Field(
-        "hold", description="alarms of an estimate biased by a model mismatch; hold: not raised "
-                            "or cleared if the mismatch may have moved the estimate across the "
-                            "limit; rebase: once settled, judged by the change since; ignore: "
-                            "judged as if the model fitted")
+        "hold", description="alarms of an estimate biased by a model mismatch; hold: judged by "
+                            "least squares on the balances, neither raised nor cleared where "
+                            "these do not determine it; rebase: once settled, judged by the "
+                            "change since; ignore: judged as if the model fitted")
     buffer_minutes: Si("min", "length of the buffer of inputs, estimates and health, kept "
                               "compressed in memory to be saved as a bag (service monitor/save, "
                               "or save_on); at most 128 MiB, the oldest data are dropped first, "
