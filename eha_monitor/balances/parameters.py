@@ -148,7 +148,7 @@ class Stiffness:
         return 1.0 / self.value, float(np.hypot(self.between, self.stddev)) / self.value**2
 
 
-UNKNOWN = Stiffness(np.nan, 0.0, np.inf)
+UNKNOWN = Stiffness(0.0, 0.0, np.inf)
 
 
 def stiffness_of(courses: Sequence[Course], rig: Rig) -> Stiffness:
