@@ -6,6 +6,7 @@ low-pass without phase, so that a linear law stays exactly that law whatever the
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.signal import butter, lfilter, sosfiltfilt
@@ -34,6 +35,7 @@ JUMPED = 5.0  # ... times the usual largest step away from what comes before or 
 SHORTEST = 0.5  # s of usable recording
 COMMANDED, MEASURED = 0.005, 0.05  # of its size: a smaller demand has no sign; noise-free, noisy
 TRAVEL = 20.0  # times the position's noise: less is no motion
+DESIGNS = 64  # low-passes that are kept
 CHANNELS = ("x", "x_d", "omega", "omega_d", "p1", "p2", "force")
 HELD = 0.15  # of the other chamber's spread: on rigs of another simulator 0.01 to 0.09, else 0.24
 GAUGE = 0.5  # of the ambient pressure: a reading below is no absolute pressure
@@ -298,6 +300,7 @@ def pumped_side(course: Course, rig: Rig) -> np.ndarray:
     return direction_of(course)
 
 
+@lru_cache(DESIGNS)
 def passed(dt: float, band: float) -> tuple[float, float]:
     """Return the rms of white noise of one, and of its derivative, behind a balance's low-pass."""
     half = max(8, round(3.0 / band / dt))
@@ -365,10 +368,16 @@ def _wanted(whole: dict[str, np.ndarray], rig: Rig, w: np.ndarray, dt: float
     return made
 
 
+@lru_cache(DESIGNS)
+def _sections(cutoff: float, dt: float) -> np.ndarray:
+    """Return the second-order sections of the low-pass; a design takes as long as a use of it."""
+    return butter(4, cutoff, fs=1.0 / dt, output="sos")
+
+
 def _low_pass(values: np.ndarray, cutoff: float, dt: float) -> np.ndarray:
     """Return values (n,) or (n, k) behind a Butterworth low-pass of ``cutoff`` Hz, both ways."""
-    sections = butter(4, cutoff, fs=1.0 / dt, output="sos")
-    return sosfiltfilt(sections, values, axis=0, padlen=min(len(values) - 1, round(1.0 / dt)))
+    return sosfiltfilt(_sections(cutoff, dt), values, axis=0,
+                       padlen=min(len(values) - 1, round(1.0 / dt)))
 
 
 def _dead(values: np.ndarray, dt: float) -> np.ndarray:

@@ -35,7 +35,7 @@ from eha_monitor.mismatch.locate import location as locate
 from eha_monitor.mismatch.locate.terms import BALANCES, missing_terms
 from eha_monitor.mismatch.name.before import FirstView, at_its_angle, informative
 from eha_monitor.mismatch.name.naming import Naming, beyond_form, name_effects, on_all_of
-from eha_monitor.mismatch.name.select import credible, nominal
+from eha_monitor.mismatch.name.select import Unfollowed, credible, nominal
 from eha_monitor.mismatch.name.unnamed import INTERMITTENT
 from eha_monitor.mismatch.show import held_out as show
 from eha_monitor.mismatch.show.changed import change_words, changed_between
@@ -126,7 +126,14 @@ def _diagnosed(recordings: list[Recording], settings: Settings, held_out: Record
     # Several recordings of such a machine say more together than a filter of one law can.
     if far and (first.machine is not None or not credible(experiment, first.config_effects)):
         return coarse, None
-    named = named_in(experiment, say, first)
+    # What least squares say stands where no set of laws brings a filter near the recording.
+    stands = hypothesis is None and first is not None and first.verdict != "unexplained"
+    try:
+        named = named_in(experiment, say, first, stands)
+    except Unfollowed:
+        note = UNNAMED if first.verdict == "consistent" else FINER
+        return replace(first, advice=(note, *first.advice),
+                       wall_s=time.perf_counter() - started), None
     if decision is not None and named is not None and (
             named[1].unexplained > experiment.policy.rival):
         # What is missing may have been taken for a hold, or the other way about.
@@ -165,19 +172,20 @@ def explains_more(first: Diagnosis, found: Diagnosis, policy: Policy = POLICY) -
         there.after_rms - here.after_rms > policy.worse * here.signal_rms)
 
 
-def named_in(experiment: Experiment, say: Report, first: Diagnosis | None = None
-             ) -> tuple[Experiment, Naming] | None:
+def named_in(experiment: Experiment, say: Report, first: Diagnosis | None = None,
+             may_end: bool = False) -> tuple[Experiment, Naming] | None:
     """Name what the most informative windows show; None where the piston hardly moves.
 
     Parameters
     ----------
     first : what the balances answer.
+    may_end : by ``Unfollowed``, see :class:`select.Search`.
     """
     if experiment.ranges.position < TRAVEL * experiment.noise[0]:
         return None
     windows = informative(experiment)
     return windows, name_effects(windows, lambda text, share: say(text, 0.85 * share),
-                                 view_of(first))
+                                 view_of(first), may_end)
 
 
 def view_of(first: Diagnosis | None) -> FirstView | None:

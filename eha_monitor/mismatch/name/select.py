@@ -61,7 +61,15 @@ BENT = 0.2  # of the logarithm of B or beta_e
 CLOSE = 300.0  # log units: within them a set is a rival that is fitted to the end
 LADDER = (1.0, 4.0, 16.0, 64.0, 256.0)  # times an effect's start
 ROUNDS = 8
+GAINED = 0.1  # of what a model lacks, that another round of a search must remove
 SKETCH, SKETCH_WINDOW = 8_000, 2_000  # samples that a search begins on, in windows
+
+
+class Unfollowed(Exception):
+    """No set of the catalogue's laws brings the filter near a recording.
+
+    Each sample's innovation is then the form of a law that nobody wrote down.
+    """
 
 
 @dataclass(frozen=True)
@@ -99,6 +107,8 @@ class Search:
     ended : what is best was fitted to the end, or need not be; ``far`` the last of the other
         places was tried.
     view : what least squares name, until it was looked at.
+    may_end : ends by :class:`Unfollowed` where no law follows; ``lack`` what the best model lacked
+        after the round before, log units a sample.
     """
 
     experiment: Experiment
@@ -111,14 +121,24 @@ class Search:
     ended: bool = False
     far: bool = False
     view: FirstView | None = None
+    may_end: bool = False
+    lack: float = np.inf
 
     @classmethod
     def at(cls, experiment: Experiment, nominal: Fit, sketch: bool = False,
-           view: FirstView | None = None) -> "Search":
+           view: FirstView | None = None, may_end: bool = False) -> "Search":
         """Return a search at its beginning."""
         refits = Refits(experiment.policy)
         refits.add(experiment, frozenset(), nominal)
-        return cls(experiment, nominal, refits, sketch, ended=sketch, view=view)
+        return cls(experiment, nominal, refits, sketch, ended=sketch, view=view, may_end=may_end)
+
+    def end_if_unfollowed(self) -> None:
+        """End where the best model lacks a log unit a sample and the last round gained nothing."""
+        before, self.lack = self.lack, lack_of(
+            self.experiment, self.refits.fits[self.refits.best()])
+        if self.may_end and self.lack > max(self.experiment.policy.lacking,
+                                            (1.0 - GAINED) * before):
+            raise Unfollowed
 
     def look_at_first_view(self) -> None:
         """Fit what least squares name, where what was found lacks something.
@@ -220,7 +240,7 @@ def strayed(view: Linearised, refits: Refits) -> bool:
 
 
 def selected(experiment: Experiment, say=lambda text, share: None,
-             first_view: FirstView | None = None) -> Selection:
+             first_view: FirstView | None = None, may_end: bool = False) -> Selection:
     """Find the set of effects and wrong numbers of the rig that a recording supports.
 
     What is missing and large shows in a third of the samples as well as in all of them: the
@@ -230,20 +250,26 @@ def selected(experiment: Experiment, say=lambda text, share: None,
     ----------
     first_view : what least squares name: a set that is fitted from their numbers where all that
         was found lacks something.
+    may_end : see :class:`Search`.
+
+    Raises
+    ------
+    Unfollowed
+        If it may end so.
     """
     say("fitting the nominal model", 0.05)
     experiment, first = resolved_nominal(experiment)
     near = leans_less(experiment, first)
     start = (settled(experiment, with_rig(experiment, first)) if near
              else nominal_model(experiment, within=True))
-    search = Search.at(experiment, start, view=first_view)
+    search = Search.at(experiment, start, view=first_view, may_end=may_end)
     if not search.refits.evidence:
         raise np.linalg.LinAlgError("the nominal model's evidence is singular")
     sketch = sketch_of(experiment, start)
     if sketch is not None:
         say("searching a third of the samples", 0.1)
         search.going_on_from(explored(
-            Search.at(sketch, with_unknowns(sketch, start), True, first_view), say))
+            Search.at(sketch, with_unknowns(sketch, start), True, first_view, may_end), say))
     refits, views = explored(search, say).refits, search.views
     gated(experiment, refits)
     best = refits.best()
@@ -265,6 +291,7 @@ def explored(search: Search, say: Callable[[str, float], None]) -> Search:
     """Linearise, rank, refit, and again at the best, until the best set stays."""
     experiment, refits, done = search.experiment, search.refits, search.done
     for turn in range(ROUNDS + 1):
+        search.end_if_unfollowed()
         place = next_place(search, turn)
         if place is None or turn == ROUNDS:
             break
@@ -585,5 +612,9 @@ def credible(experiment: Experiment, effects: Mapping[str, Mapping[str, float]])
         fit = settled(sketch, with_rig(sketch, with_effects(sketch, fit, effects)))
     except np.linalg.LinAlgError:
         return False
-    lacks = expected_likelihood(sketch, fit) - fit.log_likelihood
-    return bool(lacks < experiment.policy.lacking * sketch.n)
+    return lack_of(sketch, fit) < experiment.policy.lacking
+
+
+def lack_of(experiment: Experiment, fit: Fit) -> float:
+    """Return what a model lacks on the expected likelihood of a right one, log units a sample."""
+    return float(expected_likelihood(experiment, fit) - fit.log_likelihood) / experiment.n
