@@ -11,6 +11,9 @@ import pytest
 from rig_tools import BETA, CHIRP, MULTISINE, SINE, TRIANGLE, B, settings, simulated, without
 
 from eha_monitor.api.answer import answer, judged, judged_series
+from eha_monitor.balances.changed import against
+from eha_monitor.balances.course import slope
+from eha_monitor.balances.machine import healthy_machine
 from eha_monitor.balances.parameters import LEAST_S, along, parameters_of
 from eha_monitor.estimation.model_watch import tainted_by
 from eha_monitor.estimation.pipeline import estimate
@@ -73,6 +76,38 @@ def test_neither_mass_nor_displacement_nor_leakage_of_the_config_move_them():
         "mass": 30.0, "pump_displacement": 2e-7, "leakage": 2e-12}))
     for name, one in right.items():
         assert wrong[name].value == pytest.approx(one.value, rel=1e-3)
+
+
+def test_a_derivative_loses_nothing_of_a_motion_within_the_band():
+    """Two neighbours' difference loses (omega dt)^2/6, which looks like inertia on soft oil."""
+    dt, omega = 2e-3, 2.0 * np.pi * 20.0
+    t = dt * np.arange(2000)
+    lost = slope(np.sin(omega * t), dt)[2:-2] / omega - np.cos(omega * t)[2:-2]
+    assert np.max(np.abs(lost)) < 1.5e-4 < np.max(np.abs(
+        np.gradient(np.sin(omega * t), dt)[2:-2] / omega - np.cos(omega * t)[2:-2]))
+
+
+@pytest.mark.parametrize("dt", [1e-3, 2e-3])
+def test_the_oil_of_an_inertial_motion_is_as_stiff_as_it_is(dt):
+    run = simulated(CHIRP, 12.0, rig={"sample_time": dt})
+    found = parameters_of(run.recording(0), run.config)["beta_e"]
+    assert found.status == "converged" and found.value == pytest.approx(BETA, rel=0.015)
+
+
+def test_air_that_no_balance_owes_two_per_cent_to_is_a_change_of_the_oil():
+    """Soft oil makes a thousandth of the flow at a slow motion; healthy recordings agree in it."""
+    def recorded(seed, beta):
+        shape = {**MULTISINE, "frequency_end": 4.0, "seed": seed}
+        return simulated(shape, 20.0, rig={"bulk_modulus": beta}).recording(seed)
+
+    healthy = [recorded(seed, BETA) for seed in range(5)]
+    machine = healthy_machine(healthy, settings())
+    assert machine.stiffness.count == 5
+    assert machine.stiffness.modulus[0] == pytest.approx(BETA, rel=0.05)
+    soft = against(machine, [recorded(7, 0.4 * BETA)], settings(), ())
+    assert [one.what for one in soft.changes] == ["beta_e"], soft.message
+    assert soft.changes[0].now.value == pytest.approx(0.4 * BETA, rel=0.1)
+    assert against(machine, [recorded(8, BETA)], settings(), ()).verdict == "consistent"
 
 
 @pytest.mark.parametrize("lacking", [("omega",), ("p1",), ("x",)])

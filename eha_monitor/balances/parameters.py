@@ -95,7 +95,8 @@ def compressibility(course: Course, rig: Rig) -> Term | None:
     """Return 1/beta_e; its deviation holds how far channels that are late move it.
 
     A position that is late by tau adds tau A x'' to the flow, which resembles the oil's part; so
-    does, at one speed, what a pump loses in either direction.  The volumes are the config's, or
+    does play in its coupling, at each reversal, and at one speed what a pump loses in either
+    direction.  The volumes are the config's, or
     change over the stroke as the areas say, whichever fits better.
     """
     columns = flow_columns(course, rig)
@@ -108,6 +109,7 @@ def compressibility(course: Course, rig: Rig) -> Term | None:
     oil = stroke + of_filled(rig.volume_1 * course.rate_1, -rig.volume_2 * course.rate_2 / ratio,
                              side, ratio)
     ways = [oil]
+    play = slope(course.direction, course.dt)
     if not np.any(stroke):
         ways.append(oil + rig.area_1 * course.x * of_filled(course.rate_1, course.rate_2, side,
                                                             ratio))
@@ -118,7 +120,7 @@ def compressibility(course: Course, rig: Rig) -> Term | None:
             continue
         fit = fitted(course, course.counted("flow"), flow, (
             pump, leakage, ("1/beta_e", "1/Pa", "compressibility", 1, -taken)),
-            (course.a, course.direction, np.ones(len(course))))
+            (course.a, course.direction, np.ones(len(course)), play))
         if fit is not None and fit["1/beta_e"].determined:
             found.append(fit)
     best = min(found, key=lambda fit: fit.error_share, default=None)

@@ -33,17 +33,22 @@ def presentable(estimate: Estimate) -> Estimate:
 
 @dataclass(frozen=True)
 class _Watched:
-    """A parameter's curve with its limits (SI, words), and its colour."""
+    """A parameter's curve with its limits (SI, words), and its colour.
+
+    ``beside`` : (k, 3) time (s), value and deviation by least squares; none where the model fits.
+    """
 
     name: str
     stage: StageResult
     limits: list[tuple[float, str]]
     colour: str
+    beside: np.ndarray
 
     def view(self) -> tuple[float, float]:
         """Return the least and largest value to show, SI: the curve and the limits near it."""
         low, high = core_range(self.stage, 0.4)
         near = [limit for limit, _ in self.limits if is_near(limit, low, high)]
+        near += self.beside[:, 1].tolist()
         return min([low, *near]), max([high, *near])
 
 
@@ -53,7 +58,10 @@ def _watched(estimate: Estimate, name: str) -> _Watched:
         stage, limits, colour = estimate.stage_one, thresholds.viscous_damping, fig.STAGE_ONE
     else:
         stage, limits, colour = estimate.stage_two, thresholds.bulk_modulus, fig.STAGE_TWO
-    return _Watched(name, stage, limits_of(limits), colour)
+    found = [(one.time_s, known.value, known.stddev) for one in estimate.beside
+             if name in estimate.model.tainted
+             and (known := one.parameters.get(name)) and known.status == "converged"]
+    return _Watched(name, stage, limits_of(limits), colour, np.array(found).reshape(-1, 3))
 
 
 def parameter_block(estimate: Estimate, name: str) -> fig.Block:
@@ -177,6 +185,11 @@ def _parameter_panel(one: _Watched, part: slice, view: tuple[float, float], time
         panel.add(fig.Band(*band, "± 1σ (mostly thinner than the line)" if thin else "± 1σ",
                            one.colour))
     panel.signal(t, value, f"{SYMBOLS[one.name]} estimated", one.colour, width=1.8)
+    if len(one.beside):
+        at, known, stddev = one.beside.T
+        panel.add(fig.Curve(at + stage.time[0], known, "least squares, judged by the alarms",
+                            fig.OTHER, 0.0, marker="circle", size=5.0, y_error=stddev,
+                            error_colour=fig.OTHER))
     add_limits(panel, value, one.limits, unit)
     return panel
 
