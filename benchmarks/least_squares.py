@@ -6,8 +6,8 @@ Rigs by equations that are not the package's (``concealed/strangers``: friction 
 lags, digital holds, wrong data sheets), each recorded under several settings and estimated with
 the config that ``init`` would draft of its data sheet.  Counted is how far the value of the stages
 is from the truth wherever it is ``converged``, and how far what is judged (least squares where the
-model does not fit) wherever it is determined.  beta_e is compared in what the config's volumes
-make of it: a volume that is 10 % off moves both by 10 %.
+model does not fit) wherever it is determined.  Both are compared in what the config's areas and
+volumes make of them: a volume that is 10 % off moves beta_e by 10 %.
 """
 
 import argparse
@@ -44,7 +44,7 @@ def rig_errors(seed: int, place: int) -> list[tuple[str, str, float, float]]:
             continue
         truth = truth_of(rig, setting)
         off = {one["key"]: one["configured"] / one["true"] for one in truth["rig_off"]}
-        true = {"B": truth["B"], "beta_e": truth["beta_e"] * off["volume_1"]}
+        true = {"B": truth["B"] * off["area_1"], "beta_e": truth["beta_e"] * off["volume_1"]}
         judged = {name: one for name, one in answer.best.items() if name not in answer.doubted}
         for who, values in (("stages", answer.parameters), ("judged", judged)):
             found += [(name, who, one.value / true[name] - 1.0,

@@ -130,6 +130,14 @@ def test_only_what_least_squares_determine_stands_instead():
     assert found["B"].instead is known and found["beta_e"].instead is None
 
 
+@pytest.mark.parametrize(("value", "doubted"), [(620.0, False), (680.0, True)])
+def test_a_stage_that_fits_is_in_doubt_where_least_squares_contradict_it(value, doubted):
+    other = {"B": ParameterEstimate("B", 600.0, 3.0, "N·s/m", "converged")}
+    own = {"B": ParameterEstimate("B", value, 1.0, "N·s/m", "converged")}
+    assert ("B" in tainted_by([standing("two")], other, own)) == doubted
+    assert "B" not in tainted_by([], other, own)
+
+
 def test_a_value_that_jumps_is_on_trial_and_a_slow_drift_is_not():
     trial = Trial("N·s/m")
     at = [k * 0.1 for k in range(100)]

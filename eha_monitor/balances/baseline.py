@@ -147,7 +147,8 @@ def beside(course: Course, settings: Settings) -> np.ndarray:
 
 
 def force_fit(course: Course, rig: Rig, known: np.ndarray | float = 0.0,
-              held: bool = False, late: np.ndarray | None = None) -> BalanceFit | None:
+              held: bool = False, late: np.ndarray | None = None,
+              beside: Sequence[np.ndarray] = ()) -> BalanceFit | None:
     """Return the force balance on samples that move; None where too few do.
 
     Parameters
@@ -155,6 +156,7 @@ def force_fit(course: Course, rig: Rig, known: np.ndarray | float = 0.0,
     known : (m,) N, what else the config knows to act.
     held : ``known`` holds all dry friction; that it may be another is in the deviations.
     late : (m,) N/s, rate of the force, if the deviations are to hold that it may be late.
+    beside : what may stand beside, see :func:`fitted`.
     """
     one, speed = np.ones(len(course)), np.abs(course.v) / max(course.speed, 1e-300)
     inertia, damping, force = UNITS[rig.motion]
@@ -165,7 +167,7 @@ def force_fit(course: Course, rig: Rig, known: np.ndarray | float = 0.0,
                ("B", damping, "viscous damping", 1, course.v), *(() if held else (dry,)),
                ("F_0", force, "constant load", 0, one))
     return fitted(course, course.counted("force"), course.force - known, columns,
-                  [course.direction, *bent] if held else bent)
+                  [course.direction, *bent] if held else bent, beside)
 
 
 def flow_columns(course: Course, rig: Rig) -> tuple | None:
@@ -184,12 +186,14 @@ def flow_columns(course: Course, rig: Rig) -> tuple | None:
 
 
 def fitted(course: Course, counted: np.ndarray, y: np.ndarray, columns: tuple,
-           bent: Sequence[np.ndarray] = ()) -> BalanceFit | None:
+           bent: Sequence[np.ndarray] = (), beside: Sequence[np.ndarray] = ()
+           ) -> BalanceFit | None:
     """Fit columns (name, unit, words, sign, values) to y on the counted samples.
 
     The standard deviations are those of as many independent samples as the residual has, and
     contain how far a number moves beside each way in which the law may be ``bent``, where that
-    fits better.
+    fits better; and what may stand ``beside``, (m,) each as large as one prior deviation of it, as
+    far as the data do not exclude it.
     """
     names, units, words, signs, values = zip(*columns, strict=True)
     signs, k = np.array(signs), len(names)
@@ -197,7 +201,8 @@ def fitted(course: Course, counted: np.ndarray, y: np.ndarray, columns: tuple,
     if counted.sum() < 4 * k:
         return None
     rows = course.in_band(np.column_stack([y, *values]))[counted]
-    ways = course.in_band(np.column_stack(bent))[counted].T if len(bent) else ()
+    ways, nuisances = (course.in_band(np.column_stack(some))[counted].T if len(some) else ()
+                       for some in (bent, beside))
     block = (np.flatnonzero(counted) * course.step / BLOCK).astype(int)
     whole = rows.T @ rows
     w = signed_solution(whole[1:, 1:], whole[1:, 0], signs)
@@ -221,6 +226,9 @@ def fitted(course: Course, counted: np.ndarray, y: np.ndarray, columns: tuple,
         if better < (1.0 - BETTER / effective) * float(np.nansum(left**2)):
             shift = np.maximum(shift, np.abs(other[:k] - w))
     variance[free] += shift[free] ** 2
+    for column in nuisances:
+        variance[free] += _unexcluded(rows[:, 1:][:, free], column, left[counted],
+                                      spread * correlated)
     stddev = np.sqrt(np.where(unknown, np.inf, np.where(held, alone, variance)))
     size = max(float(np.std(rows[:, 0])), 1e-300)
     unseen, compared = [], 0
@@ -237,6 +245,25 @@ def fitted(course: Course, counted: np.ndarray, y: np.ndarray, columns: tuple,
                                         held.tolist(), strict=True)),
         int(counted.sum()), float(effective), float(np.sqrt(np.nanmean(left**2)) / size),
         float(np.sqrt(np.sum(unseen) / compared) / size) if compared else float("nan"))
+
+
+def _unexcluded(columns: np.ndarray, column: np.ndarray, left: np.ndarray, noise: float
+                ) -> np.ndarray:
+    """Return the mean squared shift of each parameter by a column whose weight is N(0, 1), (k,).
+
+    The weight's posterior has the information z'Mz/noise + 1, with M the residual maker of the
+    columns; a parameter moves by -(X'X)^-1 X'z of it.
+
+    Parameters
+    ----------
+    columns : (n, k) X; ``column`` (n,) z; ``left`` (n,) residual of the fit without it.
+    noise : variance of what is left, times the samples that count as one.
+    """
+    moves = np.linalg.lstsq(columns, column, rcond=None)[0]
+    own = column - columns @ moves
+    variance = 1.0 / (1.0 + float(own @ own) / max(noise, 1e-300))
+    weight = variance * float(own @ left) / max(noise, 1e-300)
+    return moves**2 * (variance + weight**2)
 
 
 def sentence(fit: BalanceFit) -> str:

@@ -27,6 +27,7 @@ from eha_monitor.balances.together import pooled
 from eha_monitor.errors import InputError
 from eha_monitor.estimation.results import ONE, TWO, Beside, ParameterEstimate
 from eha_monitor.estimation.rig_model import force_of
+from eha_monitor.physics.effects import CATALOGUE
 from eha_monitor.recordings.recording import Recording, rows_of, sample_of
 from eha_monitor.settings.monitor import Settings
 from eha_monitor.settings.rig import Rig
@@ -34,6 +35,8 @@ from eha_monitor.settings.rig import Rig
 CLEAR = 5.0  # times the noise of a regressor: its noise then draws the parameter by 4 % at most
 WINDOW_S, LEAST_S, EVERY_S = 20.0, 5.0, 2.0  # how much is looked at, and how often
 MOST = 200  # looks at one recording
+SHARES = 0.03, 0.1, 0.3, 1.0  # of the top speed, over which friction may fall ...
+FALL = 0.5  # ... by so much of itself: what a Stribeck curve does
 BANDS = BAND, 4.0 * BAND  # Hz: the next one where a motion is too quick for the one before
 HELD = 0.7  # of the force's rms: less within a band, and its balances say nothing of the motion
 
@@ -80,15 +83,26 @@ def _damping(course: Course, settings: Settings) -> Term | None:
 
     The deviation of the first holds how far another dry friction moves it where that fits better,
     that of the second how little the motion may tell friction from damping.  A quick motion shows
-    milliseconds between the channels as damping, which the deviation holds as well.
+    milliseconds between the channels as damping, which the deviation holds as well; and friction
+    that falls over the speeds of the motion is less damping, as far as these do not exclude it.
     """
     rig = settings.rig
     known = course.known["force"] - rig.mass * course.a
     late = slope(course.force, course.dt) if course.band > BAND else None
+    free = force_fit(course, rig, known)
+    dry = _friction(settings) + (0.0 if free is None else free["F_c"].value)
+    falls = [FALL * dry * course.direction * np.exp(-np.abs(course.v) / (share * course.speed))
+             for share in SHARES]
     ways = [fit["B"] for held in (True, False)
-            if (fit := force_fit(course, rig, known, held, late)) is not None]
+            if (fit := force_fit(course, rig, known, held, late, falls)) is not None]
     ways = [term for term in ways if term.determined]
     return min(ways, key=lambda term: term.stddev, default=None)
+
+
+def _friction(settings: Settings) -> float:
+    """Return the dry friction that the config has, N."""
+    return sum(abs(float(values.get("F_c", 0.0))) for name, values in settings.effects.items()
+               if getattr(CATALOGUE.get(name), "family", "") == "dry")
 
 
 def compressibility(course: Course, rig: Rig) -> Term | None:

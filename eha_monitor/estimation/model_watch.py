@@ -32,6 +32,7 @@ LONGEST_FITTING_S = 60.0
 # A value that has moved so far is on trial for so long before it may raise an alarm.
 MOVED = 0.05
 TRIAL_S = 2.5
+FAR = 3.0  # standard deviations, beyond ``MOVED`` of the value: a contradiction
 LONGEST_TRIAL_S = 5.0  # dry friction that appears is told within so long (measured: 2 to 5 s)
 
 _ORDER = ("one", "two", "joint")
@@ -172,16 +173,19 @@ class Trial:
 
 
 def tainted_by(mismatches: Iterable[Mismatch],
-               beside: Mapping[str, ParameterEstimate] = MappingProxyType({})
+               beside: Mapping[str, ParameterEstimate] = MappingProxyType({}),
+               parameters: Mapping[str, ParameterEstimate] = MappingProxyType({})
                ) -> dict[str, Taint]:
     """Return which of ``B`` and ``beta_e`` the mismatches that stand put in doubt, and why.
 
-    Stage two holds the force balance as well, so what that lacks moves beta_e too.
+    Stage two holds the force balance as well, so what that lacks moves beta_e too.  A stage that
+    fits is in doubt where least squares contradict it while another does not fit.
 
     Parameters
     ----------
     mismatches : those that stand.
     beside : what least squares determine (:mod:`balances.parameters`).
+    parameters : of the stages.
     """
     found: dict[str, Taint] = {}
     for mismatch in sorted(mismatches, key=lambda m: _ORDER.index(m.stage)):
@@ -191,7 +195,19 @@ def tainted_by(mismatches: Iterable[Mismatch],
             found["B"] = taint
         found["beta_e"] = taint  # its own reason goes before that of B
     known = {name: one for name, one in beside.items() if one.status == "converged"}
+    if found:
+        since = min(taint.since_s for taint in found.values())
+        found = {name: Taint(f"least squares give {one.shown}", since)
+                 for name, one in known.items()
+                 if _contradicts(parameters.get(name), one)} | found
     return {name: replace(taint, instead=known.get(name)) for name, taint in found.items()}
+
+
+def _contradicts(estimate: ParameterEstimate | None, other: ParameterEstimate) -> bool:
+    """Tell whether a stage's value is farther from another than both may be off."""
+    return estimate is not None and estimate.status == "converged" and (
+        abs(estimate.value - other.value)
+        > FAR * math.hypot(estimate.stddev, other.stddev) + MOVED * abs(other.value))
 
 
 def model_status(verdicts: Iterable[Consistency | None],

@@ -275,7 +275,8 @@ def tested_model(status: ModelStatus, stages: tuple[StageResult, StageResult],
     if not found:
         found = [Mismatch("joint", BALANCE["joint"], 0.0, np.nan, np.nan, np.nan, status.message)]
     return replace(status, mismatches=tuple(found), tainted=tainted_by(
-        found, beside[-1].parameters if beside else {}))
+        found, beside[-1].parameters if beside else {},
+        {stage.estimate.name: stage.estimate for stage in stages}))
 
 
 def warnings_of(inputs: Inputs, settings: Settings) -> list[str]:

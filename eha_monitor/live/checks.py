@@ -350,5 +350,5 @@ class LiveModel:
             fitting = [v for v in self.verdicts.values() if v is None or v.consistent]
             status = model_status(fitting)
             return ModelStatus(status.status, status.message, (), tainted)
-        tainted |= tainted_by(standing, self.beside)
+        tainted |= tainted_by(standing, self.beside, parameters)
         return ModelStatus("mismatch", "; ".join(m.message for m in standing), standing, tainted)
