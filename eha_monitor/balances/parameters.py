@@ -110,8 +110,8 @@ def compressibility(course: Course, rig: Rig) -> Term | None:
 
     A position that is late by tau adds tau A x'' to the flow, which resembles the oil's part; so
     does play in its coupling, at each reversal, and at one speed what a pump loses in either
-    direction.  The volumes are the config's, or
-    change over the stroke as the areas say, whichever fits better.
+    direction.  The volumes are the config's, or change over the stroke as the areas say, whichever
+    fits better.
     """
     columns = flow_columns(course, rig)
     if columns is None or not (rig.volume_1 and rig.volume_2) or "flow" not in course.known:
