@@ -54,8 +54,7 @@ def judged_series(found: Estimate) -> dict[str, ParameterSeries]:
         one = series[name]
         if not len(one.value):
             continue
-        looks = [known if known is not None and known.status == "converged" else None
-                 for known in (beside.parameters.get(name) for beside in found.beside)]
+        looks = [beside.determined(name) for beside in found.beside]
         place = np.searchsorted(times, time - time[0] + NEAR_S, side="right")
         value, stddev = (np.array([math.nan, *(
             getattr(look, key) if look else math.nan for look in looks)])[place]

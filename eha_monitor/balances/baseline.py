@@ -146,6 +146,11 @@ def beside(course: Course, settings: Settings) -> np.ndarray:
     return known_of(course, rig, *theta_of(rig, kept))["force"] - rig.mass * course.a
 
 
+def falling(course: Course, slow: float) -> np.ndarray:
+    """Return a friction of 1 N at rest that falls over ``slow`` of the top speed, (m,) N."""
+    return course.direction * np.exp(-np.abs(course.v) / max(course.speed, 1e-300) / slow)
+
+
 def force_fit(course: Course, rig: Rig, known: np.ndarray | float = 0.0,
               held: bool = False, late: np.ndarray | None = None,
               beside: Sequence[np.ndarray] = ()) -> BalanceFit | None:
@@ -160,7 +165,7 @@ def force_fit(course: Course, rig: Rig, known: np.ndarray | float = 0.0,
     """
     one, speed = np.ones(len(course)), np.abs(course.v) / max(course.speed, 1e-300)
     inertia, damping, force = UNITS[rig.motion]
-    bent = [course.v * speed, *(course.direction * np.exp(-speed / slow) for slow in SLOW)]
+    bent = [course.v * speed, *(falling(course, slow) for slow in SLOW)]
     bent += [] if late is None else [late]
     dry = ("F_c", force, "dry friction", 1, course.direction)
     columns = (("M", inertia, "moving mass", 1, course.a),

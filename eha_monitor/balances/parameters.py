@@ -14,7 +14,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eha_monitor.balances.baseline import BalanceFit, Term, fitted, flow_columns, force_fit
+from eha_monitor.balances.baseline import (
+    SLOW,
+    BalanceFit,
+    Term,
+    falling,
+    fitted,
+    flow_columns,
+    force_fit,
+)
 from eha_monitor.balances.course import (
     BAND,
     Course,
@@ -35,7 +43,7 @@ from eha_monitor.settings.rig import Rig
 CLEAR = 5.0  # times the noise of a regressor: its noise then draws the parameter by 4 % at most
 WINDOW_S, LEAST_S, EVERY_S = 20.0, 5.0, 2.0  # how much is looked at, and how often
 MOST = 200  # looks at one recording
-SHARES = 0.03, 0.1, 0.3, 1.0  # of the top speed, over which friction may fall ...
+WIDE = 1.0  # of the top speed, over which friction may fall as well, beside ``SLOW`` ...
 FALL = 0.5  # ... by so much of itself: what a Stribeck curve does
 BANDS = BAND, 4.0 * BAND  # Hz: the next one where a motion is too quick for the one before
 HELD = 0.7  # of the force's rms: less within a band, and its balances say nothing of the motion
@@ -91,8 +99,7 @@ def _damping(course: Course, settings: Settings) -> Term | None:
     late = slope(course.force, course.dt) if course.band > BAND else None
     free = force_fit(course, rig, known)
     dry = _friction(settings) + (0.0 if free is None else free["F_c"].value)
-    falls = [FALL * dry * course.direction * np.exp(-np.abs(course.v) / (share * course.speed))
-             for share in SHARES]
+    falls = [FALL * dry * falling(course, slow) for slow in (*SLOW, WIDE)]
     ways = [fit["B"] for held in (True, False)
             if (fit := force_fit(course, rig, known, held, late, falls)) is not None]
     ways = [term for term in ways if term.determined]

@@ -130,17 +130,17 @@ def _estimated(found: Estimate) -> Table:
             for stage in (found.stage_one, found.stage_two)]
     if found.joint is not None:
         rows += [("joint", parameter) for parameter in found.joint.parameters.values()]
-    rows += [(f"{BALANCES[name]} balance", taint.instead)
-             for name, taint in found.model.tainted.items() if taint.instead]
     for estimator, p in rows:
         # What must not be used does not speak like what may.
         value = p.shown if p.status == "converged" or p.shown == "—" else f"[dim]({p.shown})[/]"
         status = _coloured(p.status)
-        if estimator.endswith("balance"):
-            status = "[green]least squares[/], used by the alarms"
-        elif p.status == "converged" and estimator != "joint" and p.name in found.model.tainted:
+        if p.status == "converged" and estimator != "joint" and p.name in found.model.tainted:
             value, status = f"[dim]{value}[/]", "converged, [yellow]in doubt[/]"
         shown.add_row(estimator, SYMBOLS.get(p.name, p.name), value, status)
+    for name, taint in found.model.tainted.items():
+        if taint.instead:
+            shown.add_row(f"{BALANCES[name]} balance", SYMBOLS.get(name, name),
+                          taint.instead.shown, "[green]least squares[/], used by the alarms")
     return shown
 
 

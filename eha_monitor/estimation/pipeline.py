@@ -67,15 +67,18 @@ def _estimated(recording: Recording, settings: Settings) -> Estimate:
     settings, decision = resolved([recording], settings)
     found = estimate_held(recording, settings)
     if decision is not None and not decision.decided:
-        found = either(found, estimate_held(recording, with_hold(settings, SAMPLED)), decision)
+        found = either(found, estimate_held(recording, with_hold(settings, SAMPLED),
+                                            beside=found.beside), decision)
     return replace(found, wall_s=time.perf_counter() - started,
                    channels=decision.findings if decision is not None else ())
 
 
-def estimate_held(recording: Recording, settings: Settings, size: int | None = None) -> Estimate:
+def estimate_held(recording: Recording, settings: Settings, size: int | None = None,
+                  beside: tuple[Beside, ...] = ()) -> Estimate:
     """Run both stages with the hold that the settings say.
 
     ``size`` : rows of a piece; without it a long recording is taken in pieces, others at once.
+    ``beside`` : least squares along the recording, whatever the hold, where they are known.
     """
     inputs = inputs_of(recording, settings, size)
     events: list[Event] = []
@@ -86,7 +89,10 @@ def estimate_held(recording: Recording, settings: Settings, size: int | None = N
     since = max((int(row[0]) + 1 for row in seen), default=0)
     joint = run_joint(inputs, recording, settings, one, two, since)
     status = model_status((one.consistency, two.consistency), joint)
-    beside = tuple(along(recording, settings)) if status.status == "mismatch" else ()
+    if status.status != "mismatch":
+        beside = ()
+    elif not beside:
+        beside = tuple(along(recording, settings))
     return Estimate(
         recording, settings, one, two, joint,
         within(tested_model(status, (one, two), beside),

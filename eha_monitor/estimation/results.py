@@ -1,6 +1,7 @@
 """What estimation returns: immutable records with a status and a sentence."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -185,6 +186,11 @@ class ModelStatus:
     mismatches: tuple[Mismatch, ...] = ()
     tainted: dict[str, Taint] = field(default_factory=dict)
 
+    def best(self, parameters: Mapping[str, ParameterEstimate]) -> dict[str, ParameterEstimate]:
+        """Return parameters by what stands instead of those in doubt, where something does."""
+        instead = {name: taint.instead for name, taint in self.tainted.items()}
+        return {name: instead.get(name) or one for name, one in parameters.items()}
+
 
 @dataclass(frozen=True)
 class LiveSnapshot:
@@ -225,6 +231,11 @@ class Beside:
     time_s: float
     parameters: dict[str, ParameterEstimate]
 
+    def determined(self, symbol: str) -> ParameterEstimate | None:
+        """Return a parameter, None where the motion does not determine it."""
+        found = self.parameters.get(symbol)
+        return found if found is not None and found.status == "converged" else None
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -255,8 +266,7 @@ class Estimate:
     @property
     def best(self) -> dict[str, ParameterEstimate]:
         """The same, by least squares on the balances where the stages' values are in doubt."""
-        instead = {name: taint.instead for name, taint in self.model.tainted.items()}
-        return {name: instead.get(name) or one for name, one in self.parameters.items()}
+        return self.model.best(self.parameters)
 
     @property
     def doubted(self) -> dict[str, Taint]:

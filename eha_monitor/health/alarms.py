@@ -374,8 +374,7 @@ def judge_series(settings: Settings, time: np.ndarray, parameters: dict[str, Par
 def _latest(beside: Sequence[Beside], elapsed_s: float, symbol: str) -> ParameterEstimate | None:
     """Return what the last look before a time determined of a parameter."""
     place = bisect.bisect_right(beside, elapsed_s, key=lambda one: one.time_s - NEAR_S) - 1
-    found = beside[place].parameters.get(symbol) if place >= 0 else None
-    return found if found is not None and found.status == "converged" else None
+    return beside[place].determined(symbol) if place >= 0 else None
 
 
 def _trials(trials: dict[str, Trial], time_s: float, row: dict[str, ParameterEstimate]

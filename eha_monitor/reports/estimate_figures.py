@@ -59,8 +59,7 @@ def _watched(estimate: Estimate, name: str) -> _Watched:
     else:
         stage, limits, colour = estimate.stage_two, thresholds.bulk_modulus, fig.STAGE_TWO
     found = [(one.time_s, known.value, known.stddev) for one in estimate.beside
-             if name in estimate.model.tainted
-             and (known := one.parameters.get(name)) and known.status == "converged"]
+             if name in estimate.model.tainted and (known := one.determined(name))]
     return _Watched(name, stage, limits_of(limits), colour, np.array(found).reshape(-1, 3))
 
 

@@ -66,7 +66,7 @@ def all_findings(settings: Settings, board: AlarmBoard,
         watched = next(w for w in WATCHED if alarm.name.startswith(w.section))
         side = alarm.name.removeprefix(f"{watched.section}_")
         limits = getattr(settings.thresholds, watched.section)
-        values = _numbers(_judged(parameters, model, watched.symbol)) | _doubts(
+        values = _numbers(model.best(parameters).get(watched.symbol)) | _doubts(
             model, watched.symbol)
         for degree in ("warn", "error"):
             limit = getattr(limits, f"{side}_{degree}")
@@ -106,13 +106,6 @@ def _numbers(estimate: ParameterEstimate | None) -> dict[str, float | int | str]
         return {}
     key = KEYS[estimate.name]
     return {key: estimate.value, f"{key}_stddev": estimate.stddev}
-
-
-def _judged(parameters: Mapping[str, ParameterEstimate], model: ModelStatus, symbol: str
-            ) -> ParameterEstimate | None:
-    """Return the value that an alarm judges."""
-    taint = model.tainted.get(symbol)
-    return taint.instead if taint is not None and taint.instead else parameters.get(symbol)
 
 
 def _doubts(model: ModelStatus, symbol: str) -> dict[str, float | int | str]:
